@@ -1,0 +1,66 @@
+"""Sub-pixel registration of multimodal rasters.
+
+`register` and `match` do a whole job, files in, folder out; `match_arrays` takes two arrays and gives
+their tie points. The heavy libraries load when a name is first used, so that ``pcwlad-geo --help``
+answers at once.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from pcwlad_geo.errors import (
+    CancelledError,
+    InputError,
+    OutputError,
+    PcwladGeoError,
+    RegistrationRejectedError,
+    SettingsError,
+)
+
+if TYPE_CHECKING:
+    from pcwlad_geo.matching.matcher import match_arrays
+    from pcwlad_geo.matching.tie_points import TiePoints
+    from pcwlad_geo.registration.result import Registration
+    from pcwlad_geo.registration.settings import Settings
+    from pcwlad_geo.workflow import match, register
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "CancelledError",
+    "InputError",
+    "OutputError",
+    "PcwladGeoError",
+    "Registration",
+    "RegistrationRejectedError",
+    "Settings",
+    "SettingsError",
+    "TiePoints",
+    "__version__",
+    "match",
+    "match_arrays",
+    "register",
+]
+
+_HOMES = {
+    "Registration": "pcwlad_geo.registration.result",
+    "Settings": "pcwlad_geo.registration.settings",
+    "TiePoints": "pcwlad_geo.matching.tie_points",
+    "match": "pcwlad_geo.workflow",
+    "match_arrays": "pcwlad_geo.matching.matcher",
+    "register": "pcwlad_geo.workflow",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value: object = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,100 @@
+"""The options that the commands share, named as the fields of `Settings`.
+
+None means "not given": the config file, then the default of `Settings`, decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from pcwlad_geo.registration import settings as s
+
+ProgressStyle = Literal["auto", "bar", "json", "none"]
+
+WORDS = {"points": "all", "search_radius": "auto"}
+"""How None is spelled where it is a choice of its own."""
+
+_DEFAULTS = {field.name: field.default for field in fields(s.Settings)}
+
+
+def _setting(name: str, help_text: str, **more: Any) -> Any:  # noqa: ANN401  # typer's own type
+    """Return the option of a field of `Settings`, its default shown in the help."""
+    default = _DEFAULTS[name]
+    shown = WORDS.get(name) if default is None else default
+    if shown is not None:
+        help_text += f"  [default: {shown}]"
+    return typer.Option("--" + name.replace("_", "-"), help=help_text, show_default=False, **more)
+
+
+Reference = Annotated[str, typer.Argument(metavar="REFERENCE", help="Raster that stays.", show_default=False)]
+Target = Annotated[str, typer.Argument(metavar="TARGET", help="Raster that moves.", show_default=False)]
+
+RefBand = Annotated[int | None, _setting("ref_band", "Band of the reference.", metavar="N")]
+TgtBand = Annotated[int | None, _setting("tgt_band", "Band of the target.", metavar="N")]
+RefMask = Annotated[Path | None, _setting("ref_mask", "Mask of the reference, 0 = excluded.", metavar="FILE")]
+TgtMask = Annotated[Path | None, _setting("tgt_mask", "Mask of the target, 0 = excluded.", metavar="FILE")]
+
+Method = Annotated[s.Method | None, _setting("method", "Fine matching method.")]
+Points = Annotated[str | None, _setting("points", "Tie points wanted in the fit.", metavar="N|all")]
+Features = Annotated[int | None, _setting("features", "Candidates a tile.", metavar="N")]
+Keypoints = Annotated[
+    s.Keypoints | None, _setting("keypoints", "Spread the candidates by cell, or take the strongest.")
+]
+Template = Annotated[int | None, _setting("template", "Side of the coarse window, odd, px.", metavar="PX")]
+Window = Annotated[int | None, _setting("window", "Side of the refinement window, odd, px.", metavar="PX")]
+SearchRadius = Annotated[
+    str | None,
+    _setting("search_radius", "Largest displacement looked for, matching-grid px.", metavar="PX|auto"),
+]
+SsimMin = Annotated[float | None, _setting("ssim_min", "Least SSIM of a coarse match.", metavar="X")]
+Iterations = Annotated[int | None, _setting("iterations", "Most refinement iterations.", metavar="N")]
+Consensus = Annotated[
+    s.Consensus | None,
+    _setting("consensus", "Second pass guided by the neighbours, in smooth fields."),
+]
+Prealign = Annotated[s.Prealign | None, _setting("prealign", "Rough alignment before matching.")]
+
+Model = Annotated[s.Model | None, _setting("model", "Correction model.")]
+Grid = Annotated[
+    s.OutputGrid | None,
+    _setting("grid", "Grid of the registered raster, the reference's or the target's."),
+]
+Resampling = Annotated[s.Resampling | None, _setting("resampling", "Resampling of the registered raster.")]
+Jobs = Annotated[int | None, _setting("jobs", "Processes.", metavar="N")]
+
+OutDir = Annotated[
+    Path | None,
+    typer.Option("-o", "--out-dir", metavar="OUT_DIR", help="Output folder.", show_default=False),
+]
+OutputRaster = Annotated[
+    Path | None,
+    typer.Option("--output-raster", metavar="FILE", help="Registered raster, here instead."),
+]
+OutputTiepoints = Annotated[
+    Path | None,
+    typer.Option("--output-tiepoints", metavar="FILE", help="Tie points CSV, here instead."),
+]
+OutputReport = Annotated[
+    Path | None, typer.Option("--output-report", metavar="FILE", help="Report page, here instead.")
+]
+OutputPoints = Annotated[
+    Path | None,
+    typer.Option("--output-points", metavar="FILE", help="QGIS Georeferencer points, here instead."),
+]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace the results of an earlier run in OUT_DIR.")
+]
+ProgressOption = Annotated[
+    ProgressStyle,
+    typer.Option("--progress", help="auto: a bar on a terminal; json: one object a line on standard output."),
+]
+WatchStdin = Annotated[bool, typer.Option("--watch-stdin", help="Cancel the run when standard input ends.")]
+Config = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE.toml", help="Options by name; the command line wins."),
+]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]

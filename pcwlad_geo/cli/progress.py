@@ -1,0 +1,193 @@
+"""What a run shows while it works: a bar a stage, JSON lines, or warnings only."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from typing import TYPE_CHECKING, Protocol, TextIO
+
+from pcwlad_geo.cli.options import ProgressStyle
+from pcwlad_geo.errors import CancelledError
+from pcwlad_geo.registration.progress import Event, Progress, Warned
+
+if TYPE_CHECKING:
+    import rich.progress
+
+
+class Reporter(Protocol):
+    """Shows a run's events; after them comes exactly one of result, error and cancelled."""
+
+    def event(self, event: Event) -> None:
+        """Show progress or a warning: the callback of the job."""
+
+    def result(self, figures: dict[str, object], summary: str) -> None:
+        """Show the end of a run that did its work: the main figures, and the same for people."""
+
+    def error(self, message: str, details: dict[str, object]) -> None:
+        """Show why there is no result."""
+
+    def cancelled(self) -> None:
+        """Show that the run was interrupted."""
+
+
+def one_line(message: object) -> str:
+    """Return a message on one line, whatever line breaks it came with."""
+    return " ".join(str(message).split())
+
+
+def show_error(message: object) -> None:
+    """Write the one line that an error is on standard error."""
+    sys.stderr.write(f"error: {one_line(message)}\n")
+    sys.stderr.flush()
+
+
+class Quiet:
+    """Warnings and errors on standard error, the result on standard output."""
+
+    def event(self, event: Event) -> None:
+        """Show a warning."""
+        if isinstance(event, Warned):
+            sys.stderr.write(f"warning: {one_line(event.message)}\n")
+
+    def result(self, figures: dict[str, object], summary: str) -> None:
+        """Print the summary."""
+        try:
+            sys.stdout.write(summary)
+            sys.stdout.flush()
+        except BrokenPipeError:  # nobody reads on: the files are written all the same
+            sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115  # or the interpreter's last flush fails
+
+    def error(self, message: str, details: dict[str, object]) -> None:
+        """Write the message."""
+        show_error(message)
+
+    def cancelled(self) -> None:
+        """Say so."""
+        show_error("interrupted")
+
+
+class Bar(Quiet):
+    """A progress bar a stage, on standard error."""
+
+    def __init__(self, bars: rich.progress.Progress) -> None:
+        self._bars = bars
+        self._tasks: dict[str, rich.progress.TaskID] = {}
+
+    def event(self, event: Event) -> None:
+        """Move the bar of a stage, or show a warning above the bars."""
+        if isinstance(event, Warned):
+            text = f"warning: {one_line(event.message)}"
+            self._bars.console.print(text, markup=False, highlight=False, soft_wrap=True)
+            return
+        if event.stage not in self._tasks:
+            self._tasks[event.stage] = self._bars.add_task(event.stage, total=event.total)
+        self._bars.update(self._tasks[event.stage], completed=event.done, total=event.total)
+
+    def result(self, figures: dict[str, object], summary: str) -> None:
+        """Print the summary below the bars."""
+        self._bars.stop()
+        super().result(figures, summary)
+
+    def error(self, message: str, details: dict[str, object]) -> None:
+        """Write the message below the bars."""
+        self._bars.stop()
+        super().error(message, details)
+
+    def cancelled(self) -> None:
+        """Say so below the bars."""
+        self._bars.stop()
+        super().cancelled()
+
+
+class JsonLines:
+    """One JSON object a line; errors are on standard error too, for a person who looks there."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._lock = threading.Lock()  # a forced end speaks from another thread
+        self._ended = False
+
+    def event(self, event: Event) -> None:
+        """Write a progress or warning object."""
+        if isinstance(event, Progress):
+            self._write("progress", {"stage": event.stage, "done": event.done, "total": event.total})
+        else:
+            self._write("warning", {"message": event.message})
+
+    def result(self, figures: dict[str, object], summary: str) -> None:
+        """Write the result object."""
+        self._write("result", figures, last=True)
+
+    def error(self, message: str, details: dict[str, object]) -> None:
+        """Write the error object."""
+        show_error(message)
+        self._write("error", {"message": one_line(message), **details}, last=True)
+
+    def cancelled(self) -> None:
+        """Write the cancelled object."""
+        self._write("cancelled", {}, last=True)
+
+    def _write(self, event: str, values: dict[str, object], *, last: bool = False) -> None:
+        line = json.dumps({"event": event, **values}, allow_nan=False)
+        with self._lock:
+            if self._ended:
+                return
+            self._ended = last
+            try:
+                self._stream.write(line + "\n")
+                self._stream.flush()
+            except BrokenPipeError:
+                self._ended = True
+                if not last:  # whoever asked for the run has gone
+                    raise CancelledError("the reader of standard output has gone") from None
+
+
+@contextmanager
+def reporter(style: ProgressStyle) -> Iterator[Reporter]:
+    """Give the reporter of a style, for the length of a run."""
+    if style == "json":
+        with _protocol_stream() as stream:
+            yield JsonLines(stream)
+    elif style == "bar" or (style == "auto" and sys.stderr.isatty()):
+        with _bars() as bars:
+            yield Bar(bars)
+    else:
+        yield Quiet()
+
+
+@contextmanager
+def _protocol_stream() -> Iterator[TextIO]:
+    """Keep the real standard output for the protocol and point file descriptor 1 at standard error.
+
+    So a stray print, of Python or of a C library, cannot corrupt the protocol.
+    """
+    sys.stdout.flush()
+    kept = os.dup(1)
+    stream = os.fdopen(os.dup(kept), "w", encoding="utf-8", newline="\n")
+    os.dup2(2, 1)
+    try:
+        yield stream
+    finally:
+        with suppress(BrokenPipeError):  # the reader has gone: that was found before
+            stream.close()
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+def _bars() -> AbstractContextManager[rich.progress.Progress]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+
+    return Bars(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+    )

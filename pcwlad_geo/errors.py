@@ -1,0 +1,50 @@
+"""The exception tree: every message says what was found, where, and what to do."""
+
+
+class PcwladGeoError(Exception):
+    """Base of all errors that pcwlad-geo raises on purpose."""
+
+    exit_status = 1
+
+
+class InputError(PcwladGeoError):
+    """The input (file, band, mask, option, array) cannot be used."""
+
+    exit_status = 2
+
+
+class SettingsError(InputError):
+    """An option has a value that makes no sense."""
+
+
+class OutputError(PcwladGeoError):
+    """A result cannot be written (permissions, full disk, existing results)."""
+
+    exit_status = 2
+
+
+class RegistrationRejectedError(PcwladGeoError):
+    """The pair could not be registered reliably, so no correction is given.
+
+    Parameters
+    ----------
+    message : str
+        The reason, and what to do about it.
+    registration : object, optional
+        The `Registration` with status ``"rejected"``: its tie points and figures.
+    out_dir : pathlib.Path, optional
+        Where the report of the refusal was written, if it was.
+    """
+
+    exit_status = 3
+
+    def __init__(self, message: str, registration: object = None, out_dir: object = None) -> None:
+        super().__init__(message)
+        self.registration = registration
+        self.out_dir = out_dir
+
+
+class CancelledError(PcwladGeoError):
+    """The run was cancelled by its caller."""
+
+    exit_status = 130

@@ -1,0 +1,154 @@
+"""The displacement field between the tie points: robust local planes through their neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Float64 = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+NEIGHBOUR_COUNTS: Final = (48, 192, 768)
+SIMPLER_WITHIN_PX: Final = 0.02
+"""A larger neighbourhood is taken unless it predicts worse by more: a third of that would be its harm."""
+EXCLUSION: Final = 0.75
+"""Neighbours nearer than this share of the window see the same pixels: no independent witnesses."""
+SAMPLE: Final = 400
+ROUNDS: Final = 4
+CHUNK_VALUES: Final = 2_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """What the neighbours of n places say about the displacement there."""
+
+    displacement_px: Float64
+    """(n, 2)."""
+    scatter_px: Float64
+    """(n,) robust scatter of the neighbours about their plane."""
+
+
+def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, count: int) -> Prediction:
+    """Predict the displacement at places from a robust plane through their nearest points.
+
+    Parameters
+    ----------
+    xy_px, displacement_px : (m, 2) arrays
+        Tie points and their displacements.
+    at_xy_px : (n, 2) array
+        Where to predict.
+    count : int
+        Neighbours of each plane.
+    """
+    return _predict_apart(xy_px, displacement_px, at_xy_px, count, 0.0)
+
+
+def choose_neighbour_count(xy_px: Float64, displacement_px: Float64, window_px: int) -> tuple[int, Float64]:
+    """Choose the largest neighbourhood that predicts about as well as any.
+
+    Parameters
+    ----------
+    xy_px, displacement_px : (m, 2) arrays
+        Tie points and their displacements.
+    window_px : int
+        Side of the matching window: points apart by less share pixels and do not count as witnesses.
+
+    Returns
+    -------
+    count : int
+        Neighbours to use.
+    residual_px : (m, 2) array
+        Displacement minus what the independent neighbours predict; NaN outside the sample looked at.
+    """
+    sample = np.unique(np.linspace(0, len(xy_px) - 1, min(SAMPLE, len(xy_px))).astype(np.intp))
+    candidates = [count for count in NEIGHBOUR_COUNTS if count < len(xy_px)] or [len(xy_px)]
+    if len(xy_px) > candidates[-1]:
+        candidates.append(min(len(xy_px), 4 * candidates[-1]))
+    apart = EXCLUSION * window_px
+    residuals = []
+    for count in candidates:
+        predicted = _predict_apart(xy_px, displacement_px, xy_px[sample], count, apart)
+        residuals.append(displacement_px[sample] - predicted.displacement_px)
+    errors = [float(np.nanmedian(np.hypot(r[:, 0], r[:, 1]))) for r in residuals]
+    good = [i for i, error in enumerate(errors) if error <= np.nanmin(errors) + SIMPLER_WITHIN_PX]
+    chosen = max(good) if good else 0
+    residual = np.full(xy_px.shape, np.nan)
+    residual[sample] = residuals[chosen]
+    return candidates[chosen], residual
+
+
+def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Float64]:
+    """Fit displacement = offset + linear · (xy - centre) robustly.
+
+    Returns
+    -------
+    linear : (2, 2) array
+        The deformation of the target against the reference.
+    linear_sigma : (2, 2) array
+        Its standard error, points taken as independent.
+    """
+    design = np.c_[np.ones(len(xy_px)), xy_px - xy_px.mean(axis=0)]
+    weight = np.ones(len(xy_px))
+    solution = np.zeros((3, 2))
+    for _ in range(20):
+        solution = np.linalg.lstsq(design * weight[:, None], displacement_px * weight[:, None], rcond=None)[0]
+        residual = displacement_px - design @ solution
+        radial = np.hypot(residual[:, 0], residual[:, 1])
+        scale = max(float(np.median(radial)), 1e-6)
+        weight = 1 / np.sqrt(1 + (radial / scale) ** 2)
+    inverse = np.linalg.inv((design * weight[:, None] ** 2).T @ design)
+    variance = (weight[:, None] ** 2 * residual**2).sum(axis=0) / (weight**2).sum()
+    return solution[1:].T.copy(), np.sqrt(np.outer(variance, np.diagonal(inverse)[1:]))
+
+
+def _predict_apart(xy: Float64, displacement: Float64, at: Float64, count: int, apart_px: float) -> Prediction:
+    tree = cKDTree(xy)
+    out = np.full((len(at), 2), np.nan)
+    scatter = np.full(len(at), np.nan)
+    reach = min(len(xy), 2 * count if apart_px else count)
+    if apart_px and len(xy) > 1:
+        near = tree.query_ball_point(at, apart_px, return_length=True)
+        reach = int(min(len(xy), count + near.max()))
+    step = max(1, CHUNK_VALUES // max(reach, 1))
+    for begin in range(0, len(at), step):
+        part = slice(begin, begin + step)
+        distance, index = tree.query(at[part], k=np.arange(1, reach + 1))
+        usable = distance >= apart_px
+        usable &= np.cumsum(usable, axis=1) <= count
+        out[part], scatter[part] = _robust_planes(xy[index] - at[part, None, :], displacement[index], usable)
+    return Prediction(out, scatter)
+
+
+def _robust_planes(offset: Float64, values: Float64, usable: NDArray[np.bool_]) -> tuple[Float64, Float64]:
+    """Fit a plane to each row of neighbours by reweighted least squares; returns value at the centre, scatter."""
+    n, _, _ = values.shape
+    reach = np.sqrt((offset**2).sum(axis=2).max(axis=1)).clip(1e-9)
+    design = np.concatenate([np.ones((*offset.shape[:2], 1)), offset / reach[:, None, None]], axis=2)
+    enough = usable.sum(axis=1) >= 6
+    masked = np.where(usable[..., None], values, np.nan)
+    masked[~enough] = 0.0
+    start = np.nanmedian(masked, axis=1)
+    residual = np.hypot(*np.moveaxis(values - start[:, None, :], 2, 0))
+    solution = np.zeros((n, 3, 2))
+    scale = np.ones(n)
+    for _ in range(ROUNDS):
+        seen = np.where(usable, residual, np.nan)
+        seen[~enough] = 1.0
+        scale = np.nanmedian(seen, axis=1).clip(1e-6)
+        weight = np.where(usable, 1 / (1 + (residual / (2 * scale[:, None])) ** 2), 0.0)
+        weighted = design * weight[..., None]
+        normal = np.einsum("nki,nkj->nij", weighted, design)
+        # a ridge on the slopes: neighbours on a line leave the slope across it undetermined
+        normal[:, 1, 1] += 1e-3 * normal[:, 0, 0] + 1e-12
+        normal[:, 2, 2] += 1e-3 * normal[:, 0, 0] + 1e-12
+        normal[:, 0, 0] += 1e-12
+        solution = np.linalg.solve(normal, np.einsum("nki,nkj->nij", weighted, values))
+        residual = np.hypot(*np.moveaxis(values - design @ solution, 2, 0))
+    at_centre = solution[:, 0, :].copy()
+    at_centre[~enough] = np.nan
+    scale[~enough] = np.nan
+    return at_centre, 0.8493 * scale

@@ -1,0 +1,377 @@
+"""The stages in order: maps, corners, coarse match, refinement, consistency, field, consensus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching import calibration, field, keypoints
+from pcwlad_geo.matching.outliers import consistent
+from pcwlad_geo.matching.phase_congruency import scene_epsilon
+from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
+from pcwlad_geo.matching.refinement import Refined, Start, refine
+from pcwlad_geo.matching.settings import TRAITS, MatchSettings, MethodTraits
+from pcwlad_geo.matching.similarity import match_coarsely
+from pcwlad_geo.matching.structure_filter import passes_paper, shared_structure
+from pcwlad_geo.matching.tie_points import TiePoints
+
+Float64 = NDArray[np.float64]
+Index = NDArray[np.intp]
+Bool = NDArray[np.bool_]
+
+HALO_PX: Final = 64
+"""Context that phase congruency needs around a window: beyond it the maps change by less than 4e-4."""
+DISAGREEMENT_PX: Final = 0.5
+"""Largest difference between the forward and the backward match."""
+COARSE_SIGMA_PX: Final = 0.35
+LEAST_DEFORMATION_PX: Final = 0.05
+"""Deformations are modelled where they move the corner of a window by more than this."""
+LEAST_FOR_FIELD: Final = 24
+
+
+@dataclass(frozen=True, slots=True)
+class Core:
+    """The part of a window whose corners are wanted; the rest is halo. Row, column, stops in array index."""
+
+    row: int
+    col: int
+    row_stop: int
+    col_stop: int
+    origin_rc: tuple[int, int]
+    """Position of the window's first pixel in the scene: cells are laid out from the scene's origin."""
+
+
+def match_arrays(
+    reference: NDArray[Any],
+    target: NDArray[Any],
+    *,
+    reference_valid: Bool | None = None,
+    target_valid: Bool | None = None,
+    settings: MatchSettings | None = None,
+) -> TiePoints:
+    """Match two images of the same ground on the same grid.
+
+    Parameters
+    ----------
+    reference, target : (rows, cols) arrays
+        Any real dtype; shapes may differ, the top-left pixels coincide up to the search radius.
+    reference_valid, target_valid : (rows, cols) bool arrays, optional
+        Pixels that count; non-finite values never do.
+    settings : MatchSettings, optional
+
+    Returns
+    -------
+    TiePoints
+        Consistent matches, pixel coordinates (col, row), corner-based.
+
+    Raises
+    ------
+    InputError
+        If an image is not a real two-dimensional array, is constant, or is smaller than a window.
+    """
+    settings = settings or MatchSettings()
+    ref, tgt = _image(reference, reference_valid, "reference"), _image(target, target_valid, "target")
+    rows = max(ref.values.shape[0], tgt.values.shape[0])
+    cols = max(ref.values.shape[1], tgt.values.shape[1])
+    if min(rows, cols) < settings.template:
+        raise InputError(
+            f"the images are {rows} x {cols} px: smaller than the matching window of {settings.template} px; "
+            "use larger images or a smaller template and window"
+        )
+    margin = margin_px(settings)
+    pair = prepare(
+        _on_canvas(ref, rows, cols, margin), _on_canvas(tgt, rows, cols, margin), oriented=_traits(settings).oriented
+    )
+    core = Core(margin, margin, margin + rows, margin + cols, (-margin, -margin))
+    first, _ = match_candidates(pair, core, settings)
+    kept = first[consistent_points(first, settings)]
+    final = second_pass(pair, kept, settings)
+    return final.shifted(np.array([-margin, -margin]), np.array([-margin, -margin]))
+
+
+def to_index(points: TiePoints) -> Index:
+    """Return row, column array indices of the reference points: the pixel whose centre they are."""
+    return np.floor(points.reference_xy_px[:, ::-1]).astype(np.intp)
+
+
+def margin_px(settings: MatchSettings) -> int:
+    """Return how far beyond a corner the windows reach, search included."""
+    return max(settings.template, settings.window) // 2 + settings.search_radius + 16
+
+
+def match_candidates(
+    pair: PreparedPair, core: Core, settings: MatchSettings
+) -> tuple[TiePoints, dict[str, int]]:
+    """First pass: every candidate on its own.
+
+    Parameters
+    ----------
+    pair : PreparedPair
+    core : Core
+        Where corners are taken.
+    settings : MatchSettings
+
+    Returns
+    -------
+    points : TiePoints
+        In pixel coordinates of the two arrays; not yet checked against one another, covariances formal.
+    counts : dict
+        Candidates, and how many each stage lost.
+    """
+    traits = _traits(settings)
+    corners = _corners(pair, core, settings)
+    coarse = match_coarsely(
+        pair.reference_map, pair.target_map, corners, settings.template, settings.search_radius, settings.least_valid
+    )
+    compared = coarse.ssim > -1.0
+    similar = compared & (coarse.ssim >= settings.ssim_min)
+    inside = similar & ~coarse.at_border
+    counts = {
+        "candidates": len(corners),
+        "not_comparable": int((~compared).sum()),
+        "not_similar": int((compared & ~similar).sum()),
+        "at_search_border": int((similar & coarse.at_border).sum()),
+    }
+    corners, score = corners[inside], coarse.distinctness[inside]
+    shift = coarse.offset_rc[inside, ::-1].astype(np.float64)
+    if not traits.refined:
+        covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(corners), 1, 1))
+        return _points(corners, shift, covariance, score), counts
+    start = Start(shift, np.zeros((len(corners), 2, 2)))
+    refined, agree = _refine_both(pair, corners, start, settings)
+    counts["not_converged"] = int((~refined.converged).sum())
+    counts["directions_disagree"] = int((refined.converged & ~agree).sum())
+    points = _points(corners, refined.shift_xy_px, refined.covariance_px2, score)
+    return points[refined.converged & agree], counts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldGuide:
+    """What the displacement field tells the second pass about each point."""
+
+    linear: Float64
+    """(2, 2) deformation of the windows; zeros where it is negligible."""
+    structure_xy_px: Float64
+    """(n, 2) shift at which mutual structure is taken; NaN: at the point's own position."""
+    sigma_scale: float
+    """Calibration of the formal sigmas."""
+
+    @property
+    def deforms(self) -> bool:
+        """Whether windows deform."""
+        return bool(np.abs(self.linear).max() > 0)
+
+    def part(self, index: Index) -> FieldGuide:
+        """Return the guide of some of the points."""
+        return replace(self, structure_xy_px=self.structure_xy_px[index])
+
+    def moved(self, shift_xy_px: Float64) -> FieldGuide:
+        """Return the guide with a constant (col, row) added to its shifts."""
+        return replace(self, structure_xy_px=self.structure_xy_px + shift_xy_px)
+
+
+def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
+    """Learn from all consistent points what the second pass needs.
+
+    Parameters
+    ----------
+    points : TiePoints
+        Consistent points of the first pass, of the whole scene.
+    settings : MatchSettings
+    """
+    nowhere = np.full((len(points), 2), np.nan)
+    if len(points) < LEAST_FOR_FIELD:
+        return FieldGuide(np.zeros((2, 2)), nowhere, calibration.DEFAULT_SCALE)
+    xy, moved = points.reference_xy_px, points.displacement_px
+    linear, linear_sigma = field.global_affine(xy, moved)
+    reach = settings.window / 2 * np.sqrt(2)
+    if np.abs(linear).max() * reach < LEAST_DEFORMATION_PX or (np.abs(linear) < 3 * linear_sigma).all():
+        linear = np.zeros((2, 2))
+    count, residual = field.choose_neighbour_count(xy, moved, settings.window)
+    scale = calibration.sigma_scale(residual, points.covariance_px2)
+    if settings.consensus == "off":
+        return FieldGuide(linear, nowhere, scale)
+    predicted = field.predict(xy, moved, xy, count)
+    rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
+    apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > 1.0
+    structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
+    return FieldGuide(linear, structure, scale)
+
+
+def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
+    """Second pass: points again, with the deformation and the structure that the field gives.
+
+    Parameters
+    ----------
+    pair : PreparedPair
+    points : TiePoints
+        In pixel coordinates of the arrays.
+    guide : FieldGuide
+        Of these points.
+    settings : MatchSettings
+
+    Returns
+    -------
+    TiePoints
+        As many, calibrated; a point that fails here keeps its first position.
+    """
+    traits = _traits(settings)
+    result = points
+    if traits.refined and traits.structure == "local":
+        if guide.deforms:
+            result = _again(pair, result, Start(result.displacement_px, _repeated(guide, len(result))), settings)
+        led = np.flatnonzero(np.isfinite(guide.structure_xy_px).all(axis=1))
+        if len(led):
+            some = result[led]
+            start = Start(some.displacement_px, _repeated(guide, len(led)), guide.structure_xy_px[led])
+            again = _again(pair, some, start, settings)
+            target, covariance = result.target_xy_px.copy(), result.covariance_px2.copy()
+            target[led], covariance[led] = again.target_xy_px, again.covariance_px2
+            result = replace(result, target_xy_px=target, covariance_px2=covariance)
+    return replace(result, covariance_px2=calibration.calibrated(result.covariance_px2, guide.sigma_scale))
+
+
+def second_pass(pair: PreparedPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
+    """Guide, rematch and check the points of one prepared pair."""
+    guide = guide_by_field(points, settings)
+    again = rematch(pair, points, guide, settings)
+    return again[consistent_points(again, settings)]
+
+
+def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
+    """Tell which points agree with their neighbours, see `outliers.consistent`."""
+    sigma = np.sqrt(np.trace(points.covariance_px2, axis1=1, axis2=2))
+    return consistent(points.reference_xy_px, points.displacement_px, sigma, settings.window)
+
+
+def _again(pair: PreparedPair, points: TiePoints, start: Start, settings: MatchSettings) -> TiePoints:
+    refined, agree = _refine_both(pair, to_index(points), start, settings)
+    good = (refined.converged & agree)[:, None]
+    target = np.where(good, points.reference_xy_px + refined.shift_xy_px, points.target_xy_px)
+    covariance = np.where(good[..., None], refined.covariance_px2, points.covariance_px2)
+    return replace(points, target_xy_px=target, covariance_px2=covariance)
+
+
+def _repeated(guide: FieldGuide, n: int) -> Float64:
+    return np.tile(guide.linear, (n, 1, 1))
+
+
+def _refine_both(
+    pair: PreparedPair, corners: Index, start: Start, settings: MatchSettings
+) -> tuple[Refined, Bool]:
+    """Refine forward and, where the method asks for it, backward; the mean and whether the two agree."""
+    forward = _refine_one_way(pair, corners, start, settings)
+    if not _traits(settings).backward:
+        ok = np.ones(len(corners), bool)
+        if settings.method == "pcwlad":
+            ok = passes_paper(pair, corners, start, forward, settings.window, settings.ssim_min)
+        return forward, ok
+    landed = corners + np.round(forward.shift_xy_px[:, ::-1]).astype(np.intp)
+    # the backward window sits on a whole target pixel; the field between it and the true landing place
+    # differs by deformation times the remainder
+    remainder = (landed - corners)[:, ::-1] - forward.shift_xy_px
+    deformation = np.einsum("nij,nj->ni", forward.linear, remainder)
+    back_linear = np.linalg.inv(np.eye(2) + forward.linear) - np.eye(2)
+    structure = start.structure_xy_px
+    back_start = Start(
+        -(forward.shift_xy_px + deformation),
+        back_linear,
+        None if structure is None else -(structure + deformation),
+    )
+    backward = _refine_one_way(pair.turned, landed, back_start, settings)
+    returned = -backward.shift_xy_px - deformation
+    agree = np.linalg.norm(forward.shift_xy_px - returned, axis=1) < DISAGREEMENT_PX
+    mean = Refined(
+        (forward.shift_xy_px + returned) / 2,
+        forward.linear,
+        (forward.covariance_px2 + backward.covariance_px2) / 2,
+        forward.converged & backward.converged,
+    )
+    return mean, agree
+
+
+def _refine_one_way(pair: PreparedPair, corners: Index, start: Start, settings: MatchSettings) -> Refined:
+    traits = _traits(settings)
+    if traits.structure == "filter":
+        start = replace(start, structure=shared_structure(pair, corners, start, settings.window))
+    result = refine(
+        pair.reference,
+        pair.target,
+        corners,
+        start,
+        window_px=settings.window,
+        use_structure=traits.structure == "local",
+        robust=traits.robust,
+        affine=traits.affine,
+        iterations=settings.iterations,
+        least_valid=settings.least_valid,
+    )
+    if traits.structure == "filter":
+        # taken once, at the whole-pixel match, the structure would pull the answer towards that pixel
+        moved = Start(result.shift_xy_px, result.linear)
+        moved = replace(moved, structure=shared_structure(pair, corners, moved, settings.window))
+        result = refine(
+            pair.reference,
+            pair.target,
+            corners,
+            moved,
+            window_px=settings.window,
+            affine=traits.affine,
+            iterations=settings.iterations,
+            least_valid=settings.least_valid,
+        )
+    return result
+
+
+def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
+    """Return the candidates of the core: row, column array indices."""
+    share = cv2.blur(
+        pair.reference_map.valid, (settings.template, settings.template), borderType=cv2.BORDER_CONSTANT
+    )
+    usable = (share >= settings.least_valid) & (pair.reference_map.valid > 0)
+    reach = margin_px(settings) - 8
+    usable[:reach], usable[-reach:], usable[:, :reach], usable[:, -reach:] = False, False, False, False
+    corners, response = keypoints.detect_corners(pair.reference_moment, usable, pair.contrast)
+    inside = (corners >= (core.row, core.col)).all(axis=1) & (corners < (core.row_stop, core.col_stop)).all(axis=1)
+    if settings.keypoints == "strongest":
+        return keypoints.strongest(corners[inside], response[inside], settings.features)
+    area = settings.features_area_px2 or float(usable[core.row : core.row_stop, core.col : core.col_stop].sum())
+    cell_px = max(8, round(np.sqrt(keypoints.PER_CELL * area / settings.features)))
+    chosen = keypoints.by_cell(corners, response, cell_px, core.origin_rc)
+    # a cell belongs to the core that holds its first pixel, so that neighbouring tiles share no cell
+    first = (chosen + np.asarray(core.origin_rc)) // cell_px * cell_px - np.asarray(core.origin_rc)
+    owned = (first >= (core.row, core.col)).all(axis=1) & (first < (core.row_stop, core.col_stop)).all(axis=1)
+    return chosen[owned]
+
+
+def _points(corners: Index, shift_xy: Float64, covariance: Float64, score: Float64) -> TiePoints:
+    centre = corners[:, ::-1] + 0.5
+    return TiePoints(centre, centre + shift_xy, covariance, score)
+
+
+def _image(values: NDArray[Any], valid: Bool | None, which: str) -> Image:
+    array = np.asarray(values)
+    if array.ndim != 2 or array.dtype.kind not in "uifb":
+        raise InputError(
+            f"the {which} is a {array.ndim}-dimensional array of {array.dtype}: give a two-dimensional real one"
+        )
+    good = np.isfinite(array) if valid is None else np.isfinite(array) & valid
+    numbers = np.where(good, array, 0).astype(np.float64)
+    if not good.any() or np.ptp(numbers[good]) == 0:
+        raise InputError(f"the {which} is constant or has no valid pixel: there is nothing to match")
+    return Image(numbers, good, scene_epsilon(numbers, good))
+
+
+def _on_canvas(image: Image, rows: int, cols: int, margin: int) -> Image:
+    after = (margin + rows - image.values.shape[0], margin + cols - image.values.shape[1])
+    widths = [(margin, after[0]), (margin, after[1])]
+    return replace(image, values=np.pad(image.values, widths), valid=np.pad(image.valid, widths))
+
+
+def _traits(settings: MatchSettings) -> MethodTraits:
+    return TRAITS[settings.method]

@@ -1,0 +1,60 @@
+"""Options of the matcher."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Method = Literal["oriented", "pcwlad", "pclad", "pclsm", "coarse"]
+Keypoints = Literal["cells", "strongest"]
+Consensus = Literal["auto", "off"]
+
+
+@dataclass(frozen=True, slots=True)
+class MatchSettings:
+    """What the matching of two images needs to know; lengths in pixels of the images given."""
+
+    method: Method = "oriented"
+    features: int = 1000
+    """Candidates; by cell this sets the density over `features_area_px2`."""
+    keypoints: Keypoints = "cells"
+    features_area_px2: float | None = None
+    """Area that `features` candidates are spread over; None: the usable area of the image."""
+    template: int = 101
+    """Side of the coarse window, odd."""
+    window: int = 81
+    """Side of the refinement window, odd."""
+    search_radius: int = 10
+    """Largest displacement per axis looked for."""
+    ssim_min: float = 0.0
+    """Least SSIM of a coarse match; the paper's gate is 0.4."""
+    iterations: int = 20
+    consensus: Consensus = "auto"
+    least_valid: float = 0.6
+    """Share of a window that must be valid in both images."""
+
+
+@dataclass(frozen=True, slots=True)
+class MethodTraits:
+    """What distinguishes the fine matching methods."""
+
+    oriented: bool = False
+    """Six oriented channels; else the one map of the paper."""
+    structure: Literal["none", "local", "filter"] = "none"
+    """Mutual-structure weights: none, local correlation, or the filter of Shen et al."""
+    robust: bool = False
+    """Weighted least absolute deviation; else least squares."""
+    affine: bool = False
+    """The window deforms freely; else as the displacement field says."""
+    backward: bool = False
+    """Also matched from target to reference, compared and averaged."""
+    refined: bool = True
+
+
+TRAITS: dict[str, MethodTraits] = {
+    "oriented": MethodTraits(oriented=True, structure="local", robust=True, backward=True),
+    "pcwlad": MethodTraits(structure="filter", robust=True, affine=True),
+    "pclad": MethodTraits(robust=True, affine=True),
+    "pclsm": MethodTraits(affine=True),
+    "coarse": MethodTraits(refined=False),
+}

@@ -1,0 +1,124 @@
+"""`tiepoints.gpkg`: tie points and displacement lines with their styles, for QGIS."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pyogrio.raw
+import pyproj
+import shapely
+from numpy.typing import NDArray
+from pyogrio.errors import DataLayerError, DataSourceError
+
+from pcwlad_geo.errors import OutputError
+from pcwlad_geo.raster import qgis_styles, tie_point_csv
+from pcwlad_geo.raster.crs import to_pyproj
+from pcwlad_geo.raster.tie_point_table import TiePointTable
+
+Array = NDArray[np.float64]
+
+# The same points make the same file: its time stamps are this one.
+_TIMESTAMP = "2000-01-01T00:00:00.000Z"
+# GDAL maps this name to GeoPackage's CRS -1, a plane without a CRS.
+_UNDEFINED_PLANE = 'LOCAL_CS["Undefined Cartesian SRS"]'
+
+
+def write(table: TiePointTable, path: Path) -> None:
+    """Write the layers `tie_points` and `displacements`, each with the columns of tiepoints.csv.
+
+    Displacements are lines from the predicted to the observed place on the map, true to scale.
+    Without a CRS the map is the pixel plane of the reference, y = -row.
+
+    Parameters
+    ----------
+    table : TiePointTable
+        All its points are written, rejected ones too.
+    path : pathlib.Path
+        The file to write.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    layers = {
+        "tie_points": ("Point", shapely.points(table.xy)),
+        "displacements": (
+            "LineString",
+            shapely.linestrings(np.stack([table.xy, observed_xy(table)], axis=1)),
+        ),
+    }
+    columns = tie_point_csv.columns_of(table)
+    try:
+        for name, (geometry_type, geometry) in layers.items():
+            pyogrio.raw.write(
+                str(path),
+                geometry=shapely.to_wkb(geometry),
+                field_data=[_field(values) for values in columns.values()],
+                fields=list(columns),
+                layer=name,
+                driver="GPKG",
+                geometry_type=geometry_type,
+                crs=_UNDEFINED_PLANE if table.crs is None else table.crs.to_wkt(version="WKT2_2019"),
+            )
+        with closing(sqlite3.connect(path)) as database, database:
+            _add_styles(database)
+    except (DataSourceError, DataLayerError, sqlite3.Error, OSError) as error:
+        raise OutputError(f"cannot write {path}: {error}; is the disk full?") from error
+
+
+def observed_xy(table: TiePointTable) -> Array:
+    """Return (n, 2): where the observed target position lies on the map, in units of the reference CRS."""
+    if table.crs is None:
+        plane_xy: Array = table.xy + table.displacement_px * np.array([1.0, -1.0])
+        return plane_xy
+    if not table.crs.is_geographic:
+        return table.xy + table.displacement_m / float(table.crs.linear_units_factor[1])
+    crs = to_pyproj(table.crs)
+    geod = crs.get_geod() or pyproj.Geod(ellps="WGS84")
+    degrees_per_unit = float(np.degrees(crs.axis_info[0].unit_conversion_factor))
+    lon, lat = (table.xy * degrees_per_unit).T
+    east_m, north_m = table.displacement_m.T
+    azimuth = np.degrees(np.arctan2(east_m, north_m))
+    moved_lon, moved_lat, _ = geod.fwd(lon, lat, azimuth, np.hypot(east_m, north_m))
+    # Steps, not positions: longitudes from 0 to 360 must stay so.
+    step = np.column_stack([(moved_lon - lon + 180.0) % 360.0 - 180.0, moved_lat - lat])
+    moved_xy: Array = table.xy + step / degrees_per_unit
+    return moved_xy
+
+
+def _field(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    return values.astype(object) if values.dtype.kind == "U" else np.ascontiguousarray(values)
+
+
+_LAYER_STYLES = """
+CREATE TABLE layer_styles (
+    id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+    f_table_catalog TEXT(256), f_table_schema TEXT(256), f_table_name TEXT(256), f_geometry_column TEXT(256),
+    styleName TEXT(30), styleQML TEXT, styleSLD TEXT, useAsDefault BOOLEAN,
+    description TEXT, owner TEXT(30), ui TEXT(30), update_time DATETIME
+)
+"""
+_CONTENTS = """
+INSERT INTO gpkg_contents (table_name, data_type, identifier, description, last_change)
+VALUES ('layer_styles', 'attributes', 'layer_styles', '', ?)
+"""
+_STYLE = """
+INSERT INTO layer_styles (
+    f_table_catalog, f_table_schema, f_table_name, f_geometry_column,
+    styleName, styleQML, styleSLD, useAsDefault, description, owner, update_time
+) VALUES ('', '', ?, ?, ?, ?, '', 1, '', '', ?)
+"""
+
+
+def _add_styles(database: sqlite3.Connection) -> None:
+    """Add QGIS's table of styles; a layer takes its default style from there."""
+    database.execute(_LAYER_STYLES)
+    database.execute(_CONTENTS, (_TIMESTAMP,))
+    geometry_columns = dict(database.execute("SELECT table_name, column_name FROM gpkg_geometry_columns"))
+    for layer, style in qgis_styles.STYLES.items():
+        database.execute(_STYLE, (layer, geometry_columns[layer], layer, style, _TIMESTAMP))
+    database.execute("UPDATE gpkg_contents SET last_change = ?", (_TIMESTAMP,))

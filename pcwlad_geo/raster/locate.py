@@ -1,0 +1,74 @@
+"""Tie points from the matching grid to the original files, the ground and metres."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.geodesy import displacement_m
+from pcwlad_geo.raster.grid import jacobian, map_px
+from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster.tie_point_table import TiePointTable
+
+Array = NDArray[np.float64]
+
+
+def locate(points: TiePoints, pair: ViewPair) -> TiePointTable:
+    """Express tie points in the original files and on the ground.
+
+    Parameters
+    ----------
+    points : TiePoints
+        Reference positions in reference-view px, target positions in target-view px.
+    pair : ViewPair
+
+    Returns
+    -------
+    TiePointTable
+        Status ``matched``, residuals NaN; the covariance is that of the target file's pixels.
+    """
+    target_view = pair.target
+    reference_px = pair.reference.to_file_px(points.reference_xy_px)
+    target_px = target_view.to_file_px(points.target_xy_px)
+    predicted_px = predict_target_px(reference_px, pair)
+    scale = jacobian(points.target_xy_px, target_view.grid, target_view.info.grid)
+    count = len(points)
+    return TiePointTable(
+        reference_px=reference_px,
+        target_px=target_px,
+        predicted_px=predicted_px,
+        xy=_ground_xy(reference_px, pair),
+        displacement_m=_displacement_m(predicted_px, target_px, pair),
+        covariance_px2=scale @ points.covariance_px2 @ scale.transpose(0, 2, 1),
+        score=points.score,
+        residual_px=np.full((count, 2), np.nan),
+        status=np.full(count, "matched", dtype="<U8"),
+        crs=pair.reference.info.grid.crs,
+    )
+
+
+def predict_target_px(reference_px: Array, pair: ViewPair) -> Array:
+    """Map (n, 2) reference file px to the target file px that the original georeferencing predicts.
+
+    The identity where either file is not georeferenced.
+    """
+    if not pair.georeferenced:
+        return np.asarray(reference_px, dtype=np.float64)
+    return map_px(reference_px, pair.reference.info.grid, pair.target.info.grid)
+
+
+def _ground_xy(reference_px: Array, pair: ViewPair) -> Array:
+    grid = pair.reference.info.grid
+    return reference_px * [1.0, -1.0] if grid.crs is None else grid.to_xy(reference_px)
+
+
+def _displacement_m(predicted_px: Array, target_px: Array, pair: ViewPair) -> Array:
+    if not pair.georeferenced:
+        return np.full(target_px.shape, np.nan)
+    grid, crs = pair.target.info.grid, pair.reference.info.grid.crs
+    predicted_xy, target_xy = (
+        transform_xy(grid.to_xy(pixels), grid.crs, crs) for pixels in (predicted_px, target_px)
+    )
+    return displacement_m(predicted_xy, target_xy, crs)

@@ -1,0 +1,185 @@
+"""What a raster file holds, checked before any work is done."""
+
+from __future__ import annotations
+
+import os
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from affine import Affine
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import DatasetReader
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.crs import name_of, transformation_warnings
+from pcwlad_geo.raster.grid import Grid, linear_part
+
+# Filters of the warnings module belong to the process: two threads that open files must not swap theirs.
+_opening = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True)
+class RasterInfo:
+    """One band of one file, described: small and picklable."""
+
+    uri: str
+    """Path or GDAL URI."""
+    band: int
+    """From 1."""
+    band_count: int
+    grid: Grid
+    georeferenced: bool
+    """False where the file has no geotransform or no CRS."""
+    dtype: str
+    nodata: float | None
+    mask_uri: str | None
+    """A mask file given by the user, 0 = excluded."""
+
+
+def describe(
+    path: str | os.PathLike[str], *, band: int = 1, mask: str | os.PathLike[str] | None = None
+) -> RasterInfo:
+    """Describe one band of a raster file.
+
+    A file counts as georeferenced with a CRS and a geotransform that can be inverted and is not the
+    identity; without them (also with GCPs or RPCs only) the grid has the identity and no CRS.
+
+    Parameters
+    ----------
+    path : path-like or GDAL URI
+        Any raster GDAL reads.
+    band : int
+        From 1.
+    mask : path-like, optional
+        A mask file, its band 1, 0 = excluded: as large as the raster (then it lies on it pixel for pixel,
+        unless both are georeferenced), or georeferenced as the raster is.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, no raster, unreadable or empty, the band is out of range or complex, or the
+        mask cannot be laid on it.
+    """
+    uri = os.fspath(path)
+    with open_raster(uri) as dataset:
+        _check_band(uri, dataset, band)
+        info = RasterInfo(
+            uri=uri,
+            band=band,
+            band_count=dataset.count,
+            grid=_grid_of(dataset),
+            georeferenced=_is_georeferenced(dataset),
+            dtype=dataset.dtypes[band - 1],
+            nodata=dataset.nodatavals[band - 1],
+            mask_uri=None if mask is None else os.fspath(mask),
+        )
+    if info.mask_uri is not None:
+        _check_mask(info, describe(info.mask_uri))
+    return info
+
+
+def same_band(a: RasterInfo, b: RasterInfo) -> bool:
+    """Whether both are the same band of the same file, however its path is written."""
+    if a.band != b.band:
+        return False
+    if a.uri == b.uri:
+        return True
+    try:
+        return Path(a.uri).samefile(b.uri)
+    except OSError:  # a GDAL URI, which is no path
+        return False
+
+
+def mask_on_pixels(info: RasterInfo, mask: RasterInfo) -> bool:
+    """Whether a mask lies on a raster pixel for pixel: same grid, or same size where one lacks a grid."""
+    if info.georeferenced and mask.georeferenced:
+        return info.grid == mask.grid
+    return info.grid.shape == mask.grid.shape
+
+
+@contextmanager
+def open_raster(uri: str, **options: object) -> Iterator[DatasetReader]:
+    """Open a raster for reading, with GDAL on one thread; errors while opening become `InputError`."""
+    with rasterio.Env(GDAL_NUM_THREADS="1"):
+        try:
+            with _opening, warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotGeoreferencedWarning)
+                dataset = rasterio.open(uri, **options)
+        except (RasterioError, OSError) as error:
+            raise InputError(_why_not_opened(uri, error)) from error
+        with dataset:
+            yield dataset
+
+
+def _why_not_opened(uri: str, error: Exception) -> str:
+    path = Path(uri)
+    try:
+        if path.is_dir():
+            return f"{uri} is a folder: give a raster file"
+        if path.is_file():
+            if not os.access(path, os.R_OK):
+                return f"{uri} cannot be read: change its permissions"
+            return f"{uri} is not a raster that GDAL can read, or it is damaged: {_one_line(error)}"
+    except (OSError, ValueError):  # too long or odd for a path, as GDAL URIs may be
+        pass
+    if ":" in uri or uri.startswith("/vsi") or uri.startswith("<"):
+        return f"{uri} cannot be opened: {_one_line(error)}"
+    return f"{uri} does not exist: check the path"
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _check_band(uri: str, dataset: DatasetReader, band: int) -> None:
+    if dataset.count == 0 and dataset.subdatasets:
+        raise InputError(
+            f"{uri} holds subdatasets, not bands: give one of them, such as {dataset.subdatasets[0]}"
+        )
+    if dataset.count == 0 or dataset.width == 0 or dataset.height == 0:
+        raise InputError(
+            f"{uri} is empty ({dataset.count} bands of {dataset.width} x {dataset.height} pixels)"
+        )
+    if not 1 <= band <= dataset.count:
+        held = "1 band" if dataset.count == 1 else f"{dataset.count} bands"
+        raise InputError(
+            f"{uri} holds {held}, and band {band} was asked for: give one from 1 to {dataset.count}"
+        )
+    dtype = dataset.dtypes[band - 1]
+    if "complex" in dtype:
+        raise InputError(f"{uri}: band {band} is {dtype}: give its magnitude, or another band")
+
+
+def _is_georeferenced(dataset: DatasetReader) -> bool:
+    transform = dataset.transform
+    matrix = linear_part(transform)
+    return (
+        dataset.crs is not None
+        and transform != Affine.identity()
+        and bool(np.isfinite([*transform]).all())
+        and bool(np.linalg.det(matrix) != 0.0)
+    )
+
+
+def _grid_of(dataset: DatasetReader) -> Grid:
+    if _is_georeferenced(dataset):
+        return Grid(dataset.shape, dataset.transform, dataset.crs)
+    return Grid(dataset.shape, Affine.identity(), None)
+
+
+def _check_mask(info: RasterInfo, mask: RasterInfo) -> None:
+    if info.georeferenced and mask.georeferenced:
+        transformation_warnings(info.grid.crs, mask.grid.crs)  # raises where none exists
+    elif not mask_on_pixels(info, mask):
+        lacking = mask if info.georeferenced else info
+        raise InputError(
+            f"the mask {mask.uri} has {mask.grid.shape[1]} x {mask.grid.shape[0]} pixels, {info.uri} has "
+            f"{info.grid.shape[1]} x {info.grid.shape[0]}, and {lacking.uri} has no georeferencing "
+            f"({name_of(lacking.grid.crs)}): give a mask of the same size, or georeference it"
+        )

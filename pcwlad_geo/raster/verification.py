@@ -1,0 +1,75 @@
+"""Reopen what was written: a full disk often shows only then."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+from pcwlad_geo.errors import InputError, OutputError
+from pcwlad_geo.raster.source import open_raster
+
+
+def verify_output(path: Path) -> None:
+    """Reopen a file that was written, and raise where it is not whole.
+
+    Rasters: the last block of every band; VRT and JSON: parsed; GeoPackage: SQLite's integrity
+    check; the rest: not empty, UTF-8.
+
+    Raises
+    ------
+    OutputError
+        If it is not whole.
+    """
+    checks: dict[str, Callable[[Path], None]] = {
+        ".tif": _verify_raster,
+        ".gpkg": _verify_database,
+        ".vrt": _verify_xml,
+        ".json": _verify_json,
+    }
+    try:
+        if path.stat().st_size == 0:
+            raise ValueError("it is empty")
+        checks.get(path.suffix.lower(), _verify_text)(path)
+    except (OSError, ValueError, SyntaxError, sqlite3.Error, RasterioError, InputError) as error:
+        reason = " ".join(str(error).split())
+        raise OutputError(f"{path.name} was not written whole ({reason}): is the disk full?") from error
+
+
+def _verify_raster(path: Path) -> None:
+    with open_raster(os.fspath(path)) as dataset:
+        for band, (block_rows, block_cols) in zip(dataset.indexes, dataset.block_shapes, strict=True):
+            row = (dataset.height - 1) // block_rows * block_rows
+            col = (dataset.width - 1) // block_cols * block_cols
+            window = Window(col, row, dataset.width - col, dataset.height - row)
+            dataset.read(band, window=window)
+            dataset.read_masks(band, window=window)
+
+
+def _verify_database(path: Path) -> None:
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+        (found,) = database.execute("PRAGMA integrity_check").fetchone()
+    if found != "ok":
+        raise ValueError(found)
+
+
+def _verify_xml(path: Path) -> None:
+    # Not opened: its relative path holds from its final folder only.
+    ET.parse(path)
+
+
+def _verify_json(path: Path) -> None:
+    json.loads(path.read_text(encoding="utf-8"))
+
+
+def _verify_text(path: Path) -> None:
+    with path.open(encoding="utf-8") as file:
+        for _ in file:
+            pass

@@ -1,0 +1,70 @@
+"""Tie points to correction: thin, hold check points out, choose a model, fit, figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.correction.accuracy import Accuracy
+from pcwlad_geo.correction.check_points import hold_out
+from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.models import Correction
+from pcwlad_geo.correction.selection import choose
+from pcwlad_geo.correction.thinning import thin
+from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.registration.settings import Settings
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A table with residuals and statuses, the model behind them, and its accuracy."""
+
+    table: TiePointTable
+    correction: Correction
+    accuracy: dict[str, Accuracy]
+    """fit_px, check_px, fit_m, check_m."""
+
+
+def fit_correction(
+    table: TiePointTable, settings: Settings, footprint_px: float, px_m: tuple[float, float] | None
+) -> Fitted:
+    """Fit a correction to the matched points of a table.
+
+    Parameters
+    ----------
+    table : TiePointTable
+        Status ``matched`` or ``rejected``.
+    settings : Settings
+    footprint_px : float
+        Side of the matching window in target px.
+    px_m : (float, float), optional
+        Size of a target pixel (col, row) in metres.
+    """
+    status = table.status.astype("<U8")
+    matched = np.flatnonzero(status == "matched")
+    sigma = np.hypot(*table.sigma_px[matched].T)
+    taken = thin(table.predicted_px[matched], sigma, settings.points)
+    status[matched[~taken]] = "unused"
+    wanted = matched[taken]
+    status[wanted] = hold_out(table.predicted_px[wanted], footprint_px)
+    fit_points = table[status == "fit"]
+    arguments = (fit_points.predicted_px, fit_points.target_px, fit_points.covariance_px2)
+    name = choose(*arguments, footprint_px).name if settings.model == "auto" else settings.model
+    correction = FITS[name](*arguments, footprint_px=footprint_px).correction
+    residual = table.target_px - correction.forward(table.predicted_px)
+    done = replace(table, status=status, residual_px=residual)
+    return Fitted(done, correction, _accuracy(done, px_m))
+
+
+def _accuracy(table: TiePointTable, px_m: tuple[float, float] | None) -> dict[str, Accuracy]:
+    scale = np.array(px_m if px_m is not None else (np.nan, np.nan))
+    result = {}
+    for status in ("fit", "check"):
+        residual = table.select(status).residual_px
+        result[f"{status}_px"] = Accuracy.of(residual)
+        result[f"{status}_m"] = Accuracy.of(residual * scale)
+    return result

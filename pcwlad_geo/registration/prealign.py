@@ -1,0 +1,112 @@
+"""Rough alignment: by the georeferencing, or by a pyramid search where that is absent or too coarse."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching.global_search import SearchResult, search_shift
+from pcwlad_geo.matching.phase_congruency import scene_epsilon
+from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster.view import Patch
+from pcwlad_geo.registration.result import Prealignment
+
+LOOK_SIDE_PX: Final = 1024
+"""The overview that the search and the ε are taken from has at most so many pixels a side."""
+RADIUS_PX: Final = 12
+"""Search radius around a georeferencing that is believed."""
+RADIUS_AFTER_SEARCH_PX: Final = 8
+SEARCH_ERROR_PX: Final = 2.0
+"""Of the overview's pixels."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """Both bands at a glance, at one resolution."""
+
+    reference: Patch
+    target: Patch
+    factor: float
+    """View pixels per pixel of the look."""
+
+    @property
+    def epsilons(self) -> tuple[float, float]:
+        """The scenes' ε of reference and target."""
+        return (
+            scene_epsilon(self.reference.values, self.reference.valid),
+            scene_epsilon(self.target.values, self.target.valid),
+        )
+
+
+def look_at(pair: ViewPair) -> Look:
+    """Read an overview of both views.
+
+    Raises
+    ------
+    InputError
+        If one of them has no valid pixel, or is constant.
+    """
+    sides = max(pair.reference.grid.shape), max(pair.target.grid.shape)
+    factor = max(1.0, max(sides) / LOOK_SIDE_PX)
+    patches = [
+        view.read_decimated(max(1, round(side / factor)))[0]
+        for view, side in zip((pair.reference, pair.target), sides, strict=True)
+    ]
+    look = Look(patches[0], patches[1], factor)
+    for patch, view, epsilon in zip(patches, (pair.reference, pair.target), look.epsilons, strict=True):
+        _check_content(patch, view.info, epsilon)
+    return look
+
+
+def by_georeferencing(search_radius: int | None) -> Prealignment:
+    """Believe the georeferencing (pixel coordinates where there is none)."""
+    return Prealignment("georeferencing", (0.0, 0.0), search_radius or RADIUS_PX)
+
+
+def by_search(pair: ViewPair, look: Look, search_radius: int | None) -> tuple[Prealignment | None, SearchResult]:
+    """Search the shift on the overview; None where nothing credible is found.
+
+    Parameters
+    ----------
+    pair : ViewPair
+    look : Look
+    search_radius : int, optional
+        Radius of the coarse match afterwards; chosen from the search's precision if not given.
+    """
+    found = search_shift(
+        look.reference.values.astype(np.float64),
+        look.target.values.astype(np.float64),
+        look.reference.valid,
+        look.target.valid,
+    )
+    if not found.accepted:
+        return None, found
+    absolute = np.asarray(found.shift_xy) * look.factor
+    shift = absolute - np.asarray(pair.offset_px)
+    uncertainty = (SEARCH_ERROR_PX * (look.factor - 1) + found.spread_px * look.factor)
+    radius = search_radius or RADIUS_AFTER_SEARCH_PX + math.ceil(uncertainty)
+    return Prealignment("search", (float(shift[0]), float(shift[1])), radius), found
+
+
+def target_offset_px(pair: ViewPair, prealignment: Prealignment) -> tuple[int, int]:
+    """Return the whole-pixel (col, row) offset from reference view to target view to start from."""
+    col, row = np.round(np.asarray(pair.offset_px) + prealignment.shift_px).astype(int)
+    return int(col), int(row)
+
+
+def _check_content(patch: Patch, info: RasterInfo, epsilon: float) -> None:
+    if not patch.valid.any():
+        raise InputError(
+            f"band {info.band} of {info.uri} has no valid pixel (nodata, masks) where the two overlap: "
+            "check its nodata value, its mask, or choose another band"
+        )
+    if epsilon <= 0:
+        raise InputError(
+            f"band {info.band} of {info.uri} is constant where the two overlap: there is nothing to match; "
+            "choose another band"
+        )

@@ -1,0 +1,52 @@
+"""The result of a job: everything the report and the output files are made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from pcwlad_geo.correction.accuracy import Accuracy
+from pcwlad_geo.correction.models import Correction
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.registration.settings import Settings
+
+Status = Literal["registered", "rejected", "matched"]
+
+
+@dataclass(frozen=True, slots=True)
+class Prealignment:
+    """The rough alignment that the matching started from."""
+
+    method: str
+    """georeferencing, search, none, or identity (neither is georeferenced)."""
+    shift_px: tuple[float, float]
+    """(col, row) added to the predicted target pixel, matching-grid px."""
+    search_radius_px: int
+    """Radius of the coarse match around it, matching-grid px."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """What a job found, written or not."""
+
+    status: Status
+    reason: str | None
+    """Why it was rejected; None otherwise."""
+    warnings: tuple[str, ...]
+    reference: RasterInfo
+    target: RasterInfo
+    matching_grid: Grid
+    px_m: tuple[float, float] | None
+    """Size of a target pixel (col, row) in metres; None without a CRS."""
+    prealignment: Prealignment
+    tie_points: TiePointTable
+    correction: Correction | None
+    """None where rejected, or only matched."""
+    accuracy: dict[str, Accuracy]
+    """Residuals: keys fit_px, check_px, fit_m, check_m (px = target px)."""
+    counts: dict[str, int]
+    """Candidates and what became of them, stage by stage, in order."""
+    seconds: dict[str, float]
+    settings: Settings

@@ -1,0 +1,99 @@
+"""All options of a job in one frozen dataclass; the command line, the API and config files share its names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Literal, get_args, get_origin, get_type_hints
+
+from pcwlad_geo.errors import SettingsError
+
+Method = Literal["oriented", "pcwlad", "pclad", "pclsm", "coarse"]
+Keypoints = Literal["cells", "strongest"]
+Model = Literal["auto", "shift", "affine"]
+Prealign = Literal["auto", "georef", "search", "none"]
+Consensus = Literal["auto", "off"]
+OutputGrid = Literal["reference", "target"]
+Resampling = Literal["nearest", "bilinear", "cubic", "cubic_spline", "lanczos"]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Options of `register` and `match`; the defaults are for the user who gives none."""
+
+    ref_band: int = 1
+    """Band of the reference, from 1."""
+    tgt_band: int = 1
+    """Band of the target, from 1."""
+    ref_mask: Path | None = None
+    """Mask file of the reference, GDAL's convention: 0 = excluded."""
+    tgt_mask: Path | None = None
+    """Mask file of the target, GDAL's convention: 0 = excluded."""
+    method: Method = "oriented"
+    """Fine matching method."""
+    points: int | None = None
+    """Tie points wanted in the fit, at most; None = all."""
+    features: int = 1000
+    """Candidates a tile."""
+    keypoints: Keypoints = "cells"
+    """Spread the candidates by cell, or take the strongest."""
+    template: int = 101
+    """Side of the coarse matching window, odd, matching-grid px."""
+    window: int = 81
+    """Side of the refinement window, odd, matching-grid px."""
+    search_radius: int | None = None
+    """Largest displacement looked for, matching-grid px; None = auto."""
+    ssim_min: float = 0.0
+    """Least SSIM of a coarse match (0.4 in the paper; the method pcwlad uses it as its gate)."""
+    iterations: int = 20
+    """Most refinement iterations."""
+    consensus: Consensus = "auto"
+    """Second pass with mutual structure taken where the neighbours agree, where the field is smooth."""
+    prealign: Prealign = "auto"
+    """Rough alignment: by georeferencing, a pyramid search, neither, or what the pair needs."""
+    model: Model = "auto"
+    """Correction model."""
+    grid: OutputGrid = "reference"
+    """Grid of the registered raster: the reference's CRS and alignment with the target's pixel size, or the target's own."""
+    resampling: Resampling = "cubic"
+    """Resampling of the registered raster."""
+    tile_size: int = 1024
+    """Core of a tile, matching-grid px (without its halo)."""
+    jobs: int = 1
+    """Processes."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("ref_band", 1), ("tgt_band", 1), ("features", 1), ("iterations", 1), ("jobs", 1), ("tile_size", 128)):
+            _check(name, getattr(self, name), getattr(self, name) >= least, f"a whole number from {least}")
+        for name in ("template", "window"):
+            value = getattr(self, name)
+            _check(name, value, value % 2 == 1 and 21 <= value <= 513, "an odd number from 21 to 513")
+        for name in ("points", "search_radius"):
+            value = getattr(self, name)
+            _check(name, value, value is None or value >= 1, "a whole number from 1")
+        _check("ssim_min", self.ssim_min, -1.0 <= self.ssim_min < 1.0, "a number from -1 to below 1")
+        for name, hint in get_type_hints(type(self)).items():
+            if get_origin(hint) is Literal:
+                value = getattr(self, name)
+                _check(name, value, value in get_args(hint), "one of " + ", ".join(get_args(hint)))
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Settings:
+        """Build settings from option names and values of a caller, a TOML file or a table.
+
+        Raises
+        ------
+        SettingsError
+            If a name is unknown or a value makes no sense.
+        """
+        known = {field.name for field in fields(cls)}
+        for name in options:
+            if name not in known:
+                raise SettingsError(f"unknown option '{name}'; the options are {', '.join(sorted(known))}")
+        return cls(**options)  # type: ignore[arg-type]  # names checked above, values in __post_init__
+
+
+def _check(name: str, value: object, good: bool, wanted: str) -> None:
+    if not good:
+        raise SettingsError(f"{name} = {value!r}: give {wanted}")

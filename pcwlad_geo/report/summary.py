@@ -1,0 +1,148 @@
+"""A registration as plain numbers: what `report.json` holds and the page is made from."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+
+import pcwlad_geo
+from pcwlad_geo.correction.accuracy import Accuracy
+from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.registration.result import Registration
+
+SCHEMA_VERSION = 1
+KEPT = ("fit", "check", "unused", "matched")
+"""Statuses of the tie points that the displacement statistics count."""
+LIBRARIES = ("numpy", "scipy", "cv2", "numba", "rasterio", "pyproj")
+PX_DIGITS, M_DIGITS, SECONDS_DIGITS = 5, 4, 3
+
+Summary = dict[str, object]
+
+
+def summarise(registration: Registration, outputs: Sequence[str]) -> Summary:
+    """Return the content of `report.json`.
+
+    Parameters
+    ----------
+    registration : Registration
+    outputs : sequence of str
+        Names of the files written into the output folder, relative to it.
+
+    Returns
+    -------
+    dict
+        JSON types only; NaN and infinity are None.
+    """
+    table = registration.tie_points
+    kept = table.select(*KEPT)
+    summary = {
+        "schema_version": SCHEMA_VERSION,
+        "status": registration.status,
+        "reason": registration.reason,
+        "warnings": list(registration.warnings),
+        "reference": _raster(registration.reference),
+        "target": _raster(registration.target),
+        "px_m": registration.px_m,
+        "prealignment": asdict(registration.prealignment),
+        "tie_points": _tie_point_counts(registration),
+        "counts": dict(registration.counts),
+        "displacement_px": _statistics(kept.displacement_px, PX_DIGITS),
+        "displacement_m": _statistics(kept.displacement_m, M_DIGITS),
+        "model": registration.correction.to_dict() if registration.correction else None,
+        "accuracy": {
+            group: {
+                unit: _accuracy(registration.accuracy.get(f"{group}_{unit}"), digits)
+                for unit, digits in (("px", PX_DIGITS), ("m", M_DIGITS))
+            }
+            for group in ("fit", "check")
+        },
+        "seconds": {stage: round(value, SECONDS_DIGITS) for stage, value in registration.seconds.items()},
+        "settings": asdict(registration.settings),
+        "versions": versions(),
+        "outputs": list(outputs),
+    }
+    return {name: plain(value) for name, value in summary.items()}
+
+
+def to_json(summary: Mapping[str, object]) -> str:
+    """Return the text of `report.json`."""
+    return json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this package, Python, GDAL and the libraries that make the numbers."""
+    return {
+        "pcwlad-geo": pcwlad_geo.__version__,
+        "python": platform.python_version(),
+        "gdal": rasterio.__gdal_version__,
+        **{name: str(import_module(name).__version__) for name in LIBRARIES},
+    }
+
+
+def plain(value: object) -> object:
+    """Return a value in JSON types: NaN and infinity become None, paths text, arrays lists."""
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value
+
+
+def _raster(info: RasterInfo) -> Summary:
+    grid = info.grid
+    return {
+        "path": info.uri,
+        "band": info.band,
+        "band_count": info.band_count,
+        "shape": list(grid.shape),
+        "transform": list(grid.transform)[:6],
+        "crs": grid.crs.to_string() if grid.crs else None,
+        "georeferenced": info.georeferenced,
+        "dtype": info.dtype,
+        "nodata": info.nodata,
+        "mask": info.mask_uri,
+    }
+
+
+def _tie_point_counts(registration: Registration) -> dict[str, int]:
+    status = registration.tie_points.status
+    names = ["fit", "check", "unused", "rejected"]
+    if registration.status == "matched":
+        names = ["matched", "rejected"]
+    return {"total": len(status), **{name: int(np.count_nonzero(status == name)) for name in names}}
+
+
+def _statistics(values: NDArray[np.float64], digits: int) -> dict[str, list[float]] | None:
+    """Return mean, median and population standard deviation per axis; None where there are no points."""
+    values = values[np.isfinite(values).all(axis=1)]
+    if len(values) == 0:
+        return None
+    return {
+        "mean": np.round(values.mean(axis=0), digits).tolist(),
+        "median": np.round(np.median(values, axis=0), digits).tolist(),
+        "std": np.round(values.std(axis=0), digits).tolist(),
+    }
+
+
+def _accuracy(accuracy: Accuracy | None, digits: int) -> Summary | None:
+    if accuracy is None or accuracy.n == 0:
+        return None
+    return {
+        name: value if name == "n" else np.round(value, digits).tolist()
+        for name, value in asdict(accuracy).items()
+    }

@@ -1,0 +1,65 @@
+"""The command line in a process of its own, the workflow replaced by a stand-in where that is enough."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+Result = subprocess.CompletedProcess[str]
+
+STAND_IN = """
+import sys, types
+from pathlib import Path
+import pcwlad_geo
+from pcwlad_geo.__main__ import main
+
+def register(reference, target, *, on_event, **keywords):
+{work}
+
+def output_paths(target, job, *, out_dir=None, **elsewhere):
+    folder = Path(out_dir or "b_registered")
+    return dict(numbers=folder / "report.json", report=folder / "report.html", raster=folder / "absent.tif")
+
+workflow = types.ModuleType("pcwlad_geo.workflow")
+workflow.register, workflow.output_paths = register, output_paths
+pcwlad_geo.workflow = sys.modules["pcwlad_geo.workflow"] = workflow
+main()
+"""
+"""The command line with a workflow that needs no libraries: its tests start many processes."""
+
+
+def environment(tmp_path: Path) -> dict[str, str]:
+    """Return an environment whose HOME is empty."""
+    return {**os.environ, "HOME": str(tmp_path), "PYTHONWARNINGS": "error", "COLUMNS": "100"}
+
+
+def command(work: str | None) -> list[str]:
+    """Return the command that runs the command line.
+
+    Parameters
+    ----------
+    work : str, optional
+        Body of a function ``register(reference, target, *, on_event, **keywords)`` that stands in for the
+        workflow's.
+    """
+    if work is None:
+        return [sys.executable, "-m", "pcwlad_geo"]
+    return [sys.executable, "-c", STAND_IN.format(work=textwrap.indent(textwrap.dedent(work), "    "))]
+
+
+def run_cli(folder: Path, arguments: Sequence[str | Path], work: str | None = None) -> Result:
+    """Run the command line in a folder, to its end."""
+    return subprocess.run(
+        [*command(work), *map(str, arguments)],
+        cwd=folder,
+        env=environment(folder),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+import pcwlad_geo
+from pcwlad_geo.cli import options
+from pcwlad_geo.cli.app import run
+from pcwlad_geo.registration.settings import Settings
+
+NOT_ON_THE_COMMAND_LINE = {"tile_size"}
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out == f"pcwlad-geo {pcwlad_geo.__version__}\n"
+
+
+def test_no_arguments_show_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([]) == 0
+    assert "register" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["register", "match"])
+def test_help_names_every_setting_of_the_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([command, "--help"]) == 0
+    shown = capsys.readouterr().out
+    names = {field.name for field in fields(Settings)} - NOT_ON_THE_COMMAND_LINE
+    if command == "match":
+        names -= {"model", "grid", "resampling"}
+    missing = [name for name in names if f"--{name.replace('_', '-')} " not in shown]
+    assert not missing
+
+
+def test_words_stand_for_none() -> None:
+    defaults = {field.name: field.default for field in fields(Settings)}
+    assert all(defaults[name] is None for name in options.WORDS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["register", "a.tif"], "TARGET"),
+        (["register", "a.tif", "b.tif", "--method", "magic"], "oriented"),
+        (["register", "a.tif", "b.tif", "--window", "wide"], "--window"),
+        (["register", "a.tif", "b.tif", "--points", "some"], "'all'"),
+        (["register", "a.tif", "b.tif", "--search-radius", "-3"], "search_radius"),
+        (["register", "a.tif", "b.tif", "--window", "80"], "odd"),
+        (["register", "a.tif", "b.tif", "--config", "absent.toml"], "absent.toml"),
+        (["register", "a.tif", "b.tif", "--colour"], "--colour"),
+        (["match", "a.tif", "b.tif", "--model", "shift"], "--model"),
+        (["regster", "a.tif", "b.tif"], "regster"),
+    ],
+)
+def test_bad_arguments_are_one_line_and_status_2(
+    arguments: list[str],
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert said in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_heavy_is_imported_before_a_command_runs() -> None:
+    heavy = ("numpy", "scipy", "cv2", "numba", "rasterio", "pyproj", "shapely", "matplotlib", "jinja2")
+    code = f"import sys, pcwlad_geo.cli.app; print([name for name in {heavy} if name in sys.modules])"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert shown.strip() == "[]"

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pcwlad_geo.cli.config import collect
+from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.registration.settings import Settings
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "options.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
+    config = write(tmp_path, 'window = 129\nsearch-radius = 12\nref_mask = "m.tif"\nmethod = "pclad"\n')
+    options = collect({"window": 41, "method": None, "reference": "a.tif"}, config)
+    assert options == {"window": 41, "search_radius": 12, "ref_mask": Path("m.tif"), "method": "pclad"}
+    assert Settings.from_options(options).window == 41
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"points": "all"}, {"points": None}),
+        ({"points": "300"}, {"points": 300}),
+        ({"search_radius": "auto"}, {"search_radius": None}),
+        ({"search_radius": "7"}, {"search_radius": 7}),
+        ({"ssim_min": 0}, {"ssim_min": 0.0}),
+        ({}, {}),
+    ],
+)
+def test_words_and_numbers(given: dict[str, object], expected: dict[str, object]) -> None:
+    assert collect(given, None) == expected
+
+
+def test_a_word_on_the_command_line_overrules_a_number_in_the_file(tmp_path: Path) -> None:
+    assert collect({"points": "all"}, write(tmp_path, "points = 50")) == {"points": None}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("colour = 3", r"unknown option 'colour'; the options are ref_band, .*window"),
+        ("window = 'wide'", "window = 'wide': give a whole number"),
+        ("window = 81.5", "give a whole number"),
+        ("features = true", "give a whole number"),
+        ("ref_mask = 3", "give a file name"),
+        ("method = 3", "give text"),
+        ("points = 'some'", "give a whole number or 'all'"),
+        ("window = ", "not valid TOML"),
+        ("[matching]\nwindow = 81", "unknown option 'matching'"),
+    ],
+)
+def test_bad_files_say_what_is_wrong(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(SettingsError, match=said):
+        collect({}, write(tmp_path, text))
+
+
+def test_a_file_that_is_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "x.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SettingsError, match="not valid TOML"):
+        collect({}, path)
+    with pytest.raises(SettingsError, match="cannot read"):
+        collect({}, tmp_path)

@@ -1,0 +1,249 @@
+"""Exit statuses, the JSON protocol and cancellation, with a stand-in for the work itself."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pcwlad_geo
+from tests.cli.process import Result, command, environment
+
+Cli = Callable[..., Result]
+
+DONE = """
+    import json
+    from pcwlad_geo.registration.progress import Progress, Warned
+    on_event(Warned("two\\nlines"))
+    on_event(Progress("matching", 1, 2))
+    axes = {"mean": [1.0, 2.0], "median": [1.25, -0.5], "std": [0.1, 0.1]}
+    figures = {"n": 40, "rmse": 0.1234, "ce90": 0.2}
+    folder = keywords["out_dir"] or Path("b_registered")
+    folder.mkdir()
+    (folder / "report.html").write_text("page")
+    (folder / "report.json").write_text(json.dumps({
+        "status": "registered", "warnings": ["two lines"], "displacement_px": axes, "displacement_m": None,
+        "tie_points": {"total": 130, "fit": 80, "check": 40, "unused": 0, "rejected": 10},
+        "accuracy": {"fit": {"px": None, "m": None}, "check": {"px": figures, "m": None}}}))
+"""
+SLOW = """
+    import time
+    from pcwlad_geo.registration.progress import Progress
+    try:
+        on_event(Progress("matching", 0, 2))
+        time.sleep(60)
+    finally:
+        Path("cleaned").touch()
+"""
+STUCK = """
+    import ctypes
+    from pcwlad_geo.registration.progress import Progress
+    on_event(Progress("matching", 0, 2))
+    while True:
+        ctypes.CDLL(None).usleep(60_000_000)  # goes on after a signal's handler, as native code does
+"""
+STUCK_WITH_CHILD = """
+    import multiprocessing, time
+    from pcwlad_geo.registration.progress import Progress
+    child = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,))
+    child.start()
+    Path("child").write_text(str(child.pid))
+    on_event(Progress("matching", 0, 2))
+    time.sleep(60)
+"""
+BOTH = ("register", "a.tif", "b.tif")
+
+
+def events(result: Result) -> list[dict[str, Any]]:
+    """Read the protocol: every line of standard output must be strict JSON."""
+    return [
+        json.loads(line, parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
+        for line in result.stdout.splitlines()
+    ]
+
+
+def test_success_prints_a_summary(cli: Cli) -> None:
+    result = cli(*BOTH, work=DONE)
+    assert result.returncode == 0
+    assert "120 tie points (10 rejected)" in result.stdout
+    assert "40 check points: RMSE 0.123 px, CE90 0.200 px" in result.stdout
+    assert "+1.250 px in column, -0.500 px in row" in result.stdout
+    assert str(Path("b_registered", "report.html")) in result.stdout
+    assert result.stderr == "warning: two lines\n"
+
+
+def test_bar_goes_to_standard_error(cli: Cli) -> None:
+    result = cli(*BOTH, "--progress", "bar", work=DONE)
+    assert result.returncode == 0
+    assert "matching" in result.stderr
+    assert "warning: two lines" in result.stderr
+    assert "matching" not in result.stdout
+
+
+def test_json_events(cli: Cli, tmp_path: Path) -> None:
+    result = cli(*BOTH, "--progress", "json", "-o", "here", work=DONE)
+    assert result.returncode == 0
+    warned, progressed, ended = events(result)
+    assert warned == {"event": "warning", "message": "two\nlines"}
+    assert progressed == {"event": "progress", "stage": "matching", "done": 1, "total": 2}
+    assert ended["event"] == "result"
+    assert ended["paths"]["report"] == str(tmp_path / "here" / "report.html")
+    assert ended["tie_points"]["fit"] == 80
+
+
+def test_stray_prints_cannot_corrupt_the_protocol(cli: Cli) -> None:
+    noise = """
+    import os, sys
+    print("from python")
+    os.write(1, b"from C\\n")
+    os.system("echo from a child")
+    """
+    result = cli(*BOTH, "--progress", "json", work=noise + DONE)
+    assert [event["event"] for event in events(result)] == ["warning", "progress", "result"]
+    for text in ("from python", "from C", "from a child"):
+        assert text in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("raised", "status", "said"),
+    [
+        ("InputError('no such band:\\n  7')", 2, "error: no such band: 7\n"),
+        ("OutputError('disk full')", 2, "error: disk full\n"),
+        ("RegistrationRejectedError('too few')", 3, "error: too few\n"),
+        ("ValueError('odd')", 1, "error: unexpected ValueError: odd (--debug shows where)\n"),
+        ("MemoryError()", 1, "error: unexpected MemoryError: (--debug shows where)\n"),
+    ],
+)
+def test_errors_are_one_line_and_have_their_status(cli: Cli, raised: str, status: int, said: str) -> None:
+    name = raised.split("(")[0]
+    home = "pcwlad_geo" if name in pcwlad_geo.__all__ else "builtins"
+    work = f"from {home} import {name}\nraise {raised}"
+    result = cli(*BOTH, work=work)
+    assert (result.returncode, result.stdout, result.stderr) == (status, "", said)
+    debug = cli(*BOTH, "--debug", work=work)
+    assert debug.returncode == status
+    assert "Traceback" in debug.stderr
+    (event,) = events(cli(*BOTH, "--progress", "json", work=work))
+    assert (event["event"], event["exit_status"]) == ("error", status)
+    assert "\n" not in event["message"]
+
+
+def test_rejection_says_where_its_report_is(cli: Cli) -> None:
+    work = """
+    from pcwlad_geo.errors import RegistrationRejectedError
+    raise RegistrationRejectedError("no", out_dir=Path("b_registered"))
+    """
+    (event,) = events(cli(*BOTH, "--progress", "json", work=work))
+    assert event["status"] == "rejected"
+    assert event["out_dir"].endswith("b_registered")
+
+
+def start(tmp_path: Path, work: str, *arguments: str) -> subprocess.Popen[str]:
+    """Start the command line in a process group of its own and wait for its first event."""
+    process = subprocess.Popen(
+        [*command(work), *BOTH, "--progress", "json", *arguments],
+        cwd=tmp_path,
+        env=environment(tmp_path),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    assert json.loads(process.stdout.readline())["event"] == "progress"
+    return process
+
+
+def end(process: subprocess.Popen[str]) -> tuple[list[str], str, float]:
+    """Wait for the end; return the events' names, standard error and the seconds it took."""
+    since = time.monotonic()
+    out, err = process.communicate(timeout=30)
+    return [json.loads(line)["event"] for line in out.splitlines()], err, time.monotonic() - since
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_cancels(tmp_path: Path, number: int) -> None:
+    process = start(tmp_path, SLOW)
+    os.killpg(process.pid, number)
+    names, err, _ = end(process)
+    assert process.returncode == 130
+    assert names == ["cancelled"]
+    assert "Traceback" not in err
+    assert (tmp_path / "cleaned").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_native_code_cannot_put_the_end_off(tmp_path: Path) -> None:
+    process = start(tmp_path, STUCK)
+    os.killpg(process.pid, signal.SIGINT)
+    names, _, seconds = end(process)
+    assert process.returncode == 130
+    assert names == ["cancelled"]
+    assert seconds < 10  # promised: 2; the call itself takes 60
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_a_forced_end_leaves_nothing_half_written(tmp_path: Path) -> None:
+    work = """
+    from pcwlad_geo.staging import OutputFolder
+    with OutputFolder("b_registered") as folder:
+        (folder.stage / "half.tif").touch()
+    """
+    stuck = "\n".join(["", *(f"    {line}" for line in STUCK.splitlines())])
+    process = start(tmp_path, work + stuck)
+    assert {path.name[:14] for path in tmp_path.iterdir()} == {".b_registered."}
+    process.send_signal(signal.SIGINT)
+    end(process)
+    assert process.returncode == 130
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="fork")
+def test_no_worker_is_left_behind(tmp_path: Path) -> None:
+    process = start(tmp_path, STUCK_WITH_CHILD)
+    process.send_signal(signal.SIGTERM)
+    end(process)
+    assert process.returncode == 130
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "child").read_text()), 0)
+
+
+def test_the_end_of_standard_input_cancels(tmp_path: Path) -> None:
+    process = start(tmp_path, SLOW, "--watch-stdin")
+    assert process.stdin is not None
+    process.stdin.close()
+    process.stdin = None
+    names, _, _ = end(process)
+    assert process.returncode == 130
+    assert names == ["cancelled"]
+    assert (tmp_path / "cleaned").exists()
+
+
+def test_standard_input_that_ends_is_nothing_without_the_option(cli: Cli) -> None:
+    assert cli(*BOTH, work=DONE).returncode == 0
+
+
+def test_a_reader_that_goes_away_cancels(tmp_path: Path) -> None:
+    work = """
+    import time
+    from pcwlad_geo.registration.progress import Progress
+    for done in range(600):
+        on_event(Progress("matching", done, 600))
+        time.sleep(0.05)
+    """
+    process = start(tmp_path, work)
+    assert process.stdout is not None
+    process.stdout.close()
+    process.stdout = None
+    process.communicate(timeout=30)
+    assert process.returncode == 130

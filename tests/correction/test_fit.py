@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pcwlad_geo.correction.fit import FITS, fit_affine, fit_shift, predicted_sigma
+from pcwlad_geo.errors import InputError
+
+from .points import affine, isotropic, noise, scattered, window_noise
+
+CORNERS_PX = np.array([[0.0, 0.0], [512.0, 0.0], [0.0, 512.0], [512.0, 512.0]])
+SHIFT_PX = np.array([1.3, -0.6])
+coordinate = st.floats(-1e3, 1e3, allow_nan=False)
+
+
+@pytest.mark.parametrize("name", FITS)
+def test_a_noise_free_shift_is_recovered(name: str) -> None:
+    predicted = scattered(0, 50) + 1e5
+    fit = FITS[name](predicted, predicted + np.array([0.35, -2.75]), isotropic(50, 0.1))
+    assert fit.correction.name == name
+    np.testing.assert_allclose(
+        fit.correction.forward(CORNERS_PX + 1e5), CORNERS_PX + 1e5 + [0.35, -2.75], atol=1e-8
+    )
+
+
+def test_a_noise_free_affine_is_recovered() -> None:
+    predicted = scattered(0, 50)
+    truth = affine(3.0)
+    fit = fit_affine(predicted, truth.forward(predicted), isotropic(50, 0.1))
+    np.testing.assert_allclose(fit.correction.forward(CORNERS_PX), truth.forward(CORNERS_PX), atol=1e-8)
+    assert fit.inlier.all()
+
+
+@pytest.mark.parametrize("name", FITS)
+@pytest.mark.parametrize("seed", range(5))
+def test_ten_percent_gross_outliers_move_the_correction_by_less_than_0_02_px(name: str, seed: int) -> None:
+    predicted, error = scattered(seed, 1000), noise(seed, 1000, 0.1)
+    clean = FITS[name](predicted, predicted + SHIFT_PX + error, isotropic(1000, 0.1))
+    # One-sided, the worst kind: they all pull the same way.
+    error[::10] = np.random.default_rng(seed).uniform(1, 20, (100, 2))
+    fit = FITS[name](predicted, predicted + SHIFT_PX + error, isotropic(1000, 0.1))
+    centre = np.array([[256.0, 256.0]])
+    np.testing.assert_allclose(fit.correction.forward(centre) - centre, [SHIFT_PX], atol=0.02)
+    np.testing.assert_allclose(
+        fit.correction.forward(CORNERS_PX), clean.correction.forward(CORNERS_PX), atol=0.02
+    )
+    assert not fit.inlier[::10].any()
+    assert fit.inlier.sum() >= 895
+
+
+def test_forty_percent_outliers_do_not_take_over_an_affine() -> None:
+    predicted, truth = scattered(1, 500), affine(8.0)
+    observed = truth.forward(predicted) + noise(1, 500, 0.1)
+    observed[:200] += np.random.default_rng(1).uniform(-60, 60, (200, 2))
+    fit = fit_affine(predicted, observed, isotropic(500, 0.1))
+    np.testing.assert_allclose(fit.correction.forward(CORNERS_PX), truth.forward(CORNERS_PX), atol=0.06)
+
+
+def test_precise_points_count_more() -> None:
+    predicted, sigma = scattered(2, 400), np.repeat([0.02, 0.5], 200)
+    fitted = [
+        fit_shift(
+            predicted,
+            predicted + noise(seed, 400, 1.0) * sigma[:, None],
+            isotropic(400, 1.0) * sigma[:, None, None] ** 2,
+        )
+        for seed in range(20)
+    ]
+    shifts = np.array([fit.correction.forward(np.zeros((1, 2)))[0] for fit in fitted])
+    # 0.02 / √200 = 0.0014 px by the precise half alone; equal weights would give 0.018 px.
+    assert np.sqrt((shifts**2).mean()) < 0.003
+
+
+def test_the_full_covariance_counts() -> None:
+    # Errors along the diagonals of the pixel: precise along one, poor along the other, by turns.
+    n = 200
+    predicted, error = scattered(3, n), noise(3, n, 1.0) * [0.01, 1.0]
+    turn = np.where(np.arange(n) % 2, 1.0, -1.0) * np.pi / 4
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]).transpose(2, 0, 1)
+    covariance = rotation @ np.diag([1e-4, 1.0]) @ rotation.transpose(0, 2, 1)
+    fit = fit_shift(predicted, predicted + np.einsum("iab,ib->ia", rotation, error), covariance)
+    # The variances of each point per axis alone, all 0.5 px², would give 0.05 px.
+    np.testing.assert_allclose(fit.correction.forward(np.zeros((1, 2))), 0, atol=0.005)
+
+
+def test_points_of_tiny_formal_sigma_do_not_decide_alone() -> None:
+    predicted, sigma = scattered(4, 300), np.full(300, 0.05)
+    sigma[:5] = 1e-5
+    error = noise(4, 300, 0.2)
+    error[:5] = [0.3, 0.3]
+    fit = fit_shift(predicted, predicted + error, isotropic(300, 1.0) * sigma[:, None, None] ** 2)
+    np.testing.assert_allclose(fit.correction.forward(np.zeros((1, 2))), 0, atol=0.04)
+    assert np.sqrt(fit.variance_floor_px2) == pytest.approx(np.sqrt(0.2**2 - 0.05**2), rel=0.1)
+
+
+def test_there_is_no_variance_floor_where_the_covariances_say_it_all() -> None:
+    predicted = scattered(5, 500)
+    fit = fit_shift(predicted, predicted + noise(5, 500, 0.1), isotropic(500, 0.12))
+    assert fit.variance_floor_px2 == 0
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("name", FITS)
+def test_predicted_sigma_holds_with_independent_and_with_shared_errors(name: str, shared: float) -> None:
+    at_px, ratios = np.array([[128.0, 380.0]]), []
+    for seed in range(60):
+        predicted = scattered(seed, 250)
+        error = np.sqrt(shared) * window_noise(seed, predicted, 512, 81) + np.sqrt(1 - shared) * noise(
+            seed, 250, 1
+        )
+        # Formal sigma 0.03 px, true 0.1 px: the floor has to make up for it.
+        fit = FITS[name](predicted, predicted + 0.1 * error, isotropic(250, 0.03), footprint_px=81)
+        ratios.append((fit.correction.forward(at_px) - at_px) / predicted_sigma(fit, at_px))
+    # 120 ratios of unit variance: ± 6.5 % standard error; conservative at most by a factor of two.
+    assert 0.55 < np.sqrt(np.mean(np.square(ratios))) < 1.25
+
+
+def test_overlapping_windows_are_worth_fewer_points() -> None:
+    predicted = scattered(6, 400)
+    observed = predicted + 0.1 * window_noise(6, predicted, 512, 81)
+    fit = fit_shift(predicted, observed, isotropic(400, 0.1), footprint_px=81)
+    assert 20 < fit.effective_points < 80  # (512 / 81)² = 40 windows side by side
+    assert fit_shift(predicted, observed, isotropic(400, 0.1)).effective_points == fit.inlier.sum()
+
+
+def test_shift_covariance_of_independent_points() -> None:
+    predicted = scattered(7, 400)
+    fit = fit_shift(predicted, predicted + noise(7, 400, 0.1), isotropic(400, 0.1))
+    np.testing.assert_allclose(predicted_sigma(fit, CORNERS_PX), 0.1 / np.sqrt(400), rtol=0.1)
+
+
+def test_affine_sigma_grows_outwards() -> None:
+    predicted = scattered(8, 400)
+    fit = fit_affine(predicted, predicted + noise(8, 400, 0.1), isotropic(400, 0.1))
+    # At a corner: centre, col and row terms of 256 px over a spread of 512/√12 each.
+    np.testing.assert_allclose(predicted_sigma(fit, CORNERS_PX), 0.005 * np.sqrt(1 + 3 + 3), rtol=0.2)
+
+
+@given(coordinate, coordinate, st.integers(0, 5))
+@settings(max_examples=25, deadline=None)
+def test_moving_the_observations_moves_the_correction(d_col: float, d_row: float, seed: int) -> None:
+    predicted = scattered(seed, 40)
+    observed = predicted + noise(seed, 40, 0.2)
+    move = np.array([d_col, d_row])
+    for fit in FITS.values():
+        before = fit(predicted, observed, isotropic(40, 0.1)).correction.forward(CORNERS_PX)
+        after = fit(predicted, observed + move, isotropic(40, 0.1)).correction.forward(CORNERS_PX)
+        np.testing.assert_allclose(after, before + move, atol=1e-4)
+
+
+@given(coordinate, coordinate, st.integers(0, 5))
+@settings(max_examples=25, deadline=None)
+def test_the_origin_of_the_image_does_not_matter(col: float, row: float, seed: int) -> None:
+    predicted = scattered(seed, 40)
+    observed, origin = predicted + noise(seed, 40, 0.2), 50 * np.array([col, row])
+    before = fit_affine(predicted, observed, isotropic(40, 0.1)).correction.forward(CORNERS_PX)
+    moved = fit_affine(predicted + origin, observed + origin, isotropic(40, 0.1)).correction
+    np.testing.assert_allclose(moved.forward(CORNERS_PX + origin) - origin, before, atol=1e-4)
+
+
+@pytest.mark.parametrize(("name", "n"), [("shift", 2), ("affine", 4), ("shift", 0)])
+def test_too_few_points(name: str, n: int) -> None:
+    with pytest.raises(InputError, match=f"{n} tie points for the {name} model"):
+        FITS[name](scattered(0, n), scattered(0, n), isotropic(n, 0.1))
+
+
+def test_points_on_a_line_do_not_determine_an_affine() -> None:
+    predicted = np.column_stack([np.arange(20.0), 3 * np.arange(20.0) + 1])
+    with pytest.raises(InputError, match="on a line"):
+        fit_affine(predicted, predicted + 1, isotropic(20, 0.1))
+
+
+def test_not_finite_points() -> None:
+    predicted = scattered(0, 20)
+    observed = predicted.copy()
+    observed[3, 1] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        fit_shift(predicted, observed, isotropic(20, 0.1))
+
+
+def test_wrong_shape() -> None:
+    with pytest.raises(InputError, match="shapes"):
+        fit_shift(scattered(0, 20), scattered(0, 20), np.ones((20, 2)))
+
+
+@pytest.mark.parametrize("name", FITS)
+def test_identical_images_without_any_variance(name: str) -> None:
+    predicted = scattered(9, 30)
+    fit = FITS[name](predicted, predicted, np.zeros((30, 2, 2)), footprint_px=81)
+    np.testing.assert_allclose(fit.correction.forward(CORNERS_PX), CORNERS_PX, atol=1e-9)
+    assert np.isfinite(predicted_sigma(fit, CORNERS_PX)).all()

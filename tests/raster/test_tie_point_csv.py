@@ -1,0 +1,91 @@
+"""tiepoints.csv: columns, precision, empty cells, and the way back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rasterio.crs import CRS
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster import tie_point_csv
+from pcwlad_geo.raster.tie_point_table import TiePointTable
+
+HEADER = (
+    "id,ref_col,ref_row,tgt_col,tgt_row,x,y,d_col,d_row,d_x_m,d_y_m,"
+    "sigma_col,sigma_row,score,residual_col,residual_row,status"
+)
+
+
+def table(n: int = 40, crs: CRS | None = None) -> TiePointTable:
+    rng = np.random.default_rng(7)
+    predicted = rng.uniform(0, 10980, (n, 2))
+    return TiePointTable(
+        reference_px=rng.uniform(0, 10980, (n, 2)),
+        target_px=predicted + rng.normal(0, 1, (n, 2)),
+        predicted_px=predicted,
+        xy=rng.uniform(4_000_000, 5_000_000, (n, 2)),
+        displacement_m=rng.normal(0, 30, (n, 2)),
+        covariance_px2=np.eye(2) * rng.uniform(0.01, 0.1, (n, 2, 1)) ** 2,
+        score=rng.uniform(0, 1, n),
+        residual_px=rng.normal(0, 0.1, (n, 2)),
+        status=rng.choice(["fit", "check", "unused", "rejected"], n),
+        crs=crs,
+    )
+
+
+def test_what_was_written_is_read_back(tmp_path: Path) -> None:
+    written = table()
+    tie_point_csv.write(written, tmp_path / "tiepoints.csv")
+    read = tie_point_csv.read(tmp_path / "tiepoints.csv", crs=CRS.from_epsg(32633))
+    for name in ("reference_px", "target_px", "predicted_px", "displacement_m", "residual_px", "score"):
+        assert np.abs(getattr(read, name) - getattr(written, name)).max() < 1.1e-6, name
+    assert np.abs(read.xy - written.xy).max() < 1e-8
+    assert np.abs(read.sigma_px - written.sigma_px).max() < 1e-6
+    assert list(read.status) == list(written.status)
+    assert read.crs == CRS.from_epsg(32633)
+
+
+def test_the_text_is_exactly_this(tmp_path: Path) -> None:
+    one = TiePointTable(
+        reference_px=np.array([[10.5, 20.25]]),
+        target_px=np.array([[11.0, 19.0]]),
+        predicted_px=np.array([[10.75, 19.0]]),
+        xy=np.array([[500000.1, -33.123456789012]]),
+        displacement_m=np.full((1, 2), np.nan),
+        covariance_px2=np.array([[[0.04, 0.01], [0.01, 0.09]]]),
+        score=np.array([0.5]),
+        residual_px=np.array([[-1e-9, np.nan]]),
+        status=np.array(["matched"]),
+        crs=None,
+    )
+    tie_point_csv.write(one, tmp_path / "t.csv")
+    assert (tmp_path / "t.csv").read_bytes().decode() == (
+        HEADER + "\n1,10.500000,20.250000,11.000000,19.000000,500000.1,-33.123456789012,0.250000,0.000000,,,"
+        "0.200000,0.300000,0.500000,0.000000,,matched\n"
+    )
+
+
+def test_an_empty_table_and_foreign_line_ends(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    tie_point_csv.write(table()[:0], path)
+    assert len(tie_point_csv.read(path)) == 0
+    tie_point_csv.write(table(3), path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+    assert np.abs(tie_point_csv.read(path).target_px - table(3).target_px).max() < 1e-6
+
+
+def test_errors_say_where(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    with pytest.raises(InputError, match="cannot be read"):
+        tie_point_csv.read(path)
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match="ref_col"):
+        tie_point_csv.read(path)
+    tie_point_csv.write(table(2), path)
+    lines = path.read_text().splitlines()
+    lines[2] = lines[2].replace("2,", "2,oops", 1)
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match="line 3: ref_col is 'oops"):
+        tie_point_csv.read(path)

@@ -1,0 +1,106 @@
+"""Registrations made by hand."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.errors import NotGeoreferencedWarning
+
+from pcwlad_geo.correction.accuracy import Accuracy
+from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.registration.result import Prealignment, Registration
+from pcwlad_geo.registration.settings import Settings
+
+SHIFT_PX = np.array([1.25, -0.5])
+
+
+def make_registration(status: str = "registered", name: str = "b10.tif", n: int = 120) -> Registration:
+    """Shift (1.25, -0.5) px of 30 m, noise 0.1 px, every tenth point rejected and 5 px off."""
+    rng = np.random.default_rng(7)
+    grid = Grid((400, 600), Affine(30, 0, 500000, 0, -30, 4600000), CRS.from_epsg(32633))
+    reference_px = rng.uniform((0, 0), (600, 400), (n, 2))
+    target_px = reference_px + SHIFT_PX + rng.normal(0, 0.1, (n, 2))
+    labels = np.where(np.arange(n) % 4 == 0, "check", "fit").astype("<U8")
+    labels[::10] = "rejected"
+    target_px[::10] += 5
+    if status == "matched":
+        labels[labels != "rejected"] = "matched"
+    correction = AffineCorrection("shift", np.column_stack([np.eye(2), SHIFT_PX]))
+    residual_px = target_px - correction.forward(reference_px)
+    fitted = status == "registered"
+    table = TiePointTable(
+        reference_px=reference_px,
+        target_px=target_px,
+        predicted_px=reference_px,
+        xy=grid.to_xy(reference_px),
+        displacement_m=(target_px - reference_px) * [30, -30],
+        covariance_px2=np.tile(np.eye(2) * 0.01, (n, 1, 1)),
+        score=np.full(n, 0.8),
+        residual_px=residual_px if fitted else np.full((n, 2), np.nan),
+        status=labels,
+        crs=grid.crs,
+    )
+    accuracy = {
+        f"{group}_{unit}": Accuracy.of(table.select(group).residual_px * scale)
+        for group in ("fit", "check")
+        for unit, scale in (("px", 1), ("m", 30))
+    }
+    return Registration(
+        status=status,  # type: ignore[arg-type]
+        reason="only 7 of 900 matches agree; raise --search-radius" if status == "rejected" else None,
+        warnings=("the CRS is <script>alert(1)</script> odd",),
+        reference=RasterInfo("/data/b4.tif", 1, 1, grid, True, "uint16", 0.0, None),
+        target=RasterInfo(f"/data/{name}", 1, 1, grid, True, "uint16", float("nan"), None),
+        matching_grid=grid,
+        px_m=(30.0, 30.0),
+        prealignment=Prealignment("georeferencing", (0.0, 0.0), 10),
+        tie_points=table,
+        correction=correction if fitted else None,
+        accuracy=accuracy if fitted else {},
+        counts={"candidates": 1000, "matched": 300, "consistent": n},
+        seconds={"matching": 1.23456, "fit": 0.01},
+        settings=Settings(),
+    )
+
+
+def write_pair(folder: Path, *, georeferenced: bool = True) -> tuple[Path, Path]:
+    """Write a reference `b4.tif` and a target `b10.tif`, 400 x 600, uint16, nodata 0."""
+    where = {"crs": "EPSG:32633", "transform": Affine(30, 0, 500000, 0, -30, 4600000)}
+    pixels = np.random.default_rng(3).integers(1, 60000, (400, 600)).astype(np.uint16)
+    paths = folder / "b4.tif", folder / "b10.tif"
+    for path in paths:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(
+                path,
+                "w",
+                driver="GTiff",
+                width=600,
+                height=400,
+                count=1,
+                dtype="uint16",
+                nodata=0,
+                **(where if georeferenced else {}),
+            ) as file:
+                file.write(pixels, 1)
+    return paths
+
+
+def of_files(
+    made: Registration, reference: Path, target: Path, *, georeferenced: bool = True
+) -> Registration:
+    """Return the registration as one of these files."""
+    return replace(
+        made,
+        reference=replace(made.reference, uri=str(reference), georeferenced=georeferenced),
+        target=replace(made.target, uri=str(target), georeferenced=georeferenced, nodata=0.0),
+    )

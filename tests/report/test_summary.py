@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report.summary import plain, summarise, to_json
+
+Make = Callable[..., Registration]
+
+
+def test_holds_what_the_file_promises_and_is_strict_json(registration: Make) -> None:
+    summary = summarise(registration(), ["report.json", "tiepoints.csv"])
+    read = json.loads(to_json(summary), parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
+    assert list(read) == [
+        "schema_version", "status", "reason", "warnings", "reference", "target", "px_m", "prealignment",
+        "tie_points", "counts", "displacement_px", "displacement_m", "model", "accuracy", "seconds",
+        "settings", "versions", "outputs",
+    ]  # fmt: skip
+    assert read["schema_version"] == 1
+    assert read["outputs"] == ["report.json", "tiepoints.csv"]
+    assert read["target"]["nodata"] is None  # NaN
+    assert read["target"]["crs"] == "EPSG:32633"
+
+
+def test_counts_and_displacement_leave_rejected_points_out(registration: Make) -> None:
+    summary = summarise(registration(), [])
+    counts = summary["tie_points"]
+    assert counts == {"total": 120, "fit": 84, "check": 24, "unused": 0, "rejected": 12}
+    displacement = summary["displacement_px"]
+    assert isinstance(displacement, dict)
+    # 108 points of 0.1 px noise: the mean is known to 0.01 px; the 12 rejected ones would add 0.5 px
+    np.testing.assert_allclose(displacement["mean"], [1.25, -0.5], atol=0.04)
+    metres = summary["displacement_m"]
+    assert isinstance(metres, dict)
+    np.testing.assert_allclose(metres["mean"], [37.5, 15.0], atol=1.2)  # y north
+
+
+def test_accuracy_is_the_registration_s_in_both_units(registration: Make) -> None:
+    made = registration()
+    accuracy = summarise(made, [])["accuracy"]
+    assert isinstance(accuracy, dict)
+    assert accuracy["check"]["px"]["n"] == 24
+    assert accuracy["check"]["px"]["ce90"] == pytest.approx(made.accuracy["check_px"].ce90, abs=1e-5)
+    assert accuracy["check"]["m"]["ce90"] == pytest.approx(30 * accuracy["check"]["px"]["ce90"], abs=1e-3)
+
+
+def test_model_keeps_full_precision(registration: Make) -> None:
+    made = registration()
+    assert made.correction is not None
+    made.correction.matrix[0, 2] = 1.2345678901234567  # type: ignore[attr-defined]
+    read = json.loads(to_json(summarise(made, [])))
+    assert read["model"]["forward"]["matrix"][0][2] == 1.2345678901234567
+
+
+@pytest.mark.parametrize("status", ["rejected", "matched"])
+def test_without_a_model(registration: Make, status: str) -> None:
+    summary = summarise(registration(status), [])
+    assert summary["model"] is None
+    assert summary["accuracy"] == {"fit": {"px": None, "m": None}, "check": {"px": None, "m": None}}
+    if status == "matched":
+        assert summary["tie_points"] == {"total": 120, "matched": 108, "rejected": 12}
+
+
+def test_without_any_point(registration: Make) -> None:
+    summary = summarise(registration("rejected", n=0), [])
+    assert summary["displacement_px"] is None
+    to_json(summary)
+
+
+def test_plain_makes_json_types() -> None:
+    assert plain({"a": np.float64("nan"), "b": (np.int64(3), float("inf")), "c": np.eye(1)}) == {
+        "a": None,
+        "b": [3, None],
+        "c": [[1.0]],
+    }

@@ -1,0 +1,200 @@
+"""What the jobs write, and what they leave alone; the registration itself is made by hand."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+
+from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, SettingsError, workflow
+from pcwlad_geo.raster import tie_point_csv
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.registration.progress import Event, Progress
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.settings import Settings
+from tests.registrations import SHIFT_PX, make_registration, of_files, write_pair
+
+COMMON = {"report.html", "report.json", "tiepoints.csv", "tiepoints.gpkg"}
+EXCHANGE = {"b10.tif.points", "b10.pts", "b10_gcps.vrt"}
+Use = Callable[..., None]
+
+
+@pytest.fixture
+def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """Two rasters in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    return write_pair(tmp_path)
+
+
+@pytest.fixture
+def use(pair: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Use:
+    """Make the jobs find a registration made by hand, or raise."""
+
+    def use_it(status: str = "registered", error: Exception | None = None, **changes: object) -> None:
+        def run(reference: Path, target: Path, settings: Settings, **_: object) -> Registration:
+            if error is not None:
+                raise error
+            made = of_files(make_registration(status), Path(reference), Path(target))
+            return replace(made, settings=settings, **changes)
+
+        monkeypatch.setattr(workflow, "run", run)
+
+    return use_it
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_register_writes_the_folder(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
+    use()
+    registration = workflow.register(*pair, window=41)
+    assert registration.status == "registered"
+    folder = tmp_path / "b10_registered"
+    assert names(folder) == COMMON | EXCHANGE | {"b10_corrected.vrt", "b10_registered.tif"}
+    assert names(tmp_path) == {"b4.tif", "b10.tif", "b10_registered"}
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert set(report["outputs"]) == names(folder)
+    assert report["settings"]["window"] == 41
+    assert "writing" in report["seconds"]
+    assert len(tie_point_csv.read(folder / "tiepoints.csv")) == 120
+
+
+def test_corrected_files_lie_where_the_correction_says(pair: tuple[Path, Path], use: Use) -> None:
+    """A target observed (1.25, -0.5) px off is moved back by that, on its pixels and resampled."""
+    use()
+    workflow.register(*pair, resampling="nearest")
+    with rasterio.open(pair[1]) as before, rasterio.open("b10_registered/b10_corrected.vrt") as after:
+        moved_m = np.array([after.transform.c - before.transform.c, after.transform.f - before.transform.f])
+        np.testing.assert_allclose(moved_m, -SHIFT_PX * [30, -30], atol=1e-6)
+        np.testing.assert_array_equal(before.read(1), after.read(1))
+    with rasterio.open("b10_registered/b10_gcps.vrt") as file:
+        gcps, crs = file.gcps
+        assert crs.to_epsg() == 32633
+        assert len(gcps) == 108
+    with rasterio.open("b10_registered/b10_registered.tif") as file:
+        assert file.crs.to_epsg() == 32633
+        assert file.nodata == 0
+
+
+def test_match_writes_no_raster(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
+    use("matched")
+    assert workflow.match(*pair).status == "matched"
+    assert names(tmp_path / "b10_matched") == COMMON | EXCHANGE
+
+
+def test_rejection_writes_the_report_and_raises(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
+    use("rejected")
+    with pytest.raises(RegistrationRejectedError, match=r"only 7 of 900 .*b10_registered") as caught:
+        workflow.register(*pair)
+    assert isinstance(caught.value.registration, Registration)
+    assert caught.value.out_dir == Path("b10_registered")
+    assert names(tmp_path / "b10_registered") == COMMON
+
+
+def test_rejection_without_any_point(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
+    use("rejected", tie_points=make_registration("rejected", n=0).tie_points)
+    with pytest.raises(RegistrationRejectedError):
+        workflow.register(*pair)
+    assert names(tmp_path / "b10_registered") == COMMON
+
+
+def test_without_georeferencing_there_is_no_corrected_vrt(
+    pair: tuple[Path, Path], use: Use, tmp_path: Path
+) -> None:
+    write_pair(tmp_path, georeferenced=False)
+    made = make_registration()
+    flat = Grid(made.target.grid.shape, Affine.identity(), None)
+    info = replace(made.target, grid=flat, georeferenced=False, nodata=0.0)
+    use(
+        reference=replace(info, uri=str(pair[0])),
+        target=replace(info, uri=str(pair[1])),
+        tie_points=replace(made.tie_points, crs=None),
+        px_m=None,
+    )
+    workflow.register(*pair)
+    assert names(tmp_path / "b10_registered") == COMMON | EXCHANGE | {"b10_registered.tif"}
+
+
+def test_bad_input_leaves_nothing(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
+    use(error=InputError("no overlap"))
+    with pytest.raises(InputError, match="no overlap"):
+        workflow.register(*pair, out_dir=tmp_path / "deep" / "er")
+    with pytest.raises(SettingsError, match="odd number"):
+        workflow.register(*pair, window=80)
+    with pytest.raises(SettingsError, match="unknown option 'colour'"):
+        workflow.register(*pair, colour=3)  # type: ignore[call-arg]
+    assert names(tmp_path) == {"b4.tif", "b10.tif"}
+
+
+def test_results_are_replaced_only_when_asked(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
+    use()
+    workflow.register(*pair)
+    with pytest.raises(OutputError, match="--overwrite"):
+        workflow.register(*pair)
+    (tmp_path / "b10_registered" / "notes.txt").write_text("mine")
+    use("rejected")
+    with pytest.raises(RegistrationRejectedError):
+        workflow.register(*pair, overwrite=True)
+    assert names(tmp_path / "b10_registered") == COMMON | {"notes.txt"}
+
+
+def test_outputs_elsewhere(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
+    use()
+    places = {
+        "output_raster": tmp_path / "x" / "fit.tif",
+        "output_tiepoints": tmp_path / "x" / "t.csv",
+        "output_report": tmp_path / "x" / "r.html",
+        "output_points": tmp_path / "x" / "p.points",
+    }
+    workflow.register(*pair, out_dir="out", **places)  # type: ignore[arg-type]
+    assert names(tmp_path / "x") == {"fit.tif", "t.csv", "r.html", "p.points"}
+    inside = {"report.json", "tiepoints.gpkg", "b10.pts", "b10_gcps.vrt", "b10_corrected.vrt"}
+    assert names(tmp_path / "out") == inside
+    assert set(json.loads((tmp_path / "out" / "report.json").read_text())["outputs"]) == inside
+    with pytest.raises(OutputError, match=r"fit.tif exists: give --overwrite"):
+        workflow.register(*pair, out_dir="out2", output_raster=places["output_raster"])
+
+
+def test_inputs_are_never_overwritten(pair: tuple[Path, Path], use: Use) -> None:
+    use()
+    before = pair[1].read_bytes()
+    with pytest.raises(OutputError, match="is an input too"):
+        workflow.register(*pair, output_raster="./b10.tif", overwrite=True)
+    assert pair[1].read_bytes() == before
+
+
+def test_events_come_in_order_and_can_end_the_job(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
+    use()
+    events: list[Event] = []
+    workflow.register(*pair, on_event=events.append)
+    writing = [event for event in events if isinstance(event, Progress) and event.stage == "writing"]
+    assert [event.done for event in writing] == list(range(len(writing)))
+    assert writing[-1].done == writing[-1].total
+
+    def stop(event: Event) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        workflow.match(*pair, on_event=stop)
+    assert not (tmp_path / "b10_matched").exists()
+    assert names(tmp_path) == {"b4.tif", "b10.tif", "b10_registered"}
+
+
+@pytest.mark.parametrize(
+    ("target", "stem"),
+    [("a & b.tif", "a & b"), ("/vsizip/x.zip/b.tif", "b"), ('NETCDF:"n.nc":band', "NETCDF_n.nc_band")],
+)
+def test_names_of_outputs(target: str, stem: str) -> None:
+    paths = workflow.output_paths(target, "registered")
+    assert paths["numbers"].parent.name.endswith("_registered")
+    assert not set(paths["raster"].name) & set('<>:"/\\|?*')
+    if stem in ("a & b", "b"):
+        assert paths["raster"].name == f"{stem}_registered.tif"
+        assert paths["points"].name == f"{stem}.tif.points"
