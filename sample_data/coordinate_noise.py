@@ -87,4 +87,4 @@ def fractal(
 def smoothstep(values: FloatArray, low: float, high: float) -> FloatArray:
     """Rise from 0 at `low` to 1 at `high` with zero slope at both ends."""
     t = np.clip((values - low) / (high - low), 0, 1)
-    return t * t * (3 - 2 * t)
+    return np.asarray(t * t * (3 - 2 * t))

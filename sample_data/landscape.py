@@ -144,7 +144,7 @@ def _sample_positions(pixels: slice, oversample: int) -> npt.NDArray[np.float64]
 
 def _block_mean(values: FloatArray, factor: int) -> FloatArray:
     rows, cols = values.shape
-    return values.reshape(rows // factor, factor, cols // factor, factor).mean(axis=(1, 3))
+    return np.asarray(values.reshape(rows // factor, factor, cols // factor, factor).mean(axis=(1, 3)))
 
 
 def ground(x_m: FloatArray, y_m: FloatArray, seed: int) -> Ground:
@@ -240,7 +240,7 @@ def _incidence(slope: tuple[FloatArray, FloatArray], azimuth_deg: float) -> Floa
     elevation, azimuth = np.radians(SUN_ELEVATION_DEG), np.radians(azimuth_deg)
     east, north = np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth)
     facing = np.sin(elevation) - east * slope[0] - north * slope[1]
-    return facing / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
+    return np.asarray(facing / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -65,7 +65,7 @@ class Band:
 
 
 B4 = Band("landsat_b4.tif", "red, synthetic", (700, 700), GROUND_ORIGIN_XY_M, (402.0, 0.21), 41)
-# The thermal grid is offset by (-3.75, 2.75) px of the red one, a fraction as well as whole pixels.
+# The thermal grid lies (-3.75, -2.75) px (columns, rows) from the red one: a fraction and whole pixels.
 B10 = Band(
     "landsat_b10.tif",
     "thermal, synthetic",
@@ -210,7 +210,7 @@ def _samples(start_px: float, stop_px: float) -> npt.NDArray[np.float64]:
 
 def _block_mean(values: FloatArray, factor: int) -> FloatArray:
     rows, cols = values.shape
-    return values.reshape(rows // factor, factor, cols // factor, factor).mean(axis=(1, 3))
+    return np.asarray(values.reshape(rows // factor, factor, cols // factor, factor).mean(axis=(1, 3)))
 
 
 def _normal(shape: tuple[int, int], seed: int) -> FloatArray:

@@ -241,17 +241,18 @@ def _correlate(images: Images, channel: int, row: int, col: int, options: Option
 def _initial_structure(images: Images, starts: Starts, p: int, options: Options, work: Workspace) -> bool:
     """Fill the structure weights that stay for all steps; False if the window sticks out."""
     row, col = starts.corners_rc[p]
-    deformed = options.affine or np.abs(starts.linear[p]).max() > 0.0
+    deformed = options.affine or _any(starts.linear[p])
     for k in range(images.reference.shape[0]):
         if options.structure_mode == STRUCTURE_FIXED:
             dx, dy = starts.structure_xy[p]
             if not _sample(images.coefficients[k], row, col, dx, dy, starts.linear[p], deformed, work):
                 return False
             _correlate(images, k, row, col, options, work)
-        elif options.structure_mode == STRUCTURE_GIVEN:
-            work.structure[k] = starts.structure[p] * work.valid
-        else:
-            work.structure[k] = work.valid
+            continue
+        structure, given = work.structure[k], options.structure_mode == STRUCTURE_GIVEN
+        for r in range(structure.shape[0]):
+            for c in range(structure.shape[1]):
+                structure[r, c] = work.valid[r, c] * (starts.structure[p, r, c] if given else np.float32(1.0))
     return True
 
 
@@ -261,7 +262,7 @@ def _refine_point(
 ) -> int:
     """Step until the shift stands still; one more pass gives the covariance there. Returns the status."""
     row, col = starts.corners_rc[p]
-    deformed = options.affine or np.abs(starts.linear[p]).max() > 0.0
+    deformed = options.affine or _any(starts.linear[p])
     shift, linear = results.shift_xy[p], results.linear[p]
     shift[:] = starts.shift_xy[p]
     linear[:] = starts.linear[p]
@@ -270,13 +271,12 @@ def _refine_point(
         final = status == CONVERGED or iteration == options.iterations
         if not _equations(images, row, col, shift, linear, deformed, final, options, work):
             return DIVERGED
-        if np.linalg.det(work.total) <= 0.0:
+        if not _invert(work.total):
             return DIVERGED
-        inverse = np.linalg.inv(work.total)
         if final:
-            _sandwich(inverse, work.scores, results.covariance[p])
+            _sandwich(work.total, work.scores, results.covariance[p])
             return status
-        length = _step(inverse @ work.total_right, options, shift, linear)
+        length = _step(work.total, work.total_right, options, shift, linear)
         if np.hypot(shift[0] - starts.shift_xy[p, 0], shift[1] - starts.shift_xy[p, 1]) > options.largest_move_px:
             return DIVERGED
         if length < options.tolerance_px:
@@ -318,8 +318,10 @@ def _equations(
         if variance <= 0.0:
             continue
         usable += 1
-        work.total[:] += work.matrix / variance
-        work.total_right[:] += work.right / variance
+        for i in range(len(work.right)):
+            work.total_right[i] += work.right[i] / variance
+            for j in range(len(work.right)):
+                work.total[i, j] += work.matrix[i, j] / variance
         if final:
             add_block_scores(
                 window, work.value, pad, work.slope_x, work.slope_y, work.weight, h0, h1, variance, options.blocks, work.scores
@@ -346,15 +348,34 @@ def _weigh(
 
 
 @njit(cache=True, nogil=True)
-def _step(solution: Float64, options: Options, shift: Float64, linear: Float64) -> float:
+def _invert(matrix: Float64) -> bool:
+    """Invert a positive definite matrix in place (Gauss-Jordan; no pivoting needed); False if it is not."""
+    n = matrix.shape[0]
+    for k in range(n):
+        pivot = matrix[k, k]
+        if not pivot > 0.0:
+            return False
+        matrix[k, k] = 1.0
+        for j in range(n):
+            matrix[k, j] /= pivot
+        for i in range(n):
+            if i != k:
+                factor = matrix[i, k]
+                matrix[i, k] = 0.0
+                for j in range(n):
+                    matrix[i, j] -= factor * matrix[k, j]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _step(inverse: Float64, right: Float64, options: Options, shift: Float64, linear: Float64) -> float:
     """Move shift and deformation in place; returns the length of the shift's step before it is limited."""
-    count = 3 if options.affine else 1
-    if options.affine:
-        for axis in range(2):
-            linear[axis, 0] += solution[count * axis + 1] / options.half
-            linear[axis, 1] += solution[count * axis + 2] / options.half
-    move_x = options.relaxation * solution[0]
-    move_y = options.relaxation * solution[count]
+    count = len(right) // 2
+    for axis in range(2):
+        for k in range(1, count):
+            linear[axis, k - 1] += _dot(inverse[axis * count + k], right) / options.half
+    move_x = options.relaxation * _dot(inverse[0], right)
+    move_y = options.relaxation * _dot(inverse[count], right)
     length = float(np.hypot(move_x, move_y))
     limit = max(length / LONGEST_STEP_PX, 1.0)
     shift[0] += move_x / limit
@@ -363,11 +384,27 @@ def _step(solution: Float64, options: Options, shift: Float64, linear: Float64) 
 
 
 @njit(cache=True, nogil=True)
+def _dot(first: Float64, second: Float64) -> float:
+    total = 0.0
+    for k in range(len(first)):
+        total += first[k] * second[k]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _any(linear: Float64) -> bool:
+    return bool(linear[0, 0] != 0.0 or linear[0, 1] != 0.0 or linear[1, 0] != 0.0 or linear[1, 1] != 0.0)
+
+
+@njit(cache=True, nogil=True)
 def _sandwich(inverse: Float64, scores: Float64, covariance: Float64) -> None:
     """Fill the covariance of the shift: the scatter of the blocks' scores between two inverse matrices."""
     other = inverse.shape[0] // 2
-    bread = np.empty((2, 2))
-    for i in range(2):
-        for j in range(2):
-            bread[i, j] = inverse[other * i, other * j]
-    covariance[:] = bread @ (scores.T @ scores) @ bread.T
+    covariance[:] = 0.0
+    for block in range(scores.shape[0]):
+        x = inverse[0, 0] * scores[block, 0] + inverse[0, other] * scores[block, 1]
+        y = inverse[other, 0] * scores[block, 0] + inverse[other, other] * scores[block, 1]
+        covariance[0, 0] += x * x
+        covariance[0, 1] += x * y
+        covariance[1, 0] += x * y
+        covariance[1, 1] += y * y

@@ -46,15 +46,15 @@ def fit_correction(
     """
     status = table.status.astype("<U8")
     matched = np.flatnonzero(status == "matched")
-    sigma = np.hypot(*table.sigma_px[matched].T)
-    taken = thin(table.predicted_px[matched], sigma, settings.points)
-    status[matched[~taken]] = "unused"
-    wanted = matched[taken]
-    status[wanted] = hold_out(table.predicted_px[wanted], footprint_px)
+    status[matched] = hold_out(table.predicted_px[matched], footprint_px)
+    wanted = np.flatnonzero(status == "fit")
+    taken = thin(table.predicted_px[wanted], np.hypot(*table.sigma_px[wanted].T), settings.points)
+    status[wanted[~taken]] = "unused"
     fit_points = table[status == "fit"]
-    arguments = (fit_points.predicted_px, fit_points.target_px, fit_points.covariance_px2)
-    name = choose(*arguments, footprint_px).name if settings.model == "auto" else settings.model
-    correction = FITS[name](*arguments, footprint_px=footprint_px).correction
+    models = tuple(FITS) if settings.model == "auto" else (settings.model,)
+    correction = choose(
+        fit_points.predicted_px, fit_points.target_px, fit_points.covariance_px2, footprint_px, models
+    ).fit.correction
     residual = table.target_px - correction.forward(table.predicted_px)
     done = replace(table, status=status, residual_px=residual)
     return Fitted(done, correction, _accuracy(done, px_m))

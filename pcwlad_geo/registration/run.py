@@ -252,10 +252,13 @@ def _match_settings(
     pair: ViewPair, offset: tuple[int, int], prealignment: Prealignment, settings: Settings, log: _Log
 ) -> MatchSettings:
     region = common_region(pair, offset)
-    narrow = min(region.rows, region.cols)
+    rows, cols = region.rows, region.cols
+    if prealignment.method == "georeferencing":  # a resampled view reaches beyond the overlap
+        rows, cols = min(rows, pair.overlap.rows), min(cols, pair.overlap.cols)
+    narrow = min(rows, cols)
     if narrow < LEAST_WINDOW_PX:
         raise InputError(
-            f"the common area is {region.cols} x {region.rows} px of the matching grid: too small to match "
+            f"the common area is {cols} x {rows} px of the matching grid: too small to match "
             f"(at least {LEAST_WINDOW_PX} px a side); use rasters that share more ground"
         )
     template, window = settings.template, settings.window
@@ -264,7 +267,7 @@ def _match_settings(
         template, window = min(template, most), min(window, most)
         log.warn(f"narrow overlap of {narrow} px: matching windows shrunk to {template} px (coarse), {window} px (fine)")
     margin = round(0.4 * template)
-    area = min((region.rows - margin) * (region.cols - margin), FEATURE_AREA_PX**2)
+    area = min((rows - margin) * (cols - margin), FEATURE_AREA_PX**2)
     return MatchSettings(
         method=settings.method,
         features=settings.features,
