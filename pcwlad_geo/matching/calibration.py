@@ -41,7 +41,33 @@ def sigma_scale(residual_px: Float64, covariance_px2: Float64) -> float:
     return float(np.clip(scale, *SCALE_RANGE))
 
 
-def calibrated(covariance_px2: Float64, scale: float) -> Float64:
-    """Return the (n, 2, 2) covariances scaled, with a floor."""
-    result: Float64 = covariance_px2 * scale**2 + LEAST_SIGMA_PX**2 * np.eye(2)
+def shared_variance(xy_px: Float64, residual_px: Float64, window_px: int, neighbours: int) -> float:
+    """Return the variance per axis of the mean of the independent windows among so many neighbours.
+
+    Points that take their mutual structure where their neighbours agree share the neighbours' error.
+
+    Parameters
+    ----------
+    xy_px : (n, 2) array
+        Positions of all points.
+    residual_px : (n, 2) array
+        Displacement minus the prediction of independent neighbours; NaN where not known.
+    window_px : int
+        Side of the matching window.
+    neighbours : int
+        Points that guide a point.
+    """
+    radial = np.hypot(residual_px[:, 0], residual_px[:, 1])
+    known = radial[np.isfinite(radial)]
+    if len(known) < LEAST_POINTS:
+        return 0.0
+    windows = len(np.unique(np.floor(xy_px / window_px).astype(np.intp), axis=0))
+    independent = max(1.0, windows * min(1.0, neighbours / len(xy_px)))
+    return float(np.median(known) ** 2 / MEDIAN_CHI_SQUARE_2 / independent)
+
+
+def calibrated(covariance_px2: Float64, scale: float, shared_variance_px2: float = 0.0) -> Float64:
+    """Return the (n, 2, 2) covariances scaled, with what points share and a floor added."""
+    common = shared_variance_px2 + LEAST_SIGMA_PX**2
+    result: Float64 = covariance_px2 * scale**2 + common * np.eye(2)
     return result

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-NEIGHBOUR_COUNTS: Final = (48, 192, 768)
+NEIGHBOUR_COUNTS: Final = (48, 192, 768, 3072)
 SIMPLER_WITHIN_PX: Final = 0.02
 """A larger neighbourhood is taken unless it predicts worse by more: a third of that would be its harm."""
 EXCLUSION: Final = 0.75
@@ -64,21 +64,33 @@ def choose_neighbour_count(xy_px: Float64, displacement_px: Float64, window_px: 
     residual_px : (m, 2) array
         Displacement minus what the independent neighbours predict; NaN outside the sample looked at.
     """
-    sample = np.unique(np.linspace(0, len(xy_px) - 1, min(SAMPLE, len(xy_px))).astype(np.intp))
     candidates = [count for count in NEIGHBOUR_COUNTS if count < len(xy_px)] or [len(xy_px)]
-    if len(xy_px) > candidates[-1]:
-        candidates.append(min(len(xy_px), 4 * candidates[-1]))
-    apart = EXCLUSION * window_px
-    residuals = []
-    for count in candidates:
-        predicted = _predict_apart(xy_px, displacement_px, xy_px[sample], count, apart)
-        residuals.append(displacement_px[sample] - predicted.displacement_px)
-    errors = [float(np.nanmedian(np.hypot(r[:, 0], r[:, 1]))) for r in residuals]
-    good = [i for i, error in enumerate(errors) if error <= np.nanmin(errors) + SIMPLER_WITHIN_PX]
-    chosen = max(good) if good else 0
+    residuals = [independent_residual(xy_px, displacement_px, window_px, count) for count in candidates]
+    errors = [_typical(residual) for residual in residuals]
+    good = [i for i, error in enumerate(errors) if error <= min(errors) + SIMPLER_WITHIN_PX]
+    chosen = max(good, default=0)
+    return candidates[chosen], residuals[chosen]
+
+
+def independent_residual(xy_px: Float64, displacement_px: Float64, window_px: int, count: int) -> Float64:
+    """Compare a sample of points with what neighbours that share no pixels with them predict.
+
+    Returns
+    -------
+    (m, 2) array
+        Displacement minus prediction; NaN outside the sample and where there are no such neighbours.
+    """
+    sample = np.unique(np.linspace(0, len(xy_px) - 1, min(SAMPLE, len(xy_px))).astype(np.intp))
+    predicted = _predict_apart(xy_px, displacement_px, xy_px[sample], count, EXCLUSION * window_px)
     residual = np.full(xy_px.shape, np.nan)
-    residual[sample] = residuals[chosen]
-    return candidates[chosen], residual
+    residual[sample] = displacement_px[sample] - predicted.displacement_px
+    return residual
+
+
+def _typical(residual: Float64) -> float:
+    radial = np.hypot(residual[:, 0], residual[:, 1])
+    known = radial[np.isfinite(radial)]
+    return float(np.median(known)) if len(known) else np.inf
 
 
 def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Float64]:
@@ -105,7 +117,9 @@ def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Fl
     return solution[1:].T.copy(), np.sqrt(np.outer(variance, np.diagonal(inverse)[1:]))
 
 
-def _predict_apart(xy: Float64, displacement: Float64, at: Float64, count: int, apart_px: float) -> Prediction:
+def _predict_apart(
+    xy: Float64, displacement: Float64, at: Float64, count: int, apart_px: float
+) -> Prediction:
     tree = cKDTree(xy)
     out = np.full((len(at), 2), np.nan)
     scatter = np.full(len(at), np.nan)

@@ -32,6 +32,8 @@ COARSE_SIGMA_PX: Final = 0.35
 LEAST_DEFORMATION_PX: Final = 0.05
 """Deformations are modelled where they move the corner of a window by more than this."""
 LEAST_FOR_FIELD: Final = 24
+LARGEST_PULL_PX: Final = 1.0
+"""A point further than this from what its neighbours say keeps its own structure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +45,7 @@ class Core:
     row_stop: int
     col_stop: int
     origin_rc: tuple[int, int]
-    """Position of the window's first pixel in the scene: cells are laid out from the scene's origin."""
+    """Window's first pixel minus the first of all cores: cells are laid out from there, whatever the tiles."""
 
 
 def match_arrays(
@@ -85,7 +87,9 @@ def match_arrays(
         )
     margin = margin_px(settings)
     pair = prepare(
-        _on_canvas(ref, rows, cols, margin), _on_canvas(tgt, rows, cols, margin), oriented=_traits(settings).oriented
+        _on_canvas(ref, rows, cols, margin),
+        _on_canvas(tgt, rows, cols, margin),
+        oriented=_traits(settings).oriented,
     )
     core = Core(margin, margin, margin + rows, margin + cols, (-margin, -margin))
     first, _ = match_candidates(pair, core, settings)
@@ -126,7 +130,12 @@ def match_candidates(
     traits = _traits(settings)
     corners = _corners(pair, core, settings)
     coarse = match_coarsely(
-        pair.reference_map, pair.target_map, corners, settings.template, settings.search_radius, settings.least_valid
+        pair.reference_map,
+        pair.target_map,
+        corners,
+        settings.template,
+        settings.search_radius,
+        settings.least_valid,
     )
     compared = coarse.ssim > -1.0
     similar = compared & (coarse.ssim >= settings.ssim_min)
@@ -158,8 +167,10 @@ class FieldGuide:
     """(2, 2) deformation of the windows; zeros where it is negligible."""
     structure_xy_px: Float64
     """(n, 2) shift at which mutual structure is taken; NaN: at the point's own position."""
-    sigma_scale: float
-    """Calibration of the formal sigmas."""
+    neighbours: int
+    """Points that predict a displacement; 0 where there are too few points for a field."""
+    shared_variance_px2: float
+    """Variance, per axis, of the error that points guided by the same neighbours share."""
 
     @property
     def deforms(self) -> bool:
@@ -186,21 +197,21 @@ def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
     """
     nowhere = np.full((len(points), 2), np.nan)
     if len(points) < LEAST_FOR_FIELD:
-        return FieldGuide(np.zeros((2, 2)), nowhere, calibration.DEFAULT_SCALE)
+        return FieldGuide(np.zeros((2, 2)), nowhere, 0, 0.0)
     xy, moved = points.reference_xy_px, points.displacement_px
     linear, linear_sigma = field.global_affine(xy, moved)
     reach = settings.window / 2 * np.sqrt(2)
     if np.abs(linear).max() * reach < LEAST_DEFORMATION_PX or (np.abs(linear) < 3 * linear_sigma).all():
         linear = np.zeros((2, 2))
     count, residual = field.choose_neighbour_count(xy, moved, settings.window)
-    scale = calibration.sigma_scale(residual, points.covariance_px2)
     if settings.consensus == "off":
-        return FieldGuide(linear, nowhere, scale)
+        return FieldGuide(linear, nowhere, count, 0.0)
     predicted = field.predict(xy, moved, xy, count)
     rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
-    apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > 1.0
+    apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
-    return FieldGuide(linear, structure, scale)
+    shared = calibration.shared_variance(xy, residual, settings.window, count)
+    return FieldGuide(linear, structure, count, shared)
 
 
 def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
@@ -218,13 +229,15 @@ def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: 
     Returns
     -------
     TiePoints
-        As many, calibrated; a point that fails here keeps its first position.
+        As many, covariances formal; a point that fails here keeps its first position.
     """
     traits = _traits(settings)
     result = points
     if traits.refined and traits.structure == "local":
         if guide.deforms:
-            result = _again(pair, result, Start(result.displacement_px, _repeated(guide, len(result))), settings)
+            result = _again(
+                pair, result, Start(result.displacement_px, _repeated(guide, len(result))), settings
+            )
         led = np.flatnonzero(np.isfinite(guide.structure_xy_px).all(axis=1))
         if len(led):
             some = result[led]
@@ -233,14 +246,26 @@ def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: 
             target, covariance = result.target_xy_px.copy(), result.covariance_px2.copy()
             target[led], covariance[led] = again.target_xy_px, again.covariance_px2
             result = replace(result, target_xy_px=target, covariance_px2=covariance)
-    return replace(result, covariance_px2=calibration.calibrated(result.covariance_px2, guide.sigma_scale))
+    return result
+
+
+def calibrate(points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
+    """Return consistent points of the whole scene with calibrated covariances."""
+    residual = np.full((len(points), 2), np.nan)
+    if guide.neighbours:
+        residual = field.independent_residual(
+            points.reference_xy_px, points.displacement_px, settings.window, guide.neighbours
+        )
+    scale = calibration.sigma_scale(residual, points.covariance_px2)
+    covariance = calibration.calibrated(points.covariance_px2, scale, guide.shared_variance_px2)
+    return replace(points, covariance_px2=covariance)
 
 
 def second_pass(pair: PreparedPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
-    """Guide, rematch and check the points of one prepared pair."""
+    """Guide, rematch, check and calibrate the points of one prepared pair."""
     guide = guide_by_field(points, settings)
     again = rematch(pair, points, guide, settings)
-    return again[consistent_points(again, settings)]
+    return calibrate(again[consistent_points(again, settings)], guide, settings)
 
 
 def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
@@ -330,27 +355,31 @@ def _refine_one_way(pair: PreparedPair, corners: Index, start: Start, settings: 
 
 def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
     """Return the candidates of the core: row, column array indices."""
-    share = cv2.blur(
-        pair.reference_map.valid, (settings.template, settings.template), borderType=cv2.BORDER_CONSTANT
-    )
+    side = max(settings.template, settings.window)
+    share = cv2.blur(pair.reference_map.valid, (side, side), borderType=cv2.BORDER_CONSTANT)
     usable = (share >= settings.least_valid) & (pair.reference_map.valid > 0)
     reach = margin_px(settings) - 8
     usable[:reach], usable[-reach:], usable[:, :reach], usable[:, -reach:] = False, False, False, False
     corners, response = keypoints.detect_corners(pair.reference_moment, usable, pair.contrast)
-    inside = (corners >= (core.row, core.col)).all(axis=1) & (corners < (core.row_stop, core.col_stop)).all(axis=1)
+    inside = (corners >= (core.row, core.col)).all(axis=1) & (corners < (core.row_stop, core.col_stop)).all(
+        axis=1
+    )
     if settings.keypoints == "strongest":
         return keypoints.strongest(corners[inside], response[inside], settings.features)
-    area = settings.features_area_px2 or float(usable[core.row : core.row_stop, core.col : core.col_stop].sum())
+    area = settings.features_area_px2 or float(
+        usable[core.row : core.row_stop, core.col : core.col_stop].sum()
+    )
     cell_px = max(8, round(np.sqrt(keypoints.PER_CELL * area / settings.features)))
     chosen = keypoints.by_cell(corners, response, cell_px, core.origin_rc)
     # a cell belongs to the core that holds its first pixel, so that neighbouring tiles share no cell
     first = (chosen + np.asarray(core.origin_rc)) // cell_px * cell_px - np.asarray(core.origin_rc)
     owned = (first >= (core.row, core.col)).all(axis=1) & (first < (core.row_stop, core.col_stop)).all(axis=1)
-    return chosen[owned]
+    result: Index = chosen[owned]
+    return result
 
 
 def _points(corners: Index, shift_xy: Float64, covariance: Float64, score: Float64) -> TiePoints:
-    centre = corners[:, ::-1] + 0.5
+    centre = corners[:, ::-1].astype(np.float64) + 0.5
     return TiePoints(centre, centre + shift_xy, covariance, score)
 
 

@@ -71,7 +71,9 @@ def _one_round(xy: Float64, displacement: Float64, sigma: Float64, kept: Bool, n
         scatter = 1.4826 * float(np.median(residual))
         width = np.maximum(SCATTERS * scatter, SIGMAS * sigma[index])
         limit = np.clip(width, LEAST_NARROW_PX, NARROW_PX)
-    agreeing = (np.linalg.norm(around - own[:, None, :], axis=2) < np.maximum(limit, 1.0)[:, None]).mean(axis=1)
+    agreeing = (np.linalg.norm(around - own[:, None, :], axis=2) < np.maximum(limit, 1.0)[:, None]).mean(
+        axis=1
+    )
     result = np.zeros_like(kept)
     result[index] = (residual < limit) & (agreeing >= LEAST_SUPPORT)
     return result

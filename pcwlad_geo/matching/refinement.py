@@ -119,9 +119,7 @@ def refine(
     Refined
     """
     n = len(corners_rc)
-    results = loop.Results(
-        np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)), np.zeros(n, np.int64)
-    )
+    results = loop.Results(np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)), np.zeros(n, np.int64))
     options = loop.Options(
         half=window_px // 2,
         correlation_half=correlation_half_px(window_px),
@@ -138,9 +136,7 @@ def refine(
     images = loop.Images(reference.maps, target.coefficients, reference.valid, target.valid)
     work = loop.make_workspace(len(reference.maps), options)
     loop.refine_points(images, _starts(corners_rc, start), options, work, results)
-    return Refined(
-        results.shift_xy, results.linear, results.covariance, results.status == loop.CONVERGED
-    )
+    return Refined(results.shift_xy, results.linear, results.covariance, results.status == loop.CONVERGED)
 
 
 def _starts(corners_rc: Index, start: Start) -> loop.Starts:
@@ -150,7 +146,9 @@ def _starts(corners_rc: Index, start: Start) -> loop.Starts:
         corners_rc.astype(np.int64),
         np.ascontiguousarray(start.shift_xy_px, np.float64),
         np.ascontiguousarray(start.linear, np.float64),
-        unused[0] if start.structure_xy_px is None else np.ascontiguousarray(start.structure_xy_px, np.float64),
+        unused[0]
+        if start.structure_xy_px is None
+        else np.ascontiguousarray(start.structure_xy_px, np.float64),
         unused[1] if start.structure is None else start.structure,
     )
 

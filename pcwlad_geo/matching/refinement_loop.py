@@ -136,7 +136,9 @@ def make_workspace(channels: int, options: Options) -> Workspace:
 
 
 @njit(cache=True, nogil=True)
-def refine_points(images: Images, starts: Starts, options: Options, work: Workspace, results: Results) -> None:
+def refine_points(
+    images: Images, starts: Starts, options: Options, work: Workspace, results: Results
+) -> None:
     """Refine every corner; points that could not be started keep zeros and the status INVALID."""
     reach = options.half + options.correlation_half
     for p in range(starts.corners_rc.shape[0]):
@@ -277,7 +279,10 @@ def _refine_point(
             _sandwich(work.total, work.scores, results.covariance[p])
             return status
         length = _step(work.total, work.total_right, options, shift, linear)
-        if np.hypot(shift[0] - starts.shift_xy[p, 0], shift[1] - starts.shift_xy[p, 1]) > options.largest_move_px:
+        if (
+            np.hypot(shift[0] - starts.shift_xy[p, 0], shift[1] - starts.shift_xy[p, 1])
+            > options.largest_move_px
+        ):
             return DIVERGED
         if length < options.tolerance_px:
             status = CONVERGED
@@ -313,7 +318,17 @@ def _equations(
         if known <= 0.0 or (channels > 1 and h1 <= 0.0):
             continue
         variance = normal_equations(
-            window, work.value, pad, work.slope_x, work.slope_y, work.weight, h0, h1, options.affine, work.matrix, work.right
+            window,
+            work.value,
+            pad,
+            work.slope_x,
+            work.slope_y,
+            work.weight,
+            h0,
+            h1,
+            options.affine,
+            work.matrix,
+            work.right,
         )
         if variance <= 0.0:
             continue
@@ -324,7 +339,17 @@ def _equations(
                 work.total[i, j] += work.matrix[i, j] / variance
         if final:
             add_block_scores(
-                window, work.value, pad, work.slope_x, work.slope_y, work.weight, h0, h1, variance, options.blocks, work.scores
+                window,
+                work.value,
+                pad,
+                work.slope_x,
+                work.slope_y,
+                work.weight,
+                h0,
+                h1,
+                variance,
+                options.blocks,
+                work.scores,
             )
     return usable > 0
 

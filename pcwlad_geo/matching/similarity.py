@@ -52,7 +52,12 @@ class MaskedMap:
 
 
 def match_coarsely(
-    reference: MaskedMap, target: MaskedMap, corners_rc: Index, template_px: int, radius_px: int, least_valid: float
+    reference: MaskedMap,
+    target: MaskedMap,
+    corners_rc: Index,
+    template_px: int,
+    radius_px: int,
+    least_valid: float,
 ) -> CoarseMatches:
     """Find the offset of highest SSIM within a radius for each corner.
 
@@ -103,7 +108,9 @@ def _ssim_surface(
 ) -> Float32 | None:
     """Return SSIM at every offset, (2·radius+1)² float32; -1 where too little is valid; None if nowhere."""
     inner = np.s_[row - half : row + half + 1, col - half : col + half + 1]
-    outer = np.s_[row - half - radius : row + half + radius + 1, col - half - radius : col + half + radius + 1]
+    outer = np.s_[
+        row - half - radius : row + half + radius + 1, col - half - radius : col + half + radius + 1
+    ]
     template, template_valid = reference.values[inner] / reference.scale, reference.valid[inner]
     search, search_valid = target.values[outer] / target.scale, target.valid[outer]
     if template_valid.mean() < least_valid:
@@ -128,7 +135,9 @@ def _ssim_surface(
     var_s = np.maximum(search_square / n - mean_s**2, 0)
     covariance = cross / n - mean_t * mean_s
     surface = _combine(mean_t, mean_s, var_t, var_s, covariance)
-    result: Float32 = np.where(np.asarray(count) >= least_valid * template.size, surface, -1).astype(np.float32)
+    result: Float32 = np.where(np.asarray(count) >= least_valid * template.size, surface, -1).astype(
+        np.float32
+    )
     return result
 
 

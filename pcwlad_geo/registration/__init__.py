@@ -1,0 +1,1 @@
+"""The job, up to its result: pre-align, plan tiles, match, merge, fit, judge."""

@@ -37,7 +37,9 @@ class Verdict:
     significance: float
 
 
-def judge(matches: TiePoints, kept: NDArray[np.bool_], counts: dict[str, int], window_px: int, radius_px: int) -> Verdict:
+def judge(
+    matches: TiePoints, kept: NDArray[np.bool_], counts: dict[str, int], window_px: int, radius_px: int
+) -> Verdict:
     """Judge the first pass.
 
     Parameters
@@ -95,7 +97,9 @@ def _common_displacement(xy: Float64, moved: Float64, kept: NDArray[np.bool_]) -
 def _reason(points: int, agreeing: int, cells: int, counts: dict[str, int], radius_px: int) -> str:
     candidates = counts.get("candidates", 0)
     if candidates == 0:
-        return "no structure to match: the overlap is flat, masked or too small; check bands, masks and nodata"
+        return (
+            "no structure to match: the overlap is flat, masked or too small; check bands, masks and nodata"
+        )
     if counts.get("not_comparable", 0) > 0.9 * candidates:
         return "almost no window has enough valid pixels in both images; check masks, nodata and overlap"
     border = counts.get("at_search_border", 0) / candidates

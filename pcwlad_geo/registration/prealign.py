@@ -68,7 +68,9 @@ def by_georeferencing(search_radius: int | None) -> Prealignment:
     return Prealignment("georeferencing", (0.0, 0.0), search_radius or RADIUS_PX)
 
 
-def by_search(pair: ViewPair, look: Look, search_radius: int | None) -> tuple[Prealignment | None, SearchResult]:
+def by_search(
+    pair: ViewPair, look: Look, search_radius: int | None
+) -> tuple[Prealignment | None, SearchResult]:
     """Search the shift on the overview; None where nothing credible is found.
 
     Parameters
@@ -88,7 +90,7 @@ def by_search(pair: ViewPair, look: Look, search_radius: int | None) -> tuple[Pr
         return None, found
     absolute = np.asarray(found.shift_xy) * look.factor
     shift = absolute - np.asarray(pair.offset_px)
-    uncertainty = (SEARCH_ERROR_PX * (look.factor - 1) + found.spread_px * look.factor)
+    uncertainty = SEARCH_ERROR_PX * (look.factor - 1) + found.spread_px * look.factor
     radius = search_radius or RADIUS_AFTER_SEARCH_PX + math.ceil(uncertainty)
     return Prealignment("search", (float(shift[0]), float(shift[1])), radius), found
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.matcher import consistent_points, guide_by_field
+from pcwlad_geo.matching.matcher import calibrate, consistent_points, guide_by_field
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.matching.tie_points import TiePoints
 from pcwlad_geo.raster.geodesy import pixel_size_m
@@ -116,7 +116,9 @@ def run(
         for warning in pair.warnings:
             log.warn(warning)
         if same_band(ref, tgt):
-            log.warn("reference and target are the same file and band: the displacement is zero by construction")
+            log.warn(
+                "reference and target are the same file and band: the displacement is zero by construction"
+            )
         on_event(Progress("reading", 0, 1))
         look = look_at(pair)
         on_event(Progress("reading", 1, 1))
@@ -161,16 +163,16 @@ def _match(pair: ViewPair, look: Look, settings: Settings, log: _Log, executor: 
         if result.verdict.accepted:
             if prealignment.method == "search" and pair.georeferenced:
                 col, row = prealignment.shift_px
-                log.warn(f"the georeferencing is off by about ({col:.0f}, {row:.0f}) px (col, row): found by a search")
+                log.warn(
+                    f"the georeferencing is off by about ({col:.0f}, {row:.0f}) px (col, row): found by a search"
+                )
             return result
     if result is None:
         raise InputError("no start for the matching: give --prealign auto")
     return result
 
 
-def _starts(
-    pair: ViewPair, look: Look, settings: Settings, log: _Log
-) -> Iterator[Prealignment | None]:
+def _starts(pair: ViewPair, look: Look, settings: Settings, log: _Log) -> Iterator[Prealignment | None]:
     radius = settings.search_radius
     direct = by_georeferencing(radius)
     if not pair.georeferenced:
@@ -203,7 +205,9 @@ def _match_from(
     matching = _match_settings(pair, offset, prealignment, settings, log)
     jobs = plan_tiles(pair, offset, look.epsilons, matching, settings.tile_size)
     with log.stage("matching"):
-        first = run_tasks(match_tile, [(job,) for job in jobs], "matching", executor, settings.jobs, log.on_event)
+        first = run_tasks(
+            match_tile, [(job,) for job in jobs], "matching", executor, settings.jobs, log.on_event
+        )
     _warn_of_failures(first, log)
     matches = TiePoints.concatenate([result.points for result in first])
     tile_of = np.repeat(np.arange(len(first)), [len(result.points) for result in first])
@@ -241,10 +245,12 @@ def _second_pass(
     results = run_tasks(rematch_tile, calls, "refining", executor, settings.jobs, log.on_event)
     order = np.concatenate(parts)
     again = TiePoints.concatenate([result.points for result in results])[np.argsort(order)]
-    target, covariance = matches.target_xy_px.copy(), matches.covariance_px2 * guide.sigma_scale**2
-    target[index], covariance[index] = again.target_xy_px, again.covariance_px2
     final = kept.copy()
     final[index] = consistent_points(again, matching)
+    good = calibrate(again[final[index]], guide, matching)
+    # rejected points are listed with their formal covariance
+    target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
+    target[final], covariance[final] = good.target_xy_px, good.covariance_px2
     return replace(matches, target_xy_px=target, covariance_px2=covariance), final
 
 
@@ -265,7 +271,9 @@ def _match_settings(
     most = max(LEAST_WINDOW_PX, int(narrow / WINDOWS_ACROSS) // 2 * 2 - 1)
     if max(template, window) > most:
         template, window = min(template, most), min(window, most)
-        log.warn(f"narrow overlap of {narrow} px: matching windows shrunk to {template} px (coarse), {window} px (fine)")
+        log.warn(
+            f"narrow overlap of {narrow} px: matching windows shrunk to {template} px (coarse), {window} px (fine)"
+        )
     margin = round(0.4 * template)
     area = min((rows - margin) * (cols - margin), FEATURE_AREA_PX**2)
     return MatchSettings(
@@ -323,5 +331,5 @@ def _px_m(target: RasterInfo) -> tuple[float, float] | None:
 def _target_px_per_view_px(pair: ViewPair) -> float:
     rows, cols = pair.target.grid.shape
     middle = np.array([[cols / 2, rows / 2]])
-    step = pair.target.to_file_px(middle + [[1.0, 0.0]]) - pair.target.to_file_px(middle)
+    step = pair.target.to_file_px(middle + np.array([[1.0, 0.0]])) - pair.target.to_file_px(middle)
     return float(np.hypot(*step[0]))

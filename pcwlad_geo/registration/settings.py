@@ -64,7 +64,14 @@ class Settings:
     """Processes."""
 
     def __post_init__(self) -> None:
-        for name, least in (("ref_band", 1), ("tgt_band", 1), ("features", 1), ("iterations", 1), ("jobs", 1), ("tile_size", 128)):
+        for name, least in (
+            ("ref_band", 1),
+            ("tgt_band", 1),
+            ("features", 1),
+            ("iterations", 1),
+            ("jobs", 1),
+            ("tile_size", 128),
+        ):
             _check(name, getattr(self, name), getattr(self, name) >= least, f"a whole number from {least}")
         for name in ("template", "window"):
             value = getattr(self, name)

@@ -57,7 +57,11 @@ def run_tasks(
 
 
 def _submit(
-    function: Callable[..., T], calls: Sequence[tuple[Any, ...]], stage: str, executor: Executor, on_event: EventCallback
+    function: Callable[..., T],
+    calls: Sequence[tuple[Any, ...]],
+    stage: str,
+    executor: Executor,
+    on_event: EventCallback,
 ) -> list[T]:
     results: dict[int, T] = {}
     waiting: dict[Future[T], int] = {}

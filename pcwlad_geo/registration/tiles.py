@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, Literal
 
 import numpy as np
@@ -38,6 +39,8 @@ class TileJob:
     id: int
     reference: View
     target: View
+    region: Window
+    """What all tiles cover together; the cells of the corners are laid out from its first pixel."""
     core: Window
     """Part of the reference view whose corners are matched."""
     target_offset_px: tuple[int, int]
@@ -81,12 +84,12 @@ def plan_tiles(
         Core of a tile, px.
     """
     region = common_region(pair, target_offset_px)
-    jobs = []
+    jobs: list[TileJob] = []
     for row, rows in _spans(region.row, region.rows, tile_size):
         for col, cols in _spans(region.col, region.cols, tile_size):
             core = Window(row, col, rows, cols)
             jobs.append(
-                TileJob(len(jobs), pair.reference, pair.target, core, target_offset_px, *epsilons, settings)
+                TileJob(len(jobs), pair.reference, pair.target, region, core, target_offset_px, *epsilons, settings)
             )
     return jobs
 
@@ -109,14 +112,16 @@ def match_tile(job: TileJob) -> TileResult:
     except InputError as error:
         return TileResult(job.id, "failed", TiePoints.empty(), {}, str(error), time.perf_counter() - begun)
     if prepared is None:
-        return TileResult(job.id, "empty", TiePoints.empty(), {}, "no valid pixels", time.perf_counter() - begun)
+        return TileResult(
+            job.id, "empty", TiePoints.empty(), {}, "no valid pixels", time.perf_counter() - begun
+        )
     pair, window = prepared
     core = Core(
         job.core.row - window.row,
         job.core.col - window.col,
         job.core.row - window.row + job.core.rows,
         job.core.col - window.col + job.core.cols,
-        (window.row, window.col),
+        (window.row - job.region.row, window.col - job.region.col),
     )
     points, counts = match_candidates(pair, core, job.settings)
     moved = points.shifted(*_origins(job, window))
@@ -137,7 +142,12 @@ def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide) -> TileResu
     between = target_origin - reference_origin
     again = rematch(pair, inside, guide.moved(-between), job.settings)
     return TileResult(
-        job.id, "matched", again.shifted(reference_origin, target_origin), {}, None, time.perf_counter() - begun
+        job.id,
+        "matched",
+        again.shifted(reference_origin, target_origin),
+        {},
+        None,
+        time.perf_counter() - begun,
     )
 
 
@@ -164,4 +174,4 @@ def _spans(start: int, length: int, tile_size: int) -> list[tuple[int, int]]:
     """Split a range into about equal parts of at most ONE_TILE tile sizes."""
     count = 1 if length <= ONE_TILE * tile_size else int(np.ceil(length / tile_size))
     edges = np.linspace(start, start + length, count + 1).round().astype(int)
-    return [(int(a), int(b - a)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [(int(a), int(b - a)) for a, b in pairwise(edges)]

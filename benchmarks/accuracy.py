@@ -1,0 +1,90 @@
+"""Print the accuracy of the matching beside the published methods, and the studies behind it.
+
+Usage::
+
+    python benchmarks/accuracy.py [--study NAME] [--data FOLDER] [--jobs N]
+
+Every figure comes through the public job. Lines below a table hold its figures against what must be reached.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.runs import Runner
+from benchmarks.studies.closure import closure
+from benchmarks.studies.difference import difference
+from benchmarks.studies.field import displacement_field
+from benchmarks.studies.paper import paper
+from benchmarks.studies.refusal import refusal
+from benchmarks.studies.robustness import robustness
+from benchmarks.studies.sigma import sigma
+from benchmarks.studies.tiles import tiles
+from benchmarks.studies.windows import windows
+from benchmarks.tables import Check, Table, as_text
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+Study = Callable[[Path, Path, Runner], Iterator[Table]]
+
+STUDIES: dict[str, Study] = {
+    "paper": paper,
+    "robustness": robustness,
+    "difference": difference,
+    "field": displacement_field,
+    "sigma": sigma,
+    "closure": closure,
+    "refusal": refusal,
+    "windows": windows,
+    "tiles": tiles,
+}
+
+
+def main() -> int:
+    """Run the studies asked for and print their tables."""
+    arguments = _parse()
+    names = list(STUDIES) if arguments.study == "all" else [arguments.study]
+    runner = Runner(arguments.jobs)
+    checks: list[Check] = []
+    for name in names:
+        begun = time.perf_counter()
+        with tempfile.TemporaryDirectory(prefix="pcwlad-geo-bench-") as scratch:
+            for table in STUDIES[name](arguments.data, Path(scratch), runner):
+                print(as_text(table), end="\n\n", flush=True)
+                checks += table.checks
+        print(f"[{name}: {time.perf_counter() - begun:.0f} s]\n", flush=True)
+    missed = [check for check in checks if not check.holds]
+    print(f"{len(checks) - len(missed)} of {len(checks)} figures reached")
+    for check in missed:
+        print(f"MISSES  {check.what}: {check.value} ({check.limit})")
+    return 0
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--study", choices=[*STUDIES, "all"], default="paper", help="default: paper")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        default=Path(os.environ.get("PCWLAD_GEO_TEST_DATA", REPOSITORY.parent / "shared" / "data")),
+        help="folder of the real image pairs (default: PCWLAD_GEO_TEST_DATA, or ../shared/data)",
+    )
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="pairs at a time")
+    arguments = parser.parse_args()
+    if not arguments.data.is_dir():
+        parser.error(f"no image pairs in {arguments.data}: give --data or set PCWLAD_GEO_TEST_DATA")
+    return arguments
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,203 @@
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from tests.matching.landscape import Landscape, constant
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching.matcher import match_arrays, to_index
+from pcwlad_geo.matching.settings import MatchSettings
+from pcwlad_geo.matching.tie_points import TiePoints
+
+SIDE = 230
+SHIFT_XY = (2.3, -3.6)
+SMALL = MatchSettings(features=90, template=61, window=61, search_radius=6)
+
+
+@cache
+def image(band: int, shift_xy: tuple[float, float] = (0.0, 0.0), seed: int = 21) -> NDArray:
+    result = Landscape(seed).image(SIDE, band, constant(*shift_xy))
+    result.flags.writeable = False
+    return result
+
+
+@cache
+def cross_modal_points() -> TiePoints:
+    return match_arrays(image(0), image(1, SHIFT_XY), settings=SMALL)
+
+
+def errors(points: TiePoints, shift_xy: tuple[float, float] = SHIFT_XY) -> NDArray:
+    return points.displacement_px - shift_xy
+
+
+def assert_same_points(first: TiePoints, second: TiePoints, atol: float) -> None:
+    assert len(first) == len(second)
+    np.testing.assert_allclose(first.reference_xy_px, second.reference_xy_px, atol=1e-9)
+    np.testing.assert_allclose(first.target_xy_px, second.target_xy_px, atol=atol)
+
+
+def test_a_cross_modal_pair_gives_its_known_shift() -> None:
+    points = cross_modal_points()
+    assert len(points) > 35
+    assert np.linalg.norm(errors(points), axis=1).max() < 0.5
+    assert np.sqrt((errors(points) ** 2).sum(axis=1).mean()) < 0.2
+    assert np.abs(np.median(errors(points), axis=0)).max() < 0.05
+
+
+def test_the_sigmas_are_of_the_size_of_the_errors() -> None:
+    points = cross_modal_points()
+    within = (np.abs(errors(points)) < 1.96 * points.sigma_px).mean()
+    assert 0.8 < within
+    assert np.median(points.sigma_px) < 5 * np.abs(errors(points)).std()
+
+
+def test_points_are_pixel_centres_in_corner_based_coordinates() -> None:
+    points = cross_modal_points()
+    np.testing.assert_array_equal(points.reference_xy_px % 1, 0.5)
+    index = to_index(points)
+    assert ((index >= 0) & (index < SIDE)).all()
+    np.testing.assert_array_equal(index[:, ::-1] + 0.5, points.reference_xy_px)
+
+
+def test_a_whole_pixel_shift_of_one_image_is_exact() -> None:
+    scene = image(0)
+    points = match_arrays(scene[:-4, 5:], scene[4:, :-5], settings=SMALL)
+    # the target starts 4 rows lower and 5 columns to the left
+    assert len(points) > 35
+    assert np.abs(errors(points, (5.0, -4.0))).max() < 0.02
+
+
+@pytest.mark.parametrize("method", ["pcwlad", "pclad", "pclsm", "coarse"])
+def test_every_method_finds_the_shift(method: str) -> None:
+    options = MatchSettings(**{**_as_dict(SMALL), "method": method, "features": 60})
+    points = match_arrays(image(0), image(0, SHIFT_XY), settings=options)
+    assert len(points) >= 20
+    limit = 0.75 if method == "coarse" else 0.2
+    assert np.abs(np.median(errors(points), axis=0)).max() < limit
+
+
+def _as_dict(options: MatchSettings) -> dict:
+    return {name: getattr(options, name) for name in MatchSettings.__slots__}
+
+
+def test_strongest_takes_no_more_than_asked() -> None:
+    options = MatchSettings(**{**_as_dict(SMALL), "keypoints": "strongest", "features": 30})
+    points = match_arrays(image(0), image(0, SHIFT_XY), settings=options)
+    assert 10 <= len(points) <= 30
+
+
+@settings(max_examples=3, deadline=None)
+@given(gain=st.sampled_from([-1.0, -0.02, 30.0]), offset=st.floats(-500, 500))
+def test_radiometry_of_the_target_does_not_matter(gain: float, offset: float) -> None:
+    again = match_arrays(image(0), gain * image(1, SHIFT_XY) + offset, settings=SMALL)
+    assert_same_points(again, cross_modal_points(), 1e-3)
+
+
+@settings(max_examples=3, deadline=None)
+@given(dtype=st.sampled_from(["uint8", "uint16", "int16", "float32"]))
+def test_data_types_of_the_same_numbers_give_the_same_points(dtype: str) -> None:
+    whole = [np.clip(np.round(im), 0, 255) for im in (image(0), image(1, SHIFT_XY))]
+    expected = _of_whole_numbers()
+    assert_same_points(match_arrays(*(im.astype(dtype) for im in whole), settings=SMALL), expected, 1e-3)
+
+
+@cache
+def _of_whole_numbers() -> TiePoints:
+    return match_arrays(
+        *(np.clip(np.round(im), 0, 255) for im in (image(0), image(1, SHIFT_XY))), settings=SMALL
+    )
+
+
+@settings(max_examples=3, deadline=None)
+@given(dx=st.floats(-4, 4), dy=st.floats(-4, 4))
+def test_any_shift_within_reach_comes_back(dx: float, dy: float) -> None:
+    points = match_arrays(image(0), image(0, (dx, dy)), settings=SMALL)
+    assert len(points) > 30
+    assert np.abs(np.median(errors(points, (dx, dy)), axis=0)).max() < 0.02
+
+
+def test_masked_and_missing_pixels_have_no_say() -> None:
+    reference, target = image(0).copy(), image(1, SHIFT_XY).copy()
+    mask = np.ones((SIDE, SIDE), bool)
+    mask[:95, 130:] = False
+    reference[~mask] = 9999.0
+    target[180:, :60] = np.nan
+    target[5, 5] = np.inf
+    points = match_arrays(reference, target, reference_valid=mask, settings=SMALL)
+    assert len(points) > 20
+    assert np.sqrt((errors(points) ** 2).sum(axis=1).mean()) < 0.2
+    row, col = to_index(points).T
+    assert mask[row, col].all()
+    untouched = match_arrays(reference * np.where(mask, 1, -3), target, reference_valid=mask, settings=SMALL)
+    assert_same_points(untouched, points, 1e-6)
+
+
+def test_a_smooth_deformation_is_followed_point_by_point() -> None:
+    def bent(x: NDArray, y: NDArray) -> tuple[NDArray, NDArray]:
+        return 1.5 * np.sin(2 * np.pi * y / 800) + 1.2, 1.5 * np.cos(2 * np.pi * x / 800) - 0.4
+
+    points = match_arrays(image(0), Landscape(21).image(SIDE, 0, bent), settings=SMALL)
+    x, y = points.reference_xy_px.T - 0.5
+    assert len(points) > 35
+    error = points.displacement_px - np.stack(bent(x, y), axis=1)
+    assert np.sqrt((error**2).sum(axis=1).mean()) < 0.05
+
+
+def test_images_of_different_size_share_their_first_pixel() -> None:
+    points = match_arrays(image(0), image(0, SHIFT_XY)[:180, :210], settings=SMALL)
+    assert len(points) > 30
+    assert np.abs(np.median(errors(points), axis=0)).max() < 0.03
+
+
+def test_a_displacement_beyond_the_radius_gives_few_points_or_none() -> None:
+    points = match_arrays(image(0), image(1, (14.0, 12.0)), settings=SMALL)
+    assert len(points) < 8
+
+
+def test_unrelated_images_give_few_points_or_none() -> None:
+    points = match_arrays(image(0), image(1, seed=22), settings=SMALL)
+    assert len(points) < 10
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (np.zeros((SIDE, SIDE)), "constant"),
+        (np.full((SIDE, SIDE), np.nan), "no valid pixel"),
+        (np.ones((SIDE, SIDE), complex), "complex128"),
+        (np.ones((3, SIDE, SIDE)), "3-dimensional"),
+        (np.full((SIDE, SIDE), "a"), "two-dimensional real"),
+    ],
+    ids=["constant", "nan", "complex", "3-D", "text"],
+)
+@pytest.mark.parametrize("side", ["reference", "target"])
+def test_unusable_images_are_named(wrong: NDArray, message: str, side: str) -> None:
+    pair = (wrong, image(0)) if side == "reference" else (image(0), wrong)
+    with pytest.raises(InputError, match=message) as caught:
+        match_arrays(*pair, settings=SMALL)
+    assert side in str(caught.value)
+
+
+def test_all_pixels_masked_is_an_error() -> None:
+    with pytest.raises(InputError, match="no valid pixel"):
+        match_arrays(image(0), image(1), target_valid=np.zeros((SIDE, SIDE), bool), settings=SMALL)
+
+
+@pytest.mark.parametrize("shape", [(60, 60), (60, 250), (250, 40), (1, 1), (0, 9)])
+def test_images_smaller_than_a_window_are_an_error(shape: tuple[int, int]) -> None:
+    small = np.random.default_rng(0).random(shape)
+    with pytest.raises(InputError):
+        match_arrays(small, small, settings=SMALL)
+
+
+def test_a_small_image_against_a_large_one_is_an_error() -> None:
+    with pytest.raises(InputError):
+        match_arrays(image(0), image(1)[:30, :30], settings=SMALL)
+
+
+def test_a_mask_of_another_shape_is_an_error() -> None:
+    with pytest.raises(InputError, match="mask"):
+        match_arrays(image(0), image(1), reference_valid=np.ones((4, 4), bool), settings=SMALL)

@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from numpy.typing import NDArray
+from phasepack import phasecong
+from tests.matching.landscape import Landscape
+
+from pcwlad_geo.matching.phase_congruency import (
+    EPSILON_OF_BYTE_RANGE,
+    combine_scales,
+    combine_scales_plain,
+    maximum_moment,
+    oriented_phase_congruency,
+    scene_epsilon,
+)
+
+SIDE = 160
+
+
+def moment(image: NDArray, epsilon: float | None = None) -> NDArray:
+    return maximum_moment(
+        oriented_phase_congruency(image, scene_epsilon(image) if epsilon is None else epsilon)
+    )
+
+
+def correlation(first: NDArray, second: NDArray) -> float:
+    return float(np.corrcoef(first.ravel(), second.ravel())[0, 1])
+
+
+@pytest.fixture(scope="module")
+def image() -> NDArray:
+    return Landscape(3).image(SIDE) + np.random.default_rng(0).normal(0, 2, (SIDE, SIDE))
+
+
+@pytest.mark.parametrize("crop", [np.s_[:, :], np.s_[:, :131], np.s_[:97, :]])
+def test_the_map_is_that_of_phasepack(image: NDArray, crop: tuple[slice, slice]) -> None:
+    expected = phasecong(image[crop], 4, 6, 3, 1.6, 0.75, k=1, cutOff=0.5, g=3, noiseMethod=0)[0]
+    found = moment(image[crop], EPSILON_OF_BYTE_RANGE)
+    assert correlation(found, expected) >= 0.99999
+    np.testing.assert_allclose(found, expected, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("gain", "offset"), [(0.05, 0.0), (40.0, 1000.0), (-1.0, 255.0), (-1e-4, 0.3)], ids=str
+)
+def test_gain_offset_and_inversion_leave_the_maps_unchanged(
+    image: NDArray, gain: float, offset: float
+) -> None:
+    other = gain * image + offset
+    expected = oriented_phase_congruency(image, scene_epsilon(image))
+    found = oriented_phase_congruency(other, scene_epsilon(other))
+    assert np.abs(found - expected).max() < 1e-3
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int16", "float32", "float64"])
+def test_data_types_of_one_scene_give_the_same_map(image: NDArray, dtype: str) -> None:
+    whole = np.clip(np.round(image), 0, 255)
+    units = {"uint16": (257, 0), "int16": (120, -15000), "float32": (1 / 255, 0), "float64": (0.01, 273.15)}
+    gain, offset = units.get(dtype, (1, 0))
+    stored = (whole * gain + offset).astype(dtype)
+    assert np.abs(moment(stored) - moment(whole)).max() < 2e-3
+
+
+def test_epsilon_follows_the_range_of_the_valid_pixels(image: NDArray) -> None:
+    valid = np.ones(image.shape, bool)
+    valid[:20] = False
+    spoilt = np.where(valid, image, 65535.0)
+    assert scene_epsilon(spoilt, valid) == pytest.approx(scene_epsilon(image[20:]))
+    assert scene_epsilon(10 * image) == pytest.approx(10 * scene_epsilon(image))
+    assert scene_epsilon(np.full((9, 9), 4.0)) == 0.0
+    assert scene_epsilon(image, np.zeros(image.shape, bool)) == 0.0
+
+
+def test_epsilon_ignores_single_extreme_pixels(image: NDArray) -> None:
+    spoilt = image.copy()
+    spoilt[80, 80] = 1e6
+    assert scene_epsilon(spoilt) == pytest.approx(scene_epsilon(image), rel=0.05)
+
+
+def test_the_compiled_fusion_equals_its_plain_twin() -> None:
+    rng = np.random.default_rng(5)
+    responses = (rng.normal(size=(4, 40, 50)) + 1j * rng.normal(size=(4, 40, 50))).astype(np.complex64)
+    responses[:, 10:20, 10:20] = 0
+    out = np.empty((40, 50), np.float32)
+    combine_scales(responses, np.float32(1e-3), out)
+    np.testing.assert_allclose(out, combine_scales_plain(responses, 1e-3), atol=2e-6)
+
+
+def test_a_step_edge_is_found_where_it_is_in_the_orientation_across_it() -> None:
+    image = np.zeros((128, 128))
+    image[:, 64:] = 100.0
+    maps = oriented_phase_congruency(image, scene_epsilon(image))
+    middle = maps[:, 40:90, 32:96].mean(axis=1)
+    assert middle.argmax() // middle.shape[1] == 0
+    assert middle[0].argmax() + 32 in (63, 64)
+    assert maps.min() >= 0
+    assert maps.max() <= 1
+
+
+def test_a_constant_image_has_no_structure() -> None:
+    assert moment(np.full((64, 64), 7.0), 1e-4).max() < 1e-3
+
+
+def test_the_moment_of_one_orientation_is_its_square() -> None:
+    maps = np.zeros((6, 8, 8), np.float32)
+    maps[2] = 0.6
+    # c + s = PC²/3 each way, and the root gives the same again
+    np.testing.assert_allclose(maximum_moment(maps), 0.36 / 3, atol=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_the_authors_map_comes_back(shared_data: Path) -> None:
+    folder = shared_data / "paper" / "uav_1"
+    with rasterio.open(folder / "DJI_20240707112018_0002_Z.JPG") as visible:
+        red = visible.read(1)
+    with rasterio.open(folder / "Sen_PC.tif") as published:
+        expected = published.read(1)
+    assert red.shape == expected.shape
+    assert correlation(moment(red.astype(float)), expected) >= 0.99

@@ -1,0 +1,115 @@
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pcwlad_geo.matching.similarity import MaskedMap, match_coarsely, peak_distinctness, ssim
+
+TEMPLATE, RADIUS = 21, 4
+
+
+def masked(values: NDArray, valid: NDArray | None = None) -> MaskedMap:
+    weight = np.ones(values.shape, np.float32) if valid is None else valid.astype(np.float32)
+    return MaskedMap((values * weight).astype(np.float32), weight, np.float32(0.5))
+
+
+def naive_ssim(first: NDArray, second: NDArray) -> float:
+    """Equations 3-4 as they stand, C3 = C2 / 2."""
+    c1, c2 = 0.01**2, 0.03**2
+    x, y = first - first.mean(), second - second.mean()
+    sx, sy = np.sqrt((x**2).mean()), np.sqrt((y**2).mean())
+    luminance = (2 * first.mean() * second.mean() + c1) / (first.mean() ** 2 + second.mean() ** 2 + c1)
+    contrast = (2 * sx * sy + c2) / (sx**2 + sy**2 + c2)
+    structure = ((x * y).mean() + c2 / 2) / (sx * sy + c2 / 2)
+    return float(luminance**0.5 * contrast**0.8 * np.sign(structure) * abs(structure) ** 1.3)
+
+
+def naive_surface(reference: MaskedMap, target: MaskedMap, row: int, col: int, least_valid: float) -> NDArray:
+    half = TEMPLATE // 2
+    surface = np.empty((2 * RADIUS + 1, 2 * RADIUS + 1))
+    for dr in range(-RADIUS, RADIUS + 1):
+        for dc in range(-RADIUS, RADIUS + 1):
+            here = np.s_[row - half : row + half + 1, col - half : col + half + 1]
+            there = np.s_[row + dr - half : row + dr + half + 1, col + dc - half : col + dc + half + 1]
+            both = (reference.valid[here] > 0) & (target.valid[there] > 0)
+            surface[dr + RADIUS, dc + RADIUS] = -1.0
+            if both.mean() >= least_valid:
+                first = reference.values[here][both].astype(float) / 0.5
+                surface[dr + RADIUS, dc + RADIUS] = naive_ssim(
+                    first, target.values[there][both].astype(float) / 0.5
+                )
+    return surface
+
+
+@pytest.fixture(scope="module")
+def maps() -> tuple[NDArray, NDArray]:
+    rng = np.random.default_rng(0)
+    kernel = np.outer(np.hanning(7), np.hanning(7))
+    spectrum = np.fft.fft2(rng.random((80, 80))) * np.fft.fft2(kernel / kernel.sum(), (80, 80))
+    texture = np.real(np.fft.ifft2(spectrum)) - 0.3
+    noise = rng.normal(0, 0.02, texture.shape)
+    return texture, np.roll(texture, (2, -3), axis=(0, 1)) * 0.8 + 0.05 + noise
+
+
+@pytest.mark.parametrize("masks", ["none", "reference", "target", "both"])
+def test_the_best_offset_and_its_ssim_are_those_of_a_plain_loop(
+    maps: tuple[NDArray, NDArray], masks: str
+) -> None:
+    rng = np.random.default_rng(1)
+    valid = [np.ones((80, 80), bool) for _ in range(2)]
+    if masks in ("reference", "both"):
+        valid[0][30:38, 20:60] = False
+    if masks in ("target", "both"):
+        valid[1] = rng.random((80, 80)) > 0.2
+    reference, target = masked(maps[0], valid[0]), masked(maps[1], valid[1])
+    corners = np.array([[30, 30], [45, 40], [40, 50]])
+    found = match_coarsely(reference, target, corners, TEMPLATE, RADIUS, 0.4)
+    for index, (row, col) in enumerate(corners):
+        surface = naive_surface(reference, target, row, col, 0.4)
+        peak = np.unravel_index(surface.argmax(), surface.shape)
+        assert tuple(found.offset_rc[index] + RADIUS) == peak
+        assert found.ssim[index] == pytest.approx(surface.max(), abs=2e-4)
+        assert found.distinctness[index] == pytest.approx(peak_distinctness(surface, *peak), abs=2e-3)
+    np.testing.assert_array_equal(found.offset_rc, [(2, -3)] * 3)
+    assert not found.at_border.any()
+
+
+def test_too_little_in_common_is_not_compared(maps: tuple[NDArray, NDArray]) -> None:
+    valid = np.ones((80, 80), bool)
+    valid[:, 36:] = False
+    corners = np.array([[40, 20], [40, 40], [40, 60]])
+    found = match_coarsely(masked(maps[0]), masked(maps[1], valid), corners, TEMPLATE, RADIUS, 0.6)
+    assert found.ssim[0] > 0.5
+    np.testing.assert_array_equal(found.ssim[2], -1.0)
+    masked_template = match_coarsely(masked(maps[0], valid), masked(maps[1]), corners, TEMPLATE, RADIUS, 0.6)
+    np.testing.assert_array_equal(masked_template.ssim[2], -1.0)
+    assert masked_template.distinctness[2] == 0.0
+
+
+def test_a_match_at_the_edge_of_the_search_says_so(maps: tuple[NDArray, NDArray]) -> None:
+    corners = np.array([[40, 40]])
+    found = match_coarsely(masked(maps[0]), masked(maps[1]), corners, TEMPLATE, 3, 0.6)
+    assert found.at_border[0]
+
+
+def test_the_second_of_two_peaks_makes_the_first_less_distinct() -> None:
+    surface = np.zeros((21, 21), np.float32)
+    surface[10, 10] = 1.0
+    assert peak_distinctness(surface, 10, 10) == pytest.approx(1.0)
+    surface[10, 12] = 0.9  # part of the same peak
+    assert peak_distinctness(surface, 10, 10) == pytest.approx(1.0)
+    surface[3, 4] = 0.75
+    assert peak_distinctness(surface, 10, 10) == pytest.approx(0.25)
+    assert peak_distinctness(np.ones((9, 9), np.float32), 4, 4) == 0.0
+
+
+def test_ssim_of_stacks_is_that_of_each_pair() -> None:
+    rng = np.random.default_rng(3)
+    first, second = rng.random((5, 9, 9)), rng.random((5, 9, 9))
+    second[0] = first[0]
+    second[1] = 1 - first[1]
+    found = ssim(first, second)
+    np.testing.assert_allclose(
+        found, [naive_ssim(a, b) for a, b in zip(first, second, strict=True)], atol=1e-12
+    )
+    assert found[0] == pytest.approx(1.0)
+    assert found[1] < -0.8

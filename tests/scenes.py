@@ -1,0 +1,144 @@
+"""Rasters of a synthetic scene that is defined at every point of the ground, with a known displacement.
+
+Each band is a smooth function of a few random fields, each a sum of plane waves. On an affine grid a plane
+wave is an outer product, so an image is a few matrix products, and nothing is ever resampled: a displaced
+raster is the ground evaluated where the displacement says.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from affine import Affine
+from numpy.typing import ArrayLike, NDArray
+from rasterio.crs import CRS
+from rasterio.errors import NotGeoreferencedWarning
+
+from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.grid import Grid
+
+Array = NDArray[np.float64]
+
+PIXEL_M = 30.0
+ORIGIN_XY_M = np.array([500000.0, 4600000.0])
+CRS_OF_SCENE = CRS.from_epsg(32633)
+
+_FIELDS, _WAVES = 5, 40
+_WAVELENGTHS_PX = (9.0, 60.0)
+_EDGE_STEEPNESS = 4.0
+# What each band sees of the fields: shared edges of other contrast, and a field of its own.
+_CONTRASTS = {"red": (50.0, 40.0, 30.0, 12.0, 0.0), "thermal": (-40.0, 45.0, -30.0, 0.0, 12.0)}
+
+
+def make_grid(
+    shape: tuple[int, int] = (240, 240),
+    *,
+    pixel_m: float = PIXEL_M,
+    offset_m: tuple[float, float] = (0.0, 0.0),
+    rotation_deg: float = 0.0,
+    south_up: bool = False,
+) -> Grid:
+    """Return a grid on the scene whose top-left corner lies `offset_m` (east, south) of the scene's origin."""
+    corner = ORIGIN_XY_M + [offset_m[0], -offset_m[1]]
+    transform = Affine.translation(*corner) @ Affine.rotation(rotation_deg) @ Affine.scale(pixel_m, -pixel_m)
+    if south_up:
+        transform = transform @ Affine.translation(0, shape[0]) @ Affine.scale(1, -1)
+    return Grid(shape, transform, CRS_OF_SCENE)
+
+
+def render(
+    grid: Grid,
+    band: str = "red",
+    *,
+    seed: int = 0,
+    displacement_px: ArrayLike = (0.0, 0.0),
+    linear: ArrayLike | None = None,
+    noise: float = 1.0,
+) -> Array:
+    """Render a band on a grid, values about 0 to 255.
+
+    Parameters
+    ----------
+    grid : Grid
+        In the CRS of the scene or any other.
+    band : {"red", "thermal"}
+    seed : int
+        Selects the scene.
+    displacement_px : (2,) array
+        Observed minus predicted position (col, row): what the grid says lies at p is seen at p + displacement.
+    linear : (2, 2) array, optional
+        observed = linear · predicted + displacement; identity by default.
+    noise : float
+        Standard deviation.
+    """
+    rng = np.random.default_rng(seed)
+    count = (_FIELDS, _WAVES)
+    wavelength = np.exp(rng.uniform(*np.log(_WAVELENGTHS_PX), count))
+    direction = rng.uniform(0, np.pi, count)
+    frequency = 2 * np.pi / wavelength * np.stack([np.cos(direction), np.sin(direction)])
+    phase = rng.uniform(0, 2 * np.pi, count)
+    amplitude = np.sqrt(wavelength) / np.sqrt((wavelength / 2).sum(axis=1, keepdims=True))
+
+    rows, cols = grid.shape
+    matrix = np.linalg.inv(np.eye(2) if linear is None else np.asarray(linear, float))
+    shift = np.asarray(displacement_px, float)
+    value = np.full(grid.shape, 127.0)
+    if grid.crs != CRS_OF_SCENE:
+        observed = np.stack(np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5), axis=-1).reshape(-1, 2)
+        xy = transform_xy(grid.to_xy((observed - shift) @ matrix.T), grid.crs, CRS_OF_SCENE)
+        ground = _ground(xy)
+    for field, contrast in enumerate(_CONTRASTS[band]):
+        if not contrast:
+            continue
+        waves = frequency[:, field], phase[field], amplitude[field]
+        if grid.crs == CRS_OF_SCENE:
+            total = _on_affine_grid(grid, matrix, shift, *waves)
+        else:
+            total = _at_points(ground, *waves).reshape(grid.shape)
+        value += contrast * np.tanh(_EDGE_STEEPNESS * total) / 2
+    return value + noise * np.random.default_rng([seed, len(band), cols]).standard_normal(grid.shape)
+
+
+def _ground(xy: Array) -> Array:
+    """Return scene coordinates, in scene pixels, of map coordinates."""
+    return (xy - ORIGIN_XY_M) / [PIXEL_M, -PIXEL_M]
+
+
+def _on_affine_grid(
+    grid: Grid, matrix: Array, shift: Array, frequency: Array, phase: Array, amplitude: Array
+) -> Array:
+    rows, cols = grid.shape
+    base = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    origin, right, down = _ground(grid.to_xy((base - shift) @ matrix.T))
+    along_cols = np.outer(np.arange(cols) + 0.5, (right - origin) @ frequency)
+    along_rows = np.outer(np.arange(rows) + 0.5, (down - origin) @ frequency) + (origin @ frequency + phase)
+    waves = (np.exp(1j * along_rows) * amplitude) @ np.exp(1j * along_cols).T
+    return np.asarray(waves.real)
+
+
+def _at_points(ground: Array, frequency: Array, phase: Array, amplitude: Array) -> Array:
+    return np.asarray(np.cos(ground @ frequency + phase) @ amplitude)
+
+
+def write(path: Path, values: NDArray[np.generic], grid: Grid | None, **profile: Any) -> Path:
+    """Write bands, (rows, cols) or (bands, rows, cols), as a raster; without a grid it has no georeferencing.
+
+    Float values are stored as 16-bit unsigned ones, times 200, unless `dtype` says otherwise.
+    """
+    profile = {"driver": "GTiff", "dtype": "uint16", **profile}
+    if values.dtype.kind == "f" and profile["dtype"] == "uint16":
+        values = np.clip(np.rint(values * 200), 1, 65535)
+    elif values.dtype.kind == "f" and profile["dtype"] == "uint8":
+        values = np.clip(np.rint(values), 1, 255)
+    bands = values[None] if values.ndim == 2 else values
+    where = {} if grid is None else {"crs": grid.crs, "transform": grid.transform}
+    size = {"count": len(bands), "height": bands.shape[1], "width": bands.shape[2]}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", **size, **where, **profile) as file:
+            file.write(bands.astype(profile["dtype"]))
+    return path
