@@ -55,7 +55,9 @@ CROP = Crop(511, 15, 30, 0.47)
 
 def main() -> None:
     """Write the pictures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", nargs="?", type=Path, default=REPOSITORY / "docs" / "images")
     folder: Path = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
@@ -90,7 +92,11 @@ def before_after(path: Path, red: Image, before: Image, after: Image) -> None:
         _draw(axis, CROP, red, thermal)
         axis.set_title(title, fontsize=13)
     figure.legend(
-        handles=[Line2D([], [], color=OUTLINE, lw=2, label="boundary between cold and warm ground in the thermal band")],
+        handles=[
+            Line2D(
+                [], [], color=OUTLINE, lw=2, label="boundary between cold and warm ground in the thermal band"
+            )
+        ],
         title="background: red band, the reference (30 m pixels)",
         loc="outside lower center",
         frameon=False,

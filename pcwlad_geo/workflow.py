@@ -185,7 +185,8 @@ def output_paths(
     out_dir, output_raster, output_tiepoints, output_report, output_points : path, optional
         As `register` takes them.
     """
-    name = re.sub(r'[<>:"/\\|?*]+', "_", Path(target).name)  # a URI's name may be none for a file
+    # A URI's name may be none for a file, "." and "/" have none, and results do not hide behind a dot.
+    name = re.sub(r'[<>:"/\\|?*]+', "_", Path(target).name).lstrip(".") or "raster"
     stem = Path(name).stem
     folder = Path(out_dir) if out_dir else Path(f"{stem}_{job}")
     kinds = [kind for kind in NAMES if job == "registered" or kind not in ("corrected", "raster")]

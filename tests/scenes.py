@@ -8,6 +8,7 @@ raster is the ground evaluated where the displacement says.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 
 Array = NDArray[np.float64]
+Field = Callable[[Array], Array]
+"""(n, 2) predicted pixels to (n, 2) displacements, px."""
 
 PIXEL_M = 30.0
 ORIGIN_XY_M = np.array([500000.0, 4600000.0])
@@ -57,6 +60,7 @@ def render(
     seed: int = 0,
     displacement_px: ArrayLike = (0.0, 0.0),
     linear: ArrayLike | None = None,
+    local: Field | None = None,
     noise: float = 1.0,
 ) -> Array:
     """Render a band on a grid, values about 0 to 255.
@@ -72,6 +76,8 @@ def render(
         Observed minus predicted position (col, row): what the grid says lies at p is seen at p + displacement.
     linear : (2, 2) array, optional
         observed = linear · predicted + displacement; identity by default.
+    local : callable, optional
+        A displacement that varies from place to place, besides.
     noise : float
         Standard deviation.
     """
@@ -87,20 +93,29 @@ def render(
     matrix = np.linalg.inv(np.eye(2) if linear is None else np.asarray(linear, float))
     shift = np.asarray(displacement_px, float)
     value = np.full(grid.shape, 127.0)
-    if grid.crs != CRS_OF_SCENE:
+    plain = grid.crs == CRS_OF_SCENE and local is None
+    ground = np.empty((0, 2))
+    if not plain:
         observed = np.stack(np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5), axis=-1).reshape(-1, 2)
-        xy = transform_xy(grid.to_xy((observed - shift) @ matrix.T), grid.crs, CRS_OF_SCENE)
-        ground = _ground(xy)
+        predicted = _predicted(observed, matrix, shift, local)
+        ground = _ground(transform_xy(grid.to_xy(predicted), grid.crs, CRS_OF_SCENE))
     for field, contrast in enumerate(_CONTRASTS[band]):
         if not contrast:
             continue
         waves = frequency[:, field], phase[field], amplitude[field]
-        if grid.crs == CRS_OF_SCENE:
+        if plain:
             total = _on_affine_grid(grid, matrix, shift, *waves)
         else:
             total = _at_points(ground, *waves).reshape(grid.shape)
         value += contrast * np.tanh(_EDGE_STEEPNESS * total) / 2
     return value + noise * np.random.default_rng([seed, len(band), cols]).standard_normal(grid.shape)
+
+
+def _predicted(observed: Array, matrix: Array, shift: Array, local: Field | None) -> Array:
+    predicted = (observed - shift) @ matrix.T
+    for _ in range(0 if local is None else 12):
+        predicted = (observed - shift - local(predicted)) @ matrix.T
+    return predicted
 
 
 def _ground(xy: Array) -> Array:

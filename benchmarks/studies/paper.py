@@ -75,10 +75,21 @@ def _table(pair: Pair, runner: Runner) -> Table:
             what = f"{pair.name}, {name}, best {PUBLISHED_ON_UAV} by sigma: RMSE"
             checks.append(at_most(what, best.rmse_px, BEST_ON_UAV_RMSE_PX, "px"))
     for peer in sorted(pair.peers.glob("*.pts")):
-        rows.append(_row(f"published: {peer.stem}", score(_errors(pair, read_envi_points(peer)))))
+        rows.append(_published(pair, peer))
     if pair.truth_xy_px is None:
         return Table(f"{pair.name}: epipolar distance, px", EPIPOLAR_HEADER, rows, checks)
     return Table(f"{pair.name}: truth {pair.truth} px", HEADER, rows, checks)
+
+
+def _published(pair: Pair, peer: Path) -> list[Cell]:
+    """Score a file of published points, in the order of columns that does it justice."""
+    points = read_envi_points(peer)
+    scored = score(_errors(pair, points))
+    if pair.truth_xy_px is not None:
+        exchanged = score(_errors(pair, points[:, [2, 3, 0, 1]]))
+        if exchanged.correct > scored.correct:  # some files name the target first
+            return _row(f"published: {peer.stem}, exchanged", exchanged)
+    return _row(f"published: {peer.stem}", scored)
 
 
 def _errors(pair: Pair, points: Array) -> Array:
@@ -100,7 +111,7 @@ def _row(name: str, scored: Score, features: int | None = None, cpu_s: float | N
         f"{100 * scored.share_correct:.1f}",
         f"{100 * scored.points / features:.1f}" if features else "",
         scored.rmse_px,
-        *(f"{value:+.3f}" for value in scored.bias_px),
+        *(f"{value:+.3f}" if scored.correct else "-" for value in scored.bias_px),
         scored.scatter_px,
         f"{cpu_s:.1f}" if cpu_s is not None else "",
     ]

@@ -1,0 +1,1 @@
+"""Arrays to tie points: no file, no CRS in here."""

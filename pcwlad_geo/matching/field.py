@@ -112,7 +112,8 @@ def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Fl
         radial = np.hypot(residual[:, 0], residual[:, 1])
         scale = max(float(np.median(radial)), 1e-6)
         weight = 1 / np.sqrt(1 + (radial / scale) ** 2)
-    inverse = np.linalg.inv((design * weight[:, None] ** 2).T @ design)
+    # points on one line leave the slope across it undetermined: lstsq gives 0 there, pinv does too
+    inverse = np.linalg.pinv((design * weight[:, None] ** 2).T @ design, rcond=1e-10)
     variance = (weight[:, None] ** 2 * residual**2).sum(axis=0) / (weight**2).sum()
     return solution[1:].T.copy(), np.sqrt(np.outer(variance, np.diagonal(inverse)[1:]))
 
@@ -138,7 +139,7 @@ def _predict_apart(
 
 
 def _robust_planes(offset: Float64, values: Float64, usable: NDArray[np.bool_]) -> tuple[Float64, Float64]:
-    """Fit a plane to each row of neighbours by reweighted least squares; returns value at the centre, scatter."""
+    """Fit a plane to each row of neighbours by reweighted least squares; value at the centre, scatter."""
     n, _, _ = values.shape
     reach = np.sqrt((offset**2).sum(axis=2).max(axis=1)).clip(1e-9)
     design = np.concatenate([np.ones((*offset.shape[:2], 1)), offset / reach[:, None, None]], axis=2)
@@ -157,8 +158,8 @@ def _robust_planes(offset: Float64, values: Float64, usable: NDArray[np.bool_]) 
         weighted = design * weight[..., None]
         normal = np.einsum("nki,nkj->nij", weighted, design)
         # a ridge on the slopes: neighbours on a line leave the slope across it undetermined
-        normal[:, 1, 1] += 1e-3 * normal[:, 0, 0] + 1e-12
-        normal[:, 2, 2] += 1e-3 * normal[:, 0, 0] + 1e-12
+        normal[:, 1, 1] += 1e-6 * normal[:, 0, 0] + 1e-12
+        normal[:, 2, 2] += 1e-6 * normal[:, 0, 0] + 1e-12
         normal[:, 0, 0] += 1e-12
         solution = np.linalg.solve(normal, np.einsum("nki,nkj->nij", weighted, values))
         residual = np.hypot(*np.moveaxis(values - design @ solution, 2, 0))

@@ -72,7 +72,7 @@ def detect_corners(
     response : (n,) float32 array
     """
     scaled = np.clip(moment * np.float32(255 / FULL_SCALE), 0, 255).astype(np.uint8)
-    detector = cv2.FastFeatureDetector_create(THRESHOLD, True, cv2.FAST_FEATURE_DETECTOR_TYPE_9_16)
+    detector = cv2.FastFeatureDetector.create(THRESHOLD, True, cv2.FAST_FEATURE_DETECTOR_TYPE_9_16)
     found = detector.detect(scaled)
     corners_rc = np.array([(point.pt[1], point.pt[0]) for point in found], np.intp).reshape(-1, 2)
     response = np.array([point.response for point in found], np.float32)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching import calibration, field, keypoints
+from pcwlad_geo.matching import keypoints
+from pcwlad_geo.matching.guidance import FieldGuide, calibrate, guide_by_field
 from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.matching.phase_congruency import scene_epsilon
 from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
@@ -29,11 +30,6 @@ HALO_PX: Final = 64
 DISAGREEMENT_PX: Final = 0.5
 """Largest difference between the forward and the backward match."""
 COARSE_SIGMA_PX: Final = 0.35
-LEAST_DEFORMATION_PX: Final = 0.05
-"""Deformations are modelled where they move the corner of a window by more than this."""
-LEAST_FOR_FIELD: Final = 24
-LARGEST_PULL_PX: Final = 1.0
-"""A point further than this from what its neighbours say keeps its own structure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +41,7 @@ class Core:
     row_stop: int
     col_stop: int
     origin_rc: tuple[int, int]
-    """Window's first pixel minus the first of all cores: cells are laid out from there, whatever the tiles."""
+    """Window's first pixel minus the first of all cores: there the cells begin, whatever the tiles."""
 
 
 def match_arrays(
@@ -80,10 +76,11 @@ def match_arrays(
     ref, tgt = _image(reference, reference_valid, "reference"), _image(target, target_valid, "target")
     rows = max(ref.values.shape[0], tgt.values.shape[0])
     cols = max(ref.values.shape[1], tgt.values.shape[1])
-    if min(rows, cols) < settings.template:
+    common = np.minimum(ref.values.shape, tgt.values.shape)
+    if common.min() < settings.template:
         raise InputError(
-            f"the images are {rows} x {cols} px: smaller than the matching window of {settings.template} px; "
-            "use larger images or a smaller template and window"
+            f"the images share {common[0]} x {common[1]} px: less than the matching window of "
+            f"{settings.template} px; use larger images or a smaller template and window"
         )
     margin = margin_px(settings)
     pair = prepare(
@@ -159,61 +156,6 @@ def match_candidates(
     return points[refined.converged & agree], counts
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FieldGuide:
-    """What the displacement field tells the second pass about each point."""
-
-    linear: Float64
-    """(2, 2) deformation of the windows; zeros where it is negligible."""
-    structure_xy_px: Float64
-    """(n, 2) shift at which mutual structure is taken; NaN: at the point's own position."""
-    neighbours: int
-    """Points that predict a displacement; 0 where there are too few points for a field."""
-    shared_variance_px2: float
-    """Variance, per axis, of the error that points guided by the same neighbours share."""
-
-    @property
-    def deforms(self) -> bool:
-        """Whether windows deform."""
-        return bool(np.abs(self.linear).max() > 0)
-
-    def part(self, index: Index) -> FieldGuide:
-        """Return the guide of some of the points."""
-        return replace(self, structure_xy_px=self.structure_xy_px[index])
-
-    def moved(self, shift_xy_px: Float64) -> FieldGuide:
-        """Return the guide with a constant (col, row) added to its shifts."""
-        return replace(self, structure_xy_px=self.structure_xy_px + shift_xy_px)
-
-
-def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
-    """Learn from all consistent points what the second pass needs.
-
-    Parameters
-    ----------
-    points : TiePoints
-        Consistent points of the first pass, of the whole scene.
-    settings : MatchSettings
-    """
-    nowhere = np.full((len(points), 2), np.nan)
-    if len(points) < LEAST_FOR_FIELD:
-        return FieldGuide(np.zeros((2, 2)), nowhere, 0, 0.0)
-    xy, moved = points.reference_xy_px, points.displacement_px
-    linear, linear_sigma = field.global_affine(xy, moved)
-    reach = settings.window / 2 * np.sqrt(2)
-    if np.abs(linear).max() * reach < LEAST_DEFORMATION_PX or (np.abs(linear) < 3 * linear_sigma).all():
-        linear = np.zeros((2, 2))
-    count, residual = field.choose_neighbour_count(xy, moved, settings.window)
-    if settings.consensus == "off":
-        return FieldGuide(linear, nowhere, count, 0.0)
-    predicted = field.predict(xy, moved, xy, count)
-    rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
-    apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
-    structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
-    shared = calibration.shared_variance(xy, residual, settings.window, count)
-    return FieldGuide(linear, structure, count, shared)
-
-
 def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
     """Second pass: points again, with the deformation and the structure that the field gives.
 
@@ -247,18 +189,6 @@ def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: 
             target[led], covariance[led] = again.target_xy_px, again.covariance_px2
             result = replace(result, target_xy_px=target, covariance_px2=covariance)
     return result
-
-
-def calibrate(points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
-    """Return consistent points of the whole scene with calibrated covariances."""
-    residual = np.full((len(points), 2), np.nan)
-    if guide.neighbours:
-        residual = field.independent_residual(
-            points.reference_xy_px, points.displacement_px, settings.window, guide.neighbours
-        )
-    scale = calibration.sigma_scale(residual, points.covariance_px2)
-    covariance = calibration.calibrated(points.covariance_px2, scale, guide.shared_variance_px2)
-    return replace(points, covariance_px2=covariance)
 
 
 def second_pass(pair: PreparedPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
@@ -387,7 +317,13 @@ def _image(values: NDArray[Any], valid: Bool | None, which: str) -> Image:
     array = np.asarray(values)
     if array.ndim != 2 or array.dtype.kind not in "uifb":
         raise InputError(
-            f"the {which} is a {array.ndim}-dimensional array of {array.dtype}: give a two-dimensional real one"
+            f"the {which} is a {array.ndim}-dimensional array of {array.dtype}: "
+            "give a two-dimensional real one"
+        )
+    if valid is not None and np.shape(valid) != array.shape:
+        raise InputError(
+            f"the mask of the {which} has shape {np.shape(valid)}, the image {array.shape}: "
+            "give one of the image's shape"
         )
     good = np.isfinite(array) if valid is None else np.isfinite(array) & valid
     numbers = np.where(good, array, 0).astype(np.float64)

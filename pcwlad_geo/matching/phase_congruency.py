@@ -98,8 +98,8 @@ def maximum_moment(maps: Float32) -> Float32:
     c = np.tensordot((cosine**2 / half).astype(np.float32), square, 1)
     s = np.tensordot((sine**2 / half).astype(np.float32), square, 1)
     cs = np.tensordot((2 * cosine * sine / half).astype(np.float32), square, 1)
-    moment: Float32 = (c + s + np.sqrt(cs**2 + (c - s) ** 2) + np.float32(EPSILON_OF_BYTE_RANGE)) / 2
-    return moment
+    moment = (c + s + np.sqrt(cs**2 + (c - s) ** 2) + np.float32(EPSILON_OF_BYTE_RANGE)) / 2
+    return np.asarray(moment, np.float32)
 
 
 @lru_cache(maxsize=4)
@@ -130,7 +130,7 @@ def _frequencies(n: int) -> NDArray[np.float64]:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def combine_scales(responses, epsilon, out):  # type: ignore[no-untyped-def]
+def combine_scales(responses: NDArray[np.complex64], epsilon: np.float32, out: Float32) -> None:
     """Fuse the filter responses of one orientation, (4, rows, cols) complex64, into its map.
 
     The plain twin is `combine_scales_plain`.

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter
 
-from pcwlad_geo.matching import refinement_loop as loop
+from pcwlad_geo.matching import refinement_state as state
+from pcwlad_geo.matching.refinement_loop import refine_points
 
 TOLERANCE_PX: Final = 0.004
 RELAXATION: Final = 1.5
@@ -119,8 +120,8 @@ def refine(
     Refined
     """
     n = len(corners_rc)
-    results = loop.Results(np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)), np.zeros(n, np.int64))
-    options = loop.Options(
+    results = state.Results(np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)), np.zeros(n, np.int64))
+    options = state.Options(
         half=window_px // 2,
         correlation_half=correlation_half_px(window_px),
         structure_mode=_structure_mode(start, use_structure),
@@ -133,16 +134,16 @@ def refine(
         largest_move_px=LARGEST_MOVE_PX,
         blocks=max(4, round(window_px / BLOCK_PX)),
     )
-    images = loop.Images(reference.maps, target.coefficients, reference.valid, target.valid)
-    work = loop.make_workspace(len(reference.maps), options)
-    loop.refine_points(images, _starts(corners_rc, start), options, work, results)
-    return Refined(results.shift_xy, results.linear, results.covariance, results.status == loop.CONVERGED)
+    images = state.Images(reference.maps, target.coefficients, reference.valid, target.valid)
+    work = state.make_workspace(len(reference.maps), options)
+    refine_points(images, _starts(corners_rc, start), options, work, results)
+    return Refined(results.shift_xy, results.linear, results.covariance, results.status == state.CONVERGED)
 
 
-def _starts(corners_rc: Index, start: Start) -> loop.Starts:
+def _starts(corners_rc: Index, start: Start) -> state.Starts:
     """Return the start in the types that the compiled loop knows."""
     unused = np.zeros((len(corners_rc), 2)), np.zeros((1, 1, 1), np.float32)
-    return loop.Starts(
+    return state.Starts(
         corners_rc.astype(np.int64),
         np.ascontiguousarray(start.shift_xy_px, np.float64),
         np.ascontiguousarray(start.linear, np.float64),
@@ -160,7 +161,7 @@ def correlation_half_px(window_px: int) -> int:
 
 def _structure_mode(start: Start, use_structure: bool) -> int:
     if start.structure is not None:
-        return loop.STRUCTURE_GIVEN
+        return state.STRUCTURE_GIVEN
     if not use_structure:
-        return loop.STRUCTURE_NONE
-    return loop.STRUCTURE_FOLLOWS if start.structure_xy_px is None else loop.STRUCTURE_FIXED
+        return state.STRUCTURE_NONE
+    return state.STRUCTURE_FOLLOWS if start.structure_xy_px is None else state.STRUCTURE_FIXED

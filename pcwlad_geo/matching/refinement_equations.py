@@ -117,7 +117,7 @@ def _gradient_sums(
 ) -> None:
     """Add up the weighted products of the gradient with itself and with 1, I and the residual.
 
-    `squares` takes gx², gx·gy and gy², `links` gx, gy, gx·I, gy·I, gx·r and gy·r, each by power of x and of y.
+    `squares` takes gx², gx·gy, gy² and `links` gx, gy, gx·I, gy·I, gx·r, gy·r, each by power of x and of y.
     """
     side = weight.shape[0]
     half = side // 2

@@ -227,7 +227,7 @@ def fit_gain(
         sxx += float(lxx)
         sxy += float(lxy)
     h1 = sxy / max(sxx, 1e-12)
-    h0 = my - h1 * mx
+    h0 = float(my - h1 * mx)
     g = np.float32(h1)
     o = np.float32(h0)
     total = 0.0

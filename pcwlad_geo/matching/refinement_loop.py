@@ -5,11 +5,10 @@ One point at a time, all channels; `refinement_plain` is the numpy twin.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from pcwlad_geo.matching.refinement_equations import add_block_scores, normal_equations
 from pcwlad_geo.matching.refinement_kernel import (
@@ -22,117 +21,24 @@ from pcwlad_geo.matching.refinement_kernel import (
     sample_affine,
     sample_shift,
 )
-
-STRUCTURE_NONE: Final = 0
-STRUCTURE_FOLLOWS: Final = 1
-STRUCTURE_FIXED: Final = 2
-STRUCTURE_GIVEN: Final = 3
-
-CONVERGED: Final = 0
-NOT_CONVERGED: Final = 1
-INVALID: Final = 2
-DIVERGED: Final = 3
+from pcwlad_geo.matching.refinement_state import (
+    CONVERGED,
+    DIVERGED,
+    INVALID,
+    NOT_CONVERGED,
+    STRUCTURE_FIXED,
+    STRUCTURE_FOLLOWS,
+    STRUCTURE_GIVEN,
+    Images,
+    Options,
+    Results,
+    Starts,
+    Workspace,
+)
 
 SIGMA_PER_MEAN_DEVIATION: Final = 1.2533
 """σ of a normal distribution over its mean absolute deviation."""
 LONGEST_STEP_PX: Final = 1.0
-
-Int64 = NDArray[np.int64]
-Bool = NDArray[np.bool_]
-
-
-class Images(NamedTuple):
-    """Maps of both images; the target's as spline coefficients. (channels, rows, cols) and (rows, cols)."""
-
-    reference: Float32
-    coefficients: Float32
-    reference_valid: Bool
-    target_valid: Bool
-
-
-class Starts(NamedTuple):
-    """Where n points begin; see `refinement.Start`. `structure` has one row at least."""
-
-    corners_rc: Int64
-    shift_xy: Float64
-    linear: Float64
-    structure_xy: Float64
-    structure: Float32
-
-
-class Options(NamedTuple):
-    """Settings of the refinement; see `refinement.refine`."""
-
-    half: int
-    correlation_half: int
-    structure_mode: int
-    robust: bool
-    affine: bool
-    iterations: int
-    tolerance_px: float
-    relaxation: float
-    least_valid: float
-    largest_move_px: float
-    blocks: int
-
-
-class Results(NamedTuple):
-    """Filled by `refine_points`: (n, 2), (n, 2, 2), (n, 2, 2), (n,)."""
-
-    shift_xy: Float64
-    linear: Float64
-    covariance: Float64
-    status: Int64
-
-
-class Workspace(NamedTuple):
-    """Scratch memory of one point: extended windows, then windows, then the equations."""
-
-    value: Float32
-    slope_x: Float32
-    slope_y: Float32
-    product: Float32
-    along: Float32
-    along_slope: Float32
-    columns: Float32
-    mean_r: Float32
-    var_r: Float32
-    mean_s: Float32
-    mean_ss: Float32
-    mean_rs: Float32
-    structure: Float32
-    weight: Float32
-    valid: Float32
-    matrix: Float64
-    right: Float64
-    total: Float64
-    total_right: Float64
-    scores: Float64
-
-
-def make_workspace(channels: int, options: Options) -> Workspace:
-    """Allocate the scratch memory that `refine_points` uses for one point after the other."""
-    side = 2 * options.half + 1
-    extended = side + 2 * options.correlation_half
-    count = 6 if options.affine else 2
-    windows = [np.empty((extended, extended), np.float32) for _ in range(4)]
-    along = [np.empty((extended + 3, extended), np.float32) for _ in range(2)]
-    stacks = [np.empty((channels, side, side), np.float32) for _ in range(3)]
-    planes = [np.empty((side, side), np.float32) for _ in range(5)]
-    return Workspace(
-        *windows,
-        *along,
-        np.empty(extended, np.float32),
-        *stacks[:2],
-        *planes[:3],
-        stacks[2],
-        *planes[3:],
-        np.zeros((count, count)),
-        np.zeros(count),
-        np.zeros((count, count)),
-        np.zeros(count),
-        np.zeros((options.blocks**2, 2)),
-    )
 
 
 @njit(cache=True, nogil=True)
@@ -171,7 +77,7 @@ def _valid_share(images: Images, shift_xy: Float64, row: int, col: int, valid: F
             both = inside and images.reference_valid[y, x] and images.target_valid[y + down, x + right]
             valid[r, c] = np.float32(1.0) if both else np.float32(0.0)
             good += 1 if both else 0
-    return good / (side * side)
+    return float(good / (side * side))
 
 
 @njit(cache=True, nogil=True)
@@ -313,7 +219,7 @@ def _equations(
         if options.structure_mode == STRUCTURE_FOLLOWS:
             _correlate(images, k, row, col, options, work)
         window, structure = _window(images, k, row, col, options), work.structure[k]
-        h0, h1, deviation, known = _weigh(window, structure, options, work)
+        h0, h1, known = _weigh(window, structure, options, work)
         # an inverted channel of several shows other structure; a single map may be inverted as a whole
         if known <= 0.0 or (channels > 1 and h1 <= 0.0):
             continue
@@ -357,19 +263,19 @@ def _equations(
 @njit(cache=True, nogil=True)
 def _weigh(
     window: Float32, structure: Float32, options: Options, work: Workspace
-) -> tuple[float, float, float, float]:
-    """Fill the weights of a channel; returns what `fit_gain` says under them."""
+) -> tuple[float, float, float]:
+    """Fill the weights of a channel; returns offset, gain and the sum of weights."""
     pad = options.correlation_half
     h0, h1, deviation, known = fit_gain(window, work.value, pad, structure)
     if not options.robust:
         work.weight[:] = structure
-        return h0, h1, deviation, known
+        return h0, h1, known
     if known <= 0.0:
-        return h0, h1, deviation, known
+        return h0, h1, known
     scale = SIGMA_PER_MEAN_DEVIATION * deviation
     robust_weights(window, work.value, pad, structure, h0, h1, scale, work.weight)
-    result: tuple[float, float, float, float] = fit_gain(window, work.value, pad, work.weight)
-    return result
+    h0, h1, _, known = fit_gain(window, work.value, pad, work.weight)
+    return h0, h1, known
 
 
 @njit(cache=True, nogil=True)

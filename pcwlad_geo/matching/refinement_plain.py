@@ -6,6 +6,8 @@ gain and offset as two more unknowns of each channel, eliminated by projection i
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from scipy.ndimage import map_coordinates, uniform_filter
 
@@ -24,7 +26,7 @@ from pcwlad_geo.matching.refinement import (
 from pcwlad_geo.matching.refinement_kernel import VARIANCE_FLOOR
 from pcwlad_geo.matching.refinement_loop import LONGEST_STEP_PX, SIGMA_PER_MEAN_DEVIATION
 
-GRADIENT_STEP_PX = 1e-3
+GRADIENT_STEP_PX: Final = 1e-3
 
 
 class _StuckError(Exception):
@@ -72,7 +74,7 @@ def refine_plain(
                 step = np.linalg.solve(matrix, right).reshape(2, -1)
                 linear += step[:, 1:] / window.half if affine else 0.0
                 move = RELAXATION * step[:, 0]
-                length = np.linalg.norm(move)
+                length = float(np.linalg.norm(move))
                 shift += move / max(length / LONGEST_STEP_PX, 1.0)
                 if np.linalg.norm(shift - start.shift_xy_px[p]) > LARGEST_MOVE_PX:
                     raise _StuckError
@@ -144,10 +146,9 @@ class _Window:
                 continue
             design = fit[1] * np.c_[slope_x, slope_y]
             if self.affine:
-                position = np.stack([np.ones_like(self.x), self.x / self.half, self.y / self.half])
-                design = (design[:, :, None] * position[:, *self.core].reshape(3, -1).T[:, None]).reshape(
-                    -1, 6
-                )
+                position = np.c_[np.ones(i.size), self.x[self.core].ravel(), self.y[self.core].ravel()]
+                position[:, 1:] /= self.half
+                design = (design[:, :, None] * position[:, None, :]).reshape(-1, 6)
             apart = design - radiometric @ _weighted_fit(radiometric, design, w)
             variance = (w * residual**2).sum() / w.sum()
             pull = (w * residual)[:, None] * apart / variance
@@ -173,12 +174,14 @@ class _Window:
         return np.stack([at[0], (at[1] - at[2]) / (2 * h), (at[3] - at[4]) / (2 * h)])
 
 
-def _inside(shape: tuple[int, ...], rows: Float64, cols: Float64, before: int, after: int) -> bool:
+def _inside(
+    shape: tuple[int, ...], rows: Float64 | Index, cols: Float64 | Index, before: int, after: int
+) -> bool:
     low = min(rows.min(), cols.min()) >= before
     return bool(low and np.floor(rows.max()) + after < shape[0] and np.floor(cols.max()) + after < shape[1])
 
 
 def _weighted_fit(design: Float64, values: Float64, weight: Float64) -> Float64:
     """Return the coefficients of the weighted least-squares fit values = design · coefficients."""
-    solution: Float64 = np.linalg.solve((design.T * weight) @ design, (design.T * weight) @ values)
-    return solution
+    weighted = design.T * weight
+    return np.asarray(np.linalg.solve(weighted @ design, weighted @ values), np.float64)

@@ -24,6 +24,7 @@ PEAK_CLEARANCE_PX: Final = 3
 
 Float32 = NDArray[np.float32]
 Index = NDArray[np.intp]
+Statistic = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,6 +117,8 @@ def _ssim_surface(
     if template_valid.mean() < least_valid:
         return None
     count: Float32 | float
+    search_sum: Statistic
+    search_square: Statistic
     if template_valid.all() and search_valid.all():
         count = float(template.size)
         template_sum, template_square = template.sum(dtype=np.float64), (template**2).sum(dtype=np.float64)
@@ -142,13 +145,12 @@ def _ssim_surface(
 
 
 def _correlate(search: Float32, template: Float32) -> Float32:
-    result: Float32 = cv2.matchTemplate(search, template, cv2.TM_CCORR)
-    return result
+    return np.asarray(cv2.matchTemplate(search, template, cv2.TM_CCORR), np.float32)
 
 
 def _box_sums(search: Float32, side: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     plain, square = cv2.integral2(search, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
-    return _corners(plain, side), _corners(square, side)
+    return _corners(np.asarray(plain, np.float64), side), _corners(np.asarray(square, np.float64), side)
 
 
 def _corners(integral: NDArray[np.float64], side: int) -> NDArray[np.float64]:
@@ -167,7 +169,9 @@ def ssim(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.
     return _combine(mean_f, mean_s, var_f, var_s, covariance)
 
 
-def _combine(mean_f: Any, mean_s: Any, var_f: Any, var_s: Any, covariance: Any) -> NDArray[np.float64]:
+def _combine(
+    mean_f: Statistic, mean_s: Statistic, var_f: Statistic, var_s: Statistic, covariance: Statistic
+) -> NDArray[np.float64]:
     """Return luminance^α · contrast^β · structure^γ, the sign of the structure kept."""
     deviation = np.sqrt(var_f * var_s)
     luminance = (2 * mean_f * mean_s + C_LUMINANCE) / (mean_f**2 + mean_s**2 + C_LUMINANCE)

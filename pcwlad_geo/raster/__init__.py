@@ -1,0 +1,1 @@
+"""Files: bands, grids, CRS, validity, windows, warping, tie-point formats."""

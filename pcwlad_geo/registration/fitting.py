@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from pcwlad_geo.correction.accuracy import Accuracy
 from pcwlad_geo.correction.check_points import hold_out
@@ -17,6 +18,10 @@ from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.settings import Settings
 
 Float64 = NDArray[np.float64]
+
+NEIGHBOURS = 8
+NOISE_SHARE = 0.5
+"""Neighbours whose residuals differ by more than this share of their size do not share them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +63,26 @@ def fit_correction(
     residual = table.target_px - correction.forward(table.predicted_px)
     done = replace(table, status=status, residual_px=residual)
     return Fitted(done, correction, _accuracy(done, px_m))
+
+
+def shared_residual_px(table: TiePointTable) -> float:
+    """Return the size of the residuals (68 % are below) where neighbours share them, 0 where they are noise.
+
+    The points' sigmas cannot tell: a field too rough for its neighbours to predict raises them as noise does.
+
+    Parameters
+    ----------
+    table : TiePointTable
+        With residuals.
+    """
+    points = table.select("fit", "check")
+    if len(points) <= NEIGHBOURS:
+        return 0.0
+    _, near = cKDTree(points.predicted_px).query(points.predicted_px, k=NEIGHBOURS + 1)
+    around = np.median(points.residual_px[near[:, 1:]], axis=1)
+    size = np.percentile(np.linalg.norm(points.residual_px, axis=1), 68)
+    noise = np.percentile(np.linalg.norm(points.residual_px - around, axis=1), 68)
+    return float(size) if noise < NOISE_SHARE * size else 0.0
 
 
 def _accuracy(table: TiePointTable, px_m: tuple[float, float] | None) -> dict[str, Accuracy]:

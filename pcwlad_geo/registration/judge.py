@@ -106,10 +106,10 @@ def _reason(points: int, agreeing: int, cells: int, counts: dict[str, int], radi
     advice = (
         f"many best matches lie on the edge of the search radius of {radius_px} px: raise --search-radius"
         if border > 0.25
-        else f"the displacement may exceed the search radius of {radius_px} px (raise --search-radius or give "
-        "--prealign search), clouds may hide the ground, or the two do not show the same place"
+        else f"the displacement may exceed the search radius of {radius_px} px (raise --search-radius "
+        "or give --prealign search), clouds may hide the ground, or the two do not show the same place"
     )
     return (
-        f"only {points} of {candidates} candidates agree with their neighbours, in {agreeing} of {cells} separate "
-        f"places, no better than chance: {advice}"
+        f"only {points} of {candidates} candidates agree with their neighbours, in {agreeing} of {cells} "
+        f"separate places, no better than chance: {advice}"
     )

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.matcher import calibrate, consistent_points, guide_by_field
+from pcwlad_geo.matching.guidance import calibrate, guide_by_field
+from pcwlad_geo.matching.matcher import consistent_points
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.matching.tie_points import TiePoints
 from pcwlad_geo.raster.geodesy import pixel_size_m
@@ -21,7 +22,7 @@ from pcwlad_geo.raster.locate import locate
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
-from pcwlad_geo.registration.fitting import Fitted, fit_correction
+from pcwlad_geo.registration.fitting import Fitted, fit_correction, shared_residual_px
 from pcwlad_geo.registration.judge import Verdict, judge
 from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search, look_at, target_offset_px
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned, ignore
@@ -43,7 +44,7 @@ WINDOWS_ACROSS = 1.6
 FEATURE_AREA_PX = 1024
 """`features` candidates lie in a square of this side, or in the scene where that is smaller."""
 PARALLAX_PX = 0.5
-"""Residuals of which a third exceed this, and three times their sigmas, are worth a warning."""
+"""Residuals that neighbours share are worth a warning where a third of them exceed this."""
 
 PathLike = str | os.PathLike[str]
 
@@ -164,7 +165,8 @@ def _match(pair: ViewPair, look: Look, settings: Settings, log: _Log, executor: 
             if prealignment.method == "search" and pair.georeferenced:
                 col, row = prealignment.shift_px
                 log.warn(
-                    f"the georeferencing is off by about ({col:.0f}, {row:.0f}) px (col, row): found by a search"
+                    f"the georeferencing is off by about ({col:.0f}, {row:.0f}) px (col, row): "
+                    "found by a search"
                 )
             return result
     if result is None:
@@ -272,7 +274,8 @@ def _match_settings(
     if max(template, window) > most:
         template, window = min(template, most), min(window, most)
         log.warn(
-            f"narrow overlap of {narrow} px: matching windows shrunk to {template} px (coarse), {window} px (fine)"
+            f"narrow overlap of {narrow} px: matching windows shrunk to {template} px (coarse), "
+            f"{window} px (fine)"
         )
     margin = round(0.4 * template)
     area = min((rows - margin) * (cols - margin), FEATURE_AREA_PX**2)
@@ -313,13 +316,12 @@ def _warn_of_failures(results: list[TileResult], log: _Log) -> None:
 
 def _warn_of_parallax(fitted: Fitted, log: _Log) -> None:
     """Tell where points agree with their neighbours but not with any model: relief, another viewpoint."""
-    residual = fitted.table.select("fit", "check").residual_px
-    spread = float(np.percentile(np.hypot(residual[:, 0], residual[:, 1]), 68))
-    sigma = float(np.median(np.hypot(*fitted.table.select("fit", "check").sigma_px.T)))
-    if spread > max(PARALLAX_PX, 3 * sigma):
+    spread = shared_residual_px(fitted.table)
+    if spread > PARALLAX_PX:
         log.warn(
-            f"local displacements of {spread:.1f} px (68 % of the points) remain that the {fitted.correction.name} model does not "
-            "take out: parallax of another viewpoint, relief or sensor jitter; the corrected raster is off by as much"
+            f"local displacements of {spread:.1f} px (68 % of the points) remain that the "
+            f"{fitted.correction.name} model does not take out: parallax of another viewpoint, relief or "
+            "sensor jitter; the corrected raster is off by as much"
         )
 
 

@@ -1,9 +1,10 @@
-"""All options of a job in one frozen dataclass; the command line, the API and config files share its names."""
+"""All options of a job in one frozen dataclass; command line, API and config files share its names."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Literal, get_args, get_origin, get_type_hints
 
@@ -55,7 +56,7 @@ class Settings:
     model: Model = "auto"
     """Correction model."""
     grid: OutputGrid = "reference"
-    """Grid of the registered raster: the reference's CRS and alignment with the target's pixel size, or the target's own."""
+    """Registered raster on the reference's CRS and alignment (target's pixel size), or on the target's grid."""
     resampling: Resampling = "cubic"
     """Resampling of the registered raster."""
     tile_size: int = 1024
@@ -72,14 +73,18 @@ class Settings:
             ("jobs", 1),
             ("tile_size", 128),
         ):
-            _check(name, getattr(self, name), getattr(self, name) >= least, f"a whole number from {least}")
+            value = getattr(self, name)
+            _check(name, value, _whole(value) and value >= least, f"a whole number from {least}")
         for name in ("template", "window"):
             value = getattr(self, name)
-            _check(name, value, value % 2 == 1 and 21 <= value <= 513, "an odd number from 21 to 513")
+            odd = _whole(value) and value % 2 == 1
+            _check(name, value, odd and 21 <= value <= 513, "an odd number from 21 to 513")
         for name in ("points", "search_radius"):
             value = getattr(self, name)
-            _check(name, value, value is None or value >= 1, "a whole number from 1")
-        _check("ssim_min", self.ssim_min, -1.0 <= self.ssim_min < 1.0, "a number from -1 to below 1")
+            good = value is None or (_whole(value) and value >= 1)
+            _check(name, value, good, "a whole number from 1")
+        real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
+        _check("ssim_min", self.ssim_min, real, "a number from -1 to below 1")
         for name, hint in get_type_hints(type(self)).items():
             if get_origin(hint) is Literal:
                 value = getattr(self, name)
@@ -99,6 +104,10 @@ class Settings:
             if name not in known:
                 raise SettingsError(f"unknown option '{name}'; the options are {', '.join(sorted(known))}")
         return cls(**options)  # type: ignore[arg-type]  # names checked above, values in __post_init__
+
+
+def _whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def _check(name: str, value: object, good: bool, wanted: str) -> None:

@@ -66,14 +66,18 @@ def _submit(
     results: dict[int, T] = {}
     waiting: dict[Future[T], int] = {}
     upcoming = iter(enumerate(calls))
-    while len(results) < len(calls):
-        while len(waiting) < IN_FLIGHT and (following := next(upcoming, None)) is not None:
-            index, arguments = following
-            waiting[executor.submit(function, *arguments)] = index
-        finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
-        for future in finished:
-            results[waiting.pop(future)] = future.result()
-            on_event(Progress(stage, len(results), len(calls)))
+    try:
+        while len(results) < len(calls):
+            while len(waiting) < IN_FLIGHT and (following := next(upcoming, None)) is not None:
+                index, arguments = following
+                waiting[executor.submit(function, *arguments)] = index
+            finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in finished:
+                results[waiting.pop(future)] = future.result()
+                on_event(Progress(stage, len(results), len(calls)))
+    finally:  # after an error: the executor is the caller's and lives on
+        for future in waiting:
+            future.cancel()
     return [results[index] for index in range(len(calls))]
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching.guidance import FieldGuide
 from pcwlad_geo.matching.matcher import (
     HALO_PX,
     Core,
-    FieldGuide,
     margin_px,
     match_candidates,
     rematch,
@@ -89,7 +89,16 @@ def plan_tiles(
         for col, cols in _spans(region.col, region.cols, tile_size):
             core = Window(row, col, rows, cols)
             jobs.append(
-                TileJob(len(jobs), pair.reference, pair.target, region, core, target_offset_px, *epsilons, settings)
+                TileJob(
+                    len(jobs),
+                    pair.reference,
+                    pair.target,
+                    region,
+                    core,
+                    target_offset_px,
+                    *epsilons,
+                    settings,
+                )
             )
     return jobs
 

@@ -46,7 +46,7 @@ class Landscape:
         return value
 
     def image(self, side: int, band: int = 0, displacement: Field | None = None) -> Array:
-        """Return a (side, side) image; a feature at (x, y) of the plain image is at (x, y) + displacement(x, y).
+        """Return a (side, side) image: what the plain image has at (x, y) is at (x, y) + displacement(x, y).
 
         Coordinates are array indices, x along columns.
         """

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.matching.landscape import Landscape
 
 from pcwlad_geo.matching.keypoints import PER_CELL, by_cell, contrast_weight, detect_corners, strongest
 from pcwlad_geo.matching.phase_congruency import maximum_moment, oriented_phase_congruency, scene_epsilon
+from tests.matching.landscape import Landscape
 
 SIDE = 200
 
@@ -79,7 +79,7 @@ def test_cells_belong_to_the_scene_not_to_the_window(found: tuple[NDArray, NDArr
     corners, response = found
     whole = {tuple(corner) for corner in by_cell(corners, response, 32, (0, 0))}
     part = (corners >= (32, 64)).all(axis=1)
-    moved = by_cell(corners[part] - (32, 64), response[part], 32, (32, 64)) + (32, 64)
+    moved = by_cell(corners[part] - np.array([32, 64]), response[part], 32, (32, 64)) + np.array([32, 64])
     assert {tuple(corner) for corner in moved} == {c for c in whole if c[0] >= 32 and c[1] >= 64}
 
 

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from tests.matching.landscape import Landscape, constant
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.matcher import match_arrays, to_index
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.matching.tie_points import TiePoints
+from tests.matching.landscape import Landscape, constant
 
 SIDE = 230
 SHIFT_XY = (2.3, -3.6)
@@ -44,13 +44,22 @@ def test_a_cross_modal_pair_gives_its_known_shift() -> None:
     assert len(points) > 35
     assert np.linalg.norm(errors(points), axis=1).max() < 0.5
     assert np.sqrt((errors(points) ** 2).sum(axis=1).mean()) < 0.2
-    assert np.abs(np.median(errors(points), axis=0)).max() < 0.05
+    # what one band alone shows pulls all points of this scene a little, shifted or not
+    assert np.abs(np.median(errors(points), axis=0)).max() < 0.1
+
+
+def test_the_difference_of_two_results_is_the_known_shift() -> None:
+    before = match_arrays(image(0), image(1), settings=SMALL)
+    moved = np.median(cross_modal_points().displacement_px, axis=0) - np.median(
+        before.displacement_px, axis=0
+    )
+    np.testing.assert_allclose(moved, SHIFT_XY, atol=0.02)
 
 
 def test_the_sigmas_are_of_the_size_of_the_errors() -> None:
     points = cross_modal_points()
     within = (np.abs(errors(points)) < 1.96 * points.sigma_px).mean()
-    assert 0.8 < within
+    assert within > 0.8
     assert np.median(points.sigma_px) < 5 * np.abs(errors(points)).std()
 
 

@@ -7,7 +7,6 @@ import pytest
 import rasterio
 from numpy.typing import NDArray
 from phasepack import phasecong
-from tests.matching.landscape import Landscape
 
 from pcwlad_geo.matching.phase_congruency import (
     EPSILON_OF_BYTE_RANGE,
@@ -17,6 +16,7 @@ from pcwlad_geo.matching.phase_congruency import (
     oriented_phase_congruency,
     scene_epsilon,
 )
+from tests.matching.landscape import Landscape
 
 SIDE = 160
 

@@ -1,7 +1,6 @@
 from functools import cache
 
 import numpy as np
-from tests.matching.landscape import Landscape, constant
 
 from pcwlad_geo.matching.keypoints import FULL_SCALE
 from pcwlad_geo.matching.mutual_structure import mutual_structure
@@ -9,6 +8,7 @@ from pcwlad_geo.matching.phase_congruency import scene_epsilon
 from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
 from pcwlad_geo.matching.refinement import Refined, Start
 from pcwlad_geo.matching.structure_filter import passes_paper, shared_structure
+from tests.matching.landscape import Landscape, constant
 
 SIDE, WINDOW = 160, 41
 CORNERS = np.array([[80, 70], [75, 90], [90, 84]])

@@ -1,0 +1,93 @@
+"""What the displacement field of the first pass tells the second one, and the sigmas.
+
+The first pass finds every point on its own. All of them together show how windows deform, where the
+neighbours of a point agree, and how far the formal sigmas are from the truth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.matching import calibration, field
+from pcwlad_geo.matching.settings import MatchSettings
+from pcwlad_geo.matching.tie_points import TiePoints
+
+Float64 = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+LEAST_DEFORMATION_PX: Final = 0.05
+"""Deformations are modelled where they move the corner of a window by more than this."""
+LEAST_FOR_FIELD: Final = 24
+LARGEST_PULL_PX: Final = 1.0
+"""A point further than this from what its neighbours say keeps its own structure."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldGuide:
+    """What the displacement field tells the second pass about each point."""
+
+    linear: Float64
+    """(2, 2) deformation of the windows; zeros where it is negligible."""
+    structure_xy_px: Float64
+    """(n, 2) shift at which mutual structure is taken; NaN: at the point's own position."""
+    neighbours: int
+    """Points that predict a displacement; 0 where there are too few points for a field."""
+    shared_variance_px2: float
+    """Variance, per axis, of the error that points guided by the same neighbours share."""
+
+    @property
+    def deforms(self) -> bool:
+        """Whether windows deform."""
+        return bool(np.abs(self.linear).max() > 0)
+
+    def part(self, index: Index) -> FieldGuide:
+        """Return the guide of some of the points."""
+        return replace(self, structure_xy_px=self.structure_xy_px[index])
+
+    def moved(self, shift_xy_px: Float64) -> FieldGuide:
+        """Return the guide with a constant (col, row) added to its shifts."""
+        return replace(self, structure_xy_px=self.structure_xy_px + shift_xy_px)
+
+
+def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
+    """Learn from all consistent points what the second pass needs.
+
+    Parameters
+    ----------
+    points : TiePoints
+        Consistent points of the first pass, of the whole scene.
+    settings : MatchSettings
+    """
+    nowhere = np.full((len(points), 2), np.nan)
+    if len(points) < LEAST_FOR_FIELD:
+        return FieldGuide(np.zeros((2, 2)), nowhere, 0, 0.0)
+    xy, moved = points.reference_xy_px, points.displacement_px
+    linear, linear_sigma = field.global_affine(xy, moved)
+    reach = settings.window / 2 * np.sqrt(2)
+    if np.abs(linear).max() * reach < LEAST_DEFORMATION_PX or (np.abs(linear) < 3 * linear_sigma).all():
+        linear = np.zeros((2, 2))
+    count, residual = field.choose_neighbour_count(xy, moved, settings.window)
+    if settings.consensus == "off":
+        return FieldGuide(linear, nowhere, count, 0.0)
+    predicted = field.predict(xy, moved, xy, count)
+    rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
+    apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
+    structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
+    shared = calibration.shared_variance(xy, residual, settings.window, count)
+    return FieldGuide(linear, structure, count, shared)
+
+
+def calibrate(points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
+    """Return consistent points of the whole scene with calibrated covariances."""
+    residual = np.full((len(points), 2), np.nan)
+    if guide.neighbours:
+        residual = field.independent_residual(
+            points.reference_xy_px, points.displacement_px, settings.window, guide.neighbours
+        )
+    scale = calibration.sigma_scale(residual, points.covariance_px2)
+    covariance = calibration.calibrated(points.covariance_px2, scale, guide.shared_variance_px2)
+    return replace(points, covariance_px2=covariance)

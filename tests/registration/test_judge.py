@@ -1,0 +1,84 @@
+"""When a pair counts as registered."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.registration.judge import LEAST_POINTS, Verdict, judge
+
+WINDOW_PX, RADIUS_PX = 41, 12
+COUNTS = {"candidates": 200}
+
+
+def matches(n: int, side_px: float, *, right: float, seed: int = 0) -> tuple[TiePoints, NDArray[np.bool_]]:
+    """Return n matches in a square, this share of them at (3, -2) px, the others anywhere in the search window."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, side_px, (n, 2))
+    moved = rng.uniform(-RADIUS_PX, RADIUS_PX, (n, 2))
+    kept = np.arange(n) < round(right * n)
+    moved[kept] = [3, -2] + rng.normal(0, 0.1, (int(kept.sum()), 2))
+    covariance = np.tile(0.01 * np.eye(2), (n, 1, 1))
+    return TiePoints(xy, xy + moved, covariance, np.full(n, 0.5)), kept
+
+
+def verdict(points: tuple[TiePoints, NDArray[np.bool_]], **counts: int) -> Verdict:
+    return judge(*points, {**COUNTS, **counts}, WINDOW_PX, RADIUS_PX)
+
+
+def test_points_that_agree_all_over_the_scene_are_accepted() -> None:
+    found = verdict(matches(200, 400, right=0.9))
+    assert found.accepted
+    assert found.reason is None
+    assert found.significance > 20
+    assert found.agreeing_cells > 0.8 * found.cells
+
+
+def test_random_matches_are_refused() -> None:
+    for seed in range(20):
+        points, _ = matches(200, 400, right=0.0, seed=seed)
+        near = np.linalg.norm(points.displacement_px - np.median(points.displacement_px, axis=0), axis=1) < 3
+        found = verdict((points, near))
+        assert not found.accepted
+        assert "no better than chance" in (found.reason or "")
+        assert f"{int(near.sum())} of 200 candidates" in (found.reason or "")
+
+
+def test_many_points_in_one_place_are_one_witness() -> None:
+    found = verdict(matches(200, 40, right=1.0))
+    assert found.cells <= 4
+    assert not found.accepted
+
+
+def test_too_few_points_are_refused_however_well_they_agree() -> None:
+    assert verdict(matches(LEAST_POINTS, 300, right=1.0)).accepted
+    assert not verdict(matches(LEAST_POINTS - 1, 300, right=1.0)).accepted
+
+
+def test_an_affine_field_counts_as_agreement() -> None:
+    points, kept = matches(200, 400, right=1.0)
+    tilted = points.reference_xy_px @ np.array([[1.02, 0.01], [-0.015, 0.98]]).T + [3, -2]
+    stretched = TiePoints(points.reference_xy_px, tilted, points.covariance_px2, points.score)
+    assert verdict((stretched, kept)).accepted
+
+
+def test_no_point_at_all() -> None:
+    found = verdict((TiePoints.empty(), np.zeros(0, bool)))
+    assert not found.accepted
+    assert found.cells == found.agreeing_cells == 0
+
+
+@pytest.mark.parametrize(
+    ("counts", "advice"),
+    [
+        ({"candidates": 0}, "no structure to match"),
+        ({"not_comparable": 195}, "enough valid pixels"),
+        ({"at_search_border": 80}, "lie on the edge of the search radius of 12 px: raise --search-radius"),
+        ({}, r"may exceed the search radius of 12 px \(raise --search-radius"),
+    ],
+)
+def test_the_reason_says_what_to_do(counts: dict[str, int], advice: str) -> None:
+    import re
+
+    found = verdict(matches(100, 400, right=0.0), **counts)
+    assert re.search(advice, found.reason or "")

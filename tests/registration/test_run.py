@@ -1,0 +1,418 @@
+"""The job, files in, registration out: known displacements come back, whatever the two rasters are like."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from scipy.spatial import cKDTree
+from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, Array, make_grid, render, write
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.registration.progress import Event, Progress, Warned
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.settings import Settings
+
+SMALL = {"template": 61, "window": 41, "features": 100}
+SHIFT_PX = (3.3, -2.6)
+REFERENCE = make_grid((200, 200))
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Pair:
+    reference: Path
+    target: Path
+
+    def run(self, **options: Any) -> Registration:
+        return run(self.reference, self.target, Settings(**{**SMALL, **options}))
+
+
+def write_pair(
+    folder: Path, target: Grid, reference: Grid = REFERENCE, *, shift_px: tuple[float, float] = SHIFT_PX
+) -> Pair:
+    """Write a scene and the negative of it, displaced by so many of its own pixels."""
+    seen = 255 - render(target, displacement_px=shift_px)
+    return Pair(write(folder / "ref.tif", render(reference), reference), write(folder / "tgt.tif", seen, target))
+
+
+def check(found: Registration, shift_px: tuple[float, float] = SHIFT_PX, *, within_px: float = 0.05) -> None:
+    """Points and model say the displacement everywhere; a sign or a half pixel wrong would show."""
+    assert found.status == "registered", found.reason
+    assert found.correction is not None
+    points = found.tie_points.select("fit", "check", "unused")
+    assert len(points) >= 30
+    apart = points.displacement_px - shift_px
+    assert np.abs(np.median(apart, axis=0)).max() <= within_px
+    assert np.percentile(np.hypot(*apart.T), 95) <= 0.3
+    rows, cols = found.target.grid.shape
+    corners = np.array([[0.0, 0], [cols, 0], [cols, rows], [0, rows]])
+    assert np.abs(found.correction.forward(corners) - corners - shift_px).max() <= 2 * within_px
+
+
+def in_crs(crs: CRS, shape: tuple[int, int], size_xy: tuple[float, float]) -> Grid:
+    """Return a grid of another CRS over the middle of the reference."""
+    middle = REFERENCE.to_xy(np.array([[100.0, 100.0]]))
+    x, y = transform_xy(middle, CRS_OF_SCENE, crs)[0]
+    rows, cols = shape
+    origin = (x - cols / 2 * size_xy[0], y + rows / 2 * size_xy[1])
+    return Grid(shape, Affine(size_xy[0], 0, origin[0], 0, -size_xy[1], origin[1]), crs)
+
+
+GEOMETRIES = {
+    "another extent": (make_grid((170, 220), offset_m=(300, -450)), REFERENCE),
+    "grids a fraction of a pixel apart": (make_grid((190, 190), offset_m=(100, 47)), REFERENCE),
+    "target three times finer": (make_grid((560, 540), pixel_m=10, offset_m=(70, 130)), REFERENCE),
+    "target three times coarser": (make_grid((190, 190)), make_grid((540, 560), pixel_m=10, offset_m=(70, 130))),
+    "target 2.5 times finer": (make_grid((470, 450), pixel_m=12, offset_m=(70, 130)), REFERENCE),
+    "target 2.5 times coarser": (make_grid((190, 190)), make_grid((450, 470), pixel_m=12, offset_m=(70, 130))),
+    "target a little finer": (make_grid((210, 210), pixel_m=28), REFERENCE),
+    "target south-up": (make_grid((200, 190), offset_m=(60, 0), south_up=True), REFERENCE),
+    "both south-up": (make_grid((200, 190), offset_m=(75, 0), south_up=True), make_grid((200, 200), south_up=True)),
+    "target rotated": (make_grid((190, 190), offset_m=(450, -600), rotation_deg=-12), REFERENCE),
+    "target rotated by a right angle": (make_grid((190, 190), offset_m=(0, 6000), rotation_deg=90), REFERENCE),
+    "next UTM zone": (in_crs(CRS.from_epsg(32634), (190, 190), (30.0, 30.0)), REFERENCE),
+    "geographic": (in_crs(CRS.from_epsg(4326), (190, 190), (3.6e-4, 2.7e-4)), REFERENCE),
+}
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_recovers_the_displacement_on_any_pair_of_grids(name: str, tmp_path: Path) -> None:
+    target, reference = GEOMETRIES[name]
+    step = np.sqrt(abs(np.linalg.det(np.array(reference.transform[:6]).reshape(2, 3)[:, :2])))
+    finer = step / np.sqrt(abs(np.linalg.det(np.array(target.transform[:6]).reshape(2, 3)[:, :2])))
+    scale = max(1.0, finer) if target.crs == CRS_OF_SCENE else 1.0
+    shift_px = (SHIFT_PX[0] * scale, SHIFT_PX[1] * scale)
+    found = write_pair(tmp_path, target, reference, shift_px=shift_px).run()
+    check(found, shift_px, within_px=0.05 * scale)
+    assert found.prealignment.method == "georeferencing"
+    assert found.warnings == ()
+
+
+def test_displacement_in_metres_runs_along_the_reference_axes(tmp_path: Path) -> None:
+    found = write_pair(tmp_path, make_grid((200, 200), south_up=True)).run()
+    east, north = np.median(found.tie_points.select("fit", "check").displacement_m, axis=0)
+    assert east == pytest.approx(SHIFT_PX[0] * 30, abs=2)
+    assert north == pytest.approx(SHIFT_PX[1] * 30, abs=2)  # rows of a south-up raster run north
+
+
+def test_another_modality(tmp_path: Path) -> None:
+    grid = make_grid((260, 260))
+    reference = write(tmp_path / "b4.tif", render(grid), grid)
+    target = write(tmp_path / "b10.tif", render(grid, "thermal", displacement_px=SHIFT_PX), grid)
+    check(run(reference, target, Settings(template=81, window=81, features=100)), within_px=0.1)
+
+
+@pytest.mark.parametrize(("driver", "options"), [
+    ("JPEG", {"dtype": "uint8", "quality": 95}),
+    ("JP2OpenJPEG", {"quality": 100, "reversible": True}),
+])
+def test_jpeg_and_jpeg_2000(driver: str, options: dict[str, Any], tmp_path: Path) -> None:
+    suffix = {"JPEG": "jpg", "JP2OpenJPEG": "jp2"}[driver]
+    reference = write(tmp_path / f"ref.{suffix}", render(REFERENCE), REFERENCE, driver=driver, **options)
+    values = render(REFERENCE, displacement_px=SHIFT_PX)
+    target = write(tmp_path / f"tgt.{suffix}", values, REFERENCE, driver=driver, **options)
+    found = run(reference, target, Settings(**SMALL))
+    assert found.reference.georeferenced
+    check(found)
+
+
+def test_without_georeferencing_pixels_are_compared_and_a_search_finds_the_start(tmp_path: Path) -> None:
+    grid = make_grid((240, 240))
+    reference = write(tmp_path / "ref.png", render(grid), None, driver="PNG")
+    target = write(tmp_path / "tgt.png", render(grid, displacement_px=(37.4, -22.7)), None, driver="PNG")
+    found = Pair(reference, target).run()
+    check(found, (37.4, -22.7))
+    assert found.prealignment.method == "search"
+    assert found.px_m is None
+    assert np.isnan(found.tie_points.displacement_m).all()
+    (warning,) = found.warnings
+    assert "no georeferencing" in warning
+
+
+def test_one_of_the_two_without_georeferencing(tmp_path: Path) -> None:
+    reference = write(tmp_path / "ref.tif", render(REFERENCE), REFERENCE)
+    target = write(tmp_path / "tgt.tif", render(REFERENCE, displacement_px=SHIFT_PX), None)
+    found = Pair(reference, target).run()
+    check(found)
+    assert any("no georeferencing" in warning and "tgt.tif" in warning for warning in found.warnings)
+    np.testing.assert_allclose(
+        found.tie_points.xy, REFERENCE.to_xy(found.tie_points.reference_px), rtol=0, atol=1e-6
+    )
+
+
+# --- pixels that do not count ----------------------------------------------------------------------------
+
+def decoy(grid: Grid) -> tuple[Array, Array, Mask]:
+    """Return reference, target and the pixels of the target that are no ground: a pattern of both, not displaced."""
+    reference, target = render(grid), render(grid, displacement_px=SHIFT_PX)
+    excluded = np.zeros(grid.shape, bool)
+    excluded[:, :95] = True
+    target[excluded] = reference[excluded]
+    return reference, target, excluded
+
+
+def check_excluded(found: Registration, excluded: Mask) -> None:
+    check(found)
+    points = found.tie_points.select("fit", "check", "unused")
+    col, row = np.floor(points.target_px).astype(int).T
+    assert not excluded[row, col].any()
+
+
+@pytest.mark.parametrize("how", ["mask file", "internal mask", "alpha", "nodata", "nan", "infinite"])
+def test_excluded_pixels_are_not_matched(how: str, tmp_path: Path) -> None:
+    grid = make_grid((220, 240))
+    values, seen, excluded = decoy(grid)
+    options: dict[str, Any] = {}
+    reference = write(tmp_path / "ref.tif", values, grid)
+    target = tmp_path / "tgt.tif"
+    if how == "mask file":
+        options["tgt_mask"] = write(tmp_path / "mask.tif", (~excluded).astype(np.uint8), grid, dtype="uint8")
+        write(target, seen, grid)
+    elif how == "internal mask":
+        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
+            write(target, seen, grid)
+            with rasterio.open(target, "r+") as file:
+                file.write_mask(~excluded)
+    elif how == "alpha":
+        bands = np.stack([np.clip(seen, 1, 255), np.where(excluded, 0.0, 255.0)]).round().astype(np.uint8)
+        write(target, bands, grid, dtype="uint8", photometric="MINISBLACK", alpha="YES")
+    elif how == "nodata":
+        write(target, np.where(excluded, -9999.0, seen), grid, dtype="float32", nodata=-9999)
+    else:
+        hole = np.nan if how == "nan" else np.inf
+        write(target, np.where(excluded, hole, seen), grid, dtype="float32")
+    check_excluded(Pair(reference, target).run(**options), excluded)
+
+
+def test_the_decoy_would_be_seen(tmp_path: Path) -> None:
+    """The test above is worth something: without the mask the pattern is matched."""
+    grid = make_grid((220, 240))
+    values, seen, _ = decoy(grid)
+    pair = Pair(write(tmp_path / "ref.tif", values, grid), write(tmp_path / "tgt.tif", seen, grid))
+    moved = run(pair.reference, pair.target, Settings(**SMALL), match_only=True).tie_points.displacement_px
+    assert (np.hypot(*moved.T) < 0.2).sum() > 10
+
+
+def test_mask_of_the_reference(tmp_path: Path) -> None:
+    grid = make_grid((220, 240))
+    values, seen, excluded = decoy(grid)
+    mask = write(tmp_path / "mask.tif", (~excluded).astype(np.uint8), grid, dtype="uint8")
+    pair = Pair(write(tmp_path / "ref.tif", values, grid), write(tmp_path / "tgt.tif", seen, grid))
+    found = pair.run(ref_mask=mask)
+    check(found)
+    assert found.tie_points.select("fit", "check", "unused").reference_px[:, 0].min() > 95
+
+
+# --- models and accuracy ---------------------------------------------------------------------------------
+
+AFFINE = np.array([[1.004, -0.003], [0.002, 0.995]])
+
+
+def test_recovers_an_affine_displacement(tmp_path: Path) -> None:
+    grid = make_grid((260, 260))
+    reference = write(tmp_path / "ref.tif", render(grid), grid)
+    seen = render(grid, linear=AFFINE, displacement_px=SHIFT_PX)
+    target = write(tmp_path / "tgt.tif", seen, grid)
+    found = run(reference, target, Settings(template=61, window=41, features=200))
+    assert found.status == "registered", found.reason
+    assert found.correction is not None
+    assert found.correction.name == "affine"
+    places = np.array([[30.0, 30], [230, 30], [230, 230], [30, 230], [130, 130]])
+    truth = places @ AFFINE.T + SHIFT_PX
+    assert np.abs(found.correction.forward(places) - truth).max() < 0.05
+    table = found.tie_points.select("fit", "check")
+    residual = table.target_px - found.correction.forward(table.predicted_px)
+    np.testing.assert_allclose(table.residual_px, residual, atol=1e-9)
+    assert found.accuracy["fit_px"].rmse < 0.1
+    assert np.sqrt(np.mean(residual**2, axis=0)).max() < 0.1
+
+
+def test_local_displacements_are_registered_with_a_warning(tmp_path: Path) -> None:
+    grid = make_grid((320, 320))
+
+    def waves(predicted_px: Array) -> Array:
+        phase = 2 * np.pi * predicted_px[:, ::-1] / 300
+        return np.asarray(1.8 * np.sin(phase))
+
+    reference = write(tmp_path / "ref.tif", render(grid), grid)
+    target = write(tmp_path / "tgt.tif", render(grid, local=waves), grid)
+    found = run(reference, target, Settings(template=61, window=41, features=150))
+    assert found.status == "registered", found.reason
+    (warning,) = found.warnings
+    assert "parallax" in warning
+    points = found.tie_points.select("fit", "check", "unused")
+    apart = points.displacement_px - waves(points.predicted_px)
+    assert np.median(np.hypot(*apart.T)) < 0.15  # the tie points themselves are right
+
+
+def test_forward_and_backward_agree(tmp_path: Path) -> None:
+    pair = write_pair(tmp_path, make_grid((200, 200), offset_m=(12, -9)))
+    there, back = pair.run(model="shift"), Pair(pair.target, pair.reference).run(model="shift")
+    assert there.correction is not None
+    assert back.correction is not None
+    zero = np.zeros((1, 2))
+    assert np.abs(there.correction.forward(zero) + back.correction.forward(zero)).max() <= 0.02
+
+
+def test_same_file_and_band_is_registered_with_zero_displacement_and_a_warning(tmp_path: Path) -> None:
+    path = write(tmp_path / "ref.tif", render(REFERENCE), REFERENCE)
+    found = run(path, f"{tmp_path}/./ref.tif", Settings(**SMALL))
+    check(found, (0.0, 0.0), within_px=1e-4)
+    assert any("same file and band" in warning for warning in found.warnings)
+
+
+def test_wrong_georeferencing_is_searched_and_told(tmp_path: Path) -> None:
+    grid = make_grid((260, 260))
+    pair = write_pair(tmp_path, grid, grid, shift_px=(41.2, -30.7))
+    found = pair.run()
+    check(found, (41.2, -30.7))
+    assert found.prealignment.method == "search"
+    assert any("(41, -31) px" in warning for warning in found.warnings)
+
+
+def test_displacement_beyond_a_given_radius_is_refused(tmp_path: Path) -> None:
+    grid = make_grid((260, 260))
+    found = write_pair(tmp_path, grid, grid, shift_px=(41.2, -30.7)).run(search_radius=10)
+    assert found.status == "rejected"
+    assert found.correction is None
+    assert "raise --search-radius" in (found.reason or "")
+    assert "10 px" in (found.reason or "")
+
+
+def test_unrelated_scenes_are_refused(tmp_path: Path) -> None:
+    grid = make_grid((220, 220))
+    reference = write(tmp_path / "ref.tif", render(grid, seed=1), grid)
+    target = write(tmp_path / "tgt.tif", render(grid, seed=2), grid)
+    found = Pair(reference, target).run()
+    assert found.status == "rejected"
+    assert "no better than chance" in (found.reason or "")
+    assert found.accuracy == {}
+
+
+def test_narrow_overlap_shrinks_the_windows_and_says_so(tmp_path: Path) -> None:
+    grid = make_grid((300, 300), offset_m=(240 * 30, 0))  # 60 columns in common
+    reference = make_grid((300, 300))
+    seen = 255 - render(grid, displacement_px=(1.3, -0.6))
+    pair = Pair(write(tmp_path / "ref.tif", render(reference), reference), write(tmp_path / "tgt.tif", seen, grid))
+    found = run(pair.reference, pair.target, Settings(features=150))
+    assert any("windows shrunk to 41 px" in warning for warning in found.warnings)
+    check(found, (1.3, -0.6))
+
+
+# --- tiles, executors, events ----------------------------------------------------------------------------
+
+@cache
+def tiled(tile_size: int, folder: Path, jobs: int = 1) -> Registration:
+    return Pair(folder / "ref.tif", folder / "tgt.tif").run(tile_size=tile_size, jobs=jobs, features=120)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scene")
+    grid = make_grid((400, 400))
+    write_pair(folder, grid, grid)
+    return folder
+
+
+@pytest.mark.parametrize("tile_size", [128, 160])
+def test_tile_size_does_not_matter(tile_size: int, scene: Path) -> None:
+    whole, parts = tiled(1024, scene), tiled(tile_size, scene)
+    assert whole.counts["tiles"] == 1
+    assert parts.counts["tiles"] >= 9
+    a, b = (each.tie_points.select("fit", "check", "unused") for each in (whole, parts))
+    distance, nearest = cKDTree(b.reference_px).query(a.reference_px)
+    common = distance < 0.01
+    assert common.sum() >= 0.98 * max(len(a), len(b))
+    apart = a.target_px[common] - b.target_px[nearest[common]]
+    assert np.abs(apart).max() <= 0.02
+
+
+def assert_identical(a: Registration, b: Registration) -> None:
+    for name in ("reference_px", "target_px", "covariance_px2", "residual_px", "status"):
+        np.testing.assert_array_equal(getattr(a.tie_points, name), getattr(b.tie_points, name))
+    assert a.counts == b.counts
+    assert a.correction is not None
+    assert b.correction is not None
+    assert a.correction.to_dict() == b.correction.to_dict()
+
+
+def test_threads_give_the_same_to_the_last_bit(scene: Path) -> None:
+    with ThreadPoolExecutor(2) as executor:
+        settings = Settings(**{**SMALL, "tile_size": 160, "features": 120})
+        found = run(scene / "ref.tif", scene / "tgt.tif", settings, executor=executor)
+    assert_identical(found, tiled(160, scene))
+
+
+def test_processes_give_the_same_to_the_last_bit(scene: Path) -> None:
+    assert_identical(tiled(160, scene, jobs=2), tiled(160, scene))
+
+
+def test_events_tell_the_stages_in_order(tmp_path: Path) -> None:
+    pair = write_pair(tmp_path, make_grid((200, 200)))
+    events: list[Event] = []
+    run(pair.reference, pair.target, Settings(**SMALL), on_event=events.append)
+    steps = [event for event in events if isinstance(event, Progress)]
+    stages = list(dict.fromkeys(step.stage for step in steps))
+    assert stages == ["reading", "matching", "refining", "fitting"]
+    for stage in stages:
+        done = [step.done for step in steps if step.stage == stage]
+        assert done == list(range(len(done)))
+        assert done[-1] == {step.total for step in steps if step.stage == stage}.pop()
+    order = [stages.index(step.stage) for step in steps]
+    assert order == sorted(order)
+
+
+def test_warnings_are_events_and_kept(tmp_path: Path) -> None:
+    path = write(tmp_path / "ref.tif", render(REFERENCE), REFERENCE)
+    events: list[Event] = []
+    found = run(path, path, Settings(**SMALL), on_event=events.append)
+    assert tuple(event.message for event in events if isinstance(event, Warned)) == found.warnings
+
+
+class Stopped(Exception):
+    pass
+
+
+@pytest.mark.parametrize("stage", ["reading", "matching", "refining", "fitting"])
+def test_an_exception_of_the_callback_ends_the_job(stage: str, tmp_path: Path) -> None:
+    pair = write_pair(tmp_path, make_grid((160, 160)), make_grid((160, 160)))
+
+    def stop(event: Event) -> None:
+        if isinstance(event, Progress) and event.stage == stage:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        run(pair.reference, pair.target, Settings(**SMALL), on_event=stop)
+
+
+def test_match_only_fits_nothing(tmp_path: Path) -> None:
+    pair = write_pair(tmp_path, make_grid((200, 200)))
+    found = run(pair.reference, pair.target, Settings(**SMALL), match_only=True)
+    assert found.status == "matched"
+    assert found.correction is None
+    assert set(found.tie_points.status) <= {"matched", "rejected"}
+    assert np.isnan(found.tie_points.residual_px).all()
+
+
+def test_points_limits_the_fit_and_keeps_the_rest_as_unused(tmp_path: Path) -> None:
+    found = write_pair(tmp_path, make_grid((200, 200))).run(points=25, features=200)
+    status = found.tie_points.status
+    assert 12 <= (status == "fit").sum() <= 25
+    assert (status == "unused").sum() > 0
+    check(found)

@@ -1,0 +1,110 @@
+"""Tiles cover the scene once, and together give what one tile gives."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.scenes import make_grid, render, write
+
+from pcwlad_geo.matching.matcher import guide_by_field
+from pcwlad_geo.matching.phase_congruency import scene_epsilon
+from pcwlad_geo.matching.settings import MatchSettings
+from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster.windows import Window
+from pcwlad_geo.registration.tiles import (
+    TileJob,
+    common_region,
+    match_tile,
+    plan_tiles,
+    rematch_tile,
+)
+
+SHIFT_PX = (2.4, -1.3)
+SETTINGS = MatchSettings(template=61, window=41, features=80, features_area_px2=180.0**2, search_radius=8)
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> ViewPair:
+    """Two rasters of 220 x 240 px, the second starts 20 columns and 10 rows later."""
+    folder = tmp_path_factory.mktemp("tiles")
+    first, second = make_grid((220, 240)), make_grid((220, 240), offset_m=(600, 300))
+    return plan_views(
+        describe(write(folder / "ref.tif", render(first), first)),
+        describe(write(folder / "tgt.tif", render(second, displacement_px=SHIFT_PX), second)),
+    )
+
+
+def plan(pair: ViewPair, tile_size: int) -> list[TileJob]:
+    epsilons = (scene_epsilon(np.arange(255.0)), scene_epsilon(np.arange(255.0)))
+    return plan_tiles(pair, (-20, -10), epsilons, SETTINGS, tile_size)
+
+
+def test_common_region(pair: ViewPair) -> None:
+    assert common_region(pair, (-20, -10)) == Window(10, 20, 210, 220)
+    assert common_region(pair, (30, 5)) == Window(0, 0, 215, 210)
+    assert common_region(pair, (500, 0)).empty
+
+
+@pytest.mark.parametrize("tile_size", [128, 70, 33, 1000])
+def test_cores_cover_the_common_region_once(pair: ViewPair, tile_size: int) -> None:
+    jobs = plan(pair, tile_size)
+    covered = np.zeros((220, 240), int)
+    for job in jobs:
+        rows = slice(job.core.row, job.core.row + job.core.rows)
+        covered[rows, job.core.col : job.core.col + job.core.cols] += 1
+        assert max(job.core.shape) <= 1.3 * tile_size
+    assert (covered[10:, 20:] == 1).all()
+    assert covered[:10].sum() == covered[:, :20].sum() == 0
+    assert [job.id for job in jobs] == list(range(len(jobs)))
+
+
+def test_a_job_is_small(pair: ViewPair) -> None:
+    job = plan(pair, 128)[0]
+    assert len(pickle.dumps(job)) < 8000
+    assert pickle.loads(pickle.dumps(job)) == job
+
+
+def test_points_are_in_pixels_of_the_views(pair: ViewPair) -> None:
+    job = plan(pair, 1000)[0]
+    result = match_tile(job)
+    assert result.status == "matched"
+    assert len(result.points) >= 30
+    # the grids lie (-20, -10) px apart, the content (2.4, -1.3) px from where they say
+    apart = result.points.displacement_px - np.array([-20, -10]) - SHIFT_PX
+    assert np.abs(np.median(apart, axis=0)).max() < 0.05
+    again = rematch_tile(job, result.points, guide_by_field(result.points, job.settings)).points
+    np.testing.assert_array_equal(again.reference_xy_px, result.points.reference_xy_px)
+    apart = again.displacement_px - np.array([-20, -10]) - SHIFT_PX
+    assert np.abs(np.median(apart, axis=0)).max() < 0.03
+    assert result.counts["candidates"] >= len(result.points)
+
+
+def test_every_candidate_belongs_to_one_tile(pair: ViewPair) -> None:
+    whole = match_tile(plan(pair, 1000)[0])
+    parts = [match_tile(job) for job in plan(pair, 100)]
+    assert len(parts) >= 4
+    assert sum(part.counts.get("candidates", 0) for part in parts) == pytest.approx(
+        whole.counts["candidates"], rel=0.02
+    )
+    places = np.concatenate([part.points.reference_xy_px for part in parts])
+    assert len(np.unique(places, axis=0)) == len(places)
+
+
+def test_a_tile_without_valid_pixels_is_empty(pair: ViewPair) -> None:
+    job = replace(plan(pair, 128)[0], target_offset_px=(5000, 0))
+    result = match_tile(job)
+    assert result.status == "empty"
+    assert len(result.points) == 0
+
+
+def test_a_tile_that_cannot_be_read_says_why(pair: ViewPair, tmp_path: Path) -> None:
+    job = plan(pair, 128)[0]
+    gone = replace(job.target, info=replace(job.target.info, uri=str(tmp_path / "gone.tif")))
+    result = match_tile(replace(job, target=gone))
+    assert result.status == "failed"
+    assert "gone.tif does not exist" in (result.reason or "")
