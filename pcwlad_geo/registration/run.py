@@ -205,7 +205,7 @@ def _match_from(
     """Both passes over all tiles, from one start."""
     offset = target_offset_px(pair, prealignment)
     matching = _match_settings(pair, offset, prealignment, settings, log)
-    jobs = plan_tiles(pair, offset, look.epsilons, matching, settings.tile_size)
+    jobs = plan_tiles(pair, offset, look.scenes, matching, settings.tile_size)
     with log.stage("matching"):
         first = run_tasks(
             match_tile, [(job,) for job in jobs], "matching", executor, settings.jobs, log.on_event

@@ -56,7 +56,7 @@ class Settings:
     model: Model = "auto"
     """Correction model."""
     grid: OutputGrid = "reference"
-    """Registered raster on the reference's CRS and alignment (target's pixel size), or on the target's grid."""
+    """Registered raster: the reference's CRS and alignment (target's pixel size), or the target's grid."""
     resampling: Resampling = "cubic"
     """Resampling of the registered raster."""
     tile_size: int = 1024

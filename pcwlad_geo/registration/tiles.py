@@ -19,6 +19,7 @@ from pcwlad_geo.matching.matcher import (
     match_candidates,
     rematch,
 )
+from pcwlad_geo.matching.noise import Noise
 from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
 from pcwlad_geo.matching.settings import TRAITS, MatchSettings
 from pcwlad_geo.matching.tie_points import TiePoints
@@ -30,6 +31,14 @@ CELL_MARGIN_PX: Final = 64
 """A cell that begins in the core may reach beyond it."""
 ONE_TILE: Final = 1.3
 """A scene is one tile up to this many tile sizes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What all tiles of a band have in common, measured once."""
+
+    epsilon: float
+    noise: Noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +54,8 @@ class TileJob:
     """Part of the reference view whose corners are matched."""
     target_offset_px: tuple[int, int]
     """(col, row): target-view px at the start of the search minus reference-view px."""
-    reference_epsilon: float
-    target_epsilon: float
+    reference_scene: Scene
+    target_scene: Scene
     settings: MatchSettings
 
 
@@ -66,7 +75,7 @@ class TileResult:
 def plan_tiles(
     pair: ViewPair,
     target_offset_px: tuple[int, int],
-    epsilons: tuple[float, float],
+    scenes: tuple[Scene, Scene],
     settings: MatchSettings,
     tile_size: int,
 ) -> list[TileJob]:
@@ -77,8 +86,8 @@ def plan_tiles(
     pair : ViewPair
     target_offset_px : (int, int)
         (col, row) from reference view to target view, pre-alignment included.
-    epsilons : (float, float)
-        Of reference and target scene.
+    scenes : (Scene, Scene)
+        Of reference and target.
     settings : MatchSettings
     tile_size : int
         Core of a tile, px.
@@ -96,7 +105,7 @@ def plan_tiles(
                     region,
                     core,
                     target_offset_px,
-                    *epsilons,
+                    *scenes,
                     settings,
                 )
             )
@@ -167,8 +176,8 @@ def _prepare(job: TileJob) -> tuple[PreparedPair, Window] | None:
     if not reference.valid.any() or not target.valid.any():
         return None
     pair = prepare(
-        Image(reference.values, reference.valid, job.reference_epsilon),
-        Image(target.values, target.valid, job.target_epsilon),
+        Image(reference.values, reference.valid, job.reference_scene.epsilon, job.reference_scene.noise),
+        Image(target.values, target.valid, job.target_scene.epsilon, job.target_scene.noise),
         oriented=TRAITS[job.settings.method].oriented,
     )
     return pair, window

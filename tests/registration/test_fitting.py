@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.registrations import make_registration
 
 from pcwlad_geo.raster.tie_point_table import Array, TiePointTable
 from pcwlad_geo.registration.fitting import fit_correction, shared_residual_px
 from pcwlad_geo.registration.settings import Settings
+from tests.registrations import make_registration
 
 MATRIX = np.array([[1.003, -0.002, 1.25], [0.001, 0.996, -0.5]])
 

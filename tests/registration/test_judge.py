@@ -1,5 +1,7 @@
 """When a pair counts as registered."""
 
+import re
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -12,12 +14,12 @@ COUNTS = {"candidates": 200}
 
 
 def matches(n: int, side_px: float, *, right: float, seed: int = 0) -> tuple[TiePoints, NDArray[np.bool_]]:
-    """Return n matches in a square, this share of them at (3, -2) px, the others anywhere in the search window."""
+    """Return n matches in a square, this share of them at (3, -2) px, the others anywhere in the radius."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(0, side_px, (n, 2))
     moved = rng.uniform(-RADIUS_PX, RADIUS_PX, (n, 2))
     kept = np.arange(n) < round(right * n)
-    moved[kept] = [3, -2] + rng.normal(0, 0.1, (int(kept.sum()), 2))
+    moved[kept] = rng.normal((3, -2), 0.1, (int(kept.sum()), 2))
     covariance = np.tile(0.01 * np.eye(2), (n, 1, 1))
     return TiePoints(xy, xy + moved, covariance, np.full(n, 0.5)), kept
 
@@ -78,7 +80,5 @@ def test_no_point_at_all() -> None:
     ],
 )
 def test_the_reason_says_what_to_do(counts: dict[str, int], advice: str) -> None:
-    import re
-
     found = verdict(matches(100, 400, right=0.0), **counts)
     assert re.search(advice, found.reason or "")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.scenes import Array, make_grid, render, write
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Grid
@@ -21,6 +20,7 @@ from pcwlad_geo.registration.prealign import (
     target_offset_px,
 )
 from pcwlad_geo.registration.result import Prealignment
+from tests.scenes import Array, make_grid, render, write
 
 GRID = make_grid((240, 260))
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -17,17 +15,16 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 from scipy.spatial import cKDTree
-from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, Array, make_grid, render, write
 
-from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.registration.progress import Event, Progress, Warned
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.settings import Settings
+from tests.scenes import CRS_OF_SCENE, Array, make_grid, render, write
 
-SMALL = {"template": 61, "window": 41, "features": 100}
+SMALL = {"template": 61, "window": 41, "features": 60}
 SHIFT_PX = (3.3, -2.6)
 REFERENCE = make_grid((200, 200))
 
@@ -39,7 +36,7 @@ class Pair:
     reference: Path
     target: Path
 
-    def run(self, **options: Any) -> Registration:
+    def run(self, **options: object) -> Registration:
         return run(self.reference, self.target, Settings(**{**SMALL, **options}))
 
 
@@ -48,7 +45,9 @@ def write_pair(
 ) -> Pair:
     """Write a scene and the negative of it, displaced by so many of its own pixels."""
     seen = 255 - render(target, displacement_px=shift_px)
-    return Pair(write(folder / "ref.tif", render(reference), reference), write(folder / "tgt.tif", seen, target))
+    return Pair(
+        write(folder / "ref.tif", render(reference), reference), write(folder / "tgt.tif", seen, target)
+    )
 
 
 def check(found: Registration, shift_px: tuple[float, float] = SHIFT_PX, *, within_px: float = 0.05) -> None:
@@ -78,14 +77,26 @@ GEOMETRIES = {
     "another extent": (make_grid((170, 220), offset_m=(300, -450)), REFERENCE),
     "grids a fraction of a pixel apart": (make_grid((190, 190), offset_m=(100, 47)), REFERENCE),
     "target three times finer": (make_grid((560, 540), pixel_m=10, offset_m=(70, 130)), REFERENCE),
-    "target three times coarser": (make_grid((190, 190)), make_grid((540, 560), pixel_m=10, offset_m=(70, 130))),
+    "target three times coarser": (
+        make_grid((190, 190)),
+        make_grid((540, 560), pixel_m=10, offset_m=(70, 130)),
+    ),
     "target 2.5 times finer": (make_grid((470, 450), pixel_m=12, offset_m=(70, 130)), REFERENCE),
-    "target 2.5 times coarser": (make_grid((190, 190)), make_grid((450, 470), pixel_m=12, offset_m=(70, 130))),
+    "target 2.5 times coarser": (
+        make_grid((190, 190)),
+        make_grid((450, 470), pixel_m=12, offset_m=(70, 130)),
+    ),
     "target a little finer": (make_grid((210, 210), pixel_m=28), REFERENCE),
     "target south-up": (make_grid((200, 190), offset_m=(60, 0), south_up=True), REFERENCE),
-    "both south-up": (make_grid((200, 190), offset_m=(75, 0), south_up=True), make_grid((200, 200), south_up=True)),
+    "both south-up": (
+        make_grid((200, 190), offset_m=(75, 0), south_up=True),
+        make_grid((200, 200), south_up=True),
+    ),
     "target rotated": (make_grid((190, 190), offset_m=(450, -600), rotation_deg=-12), REFERENCE),
-    "target rotated by a right angle": (make_grid((190, 190), offset_m=(0, 6000), rotation_deg=90), REFERENCE),
+    "target rotated by a right angle": (
+        make_grid((190, 190), offset_m=(0, 6000), rotation_deg=90),
+        REFERENCE,
+    ),
     "next UTM zone": (in_crs(CRS.from_epsg(32634), (190, 190), (30.0, 30.0)), REFERENCE),
     "geographic": (in_crs(CRS.from_epsg(4326), (190, 190), (3.6e-4, 2.7e-4)), REFERENCE),
 }
@@ -115,13 +126,16 @@ def test_another_modality(tmp_path: Path) -> None:
     grid = make_grid((260, 260))
     reference = write(tmp_path / "b4.tif", render(grid), grid)
     target = write(tmp_path / "b10.tif", render(grid, "thermal", displacement_px=SHIFT_PX), grid)
-    check(run(reference, target, Settings(template=81, window=81, features=100)), within_px=0.1)
+    check(run(reference, target, Settings(template=81, window=81, features=60)), within_px=0.1)
 
 
-@pytest.mark.parametrize(("driver", "options"), [
-    ("JPEG", {"dtype": "uint8", "quality": 95}),
-    ("JP2OpenJPEG", {"quality": 100, "reversible": True}),
-])
+@pytest.mark.parametrize(
+    ("driver", "options"),
+    [
+        ("JPEG", {"dtype": "uint8", "quality": 95}),
+        ("JP2OpenJPEG", {"quality": 100, "reversible": True}),
+    ],
+)
 def test_jpeg_and_jpeg_2000(driver: str, options: dict[str, Any], tmp_path: Path) -> None:
     suffix = {"JPEG": "jpg", "JP2OpenJPEG": "jp2"}[driver]
     reference = write(tmp_path / f"ref.{suffix}", render(REFERENCE), REFERENCE, driver=driver, **options)
@@ -158,8 +172,9 @@ def test_one_of_the_two_without_georeferencing(tmp_path: Path) -> None:
 
 # --- pixels that do not count ----------------------------------------------------------------------------
 
+
 def decoy(grid: Grid) -> tuple[Array, Array, Mask]:
-    """Return reference, target and the pixels of the target that are no ground: a pattern of both, not displaced."""
+    """Return reference, target and the target's pixels that are no ground: a pattern of both, in place."""
     reference, target = render(grid), render(grid, displacement_px=SHIFT_PX)
     excluded = np.zeros(grid.shape, bool)
     excluded[:, :95] = True
@@ -229,7 +244,7 @@ def test_recovers_an_affine_displacement(tmp_path: Path) -> None:
     reference = write(tmp_path / "ref.tif", render(grid), grid)
     seen = render(grid, linear=AFFINE, displacement_px=SHIFT_PX)
     target = write(tmp_path / "tgt.tif", seen, grid)
-    found = run(reference, target, Settings(template=61, window=41, features=200))
+    found = run(reference, target, Settings(template=61, window=41, features=120))
     assert found.status == "registered", found.reason
     assert found.correction is not None
     assert found.correction.name == "affine"
@@ -309,13 +324,16 @@ def test_narrow_overlap_shrinks_the_windows_and_says_so(tmp_path: Path) -> None:
     grid = make_grid((300, 300), offset_m=(240 * 30, 0))  # 60 columns in common
     reference = make_grid((300, 300))
     seen = 255 - render(grid, displacement_px=(1.3, -0.6))
-    pair = Pair(write(tmp_path / "ref.tif", render(reference), reference), write(tmp_path / "tgt.tif", seen, grid))
-    found = run(pair.reference, pair.target, Settings(features=150))
+    pair = Pair(
+        write(tmp_path / "ref.tif", render(reference), reference), write(tmp_path / "tgt.tif", seen, grid)
+    )
+    found = run(pair.reference, pair.target, Settings(features=100))
     assert any("windows shrunk to 41 px" in warning for warning in found.warnings)
     check(found, (1.3, -0.6))
 
 
 # --- tiles, executors, events ----------------------------------------------------------------------------
+
 
 @cache
 def tiled(tile_size: int, folder: Path, jobs: int = 1) -> Registration:
@@ -325,16 +343,16 @@ def tiled(tile_size: int, folder: Path, jobs: int = 1) -> Registration:
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("scene")
-    grid = make_grid((400, 400))
+    grid = make_grid((320, 320))
     write_pair(folder, grid, grid)
     return folder
 
 
-@pytest.mark.parametrize("tile_size", [128, 160])
+@pytest.mark.parametrize("tile_size", [128, 170])
 def test_tile_size_does_not_matter(tile_size: int, scene: Path) -> None:
     whole, parts = tiled(1024, scene), tiled(tile_size, scene)
     assert whole.counts["tiles"] == 1
-    assert parts.counts["tiles"] >= 9
+    assert parts.counts["tiles"] == (9 if tile_size == 128 else 4)
     a, b = (each.tie_points.select("fit", "check", "unused") for each in (whole, parts))
     distance, nearest = cKDTree(b.reference_px).query(a.reference_px)
     common = distance < 0.01
@@ -354,13 +372,13 @@ def assert_identical(a: Registration, b: Registration) -> None:
 
 def test_threads_give_the_same_to_the_last_bit(scene: Path) -> None:
     with ThreadPoolExecutor(2) as executor:
-        settings = Settings(**{**SMALL, "tile_size": 160, "features": 120})
+        settings = Settings(**{**SMALL, "tile_size": 170, "features": 120})
         found = run(scene / "ref.tif", scene / "tgt.tif", settings, executor=executor)
-    assert_identical(found, tiled(160, scene))
+    assert_identical(found, tiled(170, scene))
 
 
 def test_processes_give_the_same_to_the_last_bit(scene: Path) -> None:
-    assert_identical(tiled(160, scene, jobs=2), tiled(160, scene))
+    assert_identical(tiled(170, scene, jobs=2), tiled(170, scene))
 
 
 def test_events_tell_the_stages_in_order(tmp_path: Path) -> None:
@@ -385,7 +403,7 @@ def test_warnings_are_events_and_kept(tmp_path: Path) -> None:
     assert tuple(event.message for event in events if isinstance(event, Warned)) == found.warnings
 
 
-class Stopped(Exception):
+class StoppedError(Exception):
     pass
 
 
@@ -395,9 +413,9 @@ def test_an_exception_of_the_callback_ends_the_job(stage: str, tmp_path: Path) -
 
     def stop(event: Event) -> None:
         if isinstance(event, Progress) and event.stage == stage:
-            raise Stopped
+            raise StoppedError
 
-    with pytest.raises(Stopped):
+    with pytest.raises(StoppedError):
         run(pair.reference, pair.target, Settings(**SMALL), on_event=stop)
 
 
@@ -411,7 +429,7 @@ def test_match_only_fits_nothing(tmp_path: Path) -> None:
 
 
 def test_points_limits_the_fit_and_keeps_the_rest_as_unused(tmp_path: Path) -> None:
-    found = write_pair(tmp_path, make_grid((200, 200))).run(points=25, features=200)
+    found = write_pair(tmp_path, make_grid((200, 200))).run(points=25, features=120)
     status = found.tie_points.status
     assert 12 <= (status == "fit").sum() <= 25
     assert (status == "unused").sum() > 0

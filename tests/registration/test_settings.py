@@ -11,7 +11,12 @@ from pcwlad_geo.registration.settings import Settings
 
 def test_the_defaults_are_valid_and_cannot_be_changed() -> None:
     settings = Settings()
-    assert (settings.method, settings.window, settings.template, settings.iterations) == ("oriented", 81, 101, 20)
+    assert (settings.method, settings.window, settings.template, settings.iterations) == (
+        "oriented",
+        81,
+        101,
+        20,
+    )
     with pytest.raises(dataclasses.FrozenInstanceError):
         settings.window = 41  # type: ignore[misc]
 
@@ -53,7 +58,7 @@ def test_the_defaults_are_valid_and_cannot_be_changed() -> None:
         ("method", ["oriented"]),
     ],
 )
-def test_a_bad_value_is_named_with_what_to_give(name: str, value: Any) -> None:
+def test_a_bad_value_is_named_with_what_to_give(name: str, value: object) -> None:
     with pytest.raises(SettingsError, match=rf"^{name} = .*: give ") as caught:
         Settings(**{name: value})
     assert repr(value) in str(caught.value)
@@ -63,7 +68,14 @@ def test_a_bad_value_is_named_with_what_to_give(name: str, value: Any) -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [{"window": 21}, {"template": 513}, {"points": 1}, {"search_radius": 1}, {"ssim_min": -1}, {"tile_size": 128}],
+    [
+        {"window": 21},
+        {"template": 513},
+        {"points": 1},
+        {"search_radius": 1},
+        {"ssim_min": -1},
+        {"tile_size": 128},
+    ],
 )
 def test_limits_are_allowed(options: dict[str, Any]) -> None:
     assert Settings.from_options(options) == Settings(**options)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 
 from pcwlad_geo.registration.progress import Event, Progress, ignore
 from pcwlad_geo.registration.tasks import IN_FLIGHT, run_tasks
+
+T = TypeVar("T")
 
 
 def slow_square(value: int) -> int:
@@ -41,7 +44,7 @@ class Counting(Executor):
         self.lock = threading.Lock()
         self.open = self.most = 0
 
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         with self.lock:
             self.open += 1
             self.most = max(self.most, self.open)

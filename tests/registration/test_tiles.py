@@ -8,21 +8,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.scenes import make_grid, render, write
 
 from pcwlad_geo.matching.matcher import guide_by_field
+from pcwlad_geo.matching.noise import Noise
 from pcwlad_geo.matching.phase_congruency import scene_epsilon
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.windows import Window
 from pcwlad_geo.registration.tiles import (
+    Scene,
     TileJob,
     common_region,
     match_tile,
     plan_tiles,
     rematch_tile,
 )
+from tests.scenes import make_grid, render, write
 
 SHIFT_PX = (2.4, -1.3)
 SETTINGS = MatchSettings(template=61, window=41, features=80, features_area_px2=180.0**2, search_radius=8)
@@ -40,8 +42,8 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> ViewPair:
 
 
 def plan(pair: ViewPair, tile_size: int) -> list[TileJob]:
-    epsilons = (scene_epsilon(np.arange(255.0)), scene_epsilon(np.arange(255.0)))
-    return plan_tiles(pair, (-20, -10), epsilons, SETTINGS, tile_size)
+    scene = Scene(scene_epsilon(np.arange(255.0)), Noise())
+    return plan_tiles(pair, (-20, -10), (scene, scene), SETTINGS, tile_size)
 
 
 def test_common_region(pair: ViewPair) -> None:

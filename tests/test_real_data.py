@@ -1,0 +1,110 @@
+"""Real image pairs; skipped where they are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.settings import Settings
+from tests.scenes import Array, write
+
+FEW: Any = {"features": 80}
+
+
+def shift_of(found: Registration) -> Array:
+    """Return the displacement that the model gives in the middle of the target, px."""
+    assert found.status == "registered", found.reason
+    assert found.correction is not None
+    middle = np.array(found.target.grid.shape[::-1])[None] / 2
+    return np.asarray((found.correction.forward(middle) - middle)[0])
+
+
+@pytest.mark.parametrize(
+    ("folder", "fixed", "before", "after", "known_px", "within_px"),
+    [
+        ("landsat_sub1", "LC08b2_sub1.tif", "LC08B10_sub1.tif", "LC08B10offset_sub1.tif", (-1.4, -1.6), 0.06),
+        ("rgbnir_sub1", "0000_rgb.tiff", "0000_nir.tiff", "0000_niroffset.tiff", (8.3, 3.6), 0.03),
+    ],
+)
+def test_difference_of_two_registrations_is_the_known_shift(
+    folder: str,
+    fixed: str,
+    before: str,
+    after: str,
+    known_px: tuple[float, float],
+    within_px: float,
+    shared_data: Path,
+) -> None:
+    """The bands may be apart before: the difference before and after a known shift has no such doubt.
+
+    With few points; benchmarks/accuracy.py has the figures with many.
+    """
+    images = shared_data / "paper" / folder
+    first, second = (
+        run(images / fixed, images / name, Settings(model="shift", **FEW)) for name in (before, after)
+    )
+    difference = shift_of(second) - shift_of(first)
+    assert np.abs(difference - known_px).max() <= within_px
+    assert any("no georeferencing" in warning for warning in first.warnings)
+
+
+def test_uav_pair_is_found_without_its_offset(shared_data: Path) -> None:
+    images = shared_data / "paper" / "uav_1"
+    visible, thermal = next(images.glob("*_Z.JPG")), next(images.glob("*_T.JPG"))
+    found = run(visible, thermal, Settings(features=80))
+    assert found.prealignment.method == "search"
+    # the offset that the authors' own points have, by and large
+    peers = np.loadtxt(images / "peers" / "pcwlad.pts", comments=";")
+    nominal = np.median(peers[:, 2:] - peers[:, :2], axis=0)
+    assert np.hypot(*(shift_of(found) - nominal)) < 3
+
+
+@pytest.fixture(scope="module")
+def sensors(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Aerial, Sentinel-2 and Landsat red bands."""
+    images = shared_data / "cross_sensor"
+    folder = tmp_path_factory.mktemp("sensors")
+    sources = {"s2": ("sentinel2_b432_byte.tif", 1), "l8": ("landsat8_byte.tif", 4)}
+    result = {"aerial": images / "ngi_rgb_byte_1.tif"}
+    for name, (file_name, band) in sources.items():
+        with rasterio.open(images / file_name) as file:
+            kept = {
+                "crs": file.crs,
+                "transform": file.transform,
+                "nodata": file.nodata,
+                "dtype": file.dtypes[0],
+            }
+            result[name] = write(folder / f"{name}.tif", file.read(band), None, **kept)
+    return result
+
+
+def test_landsat_and_sentinel_forward_and_backward(sensors: dict[str, Path]) -> None:
+    there = run(sensors["l8"], sensors["s2"], Settings(model="shift", **FEW))
+    back = run(sensors["s2"], sensors["l8"], Settings(model="shift", **FEW))
+    m = np.array(there.px_m), np.array(back.px_m)
+    sum_m = shift_of(there) * m[0] + shift_of(back) * m[1]
+    assert np.abs(sum_m).max() <= 0.02 * 30
+    # known for these two: (-0.03, -0.28) px of 30 m
+    np.testing.assert_allclose(shift_of(there) * m[0] / 30, [-0.03, -0.28], atol=0.05)
+
+
+def test_closure_of_three_sensors(sensors: dict[str, Path]) -> None:
+    """Over their common ground: a sign wrong, or half a pixel of any, would show."""
+    low, high = [-56650.0, -3730450.0], [-53600.0, -3724520.0]
+
+    def median_m(reference: str, target: str) -> Array:
+        found = run(sensors[reference], sensors[target], Settings(features=120))
+        assert found.status == "registered", found.reason
+        points = found.tie_points.select("fit", "check", "unused")
+        common = ((points.xy > low) & (points.xy < high)).all(axis=1)
+        assert common.sum() >= 20
+        return np.asarray(np.median(points.displacement_m[common], axis=0))
+
+    closure = median_m("aerial", "s2") + median_m("s2", "l8") - median_m("aerial", "l8")
+    assert np.abs(closure).max() <= 2.5
