@@ -65,9 +65,11 @@ def _ground_xy(reference_px: Array, pair: ViewPair) -> Array:
 
 
 def _displacement_m(predicted_px: Array, target_px: Array, pair: ViewPair) -> Array:
-    if not pair.georeferenced:
+    crs = pair.reference.info.grid.crs
+    if crs is None:
         return np.full(target_px.shape, np.nan)
-    grid, crs = pair.target.info.grid, pair.reference.info.grid.crs
+    # a target without georeferencing is predicted to lie on the reference's pixels
+    grid = pair.target.info.grid if pair.georeferenced else pair.reference.info.grid
     predicted_xy, target_xy = (
         transform_xy(grid.to_xy(pixels), grid.crs, crs) for pixels in (predicted_px, target_px)
     )
