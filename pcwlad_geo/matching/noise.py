@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEAST_SMOOTHING_PX: Final = 0.6
-MOST_SMOOTHING_PX: Final = 1.2
+MOST_SMOOTHING_PX: Final = 1.5
 CLEAN: Final = 0.8
 """Ratio up to which an image counts as clean: real scenes show 0.2 to 0.8."""
 WHITE: Final = 2.0
