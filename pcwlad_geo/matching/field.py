@@ -30,6 +30,8 @@ class Prediction:
     """(n, 2)."""
     scatter_px: Float64
     """(n,) robust scatter of the neighbours about their plane."""
+    leverage: Float64
+    """(n,) variance of the prediction over that of one neighbour, all of them independent."""
 
 
 def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, count: int) -> Prediction:
@@ -62,14 +64,15 @@ def choose_neighbour_count(xy_px: Float64, displacement_px: Float64, window_px: 
     count : int
         Neighbours to use.
     residual_px : (m, 2) array
-        Displacement minus what the independent neighbours predict; NaN outside the sample looked at.
+        See `independent_residual`.
     """
     candidates = [count for count in NEIGHBOUR_COUNTS if count < len(xy_px)] or [len(xy_px)]
-    residuals = [independent_residual(xy_px, displacement_px, window_px, count) for count in candidates]
-    errors = [_typical(residual) for residual in residuals]
+    residuals = [_against_neighbours(xy_px, displacement_px, window_px, count) for count in candidates]
+    errors = [_typical(residual) for residual, _ in residuals]
     good = [i for i, error in enumerate(errors) if error <= min(errors) + SIMPLER_WITHIN_PX]
     chosen = max(good, default=0)
-    return candidates[chosen], residuals[chosen]
+    residual, share = residuals[chosen]
+    return candidates[chosen], residual * share[:, None]
 
 
 def independent_residual(xy_px: Float64, displacement_px: Float64, window_px: int, count: int) -> Float64:
@@ -78,13 +81,26 @@ def independent_residual(xy_px: Float64, displacement_px: Float64, window_px: in
     Returns
     -------
     (m, 2) array
-        Displacement minus prediction; NaN outside the sample and where there are no such neighbours.
+        Displacement minus prediction, less what the prediction itself errs on average: as large as the
+        point's own error. NaN outside the sample and where there are no such neighbours.
     """
-    sample = np.unique(np.linspace(0, len(xy_px) - 1, min(SAMPLE, len(xy_px))).astype(np.intp))
-    predicted = _predict_apart(xy_px, displacement_px, xy_px[sample], count, EXCLUSION * window_px)
-    residual = np.full(xy_px.shape, np.nan)
-    residual[sample] = displacement_px[sample] - predicted.displacement_px
-    return residual
+    residual, share = _against_neighbours(xy_px, displacement_px, window_px, count)
+    return residual * share[:, None]
+
+
+def _against_neighbours(
+    xy: Float64, displacement: Float64, window_px: int, count: int
+) -> tuple[Float64, Float64]:
+    """Return displacement minus prediction, (m, 2), and how much of it is the point's own error, (m,)."""
+    sample = np.unique(np.linspace(0, len(xy) - 1, min(SAMPLE, len(xy))).astype(np.intp))
+    predicted = _predict_apart(xy, displacement, xy[sample], count, EXCLUSION * window_px)
+    # points in one window err alike: together they are one witness; fewer are counted at the edges
+    in_a_window = cKDTree(xy).query_ball_point(xy[sample], window_px / np.sqrt(np.pi), return_length=True)
+    alike = float(np.percentile(in_a_window, 90)) if len(sample) else 1.0
+    residual, share = np.full(xy.shape, np.nan), np.full(len(xy), np.nan)
+    residual[sample] = displacement[sample] - predicted.displacement_px
+    share[sample] = 1 / np.sqrt(1 + predicted.leverage * alike)
+    return residual, share
 
 
 def _typical(residual: Float64) -> float:
@@ -123,7 +139,7 @@ def _predict_apart(
 ) -> Prediction:
     tree = cKDTree(xy)
     out = np.full((len(at), 2), np.nan)
-    scatter = np.full(len(at), np.nan)
+    scatter, leverage = np.full(len(at), np.nan), np.full(len(at), np.nan)
     reach = min(len(xy), 2 * count if apart_px else count)
     if apart_px and len(xy) > 1:
         near = tree.query_ball_point(at, apart_px, return_length=True)
@@ -134,12 +150,19 @@ def _predict_apart(
         distance, index = tree.query(at[part], k=np.arange(1, reach + 1))
         usable = distance >= apart_px
         usable &= np.cumsum(usable, axis=1) <= count
-        out[part], scatter[part] = _robust_planes(xy[index] - at[part, None, :], displacement[index], usable)
-    return Prediction(out, scatter)
+        out[part], scatter[part], leverage[part] = _robust_planes(
+            xy[index] - at[part, None, :], displacement[index], usable
+        )
+    return Prediction(out, scatter, leverage)
 
 
-def _robust_planes(offset: Float64, values: Float64, usable: NDArray[np.bool_]) -> tuple[Float64, Float64]:
-    """Fit a plane to each row of neighbours by reweighted least squares; value at the centre, scatter."""
+def _robust_planes(
+    offset: Float64, values: Float64, usable: NDArray[np.bool_]
+) -> tuple[Float64, Float64, Float64]:
+    """Fit a plane to each row of neighbours by reweighted least squares.
+
+    Returns value at the centre, scatter and leverage.
+    """
     n, _, _ = values.shape
     reach = np.sqrt((offset**2).sum(axis=2).max(axis=1)).clip(1e-9)
     design = np.concatenate([np.ones((*offset.shape[:2], 1)), offset / reach[:, None, None]], axis=2)
@@ -156,14 +179,23 @@ def _robust_planes(offset: Float64, values: Float64, usable: NDArray[np.bool_]) 
         scale = np.nanmedian(seen, axis=1).clip(1e-6)
         weight = np.where(usable, 1 / (1 + (residual / (2 * scale[:, None])) ** 2), 0.0)
         weighted = design * weight[..., None]
-        normal = np.einsum("nki,nkj->nij", weighted, design)
-        # a ridge on the slopes: neighbours on a line leave the slope across it undetermined
-        normal[:, 1, 1] += 1e-6 * normal[:, 0, 0] + 1e-12
-        normal[:, 2, 2] += 1e-6 * normal[:, 0, 0] + 1e-12
-        normal[:, 0, 0] += 1e-12
+        normal = _normal_matrices(design, weighted)
         solution = np.linalg.solve(normal, np.einsum("nki,nkj->nij", weighted, values))
         residual = np.hypot(*np.moveaxis(values - design @ solution, 2, 0))
     at_centre = solution[:, 0, :].copy()
+    leverage = np.asarray(
+        np.linalg.inv(_normal_matrices(design, design * usable[..., None]))[:, 0, 0], np.float64
+    )
     at_centre[~enough] = np.nan
     scale[~enough] = np.nan
-    return at_centre, 0.8493 * scale
+    leverage[~enough] = np.nan
+    return at_centre, 0.8493 * scale, leverage
+
+
+def _normal_matrices(design: Float64, weighted: Float64) -> Float64:
+    normal: Float64 = np.einsum("nki,nkj->nij", weighted, design)
+    # a ridge on the slopes: neighbours on a line leave the slope across it undetermined
+    normal[:, 1, 1] += 1e-6 * normal[:, 0, 0] + 1e-12
+    normal[:, 2, 2] += 1e-6 * normal[:, 0, 0] + 1e-12
+    normal[:, 0, 0] += 1e-12
+    return normal

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.field import choose_neighbour_count, global_affine, predict
+from pcwlad_geo.matching.field import choose_neighbour_count, global_affine, independent_residual, predict
 
 SIDE = 600.0
 WINDOW = 81
@@ -108,3 +108,19 @@ def test_gross_errors_do_not_deform_the_whole() -> None:
     displacement[xy[:, 0] > 480] += 5.0
     found, _ = global_affine(xy, displacement)
     np.testing.assert_allclose(found, 0.01 * np.eye(2), atol=1e-3)
+
+
+@pytest.mark.parametrize("at", [(300.0, 300.0), (5.0, 5.0)])
+def test_the_leverage_is_the_variance_of_the_prediction(at: tuple[float, float]) -> None:
+    xy = scattered(400)
+    found = [predict(xy, noise(400, 0.1, seed), np.array([at]), 48) for seed in range(300)]
+    spread = np.std([prediction.displacement_px[0] for prediction in found])
+    assert (spread / 0.1) ** 2 == pytest.approx(found[0].leverage[0], rel=0.3)
+
+
+def test_a_residual_is_less_than_the_difference_where_neighbours_are_few() -> None:
+    xy = scattered(300)
+    displacement = noise(300, 0.1)
+    sizes = [np.nanstd(independent_residual(xy, displacement, window, 48)) for window in (21, 129)]
+    assert sizes[0] == pytest.approx(0.1, rel=0.15)
+    assert sizes[1] < 0.085
