@@ -52,7 +52,7 @@ class Options(TypedDict, total=False):
     ref_mask: Path | None
     tgt_mask: Path | None
     method: s.Method
-    points: int | None
+    points: int | Literal["all"] | None
     features: int
     keypoints: s.Keypoints
     template: int

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from pcwlad_geo.cli.options import WORDS
 from pcwlad_geo.errors import SettingsError
@@ -70,11 +70,14 @@ def to_setting(name: str, value: object) -> object:
         return None
     hint = get_type_hints(Settings)[name]
     kinds = set(get_args(hint)) | {hint}
+    words = [word for kind in kinds - {hint} if get_origin(kind) is Literal for word in get_args(kind)]
+    if value in words:
+        return value
     if Path in kinds:
         return Path(_checked(name, value, str, "a file name") if not isinstance(value, Path) else value)
     if int in kinds:
-        word = f" or '{WORDS[name]}'" if name in WORDS else ""
-        return _number(name, value, int, f"a whole number{word}")
+        words += [WORDS[name]] if name in WORDS else []
+        return _number(name, value, int, " or ".join(["a whole number", *(f"'{word}'" for word in words)]))
     if float in kinds:
         return _number(name, value, float, "a number")
     return _checked(name, value, str, "text")

@@ -15,7 +15,7 @@ from pcwlad_geo.registration import settings as s
 
 ProgressStyle = Literal["auto", "bar", "json", "none"]
 
-WORDS = {"points": "all", "search_radius": "auto"}
+WORDS = {"points": "auto", "search_radius": "auto"}
 """How None is spelled where it is a choice of its own."""
 
 _DEFAULTS = {field.name: field.default for field in fields(s.Settings)}
@@ -39,7 +39,12 @@ RefMask = Annotated[Path | None, _setting("ref_mask", "Mask of the reference, 0 
 TgtMask = Annotated[Path | None, _setting("tgt_mask", "Mask of the target, 0 = excluded.", metavar="FILE")]
 
 Method = Annotated[s.Method | None, _setting("method", "Fine matching method.")]
-Points = Annotated[str | None, _setting("points", "Tie points wanted in the fit.", metavar="N|all")]
+Points = Annotated[
+    str | None,
+    _setting(
+        "points", "Tie points wanted; auto: 1000 of a scene, all of a small image.", metavar="N|all|auto"
+    ),
+]
 Features = Annotated[int | None, _setting("features", "Candidates a tile.", metavar="N")]
 Keypoints = Annotated[
     s.Keypoints | None, _setting("keypoints", "Spread the candidates by cell, or take the strongest.")

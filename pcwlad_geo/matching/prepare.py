@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from pcwlad_geo.matching.refinement import ChannelStack
 from pcwlad_geo.matching.similarity import MaskedMap
 
 Bool = NDArray[np.bool_]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 NO_NOISE: Final = Noise()
 EDGE_PX: Final = 4
@@ -60,7 +61,7 @@ class PreparedPair:
         return self.reference_map.values
 
 
-def prepare(reference: Image, target: Image, *, oriented: bool) -> PreparedPair:
+def prepare(reference: Image, target: Image, *, oriented: bool, halo_px: int = 0) -> PreparedPair:
     """Compute the maps of both images.
 
     Parameters
@@ -69,13 +70,15 @@ def prepare(reference: Image, target: Image, *, oriented: bool) -> PreparedPair:
         Of the same shape.
     oriented : bool
         Channels are the six oriented maps; else the one map M.
+    halo_px : int
+        Rows and columns along all four edges that the filters need and the result leaves out.
     """
     smooth = smoothing_px(reference.noise, target.noise) if oriented else 0.0
     filled = _filled(reference)
     contrast = contrast_weight(filled, reference.epsilon, reference.noise.sigma)
-    ref_stack, ref_map = _maps(filled, reference, oriented, smooth)
-    tgt_stack, tgt_map = _maps(_filled(target), target, oriented, smooth)
-    return PreparedPair(ref_stack, tgt_stack, ref_map, tgt_map, contrast)
+    ref_stack, ref_map = _maps(filled, reference, oriented, smooth, halo_px)
+    tgt_stack, tgt_map = _maps(_filled(target), target, oriented, smooth, halo_px)
+    return PreparedPair(ref_stack, tgt_stack, ref_map, tgt_map, _inside(contrast, halo_px).copy())
 
 
 def _filled(image: Image) -> NDArray[np.floating[Any]]:
@@ -83,22 +86,29 @@ def _filled(image: Image) -> NDArray[np.floating[Any]]:
 
 
 def _maps(
-    filled: NDArray[np.floating[Any]], image: Image, oriented: bool, smooth_px: float
+    filled: NDArray[np.floating[Any]], image: Image, oriented: bool, smooth_px: float, halo_px: int
 ) -> tuple[ChannelStack, MaskedMap]:
     rows, cols = filled.shape
-    extra = [_fast_even(n) - n for n in filled.shape]
+    extra = [fast_even(n) - n for n in filled.shape]
     padded = np.pad(filled, [(0, extra[0]), (0, extra[1])], mode="reflect")
     channels = oriented_phase_congruency(padded, image.epsilon)[:, :rows, :cols]
     if smooth_px > 0:
         channels = np.stack([cv2.GaussianBlur(channel, (0, 0), smooth_px) for channel in channels])
+    channels = _inside(channels, halo_px)
     moment = maximum_moment(channels)
-    valid = _eroded(image.valid)
+    valid = _inside(_eroded(image.valid), halo_px).copy()
     stack = ChannelStack.of(np.ascontiguousarray(channels if oriented else moment[None]), valid)
     weight = valid.astype(np.float32)
     return stack, MaskedMap(moment * weight, weight, np.float32(FULL_SCALE))
 
 
-def _fast_even(n: int) -> int:
+def _inside(plane: NDArray[Scalar], halo_px: int) -> NDArray[Scalar]:
+    """Return the last two axes without so many pixels on all sides."""
+    return plane[..., halo_px : plane.shape[-2] - halo_px, halo_px : plane.shape[-1] - halo_px]
+
+
+def fast_even(n: int) -> int:
+    """Return the next even length that a Fourier transform is fast for."""
     length = int(scipy.fft.next_fast_len(n, real=False))
     while length % 2:
         length = int(scipy.fft.next_fast_len(length + 1, real=False))

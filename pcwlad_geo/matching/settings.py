@@ -17,6 +17,8 @@ class MatchSettings:
     method: Method = "oriented"
     features: int = 1000
     """Candidates; by cell this sets the density over `features_area_px2`."""
+    per_cell: int = 4
+    """Candidates of a cell, at most."""
     keypoints: Keypoints = "cells"
     features_area_px2: float | None = None
     """Area that `features` candidates are spread over; None: the usable area of the image."""

@@ -33,8 +33,8 @@ class Settings:
     """Mask file of the target, GDAL's convention: 0 = excluded."""
     method: Method = "oriented"
     """Fine matching method."""
-    points: int | None = None
-    """Tie points wanted in the fit, at most; None = all."""
+    points: int | Literal["all"] | None = None
+    """Tie points wanted; None = 1000 of a scene of several tiles, all of a smaller one."""
     features: int = 1000
     """Candidates a tile."""
     keypoints: Keypoints = "cells"
@@ -79,10 +79,12 @@ class Settings:
             value = getattr(self, name)
             odd = _whole(value) and value % 2 == 1
             _check(name, value, odd and 21 <= value <= 513, "an odd number from 21 to 513")
-        for name in ("points", "search_radius"):
+        for name, words in (("points", ("all",)), ("search_radius", ())):
             value = getattr(self, name)
-            good = value is None or (_whole(value) and value >= 1)
-            _check(name, value, good, "a whole number from 1")
+            good = (
+                value is None or (isinstance(value, str) and value in words) or (_whole(value) and value >= 1)
+            )
+            _check(name, value, good, " or ".join(["a whole number from 1", *words]))
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
         _check("ssim_min", self.ssim_min, real, "a number from -1 to below 1")
         for name, hint in get_type_hints(type(self)).items():
