@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -28,11 +27,12 @@ from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search,
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.result import Prealignment, Registration
 from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.registration.tasks import run_tasks
+from pcwlad_geo.registration.tasks import InThisProcess, Runner
 from pcwlad_geo.registration.tiles import (
     TileJob,
     TileResult,
     common_region,
+    count_tiles,
     match_tile,
     plan_tiles,
     rematch_tile,
@@ -88,7 +88,7 @@ def run(
     settings: Settings,
     *,
     on_event: EventCallback = ignore,
-    executor: Executor | None = None,
+    runner: Runner | None = None,
     match_only: bool = False,
 ) -> Registration:
     """Register the target to the reference, or only match them.
@@ -99,7 +99,7 @@ def run(
     settings : Settings
     on_event : callable
         Receives progress and warnings; an exception that it raises ends the job.
-    executor : concurrent.futures.Executor, optional
+    runner : Runner, optional
         Runs the tiles; None: this process.
     match_only : bool
         Stop at the tie points.
@@ -110,6 +110,7 @@ def run(
         If the input cannot be used.
     """
     log = _Log(on_event)
+    runner = runner or InThisProcess()
     with log.stage("reading"):
         ref = describe(reference, band=settings.ref_band, mask=settings.ref_mask)
         tgt = describe(target, band=settings.tgt_band, mask=settings.tgt_mask)
@@ -120,10 +121,11 @@ def run(
             log.warn(
                 "reference and target are the same file and band: the displacement is zero by construction"
             )
+        runner.expect(count_tiles(pair, settings.tile_size))
         on_event(Progress("reading", 0, 1))
         look = look_at(pair)
         on_event(Progress("reading", 1, 1))
-    matched = _match(pair, look, settings, log, executor)
+    matched = _match(pair, look, settings, log, runner)
     table = _table(matched, pair)
     px_m = _px_m(tgt)
     fitted: Fitted | None = None
@@ -153,14 +155,14 @@ def run(
     )
 
 
-def _match(pair: ViewPair, look: Look, settings: Settings, log: _Log, executor: Executor | None) -> _Matched:
+def _match(pair: ViewPair, look: Look, settings: Settings, log: _Log, runner: Runner) -> _Matched:
     """Match from the best start known; where that fails and the user left it open, from a search."""
     starts = _starts(pair, look, settings, log)
     result: _Matched | None = None
     for prealignment in starts:
         if prealignment is None:
             continue
-        result = _match_from(pair, look, prealignment, settings, log, executor)
+        result = _match_from(pair, look, prealignment, settings, log, runner)
         if result.verdict.accepted:
             if prealignment.method == "search" and pair.georeferenced:
                 col, row = prealignment.shift_px
@@ -200,16 +202,14 @@ def _match_from(
     prealignment: Prealignment,
     settings: Settings,
     log: _Log,
-    executor: Executor | None,
+    runner: Runner,
 ) -> _Matched:
     """Both passes over all tiles, from one start."""
     offset = target_offset_px(pair, prealignment)
     matching = _match_settings(pair, offset, prealignment, settings, log)
     jobs = plan_tiles(pair, offset, look.scenes, matching, settings.tile_size)
     with log.stage("matching"):
-        first = run_tasks(
-            match_tile, [(job,) for job in jobs], "matching", executor, settings.jobs, log.on_event
-        )
+        first = runner.run(match_tile, [(job,) for job in jobs], "matching", log.on_event).results
     _warn_of_failures(first, log)
     matches = TiePoints.concatenate([result.points for result in first])
     tile_of = np.repeat(np.arange(len(first)), [len(result.points) for result in first])
@@ -218,7 +218,10 @@ def _match_from(
     verdict = judge(matches, kept, counts, matching.window, prealignment.search_radius_px)
     if verdict.accepted:
         with log.stage("refining"):
-            matches, kept = _second_pass(jobs, matches, tile_of, kept, matching, settings, log, executor)
+            every = len(matches)
+            matches, kept = _second_pass(jobs, matches, tile_of, kept, matching, log, runner)
+        if len(matches) < every:  # a tile was lost: do the others suffice?
+            verdict = judge(matches, kept, counts, matching.window, prealignment.search_radius_px)
     counts["inconsistent"] = int((~kept).sum())
     counts["tie_points"] = int(kept.sum())
     return _Matched(matches, kept, counts, verdict, prealignment)
@@ -230,11 +233,13 @@ def _second_pass(
     tile_of: NDArray[np.intp],
     kept: NDArray[np.bool_],
     matching: MatchSettings,
-    settings: Settings,
     log: _Log,
-    executor: Executor | None,
+    runner: Runner,
 ) -> tuple[TiePoints, NDArray[np.bool_]]:
-    """Match the consistent points again, guided by the field of all of them; check them once more."""
+    """Match the consistent points again, guided by the field of all of them; check them once more.
+
+    Consistent points of a tile that cannot be read now are left out.
+    """
     index = np.flatnonzero(kept)
     good = matches[index]
     guide = guide_by_field(good, matching)
@@ -244,16 +249,22 @@ def _second_pass(
         part = np.flatnonzero(tile_of[index] == tile)
         parts.append(part)
         calls.append((jobs[tile], good[part], guide.part(part)))
-    results = run_tasks(rematch_tile, calls, "refining", executor, settings.jobs, log.on_event)
-    order = np.concatenate(parts)
-    again = TiePoints.concatenate([result.points for result in results])[np.argsort(order)]
+    results = runner.run(rematch_tile, calls, "refining", log.on_event).results
+    _warn_of_failures(results, log)
+    order = np.argsort(np.concatenate(parts))
+    read = np.repeat([result.status != "failed" for result in results], [len(part) for part in parts])[order]
+    again = TiePoints.concatenate([result.points for result in results])[order][read]
+    lost, index = index[~read], index[read]
     final = kept.copy()
     final[index] = consistent_points(again, matching)
+    final[lost] = False
     good = calibrate(again[final[index]], guide, matching)
     # rejected points are listed with their formal covariance
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
     target[final], covariance[final] = good.target_xy_px, good.covariance_px2
-    return replace(matches, target_xy_px=target, covariance_px2=covariance), final
+    remaining = np.delete(np.arange(len(matches)), lost)
+    matches = replace(matches, target_xy_px=target, covariance_px2=covariance)
+    return matches[remaining], final[remaining]
 
 
 def _match_settings(

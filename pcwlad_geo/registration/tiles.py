@@ -112,6 +112,13 @@ def plan_tiles(
     return jobs
 
 
+def count_tiles(pair: ViewPair, tile_size: int) -> int:
+    """Return about how many tiles the pair makes, before it is known where to start."""
+    col, row = np.round(pair.offset_px).astype(int)
+    region = common_region(pair, (int(col), int(row)))
+    return len(_spans(region.row, region.rows, tile_size)) * len(_spans(region.col, region.cols, tile_size))
+
+
 def common_region(pair: ViewPair, target_offset_px: tuple[int, int]) -> Window:
     """Return the part of the reference view that the target view covers at an offset."""
     col, row = target_offset_px
@@ -150,7 +157,10 @@ def match_tile(job: TileJob) -> TileResult:
 def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide) -> TileResult:
     """Second pass of a tile: its consistent points again, guided by the displacement field."""
     begun = time.perf_counter()
-    prepared = _prepare(job)
+    try:
+        prepared = _prepare(job)
+    except InputError as error:
+        return TileResult(job.id, "failed", points, {}, str(error), time.perf_counter() - begun)
     if prepared is None:
         return TileResult(job.id, "empty", points, {}, "no valid pixels", time.perf_counter() - begun)
     pair, window = prepared
