@@ -58,6 +58,7 @@ def connected(address: str, on_event: EventCallback) -> Iterator[OnExecutor]:
             max(IN_FLIGHT, CALLS_PER_THREAD * threads),
             (BrokenExecutor, CancelledError, distributed.KilledWorker),
             f"the scheduler {address}",
+            shares_kernels=False,
         )
 
 

@@ -23,6 +23,7 @@ from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.fitting import Fitted, fit_correction, shared_residual_px
 from pcwlad_geo.registration.judge import Verdict, judge
+from pcwlad_geo.registration.kernels import load_kernels
 from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search, look_at, target_offset_px
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.result import Prealignment, Registration
@@ -122,6 +123,8 @@ def run(
                 "reference and target are the same file and band: the displacement is zero by construction"
             )
         runner.expect(count_tiles(pair, settings.tile_size))
+        if runner.shares_kernels:
+            load_kernels(settings.method, on_event)
         on_event(Progress("reading", 0, 1))
         look = look_at(pair)
         on_event(Progress("reading", 1, 1))

@@ -36,6 +36,8 @@ class OnExecutor:
         What it raises when it has lost its workers, or `place` itself.
     place : str
         How messages call it.
+    shares_kernels : bool
+        Whether its workers are threads or processes of this machine.
     """
 
     def __init__(
@@ -44,7 +46,9 @@ class OnExecutor:
         in_flight: int = IN_FLIGHT,
         broken: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError),
         place: str = "the executor",
+        shares_kernels: bool = True,
     ) -> None:
+        self.shares_kernels = shares_kernels
         self._executor = executor
         self._in_flight = in_flight
         self._broken = broken
@@ -89,6 +93,8 @@ class OwnProcesses:
     preload : str
         Module that a worker imports at its start.
     """
+
+    shares_kernels = True
 
     def __init__(self, jobs: int, preload: str = TASKS_MODULE) -> None:
         self._jobs = jobs if can_start_workers() else 1

@@ -28,6 +28,10 @@ class Ran(Generic[T]):
 class Runner(Protocol):
     """Runs the calls of all stages of a job."""
 
+    @property
+    def shares_kernels(self) -> bool:
+        """Whether the workers load the kernels that this process has compiled."""
+
     def expect(self, calls: int) -> None:
         """Make ready for about so many calls, without waiting for it."""
 
@@ -63,6 +67,8 @@ class Runner(Protocol):
 
 class InThisProcess:
     """Does one call after another here."""
+
+    shares_kernels = True
 
     def expect(self, calls: int) -> None:
         """Do nothing: this process is ready."""
