@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pcwlad_geo.errors import (
     CancelledError,
+    ExecutionError,
     InputError,
     OutputError,
     PcwladGeoError,
@@ -30,6 +31,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "CancelledError",
+    "ExecutionError",
     "InputError",
     "OutputError",
     "PcwladGeoError",

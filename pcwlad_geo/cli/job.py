@@ -11,7 +11,7 @@ import typer
 
 from pcwlad_geo.cli.config import collect
 from pcwlad_geo.cli.interrupt import STATUS as INTERRUPTED
-from pcwlad_geo.cli.interrupt import cancellable, end_children
+from pcwlad_geo.cli.interrupt import cancellable
 from pcwlad_geo.cli.outcome import Outcome
 from pcwlad_geo.cli.progress import Reporter, one_line, reporter
 from pcwlad_geo.errors import CancelledError, PcwladGeoError, RegistrationRejectedError
@@ -59,7 +59,6 @@ def _attempt(command: Command, params: Mapping[str, Any], report: Reporter) -> i
             outcome = Outcome.read(_paths(command, params))
         report.result(outcome.figures(), outcome.text())
     except (KeyboardInterrupt, CancelledError):
-        end_children()
         report.cancelled()
         return INTERRUPTED
     except PcwladGeoError as error:

@@ -15,7 +15,7 @@ from pcwlad_geo.registration import settings as s
 
 ProgressStyle = Literal["auto", "bar", "json", "none"]
 
-WORDS = {"points": "auto", "search_radius": "auto"}
+WORDS = {"points": "auto", "search_radius": "auto", "jobs": "all"}
 """How None is spelled where it is a choice of its own."""
 
 _DEFAULTS = {field.name: field.default for field in fields(s.Settings)}
@@ -69,7 +69,11 @@ Grid = Annotated[
     _setting("grid", "Grid of the registered raster, the reference's or the target's."),
 ]
 Resampling = Annotated[s.Resampling | None, _setting("resampling", "Resampling of the registered raster.")]
-Jobs = Annotated[int | None, _setting("jobs", "Processes.", metavar="N")]
+Jobs = Annotated[str | None, _setting("jobs", "Processes, at most; all: one a core.", metavar="N|all")]
+Scheduler = Annotated[
+    str | None,
+    _setting("scheduler", "Run the tiles on a dask cluster, tcp://host:port.", metavar="ADDRESS"),
+]
 
 OutDir = Annotated[
     Path | None,

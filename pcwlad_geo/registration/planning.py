@@ -115,6 +115,13 @@ def plan(
     return Plan([site[0] for site in sites if site], int(wanted), sites)
 
 
+def count_tiles(pair: ViewPair, settings: Settings) -> int:
+    """Return about how many tiles a pair makes at least, before it is known where to start."""
+    region = common_region(pair, (round(pair.offset_px[0]), round(pair.offset_px[1])))
+    tiles = [len(_spans(0, length, settings.tile_size)) for length in region.shape]
+    return tiles[0] * tiles[1]
+
+
 def common_region(pair: ViewPair, target_offset_px: tuple[int, int]) -> Window:
     """Return the part of the reference view that the target view covers at an offset."""
     col, row = target_offset_px

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
@@ -17,11 +16,14 @@ from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.fitting import Fitted, fit_correction, shared_residual_px
 from pcwlad_geo.registration.job_log import JobLog
+from pcwlad_geo.registration.kernels import load_kernels
+from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search, look_at
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.result import Prealignment, Registration
 from pcwlad_geo.registration.scene import Matched, match_scene
 from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.tasks import InThisProcess, Runner
 
 PARALLAX_PX = 0.5
 """Residuals that neighbours share are worth a warning where a third of them exceed this."""
@@ -35,7 +37,7 @@ def run(
     settings: Settings,
     *,
     on_event: EventCallback = ignore,
-    executor: Executor | None = None,
+    runner: Runner | None = None,
     match_only: bool = False,
 ) -> Registration:
     """Register the target to the reference, or only match them.
@@ -46,7 +48,7 @@ def run(
     settings : Settings
     on_event : callable
         Receives progress and warnings; an exception that it raises ends the job.
-    executor : concurrent.futures.Executor, optional
+    runner : Runner, optional
         Runs the tiles; None: this process.
     match_only : bool
         Stop at the tie points.
@@ -57,6 +59,7 @@ def run(
         If the input cannot be used.
     """
     log = JobLog(on_event)
+    runner = runner or InThisProcess()
     with log.stage("reading"):
         ref = describe(reference, band=settings.ref_band, mask=settings.ref_mask)
         tgt = describe(target, band=settings.tgt_band, mask=settings.tgt_mask)
@@ -67,10 +70,13 @@ def run(
             log.warn(
                 "reference and target are the same file and band: the displacement is zero by construction"
             )
+        runner.expect(count_tiles(pair, settings))
+        if runner.shares_kernels:
+            load_kernels(settings.method, on_event)
         on_event(Progress("reading", 0, 1))
         look = look_at(pair)
         on_event(Progress("reading", 1, 1))
-    matched = _match(pair, look, settings, log, executor)
+    matched = _match(pair, look, settings, log, runner)
     table = _table(matched, pair)
     px_m = _px_m(tgt)
     fitted: Fitted | None = None
@@ -100,14 +106,14 @@ def run(
     )
 
 
-def _match(pair: ViewPair, look: Look, settings: Settings, log: JobLog, executor: Executor | None) -> Matched:
+def _match(pair: ViewPair, look: Look, settings: Settings, log: JobLog, runner: Runner) -> Matched:
     """Match from the best start known; where that fails and the user left it open, from a search."""
     starts = _starts(pair, look, settings, log)
     result: Matched | None = None
     for prealignment in starts:
         if prealignment is None:
             continue
-        result = match_scene(pair, look, prealignment, settings, log, executor)
+        result = match_scene(pair, look, prealignment, settings, log, runner)
         if result.verdict.accepted:
             if prealignment.method == "search" and pair.georeferenced:
                 col, row = prealignment.shift_px

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -24,7 +23,7 @@ from pcwlad_geo.registration.planning import Plan, common_region, plan
 from pcwlad_geo.registration.prealign import Look, target_offset_px
 from pcwlad_geo.registration.result import Prealignment
 from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.registration.tasks import run_tasks
+from pcwlad_geo.registration.tasks import Runner
 from pcwlad_geo.registration.tiles import Guided, TileJob, TileResult, match_tile, rematch_tile
 
 Bool = NDArray[np.bool_]
@@ -56,6 +55,8 @@ class _FirstPass:
     jobs: list[TileJob]
     results: list[TileResult]
     """In the order of the jobs."""
+    workers: list[int | None]
+    """Which worker did each job."""
 
     @property
     def matches(self) -> TiePoints:
@@ -77,76 +78,79 @@ class _FirstPass:
 
 
 def match_scene(
-    pair: ViewPair,
-    look: Look,
-    prealignment: Prealignment,
-    settings: Settings,
-    log: JobLog,
-    executor: Executor | None,
+    pair: ViewPair, look: Look, prealignment: Prealignment, settings: Settings, log: JobLog, runner: Runner
 ) -> Matched:
     """Match all tiles of a scene from one start, and judge what they gave."""
     offset = target_offset_px(pair, prealignment)
     matching = _match_settings(pair, offset, prealignment, settings, log)
     planned = plan(pair, look, offset, matching, settings)
     with log.stage("matching"):
-        first = _first_pass(planned, settings, log, executor)
+        first = _first_pass(planned, log, runner)
     matches, counts = first.matches, _sum_counts(first.results)
     kept = consistent_points(matches, matching) if len(matches) else np.zeros(0, bool)
     verdict = judge(matches, kept, counts, matching.window, prealignment.search_radius_px)
     if verdict.accepted:
         with log.stage("refining"):
-            matches, kept = _second_pass(first, matches, kept, matching, settings, log, executor)
+            again = _second_pass(first, matches, kept, matching, log, runner)
+            matches, kept = _checked(again, matches, kept, matching)
+        if again.lost.any():  # do the others suffice?
+            verdict = judge(first.matches, kept, counts, matching.window, prealignment.search_radius_px)
     counts["inconsistent"] = int((~kept).sum())
     counts["tie_points"] = int(kept.sum())
     return Matched(matches, kept, counts, verdict, prealignment)
 
 
-def _first_pass(planned: Plan, settings: Settings, log: JobLog, executor: Executor | None) -> _FirstPass:
+def _first_pass(planned: Plan, log: JobLog, runner: Runner) -> _FirstPass:
     """Match the tiles planned, and small windows of second choice where the first gave too little."""
-    jobs: list[TileJob] = []
-    results: list[TileResult] = []
+    first = _FirstPass([], [], [])
     upcoming = planned.first
     for _ in range(MOST_WAVES):
-        calls = [(job,) for job in upcoming]
-        results += run_tasks(match_tile, calls, "matching", executor, settings.jobs, log.on_event)
-        jobs += upcoming
-        upcoming = planned.following(results)
+        ran = runner.run(match_tile, [(job,) for job in upcoming], "matching", log.on_event)
+        first = _FirstPass(first.jobs + upcoming, first.results + ran.results, first.workers + ran.workers)
+        upcoming = planned.following(first.results)
         if not upcoming:
             break
-    _warn_of_failures(results, log)
-    return _FirstPass(jobs, results)
+    _warn_of_failures(first.results, log)
+    return first
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Again:
+    """All matches, those of the second pass as it left them."""
+
+    points: TiePoints
+    surface: Surface | None
+    shared_variance_px2: NDArray[np.float64]
+    """(n,)."""
+    lost: Bool
+    """(n,) in tiles that could not be read a second time."""
 
 
 def _second_pass(
-    first: _FirstPass,
-    matches: TiePoints,
-    kept: Bool,
-    matching: MatchSettings,
-    settings: Settings,
-    log: JobLog,
-    executor: Executor | None,
-) -> tuple[TiePoints, Bool]:
-    """Match the consistent points again, guided by the field of all of them; check them once more.
+    first: _FirstPass, matches: TiePoints, kept: Bool, matching: MatchSettings, log: JobLog, runner: Runner
+) -> _Again:
+    """Match the consistent points again, guided by the field of all of them."""
+    if any(True for _ in first.guided):
+        return _gather(first, matches)
+    return _rematch(first, matches, kept, matching, log, runner)
 
-    Tiles that guide themselves have done so already.
-    """
-    again, surface, shared = (
-        _gather(first, matches)
-        if any(True for _ in first.guided)
-        else _rematch(first, matches, kept, matching, settings, log, executor)
-    )
-    index = np.flatnonzero(kept)
-    final = kept.copy()
-    final[index] = consistent_points(again[index], matching)
-    good = calibrate(again[final], surface, shared[final], matching)
+
+def _checked(
+    again: _Again, matches: TiePoints, kept: Bool, matching: MatchSettings
+) -> tuple[TiePoints, Bool]:
+    """Return the matches with those kept that still agree, where the second pass put them, calibrated."""
+    index = np.flatnonzero(kept & ~again.lost)
+    final = np.zeros_like(kept)
+    final[index] = consistent_points(again.points[index], matching)
+    good = calibrate(again.points[final], again.surface, again.shared_variance_px2[final], matching)
     # rejected points are listed with their formal covariance
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
     target[final], covariance[final] = good.target_xy_px, good.covariance_px2
     return replace(matches, target_xy_px=target, covariance_px2=covariance), final
 
 
-def _gather(first: _FirstPass, matches: TiePoints) -> tuple[TiePoints, Surface | None, NDArray[np.float64]]:
-    """Return all matches as the tiles' own second passes left them, the surface and the shared variance."""
+def _gather(first: _FirstPass, matches: TiePoints) -> _Again:
+    """Collect the second passes of tiles that guide themselves."""
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
     shared = np.zeros(len(matches))
     for index, guided in first.guided:
@@ -154,32 +158,34 @@ def _gather(first: _FirstPass, matches: TiePoints) -> tuple[TiePoints, Surface |
         shared[index] = guided.shared_variance_px2
     surfaces = Counter(guided.surface for _, guided in first.guided for _ in range(len(guided.index)))
     surface = surfaces.most_common(1)[0][0] if surfaces else None
-    return replace(matches, target_xy_px=target, covariance_px2=covariance), surface, shared
+    points = replace(matches, target_xy_px=target, covariance_px2=covariance)
+    return _Again(points, surface, shared, np.zeros(len(matches), bool))
 
 
 def _rematch(
-    first: _FirstPass,
-    matches: TiePoints,
-    kept: Bool,
-    matching: MatchSettings,
-    settings: Settings,
-    log: JobLog,
-    executor: Executor | None,
-) -> tuple[TiePoints, Surface | None, NDArray[np.float64]]:
-    """Return what `_gather` does, from a second visit of the tiles."""
+    first: _FirstPass, matches: TiePoints, kept: Bool, matching: MatchSettings, log: JobLog, runner: Runner
+) -> _Again:
+    """Visit the tiles again, guided by the field of all consistent points."""
     index = np.flatnonzero(kept)
     guide = guide_by_field(matches[index], matching)
-    calls, parts = [], []
-    for tile in np.unique(first.tile_of[index]):
-        part = np.flatnonzero(first.tile_of[index] == tile)
-        parts.append(index[part])
-        calls.append((first.jobs[tile], matches[index[part]], guide.part(part)))
-    results = run_tasks(rematch_tile, calls, "refining", executor, settings.jobs, log.on_event)
+    tile_of = first.tile_of[index]
+    tiles = np.unique(tile_of)
+    parts = [np.flatnonzero(tile_of == tile) for tile in tiles]
+    calls = [
+        (first.jobs[tile], matches[index[part]], guide.part(part))
+        for tile, part in zip(tiles, parts, strict=True)
+    ]
+    workers = [first.workers[tile] for tile in tiles]
+    results = runner.run(rematch_tile, calls, "refining", log.on_event, workers).results
+    _warn_of_failures(results, log)
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
+    lost = np.zeros(len(matches), bool)
     for part, result in zip(parts, results, strict=True):
-        target[part], covariance[part] = result.points.target_xy_px, result.points.covariance_px2
-    again = replace(matches, target_xy_px=target, covariance_px2=covariance)
-    return again, guide.surface, np.full(len(matches), guide.shared_variance_px2)
+        target[index[part]] = result.points.target_xy_px
+        covariance[index[part]] = result.points.covariance_px2
+        lost[index[part]] = result.status == "failed"
+    points = replace(matches, target_xy_px=target, covariance_px2=covariance)
+    return _Again(points, guide.surface, np.full(len(matches), guide.shared_variance_px2), lost)
 
 
 def _match_settings(

@@ -130,7 +130,10 @@ def match_tile(job: TileJob) -> TileResult:
 def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide) -> TileResult:
     """Second pass of a tile: its consistent points again, guided by the displacement field."""
     begun = time.perf_counter()
-    pair = _prepare(job)
+    try:
+        pair = _prepare(job)
+    except InputError as error:
+        return TileResult(job.id, "failed", points, {}, str(error), time.perf_counter() - begun)
     if pair is None:
         return TileResult(job.id, "empty", points, {}, "no valid pixels", time.perf_counter() - begun)
     reference_origin, target_origin = _origins(job)
