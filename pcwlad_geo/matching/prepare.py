@@ -18,6 +18,7 @@ from pcwlad_geo.matching.refinement import ChannelStack
 from pcwlad_geo.matching.similarity import MaskedMap
 
 Bool = NDArray[np.bool_]
+Floating = NDArray[np.floating[Any]]
 
 NO_NOISE: Final = Noise()
 EDGE_PX: Final = 4
@@ -28,7 +29,7 @@ EDGE_PX: Final = 4
 class Image:
     """One image, or a window of one."""
 
-    values: NDArray[np.floating[Any]]
+    values: Floating
     """(rows, cols)."""
     valid: Bool
     """(rows, cols)."""
@@ -71,29 +72,24 @@ def prepare(reference: Image, target: Image, *, oriented: bool) -> PreparedPair:
         Channels are the six oriented maps; else the one map M.
     """
     smooth = smoothing_px(reference.noise, target.noise) if oriented else 0.0
-    filled = _filled(reference)
+    filled = fill_smoothly(reference.values, reference.valid)
     contrast = contrast_weight(filled, reference.epsilon, reference.noise.sigma)
     ref_stack, ref_map = _maps(filled, reference, oriented, smooth)
-    tgt_stack, tgt_map = _maps(_filled(target), target, oriented, smooth)
+    filled = fill_smoothly(target.values, target.valid)
+    tgt_stack, tgt_map = _maps(filled, target, oriented, smooth)
     return PreparedPair(ref_stack, tgt_stack, ref_map, tgt_map, contrast)
 
 
-def _filled(image: Image) -> NDArray[np.floating[Any]]:
-    return fill_smoothly(np.where(image.valid, image.values, 0), image.valid)
-
-
-def _maps(
-    filled: NDArray[np.floating[Any]], image: Image, oriented: bool, smooth_px: float
-) -> tuple[ChannelStack, MaskedMap]:
-    rows, cols = filled.shape
+def _maps(filled: Floating, image: Image, oriented: bool, smooth_px: float) -> tuple[ChannelStack, MaskedMap]:
     extra = [_fast_even(n) - n for n in filled.shape]
-    padded = np.pad(filled, [(0, extra[0]), (0, extra[1])], mode="reflect")
-    channels = oriented_phase_congruency(padded, image.epsilon)[:, :rows, :cols]
+    padded = np.pad(filled, [(0, extra[0]), (0, extra[1])], mode="reflect") if any(extra) else filled
+    channels = oriented_phase_congruency(padded, image.epsilon, (filled.shape[0], filled.shape[1]))
     if smooth_px > 0:
-        channels = np.stack([cv2.GaussianBlur(channel, (0, 0), smooth_px) for channel in channels])
+        for channel in channels:
+            cv2.GaussianBlur(channel, (0, 0), smooth_px, dst=channel)
     moment = maximum_moment(channels)
     valid = _eroded(image.valid)
-    stack = ChannelStack.of(np.ascontiguousarray(channels if oriented else moment[None]), valid)
+    stack = ChannelStack.of(channels if oriented else moment[None], valid)
     weight = valid.astype(np.float32)
     return stack, MaskedMap(moment * weight, weight, np.float32(FULL_SCALE))
 
