@@ -24,6 +24,8 @@ LEAST_CONTRAST: Final = 0.02
 """Share of the scene's range below which local contrast counts as noise."""
 DETAIL_PX: Final = 3.0
 NEIGHBOURHOOD_PX: Final = 8.0
+LARGEST: Final = 1e6
+"""Deviations from the mean, in units of the least contrast, end here: their squares stay finite."""
 NOISE_MARGIN: Final = 1.2
 """Noise energy is taken off with a margin for its own scatter."""
 
@@ -50,11 +52,12 @@ def contrast_weight(
     -------
     (rows, cols) float32 array
     """
-    floor = LEAST_CONTRAST * 255.0 / EPSILON_OF_BYTE_RANGE * epsilon
-    detail = (image - cv2.GaussianBlur(image, (0, 0), DETAIL_PX)).astype(np.float32)
-    energy = cv2.GaussianBlur(detail**2, (0, 0), NEIGHBOURHOOD_PX)
-    energy = np.maximum(energy - np.float32(NOISE_MARGIN * noise_sigma**2), 0)
-    weight: NDArray[np.float32] = (energy / (energy + max(floor, 1e-30) ** 2)).astype(np.float32)
+    floor = max(LEAST_CONTRAST * 255.0 / EPSILON_OF_BYTE_RANGE * epsilon, 1e-30)
+    scaled = np.clip((image - image.mean(dtype=np.float64)) / floor, -LARGEST, LARGEST).astype(np.float32)
+    detail = scaled - cv2.GaussianBlur(scaled, (0, 0), DETAIL_PX)
+    energy = cv2.GaussianBlur(np.square(detail), (0, 0), NEIGHBOURHOOD_PX)
+    energy = np.maximum(energy - np.float32(NOISE_MARGIN * (noise_sigma / floor) ** 2), 0)
+    weight: NDArray[np.float32] = energy / (energy + np.float32(1.0))
     return weight
 
 

@@ -18,6 +18,7 @@ from pcwlad_geo.matching.refinement import ChannelStack
 from pcwlad_geo.matching.similarity import MaskedMap
 
 Bool = NDArray[np.bool_]
+Floating = NDArray[np.floating[Any]]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 NO_NOISE: Final = Noise()
@@ -29,7 +30,7 @@ EDGE_PX: Final = 4
 class Image:
     """One image, or a window of one."""
 
-    values: NDArray[np.floating[Any]]
+    values: Floating
     """(rows, cols)."""
     valid: Bool
     """(rows, cols)."""
@@ -56,6 +57,14 @@ class PreparedPair:
         return PreparedPair(self.target, self.reference, self.target_map, self.reference_map, self.contrast)
 
     @property
+    def nbytes(self) -> int:
+        """Memory of the arrays."""
+        stacks = [stack.maps.nbytes + stack.coefficients.nbytes for stack in (self.reference, self.target)]
+        maps = [each.values.nbytes + each.valid.nbytes for each in (self.reference_map, self.target_map)]
+        masks = self.reference.valid.nbytes + self.target.valid.nbytes
+        return sum(stacks) + sum(maps) + masks + self.contrast.nbytes
+
+    @property
     def reference_moment(self) -> NDArray[np.float32]:
         """(rows, cols) maximum moment of the reference."""
         return self.reference_map.values
@@ -74,37 +83,36 @@ def prepare(reference: Image, target: Image, *, oriented: bool, halo_px: int = 0
         Rows and columns along all four edges that the filters need and the result leaves out.
     """
     smooth = smoothing_px(reference.noise, target.noise) if oriented else 0.0
-    filled = _filled(reference)
+    filled = fill_smoothly(reference.values, reference.valid)
     contrast = contrast_weight(filled, reference.epsilon, reference.noise.sigma)
     ref_stack, ref_map = _maps(filled, reference, oriented, smooth, halo_px)
-    tgt_stack, tgt_map = _maps(_filled(target), target, oriented, smooth, halo_px)
-    return PreparedPair(ref_stack, tgt_stack, ref_map, tgt_map, _inside(contrast, halo_px).copy())
-
-
-def _filled(image: Image) -> NDArray[np.floating[Any]]:
-    return fill_smoothly(np.where(image.valid, image.values, 0), image.valid)
+    filled = fill_smoothly(target.values, target.valid)
+    tgt_stack, tgt_map = _maps(filled, target, oriented, smooth, halo_px)
+    return PreparedPair(ref_stack, tgt_stack, ref_map, tgt_map, _inside(contrast, halo_px))
 
 
 def _maps(
-    filled: NDArray[np.floating[Any]], image: Image, oriented: bool, smooth_px: float, halo_px: int
+    filled: Floating, image: Image, oriented: bool, smooth_px: float, halo_px: int
 ) -> tuple[ChannelStack, MaskedMap]:
-    rows, cols = filled.shape
     extra = [fast_even(n) - n for n in filled.shape]
-    padded = np.pad(filled, [(0, extra[0]), (0, extra[1])], mode="reflect")
-    channels = oriented_phase_congruency(padded, image.epsilon)[:, :rows, :cols]
+    padded = np.pad(filled, [(0, extra[0]), (0, extra[1])], mode="reflect") if any(extra) else filled
+    channels = oriented_phase_congruency(padded, image.epsilon, (filled.shape[0], filled.shape[1]))
     if smooth_px > 0:
-        channels = np.stack([cv2.GaussianBlur(channel, (0, 0), smooth_px) for channel in channels])
+        for channel in channels:
+            cv2.GaussianBlur(channel, (0, 0), smooth_px, dst=channel)
     channels = _inside(channels, halo_px)
     moment = maximum_moment(channels)
-    valid = _inside(_eroded(image.valid), halo_px).copy()
-    stack = ChannelStack.of(np.ascontiguousarray(channels if oriented else moment[None]), valid)
+    valid = _inside(_eroded(image.valid), halo_px)
+    stack = ChannelStack.of(channels if oriented else moment[None], valid)
     weight = valid.astype(np.float32)
     return stack, MaskedMap(moment * weight, weight, np.float32(FULL_SCALE))
 
 
 def _inside(plane: NDArray[Scalar], halo_px: int) -> NDArray[Scalar]:
-    """Return the last two axes without so many pixels on all sides."""
-    return plane[..., halo_px : plane.shape[-2] - halo_px, halo_px : plane.shape[-1] - halo_px]
+    """Return the last two axes without so many pixels on all sides; a copy, so that the rest is freed."""
+    if halo_px == 0:
+        return plane
+    return plane[..., halo_px : plane.shape[-2] - halo_px, halo_px : plane.shape[-1] - halo_px].copy()
 
 
 def fast_even(n: int) -> int:

@@ -40,6 +40,8 @@ class OnExecutor:
         Whether its workers are threads or processes of this machine.
     """
 
+    heeds_affinity = False
+
     def __init__(
         self,
         executor: Executor,
@@ -95,6 +97,7 @@ class OwnProcesses:
     """
 
     shares_kernels = True
+    heeds_affinity = True
 
     def __init__(self, jobs: int, preload: str = TASKS_MODULE) -> None:
         self._jobs = jobs if can_start_workers() else 1

@@ -105,6 +105,8 @@ def _first_pass(planned: Plan, log: JobLog, runner: Runner) -> _FirstPass:
     first = _FirstPass([], [], [])
     upcoming = planned.first
     for _ in range(MOST_WAVES):
+        if runner.heeds_affinity:
+            upcoming = [replace(job, returns=not job.guides_itself) for job in upcoming]
         ran = runner.run(match_tile, [(job,) for job in upcoming], "matching", log.on_event)
         first = _FirstPass(first.jobs + upcoming, first.results + ran.results, first.workers + ran.workers)
         upcoming = planned.following(first.results)

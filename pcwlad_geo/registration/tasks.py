@@ -32,6 +32,10 @@ class Runner(Protocol):
     def shares_kernels(self) -> bool:
         """Whether the workers load the kernels that this process has compiled."""
 
+    @property
+    def heeds_affinity(self) -> bool:
+        """Whether a call goes to the worker that is wanted for it."""
+
     def expect(self, calls: int) -> None:
         """Make ready for about so many calls, without waiting for it."""
 
@@ -69,6 +73,7 @@ class InThisProcess:
     """Does one call after another here."""
 
     shares_kernels = True
+    heeds_affinity = True
 
     def expect(self, calls: int) -> None:
         """Do nothing: this process is ready."""

@@ -26,6 +26,9 @@ from pcwlad_geo.matching.settings import TRAITS, MatchSettings
 from pcwlad_geo.matching.tie_points import TiePoints
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.raster.windows import Window
+from pcwlad_geo.registration.kept_pairs import KeptPairs
+
+_KEPT = KeptPairs()
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +57,15 @@ class TileJob:
     settings: MatchSettings
     guides_itself: bool = False
     """It holds enough neighbours for its own second pass."""
+    returns: bool = False
+    """Its second pass comes to the same worker, which keeps the maps if it can."""
     cell_margin_px: int = 0
     """How far a cell of candidates that begins in the core may reach beyond it."""
+
+    @property
+    def scene(self) -> tuple[View, View, tuple[int, int], Window, MatchSettings]:
+        """What tells the tiles of one scene and start from others of the same number."""
+        return self.reference, self.target, self.target_offset_px, self.region, self.settings
 
     @property
     def window(self) -> Window:
@@ -115,6 +125,8 @@ def match_tile(job: TileJob) -> TileResult:
         (window.row - job.region.row, window.col - job.region.col),
     )
     points, counts = match_candidates(pair, inside, job.settings)
+    if job.returns and len(points):
+        _KEPT.keep(job.scene, job.id, pair)
     guided = _guided(job, pair, points) if job.guides_itself else None
     return TileResult(
         job.id,
@@ -153,7 +165,10 @@ def _guided(job: TileJob, pair: PreparedPair, points: TiePoints) -> Guided:
 
 
 def _prepare(job: TileJob) -> PreparedPair | None:
-    """Read and prepare the tile's window; None where a band shows nothing of it."""
+    """Read and prepare the tile's window, unless it is kept; None where a band shows nothing of it."""
+    kept = _KEPT.take(job.scene, job.id)
+    if kept is not None:
+        return kept
     window = job.read_window
     reference = job.reference.read(window)
     target = job.target.read(window.moved(job.target_offset_px[1], job.target_offset_px[0]))
