@@ -39,5 +39,5 @@ def test_another_scene_takes_the_place_of_the_last(pair: PreparedPair) -> None:
 
 
 def test_the_size_is_that_of_all_arrays(pair: PreparedPair) -> None:
-    # six maps and their coefficients, the map of maxima and the weight as float32, the mask, for each of the two
+    # of each image six maps, their coefficients, the map of maxima and its weight as float32, and the mask
     assert pair.nbytes == 64 * 64 * (2 * (4 * (6 + 6 + 1 + 1) + 1) + 4)
