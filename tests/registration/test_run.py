@@ -404,7 +404,7 @@ def test_events_tell_the_stages_in_order(tmp_path: Path) -> None:
     run(pair.reference, pair.target, Settings(**SMALL), on_event=events.append)
     steps = [event for event in events if isinstance(event, Progress)]
     stages = list(dict.fromkeys(step.stage for step in steps))
-    assert stages == ["reading", "matching", "refining", "fitting"]
+    assert stages == ["reading", "matching", "fitting"]
     for stage in stages:
         done = [step.done for step in steps if step.stage == stage]
         assert done == list(range(len(done)))
@@ -424,7 +424,7 @@ class StoppedError(Exception):
     pass
 
 
-@pytest.mark.parametrize("stage", ["reading", "matching", "refining", "fitting"])
+@pytest.mark.parametrize("stage", ["reading", "matching", "fitting"])
 def test_an_exception_of_the_callback_ends_the_job(stage: str, tmp_path: Path) -> None:
     pair = write_pair(tmp_path, make_grid((160, 160)), make_grid((160, 160)))
 
