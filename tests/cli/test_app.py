@@ -74,7 +74,19 @@ def test_bad_arguments_are_one_line_and_status_2(
 
 
 def test_nothing_heavy_is_imported_before_a_command_runs() -> None:
-    heavy = ("numpy", "scipy", "cv2", "numba", "rasterio", "pyproj", "shapely", "matplotlib", "jinja2")
+    heavy = (
+        "numpy",
+        "scipy",
+        "cv2",
+        "numba",
+        "rasterio",
+        "pyproj",
+        "shapely",
+        "matplotlib",
+        "jinja2",
+        "rich",
+    )
+    heavy += ("dask", "distributed", "multiprocessing")
     code = f"import sys, pcwlad_geo.cli.app; print([name for name in {heavy} if name in sys.modules])"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert shown.strip() == "[]"
