@@ -19,7 +19,8 @@ import rasterio
 import pcwlad_geo
 from pcwlad_geo import ExecutionError, InputError, RegistrationRejectedError
 from pcwlad_geo.raster import tie_point_csv
-from pcwlad_geo.registration.progress import Event, Progress
+from pcwlad_geo.registration.cluster import _inspection, connected
+from pcwlad_geo.registration.progress import Event, Progress, Warned
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.runners import OwnProcesses
@@ -248,6 +249,48 @@ def test_a_killed_worker_of_a_cluster_changes_no_point(
     assert two_workers.workers[0].wait() == -signal.SIGKILL
     np.testing.assert_array_equal(found.tie_points.target_px, whole.tie_points.target_px)
     np.testing.assert_array_equal(found.tie_points.covariance_px2, whole.tie_points.covariance_px2)
+
+
+def test_a_scheduler_that_is_lost_is_one_clear_error(
+    two_workers: Cluster, pair: tuple[Path, Path], tmp_path: Path
+) -> None:
+    def kill(event: Event) -> None:
+        if isinstance(event, Progress) and event.stage == "matching" and event.done == 2:
+            two_workers.scheduler.kill()
+
+    with pytest.raises(ExecutionError, match=f"the scheduler {two_workers.address} is lost"):
+        on_cluster(two_workers, pair, tmp_path, kill)
+    assert not (tmp_path / "out").exists()
+
+
+def test_workers_must_have_this_version_and_may_differ_in_others(
+    two_workers: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    events: list[Event] = []
+    with connected(two_workers.address, events.append):
+        assert events == []
+    monkeypatch.setattr("numpy.__version__", "0.1")
+    with connected(two_workers.address, events.append):
+        (warning,) = events
+    assert isinstance(warning, Warned)
+    assert "instead of 0.1: tie points may differ" in warning.message
+    version = pcwlad_geo.__version__
+    monkeypatch.setattr(pcwlad_geo, "__version__", "99.0.0")
+    refused = pytest.raises(
+        ExecutionError, match=rf"has pcwlad-geo {version}: install pcwlad-geo 99.0.0 there"
+    )
+    with refused, connected(two_workers.address, events.append):
+        pass
+
+
+def test_a_worker_without_the_package_is_seen() -> None:
+    cloudpickle = pytest.importorskip("cloudpickle")
+    sent = cloudpickle.dumps(_inspection(("pcwlad_geo", "cloudpickle")))
+    code = (
+        "import pickle, sys; sys.modules['pcwlad_geo'] = None; print(pickle.loads(sys.stdin.buffer.read())())"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], input=sent, capture_output=True, check=True)
+    assert ended.stdout.decode().startswith("{'pcwlad_geo': None, 'cloudpickle': ")
 
 
 def test_a_scheduler_that_cannot_be_reached_is_one_line_and_status_2(
