@@ -19,6 +19,7 @@ PATIENCE_S = 120
 @dataclass(frozen=True)
 class Cluster:
     address: str
+    scheduler: subprocess.Popen[bytes]
     workers: list[subprocess.Popen[bytes]]
 
 
@@ -34,7 +35,7 @@ def cluster(folder: Path, workers: int = 2) -> Iterator[Cluster]:
         processes += [_start(folder, "dask_worker", *more) for _ in range(workers)]
         with Client(address, timeout=PATIENCE_S, set_as_default=False) as client:
             client.wait_for_workers(workers, timeout=PATIENCE_S)
-        yield Cluster(address, processes[1:])
+        yield Cluster(address, *processes[:1], processes[1:])
     finally:
         for process in processes[::-1]:
             process.kill()

@@ -12,11 +12,9 @@ from typing import Annotated, Any, Literal
 import typer
 
 from pcwlad_geo.registration import settings as s
+from pcwlad_geo.registration.option_values import WORDS
 
 ProgressStyle = Literal["auto", "bar", "json", "none"]
-
-WORDS = {"points": "auto", "search_radius": "auto", "jobs": "all"}
-"""How None is spelled where it is a choice of its own."""
 
 _DEFAULTS = {field.name: field.default for field in fields(s.Settings)}
 

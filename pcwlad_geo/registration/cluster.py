@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-import pcwlad_geo
 from pcwlad_geo.errors import ExecutionError
 from pcwlad_geo.registration.progress import EventCallback, Warned
 from pcwlad_geo.registration.runners import IN_FLIGHT, OnExecutor
@@ -105,22 +104,21 @@ async def _probe(address: str) -> None:
 
 def _check_versions(client: Client, address: str, on_event: EventCallback) -> None:
     """Refuse workers without this version of ours, warn of other versions of what makes the numbers."""
-    found: Mapping[str, Any] = client.get_versions(packages=["pcwlad_geo", *NUMERIC])
-    here = found["client"]["packages"]
+    inspect = _inspection(("pcwlad_geo", *NUMERIC))
+    here = inspect()
     differing: set[str] = set()
-    for worker, versions in found["workers"].items():
-        there = versions["packages"]
-        ours = there.get("pcwlad_geo")
-        if ours != pcwlad_geo.__version__:
+    for worker, there in client.run(inspect, on_error="return").items():
+        if not isinstance(there, dict):  # it does not answer: the scheduler will find out
+            continue
+        ours = there["pcwlad_geo"]
+        if ours != here["pcwlad_geo"]:
             has = f"has pcwlad-geo {ours}" if ours else "has no pcwlad-geo"
             raise ExecutionError(
                 f"the worker {worker} of the scheduler {address} {has}: "
-                f"install pcwlad-geo {pcwlad_geo.__version__} there"
+                f"install pcwlad-geo {here['pcwlad_geo']} there"
             )
         differing |= {
-            f"{name} {there.get(name)} instead of {here.get(name)}"
-            for name in NUMERIC
-            if there.get(name) != here.get(name)
+            f"{name} {there[name]} instead of {here[name]}" for name in NUMERIC if there[name] != here[name]
         }
     if differing:
         on_event(
@@ -129,6 +127,24 @@ def _check_versions(client: Client, address: str, on_event: EventCallback) -> No
                 "tie points may differ in their last digits from those made here"
             )
         )
+
+
+def _inspection(names: Sequence[str]) -> Callable[[], dict[str, str | None]]:
+    """Return a function that tells the versions of packages, None for those that are not there."""
+
+    # Inside another function it travels as code, not as a name: a worker may lack this module.
+    def inspect() -> dict[str, str | None]:
+        from importlib import import_module
+
+        found: dict[str, str | None] = {}
+        for name in names:
+            try:
+                found[name] = str(import_module(name).__version__)
+            except ImportError:
+                found[name] = None
+        return found
+
+    return inspect
 
 
 @contextmanager

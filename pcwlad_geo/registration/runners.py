@@ -78,8 +78,8 @@ class OnExecutor:
             with one_opencv_thread():  # its workers may be threads
                 results, _ = drive(submit, [None] * len(calls), slots, stage, on_event)
         except self._broken as error:
-            text = f"{type(error).__name__}: {error}"
-            raise ExecutionError(f"{self._place} has lost its workers ({text})") from error
+            detail = f"{type(error).__name__}: {error}".removesuffix(": ")
+            raise ExecutionError(f"{self._place} is lost, or its workers are ({detail})") from error
         return Ran(results, [None] * len(calls))
 
 
