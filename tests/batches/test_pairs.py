@@ -46,7 +46,7 @@ def test_empty_cells_are_the_default_and_cells_go_before_options(tmp_path: Path)
     header = "target , reference,window,search-radius,points\n"
     text = header + "t1.tif,r.tif,41,,all\n\n,,,\nt2.tif,r.tif,,20\n"
     first, second = read(tmp_path, text, window=61, search_radius=5, points=100)
-    assert (first.settings.window, first.settings.search_radius, first.settings.points) == (41, 5, None)
+    assert (first.settings.window, first.settings.search_radius, first.settings.points) == (41, 5, "all")
     assert (second.settings.window, second.settings.search_radius, second.settings.points) == (61, 20, 100)
     assert (first.line, second.line) == (2, 5)
     assert first.name == "t1.tif (line 2)"
