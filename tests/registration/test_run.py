@@ -338,7 +338,7 @@ def test_narrow_overlap_shrinks_the_windows_and_says_so(tmp_path: Path) -> None:
 # --- tiles, executors, events ----------------------------------------------------------------------------
 
 
-def on(runner: Runner | None, folder: Path, tile_size: int = 128) -> Registration:
+def on(runner: Runner | None, folder: Path, tile_size: int = 170) -> Registration:
     settings = Settings(**{**SMALL, "tile_size": tile_size, "features": 120})
     return run(folder / "ref.tif", folder / "tgt.tif", settings, runner=runner)
 
@@ -383,18 +383,18 @@ def test_any_number_of_jobs_gives_the_same_to_the_last_bit(jobs: int, scene: Pat
     with OwnProcesses(jobs) as runner:
         found = on(runner, scene)
         assert len(runner.process_ids) == (0 if jobs == 1 else jobs)
-    assert_identical(found, tiled(128, scene))
+    assert_identical(found, tiled(170, scene))
 
 
 def test_threads_give_the_same_to_the_last_bit(scene: Path) -> None:
     with ThreadPoolExecutor(4) as executor:
-        assert_identical(on(OnExecutor(executor), scene), tiled(128, scene))
+        assert_identical(on(OnExecutor(executor), scene), tiled(170, scene))
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_any_order_gives_the_same_to_the_last_bit(seed: int, scene: Path) -> None:
     with Shuffled(seed) as executor:
-        assert_identical(on(OnExecutor(executor), scene), tiled(128, scene))
+        assert_identical(on(OnExecutor(executor), scene), tiled(170, scene))
     assert executor.order != sorted(executor.order)
 
 
