@@ -37,7 +37,7 @@ def part(bits: np.uint64, index: int) -> float:
     return float((bits >> np.uint64(16 * index)) & np.uint64(0xFFFF)) / 65536.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def add_noise(
     x_px: Float64, y_px: Float64, wavelength_px: float, key: int, gain: Float32, out: Float32
 ) -> None:
@@ -58,6 +58,7 @@ def add_noise(
     """
     nodes = np.empty((FIELDS, 3, 3), np.float32)
     per_px = 2.0 / wavelength_px
+    scale = np.float32(per_px)
     shift = hash_position(0, 0, key)
     last_i, last_j = 1 << 60, 1 << 60
     for n in range(len(x_px)):
@@ -72,23 +73,23 @@ def add_noise(
                         value = np.float32((bits >> np.uint64(16 * field)) & np.uint64(0xFFFF))
                         nodes[field, b, a] = (value - np.float32(32767.5)) * UNIT * gain[field]
         s, t = np.float32(u - i), np.float32(v - j)
-        wx, wy = _weights(s), _weights(t)
+        x0, x1, x2 = _weights(s)
+        y0, y1, y2 = _weights(t)
         for field in range(FIELDS):
-            if gain[field] == 0.0:
-                continue
-            node = nodes[field]
-            total = np.float32(0.0)
-            for b in range(3):
-                total += wy[b] * (wx[0] * node[b, 0] + wx[1] * node[b, 1] + wx[2] * node[b, 2])
-            out[field, n] += total
+            if gain[field] != 0.0:
+                row0 = x0 * nodes[field, 0, 0] + x1 * nodes[field, 0, 1] + x2 * nodes[field, 0, 2]
+                row1 = x0 * nodes[field, 1, 0] + x1 * nodes[field, 1, 1] + x2 * nodes[field, 1, 2]
+                row2 = x0 * nodes[field, 2, 0] + x1 * nodes[field, 2, 1] + x2 * nodes[field, 2, 2]
+                out[field, n] += y0 * row0 + y1 * row1 + y2 * row2
+                if field == 0:
+                    d0, d1, d2 = _slopes(t)
+                    out[5, n] += scale * (d0 * row0 + d1 * row1 + d2 * row2)
         if gain[0] != 0.0:
-            node, scale = nodes[0], np.float32(per_px)
-            sx, sy = _slopes(s), _slopes(t)
-            for b in range(3):
-                along = wx[0] * node[b, 0] + wx[1] * node[b, 1] + wx[2] * node[b, 2]
-                slope = sx[0] * node[b, 0] + sx[1] * node[b, 1] + sx[2] * node[b, 2]
-                out[4, n] += scale * wy[b] * slope
-                out[5, n] += scale * sy[b] * along
+            d0, d1, d2 = _slopes(s)
+            col0 = y0 * nodes[0, 0, 0] + y1 * nodes[0, 1, 0] + y2 * nodes[0, 2, 0]
+            col1 = y0 * nodes[0, 0, 1] + y1 * nodes[0, 1, 1] + y2 * nodes[0, 2, 1]
+            col2 = y0 * nodes[0, 0, 2] + y1 * nodes[0, 1, 2] + y2 * nodes[0, 2, 2]
+            out[4, n] += scale * (d0 * col0 + d1 * col1 + d2 * col2)
 
 
 @njit(cache=True, nogil=True)

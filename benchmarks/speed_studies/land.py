@@ -55,11 +55,11 @@ _WOOD: Final = np.array([0.034, -2.5])
 _STANDS: Final = np.array([0.020, 1.2])  # change from one kind of trees to the other
 _WATER: Final = np.array([0.028, -7.0])
 
-_TEXTURE: Final = np.array([0.14, 1.3])  # of one band alone: relative, and K
+_TEXTURE: Final = np.array([0.17, 1.6])  # of one band alone: relative, and K
 _VIGOUR: Final = np.array([-0.13, -1.4])  # lush ground is darker and cooler: seen by both
 _PATCHES: Final = np.array([0.06, 1.5])  # haze, passed cloud shadows: soft, of one band alone
 _SUN: Final = np.array([[0.62, -0.78], [0.90, 0.43]])  # towards the light: noon, the morning's warmth
-_SHADE: Final = np.array([2.2, 26.0])  # effect of a slope of 1 towards the sun: relative, and K
+_SHADE: Final = np.array([7.0, 80.0])  # effect of a slope of 1 towards the sun: relative, and K
 
 # One row an octave, 4096 px to 4 px: the amplitudes of four fields.
 _WAVELENGTHS_PX: Final = 4096.0 / 2.0 ** np.arange(11)
@@ -84,8 +84,8 @@ _BENDS: Final = np.array(  # of the borders along x and y in px, upland, stands 
         [0.0, 0.0, 1.0, 0.0],
         [12.0, 12.0, 0.5, 0.0],
         [7.0, 7.0, 0.2, 0.6],
-        [2.5, 2.5, 0.0, 0.6],
-        [0.8, 0.8, 0.0, 0.5],
+        [4.0, 4.0, 0.0, 0.6],
+        [1.6, 1.6, 0.0, 0.5],
         [0.0, 0.0, 0.0, 0.4],
     ],
     np.float32,
@@ -125,10 +125,13 @@ def land_row(x_px: Float64, y_px: Float64, band: int, seed: int) -> Float64:
     (n,) float64 array
     """
     terrain, bends, own = (np.zeros((6, len(x_px)), np.float32) for _ in range(3))
-    for group, (table, fields) in enumerate(((_TERRAIN, terrain), (_BENDS, bends), (_OWN, own))):
+    wanted = np.repeat(np.arange(2) == band, 2).astype(np.float32)
+    tables = ((_TERRAIN, terrain), (_BENDS, bends), (_OWN * wanted, own))
+    for group, (table, fields) in enumerate(tables):
         for octave, gain in enumerate(table):
-            key = seed * 1000 + group * 100 + octave
-            add_noise(x_px, y_px, _WAVELENGTHS_PX[octave], key, gain, fields)
+            if gain.any():
+                key = seed * 1000 + group * 100 + octave
+                add_noise(x_px, y_px, _WAVELENGTHS_PX[octave], key, gain, fields)
     values = np.empty(len(x_px))
     _paint(x_px, y_px, terrain, bends, own[2 * band : 2 * band + 2], band, seed * 1000 + 900, values)
     return values

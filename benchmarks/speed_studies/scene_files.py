@@ -31,6 +31,7 @@ CRS: Final = "EPSG:32633"
 ORIGIN_XY_M: Final = (412_180.0, 5_278_220.0)
 OVERVIEWS_FROM_PX: Final = 4096
 STRIP_ROWS: Final = 128
+CACHE_BYTES: Final = 2**27
 NOISE_DN: Final = (30.0, 20.0)
 
 # One row an axis (col, row): mean displacement, px; then amplitude, px, waves a px along columns and rows,
@@ -134,7 +135,7 @@ def _write(path: Path, side_px: int, band: int) -> None:
         "zlevel": 1,
         "num_threads": "all_cpus",
     }
-    with rasterio.Env(GDAL_NUM_THREADS="ALL_CPUS"):
+    with rasterio.Env(GDAL_NUM_THREADS="ALL_CPUS", GDAL_CACHEMAX=CACHE_BYTES):
         with rasterio.open(path, "w", **profile) as file:
             for start, image in _strips(band, side_px):
                 file.write(image, 1, window=Window(0, start, side_px, len(image)))

@@ -38,10 +38,11 @@ def test_cpu_time_of_a_child_and_of_an_orphan_is_counted() -> None:
 
 
 def test_other_children_of_this_process_are_left_alone() -> None:
-    other = subprocess.Popen(
-        [sys.executable, "-c", f"{BUSY}block = bytearray(b'x') * 300_000_000\ninput()"], stdin=subprocess.PIPE
-    )
-    run = python("pass")
+    code = f"{BUSY}block = bytearray(b'x') * 300_000_000\nprint('ready', flush=True)\ninput()"
+    other = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert other.stdout is not None
+    assert other.stdout.readline() == b"ready\n"
+    run = python("import time\ntime.sleep(0.5)")
     assert run.peak_mb < 200
     assert run.cpu_s < 0.4
     other.communicate(b"\n")
