@@ -15,11 +15,14 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 from numba import njit
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+_ALWAYS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
+# numba's own error model raises on a division by zero: that test in a loop keeps it from the vector units
 
 
 def compiled(*, fastmath: bool = False) -> Callable[[Function], Function]:
@@ -33,9 +36,9 @@ def compiled(*, fastmath: bool = False) -> Callable[[Function], Function]:
 
     def decorate(function: Function) -> Function:
         try:
-            kernel: Any = njit(cache=True, nogil=True, fastmath=fastmath)(function)
+            kernel: Any = njit(cache=True, fastmath=fastmath, **_ALWAYS)(function)
         except RuntimeError:  # numba: no locator available, that is, no folder can be written
-            kernel = njit(nogil=True, fastmath=fastmath)(function)
+            kernel = njit(fastmath=fastmath, **_ALWAYS)(function)
         _drop_outdated(kernel)
         return cast(Function, kernel)
 
@@ -54,7 +57,7 @@ def compiled_part(*, fastmath: bool = False, inline: bool = False) -> Callable[[
     """
 
     def decorate(function: Function) -> Function:
-        part: Any = njit(nogil=True, fastmath=fastmath, inline="always" if inline else "never")(function)
+        part: Any = njit(fastmath=fastmath, inline="always" if inline else "never", **_ALWAYS)(function)
         return cast(Function, part)
 
     return decorate
