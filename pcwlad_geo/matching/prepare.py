@@ -81,7 +81,7 @@ def prepare(reference: Image, target: Image, *, oriented: bool) -> PreparedPair:
 
 
 def _maps(filled: Floating, image: Image, oriented: bool, smooth_px: float) -> tuple[ChannelStack, MaskedMap]:
-    extra = [_fast_even(n) - n for n in filled.shape]
+    extra = [fast_even(n) - n for n in filled.shape]
     padded = np.pad(filled, [(0, extra[0]), (0, extra[1])], mode="reflect") if any(extra) else filled
     channels = oriented_phase_congruency(padded, image.epsilon, (filled.shape[0], filled.shape[1]))
     if smooth_px > 0:
@@ -94,7 +94,8 @@ def _maps(filled: Floating, image: Image, oriented: bool, smooth_px: float) -> t
     return stack, MaskedMap(moment * weight, weight, np.float32(FULL_SCALE))
 
 
-def _fast_even(n: int) -> int:
+def fast_even(n: int) -> int:
+    """Return the least even length from n that transforms fast."""
     length = int(scipy.fft.next_fast_len(n, real=False))
     while length % 2:
         length = int(scipy.fft.next_fast_len(length + 1, real=False))
