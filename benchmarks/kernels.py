@@ -84,7 +84,7 @@ def phase_congruency_cost(side_px: int = SIDES_PX[-1], rounds: int = ROUNDS) -> 
         lambda: transform(False),
         lambda: oriented_phase_congruency(padded, epsilon),
         lambda: maximum_moment(maps),
-        lambda: prepare(whole, whole, oriented=True),
+        lambda: prepare(whole, whole, channels="orientations"),
     ]
     least = _least_cpu_s(stages, rounds)
     return PhaseCongruencyCost(side_px, padded_px, *least[:-1], least[-1] / 2)

@@ -87,7 +87,7 @@ def match_arrays(
     pair = prepare(
         _on_canvas(ref, rows, cols, margin),
         _on_canvas(tgt, rows, cols, margin),
-        oriented=_traits(settings).oriented,
+        channels=_traits(settings).channels,
     )
     core = Core(margin, margin, margin + rows, margin + cols, (-margin, -margin))
     first, _ = match_candidates(pair, core, settings)

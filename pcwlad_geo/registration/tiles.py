@@ -178,7 +178,7 @@ def _prepare(job: TileJob) -> tuple[PreparedPair, Window] | None:
     pair = prepare(
         Image(reference.values, reference.valid, job.reference_scene.epsilon, job.reference_scene.noise),
         Image(target.values, target.valid, job.target_scene.epsilon, job.target_scene.noise),
-        oriented=TRAITS[job.settings.method].oriented,
+        channels=TRAITS[job.settings.method].channels,
     )
     return pair, window
 

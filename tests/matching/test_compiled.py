@@ -88,7 +88,7 @@ images = []
 for _ in range(2):
     values = rng.normal(100.0, 20.0, (150, 131))
     images.append(Image(values, values < 150, scene_epsilon(values)))
-pair = prepare(*images, oriented=True)
+pair = prepare(*images, channels="orientations")
 digest = hashlib.sha256()
 for stack, whole in ((pair.reference, pair.reference_map), (pair.target, pair.target_map)):
     for array in (stack.maps, stack.coefficients, whole.values, pair.contrast):
