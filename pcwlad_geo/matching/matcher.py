@@ -26,8 +26,6 @@ Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 Bool = NDArray[np.bool_]
 
-HALO_PX: Final = 64
-"""Context that phase congruency needs around a window: beyond it the maps change by less than 4e-4."""
 DISAGREEMENT_PX: Final = 0.5
 """Largest difference between the forward and the backward match."""
 COARSE_SIGMA_PX: Final = 0.35
@@ -87,7 +85,7 @@ def match_arrays(
     pair = prepare(
         _on_canvas(ref, rows, cols, margin),
         _on_canvas(tgt, rows, cols, margin),
-        oriented=_traits(settings).oriented,
+        channels=_traits(settings).channels,
     )
     core = Core(margin, margin, margin + rows, margin + cols, (-margin, -margin))
     first, _ = match_candidates(pair, core, settings)

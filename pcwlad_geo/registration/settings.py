@@ -10,7 +10,7 @@ from typing import Literal, get_args, get_origin, get_type_hints
 
 from pcwlad_geo.errors import SettingsError
 
-Method = Literal["oriented", "pcwlad", "pclad", "pclsm", "coarse"]
+Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 Keypoints = Literal["cells", "strongest"]
 Model = Literal["auto", "shift", "affine"]
 Prealign = Literal["auto", "georef", "search", "none"]

@@ -13,7 +13,6 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.field import Surface
 from pcwlad_geo.matching.guidance import FieldGuide, guide_by_field
 from pcwlad_geo.matching.matcher import (
-    HALO_PX,
     Core,
     consistent_points,
     margin_px,
@@ -75,7 +74,7 @@ class TileJob:
     @property
     def read_window(self) -> Window:
         """The part of the reference view that is read: with the halo of the filters."""
-        return self.window.padded(HALO_PX)
+        return self.window.padded(TRAITS[self.settings.method].halo_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +168,7 @@ def _prepare(job: TileJob) -> PreparedPair | None:
     kept = _KEPT.take(job.scene, job.id)
     if kept is not None:
         return kept
-    window = job.read_window
+    window, traits = job.read_window, TRAITS[job.settings.method]
     reference = job.reference.read(window)
     target = job.target.read(window.moved(job.target_offset_px[1], job.target_offset_px[0]))
     if not reference.valid.any() or not target.valid.any():
@@ -177,8 +176,8 @@ def _prepare(job: TileJob) -> PreparedPair | None:
     return prepare(
         Image(reference.values, reference.valid, job.reference_scene.epsilon, job.reference_scene.noise),
         Image(target.values, target.valid, job.target_scene.epsilon, job.target_scene.noise),
-        oriented=TRAITS[job.settings.method].oriented,
-        halo_px=HALO_PX,
+        channels=traits.channels,
+        halo_px=traits.halo_px,
     )
 
 

@@ -12,7 +12,7 @@ from pcwlad_geo.registration.kept_pairs import KeptPairs
 @pytest.fixture(scope="module")
 def pair() -> PreparedPair:
     image = Image(np.random.default_rng(0).normal(size=(64, 64)), np.ones((64, 64), bool), 1e-4)
-    return prepare(image, image, oriented=True)
+    return prepare(image, image, channels="orientations")
 
 
 def test_a_pair_is_taken_once(pair: PreparedPair) -> None:
