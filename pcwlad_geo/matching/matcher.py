@@ -143,7 +143,9 @@ def match_candidates(
         "at_search_border": int((similar & coarse.at_border).sum()),
     }
     corners, score = corners[inside], coarse.distinctness[inside]
-    shift = coarse.offset_rc[inside, ::-1].astype(np.float64)
+    # the paper begins at the whole pixel; nearer to the place fewer steps are needed
+    whole = coarse.offset_rc[inside, ::-1].astype(np.float64)
+    shift = coarse.shift_xy_px[inside] if traits.structure == "local" else whole
     if not traits.refined:
         covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(corners), 1, 1))
         return _points(corners, shift, covariance, score), counts
