@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from pcwlad_geo.registration.cluster import _inspection, connected
 from pcwlad_geo.registration.progress import Event, Progress, Warned
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.runners import OwnProcesses
+from pcwlad_geo.registration.runners import OnExecutor, OwnProcesses
 from pcwlad_geo.registration.settings import Settings
 from tests.cli.process import command, environment
 from tests.cluster import Cluster, cluster
@@ -95,6 +96,8 @@ def assert_same_points(found: Registration, expected: Registration) -> None:
 # --- tiles that cannot be read ---------------------------------------------------------------------------
 
 LAST = 320 // BLOCK_PX - 1
+TWICE: dict[str, Any] = {**TILES, "points": 80}
+"""Too few points for a tile to guide itself: it is read twice, where no worker keeps its maps."""
 
 
 def test_a_tile_that_cannot_be_read_is_left_out_and_told(copy: tuple[Path, Path], tmp_path: Path) -> None:
@@ -123,7 +126,9 @@ def stop_reading(path: Path, *blocks_xy: tuple[int, int]) -> Any:
 def test_a_tile_that_cannot_be_read_again_is_left_out_and_told(
     copy: tuple[Path, Path],
 ) -> None:
-    found = run(*copy, Settings(**TILES), on_event=stop_reading(copy[1], (LAST, LAST)))
+    with ThreadPoolExecutor(1) as executor:
+        on_event = stop_reading(copy[1], (LAST, LAST))
+        found = run(*copy, Settings(**TWICE), on_event=on_event, runner=OnExecutor(executor))
     assert found.status == "registered"
     assert len([warning for warning in found.warnings if "left out" in warning]) == 4
     kept = found.tie_points.select("fit", "check", "unused")
@@ -133,21 +138,25 @@ def test_a_tile_that_cannot_be_read_again_is_left_out_and_told(
     assert np.percentile(np.hypot(*(kept.displacement_px - (3.3, -2.6)).T), 95) < 0.3
 
 
-def test_what_remains_must_suffice(copy: tuple[Path, Path], tmp_path: Path) -> None:
+def test_what_remains_must_suffice(
+    copy: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pcwlad_geo.registration.judge.LEAST_POINTS", 40)
     everything_but_a_corner = [(x, y) for x in range(LAST + 1) for y in range(LAST + 1) if max(x, y) > 18]
     on_event = stop_reading(copy[1], *everything_but_a_corner)
-    with pytest.raises(RegistrationRejectedError) as caught:
-        pcwlad_geo.match(
-            *copy, out_dir=tmp_path / "out", jobs=1, on_event=on_event, **{**TILES, "features": 25}
-        )
+    with ThreadPoolExecutor(1) as executor, pytest.raises(RegistrationRejectedError) as caught:
+        pcwlad_geo.match(*copy, out_dir=tmp_path / "out", on_event=on_event, executor=executor, **TWICE)
     assert isinstance(caught.value.registration, Registration)
     assert any("left out" in warning for warning in caught.value.registration.warnings)
 
 
 def test_nothing_can_be_read_again(copy: tuple[Path, Path]) -> None:
     on_event = stop_reading(copy[1], (9, 9))  # in the middle: every tile reaches it
-    with pytest.raises(InputError, match=r"b10\.tif: band 1 cannot be read"):
-        run(*copy, Settings(**TILES), on_event=on_event)
+    with (
+        ThreadPoolExecutor(1) as executor,
+        pytest.raises(InputError, match=r"b10\.tif: band 1 cannot be read"),
+    ):
+        run(*copy, Settings(**TWICE), on_event=on_event, runner=OnExecutor(executor))
 
 
 # --- processes that are killed ---------------------------------------------------------------------------

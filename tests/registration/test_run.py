@@ -391,7 +391,7 @@ def test_threads_give_the_same_to_the_last_bit(scene: Path) -> None:
         assert_identical(on(OnExecutor(executor), scene), tiled(170, scene))
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, 3])
 def test_any_order_gives_the_same_to_the_last_bit(seed: int, scene: Path) -> None:
     with Shuffled(seed) as executor:
         assert_identical(on(OnExecutor(executor), scene), tiled(170, scene))
