@@ -451,3 +451,16 @@ def test_a_full_disk_is_an_output_error(tmp_path: Path, limit: int) -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert "refused:" in done.stdout, done.stdout + done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["a.tif"]
+
+
+def test_a_file_without_band_tags_is_not_searched_for_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the search would go through all pixels of a large file, and count as memory
+    def fail(path: Path) -> None:
+        raise AssertionError(f"{path} is searched")
+
+    monkeypatch.setattr("pcwlad_geo.raster.cog._rename_band_tags", fail)
+    source = write(tmp_path / "a.tif", np.ones(GRID.shape, np.uint8), GRID)
+    warp(source, tmp_path / "out.tif", shift(0.3, -0.3), GRID)
+    assert (tmp_path / "out.tif").exists()
