@@ -101,7 +101,7 @@ def refinement_ms(pair: ScenePair, windows: Sequence[int], points: int, repeats:
     images = [_read(path, 1024) for path in (pair.reference, pair.target)]
     everywhere = np.ones(images[0].shape, bool)
     reference, target = (Image(image, everywhere, scene_epsilon(image)) for image in images)
-    prepared = prepare(reference, target, oriented=True)
+    prepared = prepare(reference, target, channels="orientations")
     corners = _corners(prepared, points)
     # from the whole pixel that a coarse match would give
     shift = np.round(displacement_px(corners[:, ::-1] + 0.5))
