@@ -46,7 +46,8 @@ def main() -> int:
         checks = [*_parts(pairs, arguments.repeats)]
         checks += _starts(pairs[0], scratch)
         checks += _scenes(pairs, scratch, arguments)
-    print(as_text(Table("All figures", ("",), [], checks)))
+    rows = [(check.what, check.value, check.limit, "ok" if check.holds else "MISSES") for check in checks]
+    print("\n" + as_text(Table("What must be reached", ("", "value", "limit", ""), rows)))
     missed = [check for check in checks if not check.holds]
     print(f"\n{len(checks) - len(missed)} of {len(checks)} figures reached")
     return 0
