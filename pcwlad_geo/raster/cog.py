@@ -51,9 +51,9 @@ def write_cog(
     """
     description, cog = scratch / "described.vrt", scratch / "cog.tif"
     tree = vrt.describe_pixels(source, pixels, grid.shape)
-    for metadata in tree.findall("VRTRasterBand/Metadata"):
-        if "domain" not in metadata.attrib:
-            metadata.set("domain", _BAND_TAGS)
+    band_tags = [tags for tags in tree.findall("VRTRasterBand/Metadata") if "domain" not in tags.attrib]
+    for tags in band_tags:
+        tags.set("domain", _BAND_TAGS)
     if grid.crs is not None:
         vrt.add_georeferencing(tree, grid.transform, grid.crs)
     vrt.write(tree, description)
@@ -76,7 +76,8 @@ def write_cog(
             rasterio.shutil.copy(os.fspath(description), os.fspath(cog), **options)
 
     _interruptible(copy)
-    _rename_band_tags(cog)
+    if band_tags:  # else the search would go through the whole file
+        _rename_band_tags(cog)
     return cog
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from benchmarks.speed_studies import truth
-from benchmarks.speed_studies.kernels import cheapest, fast_even
 from benchmarks.speed_studies.limits import checks_of_scenes
+from benchmarks.speed_studies.parts import cheapest
 from benchmarks.speed_studies.processes import Measured, measure
 from benchmarks.speed_studies.scene_files import displacement_px
 from benchmarks.speed_studies.whole_scenes import ALL, AROSICS, MATCH, Results, Run
@@ -101,10 +101,6 @@ def test_cheapest_takes_the_least_of_warm_rounds_in_turn() -> None:
     costs = cheapest([lambda: order.append("a"), lambda: order.append("b")], 2)
     assert order == ["a", "b"] * 3
     assert all(0 <= cost.cpu_s < math.inf for cost in costs)
-
-
-def test_fast_even_lengths() -> None:
-    assert [fast_even(n) for n in (1024, 1025, 1463, 1465)] == [1024, 1050, 1470, 1470]
 
 
 def run_of(mode: str, side_px: int, wall_s: float, rmse_px: float = 0.1, points: int = 20000) -> Run:

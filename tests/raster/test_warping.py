@@ -247,6 +247,31 @@ def test_nodata_edges_neither_bleed_nor_grow(tmp_path: Path) -> None:
     assert np.array_equal(result, np.where(valid, 1000, 0))
 
 
+@pytest.mark.parametrize("resampling", ["nearest", "cubic", "lanczos"])
+@pytest.mark.parametrize(
+    ("dtype", "nodata"),
+    [("uint16", 0), ("uint8", 255), ("int16", -32768), ("float32", -9999.0), ("float64", np.nan)],
+)
+def test_nodata_of_one_band_is_that_of_gdal_itself(
+    tmp_path: Path, dtype: str, nodata: float, resampling: str
+) -> None:
+    rng = np.random.default_rng(1)
+    image = rng.integers(1, 250, GRID.shape).astype(dtype)
+    image[100:140, 60:90] = nodata
+    image[rng.random(GRID.shape) < 0.02] = nodata
+    one = write(tmp_path / "one.tif", image, GRID, nodata=nodata)
+    # with two bands GDAL fills in the nodata value, with one band we do
+    two = write(tmp_path / "two.tif", np.stack([image, image]), GRID, nodata=nodata)
+    results = []
+    for source in (one, two):
+        warp(source, tmp_path / f"out_{source.name}", AFFINE, GRID, resampling)
+        with rasterio.open(tmp_path / f"out_{source.name}") as out:
+            results.append(out.read(1))
+    np.testing.assert_array_equal(*results)
+    invalid = np.isnan(results[0]) if np.isnan(nodata) else results[0] == nodata
+    assert 2000 < invalid.sum() < 12_000
+
+
 @pytest.mark.parametrize(("nodata", "low"), [(0, 1), (65535, 65534)])
 def test_overshoot_is_clipped_and_never_becomes_nodata(tmp_path: Path, nodata: int, low: int) -> None:
     image = np.full(GRID.shape, low, np.uint16)
@@ -451,3 +476,16 @@ def test_a_full_disk_is_an_output_error(tmp_path: Path, limit: int) -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert "refused:" in done.stdout, done.stdout + done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["a.tif"]
+
+
+def test_a_file_without_band_tags_is_not_searched_for_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the search would go through all pixels of a large file, and count as memory
+    def fail(path: Path) -> None:
+        raise AssertionError(f"{path} is searched")
+
+    monkeypatch.setattr("pcwlad_geo.raster.cog._rename_band_tags", fail)
+    source = write(tmp_path / "a.tif", np.ones(GRID.shape, np.uint8), GRID)
+    warp(source, tmp_path / "out.tif", shift(0.3, -0.3), GRID)
+    assert (tmp_path / "out.tif").exists()

@@ -9,34 +9,37 @@ from __future__ import annotations
 import math
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 import rasterio
 import scipy.fft
 from numpy.typing import NDArray
 from rasterio.windows import Window
 
-from benchmarks.speed_studies.scene_files import ScenePair, displacement_px
+from benchmarks.speed_studies.scene_files import ScenePair
 from pcwlad_geo.matching import keypoints
-from pcwlad_geo.matching.phase_congruency import (
-    ORIENTATIONS,
-    SCALES,
-    oriented_phase_congruency,
-    scene_epsilon,
-)
-from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
+from pcwlad_geo.matching.filter_bank import ORIENTATIONS, SCALES
+from pcwlad_geo.matching.matcher import margin_px
+from pcwlad_geo.matching.phase_congruency import scene_epsilon
+from pcwlad_geo.matching.prepare import Image, PreparedPair, fast_even, prepare
 from pcwlad_geo.matching.refinement import Start, refine
+from pcwlad_geo.matching.settings import MatchSettings
+from pcwlad_geo.matching.similarity import match_coarsely
+from pcwlad_geo.raster.matching_grid import plan_views
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.registration.planning import plan
+from pcwlad_geo.registration.prealign import look_at
+from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.workflow import register
 
-FILTERS: Final = SCALES * ORIENTATIONS
-CONTEXT_PX: Final = 64 + 64 + 92
-"""What a tile of 1024 px reads around itself for window 81: halo, cells, windows and search."""
-TILE_PX: Final = 1024
+ALL_POINTS: Final = MatchSettings(window=81, search_radius=12)
+"""What `--points all --window 81` comes to on a georeferenced scene."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,40 +63,23 @@ def cheapest(works: Sequence[Callable[[], object]], repeats: int) -> list[Cost]:
     return best
 
 
-def filter_bank(rows: int, cols: int) -> Callable[[], None]:
-    """Return the bare inverse FFTs of one image, complex64, one worker."""
-    rng = np.random.default_rng(1)
-    spectrum = rng.standard_normal((rows, cols, 2), np.float32).view(np.complex64)[..., 0]
-
-    def work() -> None:
-        for _ in range(FILTERS):
-            scipy.fft.ifft2(spectrum, workers=1)
-
-    return work
-
-
-def phase_congruency(pair: ScenePair, side_px: int, repeats: int) -> tuple[Cost, Cost]:
-    """Return the cost of the maps of one tile, and of its bare inverse FFTs."""
-    image = _read(pair.reference, side_px)
-    epsilon = scene_epsilon(image)
-    maps, bare = cheapest(
-        [lambda: oriented_phase_congruency(image, epsilon), filter_bank(side_px, side_px)], repeats
+def bare_scene_bank(pair: ScenePair) -> Cost:
+    """Return what the inverse FFTs of all windows of a scene cost, both images, complex64, one worker."""
+    views = plan_views(describe(pair.reference), describe(pair.target))
+    tiles = plan(views, look_at(views), (0, 0), ALL_POINTS, Settings(points="all")).first
+    sizes = Counter(tuple(map(fast_even, tile.read_window.shape)) for tile in tiles)
+    costs = cheapest([partial(_inverse_transforms, size) for size in sizes], 2)
+    counts = [2 * count for count in sizes.values()]
+    return Cost(
+        sum(cost.cpu_s * count for cost, count in zip(costs, counts, strict=True)),
+        sum(cost.wall_s * count for cost, count in zip(costs, counts, strict=True)),
     )
-    return maps, bare
 
 
-def bare_scene_bank(side_px: int) -> Cost:
-    """Return what the inverse FFTs of all windows of a scene cost, both images, one worker."""
-    count = math.ceil(side_px / TILE_PX)
-    padded = fast_even(math.ceil(side_px / count) + 2 * CONTEXT_PX)
-    one = cheapest([filter_bank(padded, padded)], 2)[0]
-    return Cost(one.cpu_s * 2 * count**2, one.wall_s * 2 * count**2)
-
-
-def fast_even(length: int) -> int:
-    """Return the next even length that the FFT likes."""
-    fast = int(scipy.fft.next_fast_len(length))
-    return fast if fast % 2 == 0 else fast_even(fast + 1)
+def _inverse_transforms(shape: tuple[int, int]) -> None:
+    spectrum = np.ones(shape, np.complex64)
+    for _ in range(SCALES * ORIENTATIONS):
+        scipy.fft.ifft2(spectrum, norm="ortho", workers=1, overwrite_x=True)
 
 
 def refinement_ms(pair: ScenePair, windows: Sequence[int], points: int, repeats: int) -> list[float]:
@@ -103,14 +89,32 @@ def refinement_ms(pair: ScenePair, windows: Sequence[int], points: int, repeats:
     reference, target = (Image(image, everywhere, scene_epsilon(image)) for image in images)
     prepared = prepare(reference, target, channels="orientations")
     corners = _corners(prepared, points)
-    # from the whole pixel that a coarse match would give
-    shift = np.round(displacement_px(corners[:, ::-1] + 0.5))
-    start = Start(shift, np.zeros((len(corners), 2, 2)))
+    settings = MatchSettings()
+    coarse = match_coarsely(
+        prepared.reference_map,
+        prepared.target_map,
+        corners,
+        settings.template,
+        settings.search_radius,
+        settings.least_valid,
+    )
+    start = Start(coarse.shift_xy_px, np.zeros((len(corners), 2, 2)))
     works = [
-        lambda window=window: refine(prepared.reference, prepared.target, corners, start, window_px=window)
+        partial(refine, prepared.reference, prepared.target, corners, start, window_px=window)
         for window in windows
     ]
     return [cost.cpu_s * 1000 / len(corners) for cost in cheapest(works, repeats)]
+
+
+def _corners(pair: PreparedPair, count: int) -> NDArray[np.intp]:
+    """Return about so many corners, spread by cell, far enough from the edges for all windows."""
+    margin = margin_px(MatchSettings(window=129))
+    usable = np.zeros(pair.reference_moment.shape, bool)
+    usable[margin:-margin, margin:-margin] = True
+    corners, response = keypoints.detect_corners(pair.reference_moment, usable, pair.contrast)
+    per_cell = MatchSettings().per_cell
+    cell_px = keypoints.cell_side_px(count, per_cell, float(usable.sum()))
+    return keypoints.by_cell(corners, response, cell_px, (0, 0), per_cell)
 
 
 def small_pair(pair: ScenePair, side_px: int, features: int, repeats: int) -> Cost:
@@ -125,18 +129,9 @@ def small_pair(pair: ScenePair, side_px: int, features: int, repeats: int) -> Co
         return cheapest([work], repeats)[0]
 
 
-def _corners(pair: PreparedPair, count: int) -> NDArray[np.intp]:
-    usable = np.zeros(pair.reference_moment.shape, bool)
-    usable[110:-110, 110:-110] = True
-    corners, response = keypoints.detect_corners(pair.reference_moment, usable, pair.contrast)
-    area = float(usable.sum())
-    cell_px = max(8, round(math.sqrt(keypoints.PER_CELL * area / count)))
-    return keypoints.by_cell(corners, response, cell_px, (0, 0))
-
-
-def _read(path: Path, side_px: int) -> NDArray[np.float64]:
+def _read(path: Path, side_px: int) -> NDArray[np.float32]:
     with rasterio.open(path) as file:
-        image: NDArray[np.float64] = file.read(1, window=Window(0, 0, side_px, side_px)).astype(np.float64)
+        image: NDArray[np.float32] = file.read(1, window=Window(0, 0, side_px, side_px)).astype(np.float32)
     return image
 
 
@@ -147,8 +142,3 @@ def _crop(path: Path, folder: Path, side_px: int) -> Path:
         with rasterio.open(out, "w", **profile) as crop:
             crop.write(file.read(1, window=Window(0, 0, side_px, side_px)), 1)
     return out
-
-
-def one_thread() -> None:
-    """Keep OpenCV to one thread, as the workers do."""
-    cv2.setNumThreads(1)
