@@ -42,6 +42,8 @@ from pcwlad_geo.matching.refinement_state import (
     Workspace,
 )
 from pcwlad_geo.matching.refinement_steps import (
+    LEAST_SLOPE,
+    PATIENCE,
     invert,
     is_determined,
     learn_slopes,
@@ -264,7 +266,9 @@ def _refine_point(
             return DIVERGED
         if near and length < options.tolerance_px:
             sandwich(work.total, work.scores, results.covariance[p])
-            return CONVERGED if is_determined(slopes) else UNDETERMINED
+            return CONVERGED if is_determined(slopes, LEAST_SLOPE) else UNDETERMINED
+        if iteration >= PATIENCE and not is_determined(slopes, LEAST_SLOPE / 2):
+            return UNDETERMINED
     return NOT_CONVERGED
 
 
