@@ -26,8 +26,6 @@ Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 Bool = NDArray[np.bool_]
 
-HALO_PX: Final = 64
-"""Context that phase congruency needs around a window: beyond it the maps change by less than 4e-4."""
 DISAGREEMENT_PX: Final = 0.5
 """Largest difference between the forward and the backward match."""
 COARSE_SIGMA_PX: Final = 0.35
@@ -87,7 +85,7 @@ def match_arrays(
     pair = prepare(
         _on_canvas(ref, rows, cols, margin),
         _on_canvas(tgt, rows, cols, margin),
-        oriented=_traits(settings).oriented,
+        channels=_traits(settings).channels,
     )
     core = Core(margin, margin, margin + rows, margin + cols, (-margin, -margin))
     first, _ = match_candidates(pair, core, settings)
@@ -198,7 +196,8 @@ def second_pass(pair: PreparedPair, points: TiePoints, settings: MatchSettings) 
     """Guide, rematch, check and calibrate the points of one prepared pair."""
     guide = guide_by_field(points, settings)
     again = rematch(pair, points, guide, settings)
-    return calibrate(again[consistent_points(again, settings)], guide, settings)
+    good = again[consistent_points(again, settings)]
+    return calibrate(good, guide.surface, guide.shared_variance_px2, settings)
 
 
 def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
@@ -316,8 +315,8 @@ def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
     area = settings.features_area_px2 or float(
         usable[core.row : core.row_stop, core.col : core.col_stop].sum()
     )
-    cell_px = max(8, round(np.sqrt(keypoints.PER_CELL * area / settings.features)))
-    chosen = keypoints.by_cell(corners, response, cell_px, core.origin_rc)
+    cell_px = keypoints.cell_side_px(settings.features, settings.per_cell, area)
+    chosen = keypoints.by_cell(corners, response, cell_px, core.origin_rc, settings.per_cell)
     # a cell belongs to the core that holds its first pixel, so that neighbouring tiles share no cell
     first = (chosen + np.asarray(core.origin_rc)) // cell_px * cell_px - np.asarray(core.origin_rc)
     owned = (first >= (core.row, core.col)).all(axis=1) & (first < (core.row_stop, core.col_stop)).all(axis=1)

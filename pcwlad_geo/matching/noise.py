@@ -59,8 +59,13 @@ def measure_noise(image: NDArray[np.floating[Any]], valid: NDArray[np.bool_]) ->
     rows, cols = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
     fine = np.where(valid, image, 0.0)[:rows, :cols].astype(np.float64)
     fine_valid = np.asarray(valid[:rows, :cols])
-    coarse = fine.reshape(rows // 2, 2, cols // 2, 2).mean(axis=(1, 3))
-    coarse_valid = np.asarray(fine_valid.reshape(rows // 2, 2, cols // 2, 2).all(axis=(1, 3)))
+    half = cols // 2, rows // 2
+    if min(half) == 0:
+        return Noise()
+    coarse = np.asarray(cv2.resize(fine, half, interpolation=cv2.INTER_AREA), np.float64)
+    coarse_valid = (
+        fine_valid[::2, ::2] & fine_valid[1::2, ::2] & fine_valid[::2, 1::2] & fine_valid[1::2, 1::2]
+    )
     detail, coarse_detail = _mean_detail(fine, fine_valid), _mean_detail(coarse, coarse_valid)
     if coarse_detail <= 0:
         return Noise()
@@ -68,14 +73,16 @@ def measure_noise(image: NDArray[np.floating[Any]], valid: NDArray[np.bool_]) ->
     return replace(noise, sigma=noise.share * detail / DETAIL_OF_UNIT_NOISE)
 
 
-def smoothing_px(*noises: Noise) -> float:
+def smoothing_px(*noises: Noise, least_px: float = LEAST_SMOOTHING_PX) -> float:
     """Return the Gaussian sigma for the maps of a pair from the noise of its images."""
     share = max((noise.share for noise in noises), default=0.0)
-    return LEAST_SMOOTHING_PX + (MOST_SMOOTHING_PX - LEAST_SMOOTHING_PX) * share
+    return least_px + (MOST_SMOOTHING_PX - least_px) * share
 
 
 def _mean_detail(image: NDArray[np.float64], valid: NDArray[np.bool_]) -> float:
-    inner = cv2.erode(valid.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
-    if inner.sum() < LEAST_PIXELS:
+    inner = cv2.erode(valid.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
+    count = cv2.countNonZero(inner)
+    if count < LEAST_PIXELS:
         return 0.0
-    return float(np.abs(cv2.filter2D(image, -1, np.array(_SECOND_DIFFERENCE)))[inner].mean())
+    detail = cv2.filter2D(image, -1, np.array(_SECOND_DIFFERENCE))
+    return cv2.norm(detail, cv2.NORM_L1, mask=inner) / count

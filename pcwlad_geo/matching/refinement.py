@@ -13,10 +13,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import spline_filter
 
 from pcwlad_geo.matching import refinement_state as state
 from pcwlad_geo.matching.refinement_loop import refine_points
+from pcwlad_geo.matching.spline import spline_coefficients
 
 TOLERANCE_PX: Final = 0.004
 RELAXATION_ROBUST: Final = 1.4
@@ -48,8 +48,8 @@ class ChannelStack:
     def of(maps: Float32, valid: NDArray[np.bool_]) -> ChannelStack:
         """Prefilter the maps for interpolation."""
         coefficients = np.empty_like(maps)
-        for channel, plane in enumerate(maps):
-            coefficients[channel] = spline_filter(plane, 3, output=np.float32, mode="mirror")
+        for plane, out in zip(maps, coefficients, strict=True):
+            spline_coefficients(plane, out)
         return ChannelStack(maps, coefficients, valid)
 
 

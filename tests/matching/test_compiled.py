@@ -43,10 +43,10 @@ def package(tmp_path: Path) -> Path:
     return folder
 
 
-def run(package: Path, **environment: str) -> str:
+def run(package: Path, script: str = SCRIPT, **environment: str) -> str:
     clean = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     path = os.pathsep.join([str(package), str(REPOSITORY)])
-    command = [sys.executable, "-W", "error", "-B", "-c", SCRIPT]
+    command = [sys.executable, "-W", "error", "-B", "-c", script]
     done = subprocess.run(
         command, env={**clean, "PYTHONPATH": path, **environment}, capture_output=True, text=True, check=False
     )
@@ -75,3 +75,36 @@ def test_kernels_run_where_no_folder_can_be_written(package: Path) -> None:
 
 def test_kernels_run_without_numba_s_compiler(package: Path) -> None:
     assert run(package, NUMBA_DISABLE_JIT="1") == "False False 7.0"
+
+
+MAPS = """
+import hashlib
+import numpy as np
+from pcwlad_geo.matching.phase_congruency import scene_epsilon
+from pcwlad_geo.matching.prepare import Image, prepare
+
+rng = np.random.default_rng(1)
+images = []
+for _ in range(2):
+    values = rng.normal(100.0, 20.0, (150, 131))
+    images.append(Image(values, values < 150, scene_epsilon(values)))
+pair = prepare(*images, channels="orientations")
+digest = hashlib.sha256()
+for stack, whole in ((pair.reference, pair.reference_map), (pair.target, pair.target_map)):
+    for array in (stack.maps, stack.coefficients, whole.values, pair.contrast):
+        digest.update(np.ascontiguousarray(array).tobytes())
+print(digest.hexdigest())
+"""
+
+
+def test_maps_do_not_depend_on_whether_the_kernels_were_compiled_or_loaded(tmp_path: Path) -> None:
+    cache = str(tmp_path / "cache")
+    first = run(REPOSITORY, MAPS, NUMBA_CACHE_DIR=cache)
+    kept = list(Path(cache).rglob("*.nbi"))
+    assert {path.name.split("-")[0] for path in kept} >= {
+        "phase_kernels.filter_rows",
+        "phase_kernels.combine_scales",
+        "phase_kernels.combine_orientations",
+    }
+    assert run(REPOSITORY, MAPS, NUMBA_CACHE_DIR=cache) == first
+    assert len(list(Path(cache).rglob("*.nbi"))) == len(kept)

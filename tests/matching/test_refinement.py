@@ -22,7 +22,7 @@ def prepared(
         Image(image, valid if valid is not None else everything, scene_epsilon(image))
         for image in (reference, target)
     )
-    return prepare(*images, oriented=oriented)
+    return prepare(*images, channels="orientations" if oriented else "moment")
 
 
 def start_at(shift_xy: tuple[float, float], n: int, **more: NDArray) -> Start:
