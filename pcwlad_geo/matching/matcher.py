@@ -228,28 +228,42 @@ def _refine_both(
         if settings.method == "pcwlad":
             ok = passes_paper(pair, corners, start, forward, settings.window, settings.ssim_min)
         return forward, ok
-    landed = corners + np.round(forward.shift_xy_px[:, ::-1]).astype(np.intp)
+    mean, agree = forward.shift_xy_px.copy(), np.zeros(len(corners), bool)
+    covariance, converged = forward.covariance_px2.copy(), np.zeros(len(corners), bool)
+    # what did not converge on its way there needs no way back
+    there = np.flatnonzero(forward.converged)
+    structure = None if start.structure_xy_px is None else start.structure_xy_px[there]
+    returned, backward = _refine_back(
+        pair, corners[there], forward.shift_xy_px[there], forward.linear[there], structure, settings
+    )
+    agree[there] = np.linalg.norm(mean[there] - returned, axis=1) < DISAGREEMENT_PX
+    mean[there] = (mean[there] + returned) / 2
+    covariance[there] = (covariance[there] + backward.covariance_px2) / 2
+    converged[there] = backward.converged
+    return Refined(mean, forward.linear, covariance, converged), agree
+
+
+def _refine_back(
+    pair: PreparedPair,
+    corners: Index,
+    shift_xy: Float64,
+    linear: Float64,
+    structure_xy: Float64 | None,
+    settings: MatchSettings,
+) -> tuple[Float64, Refined]:
+    """Refine from the target back to where the corners came from; the shifts as seen forward, and all."""
+    landed = corners + np.round(shift_xy[:, ::-1]).astype(np.intp)
     # the backward window sits on a whole target pixel; the field between it and the true landing place
     # differs by deformation times the remainder
-    remainder = (landed - corners)[:, ::-1] - forward.shift_xy_px
-    deformation = np.einsum("nij,nj->ni", forward.linear, remainder)
-    back_linear = np.linalg.inv(np.eye(2) + forward.linear) - np.eye(2)
-    structure = start.structure_xy_px
-    back_start = Start(
-        -(forward.shift_xy_px + deformation),
-        back_linear,
-        None if structure is None else -(structure + deformation),
+    remainder = (landed - corners)[:, ::-1] - shift_xy
+    deformation = np.einsum("nij,nj->ni", linear, remainder)
+    start = Start(
+        -(shift_xy + deformation),
+        np.linalg.inv(np.eye(2) + linear) - np.eye(2),
+        None if structure_xy is None else -(structure_xy + deformation),
     )
-    backward = _refine_one_way(pair.turned, landed, back_start, settings)
-    returned = -backward.shift_xy_px - deformation
-    agree = np.linalg.norm(forward.shift_xy_px - returned, axis=1) < DISAGREEMENT_PX
-    mean = Refined(
-        (forward.shift_xy_px + returned) / 2,
-        forward.linear,
-        (forward.covariance_px2 + backward.covariance_px2) / 2,
-        forward.converged & backward.converged,
-    )
-    return mean, agree
+    backward = _refine_one_way(pair.turned, landed, start, settings)
+    return -backward.shift_xy_px - deformation, backward
 
 
 def _refine_one_way(pair: PreparedPair, corners: Index, start: Start, settings: MatchSettings) -> Refined:

@@ -138,7 +138,13 @@ def refine(
         largest_move_px=LARGEST_MOVE_PX,
         blocks=max(4, round(window_px / BLOCK_PX)),
     )
-    images = state.Images(reference.maps, target.coefficients, reference.valid, target.valid)
+    # one kind of array, so that the loop is compiled once: a read-only one would be another
+    images = state.Images(
+        np.require(reference.maps, np.float32, ("C", "W")),
+        np.require(target.coefficients, np.float32, ("C", "W")),
+        np.require(reference.valid, np.bool_, ("C", "W")),
+        np.require(target.valid, np.bool_, ("C", "W")),
+    )
     work = state.make_workspace(len(reference.maps), options)
     refine_points(images, _starts(corners_rc, start), options, work, results)
     return Refined(results.shift_xy, results.linear, results.covariance, results.status == state.CONVERGED)

@@ -34,6 +34,7 @@ from pcwlad_geo.matching.refinement_state import (
     STRUCTURE_FIXED,
     STRUCTURE_FOLLOWS,
     STRUCTURE_GIVEN,
+    STRUCTURE_NONE,
     UNDETERMINED,
     Images,
     Options,
@@ -42,6 +43,8 @@ from pcwlad_geo.matching.refinement_state import (
     Workspace,
 )
 from pcwlad_geo.matching.refinement_steps import (
+    LEAST_SLOPE,
+    PATIENCE,
     invert,
     is_determined,
     learn_slopes,
@@ -69,9 +72,8 @@ def refine_points(
             continue
         if _valid_share(images, starts.shift_xy[p], row, col, options, work.valid) < options.least_valid:
             continue
-        _reference_moments(images, row, col, options, work)
-        if not _initial_structure(images, starts, p, options, work):
-            continue
+        if options.structure_mode == STRUCTURE_NONE or options.structure_mode == STRUCTURE_GIVEN:
+            _set_structure(starts, p, options, work)
         results.status[p] = _refine_point(images, starts, p, options, work, results)
 
 
@@ -96,43 +98,9 @@ def _valid_share(
 
 
 @compiled_part(inline=True)
-def _load_reference(
-    images: Images, channel: int, row: int, col: int, options: Options, window: Float32
-) -> None:
-    """Fill the reference's window of a channel, extended for the local correlation."""
-    reach = options.half + options.correlation_half
-    side = 2 * reach + 1
-    load_window(images.reference[channel], row - reach, col - reach, side, side, options.width, window)
-
-
-@compiled_part(inline=True)
-def _reference_moments(images: Images, row: int, col: int, options: Options, work: Workspace) -> None:
-    """Fill local mean and precision of the reference, which stay the same at every step."""
-    if options.structure_mode != STRUCTURE_FOLLOWS and options.structure_mode != STRUCTURE_FIXED:
-        return
-    size = 2 * options.correlation_half + 1
-    side = 2 * options.half + 1
-    extended = side + size - 1
-    n = side * options.width
-    for k in range(images.reference.shape[0]):
-        _load_reference(images, k, row, col, options, work.reference)
-        column_sums(
-            work.reference,
-            work.reference,
-            extended,
-            options.width,
-            size,
-            work.columns,
-            work.sum_1,
-            work.sum_11,
-            work.sum_12,
-        )
-        local_moments(work.sum_1, work.sum_11, n, size, work.means, work.mean[k], work.precision[k])
-
-
-@compiled_part(inline=True)
-def _sample(
-    plane: Float32,
+def _load(
+    images: Images,
+    channel: int,
     row: int,
     col: int,
     shift: Float64,
@@ -141,8 +109,11 @@ def _sample(
     options: Options,
     work: Workspace,
 ) -> bool:
-    """Sample the target's extended window and its gradient; False if it sticks out."""
+    """Copy the reference's extended window, sample the target's and its gradient; False if it sticks out."""
     reach = options.half + options.correlation_half
+    side = 2 * reach + 1
+    reference, plane = images.reference[channel], images.coefficients[channel]
+    load_window(reference, row - reach, col - reach, side, side, options.width, work.reference)
     if deformed:
         return bool(
             sample_deformed(
@@ -150,7 +121,7 @@ def _sample(
                 row + shift[1],
                 col + shift[0],
                 linear,
-                2 * reach + 1,
+                side,
                 options.width,
                 work.steps,
                 work.value,
@@ -163,7 +134,7 @@ def _sample(
             plane,
             row - reach + shift[1],
             col - reach + shift[0],
-            2 * reach + 1,
+            side,
             options.width,
             work.coefficients,
             work.along,
@@ -176,10 +147,28 @@ def _sample(
 
 
 @compiled_part(inline=True)
-def _correlate(channel: int, options: Options, work: Workspace) -> None:
-    """Fill the structure of a channel: squared positive local correlation of what was loaded and sampled."""
+def _correlate(channel: int, first: bool, options: Options, work: Workspace) -> None:
+    """Fill the structure of a channel: squared positive local correlation of what was loaded and sampled.
+
+    Local mean and precision of the reference stay the same at every step: they are taken the first time.
+    """
     size = 2 * options.correlation_half + 1
     side = 2 * options.half + 1
+    n = side * options.width
+    if first:
+        column_sums(
+            work.reference,
+            work.reference,
+            side + size - 1,
+            options.width,
+            size,
+            work.columns,
+            work.sum_1,
+            work.sum_11,
+            work.sum_12,
+        )
+        mean, precision = work.mean[channel], work.precision[channel]
+        local_moments(work.sum_1, work.sum_11, n, size, work.means, mean, precision)
     column_sums(
         work.value,
         work.reference,
@@ -199,35 +188,24 @@ def _correlate(channel: int, options: Options, work: Workspace) -> None:
         work.precision[channel],
         work.valid,
         work.structure[channel],
-        side * options.width,
+        n,
         size,
         work.means,
     )
 
 
 @compiled_part(inline=True)
-def _initial_structure(images: Images, starts: Starts, p: int, options: Options, work: Workspace) -> bool:
-    """Fill the structure weights that stay for all steps; False if the window sticks out."""
-    row, col = starts.corners_rc[p]
+def _set_structure(starts: Starts, p: int, options: Options, work: Workspace) -> None:
+    """Fill structure weights that do not come from the images: none, or given ones; 0 where not valid."""
     side = 2 * options.half + 1
-    linear = starts.linear[p]
-    deformed = options.affine or _any(linear)
-    for k in range(images.reference.shape[0]):
+    for k in range(work.structure.shape[0]):
         structure = work.structure[k]
-        if options.structure_mode == STRUCTURE_FIXED:
-            shift = starts.structure_xy[p]
-            if not _sample(images.coefficients[k], row, col, shift, linear, deformed, options, work):
-                return False
-            _load_reference(images, k, row, col, options, work.reference)
-            _correlate(k, options, work)
-            continue
         for i in range(len(structure)):
             structure[i] = work.valid[i]
         if options.structure_mode == STRUCTURE_GIVEN:
             for r in range(side):
                 for c in range(side):
                     structure[r * options.width + c] *= starts.structure[p, r, c]
-    return True
 
 
 @compiled_part(inline=True)
@@ -246,10 +224,24 @@ def _refine_point(
     slopes[0, 0] = slopes[1, 1] = 1.0 / options.relaxation
     slopes[0, 1] = slopes[1, 0] = 0.0
     length = np.inf
-    for iteration in range(options.iterations):
-        near = length < NEAR_PX
-        if not _equations(images, row, col, shift, linear, deformed, near, options, work):
-            return DIVERGED
+    # structure that is fixed takes a look at its place first
+    begin = -1 if options.structure_mode == STRUCTURE_FIXED else 0
+    for iteration in range(begin, options.iterations):
+        looks, near = iteration < 0, length < NEAR_PX
+        place = starts.structure_xy[p] if looks else shift
+        correlates = looks or options.structure_mode == STRUCTURE_FOLLOWS
+        work.total[:] = 0.0
+        work.total_right[:] = 0.0
+        work.scores[:] = 0.0
+        for k in range(images.reference.shape[0]):
+            if not _load(images, k, row, col, place, linear, deformed, options, work):
+                return DIVERGED
+            if correlates:
+                _correlate(k, iteration == begin, options, work)
+            if not looks:
+                _add_channel(k, near, options, work)
+        if looks:
+            continue
         if not invert(work.total):
             return DIVERGED
         plain_step(work.total, work.total_right, options.half, step, linear)
@@ -264,45 +256,18 @@ def _refine_point(
             return DIVERGED
         if near and length < options.tolerance_px:
             sandwich(work.total, work.scores, results.covariance[p])
-            return CONVERGED if is_determined(slopes) else UNDETERMINED
+            return CONVERGED if is_determined(slopes, LEAST_SLOPE) else UNDETERMINED
+        if iteration >= PATIENCE and not is_determined(slopes, LEAST_SLOPE / 2):
+            return UNDETERMINED
     return NOT_CONVERGED
 
 
 @compiled_part(inline=True)
-def _equations(
-    images: Images,
-    row: int,
-    col: int,
-    shift: Float64,
-    linear: Float64,
-    deformed: bool,
-    scored: bool,
-    options: Options,
-    work: Workspace,
-) -> bool:
-    """Add up the normal equations of all channels; False if the window sticks out or none is usable."""
-    channels = images.reference.shape[0]
-    work.total[:] = 0.0
-    work.total_right[:] = 0.0
-    work.scores[:] = 0.0
-    usable = False
-    for k in range(channels):
-        if not _sample(images.coefficients[k], row, col, shift, linear, deformed, options, work):
-            return False
-        _load_reference(images, k, row, col, options, work.reference)
-        if options.structure_mode == STRUCTURE_FOLLOWS:
-            _correlate(k, options, work)
-        # a single map may be inverted as a whole; an inverted channel of several shows other structure
-        if _add_channel(work.structure[k], channels == 1, scored, options, work):
-            usable = True
-    return usable
-
-
-@compiled_part(inline=True)
-def _add_channel(
-    structure: Float32, inverted_too: bool, scored: bool, options: Options, work: Workspace
-) -> bool:
-    """Add the equations of what was loaded and sampled, and the scores; False where it says nothing."""
+def _add_channel(channel: int, scored: bool, options: Options, work: Workspace) -> None:
+    """Add the equations of what was loaded and sampled, and the scores, unless it says nothing."""
+    structure = work.structure[channel]
+    # a single map may be inverted as a whole; an inverted channel of several shows other structure
+    inverted_too = work.structure.shape[0] == 1
     side, width = 2 * options.half + 1, options.width
     n = side * width
     first = options.correlation_half * (width + 1)
@@ -310,7 +275,7 @@ def _add_channel(
     slope_x, slope_y = work.slope_x[first:], work.slope_y[first:]
     h0, h1, known = fit_gain(structure, value, reference, n)
     if known <= 0.0:
-        return False
+        return
     offset, gain, per_sigma = np.float32(h0), np.float32(h1), np.float32(0.0)
     if options.robust:
         deviation = sum_of_deviations(structure, value, reference, offset, gain, n) / known
@@ -326,9 +291,7 @@ def _add_channel(
     refitted, variance = add_equations(
         work.moments, float(gain), inverted_too, work.total, work.total_right, work.fit
     )
-    if variance <= 0.0:
-        return False
-    if scored:
+    if variance > 0.0 and scored:
         add_block_scores(
             structure,
             value,
@@ -346,7 +309,6 @@ def _add_channel(
             work.columns,
             work.scores,
         )
-    return True
 
 
 @compiled_part(fastmath=True)

@@ -30,6 +30,7 @@ from pcwlad_geo.matching.refinement_steps import (
     LARGEST_RELAXATION,
     LEAST_SLOPE,
     LONGEST_STEP_PX,
+    PATIENCE,
 )
 
 GRADIENT_STEP_PX: Final = 1e-3
@@ -70,7 +71,7 @@ def refine_plain(
             elif start.structure_xy_px is not None:
                 structure = window.structure(start.structure_xy_px[p], linear, valid)
             control = _StepControl(first_relaxation(robust, structure is None))
-            for _ in range(iterations):
+            for iteration in range(iterations):
                 weights = structure if structure is not None else window.structure(shift, linear, valid)
                 matrix, right, scores = window.equations(shift, linear, weights, robust)
                 step = np.asarray(np.linalg.solve(matrix, right), np.float64).reshape(2, -1)
@@ -83,7 +84,9 @@ def refine_plain(
                     every = len(matrix) // 2
                     bread = np.linalg.inv(matrix)[::every, ::every]
                     result.covariance_px2[p] = bread @ (scores.T @ scores) @ bread
-                    result.converged[p] = control.determined()
+                    result.converged[p] = control.determined(LEAST_SLOPE)
+                    break
+                if iteration >= PATIENCE and not control.determined(LEAST_SLOPE / 2):
                     break
         except _StuckError:
             result.converged[p] = False
@@ -121,9 +124,9 @@ class _StepControl:
             self.learned = True
         self.slopes = self.slopes + np.outer(shrunk - self.slopes @ moved, moved) / (moved @ moved)
 
-    def determined(self) -> bool:
+    def determined(self, least: float) -> bool:
         """Tell whether plain steps shrink in every direction."""
-        return bool(np.linalg.eigvalsh((self.slopes + self.slopes.T) / 2)[0] >= LEAST_SLOPE)
+        return bool(np.linalg.eigvalsh((self.slopes + self.slopes.T) / 2)[0] >= least)
 
 
 class _Window:

@@ -17,9 +17,14 @@ from pcwlad_geo.matching.compiled import compiled_part
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
+LANES: Final = 16
+"""Numbers in the widest vectors of today's processors."""
 TAPS_BEYOND: Final = 3
 """Coefficients that a window needs beyond its side, per axis."""
 
+Taps = tuple[np.float32, np.float32, np.float32, np.float32]
+
+_NEXT: Final = np.uintp(1)
 _ONE: Final = np.float32(1.0)
 _TWO: Final = np.float32(2.0)
 _THREE: Final = np.float32(3.0)
@@ -30,7 +35,7 @@ _TWO_THIRDS: Final = np.float32(2.0 / 3.0)
 
 
 @compiled_part(fastmath=True, inline=True)
-def _spline(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+def _spline(t: np.float32) -> Taps:
     """Return the four weights of the cubic B-spline at fraction t."""
     s = _ONE - t
     return (
@@ -42,7 +47,7 @@ def _spline(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float
 
 
 @compiled_part(fastmath=True, inline=True)
-def _spline_slope(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+def _spline_slope(t: np.float32) -> Taps:
     """Return the four weights of the spline's derivative at fraction t."""
     s = _ONE - t
     return (
@@ -149,6 +154,8 @@ def sample_deformed(
             run = min(side - c, _run(x - col0, linear[0, 0]), _run(y - row0, linear[1, 0]))
             if row0 < 1 or col0 < 1 or row0 + 3 > plane.shape[0] or col0 + run + 2 > plane.shape[1]:
                 return False
+            # whole vectors where the plane is wide enough: what is too much is overwritten by the next run
+            vectors = min(-(-run // LANES) * LANES, plane.shape[1] - 2 - col0)
             begin = r * width + c
             _sample_run(
                 plane,
@@ -158,11 +165,12 @@ def sample_deformed(
                 np.float32(y - row0),
                 np.float32(linear[0, 0]),
                 np.float32(linear[1, 0]),
-                run,
+                max(run, vectors),
                 steps,
-                value[begin:],
-                slope_x[begin:],
-                slope_y[begin:],
+                begin,
+                value,
+                slope_x,
+                slope_y,
             )
             c += run
     return True
@@ -189,28 +197,34 @@ def _sample_run(
     step_y: np.float32,
     run: int,
     steps: Float32,
+    begin: int,
     value: Float32,
     slope_x: Float32,
     slope_y: Float32,
 ) -> None:
     """Sample pixels whose coefficients begin at row, col and move on by one column a pixel."""
-    first, second = plane[row, col:], plane[row + 1, col:]
-    third, fourth = plane[row + 2, col:], plane[row + 3, col:]
+    first, second, third, fourth = np.uintp(row), np.uintp(row + 1), np.uintp(row + 2), np.uintp(row + 3)
     for i in range(run):
-        x = tx + steps[i] * step_x
-        w0, w1, w2, w3 = _spline(x)
-        d0, d1, d2, d3 = _spline_slope(x)
-        v0 = w0 * first[i] + w1 * first[i + 1] + w2 * first[i + 2] + w3 * first[i + 3]
-        v1 = w0 * second[i] + w1 * second[i + 1] + w2 * second[i + 2] + w3 * second[i + 3]
-        v2 = w0 * third[i] + w1 * third[i + 1] + w2 * third[i + 2] + w3 * third[i + 3]
-        v3 = w0 * fourth[i] + w1 * fourth[i + 1] + w2 * fourth[i + 2] + w3 * fourth[i + 3]
-        s0 = d0 * first[i] + d1 * first[i + 1] + d2 * first[i + 2] + d3 * first[i + 3]
-        s1 = d0 * second[i] + d1 * second[i + 1] + d2 * second[i + 2] + d3 * second[i + 3]
-        s2 = d0 * third[i] + d1 * third[i + 1] + d2 * third[i + 2] + d3 * third[i + 3]
-        s3 = d0 * fourth[i] + d1 * fourth[i + 1] + d2 * fourth[i + 2] + d3 * fourth[i + 3]
-        y = ty + steps[i] * step_y
-        w0, w1, w2, w3 = _spline(y)
-        d0, d1, d2, d3 = _spline_slope(y)
-        value[i] = w0 * v0 + w1 * v1 + w2 * v2 + w3 * v3
-        slope_x[i] = w0 * s0 + w1 * s1 + w2 * s2 + w3 * s3
-        slope_y[i] = d0 * v0 + d1 * v1 + d2 * v2 + d3 * v3
+        x, y = tx + steps[i] * step_x, ty + steps[i] * step_y
+        w, d = _spline(x), _spline_slope(x)
+        v0, s0 = _interpolate(plane, first, np.uintp(col + i), w, d)
+        v1, s1 = _interpolate(plane, second, np.uintp(col + i), w, d)
+        v2, s2 = _interpolate(plane, third, np.uintp(col + i), w, d)
+        v3, s3 = _interpolate(plane, fourth, np.uintp(col + i), w, d)
+        w, d = _spline(y), _spline_slope(y)
+        out = np.uintp(begin + i)
+        value[out] = w[0] * v0 + w[1] * v1 + w[2] * v2 + w[3] * v3
+        slope_x[out] = w[0] * s0 + w[1] * s1 + w[2] * s2 + w[3] * s3
+        slope_y[out] = d[0] * v0 + d[1] * v1 + d[2] * v2 + d[3] * v3
+
+
+@compiled_part(fastmath=True, inline=True)
+def _interpolate(
+    plane: Float32, row: np.uintp, col: np.uintp, weights: Taps, slopes: Taps
+) -> tuple[np.float32, np.float32]:
+    """Return value and derivative along a row of coefficients."""
+    a0, a1 = plane[row, col], plane[row, col + _NEXT]
+    a2, a3 = plane[row, col + _NEXT + _NEXT], plane[row, col + _NEXT + _NEXT + _NEXT]
+    value = weights[0] * a0 + weights[1] * a1 + weights[2] * a2 + weights[3] * a3
+    slope = slopes[0] * a0 + slopes[1] * a1 + slopes[2] * a2 + slopes[3] * a3
+    return value, slope

@@ -11,10 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.refinement_equations import MOMENTS
-from pcwlad_geo.matching.refinement_sampling import TAPS_BEYOND, Float32, Float64
-
-LANES: Final = 16
-"""Rows of flat windows are whole multiples of this: the widest vectors of today's processors."""
+from pcwlad_geo.matching.refinement_sampling import LANES, TAPS_BEYOND, Float32, Float64
 
 STRUCTURE_NONE: Final = 0
 STRUCTURE_FOLLOWS: Final = 1

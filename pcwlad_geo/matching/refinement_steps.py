@@ -18,6 +18,8 @@ LARGEST_RELAXATION: Final = 20.0
 """No move is longer than this many plain steps."""
 LEAST_SLOPE: Final = 0.08
 """Where plain steps shrink more slowly on the way, the weights follow the window wherever it goes."""
+PATIENCE: Final = 6
+"""Evaluations after which a window is given up whose slope is below half of that."""
 
 
 @compiled_part()
@@ -91,11 +93,11 @@ def move(step: Float64, slopes: Float64, moved: Float64, shift: Float64) -> floa
 
 
 @compiled_part()
-def is_determined(slopes: Float64) -> bool:
+def is_determined(slopes: Float64, least: float) -> bool:
     """Tell whether plain steps shrink in every direction: the smaller eigenvalue of the symmetric part."""
     mean, half_difference = (slopes[0, 0] + slopes[1, 1]) / 2.0, (slopes[0, 0] - slopes[1, 1]) / 2.0
     smaller = mean - np.hypot(half_difference, (slopes[0, 1] + slopes[1, 0]) / 2.0)
-    return bool(smaller >= LEAST_SLOPE)
+    return bool(smaller >= least)
 
 
 @compiled_part()
