@@ -25,6 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.tables import Check, Table, as_text, at_most
 from pcwlad_geo.matching.filter_bank import ORIENTATIONS, SCALES
+from pcwlad_geo.matching.gradient import oriented_gradients
+from pcwlad_geo.matching.noise import LEAST_SMOOTHING_PX
 from pcwlad_geo.matching.phase_congruency import maximum_moment, oriented_phase_congruency, scene_epsilon
 from pcwlad_geo.matching.prepare import Image, fast_even, prepare
 
@@ -50,6 +52,8 @@ class PhaseCongruencyCost:
     """The maximum moment of the six."""
     preparation: float
     """All that is computed of an image before it is matched: half of a pair."""
+    gradients: float
+    """The six oriented gradients and their strength, the stand-in of the oriented maps."""
 
     @property
     def ratio(self) -> float:
@@ -85,9 +89,10 @@ def phase_congruency_cost(side_px: int = SIDES_PX[-1], rounds: int = ROUNDS) -> 
         lambda: oriented_phase_congruency(padded, epsilon),
         lambda: maximum_moment(maps),
         lambda: prepare(whole, whole, channels="orientations"),
+        lambda: oriented_gradients(image, epsilon, LEAST_SMOOTHING_PX),
     ]
-    least = _least_cpu_s(stages, rounds)
-    return PhaseCongruencyCost(side_px, padded_px, *least[:-1], least[-1] / 2)
+    in_place, copied, oriented, moment, pair, gradients = _least_cpu_s(stages, rounds)
+    return PhaseCongruencyCost(side_px, padded_px, in_place, copied, oriented, moment, pair / 2, gradients)
 
 
 def _least_cpu_s(stages: list[Callable[[], object]], rounds: int) -> list[float]:
@@ -114,8 +119,16 @@ def main() -> int:
     sides = [int(text) for text in sys.argv[1:]] or list(SIDES_PX)
     rows, checks = [], list[Check]()
     for cost in map(phase_congruency_cost, sides):
-        seconds = (cost.transforms, cost.transforms_copied, cost.oriented, cost.moment, cost.preparation)
-        ratios = (cost.ratio, cost.preparation / cost.transforms)
+        seconds = (
+            cost.transforms,
+            cost.transforms_copied,
+            cost.oriented,
+            cost.moment,
+            cost.preparation,
+            cost.gradients,
+        )
+        phase_congruency = cost.oriented + cost.moment
+        ratios = (cost.ratio, cost.preparation / cost.transforms, cost.gradients / phase_congruency)
         rows.append([f"{cost.side_px} ({cost.padded_px})", *seconds, *(f"{ratio:.2f}" for ratio in ratios)])
         what = f"{cost.side_px} px: phase congruency over its transforms"
         checks.append(at_most(what, cost.ratio, LIMIT, digits=2))
@@ -126,8 +139,10 @@ def main() -> int:
         "oriented maps",
         "moment",
         "preparation",
+        "gradients",
         "phase congruency / FFTs",
         "preparation / FFTs",
+        "gradients / phase congruency",
     )
     print(as_text(Table("Maps of one image, seconds of CPU", header, rows, checks)))
     return 0

@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 from pcwlad_geo.matching.filter_bank import ORIENTATIONS
 from pcwlad_geo.matching.phase_congruency import EPSILON_OF_BYTE_RANGE, LEAST_EPSILON
 
-LEAST_GRADIENT_SMOOTHING_PX: Final = 0.7
-"""Takes away most of the aliasing that rectifying brings."""
-NEIGHBOURHOOD_PX: Final = 2.0
-"""Sigma of the Gaussian over which the strength of the gradient is taken: about the width of an edge."""
-LEAST_STRENGTH: Final = 0.2
-"""Strength, in ranges of the scene, below which gradients are no longer brought to the same height."""
+NEIGHBOURHOOD_PX: Final = 4.0
+"""Sigma of the Gaussian over which the strength of the gradient is taken: little more than an edge."""
+LEAST_STRENGTH: Final = 0.4
+"""Strength, in ranges of the scene, below which gradients are no longer brought to one height."""
 CHANNEL_SCALE: Final = 0.4
 STRENGTH_SCALE: Final = 0.15
 """They bring the maps to the height of those of phase congruency, which the other stages are made for."""

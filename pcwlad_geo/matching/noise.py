@@ -73,10 +73,10 @@ def measure_noise(image: NDArray[np.floating[Any]], valid: NDArray[np.bool_]) ->
     return replace(noise, sigma=noise.share * detail / DETAIL_OF_UNIT_NOISE)
 
 
-def smoothing_px(*noises: Noise, least_px: float = LEAST_SMOOTHING_PX) -> float:
+def smoothing_px(*noises: Noise) -> float:
     """Return the Gaussian sigma for the maps of a pair from the noise of its images."""
     share = max((noise.share for noise in noises), default=0.0)
-    return least_px + (MOST_SMOOTHING_PX - least_px) * share
+    return LEAST_SMOOTHING_PX + (MOST_SMOOTHING_PX - LEAST_SMOOTHING_PX) * share
 
 
 def _mean_detail(image: NDArray[np.float64], valid: NDArray[np.bool_]) -> float:

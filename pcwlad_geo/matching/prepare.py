@@ -11,9 +11,9 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.fill import fill_smoothly
-from pcwlad_geo.matching.gradient import LEAST_GRADIENT_SMOOTHING_PX, oriented_gradients
+from pcwlad_geo.matching.gradient import oriented_gradients
 from pcwlad_geo.matching.keypoints import FULL_SCALE, contrast_weight
-from pcwlad_geo.matching.noise import LEAST_SMOOTHING_PX, Noise, smoothing_px
+from pcwlad_geo.matching.noise import Noise, smoothing_px
 from pcwlad_geo.matching.phase_congruency import maximum_moment, oriented_phase_congruency
 from pcwlad_geo.matching.refinement import ChannelStack
 from pcwlad_geo.matching.settings import Channels
@@ -86,20 +86,13 @@ def prepare(reference: Image, target: Image, *, channels: Channels, halo_px: int
     halo_px : int
         Rows and columns along all four edges that the filters need and the result leaves out.
     """
-    smooth = _smoothing_px(reference.noise, target.noise, channels)
+    smooth = 0.0 if channels == "moment" else smoothing_px(reference.noise, target.noise)
     filled = fill_smoothly(reference.values, reference.valid)
     contrast = contrast_weight(filled, reference.epsilon, reference.noise.sigma)
     ref_stack, ref_map = _maps(filled, reference, channels, smooth, halo_px)
     filled = fill_smoothly(target.values, target.valid)
     tgt_stack, tgt_map = _maps(filled, target, channels, smooth, halo_px)
     return PreparedPair(ref_stack, tgt_stack, ref_map, tgt_map, _inside(contrast, halo_px))
-
-
-def _smoothing_px(reference: Noise, target: Noise, channels: Channels) -> float:
-    if channels == "moment":
-        return 0.0
-    least_px = LEAST_SMOOTHING_PX if channels == "orientations" else LEAST_GRADIENT_SMOOTHING_PX
-    return smoothing_px(reference, target, least_px=least_px)
 
 
 def _maps(

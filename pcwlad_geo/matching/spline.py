@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 POLE: Final = float(np.sqrt(3.0)) - 2.0
-REACH_PX: Final = 14
-"""The prefilter's response falls to 1e-8 of its peak within this distance."""
+REACH_PX: Final = 12
+"""The prefilter's response falls to 1e-7 of its peak within this distance."""
 
 Float32 = NDArray[np.float32]
 
