@@ -150,14 +150,16 @@ def match_candidates(
         covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(corners), 1, 1))
         return _points(corners, shift, covariance, score), counts
     start = Start(shift, np.zeros((len(corners), 2, 2)))
-    refined, agree = _refine_both(pair, corners, start, settings)
+    refined, agree = _refine_both(pair, corners, start, settings, one_way=settings.one_way_first)
     counts["not_converged"] = int((~refined.converged).sum())
     counts["directions_disagree"] = int((refined.converged & ~agree).sum())
     points = _points(corners, refined.shift_xy_px, refined.covariance_px2, score)
     return points[refined.converged & agree], counts
 
 
-def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
+def rematch(
+    pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings
+) -> tuple[TiePoints, Bool]:
     """Second pass: points again, with the deformation and the structure that the field gives.
 
     Parameters
@@ -171,31 +173,38 @@ def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: 
 
     Returns
     -------
-    TiePoints
+    points : TiePoints
         As many, covariances formal; a point that fails here keeps its first position.
+    believed : (n,) bool array
+        Whether a point has been found in both directions, in this pass or the first.
     """
-    traits = _traits(settings)
-    result = points
-    if traits.refined and traits.structure == "local":
-        if guide.deforms:
-            result = _again(
-                pair, result, Start(result.displacement_px, _repeated(guide, len(result))), settings
-            )
-        led = np.flatnonzero(np.isfinite(guide.structure_xy_px).all(axis=1))
-        if len(led):
-            some = result[led]
-            start = Start(some.displacement_px, _repeated(guide, len(led)), guide.structure_xy_px[led])
-            again = _again(pair, some, start, settings)
-            target, covariance = result.target_xy_px.copy(), result.covariance_px2.copy()
-            target[led], covariance[led] = again.target_xy_px, again.covariance_px2
-            result = replace(result, target_xy_px=target, covariance_px2=covariance)
-    return result
+    traits, n = _traits(settings), len(points)
+    believed = np.full(n, not (settings.one_way_first and traits.backward))
+    if not (traits.refined and traits.structure == "local"):
+        return points, believed
+    led = np.isfinite(guide.structure_xy_px).all(axis=1)
+    target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
+    for some, structure in ((guide.deforms | ~(led | believed), None), (led, guide.structure_xy_px)):
+        index = np.flatnonzero(some)
+        start = Start(
+            target[index] - points.reference_xy_px[index],
+            np.tile(guide.linear, (len(index), 1, 1)),
+            None if structure is None else structure[index],
+        )
+        refined, agree = _refine_both(pair, to_index(points[index]), start, settings)
+        good = refined.converged & agree
+        index = index[good]
+        target[index] = points.reference_xy_px[index] + refined.shift_xy_px[good]
+        covariance[index] = refined.covariance_px2[good]
+        believed[index] = True
+    return replace(points, target_xy_px=target, covariance_px2=covariance), believed
 
 
 def second_pass(pair: PreparedPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
     """Guide, rematch, check and calibrate the points of one prepared pair."""
     guide = guide_by_field(points, settings)
-    again = rematch(pair, points, guide, settings)
+    again, believed = rematch(pair, points, guide, settings)
+    again = again[believed]
     good = again[consistent_points(again, settings)]
     return calibrate(good, guide.surface, guide.shared_variance_px2, settings)
 
@@ -206,24 +215,12 @@ def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
     return consistent(points.reference_xy_px, points.displacement_px, sigma, settings.window)
 
 
-def _again(pair: PreparedPair, points: TiePoints, start: Start, settings: MatchSettings) -> TiePoints:
-    refined, agree = _refine_both(pair, to_index(points), start, settings)
-    good = (refined.converged & agree)[:, None]
-    target = np.where(good, points.reference_xy_px + refined.shift_xy_px, points.target_xy_px)
-    covariance = np.where(good[..., None], refined.covariance_px2, points.covariance_px2)
-    return replace(points, target_xy_px=target, covariance_px2=covariance)
-
-
-def _repeated(guide: FieldGuide, n: int) -> Float64:
-    return np.tile(guide.linear, (n, 1, 1))
-
-
 def _refine_both(
-    pair: PreparedPair, corners: Index, start: Start, settings: MatchSettings
+    pair: PreparedPair, corners: Index, start: Start, settings: MatchSettings, *, one_way: bool = False
 ) -> tuple[Refined, Bool]:
     """Refine forward and, where the method asks for it, backward; the mean and whether the two agree."""
     forward = _refine_one_way(pair, corners, start, settings)
-    if not _traits(settings).backward:
+    if one_way or not _traits(settings).backward:
         ok = np.ones(len(corners), bool)
         if settings.method == "pcwlad":
             ok = passes_paper(pair, corners, start, forward, settings.window, settings.ssim_min)

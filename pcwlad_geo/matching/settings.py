@@ -33,6 +33,8 @@ class MatchSettings:
     """Least SSIM of a coarse match; the paper's gate is 0.4."""
     iterations: int = 20
     consensus: Consensus = "auto"
+    one_way_first: bool = False
+    """Matched from reference to target only at first, where points are many; both ways in the second pass."""
     least_valid: float = 0.6
     """Share of a window that must be valid in both images."""
 

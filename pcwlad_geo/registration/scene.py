@@ -125,7 +125,7 @@ class _Again:
     shared_variance_px2: NDArray[np.float64]
     """(n,)."""
     lost: Bool
-    """(n,) in tiles that could not be read a second time."""
+    """(n,) in tiles that could not be read a second time, or not found in both directions."""
 
 
 def _second_pass(
@@ -133,7 +133,7 @@ def _second_pass(
 ) -> _Again:
     """Match the consistent points again, guided by the field of all of them."""
     if any(True for _ in first.guided):
-        return _gather(first, matches)
+        return _gather(first, matches, matching)
     return _rematch(first, matches, kept, matching, log, runner)
 
 
@@ -151,17 +151,18 @@ def _checked(
     return replace(matches, target_xy_px=target, covariance_px2=covariance), final
 
 
-def _gather(first: _FirstPass, matches: TiePoints) -> _Again:
+def _gather(first: _FirstPass, matches: TiePoints, matching: MatchSettings) -> _Again:
     """Collect the second passes of tiles that guide themselves."""
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
-    shared = np.zeros(len(matches))
+    shared, lost = np.zeros(len(matches)), np.full(len(matches), matching.one_way_first)
     for index, guided in first.guided:
+        lost[index] = False
         target[index], covariance[index] = guided.points.target_xy_px, guided.points.covariance_px2
         shared[index] = guided.shared_variance_px2
     surfaces = Counter(guided.surface for _, guided in first.guided for _ in range(len(guided.index)))
     surface = surfaces.most_common(1)[0][0] if surfaces else None
     points = replace(matches, target_xy_px=target, covariance_px2=covariance)
-    return _Again(points, surface, shared, np.zeros(len(matches), bool))
+    return _Again(points, surface, shared, lost)
 
 
 def _rematch(
@@ -185,7 +186,7 @@ def _rematch(
     for part, result in zip(parts, results, strict=True):
         target[index[part]] = result.points.target_xy_px
         covariance[index[part]] = result.points.covariance_px2
-        lost[index[part]] = result.status == "failed"
+        lost[index[part]] = result.status == "failed" if result.believed is None else ~result.believed
     points = replace(matches, target_xy_px=target, covariance_px2=covariance)
     return _Again(points, guide.surface, np.full(len(matches), guide.shared_variance_px2), lost)
 
@@ -223,6 +224,7 @@ def _match_settings(
         ssim_min=settings.ssim_min,
         iterations=settings.iterations,
         consensus=settings.consensus,
+        one_way_first=settings.points == "all",
     )
 
 
