@@ -150,16 +150,14 @@ def match_candidates(
         covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(corners), 1, 1))
         return _points(corners, shift, covariance, score), counts
     start = Start(shift, np.zeros((len(corners), 2, 2)))
-    refined, agree = _refine_both(pair, corners, start, settings, one_way=settings.one_way_first)
+    refined, agree = _refine_both(pair, corners, start, settings)
     counts["not_converged"] = int((~refined.converged).sum())
     counts["directions_disagree"] = int((refined.converged & ~agree).sum())
     points = _points(corners, refined.shift_xy_px, refined.covariance_px2, score)
     return points[refined.converged & agree], counts
 
 
-def rematch(
-    pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings
-) -> tuple[TiePoints, Bool]:
+def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
     """Second pass: points again, with the deformation and the structure that the field gives.
 
     Parameters
@@ -173,38 +171,35 @@ def rematch(
 
     Returns
     -------
-    points : TiePoints
+    TiePoints
         As many, covariances formal; a point that fails here keeps its first position.
-    believed : (n,) bool array
-        Whether a point has been found in both directions, in this pass or the first.
     """
-    traits, n = _traits(settings), len(points)
-    believed = np.full(n, not (settings.one_way_first and traits.backward))
+    traits = _traits(settings)
     if not (traits.refined and traits.structure == "local"):
-        return points, believed
-    led = np.isfinite(guide.structure_xy_px).all(axis=1)
+        return points
     target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
-    for some, structure in ((guide.deforms | ~(led | believed), None), (led, guide.structure_xy_px)):
+    led = np.isfinite(guide.structure_xy_px).all(axis=1)
+    # the two directions differ where each follows its own structure, hardly where the field says which
+    both_ways = replace(settings, backward_every=1)
+    own = ~led & (guide.deforms or settings.backward_every > 1)
+    for some, structure, how in ((own, None, both_ways), (led, guide.structure_xy_px, settings)):
         index = np.flatnonzero(some)
         start = Start(
             target[index] - points.reference_xy_px[index],
             np.tile(guide.linear, (len(index), 1, 1)),
             None if structure is None else structure[index],
         )
-        refined, agree = _refine_both(pair, to_index(points[index]), start, settings)
+        refined, agree = _refine_both(pair, to_index(points[index]), start, how)
         good = refined.converged & agree
-        index = index[good]
-        target[index] = points.reference_xy_px[index] + refined.shift_xy_px[good]
-        covariance[index] = refined.covariance_px2[good]
-        believed[index] = True
-    return replace(points, target_xy_px=target, covariance_px2=covariance), believed
+        target[index[good]] = points.reference_xy_px[index[good]] + refined.shift_xy_px[good]
+        covariance[index[good]] = refined.covariance_px2[good]
+    return replace(points, target_xy_px=target, covariance_px2=covariance)
 
 
 def second_pass(pair: PreparedPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
     """Guide, rematch, check and calibrate the points of one prepared pair."""
     guide = guide_by_field(points, settings)
-    again, believed = rematch(pair, points, guide, settings)
-    again = again[believed]
+    again = rematch(pair, points, guide, settings)
     good = again[consistent_points(again, settings)]
     return calibrate(good, guide.surface, guide.shared_variance_px2, settings)
 
@@ -216,19 +211,19 @@ def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
 
 
 def _refine_both(
-    pair: PreparedPair, corners: Index, start: Start, settings: MatchSettings, *, one_way: bool = False
+    pair: PreparedPair, corners: Index, start: Start, settings: MatchSettings
 ) -> tuple[Refined, Bool]:
     """Refine forward and, where the method asks for it, backward; the mean and whether the two agree."""
     forward = _refine_one_way(pair, corners, start, settings)
-    if one_way or not _traits(settings).backward:
+    if not _traits(settings).backward:
         ok = np.ones(len(corners), bool)
         if settings.method == "pcwlad":
             ok = passes_paper(pair, corners, start, forward, settings.window, settings.ssim_min)
         return forward, ok
-    mean, agree = forward.shift_xy_px.copy(), np.zeros(len(corners), bool)
-    covariance, converged = forward.covariance_px2.copy(), np.zeros(len(corners), bool)
+    mean, agree = forward.shift_xy_px.copy(), np.ones(len(corners), bool)
+    covariance, converged = forward.covariance_px2.copy(), forward.converged.copy()
     # what did not converge on its way there needs no way back
-    there = np.flatnonzero(forward.converged)
+    there = np.flatnonzero(forward.converged)[:: settings.backward_every]
     structure = None if start.structure_xy_px is None else start.structure_xy_px[there]
     returned, backward = _refine_back(
         pair, corners[there], forward.shift_xy_px[there], forward.linear[there], structure, settings

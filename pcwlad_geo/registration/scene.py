@@ -32,6 +32,8 @@ Index = NDArray[np.intp]
 LEAST_WINDOW_PX: Final = 41
 WINDOWS_ACROSS: Final = 1.6
 """An overlap narrower than this many windows gets smaller ones."""
+BACKWARD_EVERY: Final = 4
+"""Where a scene is covered."""
 MOST_WAVES: Final = 3
 """Of small windows: the first choices, and what follows where they give too little."""
 
@@ -125,7 +127,7 @@ class _Again:
     shared_variance_px2: NDArray[np.float64]
     """(n,)."""
     lost: Bool
-    """(n,) in tiles that could not be read a second time, or not found in both directions."""
+    """(n,) in tiles that could not be read a second time."""
 
 
 def _second_pass(
@@ -133,7 +135,7 @@ def _second_pass(
 ) -> _Again:
     """Match the consistent points again, guided by the field of all of them."""
     if any(True for _ in first.guided):
-        return _gather(first, matches, matching)
+        return _gather(first, matches)
     return _rematch(first, matches, kept, matching, log, runner)
 
 
@@ -151,18 +153,17 @@ def _checked(
     return replace(matches, target_xy_px=target, covariance_px2=covariance), final
 
 
-def _gather(first: _FirstPass, matches: TiePoints, matching: MatchSettings) -> _Again:
+def _gather(first: _FirstPass, matches: TiePoints) -> _Again:
     """Collect the second passes of tiles that guide themselves."""
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
-    shared, lost = np.zeros(len(matches)), np.full(len(matches), matching.one_way_first)
+    shared = np.zeros(len(matches))
     for index, guided in first.guided:
-        lost[index] = False
         target[index], covariance[index] = guided.points.target_xy_px, guided.points.covariance_px2
         shared[index] = guided.shared_variance_px2
     surfaces = Counter(guided.surface for _, guided in first.guided for _ in range(len(guided.index)))
     surface = surfaces.most_common(1)[0][0] if surfaces else None
     points = replace(matches, target_xy_px=target, covariance_px2=covariance)
-    return _Again(points, surface, shared, lost)
+    return _Again(points, surface, shared, np.zeros(len(matches), bool))
 
 
 def _rematch(
@@ -186,7 +187,7 @@ def _rematch(
     for part, result in zip(parts, results, strict=True):
         target[index[part]] = result.points.target_xy_px
         covariance[index[part]] = result.points.covariance_px2
-        lost[index[part]] = result.status == "failed" if result.believed is None else ~result.believed
+        lost[index[part]] = result.status == "failed"
     points = replace(matches, target_xy_px=target, covariance_px2=covariance)
     return _Again(points, guide.surface, np.full(len(matches), guide.shared_variance_px2), lost)
 
@@ -224,7 +225,7 @@ def _match_settings(
         ssim_min=settings.ssim_min,
         iterations=settings.iterations,
         consensus=settings.consensus,
-        one_way_first=settings.points == "all",
+        backward_every=BACKWARD_EVERY if settings.points == "all" else 1,
     )
 
 

@@ -102,8 +102,6 @@ class TileResult:
     reason: str | None
     seconds: float
     guided: Guided | None = None
-    believed: NDArray[np.bool_] | None = None
-    """(n,) of a second pass: whether a point has been found in both directions."""
 
 
 def match_tile(job: TileJob) -> TileResult:
@@ -153,18 +151,16 @@ def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide) -> TileResu
     inside = points.shifted(-reference_origin, -target_origin)
     # shifts inside the arrays leave out the offset between the two windows
     between = target_origin - reference_origin
-    again, believed = rematch(pair, inside, guide.moved(-between), job.settings)
+    again = rematch(pair, inside, guide.moved(-between), job.settings)
     moved = again.shifted(reference_origin, target_origin)
-    seconds = time.perf_counter() - begun
-    return TileResult(job.id, "matched", moved, {}, None, seconds, believed=believed)
+    return TileResult(job.id, "matched", moved, {}, None, time.perf_counter() - begun)
 
 
 def _guided(job: TileJob, pair: PreparedPair, points: TiePoints) -> Guided:
     index = np.flatnonzero(consistent_points(points, job.settings))
     guide = guide_by_field(points[index], job.settings)
-    again, believed = rematch(pair, points[index], guide, job.settings)
-    found = again[believed].shifted(*_origins(job))
-    return Guided(index[believed], found, guide.surface, guide.shared_variance_px2)
+    again = rematch(pair, points[index], guide, job.settings)
+    return Guided(index, again.shifted(*_origins(job)), guide.surface, guide.shared_variance_px2)
 
 
 def _prepare(job: TileJob) -> PreparedPair | None:
