@@ -22,7 +22,7 @@ ALIKE: Final = 0.6
 """Correlation of the errors of points that are less than a window apart, on average."""
 ROUGH: Final = 3.0
 """Independent neighbours that predict worse than so many times the scatter of the nearest do not know."""
-ROUGH_FROM_PX: Final = 0.1
+ROUGH_FROM_PX: Final = 0.15
 NEAREST: Final = 12
 SAMPLE: Final = 400
 CHUNK_VALUES: Final = 2_000_000
