@@ -16,7 +16,7 @@ from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError
 from pcwlad_geo.raster import gcp_files, geopackage, tie_point_csv, vrt, warping
 from pcwlad_geo.registration import settings as s
-from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
+from pcwlad_geo.registration.progress import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.settings import Settings
@@ -254,6 +254,13 @@ def _write(
 ) -> list[str]:
     """Write all files of a job, the report last, and return their kinds."""
     since = time.perf_counter()
+    if registration.correction is not None and not isinstance(registration.correction, AffineCorrection):
+        warning = (
+            f"no raster is written yet for a {registration.correction.name} correction: warp the original by "
+            "its ground control points, or give --model affine"
+        )
+        on_event(Warned(warning))
+        registration = replace(registration, warnings=(*registration.warnings, warning))
     writers = _writers(registration, places, on_event)
     kinds = _kinds(registration)
     total = len(kinds) + 1  # the report is one
@@ -277,7 +284,7 @@ def _kinds(registration: Registration) -> list[str]:
     kinds = ["tiepoints", "geopackage"]
     if registration.status != "rejected":
         kinds += ["points", "envi", "gcps"]
-    if registration.status == "registered":
+    if registration.status == "registered" and isinstance(registration.correction, AffineCorrection):
         kinds += ["corrected", "raster"] if registration.target.georeferenced else ["raster"]
     return kinds
 

@@ -12,7 +12,7 @@ from pcwlad_geo.errors import SettingsError
 
 Method = Literal["oriented", "pcwlad", "pclad", "pclsm", "coarse"]
 Keypoints = Literal["cells", "strongest"]
-Model = Literal["auto", "shift", "affine"]
+Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps"]
 Prealign = Literal["auto", "georef", "search", "none"]
 Consensus = Literal["auto", "off"]
 OutputGrid = Literal["reference", "target"]
@@ -54,7 +54,7 @@ class Settings:
     prealign: Prealign = "auto"
     """Rough alignment: by georeferencing, a pyramid search, neither, or what the pair needs."""
     model: Model = "auto"
-    """Correction model."""
+    """Correction model; `polynomial` is of order 2 or 3, as cross-validation says."""
     grid: OutputGrid = "reference"
     """Registered raster: the reference's CRS and alignment (target's pixel size), or the target's grid."""
     resampling: Resampling = "cubic"

@@ -57,7 +57,7 @@ def summarise(registration: Registration, outputs: Sequence[str]) -> Summary:
         "counts": dict(registration.counts),
         "displacement_px": _statistics(kept.displacement_px, PX_DIGITS),
         "displacement_m": _statistics(kept.displacement_m, M_DIGITS),
-        "model": registration.correction.to_dict() if registration.correction else None,
+        "model": _model(registration),
         "accuracy": {
             group: {
                 unit: _accuracy(registration.accuracy.get(f"{group}_{unit}"), digits)
@@ -125,6 +125,24 @@ def _tie_point_counts(registration: Registration) -> dict[str, int]:
     if registration.status == "matched":
         names = ["matched", "rejected"]
     return {"total": len(status), **{name: int(np.count_nonzero(status == name)) for name in names}}
+
+
+def _model(registration: Registration) -> Summary | None:
+    """Return the correction, in full precision, and the candidates it was chosen from."""
+    if registration.correction is None:
+        return None
+    candidates = registration.selection.candidates if registration.selection else ()
+    return registration.correction.to_dict() | {
+        "candidates": [
+            asdict(candidate)
+            | {
+                "parameters": round(candidate.parameters, 1),
+                "rmse_px": round(candidate.rmse_px, PX_DIGITS),
+                "rmse_standard_error_px": round(candidate.rmse_standard_error_px, PX_DIGITS),
+            }
+            for candidate in candidates
+        ]
+    }
 
 
 def _statistics(values: NDArray[np.float64], digits: int) -> dict[str, list[float]] | None:
