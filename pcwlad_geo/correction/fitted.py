@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pcwlad_geo.correction.inversion import in_chunks
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.overlap import SharedErrors, parameter_covariance
 from pcwlad_geo.correction.robust_linear import Estimate
@@ -154,8 +155,12 @@ class ParametricFit:
 
     def covariance(self, at_px: Array) -> Array:
         """Return the (n, 2, 2) covariance of the correction itself at (n, 2) predicted px, px²."""
-        jacobian = self.jacobian(np.asarray(at_px, dtype=np.float64))
-        return np.asarray(jacobian @ self.parameter_covariance @ jacobian.transpose(0, 2, 1))
+
+        def propagated(part_px: Array) -> Array:
+            jacobian = self.jacobian(part_px)
+            return np.asarray(jacobian @ self.parameter_covariance @ jacobian.transpose(0, 2, 1))
+
+        return in_chunks(propagated, at_px)
 
     @property
     def whitener(self) -> Array:

@@ -111,7 +111,7 @@ class SplineFit:
 
         The errors of the points, propagated, plus what the smoothing is expected to take from a field as
         rough as this one (Nychka 1988, doi:10.1080/01621459.1988.10478711). Asked for at more than 400 places
-        it is interpolated between nodes.
+        it is interpolated between at most so many nodes: ask for all places at once.
         """
         at_px = np.asarray(at_px, dtype=np.float64)
         if len(at_px) <= NODES**2:

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 CELLS = 6
 """Cells along the side of a window, whose contents its points share."""
+BATCH = 16
+"""Vectors multiplied at once: in between there is a number for every cell of ground."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +53,11 @@ class Overlaps:
         if self.cover is None:
             return vectors
         flat = vectors.reshape(self.n, -1)
-        return np.asarray(self.cover @ (self.cover.T @ flat)).reshape(vectors.shape)
+        products = np.empty_like(flat)
+        for start in range(0, flat.shape[1], BATCH):
+            part = slice(start, start + BATCH)
+            products[:, part] = self.cover @ (self.cover.T @ flat[:, part])
+        return products.reshape(vectors.shape)
 
     def patches(self) -> float:
         """Return how many independent looks at the ground the points are, if windows share errors in full."""
