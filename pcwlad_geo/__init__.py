@@ -1,8 +1,8 @@
 """Sub-pixel registration of multimodal rasters.
 
-`register` and `match` do a whole job, files in, folder out; `match_arrays` takes two arrays and gives
-their tie points. The heavy libraries load when a name is first used, so that ``pcwlad-geo --help``
-answers at once.
+`register` and `match` do a whole job, files in, folder out, and `batch` does many; `match_arrays` takes two
+arrays and gives their tie points. The heavy libraries load when a name is first used, so that
+``pcwlad-geo --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pcwlad_geo.errors import (
     CancelledError,
+    ExecutionError,
     InputError,
     OutputError,
     PcwladGeoError,
@@ -20,6 +21,7 @@ from pcwlad_geo.errors import (
 )
 
 if TYPE_CHECKING:
+    from pcwlad_geo.batches.run import batch
     from pcwlad_geo.matching.matcher import match_arrays
     from pcwlad_geo.matching.tie_points import TiePoints
     from pcwlad_geo.registration.result import Registration
@@ -30,6 +32,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "CancelledError",
+    "ExecutionError",
     "InputError",
     "OutputError",
     "PcwladGeoError",
@@ -39,6 +42,7 @@ __all__ = [
     "SettingsError",
     "TiePoints",
     "__version__",
+    "batch",
     "match",
     "match_arrays",
     "register",
@@ -48,6 +52,7 @@ _HOMES = {
     "Registration": "pcwlad_geo.registration.result",
     "Settings": "pcwlad_geo.registration.settings",
     "TiePoints": "pcwlad_geo.matching.tie_points",
+    "batch": "pcwlad_geo.batches.run",
     "match": "pcwlad_geo.workflow",
     "match_arrays": "pcwlad_geo.matching.matcher",
     "register": "pcwlad_geo.workflow",

@@ -23,6 +23,12 @@ class OutputError(PcwladGeoError):
     exit_status = 2
 
 
+class ExecutionError(PcwladGeoError):
+    """What a job runs on cannot be used or was lost: worker processes, an executor, a scheduler."""
+
+    exit_status = 2
+
+
 class RegistrationRejectedError(PcwladGeoError):
     """The pair could not be registered reliably, so no correction is given.
 

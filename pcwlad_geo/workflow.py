@@ -19,7 +19,9 @@ from pcwlad_geo.registration import settings as s
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.tasks import Runner
 from pcwlad_geo.report.page import render
 from pcwlad_geo.report.summary import summarise, to_json
 from pcwlad_geo.staging import OutputFolder, place_file
@@ -52,7 +54,7 @@ class Options(TypedDict, total=False):
     ref_mask: Path | None
     tgt_mask: Path | None
     method: s.Method
-    points: int | None
+    points: int | Literal["all"] | None
     features: int
     keypoints: s.Keypoints
     template: int
@@ -66,7 +68,8 @@ class Options(TypedDict, total=False):
     grid: s.OutputGrid
     resampling: s.Resampling
     tile_size: int
-    jobs: int
+    jobs: int | None
+    scheduler: str | None
 
 
 def register(
@@ -76,7 +79,7 @@ def register(
     out_dir: PathLike | None = None,
     overwrite: bool = False,
     on_event: EventCallback = ignore,
-    executor: Executor | None = None,
+    executor: Executor | Runner | None = None,
     output_raster: PathLike | None = None,
     output_tiepoints: PathLike | None = None,
     output_report: PathLike | None = None,
@@ -97,8 +100,8 @@ def register(
         Replace the results of an earlier run in `out_dir`.
     on_event : callable
         Receives `Progress` and `Warned` events; an exception that it raises ends the job.
-    executor : concurrent.futures.Executor, optional
-        Runs the tiles; None = this process, or `jobs` processes.
+    executor : concurrent.futures.Executor or Runner, optional
+        Runs the tiles; None = `jobs` processes, or the workers of `scheduler`.
     output_raster, output_tiepoints, output_report, output_points : path, optional
         Write the registered raster, the tie points CSV, the report page, the QGIS points there instead of
         into `out_dir`.
@@ -116,6 +119,8 @@ def register(
         If a raster or an option cannot be used; nothing is written.
     OutputError
         If the results cannot be written; nothing is left half-written.
+    ExecutionError
+        If what the job runs on cannot be used or is lost; nothing is written.
     RegistrationRejectedError
         If the pair cannot be registered reliably; the report is written, a registered raster is not.
     """
@@ -129,7 +134,7 @@ def register(
         output_points=output_points,
     )
     settings = Settings.from_options(options)
-    job = partial(run, reference, target, settings, on_event=on_event, executor=executor)
+    job = partial(_run, reference, target, settings, on_event, executor)
     return _run_and_write(job, (reference, target), settings, places, overwrite, on_event)
 
 
@@ -140,7 +145,7 @@ def match(
     out_dir: PathLike | None = None,
     overwrite: bool = False,
     on_event: EventCallback = ignore,
-    executor: Executor | None = None,
+    executor: Executor | Runner | None = None,
     output_tiepoints: PathLike | None = None,
     output_report: PathLike | None = None,
     output_points: PathLike | None = None,
@@ -160,7 +165,7 @@ def match(
         output_points=output_points,
     )
     settings = Settings.from_options(options)
-    job = partial(run, reference, target, settings, on_event=on_event, executor=executor, match_only=True)
+    job = partial(_run, reference, target, settings, on_event, executor, match_only=True)
     return _run_and_write(job, (reference, target), settings, places, overwrite, on_event)
 
 
@@ -198,6 +203,19 @@ def output_paths(
         "points": output_points,
     }
     return paths | {kind: Path(path) for kind, path in elsewhere.items() if path}
+
+
+def _run(
+    reference: PathLike,
+    target: PathLike,
+    settings: Settings,
+    on_event: EventCallback,
+    executor: Executor | Runner | None,
+    match_only: bool = False,
+) -> Registration:
+    """Run a job where its settings say, or on what the caller gives."""
+    with open_runner(settings, executor, on_event) as runner:
+        return run(reference, target, settings, on_event=on_event, runner=runner, match_only=match_only)
 
 
 def _run_and_write(

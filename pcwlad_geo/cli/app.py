@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 import pcwlad_geo
+from pcwlad_geo.cli.batch import batch
 from pcwlad_geo.cli.match import match
 from pcwlad_geo.cli.progress import show_error
 from pcwlad_geo.cli.register import register
@@ -21,6 +22,7 @@ app = typer.Typer(
 )
 app.command()(register)
 app.command()(match)
+app.command()(batch)
 
 
 def _show_version(wanted: bool) -> None:

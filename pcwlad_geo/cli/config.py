@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
-from pcwlad_geo.cli.options import WORDS
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.option_values import SETTINGS, to_setting
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
-
-SETTINGS = tuple(field.name for field in fields(Settings))
 
 
 def collect(given: Mapping[str, object], config: Path | None) -> dict[str, Any]:
@@ -56,43 +52,3 @@ def read_config(path: Path) -> dict[str, object]:
             f"config file {path} has unknown option '{unknown[0]}'; the options are {', '.join(SETTINGS)}"
         )
     return values
-
-
-def to_setting(name: str, value: object) -> object:
-    """Convert a value, text or not, to the type of a field of `Settings`.
-
-    Raises
-    ------
-    SettingsError
-        If it cannot be read as that type.
-    """
-    if name in WORDS and value == WORDS[name]:
-        return None
-    hint = get_type_hints(Settings)[name]
-    kinds = set(get_args(hint)) | {hint}
-    if Path in kinds:
-        return Path(_checked(name, value, str, "a file name") if not isinstance(value, Path) else value)
-    if int in kinds:
-        word = f" or '{WORDS[name]}'" if name in WORDS else ""
-        return _number(name, value, int, f"a whole number{word}")
-    if float in kinds:
-        return _number(name, value, float, "a number")
-    return _checked(name, value, str, "text")
-
-
-def _number(name: str, value: object, kind: type[int] | type[float], wanted: str) -> object:
-    if isinstance(value, str):
-        try:
-            return kind(value)
-        except ValueError:
-            raise SettingsError(f"{name} = {value!r}: give {wanted}") from None
-    accepted = (int,) if kind is int else (int, float)
-    if isinstance(value, bool) or not isinstance(value, accepted):
-        raise SettingsError(f"{name} = {value!r}: give {wanted}")
-    return kind(value)
-
-
-def _checked(name: str, value: object, kind: type[str], wanted: str) -> str:
-    if not isinstance(value, kind):
-        raise SettingsError(f"{name} = {value!r}: give {wanted}")
-    return value

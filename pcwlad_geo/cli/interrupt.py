@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import _thread
-import multiprocessing
 import os
 import signal
 import socket
@@ -55,12 +54,6 @@ def cancellable(forced_end: Callable[[], None], *, watch_stdin: bool = False) ->
         watcher.join()
 
 
-def end_children() -> None:
-    """Kill the worker processes that are still there."""
-    for child in multiprocessing.active_children():
-        child.kill()
-
-
 def _interrupt(number: int, frame: FrameType | None) -> None:
     for each in SIGNALS:  # once: a second one must not break off the cleaning up
         signal.signal(each, signal.SIG_IGN)
@@ -81,8 +74,7 @@ def _end_process(forced_end: Callable[[], None]) -> None:
     cleaning = threading.Thread(target=forced_end, daemon=True)
     cleaning.start()
     cleaning.join(CLEANING_S)
-    end_children()
-    os._exit(STATUS)
+    os._exit(STATUS)  # worker processes end with this one
 
 
 def _watch_stdin(finished: threading.Event) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,16 +12,28 @@ import typer
 
 from pcwlad_geo.cli.config import collect
 from pcwlad_geo.cli.interrupt import STATUS as INTERRUPTED
-from pcwlad_geo.cli.interrupt import cancellable, end_children
+from pcwlad_geo.cli.interrupt import cancellable
 from pcwlad_geo.cli.outcome import Outcome
 from pcwlad_geo.cli.progress import Reporter, one_line, reporter
 from pcwlad_geo.errors import CancelledError, PcwladGeoError, RegistrationRejectedError
+from pcwlad_geo.registration.progress import EventCallback
 from pcwlad_geo.registration.settings import Settings
 
 UNEXPECTED = 1
 PLACES = ("out_dir", "output_raster", "output_tiepoints", "output_report", "output_points")
 
 Command = Literal["register", "match"]
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """The end of a command that did its work."""
+
+    figures: dict[str, object]
+    """Values of the result event."""
+    text: str
+    """The same for people."""
+    exit_status: int = 0
 
 
 def run_job(command: Command, params: Mapping[str, Any]) -> None:
@@ -38,43 +51,82 @@ def run_job(command: Command, params: Mapping[str, Any]) -> None:
     typer.Exit
         With the exit status, unless the job succeeded.
     """
+
+    def work(on_event: EventCallback) -> Ending:
+        _work(command, params, on_event)
+        outcome = Outcome.read(_paths(command, params))
+        return Ending(outcome.figures(), outcome.text())
+
+    run_guarded(params, work, lambda: _abandon(command, params))
+
+
+def run_guarded(
+    params: Mapping[str, Any], work: Callable[[EventCallback], Ending], abandon: Callable[[], None]
+) -> None:
+    """Do the work of a command: report its events and its end, let it be cancelled.
+
+    Parameters
+    ----------
+    params : mapping
+        The parameters of the command; progress, watch_stdin and debug are used.
+    work : callable
+        Receives the callback for events.
+    abandon : callable
+        Removes what the work has half-written, where it cannot do so itself.
+
+    Raises
+    ------
+    typer.Exit
+        With the exit status, unless it is 0.
+    """
     with reporter(params["progress"]) as report:
-        status = _attempt(command, params, report)
+        status = _attempt(params, report, work, abandon)
     if status:
         raise typer.Exit(status)
 
 
-def _attempt(command: Command, params: Mapping[str, Any], report: Reporter) -> int:
-    """Run the job, report its end, return its exit status."""
+def show_traceback(error: BaseException) -> None:
+    """Show where an error arose, for ``--debug``."""
+    traceback.print_exception(error)
+
+
+def _attempt(
+    params: Mapping[str, Any],
+    report: Reporter,
+    work: Callable[[EventCallback], Ending],
+    abandon: Callable[[], None],
+) -> int:
+    """Do the work, report its end, return its exit status."""
 
     def end_by_force() -> None:
         report.cancelled()
-        from pcwlad_geo.staging import abandon
-
-        abandon(_paths(command, params)["numbers"].parent)
+        abandon()
 
     try:
         with cancellable(end_by_force, watch_stdin=params["watch_stdin"]):
-            _work(command, params, report)
-            outcome = Outcome.read(_paths(command, params))
-        report.result(outcome.figures(), outcome.text())
+            ending = work(report.event)
+        report.result(ending.figures, ending.text)
     except (KeyboardInterrupt, CancelledError):
-        end_children()
         report.cancelled()
         return INTERRUPTED
-    except PcwladGeoError as error:
-        _show_traceback(params["debug"])
+    except Exception as error:
+        if params["debug"]:
+            show_traceback(error)
+        return _report_error(error, report)
+    return ending.exit_status
+
+
+def _report_error(error: Exception, report: Reporter) -> int:
+    if isinstance(error, PcwladGeoError):
         report.error(str(error), {"exit_status": error.exit_status, **_rejection(error)})
         return error.exit_status
-    except Exception as error:  # the last line of defence: one line instead of a traceback
-        _show_traceback(params["debug"])
-        message = f"unexpected {type(error).__name__}: {one_line(error)} (--debug shows where)"
-        report.error(message, {"exit_status": UNEXPECTED})
-        return UNEXPECTED
-    return 0
+    # the last line of defence: one line instead of a traceback
+    message = f"unexpected {type(error).__name__}: {one_line(error)} (--debug shows where)"
+    report.error(message, {"exit_status": UNEXPECTED})
+    return UNEXPECTED
 
 
-def _work(command: Command, params: Mapping[str, Any], report: Reporter) -> None:
+def _work(command: Command, params: Mapping[str, Any], on_event: EventCallback) -> None:
     settings = collect(params, params["config"])
     Settings.from_options(settings)  # a bad value need not wait for the heavy libraries, which load here:
     from pcwlad_geo import workflow
@@ -84,10 +136,16 @@ def _work(command: Command, params: Mapping[str, Any], report: Reporter) -> None
         params["reference"],
         params["target"],
         overwrite=params["overwrite"],
-        on_event=report.event,
+        on_event=on_event,
         **_places(params),
         **settings,
     )
+
+
+def _abandon(command: Command, params: Mapping[str, Any]) -> None:
+    from pcwlad_geo.staging import abandon
+
+    abandon(_paths(command, params)["numbers"].parent)
 
 
 def _paths(command: Command, params: Mapping[str, Any]) -> Mapping[str, Path]:
@@ -100,11 +158,6 @@ def _paths(command: Command, params: Mapping[str, Any]) -> Mapping[str, Path]:
 
 def _places(params: Mapping[str, Any]) -> dict[str, Any]:
     return {name: params[name] for name in PLACES if name in params}
-
-
-def _show_traceback(wanted: bool) -> None:
-    if wanted:
-        traceback.print_exc()
 
 
 def _rejection(error: PcwladGeoError) -> dict[str, object]:

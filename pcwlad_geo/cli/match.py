@@ -29,6 +29,7 @@ def match(
     consensus: o.Consensus = None,
     prealign: o.Prealign = None,
     jobs: o.Jobs = None,
+    scheduler: o.Scheduler = None,
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
     config: o.Config = None,

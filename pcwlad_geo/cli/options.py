@@ -12,11 +12,9 @@ from typing import Annotated, Any, Literal
 import typer
 
 from pcwlad_geo.registration import settings as s
+from pcwlad_geo.registration.option_values import WORDS
 
 ProgressStyle = Literal["auto", "bar", "json", "none"]
-
-WORDS = {"points": "all", "search_radius": "auto"}
-"""How None is spelled where it is a choice of its own."""
 
 _DEFAULTS = {field.name: field.default for field in fields(s.Settings)}
 
@@ -39,7 +37,12 @@ RefMask = Annotated[Path | None, _setting("ref_mask", "Mask of the reference, 0 
 TgtMask = Annotated[Path | None, _setting("tgt_mask", "Mask of the target, 0 = excluded.", metavar="FILE")]
 
 Method = Annotated[s.Method | None, _setting("method", "Fine matching method.")]
-Points = Annotated[str | None, _setting("points", "Tie points wanted in the fit.", metavar="N|all")]
+Points = Annotated[
+    str | None,
+    _setting(
+        "points", "Tie points wanted; auto: 1000 of a scene, all of a small image.", metavar="N|all|auto"
+    ),
+]
 Features = Annotated[int | None, _setting("features", "Candidates a tile.", metavar="N")]
 Keypoints = Annotated[
     s.Keypoints | None, _setting("keypoints", "Spread the candidates by cell, or take the strongest.")
@@ -64,7 +67,11 @@ Grid = Annotated[
     _setting("grid", "Grid of the registered raster, the reference's or the target's."),
 ]
 Resampling = Annotated[s.Resampling | None, _setting("resampling", "Resampling of the registered raster.")]
-Jobs = Annotated[int | None, _setting("jobs", "Processes.", metavar="N")]
+Jobs = Annotated[str | None, _setting("jobs", "Processes, at most; all: one a core.", metavar="N|all")]
+Scheduler = Annotated[
+    str | None,
+    _setting("scheduler", "Run the tiles on a dask cluster, tcp://host:port.", metavar="ADDRESS"),
+]
 
 OutDir = Annotated[
     Path | None,

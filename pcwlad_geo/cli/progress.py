@@ -85,6 +85,8 @@ class Bar(Quiet):
             return
         if event.stage not in self._tasks:
             self._tasks[event.stage] = self._bars.add_task(event.stage, total=event.total)
+        elif event.done == 0:  # once more, of the next pair
+            self._bars.reset(self._tasks[event.stage])
         self._bars.update(self._tasks[event.stage], completed=event.done, total=event.total)
 
     def result(self, figures: dict[str, object], summary: str) -> None:

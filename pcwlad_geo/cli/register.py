@@ -32,6 +32,7 @@ def register(
     grid: o.Grid = None,
     resampling: o.Resampling = None,
     jobs: o.Jobs = None,
+    scheduler: o.Scheduler = None,
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
     config: o.Config = None,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Float64 = NDArray[np.float64]
 
-DEFAULT_SCALE: Final = 3.5
+DEFAULT_SCALE: Final = 3.0
 """Where a scene has too few points to tell."""
 SCALE_RANGE: Final = (1.5, 12.0)
 LEAST_POINTS: Final = 30
@@ -66,8 +66,8 @@ def shared_variance(xy_px: Float64, residual_px: Float64, window_px: int, neighb
     return float(np.median(known) ** 2 / MEDIAN_CHI_SQUARE_2 / independent)
 
 
-def calibrated(covariance_px2: Float64, scale: float, shared_variance_px2: float = 0.0) -> Float64:
+def calibrated(covariance_px2: Float64, scale: float, shared_variance_px2: float | Float64 = 0.0) -> Float64:
     """Return the (n, 2, 2) covariances scaled, with what points share and a floor added."""
-    common = shared_variance_px2 + LEAST_SIGMA_PX**2
-    result: Float64 = covariance_px2 * scale**2 + common * np.eye(2)
+    common = np.asarray(shared_variance_px2 + LEAST_SIGMA_PX**2)
+    result: Float64 = covariance_px2 * scale**2 + common[..., None, None] * np.eye(2)
     return result

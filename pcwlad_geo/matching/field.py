@@ -1,4 +1,4 @@
-"""The displacement field between the tie points: robust local planes through their neighbours."""
+"""The displacement field between the tie points: robust local surfaces through their neighbours."""
 
 from __future__ import annotations
 
@@ -12,14 +12,51 @@ from scipy.spatial import cKDTree
 Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-NEIGHBOUR_COUNTS: Final = (48, 192, 768, 3072)
 SIMPLER_WITHIN_PX: Final = 0.02
-"""A larger neighbourhood is taken unless it predicts worse by more: a third of that would be its harm."""
+"""A simpler surface is taken unless it predicts worse by more: a third of that would be its harm."""
 EXCLUSION: Final = 0.75
 """Neighbours nearer than this share of the window see the same pixels: no independent witnesses."""
+ALIKE: Final = 0.6
+"""Correlation of the errors of points that are less than a window apart, on average."""
+ROUGH: Final = 3.0
+"""Independent neighbours that predict worse than so many times the scatter of the nearest do not know."""
+ROUGH_FROM_PX: Final = 0.1
+NEAREST: Final = 12
 SAMPLE: Final = 400
 ROUNDS: Final = 4
 CHUNK_VALUES: Final = 2_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """What is laid through the neighbours of a place."""
+
+    count: int
+    """Neighbours."""
+    order: int
+    """1: a plane, 2: a quadratic surface."""
+
+
+SURFACES: Final = (
+    Surface(3072, 1),
+    Surface(768, 1),
+    Surface(768, 2),
+    Surface(192, 1),
+    Surface(192, 2),
+    Surface(48, 1),
+)
+"""The simplest first: with the most neighbours for each of its parameters."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """The surface that predicts best, and how well it does."""
+
+    surface: Surface
+    residual_px: Float64
+    """(m, 2), see `independent_residual`."""
+    smooth: bool
+    """Whether neighbours a window away say as much about a point as the nearest ones do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,11 +66,13 @@ class Prediction:
     displacement_px: Float64
     """(n, 2)."""
     scatter_px: Float64
-    """(n,) robust scatter of the neighbours about their plane."""
+    """(n,) robust scatter of the neighbours about their surface."""
+    leverage: Float64
+    """(n,) variance of the prediction over that of one neighbour, all of them independent."""
 
 
-def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, count: int) -> Prediction:
-    """Predict the displacement at places from a robust plane through their nearest points.
+def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, surface: Surface) -> Prediction:
+    """Predict the displacement at places from a robust surface through their nearest points.
 
     Parameters
     ----------
@@ -41,14 +80,13 @@ def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, count: 
         Tie points and their displacements.
     at_xy_px : (n, 2) array
         Where to predict.
-    count : int
-        Neighbours of each plane.
+    surface : Surface
     """
-    return _predict_apart(xy_px, displacement_px, at_xy_px, count, 0.0)
+    return _predict_apart(xy_px, displacement_px, at_xy_px, surface, 0.0)
 
 
-def choose_neighbour_count(xy_px: Float64, displacement_px: Float64, window_px: int) -> tuple[int, Float64]:
-    """Choose the largest neighbourhood that predicts about as well as any.
+def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int) -> Choice:
+    """Choose the simplest surface that predicts about as well as any.
 
     Parameters
     ----------
@@ -56,35 +94,52 @@ def choose_neighbour_count(xy_px: Float64, displacement_px: Float64, window_px: 
         Tie points and their displacements.
     window_px : int
         Side of the matching window: points apart by less share pixels and do not count as witnesses.
-
-    Returns
-    -------
-    count : int
-        Neighbours to use.
-    residual_px : (m, 2) array
-        Displacement minus what the independent neighbours predict; NaN outside the sample looked at.
     """
-    candidates = [count for count in NEIGHBOUR_COUNTS if count < len(xy_px)] or [len(xy_px)]
-    residuals = [independent_residual(xy_px, displacement_px, window_px, count) for count in candidates]
-    errors = [_typical(residual) for residual in residuals]
-    good = [i for i, error in enumerate(errors) if error <= min(errors) + SIMPLER_WITHIN_PX]
-    chosen = max(good, default=0)
-    return candidates[chosen], residuals[chosen]
+    n = len(xy_px)
+    candidates = [surface for surface in SURFACES if surface.count < n] or [Surface(n, 1)]
+    residuals = [_against_neighbours(xy_px, displacement_px, window_px, surface) for surface in candidates]
+    errors = [_typical(residual) for residual, _ in residuals]
+    chosen = next((i for i, error in enumerate(errors) if error <= min(errors) + SIMPLER_WITHIN_PX), -1)
+    residual, share = residuals[chosen]
+    smooth = errors[chosen] <= max(ROUGH_FROM_PX, ROUGH * _nearest_scatter(xy_px, displacement_px))
+    return Choice(candidates[chosen], residual * share[:, None], smooth)
 
 
-def independent_residual(xy_px: Float64, displacement_px: Float64, window_px: int, count: int) -> Float64:
+def _nearest_scatter(xy: Float64, displacement: Float64) -> float:
+    """Return the typical distance of a displacement from the median of its nearest neighbours."""
+    sample = np.unique(np.linspace(0, len(xy) - 1, min(SAMPLE, len(xy))).astype(np.intp))
+    _, near = cKDTree(xy).query(xy[sample], k=np.arange(1, min(NEAREST, len(xy)) + 1))
+    return _typical(displacement[sample] - np.median(displacement[near], axis=1))
+
+
+def independent_residual(
+    xy_px: Float64, displacement_px: Float64, window_px: int, surface: Surface
+) -> Float64:
     """Compare a sample of points with what neighbours that share no pixels with them predict.
 
     Returns
     -------
     (m, 2) array
-        Displacement minus prediction; NaN outside the sample and where there are no such neighbours.
+        Displacement minus prediction, less what the prediction itself errs on average: as large as the
+        point's own error. NaN outside the sample and where there are no such neighbours.
     """
-    sample = np.unique(np.linspace(0, len(xy_px) - 1, min(SAMPLE, len(xy_px))).astype(np.intp))
-    predicted = _predict_apart(xy_px, displacement_px, xy_px[sample], count, EXCLUSION * window_px)
-    residual = np.full(xy_px.shape, np.nan)
-    residual[sample] = displacement_px[sample] - predicted.displacement_px
-    return residual
+    residual, share = _against_neighbours(xy_px, displacement_px, window_px, surface)
+    return residual * share[:, None]
+
+
+def _against_neighbours(
+    xy: Float64, displacement: Float64, window_px: int, surface: Surface
+) -> tuple[Float64, Float64]:
+    """Return displacement minus prediction, (m, 2), and how much of it is the point's own error, (m,)."""
+    sample = np.unique(np.linspace(0, len(xy) - 1, min(SAMPLE, len(xy))).astype(np.intp))
+    predicted = _predict_apart(xy, displacement, xy[sample], surface, EXCLUSION * window_px)
+    # points whose windows share pixels err alike: together they are little more than one witness
+    in_a_window = cKDTree(xy).query_ball_point(xy[sample], window_px / np.sqrt(np.pi), return_length=True)
+    alike = ALIKE * float(np.median(in_a_window)) if len(sample) else 1.0
+    residual, share = np.full(xy.shape, np.nan), np.full(len(xy), np.nan)
+    residual[sample] = displacement[sample] - predicted.displacement_px
+    share[sample] = 1 / np.sqrt(1 + predicted.leverage * alike)
+    return residual, share
 
 
 def _typical(residual: Float64) -> float:
@@ -119,11 +174,12 @@ def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Fl
 
 
 def _predict_apart(
-    xy: Float64, displacement: Float64, at: Float64, count: int, apart_px: float
+    xy: Float64, displacement: Float64, at: Float64, surface: Surface, apart_px: float
 ) -> Prediction:
+    count = surface.count
     tree = cKDTree(xy)
     out = np.full((len(at), 2), np.nan)
-    scatter = np.full(len(at), np.nan)
+    scatter, leverage = np.full(len(at), np.nan), np.full(len(at), np.nan)
     reach = min(len(xy), 2 * count if apart_px else count)
     if apart_px and len(xy) > 1:
         near = tree.query_ball_point(at, apart_px, return_length=True)
@@ -134,36 +190,50 @@ def _predict_apart(
         distance, index = tree.query(at[part], k=np.arange(1, reach + 1))
         usable = distance >= apart_px
         usable &= np.cumsum(usable, axis=1) <= count
-        out[part], scatter[part] = _robust_planes(xy[index] - at[part, None, :], displacement[index], usable)
-    return Prediction(out, scatter)
+        out[part], scatter[part], leverage[part] = _robust_surfaces(
+            xy[index] - at[part, None, :], displacement[index], usable, surface.order
+        )
+    return Prediction(out, scatter, leverage)
 
 
-def _robust_planes(offset: Float64, values: Float64, usable: NDArray[np.bool_]) -> tuple[Float64, Float64]:
-    """Fit a plane to each row of neighbours by reweighted least squares; value at the centre, scatter."""
-    n, _, _ = values.shape
+def _robust_surfaces(
+    offset: Float64, values: Float64, usable: NDArray[np.bool_], order: int
+) -> tuple[Float64, Float64, Float64]:
+    """Fit a surface to each row of neighbours by reweighted least squares.
+
+    Returns value at the centre, scatter and leverage.
+    """
     reach = np.sqrt((offset**2).sum(axis=2).max(axis=1)).clip(1e-9)
-    design = np.concatenate([np.ones((*offset.shape[:2], 1)), offset / reach[:, None, None]], axis=2)
-    enough = usable.sum(axis=1) >= 6
+    x, y = np.moveaxis(offset / reach[:, None, None], 2, 0)
+    terms = [np.ones_like(x), x, y] + ([x * x, x * y, y * y] if order == 2 else [])
+    design = np.stack(terms, axis=2)
+    enough = usable.sum(axis=1) >= 2 * len(terms)
     masked = np.where(usable[..., None], values, np.nan)
     masked[~enough] = 0.0
     start = np.nanmedian(masked, axis=1)
     residual = np.hypot(*np.moveaxis(values - start[:, None, :], 2, 0))
-    solution = np.zeros((n, 3, 2))
-    scale = np.ones(n)
+    at_centre, scale = start, np.ones(len(values))
     for _ in range(ROUNDS):
         seen = np.where(usable, residual, np.nan)
         seen[~enough] = 1.0
         scale = np.nanmedian(seen, axis=1).clip(1e-6)
         weight = np.where(usable, 1 / (1 + (residual / (2 * scale[:, None])) ** 2), 0.0)
         weighted = design * weight[..., None]
-        normal = np.einsum("nki,nkj->nij", weighted, design)
-        # a ridge on the slopes: neighbours on a line leave the slope across it undetermined
-        normal[:, 1, 1] += 1e-6 * normal[:, 0, 0] + 1e-12
-        normal[:, 2, 2] += 1e-6 * normal[:, 0, 0] + 1e-12
-        normal[:, 0, 0] += 1e-12
-        solution = np.linalg.solve(normal, np.einsum("nki,nkj->nij", weighted, values))
+        right = np.einsum("nki,nkj->nij", weighted, values)
+        solution = np.linalg.solve(_normal_matrices(design, weighted), right)
         residual = np.hypot(*np.moveaxis(values - design @ solution, 2, 0))
-    at_centre = solution[:, 0, :].copy()
+        at_centre = solution[:, 0, :].copy()
+    leverage = np.linalg.inv(_normal_matrices(design, design * usable[..., None]))[:, 0, 0].copy()
     at_centre[~enough] = np.nan
     scale[~enough] = np.nan
-    return at_centre, 0.8493 * scale
+    leverage[~enough] = np.nan
+    return at_centre, 0.8493 * scale, np.asarray(leverage, np.float64)
+
+
+def _normal_matrices(design: Float64, weighted: Float64) -> Float64:
+    normal: Float64 = np.einsum("nki,nkj->nij", weighted, design)
+    # a ridge on all but the constant: neighbours on a line leave the slope across it undetermined
+    index = np.arange(1, design.shape[2])
+    normal[:, index, index] += 1e-6 * normal[:, 0, 0, None] + 1e-12
+    normal[:, 0, 0] += 1e-12
+    return normal

@@ -20,6 +20,7 @@ COARSEST_PX: Final = 2
 
 _NEIGHBOURS: Final = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float64) / 4
 
+Float32 = NDArray[np.float32]
 Floating = NDArray[np.floating[Any]]
 
 
@@ -44,24 +45,26 @@ def fill_smoothly(image: Floating, valid: NDArray[np.bool_]) -> Floating:
         return known
     # Around zero, so that float32 keeps its digits and the weights' rounding does not show.
     centre = known[valid].mean(dtype=np.float64).astype(dtype)
-    filled = _fill_level(np.where(valid, known - centre, 0).astype(dtype), valid)
-    result: Floating = np.where(valid, known, filled + centre).astype(dtype)
-    return result
+    filled = _fill_level(np.where(valid, known - centre, 0).astype(np.float32), valid)
+    np.copyto(known, filled + centre, where=~valid, casting="same_kind")
+    return known
 
 
-def _fill_level(known: Floating, valid: NDArray[np.bool_]) -> Floating:
+def _fill_level(known: Float32, valid: NDArray[np.bool_]) -> Float32:
     """Fill one level from the next coarser one, then relax what was filled; `known` is 0 where invalid."""
     rows, cols = known.shape
     if valid.all() or max(rows, cols) <= COARSEST_PX:
         mean = known.sum() / max(int(valid.sum()), 1)
-        return np.where(valid, known, mean).astype(known.dtype)
+        return np.where(valid, known, mean).astype(np.float32)
     # Pull: means of the valid pixels only. Push: the coarse level is used only where this one has nothing.
-    weight = cv2.pyrDown(valid.astype(known.dtype))
+    weight = cv2.pyrDown(valid.astype(np.float32))
     total = cv2.pyrDown(known)
     coarse_valid = weight > np.finfo(np.float32).eps
     coarse = np.divide(total, weight, out=np.zeros_like(total), where=coarse_valid)
-    filled = np.where(valid, known, cv2.pyrUp(_fill_level(coarse, coarse_valid), dstsize=(cols, rows)))
+    filled = np.asarray(cv2.pyrUp(_fill_level(coarse, coarse_valid), dstsize=(cols, rows)), np.float32)
+    known_mask, unknown_mask = valid.astype(np.uint8), (~valid).astype(np.uint8)
+    cv2.copyTo(known, known_mask, filled)
     for _ in range(RELAXATIONS):
         smoothed = cv2.filter2D(filled, -1, _NEIGHBOURS, borderType=cv2.BORDER_REPLICATE)
-        filled = np.where(valid, known, smoothed)
+        cv2.copyTo(smoothed, unknown_mask, filled)
     return filled

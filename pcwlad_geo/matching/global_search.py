@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from pcwlad_geo.matching.fill import fill_smoothly
-from pcwlad_geo.matching.phase_congruency import ORIENTATIONS, oriented_phase_congruency, scene_epsilon
+from pcwlad_geo.matching.filter_bank import ORIENTATIONS
+from pcwlad_geo.matching.phase_congruency import oriented_phase_congruency, scene_epsilon
 
 FINEST_SIDE_PX: Final = 512
 """About the longer side of the smaller image at the finest level: modalities share coarse structure."""

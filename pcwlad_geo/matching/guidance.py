@@ -34,8 +34,8 @@ class FieldGuide:
     """(2, 2) deformation of the windows; zeros where it is negligible."""
     structure_xy_px: Float64
     """(n, 2) shift at which mutual structure is taken; NaN: at the point's own position."""
-    neighbours: int
-    """Points that predict a displacement; 0 where there are too few points for a field."""
+    surface: field.Surface | None
+    """What predicts a displacement; None where there are too few points, or the field is too rough."""
     shared_variance_px2: float
     """Variance, per axis, of the error that points guided by the same neighbours share."""
 
@@ -64,30 +64,46 @@ def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
     """
     nowhere = np.full((len(points), 2), np.nan)
     if len(points) < LEAST_FOR_FIELD:
-        return FieldGuide(np.zeros((2, 2)), nowhere, 0, 0.0)
+        return FieldGuide(np.zeros((2, 2)), nowhere, None, 0.0)
     xy, moved = points.reference_xy_px, points.displacement_px
     linear, linear_sigma = field.global_affine(xy, moved)
     reach = settings.window / 2 * np.sqrt(2)
     if np.abs(linear).max() * reach < LEAST_DEFORMATION_PX or (np.abs(linear) < 3 * linear_sigma).all():
         linear = np.zeros((2, 2))
-    count, residual = field.choose_neighbour_count(xy, moved, settings.window)
-    if settings.consensus == "off":
-        return FieldGuide(linear, nowhere, count, 0.0)
-    predicted = field.predict(xy, moved, xy, count)
+    choice = field.choose_surface(xy, moved, settings.window)
+    surface = choice.surface if choice.smooth else None
+    if settings.consensus == "off" or surface is None:
+        return FieldGuide(linear, nowhere, surface, 0.0)
+    predicted = field.predict(xy, moved, xy, surface)
     rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
     apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
-    shared = calibration.shared_variance(xy, residual, settings.window, count)
-    return FieldGuide(linear, structure, count, shared)
+    shared = calibration.shared_variance(xy, choice.residual_px, settings.window, surface.count)
+    return FieldGuide(linear, structure, surface, shared)
 
 
-def calibrate(points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
-    """Return consistent points of the whole scene with calibrated covariances."""
+def calibrate(
+    points: TiePoints,
+    surface: field.Surface | None,
+    shared_variance_px2: float | Float64,
+    settings: MatchSettings,
+) -> TiePoints:
+    """Return consistent points of the whole scene with calibrated covariances.
+
+    Parameters
+    ----------
+    points : TiePoints
+    surface : Surface, optional
+        Of the guide; None where there was no field.
+    shared_variance_px2 : float or (n,) array
+        Of the guide.
+    settings : MatchSettings
+    """
     residual = np.full((len(points), 2), np.nan)
-    if guide.neighbours:
+    if surface is not None:
         residual = field.independent_residual(
-            points.reference_xy_px, points.displacement_px, settings.window, guide.neighbours
+            points.reference_xy_px, points.displacement_px, settings.window, surface
         )
     scale = calibration.sigma_scale(residual, points.covariance_px2)
-    covariance = calibration.calibrated(points.covariance_px2, scale, guide.shared_variance_px2)
+    covariance = calibration.calibrated(points.covariance_px2, scale, shared_variance_px2)
     return replace(points, covariance_px2=covariance)

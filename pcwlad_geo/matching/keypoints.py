@@ -7,6 +7,7 @@ References
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import cv2
@@ -19,11 +20,12 @@ FULL_SCALE: Final = 0.5
 """The map value that becomes 255: fixed, so that every tile of a scene finds the same corners."""
 THRESHOLD: Final = 2
 """FAST threshold on the 8-bit map: low, since cells and ranking choose among the corners."""
-PER_CELL: Final = 4
 LEAST_CONTRAST: Final = 0.02
 """Share of the scene's range below which local contrast counts as noise."""
 DETAIL_PX: Final = 3.0
 NEIGHBOURHOOD_PX: Final = 8.0
+LARGEST: Final = 1e6
+"""Deviations from the mean, in units of the least contrast, end here: their squares stay finite."""
 NOISE_MARGIN: Final = 1.2
 """Noise energy is taken off with a margin for its own scatter."""
 
@@ -50,11 +52,12 @@ def contrast_weight(
     -------
     (rows, cols) float32 array
     """
-    floor = LEAST_CONTRAST * 255.0 / EPSILON_OF_BYTE_RANGE * epsilon
-    detail = (image - cv2.GaussianBlur(image, (0, 0), DETAIL_PX)).astype(np.float32)
-    energy = cv2.GaussianBlur(detail**2, (0, 0), NEIGHBOURHOOD_PX)
-    energy = np.maximum(energy - np.float32(NOISE_MARGIN * noise_sigma**2), 0)
-    weight: NDArray[np.float32] = (energy / (energy + max(floor, 1e-30) ** 2)).astype(np.float32)
+    floor = max(LEAST_CONTRAST * 255.0 / EPSILON_OF_BYTE_RANGE * epsilon, 1e-30)
+    scaled = np.clip((image - image.mean(dtype=np.float64)) / floor, -LARGEST, LARGEST).astype(np.float32)
+    detail = scaled - cv2.GaussianBlur(scaled, (0, 0), DETAIL_PX)
+    energy = cv2.GaussianBlur(np.square(detail), (0, 0), NEIGHBOURHOOD_PX)
+    energy = np.maximum(energy - np.float32(NOISE_MARGIN * (noise_sigma / floor) ** 2), 0)
+    weight: NDArray[np.float32] = energy / (energy + np.float32(1.0))
     return weight
 
 
@@ -94,10 +97,19 @@ def strongest(corners_rc: Index, response: NDArray[np.float32], count: int) -> I
     return corners_rc[order[:count]]
 
 
+def cell_side_px(features: int, per_cell: int, area_px2: float) -> int:
+    """Return the side of the cells of which so many candidates over an area need so many each."""
+    return max(8, round(math.sqrt(per_cell * area_px2 / features)))
+
+
 def by_cell(
-    corners_rc: Index, response: NDArray[np.float32], cell_px: int, origin_rc: tuple[int, int]
+    corners_rc: Index,
+    response: NDArray[np.float32],
+    cell_px: int,
+    origin_rc: tuple[int, int],
+    per_cell: int,
 ) -> Index:
-    """Return the strongest `PER_CELL` corners of every cell of a lattice fixed to the scene.
+    """Return the strongest corners of every cell of a lattice fixed to the scene.
 
     Parameters
     ----------
@@ -107,6 +119,8 @@ def by_cell(
         Side of a cell.
     origin_rc : (int, int)
         Row, column of the window's first pixel in the scene: the cells do not depend on the tile.
+    per_cell : int
+        Corners of a cell, at most.
     """
     cells = (corners_rc + np.asarray(origin_rc)) // cell_px
     order = np.lexsort((corners_rc[:, 1], corners_rc[:, 0], -response, cells[:, 1], cells[:, 0]))
@@ -114,4 +128,4 @@ def by_cell(
     new_cell = np.r_[True, (np.diff(ordered, axis=0) != 0).any(axis=1)] if len(order) else np.empty(0, bool)
     starts = np.flatnonzero(new_cell)
     rank = np.arange(len(order)) - np.repeat(starts, np.diff(np.r_[starts, len(order)]))
-    return corners_rc[order[rank < PER_CELL]]
+    return corners_rc[order[rank < per_cell]]

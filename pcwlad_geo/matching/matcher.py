@@ -26,8 +26,6 @@ Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 Bool = NDArray[np.bool_]
 
-HALO_PX: Final = 64
-"""Context that phase congruency needs around a window: beyond it the maps change by less than 4e-4."""
 DISAGREEMENT_PX: Final = 0.5
 """Largest difference between the forward and the backward match."""
 COARSE_SIGMA_PX: Final = 0.35
@@ -87,7 +85,7 @@ def match_arrays(
     pair = prepare(
         _on_canvas(ref, rows, cols, margin),
         _on_canvas(tgt, rows, cols, margin),
-        oriented=_traits(settings).oriented,
+        channels=_traits(settings).channels,
     )
     core = Core(margin, margin, margin + rows, margin + cols, (-margin, -margin))
     first, _ = match_candidates(pair, core, settings)
@@ -145,7 +143,9 @@ def match_candidates(
         "at_search_border": int((similar & coarse.at_border).sum()),
     }
     corners, score = corners[inside], coarse.distinctness[inside]
-    shift = coarse.offset_rc[inside, ::-1].astype(np.float64)
+    # the paper begins at the whole pixel; nearer to the place fewer steps are needed
+    whole = coarse.offset_rc[inside, ::-1].astype(np.float64)
+    shift = coarse.shift_xy_px[inside] if traits.structure == "local" else whole
     if not traits.refined:
         covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(corners), 1, 1))
         return _points(corners, shift, covariance, score), counts
@@ -196,7 +196,8 @@ def second_pass(pair: PreparedPair, points: TiePoints, settings: MatchSettings) 
     """Guide, rematch, check and calibrate the points of one prepared pair."""
     guide = guide_by_field(points, settings)
     again = rematch(pair, points, guide, settings)
-    return calibrate(again[consistent_points(again, settings)], guide, settings)
+    good = again[consistent_points(again, settings)]
+    return calibrate(good, guide.surface, guide.shared_variance_px2, settings)
 
 
 def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
@@ -227,28 +228,42 @@ def _refine_both(
         if settings.method == "pcwlad":
             ok = passes_paper(pair, corners, start, forward, settings.window, settings.ssim_min)
         return forward, ok
-    landed = corners + np.round(forward.shift_xy_px[:, ::-1]).astype(np.intp)
+    mean, agree = forward.shift_xy_px.copy(), np.zeros(len(corners), bool)
+    covariance, converged = forward.covariance_px2.copy(), np.zeros(len(corners), bool)
+    # what did not converge on its way there needs no way back
+    there = np.flatnonzero(forward.converged)
+    structure = None if start.structure_xy_px is None else start.structure_xy_px[there]
+    returned, backward = _refine_back(
+        pair, corners[there], forward.shift_xy_px[there], forward.linear[there], structure, settings
+    )
+    agree[there] = np.linalg.norm(mean[there] - returned, axis=1) < DISAGREEMENT_PX
+    mean[there] = (mean[there] + returned) / 2
+    covariance[there] = (covariance[there] + backward.covariance_px2) / 2
+    converged[there] = backward.converged
+    return Refined(mean, forward.linear, covariance, converged), agree
+
+
+def _refine_back(
+    pair: PreparedPair,
+    corners: Index,
+    shift_xy: Float64,
+    linear: Float64,
+    structure_xy: Float64 | None,
+    settings: MatchSettings,
+) -> tuple[Float64, Refined]:
+    """Refine from the target back to where the corners came from; the shifts as seen forward, and all."""
+    landed = corners + np.round(shift_xy[:, ::-1]).astype(np.intp)
     # the backward window sits on a whole target pixel; the field between it and the true landing place
     # differs by deformation times the remainder
-    remainder = (landed - corners)[:, ::-1] - forward.shift_xy_px
-    deformation = np.einsum("nij,nj->ni", forward.linear, remainder)
-    back_linear = np.linalg.inv(np.eye(2) + forward.linear) - np.eye(2)
-    structure = start.structure_xy_px
-    back_start = Start(
-        -(forward.shift_xy_px + deformation),
-        back_linear,
-        None if structure is None else -(structure + deformation),
+    remainder = (landed - corners)[:, ::-1] - shift_xy
+    deformation = np.einsum("nij,nj->ni", linear, remainder)
+    start = Start(
+        -(shift_xy + deformation),
+        np.linalg.inv(np.eye(2) + linear) - np.eye(2),
+        None if structure_xy is None else -(structure_xy + deformation),
     )
-    backward = _refine_one_way(pair.turned, landed, back_start, settings)
-    returned = -backward.shift_xy_px - deformation
-    agree = np.linalg.norm(forward.shift_xy_px - returned, axis=1) < DISAGREEMENT_PX
-    mean = Refined(
-        (forward.shift_xy_px + returned) / 2,
-        forward.linear,
-        (forward.covariance_px2 + backward.covariance_px2) / 2,
-        forward.converged & backward.converged,
-    )
-    return mean, agree
+    backward = _refine_one_way(pair.turned, landed, start, settings)
+    return -backward.shift_xy_px - deformation, backward
 
 
 def _refine_one_way(pair: PreparedPair, corners: Index, start: Start, settings: MatchSettings) -> Refined:
@@ -300,8 +315,8 @@ def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
     area = settings.features_area_px2 or float(
         usable[core.row : core.row_stop, core.col : core.col_stop].sum()
     )
-    cell_px = max(8, round(np.sqrt(keypoints.PER_CELL * area / settings.features)))
-    chosen = keypoints.by_cell(corners, response, cell_px, core.origin_rc)
+    cell_px = keypoints.cell_side_px(settings.features, settings.per_cell, area)
+    chosen = keypoints.by_cell(corners, response, cell_px, core.origin_rc, settings.per_cell)
     # a cell belongs to the core that holds its first pixel, so that neighbouring tiles share no cell
     first = (chosen + np.asarray(core.origin_rc)) // cell_px * cell_px - np.asarray(core.origin_rc)
     owned = (first >= (core.row, core.col)).all(axis=1) & (first < (core.row_stop, core.col_stop)).all(axis=1)

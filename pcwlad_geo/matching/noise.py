@@ -59,8 +59,13 @@ def measure_noise(image: NDArray[np.floating[Any]], valid: NDArray[np.bool_]) ->
     rows, cols = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
     fine = np.where(valid, image, 0.0)[:rows, :cols].astype(np.float64)
     fine_valid = np.asarray(valid[:rows, :cols])
-    coarse = fine.reshape(rows // 2, 2, cols // 2, 2).mean(axis=(1, 3))
-    coarse_valid = np.asarray(fine_valid.reshape(rows // 2, 2, cols // 2, 2).all(axis=(1, 3)))
+    half = cols // 2, rows // 2
+    if min(half) == 0:
+        return Noise()
+    coarse = np.asarray(cv2.resize(fine, half, interpolation=cv2.INTER_AREA), np.float64)
+    coarse_valid = (
+        fine_valid[::2, ::2] & fine_valid[1::2, ::2] & fine_valid[::2, 1::2] & fine_valid[1::2, 1::2]
+    )
     detail, coarse_detail = _mean_detail(fine, fine_valid), _mean_detail(coarse, coarse_valid)
     if coarse_detail <= 0:
         return Noise()
@@ -75,7 +80,9 @@ def smoothing_px(*noises: Noise) -> float:
 
 
 def _mean_detail(image: NDArray[np.float64], valid: NDArray[np.bool_]) -> float:
-    inner = cv2.erode(valid.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
-    if inner.sum() < LEAST_PIXELS:
+    inner = cv2.erode(valid.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
+    count = cv2.countNonZero(inner)
+    if count < LEAST_PIXELS:
         return 0.0
-    return float(np.abs(cv2.filter2D(image, -1, np.array(_SECOND_DIFFERENCE)))[inner].mean())
+    detail = cv2.filter2D(image, -1, np.array(_SECOND_DIFFERENCE))
+    return cv2.norm(detail, cv2.NORM_L1, mask=inner) / count

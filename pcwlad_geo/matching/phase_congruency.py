@@ -11,26 +11,26 @@ References
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 import scipy.fft
-from numba import njit
 from numpy.typing import NDArray
 
-SCALES: Final = 4
-ORIENTATIONS: Final = 6
-MIN_WAVELENGTH_PX: Final = 3.0
-WAVELENGTH_FACTOR: Final = 1.6
-SIGMA_ON_F: Final = 0.75
-SPREAD_CUT_OFF: Final = 0.5
-SPREAD_GAIN: Final = 3.0
-LOW_PASS_CUT_OFF: Final = 0.45
-LOW_PASS_POWER: Final = 30
+from pcwlad_geo.matching.filter_bank import ORIENTATIONS, SCALES, filter_bank, wedge
+from pcwlad_geo.matching.phase_kernels import combine_orientations, combine_scales, filter_rows
+
 EPSILON_OF_BYTE_RANGE: Final = 1e-4
+LEAST_EPSILON: Final = 1e-30
+ROWS_AT_ONCE: Final = 16
+COLS_AT_ONCE: Final = 32
+"""The transforms run on blocks that stay in the processor's cache."""
+STRIDE_MARGIN: Final = 8
+"""Keeps rows of 2^k elements from falling on the same cache lines."""
 
 Float32 = NDArray[np.float32]
+Complex64 = NDArray[np.complex64]
 
 
 def scene_epsilon(image: NDArray[np.floating], valid: NDArray[np.bool_] | None = None) -> float:
@@ -48,14 +48,16 @@ def scene_epsilon(image: NDArray[np.floating], valid: NDArray[np.bool_] | None =
     float
         1e-4 of a 255th of the range that holds 99.9 % of the values; 0 for a constant image.
     """
-    values = image if valid is None else image[valid]
+    values = image if valid is None or valid.all() else image[valid]
     if values.size == 0:
         return 0.0
     low, high = np.percentile(values, (0.05, 99.95))
     return float(EPSILON_OF_BYTE_RANGE * (high - low) / 255.0)
 
 
-def oriented_phase_congruency(image: NDArray[np.floating], epsilon: float) -> Float32:
+def oriented_phase_congruency(
+    image: NDArray[np.floating], epsilon: float, shape: tuple[int, int] | None = None
+) -> Float32:
     """Compute one phase-congruency map per orientation.
 
     Parameters
@@ -64,20 +66,66 @@ def oriented_phase_congruency(image: NDArray[np.floating], epsilon: float) -> Fl
         Finite values; even sizes are what the filters expect (no padding is done here).
     epsilon : float
         Guards divisions, in units of the image; see `scene_epsilon`.
+    shape : (int, int), optional
+        Rows and columns wanted, from the first; all by default.
 
     Returns
     -------
     (6, rows, cols) float32 array
         Values 0 to 1; orientation o is at angle o·π/6.
     """
-    spectrum = scipy.fft.fft2((image - image.mean(dtype=np.float64)).astype(np.float32), workers=1)
-    radial, angular = _filter_bank(image.shape[0], image.shape[1])
-    maps = np.empty((ORIENTATIONS, *image.shape), np.float32)
-    for orientation in range(ORIENTATIONS):
-        filtered = spectrum * angular[orientation]
-        responses = scipy.fft.ifft2(filtered * radial, axes=(1, 2), workers=1, overwrite_x=True)
-        combine_scales(responses, np.float32(epsilon), maps[orientation])
+    centred = (image - image.mean(dtype=np.float64)).astype(np.float32)
+    maps = np.empty((ORIENTATIONS, *(shape or image.shape)), np.float32)
+    for axis in (0, 1):
+        filtered = _filtered(centred, axis)
+        turned = maps if axis == 0 else maps.transpose(0, 2, 1)
+        for orientation, responses in filtered:
+            _combine(responses, image.shape[axis], epsilon, turned[orientation])
     return maps
+
+
+def _filtered(image: Float32, axis: int) -> Iterator[tuple[int, Complex64]]:
+    """Yield the orientations whose filters lie in the half plane along an axis, with their responses.
+
+    The responses, (4, n // 2 + 1, m) complex64, are in space along the other axis only; along this one
+    they are spectra. Each overwrites the one before.
+    """
+    turned = image if axis == 0 else image.T
+    n, m = turned.shape
+    spectrum: Complex64 = scipy.fft.rfft2(turned, axes=(1, 0), workers=1)
+    bank = filter_bank(n, m)
+    # rows beyond the reach of a scale are never written: they stay zero
+    responses = np.zeros((SCALES, len(spectrum), m + STRIDE_MARGIN), np.complex64)[:, :, :m]
+    buffer = np.empty(SCALES * ROWS_AT_ONCE * m, np.complex64)
+    for orientation in range(ORIENTATIONS):
+        direction = wedge(orientation, axis, image.shape)
+        if direction is None:
+            continue
+        for start in range(0, bank.reach[0], ROWS_AT_ONCE):
+            rows = min(ROWS_AT_ONCE, len(spectrum) - start)
+            scales = sum(start < reach for reach in bank.reach)
+            block = buffer[: scales * rows * m].reshape(scales, rows, m)
+            filter_rows(spectrum, bank.radial, bank.inverse_radius, *direction, start, block)
+            block = scipy.fft.ifft(block, axis=2, overwrite_x=True, workers=1)
+            responses[:scales, start : start + rows] = block
+        yield orientation, responses
+
+
+def _combine(responses: Complex64, n: int, epsilon: float, out: Float32) -> None:
+    """Transform along the halved axis and fill a map (n or less, m or less)."""
+    rows, cols = out.shape
+    half = responses.shape[1]
+    buffer = np.empty(SCALES * n * COLS_AT_ONCE, np.complex64)
+    values = np.empty(n * COLS_AT_ONCE, np.float32)
+    for start in range(0, cols, COLS_AT_ONCE):
+        width = min(COLS_AT_ONCE, cols - start)
+        block = buffer[: SCALES * n * width].reshape(SCALES, n, width)
+        block[:, :half] = responses[:, :, start : start + width]
+        block[:, half:] = 0.0
+        block = scipy.fft.ifft(block, axis=1, overwrite_x=True, workers=1)
+        part = values[: n * width]
+        combine_scales(block.reshape(SCALES, -1), np.float32(max(epsilon, LEAST_EPSILON)), part)
+        out[:, start : start + width] = part.reshape(n, width)[:rows]
 
 
 def maximum_moment(maps: Float32) -> Float32:
@@ -91,87 +139,10 @@ def maximum_moment(maps: Float32) -> Float32:
     -------
     (rows, cols) float32 array
     """
-    half = ORIENTATIONS / 2
     theta = np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS
-    square = maps**2
     cosine, sine = np.cos(theta), np.sin(theta)
-    c = np.tensordot((cosine**2 / half).astype(np.float32), square, 1)
-    s = np.tensordot((sine**2 / half).astype(np.float32), square, 1)
-    cs = np.tensordot((2 * cosine * sine / half).astype(np.float32), square, 1)
-    moment = (c + s + np.sqrt(cs**2 + (c - s) ** 2) + np.float32(EPSILON_OF_BYTE_RANGE)) / 2
-    return np.asarray(moment, np.float32)
-
-
-@lru_cache(maxsize=4)
-def _filter_bank(rows: int, cols: int) -> tuple[Float32, Float32]:
-    """Return the (4, rows, cols) radial and (6, rows, cols) angular transfer functions."""
-    y, x = np.meshgrid(_frequencies(rows), _frequencies(cols), indexing="ij")
-    radius = scipy.fft.ifftshift(np.hypot(x, y))
-    theta = scipy.fft.ifftshift(np.arctan2(-y, x))
-    radius[0, 0] = 1.0
-    low_pass = 1.0 / (1.0 + (radius / LOW_PASS_CUT_OFF) ** LOW_PASS_POWER)
-    radial = np.empty((SCALES, rows, cols), np.float32)
-    for scale in range(SCALES):
-        centre = 1.0 / (MIN_WAVELENGTH_PX * WAVELENGTH_FACTOR**scale)
-        radial[scale] = low_pass * np.exp(-(np.log(radius / centre) ** 2) / (2 * np.log(SIGMA_ON_F) ** 2))
-    radial[:, 0, 0] = 0.0
-    angular = np.empty((ORIENTATIONS, rows, cols), np.float32)
-    for orientation in range(ORIENTATIONS):
-        turned = theta - orientation * np.pi / ORIENTATIONS
-        distance = np.abs(np.arctan2(np.sin(turned), np.cos(turned)))
-        angular[orientation] = (np.cos(np.minimum(distance * ORIENTATIONS / 2, np.pi)) + 1) / 2
-    return radial, angular
-
-
-def _frequencies(n: int) -> NDArray[np.float64]:
-    if n % 2:
-        return np.arange(-(n - 1) / 2, (n - 1) / 2 + 1) / (n - 1)
-    return np.arange(-n / 2, n / 2) / n
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def combine_scales(responses: NDArray[np.complex64], epsilon: np.float32, out: Float32) -> None:
-    """Fuse the filter responses of one orientation, (4, rows, cols) complex64, into its map.
-
-    The plain twin is `combine_scales_plain`.
-    """
-    scales, rows, cols = responses.shape
-    one = np.float32(1.0)
-    for row in range(rows):
-        for col in range(cols):
-            even_sum = np.float32(0.0)
-            odd_sum = np.float32(0.0)
-            amplitude_sum = np.float32(0.0)
-            amplitude_max = np.float32(0.0)
-            for scale in range(scales):
-                response = responses[scale, row, col]
-                amplitude = np.sqrt(response.real * response.real + response.imag * response.imag)
-                even_sum += response.real
-                odd_sum += response.imag
-                amplitude_sum += amplitude
-                amplitude_max = max(amplitude_max, amplitude)
-            norm = one / (np.sqrt(even_sum * even_sum + odd_sum * odd_sum) + epsilon)
-            even_mean = even_sum * norm
-            odd_mean = odd_sum * norm
-            energy = np.float32(0.0)
-            for scale in range(scales):
-                response = responses[scale, row, col]
-                energy += response.real * even_mean + response.imag * odd_mean
-                energy -= abs(response.real * odd_mean - response.imag * even_mean)
-            energy = max(energy, np.float32(0.0))
-            width = (amplitude_sum / (amplitude_max + epsilon) - one) / np.float32(scales - 1)
-            spread = one / (one + np.exp(np.float32(SPREAD_GAIN) * (np.float32(SPREAD_CUT_OFF) - width)))
-            out[row, col] = spread * energy / (amplitude_sum + epsilon)
-
-
-def combine_scales_plain(responses: NDArray[np.complex64], epsilon: float) -> Float32:
-    """Return what `combine_scales` computes, in plain numpy: its oracle."""
-    even, odd = responses.real, responses.imag
-    amplitude = np.abs(responses)
-    norm = np.hypot(even.sum(0), odd.sum(0)) + epsilon
-    even_mean, odd_mean = even.sum(0) / norm, odd.sum(0) / norm
-    energy = (even * even_mean + odd * odd_mean - np.abs(even * odd_mean - odd * even_mean)).sum(0)
-    width = (amplitude.sum(0) / (amplitude.max(0) + epsilon) - 1) / (len(responses) - 1)
-    spread = 1 / (1 + np.exp(SPREAD_GAIN * (SPREAD_CUT_OFF - width)))
-    result: Float32 = spread * np.maximum(energy, 0) / (amplitude.sum(0) + epsilon)
-    return result
+    coefficients = np.stack([cosine**2, sine**2, 2 * cosine * sine]) / (ORIENTATIONS / 2)
+    moment = np.empty(maps.shape[1:], np.float32)
+    flat = np.ascontiguousarray(maps).reshape(ORIENTATIONS, -1)
+    combine_orientations(flat, coefficients.astype(np.float32), moment.reshape(-1))
+    return moment

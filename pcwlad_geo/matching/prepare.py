@@ -1,9 +1,9 @@
-"""From two images to what the matcher works on: phase-congruency maps with validity."""
+"""From two images to what the matcher works on: maps of their structure, with validity."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import cv2
 import numpy as np
@@ -11,13 +11,18 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.fill import fill_smoothly
+from pcwlad_geo.matching.gradient import oriented_gradients
 from pcwlad_geo.matching.keypoints import FULL_SCALE, contrast_weight
 from pcwlad_geo.matching.noise import Noise, smoothing_px
 from pcwlad_geo.matching.phase_congruency import maximum_moment, oriented_phase_congruency
 from pcwlad_geo.matching.refinement import ChannelStack
+from pcwlad_geo.matching.settings import Channels
 from pcwlad_geo.matching.similarity import MaskedMap
 
 Bool = NDArray[np.bool_]
+Float32 = NDArray[np.float32]
+Floating = NDArray[np.floating[Any]]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 NO_NOISE: Final = Noise()
 EDGE_PX: Final = 4
@@ -28,7 +33,7 @@ EDGE_PX: Final = 4
 class Image:
     """One image, or a window of one."""
 
-    values: NDArray[np.floating[Any]]
+    values: Floating
     """(rows, cols)."""
     valid: Bool
     """(rows, cols)."""
@@ -55,50 +60,76 @@ class PreparedPair:
         return PreparedPair(self.target, self.reference, self.target_map, self.reference_map, self.contrast)
 
     @property
+    def nbytes(self) -> int:
+        """Memory of the arrays."""
+        stacks = [stack.maps.nbytes + stack.coefficients.nbytes for stack in (self.reference, self.target)]
+        maps = [each.values.nbytes + each.valid.nbytes for each in (self.reference_map, self.target_map)]
+        masks = self.reference.valid.nbytes + self.target.valid.nbytes
+        return sum(stacks) + sum(maps) + masks + self.contrast.nbytes
+
+    @property
     def reference_moment(self) -> NDArray[np.float32]:
-        """(rows, cols) maximum moment of the reference."""
+        """(rows, cols) map of the reference that corners are found in."""
         return self.reference_map.values
 
 
-def prepare(reference: Image, target: Image, *, oriented: bool) -> PreparedPair:
+def prepare(reference: Image, target: Image, *, channels: Channels, halo_px: int = 0) -> PreparedPair:
     """Compute the maps of both images.
 
     Parameters
     ----------
     reference, target : Image
         Of the same shape.
-    oriented : bool
-        Channels are the six oriented maps; else the one map M.
+    channels : {"orientations", "gradients", "moment"}
+        What is matched: the six oriented maps of phase congruency, six oriented gradients, or the one
+        map M of the paper.
+    halo_px : int
+        Rows and columns along all four edges that the filters need and the result leaves out.
     """
-    smooth = smoothing_px(reference.noise, target.noise) if oriented else 0.0
-    filled = _filled(reference)
+    smooth = 0.0 if channels == "moment" else smoothing_px(reference.noise, target.noise)
+    filled = fill_smoothly(reference.values, reference.valid)
     contrast = contrast_weight(filled, reference.epsilon, reference.noise.sigma)
-    ref_stack, ref_map = _maps(filled, reference, oriented, smooth)
-    tgt_stack, tgt_map = _maps(_filled(target), target, oriented, smooth)
-    return PreparedPair(ref_stack, tgt_stack, ref_map, tgt_map, contrast)
-
-
-def _filled(image: Image) -> NDArray[np.floating[Any]]:
-    return fill_smoothly(np.where(image.valid, image.values, 0), image.valid)
+    ref_stack, ref_map = _maps(filled, reference, channels, smooth, halo_px)
+    filled = fill_smoothly(target.values, target.valid)
+    tgt_stack, tgt_map = _maps(filled, target, channels, smooth, halo_px)
+    return PreparedPair(ref_stack, tgt_stack, ref_map, tgt_map, _inside(contrast, halo_px))
 
 
 def _maps(
-    filled: NDArray[np.floating[Any]], image: Image, oriented: bool, smooth_px: float
+    filled: Floating, image: Image, channels: Channels, smooth_px: float, halo_px: int
 ) -> tuple[ChannelStack, MaskedMap]:
-    rows, cols = filled.shape
-    extra = [_fast_even(n) - n for n in filled.shape]
-    padded = np.pad(filled, [(0, extra[0]), (0, extra[1])], mode="reflect")
-    channels = oriented_phase_congruency(padded, image.epsilon)[:, :rows, :cols]
-    if smooth_px > 0:
-        channels = np.stack([cv2.GaussianBlur(channel, (0, 0), smooth_px) for channel in channels])
-    moment = maximum_moment(channels)
-    valid = _eroded(image.valid)
-    stack = ChannelStack.of(np.ascontiguousarray(channels if oriented else moment[None]), valid)
+    if channels == "gradients":
+        maps, whole = oriented_gradients(filled, image.epsilon, smooth_px)
+    else:
+        maps = _phase_congruency(filled, image.epsilon, smooth_px)
+        whole = maximum_moment(maps)
+    maps, whole = _inside(maps, halo_px), _inside(whole, halo_px)
+    valid = _inside(_eroded(image.valid), halo_px)
+    stack = ChannelStack.of(whole[None] if channels == "moment" else maps, valid)
     weight = valid.astype(np.float32)
-    return stack, MaskedMap(moment * weight, weight, np.float32(FULL_SCALE))
+    return stack, MaskedMap(whole * weight, weight, np.float32(FULL_SCALE))
 
 
-def _fast_even(n: int) -> int:
+def _inside(plane: NDArray[Scalar], halo_px: int) -> NDArray[Scalar]:
+    """Return the last two axes without so many pixels on all sides; a copy, so that the rest is freed."""
+    if halo_px == 0:
+        return plane
+    return plane[..., halo_px : plane.shape[-2] - halo_px, halo_px : plane.shape[-1] - halo_px].copy()
+
+
+def _phase_congruency(filled: Floating, epsilon: float, smooth_px: float) -> Float32:
+    rows, cols = filled.shape
+    extra = fast_even(rows) - rows, fast_even(cols) - cols
+    padded = np.pad(filled, [(0, extra[0]), (0, extra[1])], mode="reflect") if any(extra) else filled
+    maps = oriented_phase_congruency(padded, epsilon, (rows, cols))
+    if smooth_px > 0:
+        for plane in maps:
+            cv2.GaussianBlur(plane, (0, 0), smooth_px, dst=plane)
+    return maps
+
+
+def fast_even(n: int) -> int:
+    """Return the least even length from n that transforms fast."""
     length = int(scipy.fft.next_fast_len(n, real=False))
     while length % 2:
         length = int(scipy.fft.next_fast_len(length + 1, real=False))

@@ -13,14 +13,16 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import spline_filter
 
 from pcwlad_geo.matching import refinement_state as state
 from pcwlad_geo.matching.refinement_loop import refine_points
+from pcwlad_geo.matching.spline import spline_coefficients
 
 TOLERANCE_PX: Final = 0.004
-RELAXATION: Final = 1.5
-"""The weights follow the position, so a plain step falls short by about a third."""
+RELAXATION_ROBUST: Final = 1.4
+"""The weights follow the residual, so a plain step falls short by a third; the first is made longer."""
+RELAXATION_STRUCTURE: Final = 1.4
+"""The same once more where the structure follows the position."""
 LARGEST_MOVE_PX: Final = 3.0
 WINDOW_PER_CORRELATION_SIDE: Final = 12
 BLOCK_PX: Final = 16
@@ -46,8 +48,8 @@ class ChannelStack:
     def of(maps: Float32, valid: NDArray[np.bool_]) -> ChannelStack:
         """Prefilter the maps for interpolation."""
         coefficients = np.empty_like(maps)
-        for channel, plane in enumerate(maps):
-            coefficients[channel] = spline_filter(plane, 3, output=np.float32, mode="mirror")
+        for plane, out in zip(maps, coefficients, strict=True):
+            spline_coefficients(plane, out)
         return ChannelStack(maps, coefficients, valid)
 
 
@@ -121,20 +123,28 @@ def refine(
     """
     n = len(corners_rc)
     results = state.Results(np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)), np.zeros(n, np.int64))
+    structure_mode = _structure_mode(start, use_structure)
     options = state.Options(
         half=window_px // 2,
         correlation_half=correlation_half_px(window_px),
-        structure_mode=_structure_mode(start, use_structure),
+        width=state.flat_width(2 * (window_px // 2 + correlation_half_px(window_px)) + 1),
+        structure_mode=structure_mode,
         robust=robust,
         affine=affine,
         iterations=iterations,
         tolerance_px=TOLERANCE_PX,
-        relaxation=RELAXATION,
+        relaxation=first_relaxation(robust, structure_mode == state.STRUCTURE_FOLLOWS),
         least_valid=float(least_valid),
         largest_move_px=LARGEST_MOVE_PX,
         blocks=max(4, round(window_px / BLOCK_PX)),
     )
-    images = state.Images(reference.maps, target.coefficients, reference.valid, target.valid)
+    # one kind of array, so that the loop is compiled once: a read-only one would be another
+    images = state.Images(
+        np.require(reference.maps, np.float32, ("C", "W")),
+        np.require(target.coefficients, np.float32, ("C", "W")),
+        np.require(reference.valid, np.bool_, ("C", "W")),
+        np.require(target.valid, np.bool_, ("C", "W")),
+    )
     work = state.make_workspace(len(reference.maps), options)
     refine_points(images, _starts(corners_rc, start), options, work, results)
     return Refined(results.shift_xy, results.linear, results.covariance, results.status == state.CONVERGED)
@@ -157,6 +167,11 @@ def _starts(corners_rc: Index, start: Start) -> state.Starts:
 def correlation_half_px(window_px: int) -> int:
     """Return the half side of the local correlation window: 3 (7 × 7) at 81, 5 (11 × 11) at 129."""
     return max(1, round(window_px / WINDOW_PER_CORRELATION_SIDE - 0.5) // 2)
+
+
+def first_relaxation(robust: bool, structure_follows: bool) -> float:
+    """Return how many times as long as a plain one the first step is."""
+    return (RELAXATION_ROBUST if robust else 1.0) * (RELAXATION_STRUCTURE if structure_follows else 1.0)
 
 
 def _structure_mode(start: Start, use_structure: bool) -> int:

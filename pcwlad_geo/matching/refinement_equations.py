@@ -1,215 +1,182 @@
-"""The compiled normal equations of one channel, gain and offset eliminated, and the scores of its blocks."""
+"""The compiled equations of one channel: gain and offset, weighted moments, normal equations, scores."""
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
-from numba import njit
 
-from pcwlad_geo.matching.refinement_kernel import Float32, Float64
+from pcwlad_geo.matching.compiled import compiled_part
+from pcwlad_geo.matching.refinement_sampling import Float32, Float64
+
+SIGMA_PER_MEAN_DEVIATION: Final = 1.2533
+"""σ of a normal distribution over its mean absolute deviation."""
+LEAST_CONTRAST: Final = 1e-6
+"""A window whose variance is a smaller part of its mean square is flat as far as float32 can tell."""
+_ONE: Final = np.float32(1.0)
+_ZERO: Final = np.float32(0.0)
+
+# positions of the weighted moments of 1, the sampled value x, the residual r and its gradient p, q
+W, WX, WR, WP, WQ, XX, XR, XP, XQ, RR, RP, RQ, PP, PQ, QQ = range(15)
+MOMENTS: Final = 15
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def normal_equations(
-    reference: Float32,
-    sampled: Float32,
-    pad: int,
-    slope_x: Float32,
-    slope_y: Float32,
-    weight: Float32,
-    h0: float,
-    h1: float,
-    affine: bool,
-    matrix: Float64,
-    right: Float64,
+@compiled_part(fastmath=True)
+def fit_gain(weight: Float32, sampled: Float32, reference: Float32, n: int) -> tuple[float, float, float]:
+    """Fit reference = h0 + h1 · sampled; returns h0, h1 and the sum of weights, 0 where undetermined."""
+    sw, sx, sy, sxx, sxy = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    for i in range(n):
+        w, x, y = weight[i], sampled[i], reference[i]
+        wx = w * x
+        sw += w
+        sx += wx
+        sy += w * y
+        sxx += wx * x
+        sxy += wx * y
+    total, mean_x, mean_y = float(sw), 0.0, 0.0
+    if total <= 1e-6:
+        return 0.0, 0.0, 0.0
+    mean_x, mean_y = float(sx) / total, float(sy) / total
+    variance = float(sxx) - float(sx) * mean_x
+    if variance <= LEAST_CONTRAST * float(sxx):
+        return 0.0, 0.0, 0.0
+    h1 = (float(sxy) - float(sx) * mean_y) / variance
+    return mean_y - h1 * mean_x, h1, total
+
+
+@compiled_part(fastmath=True)
+def sum_of_deviations(
+    weight: Float32, sampled: Float32, reference: Float32, h0: np.float32, h1: np.float32, n: int
 ) -> float:
-    """Fill the normal matrix and right side of one channel, gain and offset eliminated (Schur complement).
-
-    The parameters are (dx, a1, a2, dy, b1, b2), or (dx, dy) for a shift; x, y count in half windows.
-    Returns the weighted residual variance, -1 where gain and offset are undetermined.
-    """
-    sw, si, sii, sr, sri, srr = _radiometric_sums(reference, sampled, pad, weight, h0, h1)
-    determinant = sw * sii - si * si
-    if determinant <= 1e-12 * sw * max(sii, 1e-30):
-        return -1.0
-    squares = np.zeros((3, 3, 3))
-    links = np.zeros((6, 2, 2))
-    _gradient_sums(
-        reference, sampled, pad, slope_x, slope_y, weight, h0, h1, 3 if affine else 1, squares, links
-    )
-    count = 3 if affine else 1
-    px = np.array([0, 1, 0])
-    py = np.array([0, 0, 1])
-    border = np.zeros((2 * count, 2))
-    for k in range(count):
-        for m in range(count):
-            a = px[k] + px[m]
-            b = py[k] + py[m]
-            matrix[k, m] = squares[0, a, b]
-            matrix[k, count + m] = squares[1, a, b]
-            matrix[count + m, k] = squares[1, a, b]
-            matrix[count + k, count + m] = squares[2, a, b]
-        for axis in range(2):
-            border[axis * count + k, 0] = links[axis, px[k], py[k]]
-            border[axis * count + k, 1] = links[2 + axis, px[k], py[k]]
-            right[axis * count + k] = links[4 + axis, px[k], py[k]]
-    for k in range(2 * count):
-        e0 = (border[k, 0] * sii - border[k, 1] * si) / determinant
-        e1 = (border[k, 1] * sw - border[k, 0] * si) / determinant
-        for m in range(2 * count):
-            matrix[k, m] -= e0 * border[m, 0] + e1 * border[m, 1]
-        right[k] -= e0 * sr + e1 * sri
-    return srr / sw
+    """Return the sum of weight · |residual|."""
+    total = _ZERO
+    for i in range(n):
+        total += weight[i] * abs(reference[i] - h0 - h1 * sampled[i])
+    return float(total)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _radiometric_sums(
-    reference: Float32, sampled: Float32, pad: int, weight: Float32, h0: float, h1: float
-) -> tuple[float, float, float, float, float, float]:
-    """Return the weighted sums of 1, I, I², r, r·I and r², with r the residual."""
-    side = weight.shape[0]
-    g = np.float32(h1)
-    o = np.float32(h0)
-    sw = 0.0
-    si = 0.0
-    sii = 0.0
-    sr = 0.0
-    sri = 0.0
-    srr = 0.0
-    for r in range(side):
-        lw = np.float32(0.0)
-        li = np.float32(0.0)
-        lii = np.float32(0.0)
-        lr = np.float32(0.0)
-        lri = np.float32(0.0)
-        lrr = np.float32(0.0)
-        for c in range(side):
-            w = weight[r, c]
-            i = sampled[r + pad, c + pad]
-            res = reference[r + pad, c + pad] - o - g * i
-            lw += w
-            li += w * i
-            lii += w * i * i
-            lr += w * res
-            lri += w * res * i
-            lrr += w * res * res
-        sw += float(lw)
-        si += float(li)
-        sii += float(lii)
-        sr += float(lr)
-        sri += float(lri)
-        srr += float(lrr)
-    return sw, si, sii, sr, sri, srr
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _gradient_sums(
-    reference: Float32,
+@compiled_part(fastmath=True)
+def weighted_moments(
+    weight: Float32,
     sampled: Float32,
-    pad: int,
+    reference: Float32,
     slope_x: Float32,
     slope_y: Float32,
-    weight: Float32,
-    h0: float,
-    h1: float,
-    powers: int,
-    squares: Float64,
-    links: Float64,
+    h0: np.float32,
+    h1: np.float32,
+    per_sigma: np.float32,
+    n: int,
+    out: Float64,
 ) -> None:
-    """Add up the weighted products of the gradient with itself and with 1, I and the residual.
+    """Fill the sums of all products of two of 1, x, r, p, q with weights w / (1 + |r| / σ), eq. 9."""
+    sw, swx, swr, swp, swq = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    sxx, sxr, sxp, sxq = _ZERO, _ZERO, _ZERO, _ZERO
+    srr, srp, srq = _ZERO, _ZERO, _ZERO
+    spp, spq, sqq = _ZERO, _ZERO, _ZERO
+    for i in range(n):
+        x, p, q = sampled[i], slope_x[i], slope_y[i]
+        r = reference[i] - h0 - h1 * x
+        w = weight[i] / (_ONE + abs(r) * per_sigma)
+        wx, wr, wp, wq = w * x, w * r, w * p, w * q
+        sw += w
+        swx += wx
+        swr += wr
+        swp += wp
+        swq += wq
+        sxx += wx * x
+        sxr += wx * r
+        sxp += wx * p
+        sxq += wx * q
+        srr += wr * r
+        srp += wr * p
+        srq += wr * q
+        spp += wp * p
+        spq += wp * q
+        sqq += wq * q
+    out[W], out[WX], out[WR], out[WP], out[WQ] = sw, swx, swr, swp, swq
+    out[XX], out[XR], out[XP], out[XQ] = sxx, sxr, sxp, sxq
+    out[RR], out[RP], out[RQ] = srr, srp, srq
+    out[PP], out[PQ], out[QQ] = spp, spq, sqq
 
-    `squares` takes gx², gx·gy, gy² and `links` gx, gy, gx·I, gy·I, gx·r, gy·r, each by power of x and of y.
+
+@compiled_part()
+def add_equations(
+    moments: Float64, h1: float, inverted_too: bool, total: Float64, total_right: Float64, fit: Float64
+) -> tuple[float, float]:
+    """Add the normal equations of a channel over its residual variance; offset and gain are eliminated.
+
+    The parameters are (dx, a1, a2, dy, b1, b2), or (dx, dy) for a shift; `moments` has a row for each product
+    of two of 1, x, y, in half windows: 1, x, y, x², xy, y². `fit` takes what corrects the residual and what
+    projects the gradient: (offset, gain) of the residual, of p and of q.
+
+    Returns
+    -------
+    gain, variance : float
+        Refitted gain; weighted variance of the residual, 0 where nothing was added: singular, or inverted.
     """
-    side = weight.shape[0]
-    half = side // 2
-    g = np.float32(h1)
-    o = np.float32(h0)
-    xs = ((np.arange(side) - half) / half).astype(np.float32)
-    for r in range(side):
-        for a in range(powers):
-            xx = np.float32(0.0)
-            xy = np.float32(0.0)
-            yy = np.float32(0.0)
-            x1 = np.float32(0.0)
-            y1 = np.float32(0.0)
-            xi = np.float32(0.0)
-            yi = np.float32(0.0)
-            xr = np.float32(0.0)
-            yr = np.float32(0.0)
-            for c in range(side):
-                i = sampled[r + pad, c + pad]
-                res = reference[r + pad, c + pad] - o - g * i
-                w = weight[r, c]
-                if a == 1:
-                    w *= xs[c]
-                elif a == 2:
-                    w *= xs[c] * xs[c]
-                gx = slope_x[r + pad, c + pad] * g
-                gy = slope_y[r + pad, c + pad] * g
-                xx += w * gx * gx
-                xy += w * gx * gy
-                yy += w * gy * gy
-                x1 += w * gx
-                y1 += w * gy
-                xi += w * gx * i
-                yi += w * gy * i
-                xr += w * gx * res
-                yr += w * gy * res
-            y = 1.0
-            for b in range(powers):
-                squares[0, a, b] += xx * y
-                squares[1, a, b] += xy * y
-                squares[2, a, b] += yy * y
-                if a < 2 and b < 2:
-                    links[0, a, b] += x1 * y
-                    links[1, a, b] += y1 * y
-                    links[2, a, b] += xi * y
-                    links[3, a, b] += yi * y
-                    links[4, a, b] += xr * y
-                    links[5, a, b] += yr * y
-                y *= (r - half) / half
+    plain = moments[0]
+    determinant = plain[W] * plain[XX] - plain[WX] ** 2
+    if determinant <= LEAST_CONTRAST * plain[W] * plain[XX]:
+        return 0.0, 0.0
+    for k in range(3):
+        with_one, with_x = plain[WR + k], plain[XR + k]
+        fit[k, 0] = (with_one * plain[XX] - with_x * plain[WX]) / determinant
+        fit[k, 1] = (with_x * plain[W] - with_one * plain[WX]) / determinant
+    gain = h1 + fit[0, 1]
+    variance = (plain[RR] - fit[0, 0] * plain[WR] - fit[0, 1] * plain[XR]) / plain[W]
+    if variance <= 0.0 or (gain <= 0.0 and not inverted_too):
+        return gain, 0.0
+    count = len(total_right) // 2
+    scale = gain / variance
+    for first in range(2 * count):
+        axis, k = first // count, first % count
+        one, x = moments[k, WP + axis], moments[k, XP + axis]
+        e0 = (one * plain[XX] - x * plain[WX]) / determinant
+        e1 = (x * plain[W] - one * plain[WX]) / determinant
+        total_right[first] += scale * (moments[k, RP + axis] - fit[0, 0] * one - fit[0, 1] * x)
+        for second in range(2 * count):
+            other, m = second // count, second % count
+            product = k + m + (1 if min(k, m) > 0 else 0)
+            projected = e0 * moments[m, WP + other] + e1 * moments[m, XP + other]
+            total[first, second] += gain * scale * (moments[product, PP + axis + other] - projected)
+    return gain, variance
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled_part(fastmath=True)
 def add_block_scores(
-    reference: Float32,
+    weight: Float32,
     sampled: Float32,
-    pad: int,
+    reference: Float32,
     slope_x: Float32,
     slope_y: Float32,
-    weight: Float32,
-    h0: float,
-    h1: float,
-    variance: float,
+    h0: np.float32,
+    h1: np.float32,
+    per_sigma: np.float32,
+    fit: Float64,
+    scale: float,
+    side: int,
+    width: int,
     blocks: int,
+    columns: Float32,
     scores: Float64,
 ) -> None:
-    """Add w·residual·gradient/σ², gain and offset projected out, to the (blocks², 2) sums of the blocks."""
-    side = weight.shape[0]
-    g = np.float32(h1)
-    o = np.float32(h0)
-    sw, si, sii, _, _, _ = _radiometric_sums(reference, sampled, pad, weight, h0, h1)
-    bx0 = 0.0
-    bx1 = 0.0
-    by0 = 0.0
-    by1 = 0.0
+    """Add w·residual·gradient·scale, gain and offset projected out, to the (blocks², 2) sums of blocks."""
+    sum_x, sum_y = columns[:width], columns[width : 2 * width]
+    r0, r1 = np.float32(fit[0, 0]), np.float32(fit[0, 1])
+    p0, p1 = np.float32(fit[1, 0]), np.float32(fit[1, 1])
+    q0, q1 = np.float32(fit[2, 0]), np.float32(fit[2, 1])
+    columns[:] = _ZERO
     for r in range(side):
-        for c in range(side):
-            w = weight[r, c]
-            i = sampled[r + pad, c + pad]
-            bx0 += w * slope_x[r + pad, c + pad] * g
-            bx1 += w * slope_x[r + pad, c + pad] * g * i
-            by0 += w * slope_y[r + pad, c + pad] * g
-            by1 += w * slope_y[r + pad, c + pad] * g * i
-    determinant = sw * sii - si * si
-    ax = np.float32((bx0 * sii - bx1 * si) / determinant)
-    cx = np.float32((bx1 * sw - bx0 * si) / determinant)
-    ay = np.float32((by0 * sii - by1 * si) / determinant)
-    cy = np.float32((by1 * sw - by0 * si) / determinant)
-    for r in range(side):
-        block_r = r * blocks // side
-        for c in range(side):
-            block = block_r * blocks + c * blocks // side
-            i = sampled[r + pad, c + pad]
-            pull = weight[r, c] * (reference[r + pad, c + pad] - o - g * i) / variance
-            scores[block, 0] += pull * (slope_x[r + pad, c + pad] * g - ax - cx * i)
-            scores[block, 1] += pull * (slope_y[r + pad, c + pad] * g - ay - cy * i)
+        for c in range(width):
+            i = np.uintp(r * width + c)
+            x = sampled[i]
+            residual = reference[i] - h0 - h1 * x
+            pull = weight[i] / (_ONE + abs(residual) * per_sigma) * (residual - r0 - r1 * x)
+            sum_x[c] += pull * (slope_x[i] - p0 - p1 * x)
+            sum_y[c] += pull * (slope_y[i] - q0 - q1 * x)
+        block = r * blocks // side
+        if r + 1 == side or (r + 1) * blocks // side != block:
+            for c in range(side):
+                scores[block * blocks + c * blocks // side, 0] += scale * float(sum_x[c])
+                scores[block * blocks + c * blocks // side, 1] += scale * float(sum_y[c])
+            columns[:] = _ZERO

@@ -14,7 +14,6 @@ from scipy.ndimage import map_coordinates, uniform_filter
 from pcwlad_geo.matching.refinement import (
     BLOCK_PX,
     LARGEST_MOVE_PX,
-    RELAXATION,
     TOLERANCE_PX,
     ChannelStack,
     Float64,
@@ -22,9 +21,17 @@ from pcwlad_geo.matching.refinement import (
     Refined,
     Start,
     correlation_half_px,
+    first_relaxation,
 )
+from pcwlad_geo.matching.refinement_equations import SIGMA_PER_MEAN_DEVIATION
 from pcwlad_geo.matching.refinement_kernel import VARIANCE_FLOOR
-from pcwlad_geo.matching.refinement_loop import LONGEST_STEP_PX, SIGMA_PER_MEAN_DEVIATION
+from pcwlad_geo.matching.refinement_loop import NEAR_PX
+from pcwlad_geo.matching.refinement_steps import (
+    LARGEST_RELAXATION,
+    LEAST_SLOPE,
+    LONGEST_STEP_PX,
+    PATIENCE,
+)
 
 GRADIENT_STEP_PX: Final = 1e-3
 
@@ -63,26 +70,63 @@ def refine_plain(
                 structure = [valid] * len(reference.maps)
             elif start.structure_xy_px is not None:
                 structure = window.structure(start.structure_xy_px[p], linear, valid)
-            for iteration in range(iterations + 1):
+            control = _StepControl(first_relaxation(robust, structure is None))
+            for iteration in range(iterations):
                 weights = structure if structure is not None else window.structure(shift, linear, valid)
                 matrix, right, scores = window.equations(shift, linear, weights, robust)
-                if result.converged[p] or iteration == iterations:
+                step = np.asarray(np.linalg.solve(matrix, right), np.float64).reshape(2, -1)
+                linear += step[:, 1:] / window.half if affine else 0.0
+                near = control.length < NEAR_PX
+                shift += control.move(step[:, 0])
+                if np.linalg.norm(shift - start.shift_xy_px[p]) > LARGEST_MOVE_PX:
+                    raise _StuckError
+                if near and control.length < TOLERANCE_PX:
                     every = len(matrix) // 2
                     bread = np.linalg.inv(matrix)[::every, ::every]
                     result.covariance_px2[p] = bread @ (scores.T @ scores) @ bread
+                    result.converged[p] = control.determined(LEAST_SLOPE)
                     break
-                step = np.linalg.solve(matrix, right).reshape(2, -1)
-                linear += step[:, 1:] / window.half if affine else 0.0
-                move = RELAXATION * step[:, 0]
-                length = float(np.linalg.norm(move))
-                shift += move / max(length / LONGEST_STEP_PX, 1.0)
-                if np.linalg.norm(shift - start.shift_xy_px[p]) > LARGEST_MOVE_PX:
-                    raise _StuckError
-                result.converged[p] = length < TOLERANCE_PX
+                if iteration >= PATIENCE and not control.determined(LEAST_SLOPE / 2):
+                    break
         except _StuckError:
             result.converged[p] = False
         result.shift_xy_px[p], result.linear[p] = shift, linear
     return result
+
+
+class _StepControl:
+    """Makes moves longer than plain steps, by how much these have shrunk so far (Broyden's method)."""
+
+    def __init__(self, relaxation: float) -> None:
+        self.slopes: Float64 = np.eye(2) / relaxation
+        self.learned, self.length = False, np.inf
+        self.moved: Float64 | None = None
+        self.before: Float64 = np.zeros(2)
+
+    def move(self, plain: Float64) -> Float64:
+        """Return the move for a plain step; `length` is that of the move before it was cut."""
+        if self.moved is not None:
+            self._learn(self.before - plain, self.moved)
+        move = np.linalg.solve(self.slopes, plain) if np.linalg.det(self.slopes) > 0 else plain
+        if move @ plain <= 0:
+            move = plain
+        longer = float(np.linalg.norm(move) / np.linalg.norm(plain))
+        move = move / max(longer / LARGEST_RELAXATION, 1.0)
+        self.length = float(np.linalg.norm(move))
+        cut = max(self.length / LONGEST_STEP_PX, 1.0)
+        self.moved, self.before = np.asarray(move / cut, np.float64), plain
+        return self.moved
+
+    def _learn(self, shrunk: Float64, moved: Float64) -> None:
+        if not self.learned:
+            slope = float(shrunk @ moved / (moved @ moved))
+            self.slopes = min(max(slope, 1 / LARGEST_RELAXATION), 1.0) * np.eye(2)
+            self.learned = True
+        self.slopes = self.slopes + np.outer(shrunk - self.slopes @ moved, moved) / (moved @ moved)
+
+    def determined(self, least: float) -> bool:
+        """Tell whether plain steps shrink in every direction."""
+        return bool(np.linalg.eigvalsh((self.slopes + self.slopes.T) / 2)[0] >= least)
 
 
 class _Window:

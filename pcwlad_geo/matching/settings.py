@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Method = Literal["oriented", "pcwlad", "pclad", "pclsm", "coarse"]
+Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 Keypoints = Literal["cells", "strongest"]
 Consensus = Literal["auto", "off"]
+Channels = Literal["orientations", "gradients", "moment"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +18,8 @@ class MatchSettings:
     method: Method = "oriented"
     features: int = 1000
     """Candidates; by cell this sets the density over `features_area_px2`."""
+    per_cell: int = 4
+    """Candidates of a cell, at most."""
     keypoints: Keypoints = "cells"
     features_area_px2: float | None = None
     """Area that `features` candidates are spread over; None: the usable area of the image."""
@@ -38,8 +41,8 @@ class MatchSettings:
 class MethodTraits:
     """What distinguishes the fine matching methods."""
 
-    oriented: bool = False
-    """Six oriented channels; else the one map of the paper."""
+    channels: Channels = "moment"
+    """Maps that are matched: six of phase congruency, six of the gradient, or the one map of the paper."""
     structure: Literal["none", "local", "filter"] = "none"
     """Mutual-structure weights: none, local correlation, or the filter of Shen et al."""
     robust: bool = False
@@ -49,10 +52,13 @@ class MethodTraits:
     backward: bool = False
     """Also matched from target to reference, compared and averaged."""
     refined: bool = True
+    halo_px: int = 64
+    """Context that the maps need around a window: beyond it they change by less than 4e-4."""
 
 
 TRAITS: dict[str, MethodTraits] = {
-    "oriented": MethodTraits(oriented=True, structure="local", robust=True, backward=True),
+    "oriented": MethodTraits(channels="orientations", structure="local", robust=True, backward=True),
+    "gradient": MethodTraits(channels="gradients", structure="local", robust=True, backward=True, halo_px=16),
     "pcwlad": MethodTraits(structure="filter", robust=True, affine=True),
     "pclad": MethodTraits(robust=True, affine=True),
     "pclsm": MethodTraits(affine=True),

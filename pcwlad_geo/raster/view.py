@@ -26,6 +26,7 @@ LEAST_VALID_CUBIC = 0.9
 """An interpolated pixel is valid where at least this share of the pixels around it is."""
 
 _MOST_PX_AT_ONCE = 1 << 23  # of the file or of samples: 64 MB as float64
+_LEAST_PART_PX = 32  # smaller parts of what cannot be read are not tried
 _SPLINE_REACH_PX = 16  # the prefilter's impulse response falls to 1e-9 within this distance
 
 
@@ -67,6 +68,8 @@ class View:
     def read_decimated(self, max_side_px: int) -> tuple[Patch, tuple[float, float]]:
         """Look at the whole view, averaged to at most so many pixels a side, from overviews if there are any.
 
+        Parts of the file that cannot be read are not valid.
+
         Returns
         -------
         patch : Patch
@@ -76,18 +79,22 @@ class View:
         Raises
         ------
         InputError
-            If the file cannot be read (truncated, corrupt).
+            If nothing of the file can be read (truncated, corrupt).
         """
         rows, cols = self.grid.shape
         factor = max(1.0, max(rows, cols) / max_side_px)
         shape = (max(1, round(rows / factor)), max(1, round(cols / factor)))
-        if shape == self.grid.shape:
-            return self.read(Window.whole(shape)), (1.0, 1.0)
-        coarse = View(
-            self.info, self.grid.scaled(shape), "cubic" if self.resampling == "cubic" else "average"
-        )
-        overview = _overview_for(self.info, _file_px_per_px(coarse).min())
-        values, valid = _read(coarse, Window.whole(shape), overview)
+        coarse, overview = self, None
+        if shape != self.grid.shape:
+            resampling: Resampling = "cubic" if self.resampling == "cubic" else "average"
+            coarse = View(self.info, self.grid.scaled(shape), resampling)
+            overview = _overview_for(self.info, _file_px_per_px(coarse).min())
+        try:
+            values, valid = _read(coarse, Window.whole(shape), overview)
+        except InputError:
+            values, valid = _read_what_can_be(coarse, Window.whole(shape), overview)
+            if not valid.any():
+                raise
         return _patch(self.info.dtype, values, valid), (cols / shape[1], rows / shape[0])
 
     def to_file_px(self, view_px: Array) -> Array:
@@ -106,15 +113,32 @@ def _read(view: View, window: Window, overview: int | None) -> tuple[NDArray[np.
     source = _at_overview(view, overview)
     step = _file_px_per_px(source)
     if window.rows * window.cols * np.prod(step + 1) > _MOST_PX_AT_ONCE and max(window.shape) > 1:
-        parts = [_read(view, half, overview) for half in window.halves()]
-        axis = 0 if window.rows >= window.cols else 1
-        return (
-            np.concatenate([values for values, _ in parts], axis),
-            np.concatenate([valid for _, valid in parts], axis),
-        )
+        return _joined([_read(view, half, overview) for half in window.halves()], window)
     if view.resampling == "average":
         return _read_averaged(source, window, overview)
     return _read_interpolated(source, window, overview, step)
+
+
+def _read_what_can_be(
+    view: View, window: Window, overview: int | None
+) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
+    """Read a window by ever smaller parts; the smallest that cannot be read are not valid."""
+    try:
+        return _read(view, window, overview)
+    except InputError:
+        if max(window.shape) <= _LEAST_PART_PX:
+            return np.zeros(window.shape, view.info.dtype), np.zeros(window.shape, bool)
+    return _joined([_read_what_can_be(view, half, overview) for half in window.halves()], window)
+
+
+def _joined(
+    halves: list[tuple[NDArray[np.generic], NDArray[np.bool_]]], window: Window
+) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
+    axis = 0 if window.rows >= window.cols else 1
+    return (
+        np.concatenate([values for values, _ in halves], axis),
+        np.concatenate([valid for _, valid in halves], axis),
+    )
 
 
 def _read_own(view: View, window: Window) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:

@@ -3,52 +3,45 @@
 from __future__ import annotations
 
 import math
-import mmap
 import os
 import shutil
 import tempfile
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import rasterio
-import rasterio.shutil
 from affine import Affine
 from numpy.typing import NDArray
-from rasterio._err import CPLE_BaseError
 from rasterio.enums import Resampling
-from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
-from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster import vrt
+from pcwlad_geo.raster.cog import write_cog
 from pcwlad_geo.raster.crs import name_of
+from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause, small_block_cache
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.metadata import has_alpha, has_mask_band, is_paletted, usable_nodata
 from pcwlad_geo.raster.source import describe, open_raster
+from pcwlad_geo.raster.warped_blocks import warped_blocks
 
 Array = NDArray[np.float64]
 ProgressCallback = Callable[[int, int], None]
-# What rasterio raises for failures of GDAL: not all of it has its own base class.
-_GDAL_ERRORS = (RasterioError, CPLE_BaseError)
-# GDAL interpolates the transformation along scan lines to this error; its default of 0.125 px is too coarse.
-_TOLERANCE_PX = 0.01
+# GDAL interpolates the transformation along scan lines to this error, and each block does so anew: blocks fit
+# to twice as much. Its default is 0.125 px; this costs no more.
+_TOLERANCE_PX = 0.001
 _BLOCK_PX = 1024
+_BLOCK_BYTES = 2**24
 # Slivers of the footprint thinner than this get no pixel of their own.
 _SLIVER_PX = 1e-3
 # Pixel sizes this close to a multiple or a fraction of the reference's are taken as such across CRSs.
 _SAME_SIZE_ACROSS_CRS = 0.02
 _SAME_SIZE = 1e-6
-
-# With COPY_SRC_MDD=YES GDAL drops the default metadata domain of the bands (seen with 3.10), without
-# it all other domains: so the band tags travel under this name.
-_BAND_TAGS = "pcwlad-geo-band-tags"
 
 
 def output_grid(
@@ -120,11 +113,12 @@ def warp(
     """Resample all bands of a raster once onto the output grid and write a COG.
 
     The inverse of georeferencing ∘ correction: output pixel → predicted target pixel → observed
-    target pixel → sample, exact to 0.01 px. Data type, nodata, alpha, mask, scales, units,
+    target pixel → sample, exact to 0.001 px. Data type, nodata, alpha, mask, scales, units,
     descriptions, colours and tags are kept. What the raster does not cover is nodata where it has
     a nodata value, transparent where it has an alpha band, NaN in floating-point bands, and
     masked by an internal mask otherwise: no nodata value is invented. Bands with a colour table
-    are resampled nearest neighbour.
+    are resampled nearest neighbour. Blocks are read and warped in a few threads; memory does not
+    grow with the raster.
 
     Parameters
     ----------
@@ -153,6 +147,7 @@ def warp(
     with (
         open_raster(os.fspath(source_path)) as source,
         _scratch_folder(out_path) as scratch,
+        small_block_cache(),
     ):
         own_grid = describe(os.fspath(source_path)).grid
         if target_grid is not None and target_grid.crs != own_grid.crs:
@@ -163,7 +158,8 @@ def warp(
         placed = _corrected_grid(own_grid, target_grid or own_grid, correction, grid)
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
         pixels = _write_pixels(source, scratch / "pixels.tif", placed, grid, method, progress)
-        _write_cog(source, scratch, pixels, grid, method).replace(out_path)
+        interpolated = method != Resampling.nearest
+        write_cog(source, scratch, pixels, grid, interpolated=interpolated).replace(out_path)
 
 
 def _corrected_grid(own: Grid, target: Grid, correction: AffineCorrection, out: Grid) -> Grid:
@@ -187,17 +183,10 @@ def _scratch_folder(out_path: Path) -> Iterator[Path]:
         raise OutputError(f"cannot write in {out_path.parent}: {error.strerror}") from error
     try:
         yield folder
-    except (*_GDAL_ERRORS, OSError) as error:
-        raise OutputError(f"cannot write {out_path}: {_root_cause(error)}; is the disk full?") from error
+    except (*GDAL_ERRORS, OSError) as error:
+        raise OutputError(f"cannot write {out_path}: {root_cause(error)}; is the disk full?") from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _root_cause(error: BaseException) -> str:
-    """Return GDAL's own words, which rasterio hangs below its "see previous exception"."""
-    while error.__cause__ is not None:
-        error = error.__cause__
-    return " ".join(str(error).split())
 
 
 def _write_pixels(
@@ -211,6 +200,8 @@ def _write_pixels(
     """Write the resampled pixels, and nothing else, block by block."""
     nodata = _output_nodata(source)
     needs_mask = nodata is None and not has_alpha(source)
+    # GDAL's warper is almost three times as slow where it fills in nodata itself, but knows it band by band
+    fills = nodata is not None and source.count == 1 and not has_alpha(source)
     dtype = np.result_type(*source.dtypes)
     profile = {
         "driver": "GTiff",
@@ -220,20 +211,23 @@ def _write_pixels(
         "width": grid.shape[1],
         "nodata": nodata,
         "tiled": True,
-        "blockxsize": 512,
-        "blockysize": 512,
+        "blockxsize": 256,
+        "blockysize": 256,
+        "interleave": "band",
         "BIGTIFF": "IF_SAFER",
         # Any but unit pixels, about which rasterio warns; the true one is in the VRT.
         "transform": Affine.scale(2.0, -2.0),
     }
-    windows = list(_blocks(grid.shape))
+    windows = list(_blocks(grid.shape, (source.count + 1) * dtype.itemsize))
+    options = _warp_options(source, placed, grid, method) | _validity_options(nodata, needs_mask or fills)
     with (
-        WarpedVRT(source, **_warp_options(source, placed, grid, method, nodata, needs_mask)) as warped,
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
         rasterio.open(path, "w", **profile) as sink,
+        closing(warped_blocks(source.name, options, windows)) as blocks,
     ):
-        for done, window in enumerate(windows, start=1):
-            block = _read_block(source, warped, window)
+        for done, (window, block) in enumerate(blocks, start=1):
+            if fills and nodata is not None:
+                _fill(block[0], block[1] != 0, nodata)
             sink.write(block[: source.count], window=window)
             if needs_mask:
                 sink.write_mask(np.where(block[source.count] != 0, 255, 0).astype(np.uint8), window=window)
@@ -250,10 +244,8 @@ def _output_nodata(source: DatasetReader) -> float | None:
     return nodata
 
 
-def _warp_options(
-    source: DatasetReader, placed: Grid, grid: Grid, method: Resampling, nodata: float | None, alpha: bool
-) -> dict[str, object]:
-    options: dict[str, object] = {
+def _warp_options(source: DatasetReader, placed: Grid, grid: Grid, method: Resampling) -> dict[str, object]:
+    return {
         "src_transform": placed.transform,
         "src_crs": placed.crs,
         "crs": grid.crs,
@@ -262,13 +254,30 @@ def _warp_options(
         "width": grid.shape[1],
         "resampling": method,
         "tolerance": _TOLERANCE_PX,
-        "add_alpha": alpha,
         "dtype": np.result_type(*source.dtypes).name,
         **_kernel_scale(placed, grid),
     }
+
+
+def _validity_options(nodata: float | None, as_alpha: bool) -> dict[str, object]:
+    """Ask for an additional alpha band, or else for the nodata value where nothing is known."""
+    options: dict[str, object] = {"add_alpha": as_alpha}
     if nodata is not None:
-        options |= {"src_nodata": nodata, "nodata": nodata}
+        options |= {"src_nodata": nodata} if as_alpha else {"src_nodata": nodata, "nodata": nodata}
     return options
+
+
+def _fill(values: NDArray[Any], valid: NDArray[np.bool_], nodata: float) -> None:
+    """Write the nodata value where a band is not valid, and only there; in place.
+
+    A valid pixel that happens to be as large becomes the next larger value, or smaller where there is none.
+    """
+    if values.dtype.kind == "f":
+        beside = np.nextafter(values.dtype.type(nodata), values.dtype.type(np.inf))
+    else:
+        beside = int(nodata) + (1 if nodata < np.iinfo(values.dtype).max else -1)
+    values[values == nodata] = beside
+    values[~valid] = nodata
 
 
 def _kernel_scale(placed: Grid, grid: Grid) -> dict[str, float]:
@@ -283,78 +292,12 @@ def _kernel_scale(placed: Grid, grid: Grid) -> dict[str, float]:
     return {"XSCALE": x if x < 0.95 else 1.0, "YSCALE": y if y < 0.95 else 1.0}
 
 
-def _blocks(shape: tuple[int, int]) -> Iterator[Window]:
+def _blocks(shape: tuple[int, int], bytes_per_px: int) -> Iterator[Window]:
+    """Yield windows that cover the raster, row by row, smaller ones where there are many bands."""
     rows, cols = shape
-    for row in range(0, rows, _BLOCK_PX):
-        for col in range(0, cols, _BLOCK_PX):
-            yield Window(col, row, min(_BLOCK_PX, cols - col), min(_BLOCK_PX, rows - row))
-
-
-def _read_block(source: DatasetReader, warped: WarpedVRT, window: Window) -> NDArray[np.generic]:
-    try:
-        block: NDArray[np.generic] = warped.read(window=window)
-    except _GDAL_ERRORS as error:
-        raise InputError(f"{source.name} cannot be read: {_root_cause(error)}") from error
-    return block
-
-
-def _write_cog(
-    source: DatasetReader, scratch: Path, pixels: vrt.PixelFile, grid: Grid, method: Resampling
-) -> Path:
-    """Wrap the pixels in a VRT that carries all the rest, and let GDAL make a COG of it."""
-    description, cog = scratch / "described.vrt", scratch / "cog.tif"
-    tree = vrt.describe_pixels(source, pixels, grid.shape)
-    for metadata in tree.findall("VRTRasterBand/Metadata"):
-        if "domain" not in metadata.attrib:
-            metadata.set("domain", _BAND_TAGS)
-    if grid.crs is not None:
-        vrt.add_georeferencing(tree, grid.transform, grid.crs)
-    vrt.write(tree, description)
-    options = {
-        "driver": "COG",
-        "COMPRESS": "DEFLATE",
-        "PREDICTOR": "YES",
-        "BIGTIFF": "IF_SAFER",
-        "COPY_SRC_MDD": "YES",
-        "NUM_THREADS": "ALL_CPUS",
-        # Means, unlike cubic overviews, never overshoot into the nodata value.
-        "OVERVIEW_RESAMPLING": "NEAREST" if method == Resampling.nearest else "AVERAGE",
-    }
-
-    def copy() -> None:
-        # Settings of GDAL belong to a thread.
-        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
-            rasterio.shutil.copy(os.fspath(description), os.fspath(cog), **options)
-
-    _interruptible(copy)
-    _rename_band_tags(cog)
-    return cog
-
-
-def _rename_band_tags(path: Path) -> None:
-    """Make the band tags plain tags again, in place: the layout of a COG must not change."""
-    with path.open("r+b") as file, mmap.mmap(file.fileno(), 0) as content:
-        start = content.find(b"<GDALMetadata>")
-        end = content.find(b"</GDALMetadata>", start)
-        if start >= 0 and end >= 0:
-            attribute = f' domain="{_BAND_TAGS}"'.encode()
-            # Blanks between attributes mean nothing in XML.
-            content[start:end] = content[start:end].replace(attribute, b" " * len(attribute))
-
-
-def _interruptible(work: Callable[[], None]) -> None:
-    """Run one long GDAL call in a thread, so that Ctrl-C need not wait for its end."""
-    errors: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            work()
-        except BaseException as error:
-            errors.append(error)
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    while thread.is_alive():
-        thread.join(0.1)
-    if errors:
-        raise errors[0]
+    side = _BLOCK_PX
+    while side > 256 and side * side * bytes_per_px > _BLOCK_BYTES:
+        side //= 2
+    for row in range(0, rows, side):
+        for col in range(0, cols, side):
+            yield Window(col, row, min(side, cols - col), min(side, rows - row))

@@ -32,6 +32,11 @@ class Window:
         return self.rows, self.cols
 
     @property
+    def area_px2(self) -> int:
+        """Number of pixels."""
+        return self.rows * self.cols
+
+    @property
     def empty(self) -> bool:
         """Whether it holds no pixel."""
         return self.rows <= 0 or self.cols <= 0

@@ -70,7 +70,8 @@ def fit_correction(
     matched = np.flatnonzero(status == "matched")
     status[matched] = hold_out(table.predicted_px[matched], footprint_px)
     wanted = np.flatnonzero(status == "fit")
-    taken = thin(table.predicted_px[wanted], np.hypot(*table.sigma_px[wanted].T), settings.points)
+    most = None if settings.points == "all" else settings.points
+    taken = thin(table.predicted_px[wanted], np.hypot(*table.sigma_px[wanted].T), most)
     status[wanted[~taken]] = "unused"
     fit_points = table[status == "fit"]
     selection = choose(

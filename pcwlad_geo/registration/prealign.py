@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
@@ -110,9 +111,10 @@ def _noise(view: View) -> Noise:
     found = []
     for row in np.unique(np.linspace(0, rows - side_r, SAMPLES_ACROSS).astype(int)):
         for col in np.unique(np.linspace(0, cols - side_c, SAMPLES_ACROSS).astype(int)):
-            patch = view.read(Window(int(row), int(col), side_r, side_c))
-            noise = measure_noise(patch.values, patch.valid)
-            found += [noise] if noise.ratio > 0 else []
+            with suppress(InputError):  # the tile that holds it tells what cannot be read
+                patch = view.read(Window(int(row), int(col), side_r, side_c))
+                noise = measure_noise(patch.values, patch.valid)
+                found += [noise] if noise.ratio > 0 else []
     if not found:
         return Noise()
     ratio, sigma = np.median([(noise.ratio, noise.sigma) for noise in found], axis=0)

@@ -10,7 +10,7 @@ from typing import Literal, get_args, get_origin, get_type_hints
 
 from pcwlad_geo.errors import SettingsError
 
-Method = Literal["oriented", "pcwlad", "pclad", "pclsm", "coarse"]
+Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 Keypoints = Literal["cells", "strongest"]
 Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps"]
 Prealign = Literal["auto", "georef", "search", "none"]
@@ -33,8 +33,8 @@ class Settings:
     """Mask file of the target, GDAL's convention: 0 = excluded."""
     method: Method = "oriented"
     """Fine matching method."""
-    points: int | None = None
-    """Tie points wanted in the fit, at most; None = all."""
+    points: int | Literal["all"] | None = None
+    """Tie points wanted; None = 1000 of a scene of several tiles, all of a smaller one."""
     features: int = 1000
     """Candidates a tile."""
     keypoints: Keypoints = "cells"
@@ -61,8 +61,10 @@ class Settings:
     """Resampling of the registered raster."""
     tile_size: int = 1024
     """Core of a tile, matching-grid px (without its halo)."""
-    jobs: int = 1
-    """Processes."""
+    jobs: int | None = None
+    """Processes; None = one for each core that may be used."""
+    scheduler: str | None = None
+    """Address of a dask.distributed scheduler whose workers do the tiles instead of processes here."""
 
     def __post_init__(self) -> None:
         for name, least in (
@@ -70,7 +72,6 @@ class Settings:
             ("tgt_band", 1),
             ("features", 1),
             ("iterations", 1),
-            ("jobs", 1),
             ("tile_size", 128),
         ):
             value = getattr(self, name)
@@ -79,10 +80,13 @@ class Settings:
             value = getattr(self, name)
             odd = _whole(value) and value % 2 == 1
             _check(name, value, odd and 21 <= value <= 513, "an odd number from 21 to 513")
-        for name in ("points", "search_radius"):
+        for name, words in (("points", ("all",)), ("search_radius", ()), ("jobs", ())):
             value = getattr(self, name)
-            good = value is None or (_whole(value) and value >= 1)
-            _check(name, value, good, "a whole number from 1")
+            word = isinstance(value, str) and value in words
+            good = value is None or word or (_whole(value) and value >= 1)
+            _check(name, value, good, " or ".join(["a whole number from 1", *words]))
+        address = self.scheduler is None or (isinstance(self.scheduler, str) and "://" in self.scheduler)
+        _check("scheduler", self.scheduler, address, "an address such as tcp://host:8786")
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
         _check("ssim_min", self.ssim_min, real, "a number from -1 to below 1")
         for name, hint in get_type_hints(type(self)).items():

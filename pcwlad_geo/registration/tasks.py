@@ -1,87 +1,153 @@
-"""Run the same function on many arguments: here, in processes, or on any executor; bounded, in order."""
+"""Run the same function on many arguments, bounded and in order: what does it, and the simplest one."""
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
+from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from typing import Any, Final, TypeVar
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
 
-import cv2
-
-from pcwlad_geo.registration.progress import EventCallback, Progress
-
-IN_FLIGHT: Final = 16
+from pcwlad_geo.registration.environment import one_opencv_thread
+from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 
 T = TypeVar("T")
+Affinity = Sequence[int | None]
 
 
-def run_tasks(
-    function: Callable[..., T],
-    calls: Sequence[tuple[Any, ...]],
+@dataclass(frozen=True, slots=True, eq=False)
+class Ran(Generic[T]):
+    """What the calls of a stage gave."""
+
+    results: list[T]
+    """In the order of the calls."""
+    workers: list[int | None]
+    """The worker that did each call, for the `affinity` of a later stage; None: it has no number."""
+
+
+class Runner(Protocol):
+    """Runs the calls of all stages of a job."""
+
+    @property
+    def shares_kernels(self) -> bool:
+        """Whether the workers load the kernels that this process has compiled."""
+
+    @property
+    def heeds_affinity(self) -> bool:
+        """Whether a call goes to the worker that is wanted for it."""
+
+    def expect(self, calls: int) -> None:
+        """Make ready for about so many calls, without waiting for it."""
+
+    def run(
+        self,
+        function: Callable[..., T],
+        calls: Sequence[tuple[Any, ...]],
+        stage: str,
+        on_event: EventCallback = ignore,
+        affinity: Affinity | None = None,
+    ) -> Ran[T]:
+        """Call the function with each tuple of arguments.
+
+        Parameters
+        ----------
+        function : callable
+            Importable, as it may run in another process; its result depends on the arguments only.
+        calls : sequence of tuples
+        stage : str
+            Name of the stage in progress events.
+        on_event : callable
+            Receives a `Progress` after each call; an exception that it raises ends the stage.
+        affinity : sequence of (int or None), optional
+            For each call the worker that should do it, from `Ran.workers`; None = any. A hint: the worker may
+            have been replaced by a new process, and only processes of our own heed it.
+
+        Raises
+        ------
+        ExecutionError
+            If the processes or the executor are lost.
+        """
+
+
+class InThisProcess:
+    """Does one call after another here."""
+
+    shares_kernels = True
+    heeds_affinity = True
+
+    def expect(self, calls: int) -> None:
+        """Do nothing: this process is ready."""
+
+    def run(
+        self,
+        function: Callable[..., T],
+        calls: Sequence[tuple[Any, ...]],
+        stage: str,
+        on_event: EventCallback = ignore,
+        affinity: Affinity | None = None,
+    ) -> Ran[T]:
+        """Call the function with each tuple of arguments; see `Runner`."""
+        on_event(Progress(stage, 0, len(calls)))
+        results = []
+        for done, arguments in enumerate(calls, 1):
+            with one_opencv_thread():
+                results.append(function(*arguments))
+            on_event(Progress(stage, done, len(calls)))
+        return Ran(results, [None] * len(calls))
+
+
+def drive(
+    submit: Callable[[int, int], Future[T]],
+    wanted: Sequence[int | None],
+    slots: int,
     stage: str,
-    executor: Executor | None,
-    jobs: int,
     on_event: EventCallback,
-) -> list[T]:
-    """Call the function with each tuple of arguments and return the results in the order of the calls.
+) -> tuple[list[T], list[int]]:
+    """Keep each of the slots busy with one call at a time until all are done.
 
     Parameters
     ----------
-    function : callable
-        Importable, as it may run in another process.
-    calls : sequence of tuples
+    submit : callable
+        Starts call number `index` on slot number `slot`.
+    wanted : sequence of (int or None)
+        For each call the slot that it should go to.
+    slots : int
     stage : str
         Name of the stage in progress events.
-    executor : concurrent.futures.Executor, optional
-        Where to run; None: `jobs` processes, or this one where one is enough.
-    jobs : int
     on_event : callable
+
+    Returns
+    -------
+    results, slots : list
+        Of each call.
     """
-    on_event(Progress(stage, 0, len(calls)))
-    if executor is not None:
-        return _submit(function, calls, stage, executor, on_event)
-    if min(jobs, len(calls)) > 1:
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(min(jobs, len(calls)), mp_context=context, initializer=_start_worker)
-        try:
-            return _submit(function, calls, stage, pool, on_event)
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-    results = []
-    for done, arguments in enumerate(calls, 1):
-        results.append(function(*arguments))
-        on_event(Progress(stage, done, len(calls)))
-    return results
-
-
-def _submit(
-    function: Callable[..., T],
-    calls: Sequence[tuple[Any, ...]],
-    stage: str,
-    executor: Executor,
-    on_event: EventCallback,
-) -> list[T]:
+    anywhere: deque[int] = deque()
+    reserved: list[deque[int]] = [deque() for _ in range(slots)]
+    for index, slot in enumerate(wanted):
+        queue = anywhere if slot is None or not 0 <= slot < slots else reserved[slot]
+        queue.append(index)
     results: dict[int, T] = {}
+    done_by: dict[int, int] = {}
     waiting: dict[Future[T], int] = {}
-    upcoming = iter(enumerate(calls))
+    idle = list(range(slots))
+    on_event(Progress(stage, 0, len(wanted)))
     try:
-        while len(results) < len(calls):
-            while len(waiting) < IN_FLIGHT and (following := next(upcoming, None)) is not None:
-                index, arguments = following
-                waiting[executor.submit(function, *arguments)] = index
+        while len(results) < len(wanted):
+            for slot in idle:
+                queue = reserved[slot] or anywhere
+                if queue:
+                    index = queue.popleft()
+                    done_by[index] = slot
+                    waiting[submit(index, slot)] = index
             finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
+            idle = []
             for future in finished:
-                results[waiting.pop(future)] = future.result()
-                on_event(Progress(stage, len(results), len(calls)))
-    finally:  # after an error: the executor is the caller's and lives on
+                index = waiting.pop(future)
+                idle.append(done_by[index])
+                results[index] = future.result()
+                on_event(Progress(stage, len(results), len(wanted)))
+    finally:  # after an error: an executor may be the caller's and live on
         for future in waiting:
             future.cancel()
-    return [results[index] for index in range(len(calls))]
-
-
-def _start_worker() -> None:
-    # the parent ends its workers; an interrupt of the terminal would only make them print tracebacks
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(1)
+    order = range(len(wanted))
+    return [results[index] for index in order], [done_by[index] for index in order]

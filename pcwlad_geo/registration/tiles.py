@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.guidance import FieldGuide
+from pcwlad_geo.matching.field import Surface
+from pcwlad_geo.matching.guidance import FieldGuide, guide_by_field
 from pcwlad_geo.matching.matcher import (
-    HALO_PX,
     Core,
+    consistent_points,
     margin_px,
     match_candidates,
     rematch,
@@ -23,14 +23,11 @@ from pcwlad_geo.matching.noise import Noise
 from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
 from pcwlad_geo.matching.settings import TRAITS, MatchSettings
 from pcwlad_geo.matching.tie_points import TiePoints
-from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.raster.windows import Window
+from pcwlad_geo.registration.kept_pairs import KeptPairs
 
-CELL_MARGIN_PX: Final = 64
-"""A cell that begins in the core may reach beyond it."""
-ONE_TILE: Final = 1.3
-"""A scene is one tile up to this many tile sizes."""
+_KEPT = KeptPairs()
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,139 +54,133 @@ class TileJob:
     reference_scene: Scene
     target_scene: Scene
     settings: MatchSettings
+    guides_itself: bool = False
+    """It holds enough neighbours for its own second pass."""
+    returns: bool = False
+    """Its second pass comes to the same worker, which keeps the maps if it can."""
+    cell_margin_px: int = 0
+    """How far a cell of candidates that begins in the core may reach beyond it."""
+
+    @property
+    def scene(self) -> tuple[View, View, tuple[int, int], Window, MatchSettings]:
+        """What tells the tiles of one scene and start from others of the same number."""
+        return self.reference, self.target, self.target_offset_px, self.region, self.settings
+
+    @property
+    def window(self) -> Window:
+        """The part of the reference view whose maps are needed."""
+        return self.core.padded(margin_px(self.settings) + self.cell_margin_px)
+
+    @property
+    def read_window(self) -> Window:
+        """The part of the reference view that is read: with the halo of the filters."""
+        return self.window.padded(TRAITS[self.settings.method].halo_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Guided:
+    """Second pass of a tile that guides itself."""
+
+    index: NDArray[np.intp]
+    """(n,) which of the tile's points."""
+    points: TiePoints
+    """n, covariances formal."""
+    surface: Surface | None
+    """See `guidance.FieldGuide`."""
+    shared_variance_px2: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TileResult:
-    """What a tile gave."""
+    """What a tile gave, in pixel coordinates of the two views."""
 
     id: int
     status: Literal["matched", "empty", "failed"]
     points: TiePoints
-    """In pixel coordinates of the two views."""
+    """Each found on its own, or the second pass of the points given."""
     counts: dict[str, int]
     reason: str | None
     seconds: float
-
-
-def plan_tiles(
-    pair: ViewPair,
-    target_offset_px: tuple[int, int],
-    scenes: tuple[Scene, Scene],
-    settings: MatchSettings,
-    tile_size: int,
-) -> list[TileJob]:
-    """Cover the part of the reference that the shifted target covers.
-
-    Parameters
-    ----------
-    pair : ViewPair
-    target_offset_px : (int, int)
-        (col, row) from reference view to target view, pre-alignment included.
-    scenes : (Scene, Scene)
-        Of reference and target.
-    settings : MatchSettings
-    tile_size : int
-        Core of a tile, px.
-    """
-    region = common_region(pair, target_offset_px)
-    jobs: list[TileJob] = []
-    for row, rows in _spans(region.row, region.rows, tile_size):
-        for col, cols in _spans(region.col, region.cols, tile_size):
-            core = Window(row, col, rows, cols)
-            jobs.append(
-                TileJob(
-                    len(jobs),
-                    pair.reference,
-                    pair.target,
-                    region,
-                    core,
-                    target_offset_px,
-                    *scenes,
-                    settings,
-                )
-            )
-    return jobs
-
-
-def common_region(pair: ViewPair, target_offset_px: tuple[int, int]) -> Window:
-    """Return the part of the reference view that the target view covers at an offset."""
-    col, row = target_offset_px
-    rows, cols = pair.reference.grid.shape
-    target_rows, target_cols = pair.target.grid.shape
-    top, left = max(0, -row), max(0, -col)
-    bottom, right = min(rows, target_rows - row), min(cols, target_cols - col)
-    return Window(top, left, max(0, bottom - top), max(0, right - left))
+    guided: Guided | None = None
 
 
 def match_tile(job: TileJob) -> TileResult:
-    """First pass of a tile."""
+    """First pass of a tile; the second one too where the tile guides itself."""
     begun = time.perf_counter()
     try:
-        prepared = _prepare(job)
+        pair = _prepare(job)
     except InputError as error:
         return TileResult(job.id, "failed", TiePoints.empty(), {}, str(error), time.perf_counter() - begun)
-    if prepared is None:
+    if pair is None:
         return TileResult(
             job.id, "empty", TiePoints.empty(), {}, "no valid pixels", time.perf_counter() - begun
         )
-    pair, window = prepared
-    core = Core(
-        job.core.row - window.row,
-        job.core.col - window.col,
-        job.core.row - window.row + job.core.rows,
-        job.core.col - window.col + job.core.cols,
+    window, core = job.window, job.core
+    inside = Core(
+        core.row - window.row,
+        core.col - window.col,
+        core.row_stop - window.row,
+        core.col_stop - window.col,
         (window.row - job.region.row, window.col - job.region.col),
     )
-    points, counts = match_candidates(pair, core, job.settings)
-    moved = points.shifted(*_origins(job, window))
-    status: Literal["matched", "empty"] = "matched" if len(points) else "empty"
-    return TileResult(job.id, status, moved, counts, None, time.perf_counter() - begun)
+    points, counts = match_candidates(pair, inside, job.settings)
+    if job.returns and len(points):
+        _KEPT.keep(job.scene, job.id, pair)
+    guided = _guided(job, pair, points) if job.guides_itself else None
+    return TileResult(
+        job.id,
+        "matched" if len(points) else "empty",
+        points.shifted(*_origins(job)),
+        counts,
+        None,
+        time.perf_counter() - begun,
+        guided,
+    )
 
 
 def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide) -> TileResult:
     """Second pass of a tile: its consistent points again, guided by the displacement field."""
     begun = time.perf_counter()
-    prepared = _prepare(job)
-    if prepared is None:
+    try:
+        pair = _prepare(job)
+    except InputError as error:
+        return TileResult(job.id, "failed", points, {}, str(error), time.perf_counter() - begun)
+    if pair is None:
         return TileResult(job.id, "empty", points, {}, "no valid pixels", time.perf_counter() - begun)
-    pair, window = prepared
-    reference_origin, target_origin = _origins(job, window)
+    reference_origin, target_origin = _origins(job)
     inside = points.shifted(-reference_origin, -target_origin)
     # shifts inside the arrays leave out the offset between the two windows
     between = target_origin - reference_origin
     again = rematch(pair, inside, guide.moved(-between), job.settings)
-    return TileResult(
-        job.id,
-        "matched",
-        again.shifted(reference_origin, target_origin),
-        {},
-        None,
-        time.perf_counter() - begun,
-    )
+    moved = again.shifted(reference_origin, target_origin)
+    return TileResult(job.id, "matched", moved, {}, None, time.perf_counter() - begun)
 
 
-def _prepare(job: TileJob) -> tuple[PreparedPair, Window] | None:
-    window = job.core.padded(HALO_PX + margin_px(job.settings) + CELL_MARGIN_PX)
+def _guided(job: TileJob, pair: PreparedPair, points: TiePoints) -> Guided:
+    index = np.flatnonzero(consistent_points(points, job.settings))
+    guide = guide_by_field(points[index], job.settings)
+    again = rematch(pair, points[index], guide, job.settings)
+    return Guided(index, again.shifted(*_origins(job)), guide.surface, guide.shared_variance_px2)
+
+
+def _prepare(job: TileJob) -> PreparedPair | None:
+    """Read and prepare the tile's window, unless it is kept; None where a band shows nothing of it."""
+    kept = _KEPT.take(job.scene, job.id)
+    if kept is not None:
+        return kept
+    window, traits = job.read_window, TRAITS[job.settings.method]
     reference = job.reference.read(window)
     target = job.target.read(window.moved(job.target_offset_px[1], job.target_offset_px[0]))
     if not reference.valid.any() or not target.valid.any():
         return None
-    pair = prepare(
+    return prepare(
         Image(reference.values, reference.valid, job.reference_scene.epsilon, job.reference_scene.noise),
         Image(target.values, target.valid, job.target_scene.epsilon, job.target_scene.noise),
-        oriented=TRAITS[job.settings.method].oriented,
+        channels=traits.channels,
+        halo_px=traits.halo_px,
     )
-    return pair, window
 
 
-def _origins(job: TileJob, window: Window) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    reference = np.array([window.col, window.row], np.float64)
+def _origins(job: TileJob) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    reference = np.array([job.window.col, job.window.row], np.float64)
     return reference, reference + job.target_offset_px
-
-
-def _spans(start: int, length: int, tile_size: int) -> list[tuple[int, int]]:
-    """Split a range into about equal parts of at most ONE_TILE tile sizes."""
-    count = 1 if length <= ONE_TILE * tile_size else int(np.ceil(length / tile_size))
-    edges = np.linspace(start, start + length, count + 1).round().astype(int)
-    return [(int(a), int(b - a)) for a, b in pairwise(edges)]

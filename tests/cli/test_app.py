@@ -25,6 +25,12 @@ def test_no_arguments_show_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert "register" in capsys.readouterr().out
 
 
+def test_the_help_of_batch_names_its_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["batch", "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"--{name} " in shown for name in ("out-dir", "jobs", "scheduler", "progress", "overwrite"))
+
+
 @pytest.mark.parametrize("command", ["register", "match"])
 def test_help_names_every_setting_of_the_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run([command, "--help"]) == 0
@@ -74,7 +80,25 @@ def test_bad_arguments_are_one_line_and_status_2(
 
 
 def test_nothing_heavy_is_imported_before_a_command_runs() -> None:
-    heavy = ("numpy", "scipy", "cv2", "numba", "rasterio", "pyproj", "shapely", "matplotlib", "jinja2")
-    code = f"import sys, pcwlad_geo.cli.app; print([name for name in {heavy} if name in sys.modules])"
+    heavy = (
+        "numpy",
+        "scipy",
+        "cv2",
+        "numba",
+        "rasterio",
+        "pyproj",
+        "shapely",
+        "matplotlib",
+        "jinja2",
+        "rich",
+    )
+    heavy += ("dask", "distributed", "multiprocessing")
+    code = (
+        "import contextlib, io, sys\n"
+        "from pcwlad_geo.cli.app import run\n"
+        "with contextlib.redirect_stdout(io.StringIO()):\n"
+        "    for command in ([], ['register'], ['match'], ['batch']): run([*command, '--help'])\n"
+        f"print([name for name in {heavy} if name in sys.modules])"
+    )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert shown.strip() == "[]"

@@ -25,7 +25,8 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        ({"points": "all"}, {"points": None}),
+        ({"points": "all"}, {"points": "all"}),
+        ({"points": "auto"}, {"points": None}),
         ({"points": "300"}, {"points": 300}),
         ({"search_radius": "auto"}, {"search_radius": None}),
         ({"search_radius": "7"}, {"search_radius": 7}),
@@ -38,7 +39,7 @@ def test_words_and_numbers(given: dict[str, object], expected: dict[str, object]
 
 
 def test_a_word_on_the_command_line_overrules_a_number_in_the_file(tmp_path: Path) -> None:
-    assert collect({"points": "all"}, write(tmp_path, "points = 50")) == {"points": None}
+    assert collect({"points": "auto"}, write(tmp_path, "points = 50")) == {"points": None}
 
 
 @pytest.mark.parametrize(
@@ -50,7 +51,7 @@ def test_a_word_on_the_command_line_overrules_a_number_in_the_file(tmp_path: Pat
         ("features = true", "give a whole number"),
         ("ref_mask = 3", "give a file name"),
         ("method = 3", "give text"),
-        ("points = 'some'", "give a whole number or 'all'"),
+        ("points = 'some'", "give a whole number or 'all' or 'auto'"),
         ("window = ", "not valid TOML"),
         ("[matching]\nwindow = 81", "unknown option 'matching'"),
     ],

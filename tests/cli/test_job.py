@@ -16,6 +16,7 @@ import pytest
 
 import pcwlad_geo
 from tests.cli.process import Result, command, environment
+from tests.registration.calls import wait_for_end
 
 Cli = Callable[..., Result]
 
@@ -50,14 +51,18 @@ STUCK = """
     while True:
         ctypes.CDLL(None).usleep(60_000_000)  # goes on after a signal's handler, as native code does
 """
-STUCK_WITH_CHILD = """
-    import multiprocessing, time
+WITH_WORKERS = """
+    import ctypes, time
     from pcwlad_geo.registration.progress import Progress
-    child = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,))
-    child.start()
-    Path("child").write_text(str(child.pid))
-    on_event(Progress("matching", 0, 2))
-    time.sleep(60)
+    from pcwlad_geo.registration.runners import OwnProcesses
+    def begin(event):
+        Path("workers").write_text(" ".join(map(str, runner.process_ids)))
+        on_event(event)
+        if "stuck" in keywords["out_dir"].name:
+            while True:
+                ctypes.CDLL(None).usleep(60_000_000)
+    with OwnProcesses(2, preload="") as runner:
+        runner.run(time.sleep, [(0.0,), (3600.0,)], "matching", begin)
 """
 BOTH = ("register", "a.tif", "b.tif")
 
@@ -208,14 +213,18 @@ def test_a_forced_end_leaves_nothing_half_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="fork")
-def test_no_worker_is_left_behind(tmp_path: Path) -> None:
-    process = start(tmp_path, STUCK_WITH_CHILD)
-    process.send_signal(signal.SIGTERM)
-    end(process)
-    assert process.returncode == 130
-    with pytest.raises(ProcessLookupError):
-        os.kill(int((tmp_path / "child").read_text()), 0)
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="asks /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("folder", ["waiting", "stuck"])
+def test_no_worker_is_left_behind(folder: str, number: int, tmp_path: Path) -> None:
+    process = start(tmp_path, WITH_WORKERS, "-o", folder)
+    workers = [int(worker) for worker in (tmp_path / "workers").read_text().split()]
+    assert len(workers) == 2
+    process.send_signal(number)
+    names, err, _ = end(process)
+    assert process.returncode == (-9 if number == signal.SIGKILL else 130)
+    assert (names[-1:], err) == ([] if number == signal.SIGKILL else ["cancelled"], "")
+    wait_for_end(workers)
 
 
 def test_the_end_of_standard_input_cancels(tmp_path: Path) -> None:

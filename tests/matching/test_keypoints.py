@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.keypoints import PER_CELL, by_cell, contrast_weight, detect_corners, strongest
+from pcwlad_geo.matching.keypoints import by_cell, contrast_weight, detect_corners, strongest
 from pcwlad_geo.matching.phase_congruency import maximum_moment, oriented_phase_congruency, scene_epsilon
 from tests.matching.landscape import Landscape
 
@@ -45,7 +45,7 @@ def test_no_corner_is_no_error() -> None:
     corners, response = detect_corners(flat, np.ones(flat.shape, bool), np.ones(flat.shape, np.float32))
     assert corners.shape == (0, 2)
     assert strongest(corners, response, 10).shape == (0, 2)
-    assert by_cell(corners, response, 16, (0, 0)).shape == (0, 2)
+    assert by_cell(corners, response, 16, (0, 0), 4).shape == (0, 2)
 
 
 def test_the_strongest_are_the_strongest(found: tuple[NDArray, NDArray]) -> None:
@@ -63,12 +63,12 @@ def test_the_strongest_are_the_strongest(found: tuple[NDArray, NDArray]) -> None
 
 def test_each_cell_gives_its_strongest(found: tuple[NDArray, NDArray]) -> None:
     corners, response = found
-    chosen = {tuple(corner) for corner in by_cell(corners, response, 40, (0, 0))}
+    chosen = {tuple(corner) for corner in by_cell(corners, response, 40, (0, 0), 4)}
     expected = set()
     for row in range(0, SIDE, 40):
         for col in range(0, SIDE, 40):
             inside = ((corners >= (row, col)) & (corners < (row + 40, col + 40))).all(axis=1)
-            best = np.argsort(-response[inside], kind="stable")[:PER_CELL]
+            best = np.argsort(-response[inside], kind="stable")[:4]
             # several of equal response may stand for each other: compare responses
             expected |= {(row, col, float(value)) for value in response[inside][best]}
     value_of = {tuple(corner): float(value) for corner, value in zip(corners, response, strict=True)}
@@ -77,9 +77,9 @@ def test_each_cell_gives_its_strongest(found: tuple[NDArray, NDArray]) -> None:
 
 def test_cells_belong_to_the_scene_not_to_the_window(found: tuple[NDArray, NDArray]) -> None:
     corners, response = found
-    whole = {tuple(corner) for corner in by_cell(corners, response, 32, (0, 0))}
+    whole = {tuple(corner) for corner in by_cell(corners, response, 32, (0, 0), 4)}
     part = (corners >= (32, 64)).all(axis=1)
-    moved = by_cell(corners[part] - np.array([32, 64]), response[part], 32, (32, 64)) + np.array([32, 64])
+    moved = by_cell(corners[part] - np.array([32, 64]), response[part], 32, (32, 64), 4) + np.array([32, 64])
     assert {tuple(corner) for corner in moved} == {c for c in whole if c[0] >= 32 and c[1] >= 64}
 
 

@@ -82,13 +82,22 @@ def test_a_whole_pixel_shift_of_one_image_is_exact() -> None:
     assert np.abs(errors(points, (5.0, -4.0))).max() < 0.02
 
 
-@pytest.mark.parametrize("method", ["pcwlad", "pclad", "pclsm", "coarse"])
+@pytest.mark.parametrize("method", ["gradient", "pcwlad", "pclad", "pclsm", "coarse"])
 def test_every_method_finds_the_shift(method: str) -> None:
     options = MatchSettings(**{**_as_dict(SMALL), "method": method, "features": 60})
     points = match_arrays(image(0), image(0, SHIFT_XY), settings=options)
     assert len(points) >= 20
     limit = 0.75 if method == "coarse" else 0.2
     assert np.abs(np.median(errors(points), axis=0)).max() < limit
+
+
+def test_gradients_match_a_cross_modal_pair_whatever_its_contrast() -> None:
+    options = MatchSettings(**{**_as_dict(SMALL), "method": "gradient"})
+    points = match_arrays(image(0), image(1, SHIFT_XY), settings=options)
+    assert len(points) > 35
+    assert np.sqrt((errors(points) ** 2).sum(axis=1).mean()) < 0.2
+    inverted = match_arrays(image(0), 3000.0 - 20.0 * image(1, SHIFT_XY), settings=options)
+    assert_same_points(inverted, points, 1e-3)
 
 
 def _as_dict(options: MatchSettings) -> dict:

@@ -8,14 +8,20 @@ import rasterio
 from numpy.typing import NDArray
 from phasepack import phasecong
 
+from pcwlad_geo.matching.filter_bank import SCALES, filter_bank, wedge
 from pcwlad_geo.matching.phase_congruency import (
     EPSILON_OF_BYTE_RANGE,
-    combine_scales,
-    combine_scales_plain,
     maximum_moment,
     oriented_phase_congruency,
     scene_epsilon,
 )
+from pcwlad_geo.matching.phase_congruency_plain import (
+    combine_scales_plain,
+    maximum_moment_plain,
+    oriented_phase_congruency_plain,
+    transfer_functions,
+)
+from pcwlad_geo.matching.phase_kernels import combine_scales, filter_rows
 from tests.matching.landscape import Landscape
 
 SIDE = 160
@@ -81,13 +87,57 @@ def test_epsilon_ignores_single_extreme_pixels(image: NDArray) -> None:
     assert scene_epsilon(spoilt) == pytest.approx(scene_epsilon(image), rel=0.05)
 
 
-def test_the_compiled_fusion_equals_its_plain_twin() -> None:
+@pytest.mark.parametrize("crop", [np.s_[:, :], np.s_[:, :131], np.s_[:97, :], np.s_[:97, :131]])
+def test_the_maps_are_those_of_the_plain_equations(image: NDArray, crop: tuple[slice, slice]) -> None:
+    part = image[crop]
+    epsilon = scene_epsilon(part)
+    expected = oriented_phase_congruency_plain(part, epsilon)
+    np.testing.assert_allclose(oriented_phase_congruency(part, epsilon), expected, atol=2e-5)
+    rows, cols = part.shape[0] - 7, part.shape[1] - 3
+    found = oriented_phase_congruency(part, epsilon, (rows, cols))
+    np.testing.assert_allclose(found, expected[:, :rows, :cols], atol=2e-5)
+
+
+def test_the_compiled_fusion_of_scales_equals_its_plain_twin() -> None:
     rng = np.random.default_rng(5)
     responses = (rng.normal(size=(4, 40, 50)) + 1j * rng.normal(size=(4, 40, 50))).astype(np.complex64)
     responses[:, 10:20, 10:20] = 0
-    out = np.empty((40, 50), np.float32)
-    combine_scales(responses, np.float32(1e-3), out)
-    np.testing.assert_allclose(out, combine_scales_plain(responses, 1e-3), atol=2e-6)
+    responses[1:, 20:30] *= 1e-3
+    out = np.empty(40 * 50, np.float32)
+    combine_scales(responses.reshape(4, -1), np.float32(1e-3), out)
+    np.testing.assert_allclose(out.reshape(40, 50), combine_scales_plain(responses, 1e-3), atol=2e-6)
+
+
+@pytest.mark.parametrize("shape", [(32, 48), (33, 20)], ids=str)
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_compiled_filters_equal_their_plain_twins(shape: tuple[int, int], axis: int) -> None:
+    radial, angular = transfer_functions(*shape)
+    n, m = shape[axis], shape[1 - axis]
+    bank = filter_bank(n, m)
+    seen = 0
+    for orientation in range(6):
+        direction = wedge(orientation, axis, shape)
+        if direction is None:
+            continue
+        seen += 1
+        out = np.empty((SCALES, n // 2 + 1, m), np.complex64)
+        ones = np.ones((n // 2 + 1, m), np.complex64)
+        filter_rows(ones, bank.radial, bank.inverse_radius, *direction, 0, out)
+        expected = radial * angular[orientation]
+        if axis == 1:
+            expected = expected.transpose(0, 2, 1)
+        mirrored = expected[:, -np.arange(n)][:, :, -np.arange(m)]
+        # the filter lies in one half plane, and may be turned by 180 degrees
+        whole = expected if np.abs(out - expected[:, : n // 2 + 1]).max() < 1e-5 else mirrored
+        np.testing.assert_allclose(out, whole[:, : n // 2 + 1], atol=1e-6)
+        np.testing.assert_allclose(whole[:, n // 2 + 1 :], 0, atol=1e-6)
+    assert seen == 3
+
+
+def test_the_compiled_moment_equals_its_plain_twin() -> None:
+    maps = np.random.default_rng(6).random((6, 37, 41), np.float32)
+    np.testing.assert_allclose(maximum_moment(maps), maximum_moment_plain(maps), atol=1e-6)
+    np.testing.assert_array_equal(maximum_moment(maps[:, 5:30, 2:]), maximum_moment(maps)[5:30, 2:])
 
 
 def test_a_step_edge_is_found_where_it_is_in_the_orientation_across_it() -> None:
@@ -103,6 +153,7 @@ def test_a_step_edge_is_found_where_it_is_in_the_orientation_across_it() -> None
 
 def test_a_constant_image_has_no_structure() -> None:
     assert moment(np.full((64, 64), 7.0), 1e-4).max() < 1e-3
+    assert moment(np.full((64, 64), 7.0), 0.0).max() < 1e-3
 
 
 def test_the_moment_of_one_orientation_is_its_square() -> None:

@@ -22,7 +22,7 @@ def prepared(
         Image(image, valid if valid is not None else everything, scene_epsilon(image))
         for image in (reference, target)
     )
-    return prepare(*images, oriented=oriented)
+    return prepare(*images, channels="orientations" if oriented else "moment")
 
 
 def start_at(shift_xy: tuple[float, float], n: int, **more: NDArray) -> Start:
@@ -85,6 +85,19 @@ def test_the_compiled_loop_equals_its_plain_twin(
     assert not ok[-1], "the last window leaves the image"
     if structure == "follows" and not affine:
         assert ok[:3].sum() >= 2
+
+
+@pytest.mark.parametrize("window_px", [41, 81, 101, 129])
+def test_every_size_of_the_correlation_window_equals_the_plain_twin(window_px: int) -> None:
+    pair, corners = cross_modal(True, False), np.array([[88, 95], [112, 90]])
+    start = start_at((1.0, -1.0), 2)
+    fast = refine(pair.reference, pair.target, corners, start, window_px=window_px)
+    plain = refine_plain(pair.reference, pair.target, corners, start, window_px=window_px)
+    assert plain.converged.any()
+    np.testing.assert_array_equal(fast.converged, plain.converged)
+    np.testing.assert_allclose(fast.shift_xy_px, plain.shift_xy_px, atol=1e-4)
+    scale = np.trace(plain.covariance_px2, axis1=1, axis2=2)[:, None, None]
+    np.testing.assert_allclose(fast.covariance_px2 / scale, plain.covariance_px2 / scale, atol=1e-3)
 
 
 FRACTIONS = np.linspace(-0.5, 0.5, 11)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.similarity import MaskedMap, match_coarsely, peak_distinctness, ssim
+from pcwlad_geo.matching.similarity import MaskedMap, match_coarsely, parabola_top, peak_distinctness, ssim
 
 TEMPLATE, RADIUS = 21, 4
 
@@ -71,6 +71,24 @@ def test_the_best_offset_and_its_ssim_are_those_of_a_plain_loop(
         assert found.distinctness[index] == pytest.approx(peak_distinctness(surface, *peak), abs=2e-3)
     np.testing.assert_array_equal(found.offset_rc, [(2, -3)] * 3)
     assert not found.at_border.any()
+
+
+def test_the_peak_is_found_to_a_fraction_of_a_pixel(maps: tuple[NDArray, NDArray]) -> None:
+    dx, dy = 1.3, -2.4
+    ramp = np.fft.fftfreq(80)[:, None] * dy + np.fft.fftfreq(80) * dx
+    moved = np.real(np.fft.ifft2(np.fft.fft2(maps[0]) * np.exp(-2j * np.pi * ramp)))
+    corners = np.array([[30, 30], [45, 40], [40, 50]])
+    found = match_coarsely(masked(maps[0]), masked(moved), corners, TEMPLATE, RADIUS, 0.6)
+    np.testing.assert_array_equal(found.offset_rc, [(-2, 1)] * 3)
+    np.testing.assert_allclose(found.shift_xy_px, [(dx, dy)] * 3, atol=0.06)
+
+
+def test_the_top_of_a_parabola() -> None:
+    at = np.array([-1.0, 0.0, 1.0])
+    assert parabola_top(0.8 - 0.3 * (at - 0.2) ** 2) == pytest.approx(0.2)
+    assert parabola_top(0.8 - 0.3 * (at + 0.5) ** 2) == pytest.approx(-0.5)
+    assert parabola_top(np.array([0.4, 0.4, 0.4])) == 0.0
+    assert parabola_top(np.array([-1.0, 0.4, 0.3])) == 0.0, "one side could not be compared"
 
 
 def test_too_little_in_common_is_not_compared(maps: tuple[NDArray, NDArray]) -> None:

@@ -18,7 +18,7 @@ CORNERS = np.array([[80, 70], [75, 90], [90, 84]])
 def pair() -> PreparedPair:
     scene = Landscape(11)
     images = (scene.image(SIDE), scene.image(SIDE, 0, constant(2.0, -3.0)))
-    return prepare(*(Image(i, np.ones(i.shape, bool), scene_epsilon(i)) for i in images), oriented=False)
+    return prepare(*(Image(i, np.ones(i.shape, bool), scene_epsilon(i)) for i in images), channels="moment")
 
 
 def start_at(dx: float, dy: float) -> Start:

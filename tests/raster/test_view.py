@@ -232,6 +232,23 @@ def test_truncated_file_names_file_and_place(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("side_px", [512, 128])
+def test_a_look_at_a_truncated_file_shows_what_can_be_read(side_px: int, tmp_path: Path) -> None:
+    values = np.full((512, 512), 100, dtype="uint8")
+    path = write(tmp_path / "a.tif", values, north_up())
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    patch, factor = own(path).read_decimated(side_px)
+    assert factor == (512 / side_px, 512 / side_px)
+    last = side_px // 2 - 32  # parts of 32 px are given up as a whole
+    assert patch.valid[:last].all()
+    assert not patch.valid[side_px // 2 + 1 :].any()
+    np.testing.assert_array_equal(patch.values, np.where(patch.valid, 100, 0))
+    path.write_bytes(content[:1000])
+    with pytest.raises(InputError, match="truncated or corrupt"):
+        own(path).read_decimated(side_px)
+
+
 # --- nearest: flipped axes
 
 

@@ -113,13 +113,72 @@ def test_blocks_leave_no_seams(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     target = Grid((300, 310), Affine(20.0, 0.0, x, 0.0, -20.0, y), UTM33)
     source = write(tmp_path / "a.tif", observed_scene(target, AFFINE), target)
     coarse = output_grid(reference, Grid((150, 155), Affine(40.0, 0, x, 0, -40.0, y), UTM33), AFFINE)
+    a, b = warped_in_blocks(monkeypatch, source, AFFINE, coarse)
+    assert np.array_equal(np.isnan(a), np.isnan(b))
+    assert np.nanmax(np.abs(a - b)) < 2 * np.pi * 0.001 / WAVELENGTH_PX * 1.5
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["same axes", "rotated"])
+@pytest.mark.parametrize("dtype", ["uint16", "float32"])
+def test_within_one_crs_blocks_change_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dtype: str, turned: bool
+) -> None:
+    noise = np.random.default_rng(1).integers(1, 60000, GRID.shape).astype(dtype)
+    source = write(tmp_path / "a.tif", noise, GRID, nodata=0)
+    reference = Grid((200, 200), compose(ORIGIN, Affine.rotation(30)), UTM33) if turned else GRID
+    a, b = warped_in_blocks(monkeypatch, source, AFFINE, output_grid(reference, GRID, AFFINE))
+    assert (a != 0).sum() > 90_000
+    # a block's pixels count from its own corner: that changes the last bit of a float at times
+    np.testing.assert_allclose(a, b, rtol=0 if dtype == "uint16" else 2e-7, atol=0)
+
+
+def warped_in_blocks(
+    monkeypatch: pytest.MonkeyPatch, source: Path, correction: AffineCorrection, grid: Grid
+) -> tuple[np.ndarray, np.ndarray]:
+    """The raster warped in one block, and in blocks of 100 px."""
+    images = []
     for block in (1024, 100):
         monkeypatch.setattr("pcwlad_geo.raster.warping._BLOCK_PX", block)
-        warp(source, tmp_path / f"{block}.tif", AFFINE, coarse)
-    with rasterio.open(tmp_path / "1024.tif") as whole, rasterio.open(tmp_path / "100.tif") as parts:
-        a, b = whole.read(), parts.read()
-    assert np.array_equal(np.isnan(a), np.isnan(b))
-    assert np.nanmax(np.abs(a - b)) < 2 * np.pi * 0.01 / WAVELENGTH_PX * 1.5
+        warp(source, source.with_name(f"{block}.tif"), correction, grid)
+        with rasterio.open(source.with_name(f"{block}.tif")) as out:
+            images.append(out.read())
+    return images[0], images[1]
+
+
+def test_memory_does_not_grow_with_the_raster(tmp_path: Path) -> None:
+    side, bands = 2560, 12
+    with rasterio.open(
+        tmp_path / "a.tif",
+        "w",
+        driver="GTiff",
+        height=side,
+        width=side,
+        count=bands,
+        dtype="float64",
+        transform=ORIGIN,
+        crs=UTM33,
+        tiled=True,
+        interleave="band",
+        SPARSE_OK=True,
+        nodata=-1.0,
+    ):
+        pass
+    script = textwrap.dedent(f"""
+        import resource, numpy as np
+        from pathlib import Path
+        from pcwlad_geo.correction.models import AffineCorrection
+        from pcwlad_geo.raster.source import describe
+        from pcwlad_geo.raster.warping import warp
+        def peak_mb():
+            return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
+        before = peak_mb()
+        source = {str(tmp_path / "a.tif")!r}
+        shift = AffineCorrection("shift", np.eye(2, 3))
+        warp(source, Path({str(tmp_path / "out.tif")!r}), shift, describe(source).grid, "nearest")
+        print(peak_mb() - before)
+    """)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert float(done.stdout) < 0.35 * side * side * bands * 8 / 1e6
 
 
 def test_a_coarser_output_averages_instead_of_aliasing(tmp_path: Path) -> None:
@@ -186,6 +245,31 @@ def test_nodata_edges_neither_bleed_nor_grow(tmp_path: Path) -> None:
     inside = (observed >= 0).all(axis=2) & (observed[..., 0] < 320) & (observed[..., 1] < 300)
     valid = inside & ~((observed[..., 1] < 90) & (observed[..., 0] < 70))
     assert np.array_equal(result, np.where(valid, 1000, 0))
+
+
+@pytest.mark.parametrize("resampling", ["nearest", "cubic", "lanczos"])
+@pytest.mark.parametrize(
+    ("dtype", "nodata"),
+    [("uint16", 0), ("uint8", 255), ("int16", -32768), ("float32", -9999.0), ("float64", np.nan)],
+)
+def test_nodata_of_one_band_is_that_of_gdal_itself(
+    tmp_path: Path, dtype: str, nodata: float, resampling: str
+) -> None:
+    rng = np.random.default_rng(1)
+    image = rng.integers(1, 250, GRID.shape).astype(dtype)
+    image[100:140, 60:90] = nodata
+    image[rng.random(GRID.shape) < 0.02] = nodata
+    one = write(tmp_path / "one.tif", image, GRID, nodata=nodata)
+    # with two bands GDAL fills in the nodata value, with one band we do
+    two = write(tmp_path / "two.tif", np.stack([image, image]), GRID, nodata=nodata)
+    results = []
+    for source in (one, two):
+        warp(source, tmp_path / f"out_{source.name}", AFFINE, GRID, resampling)
+        with rasterio.open(tmp_path / f"out_{source.name}") as out:
+            results.append(out.read(1))
+    np.testing.assert_array_equal(*results)
+    invalid = np.isnan(results[0]) if np.isnan(nodata) else results[0] == nodata
+    assert 2000 < invalid.sum() < 12_000
 
 
 @pytest.mark.parametrize(("nodata", "low"), [(0, 1), (65535, 65534)])
@@ -392,3 +476,16 @@ def test_a_full_disk_is_an_output_error(tmp_path: Path, limit: int) -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert "refused:" in done.stdout, done.stdout + done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["a.tif"]
+
+
+def test_a_file_without_band_tags_is_not_searched_for_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the search would go through all pixels of a large file, and count as memory
+    def fail(path: Path) -> None:
+        raise AssertionError(f"{path} is searched")
+
+    monkeypatch.setattr("pcwlad_geo.raster.cog._rename_band_tags", fail)
+    source = write(tmp_path / "a.tif", np.ones(GRID.shape, np.uint8), GRID)
+    warp(source, tmp_path / "out.tif", shift(0.3, -0.3), GRID)
+    assert (tmp_path / "out.tif").exists()

@@ -72,6 +72,7 @@ def test_a_bad_value_is_named_with_what_to_give(name: str, value: object) -> Non
         {"window": 21},
         {"template": 513},
         {"points": 1},
+        {"points": "all"},
         {"search_radius": 1},
         {"ssim_min": -1},
         {"tile_size": 128},

@@ -2,100 +2,88 @@
 
 from __future__ import annotations
 
-import os
 import threading
-import time
-from collections.abc import Callable
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import nullcontext
+from multiprocessing import get_context
 
 import pytest
 
-from pcwlad_geo.registration.progress import Event, Progress, ignore
-from pcwlad_geo.registration.tasks import IN_FLIGHT, run_tasks
-
-T = TypeVar("T")
-
-
-def slow_square(value: int) -> int:
-    time.sleep(0.002 * (value % 5))  # they end in another order than they began
-    return value * value
-
-
-def process_of(value: int) -> int:
-    return os.getpid()
-
-
-def fail_at_three(value: int) -> int:
-    if value == 3:
-        raise ValueError("three")
-    return value
-
+from pcwlad_geo.errors import ExecutionError
+from pcwlad_geo.registration.progress import Event, Progress
+from pcwlad_geo.registration.runners import IN_FLIGHT, OnExecutor, OwnProcesses, open_runner
+from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.tasks import InThisProcess, Runner, drive
+from tests.registration.calls import Counting, Shuffled, die, fail_at_three, slow_square
 
 CALLS = [(value,) for value in range(40)]
 SQUARES = [value * value for value in range(40)]
 
 
-class Counting(Executor):
-    """Threads, and how many calls they had at most at a time."""
-
-    def __init__(self) -> None:
-        self.pool = ThreadPoolExecutor(4)
-        self.lock = threading.Lock()
-        self.open = self.most = 0
-
-    def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        with self.lock:
-            self.open += 1
-            self.most = max(self.most, self.open)
-        future = self.pool.submit(fn, *args, **kwargs)
-        future.add_done_callback(self._done)
-        return future
-
-    def _done(self, future: Future[Any]) -> None:
-        with self.lock:
-            self.open -= 1
+@pytest.fixture(params=["here", "threads", "shuffled", "processes"])
+def runner(request: pytest.FixtureRequest) -> Iterator[Runner]:
+    """Each kind of runner."""
+    if request.param == "here":
+        yield InThisProcess()
+    elif request.param == "processes":
+        with OwnProcesses(2, preload="") as processes:
+            yield processes
+    else:
+        with ThreadPoolExecutor(3) if request.param == "threads" else Shuffled(1) as executor:
+            yield OnExecutor(executor)
 
 
-def test_here() -> None:
-    assert run_tasks(slow_square, CALLS, "squares", None, 1, ignore) == SQUARES
+def test_results_come_in_the_order_of_the_calls(runner: Runner) -> None:
+    ran = runner.run(slow_square, CALLS, "squares")
+    assert ran.results == SQUARES
+    assert len(ran.workers) == len(CALLS)
 
 
-def test_an_executor_gets_a_bounded_number_of_calls_and_order_is_kept() -> None:
-    executor = Counting()
-    with executor.pool:
-        assert run_tasks(slow_square, CALLS, "squares", executor, 1, ignore) == SQUARES
-    assert 2 <= executor.most <= IN_FLIGHT
+def test_one_runner_serves_many_stages(runner: Runner) -> None:
+    assert [runner.run(slow_square, CALLS[:5], "squares").results for _ in range(3)] == [SQUARES[:5]] * 3
 
 
-def test_jobs_are_other_processes() -> None:
-    processes = set(run_tasks(process_of, CALLS[:6], "processes", None, 2, ignore))
-    assert 1 <= len(processes) <= 2
-    assert os.getpid() not in processes
-
-
-def test_one_call_needs_no_other_process() -> None:
-    assert run_tasks(process_of, CALLS[:1], "processes", None, 4, ignore) == [os.getpid()]
-
-
-def test_nothing_to_do() -> None:
+def test_nothing_to_do(runner: Runner) -> None:
     events: list[Event] = []
-    assert run_tasks(slow_square, [], "squares", None, 3, events.append) == []
+    assert runner.run(slow_square, [], "squares", events.append).results == []
     assert events == [Progress("squares", 0, 0)]
 
 
-@pytest.mark.parametrize("threads", [False, True])
-def test_progress_counts_every_call_once(threads: bool) -> None:
+def test_progress_counts_every_call_once(runner: Runner) -> None:
     events: list[Event] = []
-    with ThreadPoolExecutor(3) as pool:
-        run_tasks(slow_square, CALLS, "squares", pool if threads else None, 1, events.append)
+    runner.run(slow_square, CALLS, "squares", events.append)
     assert events == [Progress("squares", done, 40) for done in range(41)]
 
 
-@pytest.mark.parametrize("threads", [False, True])
-def test_errors_of_a_call_reach_the_caller(threads: bool) -> None:
-    with ThreadPoolExecutor(3) as pool, pytest.raises(ValueError, match="three"):
-        run_tasks(fail_at_three, CALLS, "calls", pool if threads else None, 1, ignore)
+def test_errors_of_a_call_reach_the_caller(runner: Runner) -> None:
+    with pytest.raises(ValueError, match="three"):
+        runner.run(fail_at_three, CALLS, "calls")
+    assert runner.run(slow_square, CALLS[:2], "squares").results == [0, 1]  # and the runner lives on
+
+
+def test_an_exception_of_the_callback_ends_the_stage(runner: Runner) -> None:
+    def stop(event: Event) -> None:
+        if isinstance(event, Progress) and event.done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        runner.run(slow_square, CALLS, "squares", stop)
+
+
+def test_an_executor_gets_a_bounded_number_of_calls() -> None:
+    executor = Counting()
+    with executor.pool:
+        calls = [(0,)] * (3 * IN_FLIGHT)
+        assert OnExecutor(executor).run(slow_square, calls, "squares").results == [0] * len(calls)
+    assert 2 <= executor.most <= IN_FLIGHT
+
+
+def test_the_shuffling_executor_shuffles() -> None:
+    with Shuffled(2) as executor:
+        OnExecutor(executor).run(slow_square, CALLS, "squares")
+    assert sorted(executor.order) == list(range(40))
+    assert executor.order != sorted(executor.order)
 
 
 def test_an_error_ends_the_submitted_calls_too() -> None:
@@ -112,6 +100,43 @@ def test_an_error_ends_the_submitted_calls_too() -> None:
 
     with ThreadPoolExecutor(1) as pool:
         with pytest.raises(ValueError, match="first"):
-            run_tasks(call, CALLS, "calls", pool, 1, ignore)
+            OnExecutor(pool).run(call, CALLS, "calls")
         release.set()
     assert len(begun) <= 2
+
+
+def test_a_broken_executor_is_one_clear_error() -> None:
+    lost = pytest.raises(
+        ExecutionError, match=r"the executor is lost, or its workers are \(BrokenProcessPool"
+    )
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool, lost:
+        OnExecutor(pool).run(die, CALLS[:2], "calls")
+
+
+def test_calls_go_to_the_slot_they_ask_for() -> None:
+    given: dict[int, int] = {}
+
+    def submit(index: int, slot: int) -> Future[int]:
+        given[index] = slot
+        future: Future[int] = Future()
+        future.set_result(index)
+        return future
+
+    wanted = [2, None, 2, 0, None, 7]  # there is no slot 7: a hint that cannot be followed
+    results, slots = drive(submit, wanted, 3, "stage", lambda event: None)
+    assert results == list(range(6))
+    assert slots == [given[index] for index in range(6)]
+    assert (given[0], given[2], given[3]) == (2, 2, 0)
+
+
+def test_the_settings_choose_the_runner() -> None:
+    def kind(settings: Settings, executor: Executor | Runner | None) -> type:
+        with open_runner(settings, executor, lambda event: None) as runner:
+            return type(runner)
+
+    assert kind(Settings(), None) is OwnProcesses
+    with ThreadPoolExecutor(1) as pool:
+        assert kind(Settings(jobs=2), pool) is OnExecutor
+    here = InThisProcess()
+    with nullcontext(here), open_runner(Settings(jobs=2), here, lambda event: None) as runner:
+        assert runner is here

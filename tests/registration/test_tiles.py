@@ -15,15 +15,10 @@ from pcwlad_geo.matching.phase_congruency import scene_epsilon
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.windows import Window
-from pcwlad_geo.registration.tiles import (
-    Scene,
-    TileJob,
-    common_region,
-    match_tile,
-    plan_tiles,
-    rematch_tile,
-)
+from pcwlad_geo.registration.planning import plan as plan_scene
+from pcwlad_geo.registration.prealign import look_at
+from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.tiles import Scene, TileJob, match_tile, rematch_tile
 from tests.scenes import make_grid, render, write
 
 SHIFT_PX = (2.4, -1.3)
@@ -43,26 +38,10 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> ViewPair:
 
 def plan(pair: ViewPair, tile_size: int) -> list[TileJob]:
     scene = Scene(scene_epsilon(np.arange(255.0)), Noise())
-    return plan_tiles(pair, (-20, -10), (scene, scene), SETTINGS, tile_size)
-
-
-def test_common_region(pair: ViewPair) -> None:
-    assert common_region(pair, (-20, -10)) == Window(10, 20, 210, 220)
-    assert common_region(pair, (30, 5)) == Window(0, 0, 215, 210)
-    assert common_region(pair, (500, 0)).empty
-
-
-@pytest.mark.parametrize("tile_size", [128, 70, 33, 1000])
-def test_cores_cover_the_common_region_once(pair: ViewPair, tile_size: int) -> None:
-    jobs = plan(pair, tile_size)
-    covered = np.zeros((220, 240), int)
-    for job in jobs:
-        rows = slice(job.core.row, job.core.row + job.core.rows)
-        covered[rows, job.core.col : job.core.col + job.core.cols] += 1
-        assert max(job.core.shape) <= 1.3 * tile_size
-    assert (covered[10:, 20:] == 1).all()
-    assert covered[:10].sum() == covered[:, :20].sum() == 0
-    assert [job.id for job in jobs] == list(range(len(jobs)))
+    look = replace(look_at(pair), scenes=(scene, scene))
+    settings = replace(Settings(points="all", features=80), tile_size=128)
+    object.__setattr__(settings, "tile_size", tile_size)  # smaller than users may ask for
+    return plan_scene(pair, look, (-20, -10), SETTINGS, settings).first
 
 
 def test_a_job_is_small(pair: ViewPair) -> None:

@@ -1,0 +1,144 @@
+"""What the parts cost in CPU time, inside this process: filter bank, refinement, a small pair.
+
+Compared figures are measured in turn in one run; each is the smallest of several, as anything else that the
+machine does only adds to it.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import rasterio
+import scipy.fft
+from numpy.typing import NDArray
+from rasterio.windows import Window
+
+from benchmarks.speed_studies.scene_files import ScenePair
+from pcwlad_geo.matching import keypoints
+from pcwlad_geo.matching.filter_bank import ORIENTATIONS, SCALES
+from pcwlad_geo.matching.matcher import margin_px
+from pcwlad_geo.matching.phase_congruency import scene_epsilon
+from pcwlad_geo.matching.prepare import Image, PreparedPair, fast_even, prepare
+from pcwlad_geo.matching.refinement import Start, refine
+from pcwlad_geo.matching.settings import MatchSettings
+from pcwlad_geo.matching.similarity import match_coarsely
+from pcwlad_geo.raster.matching_grid import plan_views
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.registration.planning import plan
+from pcwlad_geo.registration.prealign import look_at
+from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.workflow import register
+
+ALL_POINTS: Final = MatchSettings(window=81, search_radius=12)
+"""What `--points all --window 81` comes to on a georeferenced scene."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """CPU and wall time, s."""
+
+    cpu_s: float
+    wall_s: float
+
+
+def cheapest(works: Sequence[Callable[[], object]], repeats: int) -> list[Cost]:
+    """Run the works in turn, `repeats` times; return the least cost of each. The first round warms up."""
+    best = [Cost(math.inf, math.inf)] * len(works)
+    for round_ in range(repeats + 1):
+        for index, work in enumerate(works):
+            wall, cpu = time.perf_counter(), time.process_time()
+            work()
+            cpu_s, wall_s = time.process_time() - cpu, time.perf_counter() - wall
+            if round_ > 0:
+                best[index] = Cost(min(best[index].cpu_s, cpu_s), min(best[index].wall_s, wall_s))
+    return best
+
+
+def bare_scene_bank(pair: ScenePair) -> Cost:
+    """Return what the inverse FFTs of all windows of a scene cost, both images, complex64, one worker."""
+    views = plan_views(describe(pair.reference), describe(pair.target))
+    tiles = plan(views, look_at(views), (0, 0), ALL_POINTS, Settings(points="all")).first
+    sizes = Counter(tuple(map(fast_even, tile.read_window.shape)) for tile in tiles)
+    costs = cheapest([partial(_inverse_transforms, size) for size in sizes], 2)
+    counts = [2 * count for count in sizes.values()]
+    return Cost(
+        sum(cost.cpu_s * count for cost, count in zip(costs, counts, strict=True)),
+        sum(cost.wall_s * count for cost, count in zip(costs, counts, strict=True)),
+    )
+
+
+def _inverse_transforms(shape: tuple[int, int]) -> None:
+    spectrum = np.ones(shape, np.complex64)
+    for _ in range(SCALES * ORIENTATIONS):
+        scipy.fft.ifft2(spectrum, norm="ortho", workers=1, overwrite_x=True)
+
+
+def refinement_ms(pair: ScenePair, windows: Sequence[int], points: int, repeats: int) -> list[float]:
+    """Return the CPU time a point, ms, of one direction, shift model, one pass, for each window side."""
+    images = [_read(path, 1024) for path in (pair.reference, pair.target)]
+    everywhere = np.ones(images[0].shape, bool)
+    reference, target = (Image(image, everywhere, scene_epsilon(image)) for image in images)
+    prepared = prepare(reference, target, channels="orientations")
+    corners = _corners(prepared, points)
+    settings = MatchSettings()
+    coarse = match_coarsely(
+        prepared.reference_map,
+        prepared.target_map,
+        corners,
+        settings.template,
+        settings.search_radius,
+        settings.least_valid,
+    )
+    start = Start(coarse.shift_xy_px, np.zeros((len(corners), 2, 2)))
+    works = [
+        partial(refine, prepared.reference, prepared.target, corners, start, window_px=window)
+        for window in windows
+    ]
+    return [cost.cpu_s * 1000 / len(corners) for cost in cheapest(works, repeats)]
+
+
+def _corners(pair: PreparedPair, count: int) -> NDArray[np.intp]:
+    """Return about so many corners, spread by cell, far enough from the edges for all windows."""
+    margin = margin_px(MatchSettings(window=129))
+    usable = np.zeros(pair.reference_moment.shape, bool)
+    usable[margin:-margin, margin:-margin] = True
+    corners, response = keypoints.detect_corners(pair.reference_moment, usable, pair.contrast)
+    per_cell = MatchSettings().per_cell
+    cell_px = keypoints.cell_side_px(count, per_cell, float(usable.sum()))
+    return keypoints.by_cell(corners, response, cell_px, (0, 0), per_cell)
+
+
+def small_pair(pair: ScenePair, side_px: int, features: int, repeats: int) -> Cost:
+    """Return the cost of registering a small pair, files to files, without start-up."""
+    with tempfile.TemporaryDirectory(prefix="pcwlad-geo-bench-") as folder:
+        crops = [_crop(path, Path(folder), side_px) for path in (pair.reference, pair.target)]
+        out = Path(folder) / "out"
+
+        def work() -> None:
+            register(*crops, out_dir=out, overwrite=True, features=features, jobs=1)
+
+        return cheapest([work], repeats)[0]
+
+
+def _read(path: Path, side_px: int) -> NDArray[np.float32]:
+    with rasterio.open(path) as file:
+        image: NDArray[np.float32] = file.read(1, window=Window(0, 0, side_px, side_px)).astype(np.float32)
+    return image
+
+
+def _crop(path: Path, folder: Path, side_px: int) -> Path:
+    out = folder / path.name
+    with rasterio.open(path) as file:
+        profile = file.profile | {"width": side_px, "height": side_px}
+        with rasterio.open(out, "w", **profile) as crop:
+            crop.write(file.read(1, window=Window(0, 0, side_px, side_px)), 1)
+    return out

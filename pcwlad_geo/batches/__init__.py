@@ -1,0 +1,1 @@
+"""Many pairs: read their table, register one after another, keep a summary."""

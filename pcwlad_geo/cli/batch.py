@@ -1,0 +1,93 @@
+"""``pcwlad-geo batch``: many pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pcwlad_geo.cli import options as o
+from pcwlad_geo.cli.config import collect
+from pcwlad_geo.cli.job import UNEXPECTED, Ending, run_guarded, show_traceback
+from pcwlad_geo.cli.table import table
+from pcwlad_geo.errors import InputError, RegistrationRejectedError
+from pcwlad_geo.registration.progress import EventCallback
+from pcwlad_geo.registration.settings import Settings
+
+if TYPE_CHECKING:
+    from pcwlad_geo.batches.run import BatchResult
+
+STATUS_OF = {
+    "failed": UNEXPECTED,
+    "unusable": InputError.exit_status,
+    "rejected": RegistrationRejectedError.exit_status,
+}
+"""Exit status by what a pair has come to; the first that any pair has come to counts."""
+
+Pairs = Annotated[
+    Path,
+    typer.Argument(
+        metavar="PAIRS.csv",
+        help="Table, a line a pair: columns reference, target, out_dir and any option of register.",
+        show_default=False,
+    ),
+]
+
+
+def batch(
+    context: typer.Context,
+    pairs: Pairs,
+    out_dir: o.OutDir = None,
+    jobs: o.Jobs = None,
+    scheduler: o.Scheduler = None,
+    progress: o.ProgressOption = "auto",
+    watch_stdin: o.WatchStdin = False,
+    config: o.Config = None,
+    overwrite: o.Overwrite = False,
+    debug: o.Debug = False,
+) -> None:
+    """Register the pairs of a table one after another; pairs that an earlier run has finished are kept."""
+    params = context.params
+    folders: list[Path] = []  # of the pairs: for a forced end
+    run_guarded(params, lambda on_event: _work(params, folders, on_event), lambda: _abandon(folders))
+
+
+def _work(params: Mapping[str, Any], folders: list[Path], on_event: EventCallback) -> Ending:
+    settings = collect(params, params["config"])
+    Settings.from_options(settings)  # a bad value need not wait for the heavy libraries, which load here:
+    from pcwlad_geo.batches.pairs import read_pairs
+    from pcwlad_geo.batches.run import batch, batch_folder
+
+    table_of_pairs, out_dir = params["pairs"], batch_folder(params["pairs"], params["out_dir"])
+    folders += [pair.out_dir for pair in read_pairs(table_of_pairs, out_dir, settings)]
+    result = batch(
+        table_of_pairs,
+        out_dir=out_dir,
+        overwrite=params["overwrite"],
+        on_event=on_event,
+        **settings,
+    )
+    if params["debug"]:
+        for outcome in result.pairs:
+            if outcome.error is not None:
+                show_traceback(outcome.error)
+    return _ending(result)
+
+
+def _abandon(folders: Sequence[Path]) -> None:
+    from pcwlad_geo.staging import abandon
+
+    for folder in folders:
+        abandon(folder)
+
+
+def _ending(result: BatchResult) -> Ending:
+    rows = [outcome.row() for outcome in result.pairs]
+    counts = {status: result.count(status) for status in ("registered", "rejected", "unusable", "failed")}
+    summary = result.summary.absolute()
+    status = next((STATUS_OF[each] for each in STATUS_OF if counts[each]), 0)
+    figures = {**counts, "exit_status": status, "pairs": rows, "paths": {"summary": str(summary)}}
+    told = ", ".join(f"{count} {each}" for each, count in counts.items() if count)
+    return Ending(figures, f"{table(rows)}\n{told}\nsummary: {summary}\n", status)

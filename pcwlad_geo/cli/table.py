@@ -1,0 +1,70 @@
+"""The summary of a batch on the screen."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+COLUMNS: Final = ("target", "status", "points", "RMSE px", "shift px", "folder or reason")
+NUMBERS: Final = ("points", "RMSE px", "shift px")
+
+
+def table(rows: Sequence[Mapping[str, object]]) -> str:
+    """Return the pairs as a table: drawn for a terminal, plain columns otherwise.
+
+    Parameters
+    ----------
+    rows : sequence of mappings
+        Lines of the summary.
+    """
+    cells = [_cells(row) for row in rows]
+    return _drawn(cells) if sys.stdout.isatty() else _plain(cells)
+
+
+def _cells(row: Mapping[str, object]) -> list[str]:
+    shift = [row["d_col_px"], row["d_row_px"]]
+    return [
+        Path(str(row["target"])).name,
+        f"{row['status']}{' before' if row['done_before'] else ''}",
+        str(row["tie_points"]) if row["tie_points"] is not None else "",
+        _figure(row["rmse_px"]),
+        " ".join(f"{value:+.2f}" for value in shift if isinstance(value, float)),
+        str(row["reason"] or row["out_dir"]),
+    ]
+
+
+def _figure(value: object) -> str:
+    return f"{value:.3f}" if isinstance(value, float) else ""
+
+
+def _plain(cells: list[list[str]]) -> str:
+    lines = [list(COLUMNS), *cells]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(COLUMNS))]
+    return "\n".join("  ".join(_padded(line, widths)).rstrip() for line in lines)
+
+
+def _padded(line: list[str], widths: list[int]) -> list[str]:
+    return [
+        cell.rjust(width) if name in NUMBERS else cell.ljust(width)
+        for name, cell, width in zip(COLUMNS, line, widths, strict=True)
+    ]
+
+
+def _drawn(cells: list[list[str]]) -> str:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    drawn = Table(box=box.SIMPLE_HEAD)
+    for name in COLUMNS:
+        drawn.add_column(name, justify="right" if name in NUMBERS else "left", overflow="fold")
+    for line in cells:
+        drawn.add_row(*(Text(cell) for cell in line))
+    text = io.StringIO()
+    console = Console(file=text, force_terminal=True, width=Console().width)
+    console.print(drawn)
+    return text.getvalue().rstrip("\n")

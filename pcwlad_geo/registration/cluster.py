@@ -1,0 +1,161 @@
+"""Run on an existing dask.distributed cluster (optional dependency: the extra `dask`)."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Final
+
+from pcwlad_geo.errors import ExecutionError
+from pcwlad_geo.registration.progress import EventCallback, Warned
+from pcwlad_geo.registration.runners import IN_FLIGHT, OnExecutor
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+CONNECT_S: Final = 4.0
+"""How long a scheduler may take to answer."""
+CLOSE_S: Final = 1.0
+CALLS_PER_THREAD: Final = 2
+"""One that runs and one that waits, so that a worker need not wait for the next."""
+NUMERIC: Final = ("numpy", "scipy", "numba", "cv2", "rasterio")
+"""Packages whose versions decide about the last bits of the tie points."""
+_LOGGERS: Final = ("distributed", "distributed.client", "tornado", "tornado.application")
+
+
+@contextmanager
+def connected(address: str, on_event: EventCallback) -> Iterator[OnExecutor]:
+    """Give a runner on the cluster of a scheduler, for as long as the context lasts.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler, such as ``tcp://host:8786``.
+    on_event : callable
+        Receives a warning where the workers' packages differ from those here.
+
+    Raises
+    ------
+    ExecutionError
+        If the extra `dask` is not installed, the scheduler cannot be reached, or a worker lacks this version
+        of pcwlad-geo.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        message = f"the scheduler {address} needs dask.distributed: pip install 'pcwlad-geo[dask]' ({error})"
+        raise ExecutionError(message) from error
+    with _silent(), _connect(address) as client:
+        _check_versions(client, address, on_event)
+        threads = sum(client.nthreads().values())
+        yield OnExecutor(
+            client.get_executor(pure=False),  # no two calls are one, also in a later run
+            max(IN_FLIGHT, CALLS_PER_THREAD * threads),
+            (BrokenExecutor, CancelledError, distributed.KilledWorker),
+            f"the scheduler {address}",
+            shares_kernels=False,
+        )
+
+
+@contextmanager
+def _connect(address: str) -> Iterator[Client]:
+    from distributed import Client
+
+    try:
+        with ThreadPoolExecutor(1) as thread:  # the caller's may have an event loop, as notebooks do
+            thread.submit(asyncio.run, _probe(address)).result()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of version mismatches: `_check_versions` tells what matters
+            client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (ValueError, TypeError) as error:
+        message = f"{address} is no address of a scheduler ({error}): give one such as tcp://host:8786"
+        raise ExecutionError(message) from error
+    except (OSError, asyncio.TimeoutError) as error:
+        raise ExecutionError(
+            f"the scheduler {address} cannot be reached within {CONNECT_S:.0f} s: check the address, "
+            "and that a dask scheduler runs there"
+        ) from error
+    try:
+        yield client
+    finally:
+        with suppress(TimeoutError, OSError):
+            client.close(timeout=CLOSE_S)
+
+
+async def _probe(address: str) -> None:
+    """Ask the scheduler for a sign of life: its client would go on trying for long."""
+    from distributed import Security
+    from distributed.comm import connect
+
+    async def ask() -> None:
+        comm = await connect(address, **Security().get_connection_args("client"))
+        try:
+            await comm.write({"op": "identity", "reply": True})
+            await comm.read()
+        finally:
+            comm.abort()
+
+    await asyncio.wait_for(ask(), CONNECT_S)
+
+
+def _check_versions(client: Client, address: str, on_event: EventCallback) -> None:
+    """Refuse workers without this version of ours, warn of other versions of what makes the numbers."""
+    inspect = _inspection(("pcwlad_geo", *NUMERIC))
+    here = inspect()
+    differing: set[str] = set()
+    for worker, there in client.run(inspect, on_error="return").items():
+        if not isinstance(there, dict):  # it does not answer: the scheduler will find out
+            continue
+        ours = there["pcwlad_geo"]
+        if ours != here["pcwlad_geo"]:
+            has = f"has pcwlad-geo {ours}" if ours else "has no pcwlad-geo"
+            raise ExecutionError(
+                f"the worker {worker} of the scheduler {address} {has}: "
+                f"install pcwlad-geo {here['pcwlad_geo']} there"
+            )
+        differing |= {
+            f"{name} {there[name]} instead of {here[name]}" for name in NUMERIC if there[name] != here[name]
+        }
+    if differing:
+        on_event(
+            Warned(
+                f"workers of the scheduler {address} have {', '.join(sorted(differing))}: "
+                "tie points may differ in their last digits from those made here"
+            )
+        )
+
+
+def _inspection(names: Sequence[str]) -> Callable[[], dict[str, str | None]]:
+    """Return a function that tells the versions of packages, None for those that are not there."""
+
+    # Inside another function it travels as code, not as a name: a worker may lack this module.
+    def inspect() -> dict[str, str | None]:
+        from importlib import import_module
+
+        found: dict[str, str | None] = {}
+        for name in names:
+            try:
+                found[name] = str(import_module(name).__version__)
+            except ImportError:
+                found[name] = None
+        return found
+
+    return inspect
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep dask's own log off the terminal: what matters arrives as an exception."""
+    loggers = [logging.getLogger(name) for name in _LOGGERS]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)

@@ -1,0 +1,27 @@
+"""Load the matcher's kernels before the tiles need them; the first start says that it compiles them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from pcwlad_geo.matching.first_start import compile_kernels
+from pcwlad_geo.matching.settings import Method
+from pcwlad_geo.registration.progress import EventCallback, Warned
+
+KEPT: Final = "first start: the inner loops are compiled now, which takes about half a minute, once"
+NOT_KEPT: Final = (
+    "the inner loops are compiled at every start, which takes about half a minute, as there is no folder "
+    "to keep them in: set NUMBA_CACHE_DIR to one that can be written"
+)
+
+
+def load_kernels(method: Method, on_event: EventCallback) -> None:
+    """Load the kernels of a method, or compile them, here and now: workers then find them on disk.
+
+    Parameters
+    ----------
+    method : str
+    on_event : callable
+        Receives a warning before anything is compiled.
+    """
+    compile_kernels(method, lambda kept: on_event(Warned(KEPT if kept else NOT_KEPT)))

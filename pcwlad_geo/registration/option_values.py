@@ -1,0 +1,60 @@
+"""Option values as text, of a command line, a config file or a table, to those of `Settings`."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Final, Literal, get_args, get_origin, get_type_hints
+
+from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.registration.settings import Settings
+
+SETTINGS: Final = tuple(field.name for field in fields(Settings))
+"""Names of the options."""
+RUNNING: Final = ("jobs", "scheduler")
+"""Those that say where a job runs: its result does not depend on them."""
+WORDS: Final = {"points": "auto", "search_radius": "auto", "jobs": "all"}
+"""How None is spelled where it is a choice of its own."""
+
+
+def to_setting(name: str, value: object) -> object:
+    """Convert a value, text or not, to the type of a field of `Settings`.
+
+    Raises
+    ------
+    SettingsError
+        If it cannot be read as that type.
+    """
+    if name in WORDS and value == WORDS[name]:
+        return None
+    hint = get_type_hints(Settings)[name]
+    kinds = set(get_args(hint)) | {hint}
+    words = [word for kind in kinds - {hint} if get_origin(kind) is Literal for word in get_args(kind)]
+    if value in words:
+        return value
+    if Path in kinds:
+        return Path(_checked(name, value, str, "a file name") if not isinstance(value, Path) else value)
+    if int in kinds:
+        words += [WORDS[name]] if name in WORDS else []
+        return _number(name, value, int, " or ".join(["a whole number", *(f"'{word}'" for word in words)]))
+    if float in kinds:
+        return _number(name, value, float, "a number")
+    return _checked(name, value, str, "text")
+
+
+def _number(name: str, value: object, kind: type[int] | type[float], wanted: str) -> object:
+    if isinstance(value, str):
+        try:
+            return kind(value)
+        except ValueError:
+            raise SettingsError(f"{name} = {value!r}: give {wanted}") from None
+    accepted = (int,) if kind is int else (int, float)
+    if isinstance(value, bool) or not isinstance(value, accepted):
+        raise SettingsError(f"{name} = {value!r}: give {wanted}")
+    return kind(value)
+
+
+def _checked(name: str, value: object, kind: type[str], wanted: str) -> str:
+    if not isinstance(value, kind):
+        raise SettingsError(f"{name} = {value!r}: give {wanted}")
+    return value

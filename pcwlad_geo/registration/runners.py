@@ -1,0 +1,197 @@
+"""Where the calls of a job run: in processes of our own, on an executor of the caller's, on a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from contextlib import contextmanager
+from queue import Empty, SimpleQueue
+from types import TracebackType
+from typing import Any, Final, TypeVar
+
+from pcwlad_geo.errors import ExecutionError
+from pcwlad_geo.registration.environment import gdal_settings, in_environment, one_opencv_thread
+from pcwlad_geo.registration.processes import Worker, available_cores, can_start_workers
+from pcwlad_geo.registration.progress import Event, EventCallback, Warned, ignore
+from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.tasks import Affinity, InThisProcess, Ran, Runner, drive
+
+IN_FLIGHT: Final = 64
+"""Calls that an executor of unknown size holds at a time."""
+TASKS_MODULE: Final = "pcwlad_geo.registration.tiles"
+"""Workers import it while they wait for their first call."""
+
+T = TypeVar("T")
+
+
+class OnExecutor:
+    """Hands the calls to an executor of the caller's, which lives on.
+
+    Parameters
+    ----------
+    executor : concurrent.futures.Executor
+    in_flight : int
+        Calls that it holds at a time.
+    broken : tuple of exception types
+        What it raises when it has lost its workers, or `place` itself.
+    place : str
+        How messages call it.
+    shares_kernels : bool
+        Whether its workers are threads or processes of this machine.
+    """
+
+    heeds_affinity = False
+
+    def __init__(
+        self,
+        executor: Executor,
+        in_flight: int = IN_FLIGHT,
+        broken: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError),
+        place: str = "the executor",
+        shares_kernels: bool = True,
+    ) -> None:
+        self.shares_kernels = shares_kernels
+        self._executor = executor
+        self._in_flight = in_flight
+        self._broken = broken
+        self._place = place
+
+    def expect(self, calls: int) -> None:
+        """Do nothing: an executor minds its own workers."""
+
+    def run(
+        self,
+        function: Callable[..., T],
+        calls: Sequence[tuple[Any, ...]],
+        stage: str,
+        on_event: EventCallback = ignore,
+        affinity: Affinity | None = None,
+    ) -> Ran[T]:
+        """Call the function with each tuple of arguments; see `Runner`."""
+        settings = gdal_settings()
+
+        def submit(index: int, _: int) -> Future[T]:
+            return self._executor.submit(in_environment, settings, function, calls[index])
+
+        slots = min(self._in_flight, len(calls))
+        try:
+            with one_opencv_thread():  # its workers may be threads
+                results, _ = drive(submit, [None] * len(calls), slots, stage, on_event)
+        except self._broken as error:
+            detail = f"{type(error).__name__}: {error}".removesuffix(": ")
+            raise ExecutionError(f"{self._place} is lost, or its workers are ({detail})") from error
+        return Ran(results, [None] * len(calls))
+
+
+class OwnProcesses:
+    """Runs the calls in worker processes of its own, which serve all stages; a context manager.
+
+    A single call runs in this process, as everything does where there is one worker only.
+
+    Parameters
+    ----------
+    jobs : int
+        Worker processes, at most; they start when calls are expected.
+    preload : str
+        Module that a worker imports at its start.
+    """
+
+    shares_kernels = True
+    heeds_affinity = True
+
+    def __init__(self, jobs: int, preload: str = TASKS_MODULE) -> None:
+        self._jobs = jobs if can_start_workers() else 1
+        self._preload = preload
+        self._workers: list[Worker] = []
+        self._losses: SimpleQueue[str] = SimpleQueue()
+
+    def __enter__(self) -> OwnProcesses:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        for worker in self._workers:  # all at once, then wait
+            worker.stop()
+        for worker in self._workers:
+            worker.join()
+        self._workers.clear()
+
+    @property
+    def process_ids(self) -> list[int]:
+        """Of the workers that have started."""
+        return [worker.process_id for worker in self._workers]
+
+    def expect(self, calls: int) -> None:
+        """Start the workers that so many calls can use; they import their libraries meanwhile."""
+        wanted = min(self._jobs, calls)
+        if wanted > 1:
+            for _ in range(wanted - len(self._workers)):
+                self._workers.append(Worker(self._preload, self._losses.put))
+
+    def run(
+        self,
+        function: Callable[..., T],
+        calls: Sequence[tuple[Any, ...]],
+        stage: str,
+        on_event: EventCallback = ignore,
+        affinity: Affinity | None = None,
+    ) -> Ran[T]:
+        """Call the function with each tuple of arguments; see `Runner`."""
+        self.expect(len(calls))
+        wanted = list(affinity) if affinity is not None else [None] * len(calls)
+        if not self._workers or (len(calls) == 1 and wanted[0] is None):
+            return InThisProcess().run(function, calls, stage, on_event)
+        settings = gdal_settings()
+
+        def submit(index: int, worker: int) -> Future[T]:
+            return self._workers[worker].submit(in_environment, (settings, function, calls[index]))
+
+        def tell(event: Event) -> None:
+            self._tell_losses(on_event)
+            on_event(event)
+
+        results, workers = drive(submit, wanted, len(self._workers), stage, tell)
+        return Ran(results, list(workers))
+
+    def _tell_losses(self, on_event: EventCallback) -> None:
+        while True:
+            try:
+                message = self._losses.get_nowait()
+            except Empty:
+                return
+            on_event(Warned(message))
+
+
+@contextmanager
+def open_runner(
+    settings: Settings, executor: Executor | Runner | None, on_event: EventCallback
+) -> Iterator[Runner]:
+    """Give what runs the calls of a job, or of many, for as long as the context lasts.
+
+    Parameters
+    ----------
+    settings : Settings
+        `scheduler` and `jobs` choose it where there is no executor.
+    executor : concurrent.futures.Executor or Runner, optional
+        A runner is open already, and stays so.
+    on_event : callable
+        Receives warnings about it.
+
+    Raises
+    ------
+    ExecutionError
+        If the scheduler cannot be used.
+    """
+    if isinstance(executor, Executor):
+        yield OnExecutor(executor)
+    elif executor is not None:
+        yield executor
+    elif settings.scheduler is not None:
+        from pcwlad_geo.registration.cluster import connected  # an optional dependency
+
+        with connected(settings.scheduler, on_event) as runner:
+            yield runner
+    else:
+        with OwnProcesses(settings.jobs or available_cores()) as processes:
+            yield processes

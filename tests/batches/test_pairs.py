@@ -1,0 +1,119 @@
+"""The table of pairs: all of it is checked before anything is done."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pcwlad_geo.batches.pairs import COLUMNS, Pair, read_pairs
+from pcwlad_geo.errors import InputError
+
+
+def read(folder: Path, text: str, **options: Any) -> list[Pair]:
+    table = folder / "pairs.csv"
+    table.write_text(text, encoding="utf-8")
+    return read_pairs(table, "out", options)
+
+
+def test_paths_start_from_the_folder_of_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir("/")
+    header = "reference,target,out_dir,tgt_mask,output_raster\n"
+    (pair,) = read(tmp_path, header + "a/b4.tif,b10.tif,here,m.tif,x/fit.tif\n")
+    assert (pair.reference, pair.target) == (str(tmp_path / "a/b4.tif"), str(tmp_path / "b10.tif"))
+    assert pair.out_dir == tmp_path / "here"
+    assert pair.settings.tgt_mask == tmp_path / "m.tif"
+    assert pair.places == {"output_raster": tmp_path / "x/fit.tif"}
+
+
+@pytest.mark.parametrize(
+    "uri", ["/vsis3/bucket/b4.tif", "s3://bucket/b4.tif", 'NETCDF:"n.nc":band', "https://host/b4.tif"]
+)
+def test_uris_stay_as_they_are(uri: str, tmp_path: Path) -> None:
+    quoted = uri.replace('"', '""')
+    (pair,) = read(tmp_path, f'reference,target\n"{quoted}","{quoted}"\n')
+    assert (pair.reference, pair.target) == (uri, uri)
+
+
+def test_a_file_whose_name_holds_a_colon(tmp_path: Path) -> None:
+    (tmp_path / "a:b.tif").touch()
+    (pair,) = read(tmp_path, "reference,target\na:b.tif,a:b.tif\n")
+    assert pair.target == str(tmp_path / "a:b.tif")
+
+
+def test_empty_cells_are_the_default_and_cells_go_before_options(tmp_path: Path) -> None:
+    header = "target , reference,window,search-radius,points\n"
+    text = header + "t1.tif,r.tif,41,,all\n\n,,,\nt2.tif,r.tif,,20\n"
+    first, second = read(tmp_path, text, window=61, search_radius=5, points=100)
+    assert (first.settings.window, first.settings.search_radius, first.settings.points) == (41, 5, "all")
+    assert (second.settings.window, second.settings.search_radius, second.settings.points) == (61, 20, 100)
+    assert (first.line, second.line) == (2, 5)
+    assert first.name == "t1.tif (line 2)"
+
+
+def test_output_folders_are_unique_and_the_same_every_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    lines = ["a/t.tif,", "b/t.tif,", "c/T.tif,", "d/u.tif,out/t_registered_2"]
+    text = "reference,target,out_dir\n" + "\n".join(f"r.tif,{line}" for line in lines)
+    names = [pair.out_dir.name for pair in read(tmp_path, text)]
+    assert names[0] == "t_registered"
+    assert len({name.casefold() for name in names}) == 4
+    assert [pair.out_dir.name for pair in read(tmp_path, text)] == names
+
+
+def test_a_folder_that_the_table_names_is_not_given_to_another_pair(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    first, second = read(tmp_path, "reference,target,out_dir\nr.tif,t.tif,\nr.tif,u.tif,out/t_registered\n")
+    assert first.out_dir == Path("out/t_registered_2")
+    assert second.out_dir == tmp_path / "out/t_registered"
+
+
+def test_the_byte_order_mark_of_a_spreadsheet_is_no_column(tmp_path: Path) -> None:
+    (pair,) = read(tmp_path, "\ufeffreference,target\r\nr.tif,t.tif\r\n")
+    assert pair.reference.endswith("r.tif")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no column 'reference'"),
+        ("reference\nr.tif\n", "no column 'target'"),
+        ("reference,target\n", "holds no pairs"),
+        (
+            "reference,target,colour\nr,t,red\n",
+            "unknown column 'colour'; the columns are reference, target, out_dir",
+        ),
+        ("reference,target,jobs\nr,t,2\n", "'jobs' is the same for all pairs"),
+        ("reference,target,target\nr,t,u\n", "'target' twice"),
+        ("reference;target\nr;t\n", "semicolons"),
+        ("reference,target\nr,t\nr\n", "line 3 has no target"),
+        ("reference,target\nr,t,u\n", "line 2 has 3 cells for 2 columns"),
+        ("reference,target,window\nr,t,80\n", "line 2: window = 80: give an odd number"),
+        ("reference,target,window\nr,t,wide\n", "line 2: window = 'wide'"),
+        ("reference,target,method\nr,t,magic\n", "line 2: method = 'magic'"),
+        ("reference,target,out_dir\nr,t,x\nr,u,./x\n", "lines 2 and 3 have the same out_dir"),
+        ('reference,target\n"r,t\n', "line 2|no CSV"),
+    ],
+)
+def test_what_is_wrong_is_told_before_any_work(text: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        read(tmp_path, text)
+    assert "pairs.csv" in str(caught.value)
+
+
+def test_files_that_are_no_table(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot read"):
+        read_pairs(tmp_path / "absent.csv", "out", {})
+    (tmp_path / "binary.csv").write_bytes(b"reference,target\n\xff\xfe,\x00\n")
+    with pytest.raises(InputError, match="no CSV table"):
+        read_pairs(tmp_path / "binary.csv", "out", {})
+
+
+def test_every_option_of_a_pair_is_a_column() -> None:
+    assert {"reference", "target", "out_dir", "window", "ref_mask", "output_raster"} <= set(COLUMNS)
+    assert not {"jobs", "scheduler"} & set(COLUMNS)

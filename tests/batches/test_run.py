@@ -1,0 +1,224 @@
+"""Many pairs: what fails does not stop the rest, what is done stays done."""
+
+from __future__ import annotations
+
+import csv
+import os
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pcwlad_geo
+from pcwlad_geo.batches import run as batches
+from pcwlad_geo.batches.run import BatchResult
+from pcwlad_geo.errors import CancelledError, InputError, OutputError, SettingsError
+from pcwlad_geo.registration.progress import Event, Progress, Warned
+from pcwlad_geo.registration.tasks import InThisProcess
+from tests.registration.calls import Counting
+from tests.scenes import make_grid, render, write
+
+OPTIONS: Any = {"template": 61, "window": 41, "features": 50, "tile_size": 128}
+TABLE = """reference,target,features
+b4.tif,good.tif,
+b4.tif,other.tif,
+b4.tif,absent.tif,
+b4.tif,good.tif,60
+"""
+
+
+@pytest.fixture
+def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with a pair that fits, one that does not, and a table."""
+    monkeypatch.chdir(tmp_path)
+    grid = make_grid((170, 170))
+    write(tmp_path / "b4.tif", render(grid), grid)
+    write(tmp_path / "good.tif", render(grid, displacement_px=(1.3, -0.6)), grid)
+    write(tmp_path / "other.tif", render(grid, seed=9), grid)
+    (tmp_path / "pairs.csv").write_text(TABLE, encoding="utf-8")
+    return tmp_path
+
+
+def statuses(result: BatchResult) -> list[tuple[str, bool]]:
+    return [(outcome.status, outcome.done_before) for outcome in result.pairs]
+
+
+def summary(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_batch_and_once_more(work: Path) -> None:
+    events: list[Event] = []
+    executor = Counting()
+    with executor.pool:
+        result = pcwlad_geo.batch("pairs.csv", on_event=events.append, executor=executor, **OPTIONS)
+    assert executor.most > 1  # all pairs ran on it
+    assert statuses(result) == [
+        ("registered", False),
+        ("rejected", False),
+        ("unusable", False),
+        ("registered", False),
+    ]
+    assert [event.done for event in events if event in [Progress("pairs", n, 4) for n in range(5)]] == [
+        *range(5)
+    ]
+    told = [event.message for event in events if isinstance(event, Warned)]
+    assert any(message.startswith("other.tif (line 3): rejected: only ") for message in told)
+    assert any(message.startswith("absent.tif (line 4): unusable: ") for message in told)
+
+    assert result.summary == Path("pairs_registered/summary.csv")
+    rows = summary(work / result.summary)
+    assert [row["status"] for row in rows] == ["registered", "rejected", "unusable", "registered"]
+    assert [Path(row["out_dir"]).name for row in rows] == [
+        "good_registered",
+        "other_registered",
+        "absent_registered",
+        "good_registered_2",
+    ]
+    assert float(rows[0]["d_col_px"]) == pytest.approx(1.3, abs=0.1)
+    assert float(rows[0]["rmse_px"]) < 0.3
+    assert int(rows[3]["tie_points"]) > int(rows[0]["tie_points"]) > 12
+    assert "does not exist" in rows[2]["reason"]
+    assert (work / "pairs_registered/good_registered/good_registered.tif").is_file()
+    assert not (work / "pairs_registered/absent_registered").exists()
+
+    before = {path: path.stat().st_mtime_ns for path in work.rglob("report.json")}
+    again = pcwlad_geo.batch("pairs.csv", executor=InThisProcess(), **OPTIONS)
+    assert statuses(again) == [
+        ("registered", True),
+        ("rejected", True),
+        ("unusable", False),
+        ("registered", True),
+    ]
+    assert {path: path.stat().st_mtime_ns for path in work.rglob("report.json")} == before
+    later = summary(work / again.summary)
+    assert [row["done_before"] for row in later] == ["yes", "yes", "no", "yes"]
+    for old, new in zip(rows, later, strict=True):
+        assert {**new, "done_before": "no"} == old
+
+
+# --- with a stand-in for the registration ----------------------------------------------------------------
+
+
+@pytest.fixture
+def calls(work: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the targets that are registered; those of TROUBLE raise."""
+    done: list[str] = []
+
+    def register(reference: str, target: str, *, out_dir: Path, on_event: Any, **options: Any) -> None:
+        done.append(Path(target).stem)
+        on_event(Warned("odd"))
+        if Path(target).stem in TROUBLE:
+            raise TROUBLE[Path(target).stem]
+
+    monkeypatch.setattr(batches, "register", register)
+    return done
+
+
+TROUBLE: dict[str, Exception] = {
+    "bad": InputError("no such\nband"),
+    "strange": ZeroDivisionError("division by zero"),
+}
+
+
+def table(work: Path, *targets: str) -> Path:
+    path = work / "pairs.csv"
+    path.write_text("reference,target\n" + "".join(f"b4.tif,{target}.tif\n" for target in targets))
+    return path
+
+
+def test_every_kind_of_trouble_stays_with_its_pair(calls: list[str], work: Path) -> None:
+    events: list[Event] = []
+    result = pcwlad_geo.batch(table(work, "bad", "strange", "good"), on_event=events.append)
+    assert calls == ["bad", "strange", "good"]
+    assert statuses(result) == [("unusable", False), ("failed", False), ("registered", False)]
+    assert [outcome.reason for outcome in result.pairs] == [
+        "no such band",
+        "unexpected ZeroDivisionError: division by zero",
+        None,
+    ]
+    assert result.pairs[1].error is TROUBLE["strange"]
+    assert result.count("failed") == 1
+    assert Warned("good.tif (line 4): odd") in events
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), CancelledError("gone"), ValueError("mine")])
+@pytest.mark.parametrize("event", [Progress("pairs", 1, 3), Warned("second.tif (line 3): odd")])
+def test_an_exception_of_the_callback_ends_the_batch_and_keeps_what_is_done(
+    event: Event, error: BaseException, calls: list[str], work: Path
+) -> None:
+    def stop(happened: Event) -> None:
+        if happened == event:
+            raise error
+
+    with pytest.raises(type(error)):
+        pcwlad_geo.batch(table(work, "first", "second", "third"), out_dir="out", on_event=stop)
+    assert "third" not in calls
+    assert [row["target"] for row in summary(work / "out/summary.csv")] == [str(work / "first.tif")]
+    assert {path.name for path in (work / "out").iterdir()} == {"summary.csv"}
+
+
+def test_a_bad_table_or_option_does_nothing(calls: list[str], work: Path) -> None:
+    (work / "pairs.csv").write_text("reference,target,colour\nr,t,red\n")
+    with pytest.raises(InputError, match="unknown column"):
+        pcwlad_geo.batch("pairs.csv")
+    with pytest.raises(SettingsError, match=r"^window = 80"):
+        pcwlad_geo.batch(table(work, "good"), window=80)
+    assert calls == []
+    assert not (work / "pairs_registered").exists()
+
+
+def test_a_file_of_that_name_is_not_overwritten(calls: list[str], work: Path) -> None:
+    (work / "out").mkdir()
+    (work / "out/summary.csv").write_text("mine")
+    with pytest.raises(OutputError, match=r"summary\.csv is in the way"):
+        pcwlad_geo.batch(table(work, "good"), out_dir="out")
+    assert calls == []
+    assert (work / "out/summary.csv").read_text() == "mine"
+
+
+# --- what is done before ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def done(work: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A table whose only pair is done; another registration of it is an error."""
+    (work / "pairs.csv").write_text("reference,target\nb4.tif,good.tif\n")
+    result = pcwlad_geo.batch("pairs.csv", out_dir="out", jobs=1, **OPTIONS)
+    assert statuses(result) == [("registered", False)]
+    return work
+
+
+def test_where_it_runs_does_not_matter(done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir("/")
+    with Counting().pool as executor:
+        assert isinstance(executor, Executor)
+        result = pcwlad_geo.batch(
+            done / "pairs.csv", out_dir=done / "out", jobs=7, executor=executor, **OPTIONS
+        )
+    assert statuses(result) == [("registered", True)]
+
+
+@pytest.mark.parametrize("change", ["an option", "an input", "another input", "no report"])
+def test_another_job_in_the_same_folder_is_told(change: str, done: Path) -> None:
+    options = dict(OPTIONS)
+    report = done / "out/good_registered/report.json"
+    if change == "an option":
+        options["features"] = 51
+    elif change == "an input":
+        later = report.stat().st_mtime + 10
+        os.utime(done / "good.tif", (later, later))
+    elif change == "another input":
+        (done / "b5.tif").write_bytes((done / "b4.tif").read_bytes())
+        (done / "pairs.csv").write_text("reference,target\nb5.tif,good.tif\n")
+    else:
+        report.write_text("{")
+    result = pcwlad_geo.batch("pairs.csv", out_dir="out", **options)
+    assert statuses(result) == [("unusable", False)]
+    said = "not written by pcwlad-geo" if change == "no report" else "give --overwrite to replace"
+    assert said in str(result.pairs[0].reason)
+    if change != "no report":
+        result = pcwlad_geo.batch("pairs.csv", out_dir="out", overwrite=True, **options)
+        assert statuses(result) == [("registered", False)]
