@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.windows import Overlaps, random_signs
+from pcwlad_geo.correction.windows import Overlaps, probes_of
 
 Array = NDArray[np.float64]
 
@@ -15,8 +15,6 @@ PRIOR_PATCHES = 2.0
 """Weight, in independent patches of ground, of the belief that errors are shared in full."""
 SCALE_PATCHES = 10.0
 """The same of the belief that the points' covariances are true."""
-PROBES = 8
-"""Random vectors that estimate a trace (Hutchinson 1990, doi:10.1080/03610919008812866)."""
 
 
 def parameter_covariance(
@@ -63,7 +61,8 @@ def parameter_covariance(
         return errors.scale * independent, float(n), errors
     overlaps = Overlaps.of(xy_px, footprint_px)
     rg, ru, re = overlaps.times(g), overlaps.times(u), overlaps.times(e)
-    squares = float((overlaps.times(random_signs(xy_px, PROBES)) ** 2).sum()) / PROBES  # Σ R²
+    probes = probes_of(xy_px)
+    squares = float((overlaps.times(probes) ** 2).sum()) / probes.shape[1]  # Σ R²
     shared = _inner(g, rg)
     # Moments of the residuals M ε, M = I − U Gᵀ, for ε of covariance a I + b R (R: overlaps).
     loss = 2 * np.trace(_inner(g, ru))

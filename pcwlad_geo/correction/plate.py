@@ -15,7 +15,6 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from pcwlad_geo.correction.overlap import PROBES
 from pcwlad_geo.correction.spline import SplineGrid, cubic_b_splines
 
 Array = NDArray[np.float64]
@@ -91,13 +90,25 @@ class Plate:
         col, cross, row = (self.normal(precision[:, a, b]) for a, b in ((0, 0), (0, 1), (1, 1)))
         return scipy.sparse.csc_array(scipy.sparse.block_array([[col, cross], [cross, row]]))
 
-    def freedom(self, stiffness: float) -> float:
-        """Return the effective number of parameters of an axis, for points of equal precision."""
-        precision = np.ones(self.design.shape[0])
-        normal = self.normal(precision)
-        probes = np.random.default_rng(0).choice([-1.0, 1.0], size=(normal.shape[0], PROBES))
-        solved = self.factor(normal, self.smoothing(stiffness, precision)).solve(normal @ probes)
-        return float((probes * solved).sum() / PROBES)  # trace of (normal + penalty)⁻¹ · normal
+    def planes(self, root: Array) -> Array:
+        """Return (n, 3) orthonormal vectors that span the planes at the points, times the (n,) root."""
+        nodes = self.grid.nodes_px()
+        nodes = (nodes - nodes.mean(axis=0)) / self.grid.spacing_px
+        planes = self.design @ np.column_stack([np.ones(len(nodes)), nodes])
+        return np.asarray(np.linalg.qr(root[:, None] * planes)[0])
+
+    def freedom(self, stiffness: float, probes: Array) -> float:
+        """Return the effective number of parameters of an axis, for points of equal precision.
+
+        It is the trace of the smoother. A spline leaves planes as they are: they are 3, and (n, m) random
+        signs estimate the rest.
+        """
+        precision = np.ones(len(probes))
+        factor = self.factor(self.normal(precision), self.smoothing(stiffness, precision))
+        planes = self.planes(precision)
+        bent = probes - planes @ (planes.T @ probes)
+        smoothed = self.design @ factor.solve(self.design.T @ bent)
+        return 3 + float((bent * smoothed).sum()) / probes.shape[1]
 
     def smoothing(self, stiffness: float, precision: Array) -> float:
         """Return λ for (n,) precisions: the stiffness times the precision of the points of a mean cell."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.overlap import PROBES, SharedErrors
+from pcwlad_geo.correction.overlap import SharedErrors
 from pcwlad_geo.correction.plate import Plate, mean_precision
 from pcwlad_geo.correction.windows import Overlaps
 
@@ -82,20 +82,24 @@ class Trials:
 
         own, shared = self.inlier[:, None] * self.probes, self._shared(self.probes)
         left, left_own, left_shared = remaining(self.probes), remaining(own), remaining(shared)
-        again = self._shared(left)
-        products = [[(a * b).sum() for b in (left_own, left_shared)] for a in (left, again)]
-        total = float(self.inlier.sum())
+        count = self.probes.shape[1]
+        products = [[(a * b).sum() for b in (left_own, left_shared)] for a in (left, self._shared(left))]
         residual = remaining(root * self.values_px)
         squares = float((residual**2).sum()) / 2
         errors = SharedErrors.of(
-            np.array(products) / PROBES,
+            np.array(products) / count,
             squares,
             float((residual * self._shared(residual)).sum()) / 2,
             self.overlaps.patches(),
         )
+        # Planes are left as they are, and counted exactly; random signs estimate the rest of the traces.
+        planes = self.plate.planes(root[:, 0])
+        bent = self.probes - planes @ (planes.T @ self.probes)
+        smoothed = bent - remaining(bent)
+        straight = (planes**2).sum(), (planes * self._shared(planes)).sum()
         used = [
-            float((self.probes * (noise - rest)).sum()) / PROBES / total
-            for noise, rest in ((own, left_own), (shared, left_shared))
+            float(part + (smoothed * noise).sum() / count) / float(self.inlier.sum())
+            for part, noise in zip(straight, (own, shared), strict=True)
         ]
         return Trial(smoothing, squares, (used[0], used[1]), errors)
 

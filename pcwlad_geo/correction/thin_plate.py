@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fitted import checked
-from pcwlad_geo.correction.overlap import PROBES
 from pcwlad_geo.correction.plate import Plate, mean_precision
 from pcwlad_geo.correction.robust_linear import (
     COARSE_STEPS,
@@ -20,7 +19,7 @@ from pcwlad_geo.correction.robust_linear import (
 )
 from pcwlad_geo.correction.smoothing import Trials, best
 from pcwlad_geo.correction.spline_fit import SplineFit
-from pcwlad_geo.correction.windows import Overlaps, random_signs
+from pcwlad_geo.correction.windows import Overlaps, probes_of
 
 Array = NDArray[np.float64]
 
@@ -68,7 +67,7 @@ def fit_tps(
     task = _Task(
         plate,
         Overlaps.of(predicted, footprint_px),
-        random_signs(predicted, PROBES),
+        probes_of(predicted),
         displacement - affine.fitted_px,
         covariance,
     )
@@ -150,7 +149,7 @@ class _Task:
         coarse_steps: int = 0,
     ) -> Estimate:
         """Return the robust fit from a start."""
-        freedom = self.plate.freedom(stiffness)
+        freedom = self.plate.freedom(stiffness, self.probes)
 
         def solve(whitener: Array, weight: Array) -> Solution:
             found = coefficients(stiffness, whitener, weight)

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 CELLS = 6
 """Cells along the side of a window, whose contents its points share."""
+PROBE_NUMBERS = 32_000
+FEWEST_PROBES, MOST_PROBES = 8, 64
 BATCH = 16
 """Vectors multiplied at once: in between there is a number for every cell of ground."""
 
@@ -62,6 +64,14 @@ class Overlaps:
     def patches(self) -> float:
         """Return how many independent looks at the ground the points are, if windows share errors in full."""
         return self.n**2 / float(self.times(np.ones(self.n)).sum())
+
+
+def probes_of(xy_px: Array) -> Array:
+    """Return (n, m) random signs that estimate traces (Hutchinson 1990, doi:10.1080/03610919008812866).
+
+    Few points need many of them, and can afford them.
+    """
+    return random_signs(xy_px, int(np.clip(PROBE_NUMBERS // max(len(xy_px), 1), FEWEST_PROBES, MOST_PROBES)))
 
 
 def random_signs(xy_px: Array, count: int) -> Array:
