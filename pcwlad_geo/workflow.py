@@ -18,11 +18,9 @@ from pcwlad_geo.raster import gcp_files, geopackage, tie_point_csv, vrt, warping
 from pcwlad_geo.registration import settings as s
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import Runner
-from pcwlad_geo.report.page import render
 from pcwlad_geo.report.summary import summarise, to_json
 from pcwlad_geo.staging import OutputFolder, place_file
 
@@ -215,6 +213,8 @@ def _run(
 ) -> Registration:
     """Run a job where its settings say, or on what the caller gives."""
     with open_runner(settings, executor, on_event) as runner:
+        from pcwlad_geo.registration.run import run  # slow to load: the workers start meanwhile
+
         return run(reference, target, settings, on_event=on_event, runner=runner, match_only=match_only)
 
 
@@ -271,6 +271,8 @@ def _write(
     on_event: EventCallback,
 ) -> list[str]:
     """Write all files of a job, the report last, and return their kinds."""
+    from pcwlad_geo.report.page import render  # slow to load: the figures' library
+
     since = time.perf_counter()
     if registration.correction is not None and not isinstance(registration.correction, AffineCorrection):
         warning = (

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from pcwlad_geo.errors import InputError
 
@@ -192,6 +191,8 @@ def _variance_floor(principal_px: Array, variance_px2: Array, expected: float, *
 
     if expected <= 0 or excess(0.0) <= 0:
         return 0.0
+    from scipy.optimize import brentq  # slow to load, and needed only where points scatter too much
+
     most = float(typical((principal_px**2).sum(axis=1))) / expected
     return float(brentq(excess, 0.0, most, xtol=1e-10, rtol=1e-6))
 

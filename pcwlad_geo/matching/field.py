@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from pcwlad_geo.matching.field_kernel import fit_surfaces
+
 Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 
@@ -20,11 +22,12 @@ ALIKE: Final = 0.6
 """Correlation of the errors of points that are less than a window apart, on average."""
 ROUGH: Final = 3.0
 """Independent neighbours that predict worse than so many times the scatter of the nearest do not know."""
-ROUGH_FROM_PX: Final = 0.1
+ROUGH_FROM_PX: Final = 0.15
 NEAREST: Final = 12
 SAMPLE: Final = 400
-ROUNDS: Final = 4
 CHUNK_VALUES: Final = 2_000_000
+SIGMA_OF_MEDIAN_DISTANCE: Final = 0.8493
+"""Of a round normal distribution, per axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +180,7 @@ def _predict_apart(
     xy: Float64, displacement: Float64, at: Float64, surface: Surface, apart_px: float
 ) -> Prediction:
     count = surface.count
+    xy, displacement, at = (np.ascontiguousarray(array, np.float64) for array in (xy, displacement, at))
     tree = cKDTree(xy)
     out = np.full((len(at), 2), np.nan)
     scatter, leverage = np.full(len(at), np.nan), np.full(len(at), np.nan)
@@ -190,50 +194,7 @@ def _predict_apart(
         distance, index = tree.query(at[part], k=np.arange(1, reach + 1))
         usable = distance >= apart_px
         usable &= np.cumsum(usable, axis=1) <= count
-        out[part], scatter[part], leverage[part] = _robust_surfaces(
-            xy[index] - at[part, None, :], displacement[index], usable, surface.order
+        fit_surfaces(
+            xy, displacement, at[part], index.astype(np.intp), usable, surface.order, out[part], scatter[part], leverage[part]
         )
-    return Prediction(out, scatter, leverage)
-
-
-def _robust_surfaces(
-    offset: Float64, values: Float64, usable: NDArray[np.bool_], order: int
-) -> tuple[Float64, Float64, Float64]:
-    """Fit a surface to each row of neighbours by reweighted least squares.
-
-    Returns value at the centre, scatter and leverage.
-    """
-    reach = np.sqrt((offset**2).sum(axis=2).max(axis=1)).clip(1e-9)
-    x, y = np.moveaxis(offset / reach[:, None, None], 2, 0)
-    terms = [np.ones_like(x), x, y] + ([x * x, x * y, y * y] if order == 2 else [])
-    design = np.stack(terms, axis=2)
-    enough = usable.sum(axis=1) >= 2 * len(terms)
-    masked = np.where(usable[..., None], values, np.nan)
-    masked[~enough] = 0.0
-    start = np.nanmedian(masked, axis=1)
-    residual = np.hypot(*np.moveaxis(values - start[:, None, :], 2, 0))
-    at_centre, scale = start, np.ones(len(values))
-    for _ in range(ROUNDS):
-        seen = np.where(usable, residual, np.nan)
-        seen[~enough] = 1.0
-        scale = np.nanmedian(seen, axis=1).clip(1e-6)
-        weight = np.where(usable, 1 / (1 + (residual / (2 * scale[:, None])) ** 2), 0.0)
-        weighted = design * weight[..., None]
-        right = np.einsum("nki,nkj->nij", weighted, values)
-        solution = np.linalg.solve(_normal_matrices(design, weighted), right)
-        residual = np.hypot(*np.moveaxis(values - design @ solution, 2, 0))
-        at_centre = solution[:, 0, :].copy()
-    leverage = np.linalg.inv(_normal_matrices(design, design * usable[..., None]))[:, 0, 0].copy()
-    at_centre[~enough] = np.nan
-    scale[~enough] = np.nan
-    leverage[~enough] = np.nan
-    return at_centre, 0.8493 * scale, np.asarray(leverage, np.float64)
-
-
-def _normal_matrices(design: Float64, weighted: Float64) -> Float64:
-    normal: Float64 = np.einsum("nki,nkj->nij", weighted, design)
-    # a ridge on all but the constant: neighbours on a line leave the slope across it undetermined
-    index = np.arange(1, design.shape[2])
-    normal[:, index, index] += 1e-6 * normal[:, 0, 0, None] + 1e-12
-    normal[:, 0, 0] += 1e-12
-    return normal
+    return Prediction(out, SIGMA_OF_MEDIAN_DISTANCE * scatter, leverage)

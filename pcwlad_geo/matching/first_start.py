@@ -10,11 +10,29 @@ import numpy as np
 from numba.core import event
 from numpy.typing import NDArray
 
+from pcwlad_geo.matching.compiled import is_kept
+from pcwlad_geo.matching.field_kernel import fit_surfaces
 from pcwlad_geo.matching.matcher import match_arrays
-from pcwlad_geo.matching.settings import MatchSettings, Method
+from pcwlad_geo.matching.phase_kernels import combine_orientations, combine_scales, filter_rows
+from pcwlad_geo.matching.refinement_loop import refine_points
+from pcwlad_geo.matching.settings import TRAITS, MatchSettings, Method
 
 SIDE_PX: Final = 128
 WINDOW_PX: Final = 21
+POINTS: Final = 60
+"""Enough for the displacement field to be laid through them."""
+
+
+def kernels_are_kept(method: Method) -> bool:
+    """Tell whether an earlier process has left all that the method needs, so that starting is quick."""
+    return all(is_kept(kernel) for kernel in kernels_of(method))
+
+
+def kernels_of(method: Method) -> tuple[Callable[..., Any], ...]:
+    """Return the kernels that a method may call."""
+    always = (refine_points, fit_surfaces)
+    phase = (filter_rows, combine_scales, combine_orientations)
+    return always if TRAITS[method].channels == "gradients" else always + phase
 
 
 def compile_kernels(method: Method, on_compiling: Callable[[bool], None]) -> None:
@@ -29,7 +47,7 @@ def compile_kernels(method: Method, on_compiling: Callable[[bool], None]) -> Non
         start, False where every process compiles them anew.
     """
     settings = MatchSettings(
-        method=method, template=WINDOW_PX, window=WINDOW_PX, features=30, search_radius=3, consensus="auto"
+        method=method, template=WINDOW_PX, window=WINDOW_PX, features=POINTS, search_radius=3, consensus="auto"
     )
     with event.install_listener("numba:compile", _FirstCompilation(on_compiling)):
         match_arrays(_blobs(0.0), _blobs(0.4), settings=settings)

@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.stats import binom
 
+from pcwlad_geo.matching.chance import evidence_against_chance
 from pcwlad_geo.matching.fill import fill_smoothly
 from pcwlad_geo.matching.filter_bank import ORIENTATIONS
 from pcwlad_geo.matching.phase_congruency import oriented_phase_congruency, scene_epsilon
@@ -111,7 +111,7 @@ class _Vote:
     def significance(self) -> float:
         if self.patches < LEAST_PATCHES:
             return 0.0
-        return float(-binom.logsf(self.agreeing - 1, self.patches, CHANCE) / np.log(10))
+        return evidence_against_chance(self.agreeing, self.patches, CHANCE)
 
 
 def search_shift(

@@ -175,21 +175,25 @@ def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: 
         As many, covariances formal; a point that fails here keeps its first position.
     """
     traits = _traits(settings)
-    result = points
-    if traits.refined and traits.structure == "local":
-        if guide.deforms:
-            result = _again(
-                pair, result, Start(result.displacement_px, _repeated(guide, len(result))), settings
-            )
-        led = np.flatnonzero(np.isfinite(guide.structure_xy_px).all(axis=1))
-        if len(led):
-            some = result[led]
-            start = Start(some.displacement_px, _repeated(guide, len(led)), guide.structure_xy_px[led])
-            again = _again(pair, some, start, settings)
-            target, covariance = result.target_xy_px.copy(), result.covariance_px2.copy()
-            target[led], covariance[led] = again.target_xy_px, again.covariance_px2
-            result = replace(result, target_xy_px=target, covariance_px2=covariance)
-    return result
+    if not (traits.refined and traits.structure == "local"):
+        return points
+    target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
+    led = np.isfinite(guide.structure_xy_px).all(axis=1)
+    # the two directions differ where each follows its own structure, hardly where the field says which
+    both_ways = replace(settings, backward_every=1)
+    own = ~led & (guide.deforms or settings.backward_every > 1)
+    for some, structure, how in ((own, None, both_ways), (led, guide.structure_xy_px, settings)):
+        index = np.flatnonzero(some)
+        start = Start(
+            target[index] - points.reference_xy_px[index],
+            np.tile(guide.linear, (len(index), 1, 1)),
+            None if structure is None else structure[index],
+        )
+        refined, agree = _refine_both(pair, to_index(points[index]), start, how)
+        good = refined.converged & agree
+        target[index[good]] = points.reference_xy_px[index[good]] + refined.shift_xy_px[good]
+        covariance[index[good]] = refined.covariance_px2[good]
+    return replace(points, target_xy_px=target, covariance_px2=covariance)
 
 
 def second_pass(pair: PreparedPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
@@ -206,18 +210,6 @@ def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
     return consistent(points.reference_xy_px, points.displacement_px, sigma, settings.window)
 
 
-def _again(pair: PreparedPair, points: TiePoints, start: Start, settings: MatchSettings) -> TiePoints:
-    refined, agree = _refine_both(pair, to_index(points), start, settings)
-    good = (refined.converged & agree)[:, None]
-    target = np.where(good, points.reference_xy_px + refined.shift_xy_px, points.target_xy_px)
-    covariance = np.where(good[..., None], refined.covariance_px2, points.covariance_px2)
-    return replace(points, target_xy_px=target, covariance_px2=covariance)
-
-
-def _repeated(guide: FieldGuide, n: int) -> Float64:
-    return np.tile(guide.linear, (n, 1, 1))
-
-
 def _refine_both(
     pair: PreparedPair, corners: Index, start: Start, settings: MatchSettings
 ) -> tuple[Refined, Bool]:
@@ -228,10 +220,10 @@ def _refine_both(
         if settings.method == "pcwlad":
             ok = passes_paper(pair, corners, start, forward, settings.window, settings.ssim_min)
         return forward, ok
-    mean, agree = forward.shift_xy_px.copy(), np.zeros(len(corners), bool)
-    covariance, converged = forward.covariance_px2.copy(), np.zeros(len(corners), bool)
+    mean, agree = forward.shift_xy_px.copy(), np.ones(len(corners), bool)
+    covariance, converged = forward.covariance_px2.copy(), forward.converged.copy()
     # what did not converge on its way there needs no way back
-    there = np.flatnonzero(forward.converged)
+    there = np.flatnonzero(forward.converged)[:: settings.backward_every]
     structure = None if start.structure_xy_px is None else start.structure_xy_px[there]
     returned, backward = _refine_back(
         pair, corners[there], forward.shift_xy_px[there], forward.linear[there], structure, settings

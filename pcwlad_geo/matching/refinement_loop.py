@@ -245,7 +245,7 @@ def _refine_point(
         if not invert(work.total):
             return DIVERGED
         plain_step(work.total, work.total_right, options.half, step, linear)
-        if iteration > 0:
+        if iteration > 0 and not options.affine:  # a deformation that moves too hides what the shift did
             learn_slopes(step, before, moved, iteration == 1, slopes)
         length = move(step, slopes, moved, shift)
         before[0], before[1] = step[0], step[1]

@@ -70,7 +70,7 @@ def refine_plain(
                 structure = [valid] * len(reference.maps)
             elif start.structure_xy_px is not None:
                 structure = window.structure(start.structure_xy_px[p], linear, valid)
-            control = _StepControl(first_relaxation(robust, structure is None))
+            control = _StepControl(first_relaxation(robust, structure is None), learns=not affine)
             for iteration in range(iterations):
                 weights = structure if structure is not None else window.structure(shift, linear, valid)
                 matrix, right, scores = window.equations(shift, linear, weights, robust)
@@ -97,7 +97,8 @@ def refine_plain(
 class _StepControl:
     """Makes moves longer than plain steps, by how much these have shrunk so far (Broyden's method)."""
 
-    def __init__(self, relaxation: float) -> None:
+    def __init__(self, relaxation: float, *, learns: bool) -> None:
+        self.learns = learns
         self.slopes: Float64 = np.eye(2) / relaxation
         self.learned, self.length = False, np.inf
         self.moved: Float64 | None = None
@@ -105,7 +106,7 @@ class _StepControl:
 
     def move(self, plain: Float64) -> Float64:
         """Return the move for a plain step; `length` is that of the move before it was cut."""
-        if self.moved is not None:
+        if self.moved is not None and self.learns:
             self._learn(self.before - plain, self.moved)
         move = np.linalg.solve(self.slopes, plain) if np.linalg.det(self.slopes) > 0 else plain
         if move @ plain <= 0:

@@ -33,6 +33,8 @@ class MatchSettings:
     """Least SSIM of a coarse match; the paper's gate is 0.4."""
     iterations: int = 20
     consensus: Consensus = "auto"
+    backward_every: int = 1
+    """Points go back from target to reference, or one of so many where there are plenty."""
     least_valid: float = 0.6
     """Share of a window that must be valid in both images."""
 
@@ -50,7 +52,7 @@ class MethodTraits:
     affine: bool = False
     """The window deforms freely; else as the displacement field says."""
     backward: bool = False
-    """Also matched from target to reference, compared and averaged."""
+    """Also matched from target to reference, compared and averaged; see `MatchSettings.backward_every`."""
     refined: bool = True
     halo_px: int = 64
     """Context that the maps need around a window: beyond it they change by less than 4e-4."""

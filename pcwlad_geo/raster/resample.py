@@ -10,7 +10,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import distance_transform_edt, map_coordinates
 from scipy.sparse import csr_array
 
@@ -118,6 +117,8 @@ def sample_positions(window: Window, per_px: int, mapping: Callable[[Array], Arr
     at_nodes = _on_grid(mapping, row_nodes, col_nodes)
     if not np.isfinite(at_nodes).all():  # at the edge of where the projection is defined
         return _on_grid(mapping, rows, cols)
+    from scipy.interpolate import RectBivariateSpline  # slow to load, and most pairs share a CRS
+
     return np.stack([RectBivariateSpline(row_nodes, col_nodes, part, s=0)(rows, cols) for part in at_nodes])
 
 

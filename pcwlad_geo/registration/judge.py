@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom
 
+from pcwlad_geo.matching.chance import evidence_against_chance
 from pcwlad_geo.matching.tie_points import TiePoints
 
 Float64 = NDArray[np.float64]
@@ -57,11 +57,9 @@ def judge(
     """
     cells, agreeing = _witnesses(matches, kept, CELL_PER_WINDOW * window_px)
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
-    significance = 0.0
-    if agreeing:
-        logarithm = binom.logsf(agreeing - 1, cells, min(0.5, CHANCE_FACTOR * share)) / np.log(10)
-        # the best of 1 / share different common displacements is looked at
-        significance = max(0.0, float(-logarithm + np.log10(share)))
+    # the best of 1 / share different common displacements is looked at
+    found = evidence_against_chance(agreeing, cells, min(0.5, CHANCE_FACTOR * share))
+    significance = max(0.0, found + float(np.log10(share)))
     enough = kept.sum() >= LEAST_POINTS and agreeing >= LEAST_CELLS
     accepted = bool(enough and significance >= LEAST_SIGNIFICANCE)
     reason = None if accepted else _reason(int(kept.sum()), agreeing, cells, counts, radius_px)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from pcwlad_geo.matching.first_start import compile_kernels
+from pcwlad_geo.matching.first_start import compile_kernels, kernels_are_kept
 from pcwlad_geo.matching.settings import Method
 from pcwlad_geo.registration.progress import EventCallback, Warned
+from pcwlad_geo.registration.tasks import Runner
 
 KEPT: Final = "first start: the inner loops are compiled now, which takes about half a minute, once"
 NOT_KEPT: Final = (
@@ -15,13 +16,20 @@ NOT_KEPT: Final = (
 )
 
 
-def load_kernels(method: Method, on_event: EventCallback) -> None:
-    """Load the kernels of a method, or compile them, here and now: workers then find them on disk.
+def load_kernels(method: Method, runner: Runner, on_event: EventCallback) -> None:
+    """Let the workers load the kernels of a method; what is not on disk is compiled before, here.
 
     Parameters
     ----------
     method : str
+    runner : Runner
     on_event : callable
         Receives a warning before anything is compiled.
     """
-    compile_kernels(method, lambda kept: on_event(Warned(KEPT if kept else NOT_KEPT)))
+    if not kernels_are_kept(method):
+        compile_kernels(method, lambda kept: on_event(Warned(KEPT if kept else NOT_KEPT)))
+    runner.prepare(compile_kernels, (method, _say_nothing))
+
+
+def _say_nothing(kept: bool) -> None:
+    pass

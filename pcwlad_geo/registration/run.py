@@ -72,7 +72,7 @@ def run(
             )
         runner.expect(count_tiles(pair, settings))
         if runner.shares_kernels:
-            load_kernels(settings.method, on_event)
+            load_kernels(settings.method, runner, on_event)
         on_event(Progress("reading", 0, 1))
         look = look_at(pair)
         on_event(Progress("reading", 1, 1))

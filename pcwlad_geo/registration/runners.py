@@ -59,6 +59,9 @@ class OnExecutor:
     def expect(self, calls: int) -> None:
         """Do nothing: an executor minds its own workers."""
 
+    def prepare(self, function: Callable[..., object], arguments: tuple[Any, ...]) -> None:
+        """Do nothing: its workers are not known."""
+
     def run(
         self,
         function: Callable[..., T],
@@ -128,6 +131,11 @@ class OwnProcesses:
         if wanted > 1:
             for _ in range(wanted - len(self._workers)):
                 self._workers.append(Worker(self._preload, self._losses.put))
+
+    def prepare(self, function: Callable[..., object], arguments: tuple[Any, ...]) -> None:
+        """Call a function in every worker that has started, without waiting for it."""
+        for worker in self._workers:
+            worker.submit(in_environment, (gdal_settings(), function, arguments))
 
     def run(
         self,

@@ -32,6 +32,8 @@ Index = NDArray[np.intp]
 LEAST_WINDOW_PX: Final = 41
 WINDOWS_ACROSS: Final = 1.6
 """An overlap narrower than this many windows gets smaller ones."""
+BACKWARD_EVERY: Final = 4
+"""Where a scene is covered."""
 MOST_WAVES: Final = 3
 """Of small windows: the first choices, and what follows where they give too little."""
 
@@ -223,6 +225,7 @@ def _match_settings(
         ssim_min=settings.ssim_min,
         iterations=settings.iterations,
         consensus=settings.consensus,
+        backward_every=BACKWARD_EVERY if settings.points == "all" else 1,
     )
 
 

@@ -39,6 +39,9 @@ class Runner(Protocol):
     def expect(self, calls: int) -> None:
         """Make ready for about so many calls, without waiting for it."""
 
+    def prepare(self, function: Callable[..., object], arguments: tuple[Any, ...]) -> None:
+        """Call a function in every worker that has started, if that can be done, without waiting for it."""
+
     def run(
         self,
         function: Callable[..., T],
@@ -77,6 +80,9 @@ class InThisProcess:
 
     def expect(self, calls: int) -> None:
         """Do nothing: this process is ready."""
+
+    def prepare(self, function: Callable[..., object], arguments: tuple[Any, ...]) -> None:
+        """Do nothing: the first call will."""
 
     def run(
         self,

@@ -18,20 +18,22 @@ LINEAR = np.array([[0.01, 0.004], [-0.006, 0.008]])
 
 DIGEST = """
 import hashlib
+import cv2
 import numpy as np
 from pcwlad_geo.matching.refinement import ChannelStack, Start, refine
 
 rng = np.random.default_rng(1)
-noise = rng.normal(size=(3, 150, 150)).cumsum(axis=1).cumsum(axis=2).astype(np.float32)
+noise = rng.normal(size=(3, 150, 150)).astype(np.float32)
+noise = np.stack([np.abs(cv2.GaussianBlur(plane, (0, 0), 2)) for plane in noise])
 valid = rng.random((150, 150)) > 0.1
-stacks = [ChannelStack.of(np.abs(noise[:, i:, i:][:, :140, :140]) / 100, valid[:140, :140]) for i in (0, 1)]
+stacks = [ChannelStack.of(noise[:, i : 140 + i, i : 140 + i], valid[:140, :140]) for i in (0, 1)]
 corners = rng.integers(45, 95, (40, 2))
 digest = hashlib.sha256()
 for window, linear, affine, fixed in (
     (41, 0.0, False, False), (81, 0.0, False, False), (61, 0.01, False, True), (61, 0.0, True, False)
 ):
     start = Start(np.full((40, 2), -0.8), np.full((40, 2, 2), linear), np.zeros((40, 2)) if fixed else None)
-    found = refine(*stacks, corners, start, window_px=window, affine=affine)
+    found = refine(*stacks, corners, start, window_px=window, affine=affine, use_structure=not affine)
     for array in (found.shift_xy_px, found.linear, found.covariance_px2, found.converged):
         digest.update(array.tobytes())
     print(int(found.converged.sum()))
@@ -89,4 +91,4 @@ def test_a_kernel_from_disk_gives_what_the_one_just_compiled_gave(tmp_path: Path
     kept = list((tmp_path / "cache").rglob("refinement_loop.refine_points-*.nb*"))
     assert len(kept) == 2, "one index, one kernel: parts are not kept by themselves"
     assert run() == compiled
-    assert all(int(line) > 5 for line in compiled.split()[:-1])
+    assert all(int(line) > 0 for line in compiled.split()[:-1])

@@ -1,0 +1,36 @@
+"""The compiled surfaces against their plain twin."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pcwlad_geo.matching.field_kernel import fit_surfaces
+from pcwlad_geo.matching.field_plain import fit_surfaces_plain
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("count", [12, 13, 40])
+def test_the_kernel_equals_its_twin(order: int, count: int) -> None:
+    rng = np.random.default_rng(count)
+    xy, at = rng.uniform(0, 600, (300, 2)), rng.uniform(0, 600, (25, 2))
+    moved = 0.01 * xy[:, ::-1] + rng.normal(0, 0.2, xy.shape)
+    moved[::7] += 5.0
+    neighbours = np.argsort(((xy[None] - at[:, None]) ** 2).sum(axis=2), axis=1)[:, :count]
+    usable = rng.random((25, count)) > 0.1
+    usable[3, 5:] = False
+    value, scale, leverage = np.full((25, 2), -1.0), np.full(25, -1.0), np.full(25, -1.0)
+    fit_surfaces(xy, moved, at, neighbours, usable, order, value, scale, leverage)
+    wanted = fit_surfaces_plain(xy[neighbours] - at[:, None], moved[neighbours], usable, order)
+    assert np.isnan(value[3]).all()
+    found: tuple[NDArray, ...] = (value, scale, leverage)
+    for mine, plain in zip(found, wanted, strict=True):
+        np.testing.assert_allclose(mine, plain, rtol=1e-7, atol=1e-9)
+
+
+def test_neighbours_on_one_place_or_line_are_no_error() -> None:
+    for xy in (np.zeros((20, 2)), np.c_[np.arange(20.0), np.zeros(20)]):
+        value, scale, leverage = np.empty((1, 2)), np.empty(1), np.empty(1)
+        moved = np.tile([0.5, -0.25], (20, 1))
+        everyone = np.arange(20)[None]
+        fit_surfaces(xy, moved, xy[:1], everyone, np.ones((1, 20), bool), 1, value, scale, leverage)
+        np.testing.assert_allclose(value, [[0.5, -0.25]], atol=1e-6)
