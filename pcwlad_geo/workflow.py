@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Literal, TypedDict
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError
 from pcwlad_geo.raster import gcp_files, geopackage, tie_point_csv, vrt, warping
+from pcwlad_geo.raster.output_grid import output_grid
 from pcwlad_geo.registration import settings as s
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.result import Registration
@@ -322,7 +323,7 @@ def _writers(
 
     def write_raster(path: Path) -> None:
         correction = _correction(registration)
-        grid = warping.output_grid(reference.grid, target.grid, correction, registration.settings.grid)
+        grid = output_grid(reference.grid, target.grid, correction, registration.settings.grid)
         warping.warp(
             target.uri,
             path,

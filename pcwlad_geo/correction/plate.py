@@ -108,7 +108,7 @@ class Plate:
         planes = self.planes(precision)
         bent = probes - planes @ (planes.T @ probes)
         smoothed = self.design @ factor.solve(self.design.T @ bent)
-        return 3 + float((bent * smoothed).sum()) / probes.shape[1]
+        return 3 + float((bent * smoothed).sum()) / float(probes.shape[1])
 
     def smoothing(self, stiffness: float, precision: Array) -> float:
         """Return λ for (n,) precisions: the stiffness times the precision of the points of a mean cell."""

@@ -195,6 +195,14 @@ def _predict_apart(
         usable = distance >= apart_px
         usable &= np.cumsum(usable, axis=1) <= count
         fit_surfaces(
-            xy, displacement, at[part], index.astype(np.intp), usable, surface.order, out[part], scatter[part], leverage[part]
+            xy,
+            displacement,
+            at[part],
+            index.astype(np.intp),
+            usable,
+            surface.order,
+            out[part],
+            scatter[part],
+            leverage[part],
         )
     return Prediction(out, SIGMA_OF_MEDIAN_DISTANCE * scatter, leverage)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcwlad_geo.correction.dense import displacement_grid
+from pcwlad_geo.correction.dense import dense_mapping
 from pcwlad_geo.correction.lattice import Lattice
 from pcwlad_geo.correction.models import Correction
 
@@ -18,31 +18,40 @@ from .points import affine, polynomial, projective, scattered, spline
     [affine(3.0), projective(), polynomial(2), polynomial(3), spline(), spline(cells=30, size_px=0.1)],
 )
 def test_the_grid_is_the_correction_to_a_hundredth_of_a_pixel(correction: Correction, inverse: bool) -> None:
-    grid = displacement_grid(correction, (-100.0, 0.0), (600.0, 550.0), inverse=inverse)
+    mapping = correction.inverse if inverse else correction.forward
+    grid = dense_mapping(mapping, (-100.0, 0.0), (600.0, 550.0))
     points = scattered(0, 20000) * [700 / 512, 550 / 512] - [100, 0]
-    exact = correction.inverse(points) if inverse else correction.forward(points)
-    assert np.abs(grid(points) - exact).max() <= 0.01
+    assert np.abs(grid(points) - mapping(points)).max() <= 0.01
     assert 0 <= grid.error_px <= 0.01
 
 
 def test_a_smooth_correction_needs_a_coarse_grid() -> None:
     correction = spline(side_px=10000.0)
-    grid = displacement_grid(correction, (0.0, 0.0), (10000.0, 10000.0))
-    assert grid.displacement_px.size < 200_000
-    fine = displacement_grid(correction, (0.0, 0.0), (10000.0, 10000.0), tolerance_px=1e-3)
-    assert fine.displacement_px.size > 3 * grid.displacement_px.size
+    grid = dense_mapping(correction.forward, (0.0, 0.0), (10000.0, 10000.0))
+    assert grid.moved_px.size < 200_000
+    fine = dense_mapping(correction.forward, (0.0, 0.0), (10000.0, 10000.0), tolerance_px=1e-3)
+    assert fine.moved_px.size > 3 * grid.moved_px.size
 
 
 def test_an_affine_needs_no_refinement() -> None:
-    grid = displacement_grid(affine(3.0), (0.0, 0.0), (512.0, 256.0))
+    grid = dense_mapping(affine(3.0).forward, (0.0, 0.0), (512.0, 256.0))
     assert grid.lattice.shape == (33, 65)
     assert grid.error_px < 1e-9
 
 
-def test_where_there_is_no_correction_the_grid_says_so() -> None:
-    grid = displacement_grid(projective(side_px=1), (-256.0, -256.0), (256.0, 256.0))
-    assert grid.error_px == np.inf
-    assert np.isnan(grid(np.array([[-250.0, 250.0]]))).all()
+def test_where_the_mapping_has_no_value_the_grid_has_none_and_the_rest_is_as_good() -> None:
+    smooth = spline()
+
+    def half(at_px: np.ndarray) -> np.ndarray:
+        return np.where(at_px[:, :1] < 200, np.nan, smooth.forward(at_px))
+
+    grid = dense_mapping(half, (0.0, 0.0), (512.0, 512.0))
+    assert 0 < grid.error_px <= 0.01
+    points = scattered(0, 5000)
+    moved = grid(points)
+    assert np.isnan(moved[points[:, 0] < 200]).all()
+    beside = points[:, 0] > 200 + grid.lattice.step_px[0]
+    assert np.abs(moved - smooth.forward(points))[beside].max() <= 0.01
 
 
 @given(
