@@ -70,6 +70,10 @@ class Selection:
         """
         return np.sqrt(np.diagonal(self.covariance(at_px), axis1=1, axis2=2))
 
+    def extrapolated(self, at_px: Array) -> NDArray[np.bool_]:
+        """Return whether (n, 2) predicted px lie beyond the tie points, or in a wide hole between them."""
+        return self.fit.support.extrapolated(at_px)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Points:

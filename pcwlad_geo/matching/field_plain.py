@@ -51,7 +51,7 @@ def fit_surfaces_plain(
     leverage = np.linalg.inv(_normal_matrices(design, design * usable[..., None]))[:, 0, 0].copy()
     for array in (value, scale, leverage):
         array[~enough] = np.nan
-    return value, scale, leverage
+    return value, np.asarray(scale, dtype=np.float64), np.asarray(leverage, dtype=np.float64)
 
 
 def _normal_matrices(design: Float64, weighted: Float64) -> Float64:

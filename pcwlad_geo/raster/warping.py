@@ -100,7 +100,7 @@ def warp(
     ):
         own_grid = describe(os.fspath(source_path)).grid
         target_grid = target_grid or own_grid
-        _check_geometry(source_path, own_grid, target_grid)
+        check_geometry(source_path, own_grid, target_grid)
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
         view = _view(source, scratch, (own_grid, target_grid, grid), correction, method)
         pixels = _write_pixels(source, scratch / "pixels.tif", view, grid.shape, progress)
@@ -108,8 +108,14 @@ def warp(
         write_cog(source, scratch, pixels, grid, interpolated=interpolated).replace(out_path)
 
 
-def _check_geometry(source_path: str | Path, own: Grid, target: Grid) -> None:
-    """Raise where a correction of the target's pixels cannot speak of the raster's."""
+def check_geometry(source_path: str | Path, own: Grid, target: Grid) -> None:
+    """Check that a correction of the target's pixels can speak of a raster's.
+
+    Raises
+    ------
+    InputError
+        If the two are in different CRSs, or have different sizes and no CRS.
+    """
     if own.crs != target.crs:
         raise InputError(
             f"{source_path} is in {name_of(own.crs)}, the registered target in {name_of(target.crs)}: "
