@@ -66,7 +66,7 @@ def _report(path: Path) -> Mapping[str, Any]:
         report = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(
-            f"{path.parent} holds no finished registration ({path.name}: {error.strerror}): give the output "
+            f"{path} cannot be read ({error.strerror}), so this is no finished registration: give the output "
             "folder of pcwlad-geo register"
         ) from error
     except ValueError as error:

@@ -18,6 +18,7 @@ import pcwlad_geo
 from pcwlad_geo.correction.accuracy import Accuracy
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report.precision import PrecisionMap
 
 SCHEMA_VERSION = 1
 KEPT = ("fit", "check", "unused", "matched")
@@ -131,8 +132,11 @@ def _model(registration: Registration) -> Summary | None:
     """Return the correction, in full precision, and the candidates it was chosen from."""
     if registration.correction is None:
         return None
-    candidates = registration.selection.candidates if registration.selection else ()
+    selection = registration.selection
+    candidates = selection.candidates if selection else ()
+    precision = PrecisionMap.of(selection, registration.target.grid.shape) if selection else None
     return registration.correction.to_dict() | {
+        "predicted_sigma_px": precision and _predicted_sigma(precision),
         "candidates": [
             asdict(candidate)
             | {
@@ -141,7 +145,17 @@ def _model(registration: Registration) -> Summary | None:
                 "rmse_standard_error_px": round(candidate.rmse_standard_error_px, PX_DIGITS),
             }
             for candidate in candidates
-        ]
+        ],
+    }
+
+
+def _predicted_sigma(precision: PrecisionMap) -> Summary:
+    """Return the sigma of the correction over the target, and how much of it lies beyond the tie points."""
+    sigma = precision.sigma_px.reshape(-1, 2)
+    return {
+        "median": np.round(np.median(sigma, axis=0), PX_DIGITS).tolist(),
+        "largest": np.round(sigma.max(axis=0), PX_DIGITS).tolist(),
+        "extrapolated_share": round(float(precision.extrapolated.mean()), 3),
     }
 
 
