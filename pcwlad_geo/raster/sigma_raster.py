@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Protocol
 
@@ -9,6 +10,7 @@ import numpy as np
 import rasterio
 from affine import Affine
 from numpy.typing import NDArray
+from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.raster.grid import Grid, map_px
 
@@ -57,10 +59,13 @@ def write(path: Path, precision: Precision, target_grid: Grid, grid: Grid) -> No
     bands[:2, known] = precision.sigma(at_px[known]).T
     bands[2, known] = precision.extrapolated(at_px[known])
     profile = {"driver": "GTiff", "count": 3, "dtype": "float32", "height": shape[0], "width": shape[1]}
-    # rasterio warns about unit pixels: without a CRS they are those of the pixel plane, y = -row.
+    # Without a CRS the pixel plane, y = -row.
     transform = coarse.transform if placed else Affine.scale(factor, -factor)
     options = {"compress": "deflate", "predictor": 3, "tiled": True, "nodata": np.nan}
-    with rasterio.open(path, "w", **profile, **options, crs=coarse.crs, transform=transform) as file:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # of the pixel plane
+        file = rasterio.open(path, "w", **profile, **options, crs=coarse.crs, transform=transform)
+    with file:
         file.write(bands.reshape(3, *shape))
         for band, (description, unit) in enumerate(zip(DESCRIPTIONS, ("px", "px", ""), strict=True), start=1):
             file.set_band_description(band, description)
