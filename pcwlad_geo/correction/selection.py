@@ -28,6 +28,9 @@ RESAMPLING_GAIN_PX = 0.05
 """radial RMS displacement that it takes out beyond the simpler one."""
 CHANCE = 0.05
 """Probability with which errors alone may change the correction as much as a model has to."""
+COMMON_SIGMA = 0.6
+"""Error that the points of a scene have in common, in sigmas of a point: from scenes of exact truth.
+Residuals do not show it, and no number of points averages it out."""
 SAMPLE = 64
 """Points at which the precisions of two fits are compared."""
 
@@ -59,9 +62,16 @@ class Selection:
     misfit_px2: tuple[float, float]
     """Variance (col, row) of what a thin-plate spline finds that the model does not follow, beyond chance."""
 
+    common_px2: tuple[float, float]
+    """Variance (col, row) of the error that all points have in common, as far as it is known."""
+
     def covariance(self, at_px: Array) -> Array:
-        """Return the (n, 2, 2) covariance of the correction at (n, 2) predicted px, misfit included, px²."""
-        return self.fit.covariance(at_px) + np.diag(self.misfit_px2)
+        """Return the (n, 2, 2) covariance of the correction at (n, 2) predicted px, px².
+
+        That of the fit, of what the model does not follow, and of what all points err alike.
+        """
+        alike = np.add(self.misfit_px2, self.common_px2)
+        return np.asarray(self.fit.covariance(at_px) + np.diag(alike))
 
     def sigma(self, at_px: Array) -> Array:
         """Return the standard deviation (col, row) of the correction at (n, 2) predicted px: (n, 2), px.
@@ -99,7 +109,8 @@ def choose(
     border of a block flatters the prediction; the flattery expected is added (see
     `cross_validation.left_out_errors`). A model replaces a simpler one when (1) the mean of the paired
     differences of the blocks' squared errors is larger than its standard error, and (2) the correction
-    changes by more than the uncertainty of the fits explains, to 95 %. Shift and affine need no resampling:
+    changes by more than the uncertainty of the fits, and what all points err alike, explains to 95 %. Shift
+    and affine need no resampling:
     to replace them, another model has to be better by 2.5 standard errors, and to take out at least 0.05 px
     more. Squared errors are weighted by the points' variance; points that are outliers to every model do not
     count. A model that folds the image is never chosen.
@@ -131,7 +142,7 @@ def choose(
     errors = _block_errors(points, fits, notes)
     name = _simplest_unbeaten(points, fits, errors, notes)
     scores = tuple(_score(each, fits, errors, each == name, notes) for each in candidates)
-    return Selection(name, fits[name], scores, _misfit(points, fits, name))
+    return Selection(name, fits[name], scores, _misfit(points, fits, name), _common(points, fits[name]))
 
 
 def _fits(
@@ -220,7 +231,7 @@ def _simplest_unbeaten(
             notes[name] = f"does not predict significantly better than {chosen}"
         elif resampling and gain.mean() < RESAMPLING_GAIN_PX**2:
             notes[name] = f"takes out only {np.sqrt(gain.mean()):.2f} px more than {chosen}"
-        elif not _differs(fits[chosen], fits[name], points.predicted_px):
+        elif not _differs(fits[chosen], fits[name], points):
             notes[name] = f"differs from {chosen} by no more than its uncertainty"
         else:
             notes[chosen] = f"{name} predicts better"
@@ -248,14 +259,21 @@ def _misfit(points: _Points, fits: dict[str, Fit], name: str) -> tuple[float, fl
     return col, row
 
 
+def _common(points: _Points, fit: Fit) -> tuple[float, float]:
+    """Return the variance (col, row) of the error that all points have in common, px²."""
+    variance = np.median(np.diagonal(points.covariance_px2, axis1=1, axis2=2)[fit.inlier], axis=0)
+    col, row = (COMMON_SIGMA**2 * fit.errors.scale * variance).tolist()
+    return col, row
+
+
 def _sample(predicted_px: Array) -> Array:
     ordered = predicted_px[np.lexsort(predicted_px.T)]
     return ordered[np.linspace(0, len(ordered) - 1, min(len(ordered), SAMPLE)).astype(np.intp)]
 
 
-def _differs(simple: Fit, other: Fit, predicted_px: Array) -> bool:
+def _differs(simple: Fit, other: Fit, points: _Points) -> bool:
     """Return whether two corrections differ by more than the precision of the fits explains."""
-    at_px = _sample(predicted_px)
+    at_px = _sample(points.predicted_px)
     change = simple.correction.forward(at_px) - other.correction.forward(at_px)
     # For nested models the variance of the difference is the difference of the variances. Not all are nested:
     # at least half of the other's own.
@@ -264,4 +282,5 @@ def _differs(simple: Fit, other: Fit, predicted_px: Array) -> bool:
     )
     by_chance = max(theirs - ours, theirs / 2)
     freedom = max(other.freedom - simple.freedom, other.freedom / 2)
-    return bool((change**2).sum(axis=1).mean() > chi2.ppf(1 - CHANCE, freedom) / freedom * by_chance)
+    explained = chi2.ppf(1 - CHANCE, freedom) / freedom * by_chance + sum(_common(points, other))
+    return bool((change**2).sum(axis=1).mean() > explained)
