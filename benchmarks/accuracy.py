@@ -23,6 +23,7 @@ from benchmarks.runs import Runner
 from benchmarks.studies.closure import closure
 from benchmarks.studies.difference import difference
 from benchmarks.studies.field import displacement_field
+from benchmarks.studies.models import models
 from benchmarks.studies.paper import paper
 from benchmarks.studies.refusal import refusal
 from benchmarks.studies.robustness import robustness
@@ -45,6 +46,7 @@ STUDIES: dict[str, Study] = {
     "refusal": refusal,
     "windows": windows,
     "tiles": tiles,
+    "models": models,
 }
 
 

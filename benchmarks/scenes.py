@@ -33,13 +33,15 @@ def displacement_px(xy_px: Array) -> Array:
     return np.asarray(np.stack(waves, axis=-1) * AMPLITUDE_PX + MEAN_XY_PX)
 
 
-def image_pair(texture: Texture, bands: tuple[int, int], seed: int) -> tuple[Array, Array]:
-    """Return a reference and a displaced target of (SIDE_PX, SIDE_PX), unit spread."""
+def image_pair(
+    texture: Texture, bands: tuple[int, int], seed: int, field: Callable[[Array], Array] = displacement_px
+) -> tuple[Array, Array]:
+    """Return a reference and a target displaced by a field, of (SIDE_PX, SIDE_PX), unit spread."""
     centres = (np.arange(SIDE_PX * SAMPLES) + 0.5) / SAMPLES
     seen = np.stack(np.meshgrid(centres, centres), axis=-1)
-    source = seen - displacement_px(seen)
+    source = seen - field(seen)
     for _ in range(6):
-        source = seen - displacement_px(source)
+        source = seen - field(source)
     images = [_pixels(texture(where, band, seed)) for where, band in zip((seen, source), bands, strict=True)]
     return images[0], images[1]
 

@@ -1,8 +1,8 @@
 """Sub-pixel registration of multimodal rasters.
 
-`register` and `match` do a whole job, files in, folder out, and `batch` does many; `match_arrays` takes two
-arrays and gives their tie points. The heavy libraries load when a name is first used, so that
-``pcwlad-geo --help`` answers at once.
+`register` and `match` do a whole job, files in, folder out, and `batch` does many; `warp` applies what
+`register` has found to other bands; `match_arrays` takes two arrays and gives their tie points. The heavy
+libraries load when a name is first used, so that ``pcwlad-geo --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pcwlad_geo.errors import (
 )
 
 if TYPE_CHECKING:
+    from pcwlad_geo.bands import warp
     from pcwlad_geo.batches.run import batch
     from pcwlad_geo.matching.matcher import match_arrays
     from pcwlad_geo.matching.tie_points import TiePoints
@@ -46,6 +47,7 @@ __all__ = [
     "match",
     "match_arrays",
     "register",
+    "warp",
 ]
 
 _HOMES = {
@@ -56,6 +58,7 @@ _HOMES = {
     "match": "pcwlad_geo.workflow",
     "match_arrays": "pcwlad_geo.matching.matcher",
     "register": "pcwlad_geo.workflow",
+    "warp": "pcwlad_geo.bands",
 }
 
 

@@ -95,6 +95,36 @@ def place_file(staged: Path, final: str | os.PathLike[str], *, overwrite: bool =
             beside.unlink(missing_ok=True)
 
 
+@contextmanager
+def stage_inside(folder: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a hidden folder, for as long as the context lasts, for files that `place_file` puts into another.
+
+    Parameters
+    ----------
+    folder : path
+        Where it is made; missing folders are made, and removed again where they stay empty.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be made.
+    """
+    place = _absolute(folder)
+    made: list[Path] = []
+    try:
+        with _disk_errors(place):
+            made = _make_folders(place)
+            _sweep(place)
+            stage = _stage_of(place)
+            stage.mkdir()
+        try:
+            yield stage
+        finally:
+            shutil.rmtree(stage, ignore_errors=True)
+    finally:
+        _remove_empty(made)
+
+
 class OutputFolder:
     """Collects the files of a run and puts them into their folder at once; a context manager.
 
@@ -231,9 +261,7 @@ class OutputFolder:
             _discard(self._stage, self.out_dir)
             self._stage = None
         self._lock.release()
-        for folder in reversed(self._made):
-            with suppress(OSError):  # no longer empty: it serves its purpose
-                folder.rmdir()
+        _remove_empty(self._made)
 
 
 def abandon(out_dir: str | os.PathLike[str]) -> None:
@@ -392,6 +420,12 @@ def _make_folders(folder: Path) -> list[Path]:
     missing = [place for place in (folder, *folder.parents) if not place.exists()][::-1]
     folder.mkdir(parents=True, exist_ok=True)
     return missing
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for folder in reversed(folders):
+        with suppress(OSError):  # not empty: it serves its purpose
+            folder.rmdir()
 
 
 def _absolute(path: str | os.PathLike[str]) -> Path:

@@ -12,9 +12,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
 
-from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError
-from pcwlad_geo.raster import gcp_files, geopackage, tie_point_csv, vrt, warping
+from pcwlad_geo.raster import gcp_files, geopackage, sigma_raster, tie_point_csv, vrt, warping
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.output_grid import output_grid
 from pcwlad_geo.registration import settings as s
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.result import Registration
@@ -40,6 +42,7 @@ NAMES = {
     "envi": "{stem}.pts",
     "corrected": "{stem}_corrected.vrt",
     "raster": "{stem}_registered.tif",
+    "sigma": "{stem}_sigma.tif",
 }
 """File names of the outputs in OUT_DIR; name and stem are the target's."""
 
@@ -65,6 +68,7 @@ class Options(TypedDict, total=False):
     model: s.Model
     grid: s.OutputGrid
     resampling: s.Resampling
+    write_sigma: bool
     tile_size: int
     jobs: int | None
     scheduler: str | None
@@ -192,7 +196,7 @@ def output_paths(
     name = re.sub(r'[<>:"/\\|?*]+', "_", Path(target).name).lstrip(".") or "raster"
     stem = Path(name).stem
     folder = Path(out_dir) if out_dir else Path(f"{stem}_{job}")
-    kinds = [kind for kind in NAMES if job == "registered" or kind not in ("corrected", "raster")]
+    kinds = [kind for kind in NAMES if job == "registered" or kind not in ("corrected", "raster", "sigma")]
     paths = {kind: folder / NAMES[kind].format(name=name, stem=stem) for kind in kinds}
     elsewhere = {
         "raster": output_raster,
@@ -297,9 +301,11 @@ def _kinds(registration: Registration) -> list[str]:
     kinds = ["tiepoints", "geopackage"]
     if registration.status != "rejected":
         kinds += ["points", "envi", "gcps"]
-    if registration.status == "registered":
-        kinds += ["corrected", "raster"] if registration.target.georeferenced else ["raster"]
-    return kinds
+    if registration.status != "registered":
+        return kinds
+    if isinstance(registration.correction, AffineCorrection) and registration.target.georeferenced:
+        kinds.append("corrected")
+    return [*kinds, "raster", *(["sigma"] if registration.settings.write_sigma else [])]
 
 
 def _writers(
@@ -309,21 +315,28 @@ def _writers(
     table, target, reference = registration.tie_points, registration.target, registration.reference
 
     def write_corrected(path: Path) -> None:
-        vrt.write_corrected_vrt(
-            path, target.uri, _correction(registration), target.grid, final_path=places["corrected"]
-        )
+        correction = _correction(registration)
+        if not isinstance(correction, AffineCorrection):
+            raise TypeError(f"{correction.name} corrections have no geotransform")
+        vrt.write_corrected_vrt(path, target.uri, correction, target.grid, final_path=places["corrected"])
+
+    def grid() -> Grid:
+        return output_grid(reference.grid, target.grid, _correction(registration), registration.settings.grid)
 
     def write_raster(path: Path) -> None:
-        correction = _correction(registration)
-        grid = warping.output_grid(reference.grid, target.grid, correction, registration.settings.grid)
         warping.warp(
             target.uri,
             path,
-            correction,
-            grid,
+            _correction(registration),
+            grid(),
             registration.settings.resampling,
             progress=lambda done, total: on_event(Progress("warping", done, total)),
         )
+
+    def write_sigma(path: Path) -> None:
+        if registration.selection is None:
+            raise TypeError("a registration without a fit has no sigma")
+        sigma_raster.write(path, registration.selection, target.grid, grid())
 
     return {
         "tiepoints": lambda path: tie_point_csv.write(table, path),
@@ -335,10 +348,11 @@ def _writers(
         ),
         "corrected": write_corrected,
         "raster": write_raster,
+        "sigma": write_sigma,
     }
 
 
-def _correction(registration: Registration) -> AffineCorrection:
-    if not isinstance(registration.correction, AffineCorrection):
-        raise TypeError(f"{registration.correction!r} is no affine correction")
+def _correction(registration: Registration) -> Correction:
+    if registration.correction is None:
+        raise TypeError(f"a pair that is {registration.status} has no correction")
     return registration.correction

@@ -13,6 +13,7 @@ import rasterio
 from affine import Affine
 
 from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, SettingsError, workflow
+from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.raster import tie_point_csv
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.registration.progress import Event, Progress
@@ -43,7 +44,7 @@ def use(pair: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Use:
             made = of_files(make_registration(status), Path(reference), Path(target))
             return replace(made, settings=settings, **changes)
 
-        monkeypatch.setattr(workflow, "run", run)
+        monkeypatch.setattr("pcwlad_geo.registration.run.run", run)
 
     return use_it
 
@@ -81,6 +82,24 @@ def test_corrected_files_lie_where_the_correction_says(pair: tuple[Path, Path], 
     with rasterio.open("b10_registered/b10_registered.tif") as file:
         assert file.crs.to_epsg() == 32633
         assert file.nodata == 0
+
+
+def test_a_spline_has_a_raster_and_no_geotransform(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
+    points = make_registration().tie_points.select("fit")
+    selection = choose(points.predicted_px, points.target_px, points.covariance_px2, 81.0, ("tps",))
+    use(correction=selection.fit.correction, selection=selection)
+    workflow.register(*pair, write_sigma=True, model="tps")
+    folder = tmp_path / "b10_registered"
+    assert names(folder) == COMMON | EXCHANGE | {"b10_registered.tif", "b10_sigma.tif"}
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert report["warnings"] == ["the CRS is <script>alert(1)</script> odd"]
+    assert report["model"]["name"] == "tps"
+    assert 0 < report["model"]["predicted_sigma_px"]["median"][0] < 0.1
+    with rasterio.open(folder / "b10_registered.tif") as raster, rasterio.open(folder / "b10_sigma.tif") as s:
+        assert (s.bounds, s.shape) == (raster.bounds, raster.shape)
+        assert 0 < np.median(s.read(1)) < 0.1
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "Predicted sigma of the correction" in page
 
 
 def test_match_writes_no_raster(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from pcwlad_geo.cli.batch import batch
 from pcwlad_geo.cli.match import match
 from pcwlad_geo.cli.progress import show_error
 from pcwlad_geo.cli.register import register
+from pcwlad_geo.cli.warp import warp
 
 app = typer.Typer(
     name="pcwlad-geo",
@@ -22,6 +23,7 @@ app = typer.Typer(
 )
 app.command()(register)
 app.command()(match)
+app.command()(warp)
 app.command()(batch)
 
 

@@ -67,6 +67,10 @@ Grid = Annotated[
     _setting("grid", "Grid of the registered raster, the reference's or the target's."),
 ]
 Resampling = Annotated[s.Resampling | None, _setting("resampling", "Resampling of the registered raster.")]
+WriteSigma = Annotated[
+    bool | None,
+    typer.Option("--write-sigma", help="Write the predicted sigma of the correction as a raster too."),
+]
 Jobs = Annotated[str | None, _setting("jobs", "Processes, at most; all: one a core.", metavar="N|all")]
 Scheduler = Annotated[
     str | None,

@@ -31,6 +31,7 @@ def register(
     model: o.Model = None,
     grid: o.Grid = None,
     resampling: o.Resampling = None,
+    write_sigma: o.WriteSigma = None,
     jobs: o.Jobs = None,
     scheduler: o.Scheduler = None,
     progress: o.ProgressOption = "auto",

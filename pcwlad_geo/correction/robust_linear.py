@@ -1,12 +1,13 @@
 """Robust weighted least squares of two-dimensional displacements with their covariances.
 
-The displacement of point i is d_i = Σ_j B_ij θ_j + e_i, where θ_j is a (col, row) pair and e_i has the
-covariance C_i + τ² I: C_i as the matcher gives it, τ² the scatter of real displacements that no formal
-covariance knows of (a random-effects model; Paule & Mandel 1982, doi:10.6028/jres.087.022).
+The displacement of point i is d_i = f_i(θ) + e_i, where f is a model and e_i has the covariance C_i + τ² I:
+C_i as the matcher gives it, τ² the scatter of real displacements that no formal covariance knows of
+(a random-effects model; Paule & Mandel 1982, doi:10.6028/jres.087.022).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,16 +27,38 @@ COLLINEAR = 1e-6
 """Smallest over largest singular value of the basis from which on the points determine the model."""
 TOLERANCE_PX = 1e-7
 ITERATIONS = 50
+COARSE_STEPS = 10
+"""Steps from the fit of a simpler model to one's own, before the mean of the residuals is trusted."""
 STARTS = 200
 START_POINTS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LinearEstimate:
+class Solution:
+    """Weighted least squares with given weights."""
+
+    parameters: Array
+    """θ, in whatever shape the model has them."""
+    fitted_px: Array
+    """(n, 2) f."""
+    freedom: float
+    """Number of parameters of one axis; with a penalty, their effective number."""
+
+
+Solve = Callable[[Array, Array], Solution]
+"""Receives the (n, 2, 2) whiteners and the (n,) weights."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
     """Parameters, and what their covariance is made from."""
 
     parameters: Array
-    """(k, 2) θ, a (col, row) pair per basis function, px."""
+    """θ; of a linear model (k, 2), a (col, row) pair per basis function, px."""
+    fitted_px: Array
+    """(n, 2) f."""
+    freedom: float
+    """Effective number of parameters of one axis."""
     weight: Array
     """(n,) robust weight, 0 to 1; 0 for outliers."""
     variance_floor_px2: float
@@ -44,13 +67,13 @@ class LinearEstimate:
     """(n, 2, 2) matrix that makes the covariance of a point's residual the identity."""
 
 
-def estimate(basis: Array, displacement_px: Array, covariance_px2: Array) -> LinearEstimate:
-    """Fit the parameters: least median of squares, then Tukey's biweight on Mahalanobis distances.
+def estimate(basis: Array, displacement_px: Array, covariance_px2: Array) -> Estimate:
+    """Fit a linear model: least median of squares, then Tukey's biweight on Mahalanobis distances.
 
     Parameters
     ----------
     basis : (n, k) array of float
-        B, of order one.
+        B, of order one: f_i = Σ_j B_ij θ_j, θ_j a (col, row) pair.
     displacement_px : (n, 2) array of float
         d (col, row), px.
     covariance_px2 : (n, 2, 2) array of float
@@ -61,27 +84,64 @@ def estimate(basis: Array, displacement_px: Array, covariance_px2: Array) -> Lin
     InputError
         If the points (without the outliers) do not determine the parameters, as when all lie on a line.
     """
+
+    def solve(whitener: Array, weight: Array) -> Solution:
+        parameters = weighted_least_squares(basis, displacement_px, whitener, weight)
+        return Solution(parameters, basis @ parameters, basis.shape[1])
+
+    start = basis @ _least_median(basis, displacement_px)
+    return reweighted(solve, start, displacement_px, covariance_px2)
+
+
+def reweighted(
+    solve: Solve,
+    start_px: Array,
+    displacement_px: Array,
+    covariance_px2: Array,
+    *,
+    coarse_steps: int = 0,
+    tolerance_px: float = TOLERANCE_PX,
+) -> Estimate:
+    """Iterate a weighted fit and its robust weights until the fit rests.
+
+    Parameters
+    ----------
+    solve : callable
+        Fits the model with given weights.
+    start_px : (n, 2) array of float
+        A first fit that few outliers have part in.
+    displacement_px, covariance_px2
+        As for `estimate`.
+    coarse_steps : int
+        Steps in which τ² comes from the median of the residuals: needed where the start is of a simpler
+        model, whose own errors must not count as outliers, and whose outliers must not set τ².
+    tolerance_px : float
+        Largest change of the fit at a point that counts as rest.
+    """
     eigenvalue, eigenvector = np.linalg.eigh(covariance_px2)
     variance = np.maximum(eigenvalue, 0.0) + LEAST_VARIANCE_PX2
     axes = eigenvector.transpose(0, 2, 1)  # axes @ residual: along the axes of the error ellipse
-    parameters = _least_median(basis, displacement_px)
-    principal = _rotate(axes, displacement_px - basis @ parameters)
+    fitted = start_px
+    principal = _rotate(axes, displacement_px - fitted)
     floor = _variance_floor(principal, variance, MEDIAN_CHI2, median=True)
     weight = _biweight(principal, variance + floor)
-    for _ in range(ITERATIONS):
-        before = parameters
-        whitener = axes / np.sqrt(variance + floor)[:, :, None]
-        parameters = _weighted_least_squares(basis, displacement_px, whitener, weight)
-        principal = _rotate(axes, displacement_px - basis @ parameters)
+    for step in range(ITERATIONS):
+        before = fitted
+        solution = solve(axes / np.sqrt(variance + floor)[:, :, None], weight)
+        fitted = solution.fitted_px
+        principal = _rotate(axes, displacement_px - fitted)
         inlier = weight > 0
-        n_inlier = np.count_nonzero(inlier)
         # Each parameter pair takes one point's worth of freedom from the residuals.
-        expected = 2 * (1 - basis.shape[1] / n_inlier)
-        floor = _variance_floor(principal[inlier], variance[inlier], expected, median=False)
+        left = 1 - solution.freedom / np.count_nonzero(inlier)
+        if step < coarse_steps:
+            floor = _variance_floor(principal, variance, MEDIAN_CHI2 * left, median=True)
+        else:
+            floor = _variance_floor(principal[inlier], variance[inlier], 2 * left, median=False)
         weight = _biweight(principal, variance + floor)
-        if np.abs(parameters - before).max() < TOLERANCE_PX:
+        if step >= coarse_steps and np.abs(fitted - before).max() < tolerance_px:
             break
-    return LinearEstimate(parameters, weight, floor, axes / np.sqrt(variance + floor)[:, :, None])
+    whitener = axes / np.sqrt(variance + floor)[:, :, None]
+    return Estimate(solution.parameters, fitted, solution.freedom, weight, floor, whitener)
 
 
 def design(basis: Array, whitener: Array) -> Array:
@@ -101,7 +161,14 @@ def _least_median(basis: Array, displacement_px: Array) -> Array:
     return np.asarray(candidates[np.argmin(np.median((residual**2).sum(axis=2), axis=1))])
 
 
-def _weighted_least_squares(basis: Array, displacement_px: Array, whitener: Array, weight: Array) -> Array:
+def weighted_least_squares(basis: Array, displacement_px: Array, whitener: Array, weight: Array) -> Array:
+    """Return the (k, 2) parameters of a linear model for given weights.
+
+    Raises
+    ------
+    InputError
+        If the points with weight do not determine them.
+    """
     singular = np.linalg.svd(basis[weight > 0], compute_uv=False)
     if len(singular) < basis.shape[1] or singular[-1] < COLLINEAR * singular[0]:
         raise InputError(

@@ -7,22 +7,32 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
-from pcwlad_geo.correction.fit import FITS, Fit, FitFunction, predicted_sigma
+from pcwlad_geo.correction.cross_validation import SharedNoise, left_out_errors
+from pcwlad_geo.correction.fit import FITS, Fit, fit_tps, predicted_sigma
+from pcwlad_geo.correction.folding import folds
+from pcwlad_geo.correction.folds import spatial_folds
 from pcwlad_geo.errors import InputError
 
 Array = NDArray[np.float64]
 
-MOST_BLOCKS = 16
 FEWEST_BLOCKS = 4
-POINTS_PER_BLOCK = 3
-TRAINING_SHARE = 0.6
-"""Least share of the points that trains for a block: the guard round it shrinks to hold it."""
 SIGNIFICANCE = 1.0
 """Standard errors by which a model has to predict better than a simpler one."""
-CHANCE = 2.4
-"""Times the change of the correction expected by chance that a model has to make: 5 % of χ²/4 with 4 degrees
-of freedom, the four parameters that an affine has beyond a shift."""
+LOSSLESS = ("shift", "affine")
+"""Models that need no resampling. What replaces them by one that does has to earn it:"""
+RESAMPLING_SIGNIFICANCE = 2.5
+"""standard errors by which it predicts better, and"""
+RESAMPLING_GAIN_PX = 0.05
+"""radial RMS displacement that it takes out beyond the simpler one."""
+CHANCE = 0.05
+"""Probability with which errors alone may change the correction as much as a model has to."""
+COMMON_SIGMA = 0.6
+"""Error that the points of a scene have in common, in sigmas of a point: from scenes of exact truth.
+Residuals do not show it, and no number of points averages it out."""
+SAMPLE = 64
+"""Points at which the precisions of two fits are compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +40,15 @@ class CandidateScore:
     """How well a model predicts points that it was not fitted to."""
 
     name: str
+    parameters: float
+    """Number of parameters, both axes (effective number of a smoothed model); NaN where it was not fitted."""
     rmse_px: float
     """Cross-validated radial RMSE, px; NaN where there are too few points to tell."""
     rmse_standard_error_px: float
     """Its standard error, from the scatter of the blocks, px."""
+    chosen: bool
     note: str
-    """Why the model could not be judged; empty otherwise."""
+    """Why the model was not chosen, or could not be judged; empty for a model chosen by cross-validation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +59,38 @@ class Selection:
     fit: Fit
     candidates: tuple[CandidateScore, ...]
     """In the order of the candidates."""
+    misfit_px2: tuple[float, float]
+    """Variance (col, row) of what a thin-plate spline finds that the model does not follow, beyond chance."""
+
+    common_px2: tuple[float, float]
+    """Variance (col, row) of the error that all points have in common, as far as it is known."""
+
+    def covariance(self, at_px: Array) -> Array:
+        """Return the (n, 2, 2) covariance of the correction at (n, 2) predicted px, px².
+
+        That of the fit, of what the model does not follow, and of what all points err alike.
+        """
+        alike = np.add(self.misfit_px2, self.common_px2)
+        return np.asarray(self.fit.covariance(at_px) + np.diag(alike))
+
+    def sigma(self, at_px: Array) -> Array:
+        """Return the standard deviation (col, row) of the correction at (n, 2) predicted px: (n, 2), px.
+
+        It holds for displacements as smooth as the spline can follow, not for what single points show.
+        """
+        return np.sqrt(np.diagonal(self.covariance(at_px), axis1=1, axis2=2))
+
+    def extrapolated(self, at_px: Array) -> NDArray[np.bool_]:
+        """Return whether (n, 2) predicted px lie beyond the tie points, or in a wide hole between them."""
+        return self.fit.support.extrapolated(at_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Points:
+    predicted_px: Array
+    observed_px: Array
+    covariance_px2: Array
+    footprint_px: float
 
 
 def choose(
@@ -53,18 +98,22 @@ def choose(
     observed_px: Array,
     covariance_px2: Array,
     footprint_px: float,
-    candidates: Sequence[str] = ("shift", "affine"),
+    candidates: Sequence[str] = tuple(FITS),
+    *,
+    box_px: tuple[Array, Array] | None = None,
 ) -> Selection:
     """Choose the simplest model that no other beats significantly in predicting blocks left out.
 
-    The points are divided into up to 16 spatial blocks of equal numbers. Each block is predicted by a fit
-    to the points outside it whose windows do not overlap those of the block (as far as at least 60 % of
-    the points remain for the fit). A model replaces a simpler one when (1) the mean of the paired
+    The points are divided into compact blocks of equal numbers, one matching window wide, and each block is
+    predicted by a fit to the others (see `folds.spatial_folds`). What overlapping windows share across the
+    border of a block flatters the prediction; the flattery expected is added (see
+    `cross_validation.left_out_errors`). A model replaces a simpler one when (1) the mean of the paired
     differences of the blocks' squared errors is larger than its standard error, and (2) the correction
-    changes by more than the uncertainty of the fits explains: in an image of few windows' side the
-    blocks share their errors, and the first test alone would take them for deformation one time in six.
-    Squared errors are weighted by the points' variance; points that are outliers to every model do not
-    count.
+    changes by more than the uncertainty of the fits, and what all points err alike, explains to 95 %. Shift
+    and affine need no resampling:
+    to replace them, another model has to be better by 2.5 standard errors, and to take out at least 0.05 px
+    more. Squared errors are weighted by the points' variance; points that are outliers to every model do not
+    count. A model that folds the image is never chosen.
 
     Parameters
     ----------
@@ -76,121 +125,162 @@ def choose(
         Side of the matching window, px.
     candidates : sequence of str
         Names in `FITS`, the simplest first.
+    box_px : ((2,) array, (2,) array), optional
+        Corners (col, row) of the predicted px to be corrected, where no model may fold; by default the box of
+        the points.
 
     Raises
     ------
     InputError
         If no candidate can be fitted (the first one's reason), or there is none.
     """
-    fits: dict[str, Fit] = {}
+    points = _Points(predicted_px, observed_px, covariance_px2, footprint_px)
     notes: dict[str, str] = {}
-    for name in candidates:
-        try:
-            fits[name] = FITS[name](predicted_px, observed_px, covariance_px2, footprint_px=footprint_px)
-        except InputError as error:
-            notes[name] = str(error)
+    fits = _fits(points, candidates, box_px, notes)
     if not fits:
         raise InputError(next(iter(notes.values()), "no correction model to choose from: name at least one"))
-    blocks = spatial_blocks(predicted_px, min(MOST_BLOCKS, len(predicted_px) // POINTS_PER_BLOCK))
-    weight = _weight(covariance_px2, fits)
-    errors: dict[str, Array] = {}
-    for name in fits:
-        if len(np.unique(blocks[weight > 0])) < FEWEST_BLOCKS:
-            notes[name] = f"{len(predicted_px)} tie points are too few for a cross-validation"
-            continue
+    errors = _block_errors(points, fits, notes)
+    name = _simplest_unbeaten(points, fits, errors, notes)
+    scores = tuple(_score(each, fits, errors, each == name, notes) for each in candidates)
+    return Selection(name, fits[name], scores, _misfit(points, fits, name), _common(points, fits[name]))
+
+
+def _fits(
+    points: _Points,
+    candidates: Sequence[str],
+    box_px: tuple[Array, Array] | None,
+    notes: dict[str, str],
+) -> dict[str, Fit]:
+    fits: dict[str, Fit] = {}
+    for name in candidates:
         try:
-            errors[name] = _block_errors(
-                FITS[name], predicted_px, observed_px, covariance_px2, weight, blocks, footprint_px
+            fit = FITS[name](
+                points.predicted_px,
+                points.observed_px,
+                points.covariance_px2,
+                footprint_px=points.footprint_px,
             )
+            low, high = box_px or (points.predicted_px.min(axis=0), points.predicted_px.max(axis=0))
+            if folds(fit.correction, low, high):
+                raise InputError(f"the {name} model would fold the image: use another model")
+            fits[name] = fit
         except InputError as error:
             notes[name] = str(error)
-    scores = tuple(_score(name, errors.get(name), notes.get(name, "")) for name in candidates)
-    chosen = _simplest_unbeaten(predicted_px, fits, errors)
-    return Selection(chosen, fits[chosen], scores)
+    return fits
 
 
-def spatial_blocks(xy_px: Array, count: int) -> NDArray[np.intp]:
-    """Divide (n, 2) points into compact blocks of equal numbers: (n,) block numbers from 0.
+def _block_errors(points: _Points, fits: dict[str, Fit], notes: dict[str, str]) -> dict[str, Array]:
+    """Return the weighted mean squared error of every block that counts, predicted from the others, px²."""
+    weight = _weight(points, fits)
+    errors: dict[str, Array] = {}
+    n = len(points.predicted_px)
+    division = spatial_folds(points.predicted_px, points.footprint_px)
+    counted, block = np.unique(division.block[weight > 0], return_inverse=True)
+    if len(counted) < FEWEST_BLOCKS:
+        notes.update(dict.fromkeys(fits, f"{n} tie points are too few for a cross-validation"))
+        return errors
+    flexible = fits[next(reversed(fits))]
+    noise = SharedNoise.of(flexible, points.predicted_px, points.footprint_px, division)
+    for name, fit in fits.items():
+        try:
+            squared = left_out_errors(fit, division, noise)[weight > 0]
+        except InputError as error:
+            notes[name] = str(error)
+            continue
+        total = np.bincount(block, weight[weight > 0] * squared)
+        errors[name] = total / np.bincount(block, weight[weight > 0])
+    return errors
 
-    The points are halved at the median along the longer side of their bounding box, and the halves again,
-    until there are `count` blocks (or the next lower power of two).
-    """
-    block = np.zeros(len(xy_px), dtype=np.intp)
-    number = 1
-    while 2 * number <= count:
-        halves = np.zeros(len(xy_px), dtype=np.intp)
-        for index in range(number):
-            members = np.flatnonzero(block == index)
-            axis = int(np.argmax(np.ptp(xy_px[members], axis=0)))
-            order = np.argsort(xy_px[members, axis], kind="stable")
-            halves[members[order[len(members) // 2 :]]] = 1
-        block = 2 * block + halves
-        number *= 2
-    return block
 
-
-def _weight(covariance_px2: Array, fits: dict[str, Fit]) -> Array:
+def _weight(points: _Points, fits: dict[str, Fit]) -> Array:
     """Return (n,) inverse variances, 0 for points that are outliers to every model."""
     floor = min(fit.variance_floor_px2 for fit in fits.values())
-    variance = np.trace(covariance_px2, axis1=1, axis2=2) / 2 + floor
+    variance = np.trace(points.covariance_px2, axis1=1, axis2=2) / 2 + floor
     # Relative to the median, so that points with no variance at all (identical images) stay finite.
     variance = np.maximum(variance, max(1e-3 * float(np.median(variance)), 1e-12))
     inlier = np.any([fit.inlier for fit in fits.values()], axis=0)
     return np.where(inlier, 1 / variance, 0.0)
 
 
-def _block_errors(
-    fit_model: FitFunction,
-    predicted_px: Array,
-    observed_px: Array,
-    covariance_px2: Array,
-    weight: Array,
-    blocks: NDArray[np.intp],
-    footprint_px: float,
-) -> Array:
-    """Return the weighted mean squared error of every block that counts, predicted from the others, px²."""
-    errors = []
-    for number in np.unique(blocks[weight > 0]):
-        test = blocks == number
-        train = _training(predicted_px, test, footprint_px)
-        correction = fit_model(predicted_px[train], observed_px[train], covariance_px2[train]).correction
-        squared = ((observed_px[test] - correction.forward(predicted_px[test])) ** 2).sum(axis=1)
-        errors.append(np.average(squared, weights=weight[test]))
-    return np.array(errors)
+def _score(
+    name: str, fits: dict[str, Fit], errors: dict[str, Array], chosen: bool, notes: dict[str, str]
+) -> CandidateScore:
+    rmse = standard_error = np.nan
+    if name in errors:
+        squared = float(errors[name].mean())
+        rmse = np.sqrt(max(squared, 0.0))
+        scatter = float(errors[name].std(ddof=1) / np.sqrt(len(errors[name])))
+        standard_error = scatter / (2 * rmse) if rmse > 0 else 0.0
+    parameters = fits[name].freedom if name in fits else np.nan
+    return CandidateScore(
+        name, float(parameters), float(rmse), float(standard_error), chosen, notes.get(name, "")
+    )
 
 
-def _training(xy_px: Array, test: NDArray[np.bool_], footprint_px: float) -> NDArray[np.bool_]:
-    """Return the points outside the test block and, as far as enough remain, farther off than a window."""
-    low, high = xy_px[test].min(axis=0), xy_px[test].max(axis=0)
-    distance = np.maximum(np.maximum(low - xy_px, xy_px - high), 0.0).max(axis=1)
-    outside = np.sort(distance[~test])[::-1]
-    enough = min(int(np.ceil(TRAINING_SHARE * len(xy_px))), len(outside))
-    guard = min(footprint_px, float(outside[enough - 1]))
-    return np.asarray(~test & (distance >= guard))
-
-
-def _score(name: str, errors: Array | None, note: str) -> CandidateScore:
-    if errors is None:
-        return CandidateScore(name, float("nan"), float("nan"), note)
-    rmse = float(np.sqrt(errors.mean()))
-    standard_error = float(errors.std(ddof=1) / np.sqrt(len(errors)))
-    return CandidateScore(name, rmse, standard_error / (2 * rmse) if rmse > 0 else 0.0, note)
-
-
-def _simplest_unbeaten(predicted_px: Array, fits: dict[str, Fit], errors: dict[str, Array]) -> str:
+def _simplest_unbeaten(
+    points: _Points, fits: dict[str, Fit], errors: dict[str, Array], notes: dict[str, str]
+) -> str:
     chosen = next(iter(fits))
     for name in errors:
-        if chosen in errors and name != chosen:
-            gain = errors[chosen] - errors[name]
-            better = gain.mean() > SIGNIFICANCE * gain.std(ddof=1) / np.sqrt(len(gain))
-            if better and _differs(fits[chosen], fits[name], predicted_px):
-                chosen = name
+        if chosen not in errors or name == chosen:
+            continue
+        gain = errors[chosen] - errors[name]
+        standard_error = gain.std(ddof=1) / np.sqrt(len(gain))
+        resampling = chosen in LOSSLESS and name not in LOSSLESS
+        if gain.mean() <= (RESAMPLING_SIGNIFICANCE if resampling else SIGNIFICANCE) * standard_error:
+            notes[name] = f"does not predict significantly better than {chosen}"
+        elif resampling and gain.mean() < RESAMPLING_GAIN_PX**2:
+            notes[name] = f"takes out only {np.sqrt(gain.mean()):.2f} px more than {chosen}"
+        elif not _differs(fits[chosen], fits[name], points):
+            notes[name] = f"differs from {chosen} by no more than its uncertainty"
+        else:
+            notes[chosen] = f"{name} predicts better"
+            chosen = name
     return chosen
 
 
-def _differs(simple: Fit, other: Fit, at_px: Array) -> bool:
+def _misfit(points: _Points, fits: dict[str, Fit], name: str) -> tuple[float, float]:
+    """Return by how much, beyond chance, the most flexible model differs from the one chosen, px²."""
+    chosen, flexible = fits[name], fits.get("tps")
+    if flexible is None:
+        try:
+            flexible = fit_tps(
+                points.predicted_px,
+                points.observed_px,
+                points.covariance_px2,
+                footprint_px=points.footprint_px,
+            )
+        except InputError:
+            return 0.0, 0.0
+    at_px = _sample(points.predicted_px)
+    change = chosen.correction.forward(at_px) - flexible.correction.forward(at_px)
+    variance = predicted_sigma(flexible, at_px) ** 2 - predicted_sigma(chosen, at_px) ** 2
+    col, row = np.maximum((change**2).mean(axis=0) - np.maximum(variance.mean(axis=0), 0.0), 0.0).tolist()
+    return col, row
+
+
+def _common(points: _Points, fit: Fit) -> tuple[float, float]:
+    """Return the variance (col, row) of the error that all points have in common, px²."""
+    variance = np.median(np.diagonal(points.covariance_px2, axis1=1, axis2=2)[fit.inlier], axis=0)
+    col, row = (COMMON_SIGMA**2 * fit.errors.scale * variance).tolist()
+    return col, row
+
+
+def _sample(predicted_px: Array) -> Array:
+    ordered = predicted_px[np.lexsort(predicted_px.T)]
+    return ordered[np.linspace(0, len(ordered) - 1, min(len(ordered), SAMPLE)).astype(np.intp)]
+
+
+def _differs(simple: Fit, other: Fit, points: _Points) -> bool:
     """Return whether two corrections differ by more than the precision of the fits explains."""
+    at_px = _sample(points.predicted_px)
     change = simple.correction.forward(at_px) - other.correction.forward(at_px)
-    # For nested models the variance of the difference is the difference of the variances.
-    by_chance = (predicted_sigma(other, at_px) ** 2 - predicted_sigma(simple, at_px) ** 2).sum(axis=1).mean()
-    return bool((change**2).sum(axis=1).mean() > CHANCE * by_chance)
+    # For nested models the variance of the difference is the difference of the variances. Not all are nested:
+    # at least half of the other's own.
+    ours, theirs = (
+        float(np.trace(fit.covariance(at_px), axis1=1, axis2=2).mean()) for fit in (simple, other)
+    )
+    by_chance = max(theirs - ours, theirs / 2)
+    freedom = max(other.freedom - simple.freedom, other.freedom / 2)
+    explained = chi2.ppf(1 - CHANCE, freedom) / freedom * by_chance + sum(_common(points, other))
+    return bool((change**2).sum(axis=1).mean() > explained)

@@ -53,7 +53,7 @@ def fit_surfaces_plain(
     leverage: Float64 = np.asarray(inverse[:, 0, 0], np.float64).copy()
     for array in (value, scale, leverage):
         array[~enough] = np.nan
-    return value, scale, leverage
+    return value, np.asarray(scale, dtype=np.float64), np.asarray(leverage, dtype=np.float64)
 
 
 def _normal_matrices(design: Float64, weighted: Float64) -> Float64:

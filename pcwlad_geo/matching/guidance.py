@@ -31,7 +31,7 @@ class FieldGuide:
     """What the displacement field tells the second pass about each point."""
 
     linear: Float64
-    """(2, 2) deformation of the windows; zeros where it is negligible."""
+    """(n, 2, 2) deformation of the windows; zeros where it is negligible."""
     structure_xy_px: Float64
     """(n, 2) shift at which mutual structure is taken; NaN: at the point's own position."""
     surface: field.Surface | None
@@ -42,11 +42,11 @@ class FieldGuide:
     @property
     def deforms(self) -> bool:
         """Whether windows deform."""
-        return bool(np.abs(self.linear).max() > 0)
+        return bool(self.linear.any())
 
     def part(self, index: Index) -> FieldGuide:
         """Return the guide of some of the points."""
-        return replace(self, structure_xy_px=self.structure_xy_px[index])
+        return replace(self, linear=self.linear[index], structure_xy_px=self.structure_xy_px[index])
 
     def moved(self, shift_xy_px: Float64) -> FieldGuide:
         """Return the guide with a constant (col, row) added to its shifts."""
@@ -64,22 +64,50 @@ def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
     """
     nowhere = np.full((len(points), 2), np.nan)
     if len(points) < LEAST_FOR_FIELD:
-        return FieldGuide(np.zeros((2, 2)), nowhere, None, 0.0)
+        return FieldGuide(np.zeros((len(points), 2, 2)), nowhere, None, 0.0)
     xy, moved = points.reference_xy_px, points.displacement_px
     linear, linear_sigma = field.global_affine(xy, moved)
     reach = settings.window / 2 * np.sqrt(2)
     if np.abs(linear).max() * reach < LEAST_DEFORMATION_PX or (np.abs(linear) < 3 * linear_sigma).all():
         linear = np.zeros((2, 2))
+    everywhere = np.tile(linear, (len(points), 1, 1))
     choice = field.choose_surface(xy, moved, settings.window)
     surface = choice.surface if choice.smooth else None
     if settings.consensus == "off" or surface is None:
-        return FieldGuide(linear, nowhere, surface, 0.0)
+        return FieldGuide(everywhere, nowhere, surface, 0.0)
     predicted = field.predict(xy, moved, xy, surface)
     rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
     apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
     shared = calibration.shared_variance(xy, choice.residual_px, settings.window, surface.count)
-    return FieldGuide(linear, structure, surface, shared)
+    return FieldGuide(_local(everywhere, points, surface, predicted, reach), structure, surface, shared)
+
+
+def _local(
+    linear: Float64, points: TiePoints, surface: field.Surface, predicted: field.Prediction, reach_px: float
+) -> Float64:
+    """Return the deformation at every point by the slopes of the field there, where these matter.
+
+    A window that is not modelled so finds the displacement of where its structure lies, not of its middle: at
+    the edge of the image, where half of it is missing, that is many pixels off.
+    """
+    slopes = np.empty_like(linear)
+    for axis in range(2):
+        step = np.zeros(2)
+        step[axis] = reach_px / 2
+        sides = [
+            field.predict(
+                points.reference_xy_px, points.displacement_px, points.reference_xy_px + sign * step, surface
+            )
+            for sign in (1, -1)
+        ]
+        slopes[:, :, axis] = (sides[0].displacement_px - sides[1].displacement_px) / reach_px
+    size = np.abs(slopes - linear).max(axis=(1, 2)) * reach_px
+    by_chance = predicted.scatter_px * np.sqrt(2 * predicted.leverage)
+    if not np.nanmedian(size) > max(LEAST_DEFORMATION_PX, 3 * float(np.nanmedian(by_chance))):
+        return linear
+    known = np.isfinite(slopes).all(axis=(1, 2), keepdims=True)
+    return np.where(known, slopes, linear)
 
 
 def calibrate(

@@ -186,7 +186,7 @@ def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: 
         index = np.flatnonzero(some)
         start = Start(
             target[index] - points.reference_xy_px[index],
-            np.tile(guide.linear, (len(index), 1, 1)),
+            guide.linear[index],
             None if structure is None else structure[index],
         )
         refined, agree = _refine_both(pair, to_index(points[index]), start, how)

@@ -5,18 +5,18 @@ from __future__ import annotations
 import os
 import queue
 import threading
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import AbstractContextManager
 from itertools import groupby
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.vrt import WarpedVRT
+from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
-from pcwlad_geo.raster.source import open_raster
 
 MOST_THREADS: Final = 4
 """More would wait for the one that writes."""
@@ -25,7 +25,7 @@ Block = NDArray[np.generic]
 
 
 def warped_blocks(
-    uri: str, options: Mapping[str, object], windows: Sequence[Window]
+    uri: str, view: Callable[[], AbstractContextManager[DatasetReader]], windows: Sequence[Window]
 ) -> Generator[tuple[Window, Block], None, None]:
     """Yield the windows of a warped raster, each row of windows read by one thread from left to right.
 
@@ -35,9 +35,9 @@ def warped_blocks(
     Parameters
     ----------
     uri : str
-        The raster to warp.
-    options : mapping
-        Those of `rasterio.vrt.WarpedVRT`.
+        The raster to warp, for messages.
+    view : callable
+        Opens the warped raster.
     windows : sequence of Window
 
     Yields
@@ -59,9 +59,9 @@ def warped_blocks(
 
     def read(own: Sequence[Window]) -> None:
         try:
-            with open_raster(uri) as source, WarpedVRT(source, **options) as view:
+            with view() as warped:
                 for window in own:
-                    done.put((window, view.read(window=window)))
+                    done.put((window, warped.read(window=window)))
                     if stop.is_set():
                         return
         except GDAL_ERRORS as error:

@@ -7,9 +7,9 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -17,16 +17,20 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
+from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
+from pcwlad_geo.correction.dense import dense_mapping
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.cog import write_cog
 from pcwlad_geo.raster.crs import name_of
+from pcwlad_geo.raster.dense_view import write_dense_view
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause, small_block_cache
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.metadata import has_alpha, has_mask_band, is_paletted, usable_nodata
+from pcwlad_geo.raster.output_grid import original_pixels
 from pcwlad_geo.raster.source import describe, open_raster
 from pcwlad_geo.raster.warped_blocks import warped_blocks
 
@@ -37,73 +41,18 @@ ProgressCallback = Callable[[int, int], None]
 _TOLERANCE_PX = 0.001
 _BLOCK_PX = 1024
 _BLOCK_BYTES = 2**24
-# Slivers of the footprint thinner than this get no pixel of their own.
-_SLIVER_PX = 1e-3
-# Pixel sizes this close to a multiple or a fraction of the reference's are taken as such across CRSs.
-_SAME_SIZE_ACROSS_CRS = 0.02
-_SAME_SIZE = 1e-6
-
-
-def output_grid(
-    reference_grid: Grid,
-    target_grid: Grid,
-    correction: Correction,
-    mode: Literal["reference", "target"] = "reference",
-) -> Grid:
-    """Return the grid of the registered raster.
-
-    Parameters
-    ----------
-    reference_grid, target_grid : Grid
-        The original grids.
-    correction : Correction
-        Maps predicted to observed target pixels.
-    mode : {"reference", "target"}
-        ``target``: the target's own grid. ``reference``: CRS, axes and pixel corners of the
-        reference with the target's pixel size, over the whole corrected footprint of the
-        target; with equal pixel sizes that is the reference's own pixel lattice. Across CRSs a
-        pixel size within 2 % of a multiple or fraction of the reference's becomes that.
-        Where either has no CRS: the reference's pixels.
-
-    Raises
-    ------
-    InputError
-        If the footprint cannot be transformed to the reference CRS.
-    """
-    if mode == "target":
-        return target_grid
-    if reference_grid.crs is None or target_grid.crs is None:
-        return reference_grid
-    centre_px = np.array([[target_grid.shape[1] / 2, target_grid.shape[0] / 2]])
-    boundary_px = map_px(correction.inverse(target_grid.boundary_px()), target_grid, reference_grid)
-    inverse = jacobian(map_px(centre_px, target_grid, reference_grid), reference_grid, target_grid)[0]
-    if not (np.isfinite(boundary_px).all() and np.isfinite(inverse).all()):
-        raise InputError(
-            f"the target's footprint cannot be transformed from {name_of(target_grid.crs)} to "
-            f"{name_of(reference_grid.crs)}: crop it to where that CRS is valid, or use --grid target"
-        )
-    tolerance = _SAME_SIZE if reference_grid.crs == target_grid.crs else _SAME_SIZE_ACROSS_CRS
-    # A step along an axis of the reference that crosses one target pixel, in reference pixels.
-    size = np.array([_snapped(1.0 / float(np.hypot(*column)), tolerance) for column in inverse.T])
-    low = np.floor(boundary_px.min(axis=0) / size + _SLIVER_PX).astype(int)
-    high = np.ceil(boundary_px.max(axis=0) / size - _SLIVER_PX).astype(int)
-    cols, rows = (high - low).tolist()
-    linear = ((float(size[0]), 0.0), (0.0, float(size[1])))
-    origin_px = (float(low[0] * size[0]), float(low[1] * size[1]))
-    return reference_grid.remade(linear, origin_px, (rows, cols))
-
-
-def _snapped(size: float, tolerance: float) -> float:
-    """Return the whole multiple or fraction of 1 that a size agrees with, or the size itself."""
-    whole = max(1, round(max(size, 1.0 / size)))
-    nearest = float(whole) if size >= 1.0 else 1.0 / whole
-    return nearest if abs(size / nearest - 1.0) <= tolerance else size
+# The same of corrections that are evaluated on a lattice.
+_DENSE_TOLERANCE_PX = 0.01
+# Pixels as map units, for mappings that end in pixels; unit pixels without a flip rasterio takes for none.
+_PIXELS = Affine.scale(1.0, -1.0)
+# A view of the warped raster that a thread opens for itself.
+View = Callable[[], AbstractContextManager[DatasetReader]]
 
 
 def warp(
     source_path: str | Path,
     out_path: Path,
-    correction: AffineCorrection,
+    correction: Correction,
     grid: Grid,
     resampling: str = "cubic",
     *,
@@ -126,7 +75,7 @@ def warp(
         The original target, or another raster of the same sensor geometry.
     out_path : pathlib.Path
         The GeoTIFF to write; scratch files of the same size are made beside it.
-    correction : AffineCorrection
+    correction : Correction
         Maps predicted to observed target pixels.
     grid : Grid
         The output grid. Where it or the source has no CRS, its pixels are the predicted ones.
@@ -150,16 +99,68 @@ def warp(
         small_block_cache(),
     ):
         own_grid = describe(os.fspath(source_path)).grid
-        if target_grid is not None and target_grid.crs != own_grid.crs:
-            raise InputError(
-                f"{source_path} is in {name_of(own_grid.crs)}, the registered target in "
-                f"{name_of(target_grid.crs)}: give a raster in the same CRS"
-            )
-        placed = _corrected_grid(own_grid, target_grid or own_grid, correction, grid)
+        target_grid = target_grid or own_grid
+        check_geometry(source_path, own_grid, target_grid)
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
-        pixels = _write_pixels(source, scratch / "pixels.tif", placed, grid, method, progress)
+        view = _view(source, scratch, (own_grid, target_grid, grid), correction, method)
+        pixels = _write_pixels(source, scratch / "pixels.tif", view, grid.shape, progress)
         interpolated = method != Resampling.nearest
         write_cog(source, scratch, pixels, grid, interpolated=interpolated).replace(out_path)
+
+
+def check_geometry(source_path: str | Path, own: Grid, target: Grid) -> None:
+    """Check that a correction of the target's pixels can speak of a raster's.
+
+    Raises
+    ------
+    InputError
+        If the two are in different CRSs, or have different sizes and no CRS.
+    """
+    if own.crs != target.crs:
+        raise InputError(
+            f"{source_path} is in {name_of(own.crs)}, the registered target in {name_of(target.crs)}: "
+            "give a raster in the same CRS"
+        )
+    if own.crs is None and own.shape != target.shape:
+        raise InputError(
+            f"{source_path} has {own.shape[1]} x {own.shape[0]} pixels and no georeferencing, the registered "
+            f"target {target.shape[1]} x {target.shape[0]}: give one of the same size, or georeference it"
+        )
+
+
+def _view(
+    source: DatasetReader,
+    scratch: Path,
+    grids: tuple[Grid, Grid, Grid],
+    correction: Correction,
+    method: Resampling,
+) -> View:
+    """Return how to open the warped raster; the grids are the source's own, the target's, the output's."""
+    own, target, out = grids
+    uri = source.name
+    if isinstance(correction, AffineCorrection):
+        placed = _corrected_grid(own, target, correction, out)
+        centre_px = np.array([[own.shape[1] / 2, own.shape[0] / 2]])
+        step = jacobian(map_px(centre_px, placed, out), out, placed)[0]
+        options = _warp_options(source, placed, out, method, step)
+        return lambda: _warped(uri, options)
+    mapping = original_pixels(*grids[:2], correction, out)
+    rows, cols = out.shape
+    ends = np.array([cols, rows]) / 2 + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    moved = mapping(ends)
+    step = np.stack([moved[0] - moved[1], moved[2] - moved[3]], axis=1)
+    options = _warp_options(
+        source, Grid(own.shape, _PIXELS, None), Grid(out.shape, _PIXELS, None), method, step
+    )
+    dense = dense_mapping(mapping, (0.0, 0.0), (cols, rows), tolerance_px=_DENSE_TOLERANCE_PX)
+    path = os.fspath(write_dense_view(source, scratch, dense, options))
+    return lambda: open_raster(path)
+
+
+@contextmanager
+def _warped(uri: str, options: dict[str, object]) -> Iterator[DatasetReader]:
+    with open_raster(uri) as source, WarpedVRT(source, **options) as view:
+        yield view
 
 
 def _corrected_grid(own: Grid, target: Grid, correction: AffineCorrection, out: Grid) -> Grid:
@@ -192,23 +193,19 @@ def _scratch_folder(out_path: Path) -> Iterator[Path]:
 def _write_pixels(
     source: DatasetReader,
     path: Path,
-    placed: Grid,
-    grid: Grid,
-    method: Resampling,
+    view: View,
+    shape: tuple[int, int],
     progress: ProgressCallback | None,
 ) -> vrt.PixelFile:
     """Write the resampled pixels, and nothing else, block by block."""
-    nodata = _output_nodata(source)
-    needs_mask = nodata is None and not has_alpha(source)
-    # GDAL's warper is almost three times as slow where it fills in nodata itself, but knows it band by band
-    fills = nodata is not None and source.count == 1 and not has_alpha(source)
+    nodata, fills, needs_mask = _validity(source)
     dtype = np.result_type(*source.dtypes)
     profile = {
         "driver": "GTiff",
         "dtype": dtype.name,
         "count": source.count,
-        "height": grid.shape[0],
-        "width": grid.shape[1],
+        "height": shape[0],
+        "width": shape[1],
         "nodata": nodata,
         "tiled": True,
         "blockxsize": 256,
@@ -218,12 +215,11 @@ def _write_pixels(
         # Any but unit pixels, about which rasterio warns; the true one is in the VRT.
         "transform": Affine.scale(2.0, -2.0),
     }
-    windows = list(_blocks(grid.shape, (source.count + 1) * dtype.itemsize))
-    options = _warp_options(source, placed, grid, method) | _validity_options(nodata, needs_mask or fills)
+    windows = list(_blocks(shape, (source.count + 1) * dtype.itemsize))
     with (
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
         rasterio.open(path, "w", **profile) as sink,
-        closing(warped_blocks(source.name, options, windows)) as blocks,
+        closing(warped_blocks(source.name, view, windows)) as blocks,
     ):
         for done, (window, block) in enumerate(blocks, start=1):
             if fills and nodata is not None:
@@ -236,6 +232,14 @@ def _write_pixels(
     return vrt.PixelFile(path.name, True, (nodata,) * source.count, needs_mask)
 
 
+def _validity(source: DatasetReader) -> tuple[float | None, bool, bool]:
+    """Return the nodata value of the output, whether it is filled in here, and whether there is a mask."""
+    nodata = _output_nodata(source)
+    # GDAL's warper is almost three times as slow where it fills in nodata itself, but knows it band by band
+    fills = nodata is not None and source.count == 1 and not has_alpha(source)
+    return nodata, fills, nodata is None and not has_alpha(source)
+
+
 def _output_nodata(source: DatasetReader) -> float | None:
     nodata = usable_nodata(source)
     if nodata is None and not has_alpha(source) and not has_mask_band(source):
@@ -244,7 +248,11 @@ def _output_nodata(source: DatasetReader) -> float | None:
     return nodata
 
 
-def _warp_options(source: DatasetReader, placed: Grid, grid: Grid, method: Resampling) -> dict[str, object]:
+def _warp_options(
+    source: DatasetReader, placed: Grid, grid: Grid, method: Resampling, step: Array
+) -> dict[str, object]:
+    """Return what GDAL's warper needs to know; `step` is how far a source pixel goes per output pixel."""
+    nodata, fills, needs_mask = _validity(source)
     return {
         "src_transform": placed.transform,
         "src_crs": placed.crs,
@@ -255,7 +263,8 @@ def _warp_options(source: DatasetReader, placed: Grid, grid: Grid, method: Resam
         "resampling": method,
         "tolerance": _TOLERANCE_PX,
         "dtype": np.result_type(*source.dtypes).name,
-        **_kernel_scale(placed, grid),
+        **_kernel_scale(step),
+        **_validity_options(nodata, fills or needs_mask),
     }
 
 
@@ -280,14 +289,12 @@ def _fill(values: NDArray[Any], valid: NDArray[np.bool_], nodata: float) -> None
     values[~valid] = nodata
 
 
-def _kernel_scale(placed: Grid, grid: Grid) -> dict[str, float]:
+def _kernel_scale(step: Array) -> dict[str, float]:
     """Return GDAL's XSCALE, YSCALE: below 1 the kernel is widened against aliasing.
 
     Left to itself GDAL derives them per block, with seams, and from bounding boxes, which blurs
-    rotated grids.
+    rotated grids. `step` is (2, 2): source (col, row) by output (col, row).
     """
-    centre_px = np.array([[placed.shape[1] / 2, placed.shape[0] / 2]])
-    step = jacobian(map_px(centre_px, placed, grid), grid, placed)[0]
     x, y = (1.0 / max(1.0, float(np.hypot(*row))) for row in step)
     return {"XSCALE": x if x < 0.95 else 1.0, "YSCALE": y if y < 0.95 else 1.0}
 

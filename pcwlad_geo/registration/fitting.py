@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +14,17 @@ from pcwlad_geo.correction.accuracy import Accuracy
 from pcwlad_geo.correction.check_points import hold_out
 from pcwlad_geo.correction.fit import FITS
 from pcwlad_geo.correction.models import Correction
-from pcwlad_geo.correction.selection import choose
+from pcwlad_geo.correction.selection import Selection, choose
 from pcwlad_geo.correction.thinning import thin
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.settings import Settings
 
 Float64 = NDArray[np.float64]
 
+MODELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"auto": tuple(FITS), "polynomial": ("polynomial2", "polynomial3")}
+)
+"""Candidates of the options that leave a choice."""
 NEIGHBOURS = 8
 NOISE_SHARE = 0.5
 """Neighbours whose residuals differ by more than this share of their size do not share them."""
@@ -29,13 +35,22 @@ class Fitted:
     """A table with residuals and statuses, the model behind them, and its accuracy."""
 
     table: TiePointTable
-    correction: Correction
+    selection: Selection
     accuracy: dict[str, Accuracy]
     """fit_px, check_px, fit_m, check_m."""
 
+    @property
+    def correction(self) -> Correction:
+        """The model chosen."""
+        return self.selection.fit.correction
+
 
 def fit_correction(
-    table: TiePointTable, settings: Settings, footprint_px: float, px_m: tuple[float, float] | None
+    table: TiePointTable,
+    settings: Settings,
+    footprint_px: float,
+    px_m: tuple[float, float] | None,
+    shape: tuple[int, int] | None = None,
 ) -> Fitted:
     """Fit a correction to the matched points of a table.
 
@@ -48,6 +63,8 @@ def fit_correction(
         Side of the matching window in target px.
     px_m : (float, float), optional
         Size of a target pixel (col, row) in metres.
+    shape : (int, int), optional
+        Rows and columns of the target: no model may fold it. By default the box of the fit points counts.
     """
     status = table.status.astype("<U8")
     matched = np.flatnonzero(status == "matched")
@@ -57,13 +74,17 @@ def fit_correction(
     taken = thin(table.predicted_px[wanted], np.hypot(*table.sigma_px[wanted].T), most)
     status[wanted[~taken]] = "unused"
     fit_points = table[status == "fit"]
-    models = tuple(FITS) if settings.model == "auto" else (settings.model,)
-    correction = choose(
-        fit_points.predicted_px, fit_points.target_px, fit_points.covariance_px2, footprint_px, models
-    ).fit.correction
-    residual = table.target_px - correction.forward(table.predicted_px)
+    selection = choose(
+        fit_points.predicted_px,
+        fit_points.target_px,
+        fit_points.covariance_px2,
+        footprint_px,
+        MODELS.get(settings.model, (settings.model,)),
+        box_px=None if shape is None else (np.zeros(2), np.array(shape[::-1], dtype=np.float64)),
+    )
+    residual = table.target_px - selection.fit.correction.forward(table.predicted_px)
     done = replace(table, status=status, residual_px=residual)
-    return Fitted(done, correction, _accuracy(done, px_m))
+    return Fitted(done, selection, _accuracy(done, px_m))
 
 
 def shared_residual_px(table: TiePointTable) -> float:

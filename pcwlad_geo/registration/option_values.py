@@ -32,6 +32,8 @@ def to_setting(name: str, value: object) -> object:
     words = [word for kind in kinds - {hint} if get_origin(kind) is Literal for word in get_args(kind)]
     if value in words:
         return value
+    if bool in kinds:
+        return _truth(name, value)
     if Path in kinds:
         return Path(_checked(name, value, str, "a file name") if not isinstance(value, Path) else value)
     if int in kinds:
@@ -52,6 +54,15 @@ def _number(name: str, value: object, kind: type[int] | type[float], wanted: str
     if isinstance(value, bool) or not isinstance(value, accepted):
         raise SettingsError(f"{name} = {value!r}: give {wanted}")
     return kind(value)
+
+
+def _truth(name: str, value: object) -> bool:
+    words = {"true": True, "false": False}
+    if isinstance(value, str):
+        value = words.get(value.lower(), value)
+    if not isinstance(value, bool):
+        raise SettingsError(f"{name} = {value!r}: give true or false")
+    return value
 
 
 def _checked(name: str, value: object, kind: type[str], wanted: str) -> str:

@@ -7,6 +7,7 @@ from typing import Literal
 
 from pcwlad_geo.correction.accuracy import Accuracy
 from pcwlad_geo.correction.models import Correction
+from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.tie_point_table import TiePointTable
@@ -50,3 +51,5 @@ class Registration:
     """Candidates and what became of them, stage by stage, in order."""
     seconds: dict[str, float]
     settings: Settings
+    selection: Selection | None = None
+    """How the correction was chosen, and its precision anywhere; None where there is none."""

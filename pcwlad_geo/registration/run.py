@@ -84,7 +84,7 @@ def run(
         with log.stage("fitting"):
             on_event(Progress("fitting", 0, 1))
             footprint = settings.window * _target_px_per_view_px(pair)
-            fitted = fit_correction(table, settings, footprint, px_m)
+            fitted = fit_correction(table, settings, footprint, px_m, tgt.grid.shape)
             _warn_of_parallax(fitted, log)
             on_event(Progress("fitting", 1, 1))
     status = "rejected" if not matched.verdict.accepted else "matched" if match_only else "registered"
@@ -103,6 +103,7 @@ def run(
         counts=matched.counts,
         seconds=log.seconds,
         settings=settings,
+        selection=fitted.selection if fitted else None,
     )
 
 

@@ -12,7 +12,7 @@ from pcwlad_geo.errors import SettingsError
 
 Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 Keypoints = Literal["cells", "strongest"]
-Model = Literal["auto", "shift", "affine"]
+Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps"]
 Prealign = Literal["auto", "georef", "search", "none"]
 Consensus = Literal["auto", "off"]
 OutputGrid = Literal["reference", "target"]
@@ -54,11 +54,13 @@ class Settings:
     prealign: Prealign = "auto"
     """Rough alignment: by georeferencing, a pyramid search, neither, or what the pair needs."""
     model: Model = "auto"
-    """Correction model."""
+    """Correction model; `polynomial` is of order 2 or 3, as cross-validation says."""
     grid: OutputGrid = "reference"
     """Registered raster: the reference's CRS and alignment (target's pixel size), or the target's grid."""
     resampling: Resampling = "cubic"
     """Resampling of the registered raster."""
+    write_sigma: bool = False
+    """Write the predicted sigma of the correction as a raster too."""
     tile_size: int = 1024
     """Core of a tile, matching-grid px (without its halo)."""
     jobs: int | None = None
@@ -89,6 +91,7 @@ class Settings:
         _check("scheduler", self.scheduler, address, "an address such as tcp://host:8786")
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
         _check("ssim_min", self.ssim_min, real, "a number from -1 to below 1")
+        _check("write_sigma", self.write_sigma, isinstance(self.write_sigma, bool), "true or false")
         for name, hint in get_type_hints(type(self)).items():
             if get_origin(hint) is Literal:
                 value = getattr(self, name)

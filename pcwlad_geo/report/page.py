@@ -11,6 +11,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.figures.displacements import displacement_figure
+from pcwlad_geo.report.figures.sigma import sigma_figure
+from pcwlad_geo.report.precision import PrecisionMap
 from pcwlad_geo.report.summary import Summary
 
 VERDICTS = {
@@ -47,6 +49,7 @@ def render(registration: Registration, summary: Summary, gcps_vrt: str | None) -
         target_name=Path(registration.target.uri).name,
         reference_name=Path(registration.reference.uri).name,
         figure_base64=base64.b64encode(png).decode("ascii"),
+        sigma_base64=_sigma_base64(registration),
         warp_line=warp_line(gcps_vrt) if gcps_vrt else None,
     )
 
@@ -55,6 +58,15 @@ def warp_line(gcps_vrt: str) -> str:
     """Return the shell command that warps the target by a thin-plate spline through its tie points."""
     stem = gcps_vrt.removesuffix("_gcps.vrt")
     return shlex.join(["gdalwarp", "-tps", "-r", "cubic", gcps_vrt, f"{stem}_tps.tif"])
+
+
+def _sigma_base64(registration: Registration) -> str | None:
+    selection = registration.selection
+    if selection is None:
+        return None
+    precision = PrecisionMap.of(selection, registration.target.grid.shape)
+    png = sigma_figure(precision, registration.tie_points.select("fit").predicted_px)
+    return base64.b64encode(png).decode("ascii")
 
 
 def _figure(value: object, digits: int = 3) -> str:

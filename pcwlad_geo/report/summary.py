@@ -18,6 +18,7 @@ import pcwlad_geo
 from pcwlad_geo.correction.accuracy import Accuracy
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report.precision import PrecisionMap
 
 SCHEMA_VERSION = 1
 KEPT = ("fit", "check", "unused", "matched")
@@ -57,7 +58,7 @@ def summarise(registration: Registration, outputs: Sequence[str]) -> Summary:
         "counts": dict(registration.counts),
         "displacement_px": _statistics(kept.displacement_px, PX_DIGITS),
         "displacement_m": _statistics(kept.displacement_m, M_DIGITS),
-        "model": registration.correction.to_dict() if registration.correction else None,
+        "model": _model(registration),
         "accuracy": {
             group: {
                 unit: _accuracy(registration.accuracy.get(f"{group}_{unit}"), digits)
@@ -125,6 +126,37 @@ def _tie_point_counts(registration: Registration) -> dict[str, int]:
     if registration.status == "matched":
         names = ["matched", "rejected"]
     return {"total": len(status), **{name: int(np.count_nonzero(status == name)) for name in names}}
+
+
+def _model(registration: Registration) -> Summary | None:
+    """Return the correction, in full precision, and the candidates it was chosen from."""
+    if registration.correction is None:
+        return None
+    selection = registration.selection
+    candidates = selection.candidates if selection else ()
+    precision = PrecisionMap.of(selection, registration.target.grid.shape) if selection else None
+    return registration.correction.to_dict() | {
+        "predicted_sigma_px": precision and _predicted_sigma(precision),
+        "candidates": [
+            asdict(candidate)
+            | {
+                "parameters": round(candidate.parameters, 1),
+                "rmse_px": round(candidate.rmse_px, PX_DIGITS),
+                "rmse_standard_error_px": round(candidate.rmse_standard_error_px, PX_DIGITS),
+            }
+            for candidate in candidates
+        ],
+    }
+
+
+def _predicted_sigma(precision: PrecisionMap) -> Summary:
+    """Return the sigma of the correction over the target, and how much of it lies beyond the tie points."""
+    sigma = precision.sigma_px.reshape(-1, 2)
+    return {
+        "median": np.round(np.median(sigma, axis=0), PX_DIGITS).tolist(),
+        "largest": np.round(sigma.max(axis=0), PX_DIGITS).tolist(),
+        "extrapolated_share": round(float(precision.extrapolated.mean()), 3),
+    }
 
 
 def _statistics(values: NDArray[np.float64], digits: int) -> dict[str, list[float]] | None:

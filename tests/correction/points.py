@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.correction.models import (
+    AffineCorrection,
+    PolynomialCorrection,
+    ProjectiveCorrection,
+    SplineCorrection,
+)
+from pcwlad_geo.correction.polynomial import PolynomialBasis
+from pcwlad_geo.correction.spline import SplineGrid
 
 Array = NDArray[np.float64]
 
@@ -45,3 +52,40 @@ def affine(stretch_px: float, side_px: float = 512) -> AffineCorrection:
     """Return an affine that gains so many px in col from one side of the image to the other."""
     gain = stretch_px / side_px
     return AffineCorrection("affine", np.array([[1 + gain, 0, 0.4 - gain * side_px / 2], [0, 1, -1.2]]))
+
+
+def projective(side_px: float = 512) -> ProjectiveCorrection:
+    """Return a projective that moves the corners of the image by about 2 px beyond an affine."""
+    matrix = np.array([[1.002, 0.001, 0.4], [-0.003, 0.999, -1.2], [4e-3 / side_px, -3e-3 / side_px, 1.0]])
+    return ProjectiveCorrection("projective", matrix)
+
+
+def polynomial(order: int, seed: int = 0, side_px: float = 512, size_px: float = 2.0) -> PolynomialCorrection:
+    """Return a polynomial over a square image whose terms are of this size at its sides."""
+    centre = (side_px / 2, side_px / 2)
+    basis = PolynomialBasis(order, centre, side_px / 2, (0.0, 0.0), (side_px, side_px))
+    terms = len(basis.exponents)
+    return PolynomialCorrection(
+        basis, np.random.default_rng([4, seed]).uniform(-size_px, size_px, (terms, 2))
+    )
+
+
+def spline(seed: int = 0, side_px: float = 512, size_px: float = 2.0, cells: int = 5) -> SplineCorrection:
+    """Return a spline over a square image with random coefficients of this size."""
+    grid = SplineGrid((0.0, 0.0), side_px / cells, (cells, cells))
+    coefficients = np.random.default_rng([5, seed]).uniform(-size_px, size_px, (*grid.shape, 2))
+    return SplineCorrection("tps", grid, coefficients)
+
+
+def waves(seed: int, at_px: Array, size_px: float, wavelength_px: float) -> Array:
+    """Return (n, 2) displacements that wave: amplitude per axis, shortest wavelength."""
+    random = np.random.default_rng([6, seed])
+    turn, phase = random.uniform(0, 2 * np.pi, (2, 2))
+    along = at_px @ np.stack([np.cos(turn), np.sin(turn)]) / (wavelength_px * np.array([1.0, 1.4]))
+    return size_px * np.sin(2 * np.pi * along + phase)
+
+
+def inside(side_px: float = 512, step: int = 25, margin: float = 0.04) -> Array:
+    """Return (n, 2) places on a lattice within a square image, a margin off its sides."""
+    line = np.linspace(margin, 1 - margin, step) * side_px
+    return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)

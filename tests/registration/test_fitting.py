@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.tie_point_table import Array, TiePointTable
 from pcwlad_geo.registration.fitting import fit_correction, shared_residual_px
 from pcwlad_geo.registration.settings import Settings
@@ -42,8 +43,41 @@ def test_a_shift_is_enough_for_a_shift() -> None:
     np.testing.assert_allclose(fitted.correction.forward(np.zeros((1, 2))), [[1.25, -0.5]], atol=0.03)
 
 
-def test_the_model_can_be_given() -> None:
-    assert fit_correction(table_of(), Settings(model="shift"), 41.0, None).correction.name == "shift"
+@pytest.mark.parametrize("name", ["shift", "affine", "projective", "tps"])
+def test_the_model_can_be_given(name: str) -> None:
+    fitted = fit_correction(table_of(), Settings(model=name), 41.0, None)
+    assert fitted.correction.name == name
+    assert [candidate.name for candidate in fitted.selection.candidates] == [name]
+
+
+def test_the_order_of_a_polynomial_is_chosen() -> None:
+    table = table_of()
+    fitted = fit_correction(table, Settings(model="polynomial"), 41.0, None)
+    assert fitted.correction.name == "polynomial2"
+    u = (table.predicted_px - [300, 200]) / 200
+    bent = replace(table, target_px=table.target_px + np.column_stack([u[:, 0] ** 3, u[:, 1] ** 3]))
+    assert fit_correction(bent, Settings(model="polynomial"), 41.0, None).correction.name == "polynomial3"
+
+
+def test_waves_get_a_spline_and_the_reasons_are_told() -> None:
+    table = table_of(600)
+    bumps = 2 * np.sin(2 * np.pi * table.predicted_px / 400)
+    fitted = fit_correction(replace(table, target_px=table.target_px + bumps), Settings(), 41.0, None)
+    assert fitted.correction.name == "tps"
+    assert fitted.accuracy["check_px"].rmse < 0.25
+    candidates = fitted.selection.candidates
+    assert [candidate.name for candidate in candidates if candidate.chosen] == ["tps"]
+    assert all(candidate.note for candidate in candidates if not candidate.chosen)
+
+
+def test_the_target_must_not_fold_beyond_the_points() -> None:
+    table = table_of()
+    u = (table.predicted_px - [300, 200]) / 300
+    bent = replace(table, target_px=table.target_px + np.column_stack([60 * u[:, 0] ** 2, 0 * u[:, 1]]))
+    settings = Settings(model="projective")
+    assert fit_correction(bent, settings, 41.0, None).correction.name == "projective"
+    with pytest.raises(InputError, match="fold"):
+        fit_correction(bent, settings, 41.0, None, shape=(400, 40000))
 
 
 def test_check_points_are_held_out_and_used_for_the_figures_only() -> None:

@@ -22,7 +22,7 @@ from pcwlad_geo.registration.progress import Event, Progress, Warned
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.runners import OnExecutor, OwnProcesses
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.settings import Model, Settings
 from pcwlad_geo.registration.tasks import Runner
 from tests.registration.calls import Shuffled
 from tests.scenes import CRS_OF_SCENE, Array, make_grid, render, write
@@ -261,7 +261,10 @@ def test_recovers_an_affine_displacement(tmp_path: Path) -> None:
     assert np.sqrt(np.mean(residual**2, axis=0)).max() < 0.1
 
 
-def test_local_displacements_are_registered_with_a_warning(tmp_path: Path) -> None:
+@pytest.mark.parametrize("model", ["affine", "auto"])
+def test_local_displacements_are_taken_out_by_a_spline_or_told_in_a_warning(
+    tmp_path: Path, model: Model
+) -> None:
     grid = make_grid((320, 320))
 
     def waves(predicted_px: Array) -> Array:
@@ -270,13 +273,20 @@ def test_local_displacements_are_registered_with_a_warning(tmp_path: Path) -> No
 
     reference = write(tmp_path / "ref.tif", render(grid), grid)
     target = write(tmp_path / "tgt.tif", render(grid, local=waves), grid)
-    found = run(reference, target, Settings(template=61, window=41, features=150))
+    found = run(reference, target, Settings(template=61, window=41, features=150, model=model))
     assert found.status == "registered", found.reason
-    (warning,) = found.warnings
-    assert "parallax" in warning
+    assert found.correction is not None
     points = found.tie_points.select("fit", "check", "unused")
     apart = points.displacement_px - waves(points.predicted_px)
     assert np.median(np.hypot(*apart.T)) < 0.15  # the tie points themselves are right
+    if model == "affine":
+        (warning,) = found.warnings
+        assert "parallax" in warning
+        return
+    assert found.correction.name == "tps"
+    assert found.warnings == ()
+    error = found.correction.forward(points.predicted_px) - points.predicted_px - waves(points.predicted_px)
+    assert np.median(np.hypot(*error.T)) < 0.15
 
 
 def test_forward_and_backward_agree(tmp_path: Path) -> None:

@@ -3,10 +3,12 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
 
+from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.page import render, warp_line
 from pcwlad_geo.report.summary import summarise
@@ -81,3 +83,17 @@ def test_match_without_vrt(registration: Make) -> None:
 def test_warp_line_survives_a_shell() -> None:
     line = warp_line("a & b's_gcps.vrt")
     assert shlex.split(line)[-2:] == ["a & b's_gcps.vrt", "a & b's_tps.tif"]
+
+
+def test_shows_the_table_of_models_and_not_their_thousands_of_numbers(registration: Make) -> None:
+    made = registration()
+    points = made.tie_points.select("fit")
+    args = points.predicted_px, points.target_px, points.covariance_px2, 41.0
+    by_hand = choose(*args, ("tps",))
+    page = read(replace(made, selection=by_hand, correction=by_hand.fit.correction))
+    assert "tps" in page.text
+    assert "coefficients" not in page.text
+    chosen = choose(*args)
+    page = read(replace(made, selection=chosen, correction=chosen.fit.correction))
+    assert "does not predict significantly better than shift" in page.text
+    assert f"{chosen.candidates[0].rmse_px:.3f} ±" in page.text

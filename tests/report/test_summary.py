@@ -2,10 +2,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.models import from_json
+from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.summary import plain, summarise, to_json
 
@@ -54,6 +58,22 @@ def test_model_keeps_full_precision(registration: Make) -> None:
     made.correction.matrix[0, 2] = 1.2345678901234567  # type: ignore[attr-defined]
     read = json.loads(to_json(summarise(made, [])))
     assert read["model"]["forward"]["matrix"][0][2] == 1.2345678901234567
+
+
+def test_model_tells_what_it_was_chosen_from(registration: Make) -> None:
+    made = registration()
+    points = made.tie_points.select("fit")
+    selection = choose(points.predicted_px, points.target_px, points.covariance_px2, 41.0)
+    made = replace(made, selection=selection, correction=selection.fit.correction)
+    model = json.loads(to_json(summarise(made, [])))["model"]
+    np.testing.assert_allclose(
+        from_json(model).forward(points.predicted_px), selection.fit.correction.forward(points.predicted_px)
+    )
+    assert [entry["name"] for entry in model["candidates"]] == list(FITS)
+    shift = model["candidates"][0]
+    assert shift["chosen"]
+    assert set(shift) == {"name", "parameters", "rmse_px", "rmse_standard_error_px", "chosen", "note"}
+    assert shift["rmse_px"] == pytest.approx(0.14, rel=0.2)  # 0.1 px an axis
 
 
 @pytest.mark.parametrize("status", ["rejected", "matched"])

@@ -1,0 +1,80 @@
+"""``pcwlad-geo warp``: a finished registration, applied to other bands of its target."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pcwlad_geo.cli import options as o
+from pcwlad_geo.cli.job import Ending, run_guarded
+from pcwlad_geo.registration.progress import EventCallback
+from pcwlad_geo.registration.settings import OutputGrid, Resampling
+
+Folder = Annotated[
+    Path,
+    typer.Argument(
+        metavar="REGISTRATION", help="Output folder of an earlier pcwlad-geo register.", show_default=False
+    ),
+]
+Rasters = Annotated[
+    list[str],
+    typer.Argument(metavar="RASTER...", help="Bands of its target, of any pixel size.", show_default=False),
+]
+WarpGrid = Annotated[
+    OutputGrid | None,
+    typer.Option("--grid", help="Output grid; the registration's by default.", show_default=False),
+]
+WarpResampling = Annotated[
+    Resampling | None,
+    typer.Option("--resampling", help="Resampling; the registration's by default.", show_default=False),
+]
+Place = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--out-dir",
+        metavar="OUT_DIR",
+        help="Output folder.  [default: the working folder]",
+        show_default=False,
+    ),
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace rasters that exist.")]
+
+
+def warp(
+    context: typer.Context,
+    registration: Folder,
+    rasters: Rasters,
+    out_dir: Place = None,
+    grid: WarpGrid = None,
+    resampling: WarpResampling = None,
+    progress: o.ProgressOption = "auto",
+    watch_stdin: o.WatchStdin = False,
+    overwrite: Overwrite = False,
+    debug: o.Debug = False,
+) -> None:
+    """Apply the correction of REGISTRATION to other bands of its target."""
+
+    def work(on_event: EventCallback) -> Ending:
+        from pcwlad_geo import bands  # slow to load
+
+        written = bands.warp(
+            registration,
+            rasters,
+            out_dir=out_dir,
+            grid=grid,
+            resampling=resampling,
+            overwrite=overwrite,
+            on_event=on_event,
+        )
+        paths = [str(path.absolute()) for path in written]
+        return Ending({"status": "warped", "paths": paths}, "".join(f"{path}\n" for path in written))
+
+    def abandon() -> None:
+        from pcwlad_geo import staging
+
+        staging.abandon(out_dir or ".")
+
+    run_guarded(context.params, work, abandon)

@@ -1,0 +1,165 @@
+"""Fit a thin-plate spline: robust, smoothed by the points' covariance, never through every point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.correction.fitted import checked
+from pcwlad_geo.correction.plate import Plate, mean_precision
+from pcwlad_geo.correction.robust_linear import (
+    COARSE_STEPS,
+    Estimate,
+    Solution,
+    estimate,
+    reweighted,
+)
+from pcwlad_geo.correction.smoothing import Trials, best
+from pcwlad_geo.correction.spline_fit import SplineFit
+from pcwlad_geo.correction.windows import Overlaps, probes_of
+
+Array = NDArray[np.float64]
+
+LEAST_POINTS = 12
+STIFF = 0.02
+"""Stiffness at which the softest mode of a square plate has a tenth of its size, over side⁴."""
+FACTOR = 4.0
+"""Between two stiffnesses tried: it doubles the effective number of parameters."""
+MOST_STEPS = 14
+PILOT_STEP = 3
+ROUNDS = 5
+TOLERANCE_PX = 1e-4
+"""Largest change of the spline at a point at which its robust weights rest."""
+
+
+def fit_tps(
+    predicted_px: Array, observed_px: Array, covariance_px2: Array, *, footprint_px: float = 0.0
+) -> SplineFit:
+    """Fit a thin-plate spline smoothed by the points' covariance: it passes near the points, never through.
+
+    It is fitted to what a robust affine leaves over, and continued linearly beyond the box of the points.
+    The smoothing minimises the generalised cross-validation score, in which errors that overlapping windows
+    share do not pass for detail.
+
+    Parameters
+    ----------
+    predicted_px, observed_px, covariance_px2, footprint_px
+        As for `fit_shift`; n ≥ 12, not on one line.
+
+    Raises
+    ------
+    InputError
+        If the points are too few or lie on a line, or an array has a wrong shape or values that are not
+        finite.
+    """
+    predicted, observed, covariance = checked("tps", LEAST_POINTS, predicted_px, observed_px, covariance_px2)
+    centre, radius = predicted.mean(axis=0), float(np.ptp(predicted, axis=0).max()) or 1.0
+
+    def plane(at_px: Array) -> Array:
+        return np.column_stack([np.ones(len(at_px)), (at_px - centre) / radius])
+
+    displacement = observed - predicted
+    affine = estimate(plane(predicted), displacement, covariance)
+    plate = Plate.of(predicted, footprint_px)
+    task = _Task(
+        plate,
+        Overlaps.of(predicted, footprint_px),
+        probes_of(predicted),
+        displacement - affine.fitted_px,
+        covariance,
+    )
+    stiffness, pilot = _stiffness(task)
+    found = task.fitted(stiffness, task.of_both_axes, pilot.fitted_px)
+    smoothing = plate.smoothing(stiffness, mean_precision(found.whitener, found.weight))
+    trial = task.trials(found).at(smoothing)
+    straight = plane(plate.grid.nodes_px()) @ affine.parameters
+    return SplineFit.of(plate, found, trial, straight, task.rest_px, predicted, footprint_px)
+
+
+def _stiffness(task: _Task) -> tuple[float, Estimate]:
+    """Return the stiffness of the best score, and a fit of about that stiffness.
+
+    The robust weights are those of one pilot fit while stiffnesses are compared. Where a softer spline than
+    the pilot wins, it becomes the pilot: the weights of a stiff one take detail for outliers.
+    """
+    side = float(max(task.plate.grid.cells))
+    tried = [STIFF * side**4 / FACTOR**step for step in range(MOST_STEPS)]
+    step = PILOT_STEP
+    pilot = task.fitted(tried[step], task.of_one_axis, np.zeros_like(task.rest_px), COARSE_STEPS)
+    for _ in range(ROUNDS):
+        trials = task.trials(pilot)
+        found, alpha = _best(trials, tried)
+        if found <= step:
+            break
+        step = found
+        pilot = task.fitted(tried[step], task.of_one_axis, pilot.fitted_px, COARSE_STEPS // 2)
+    between = [tried[found] * factor for factor in (2.0, 1.0, 0.5)]
+    near = [trials.at(trials.smoothing(stiffness)) for stiffness in between]
+    return between[best(near, alpha)[0]], pilot
+
+
+def _best(trials: Trials, tried: list[float]) -> tuple[int, float]:
+    """Return the step of the best score, and how far errors are shared."""
+    done = []
+    for stiffness in tried:
+        done.append(trials.at(trials.smoothing(stiffness)))
+        if not np.isfinite(done[-1].score(alpha=0.0)):
+            break
+    return best(done, alpha=1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """What a spline is fitted to."""
+
+    plate: Plate
+    overlaps: Overlaps
+    probes: Array
+    rest_px: Array
+    """(n, 2) displacement beyond the affine."""
+    covariance_px2: Array
+
+    def trials(self, pilot: Estimate) -> Trials:
+        """Return trials with the weights of a fit."""
+        return Trials.of(self.plate, self.overlaps, self.probes, self.rest_px, pilot.whitener, pilot.weight)
+
+    def of_one_axis(self, stiffness: float, whitener: Array, weight: Array) -> Array:
+        """Solve for col and row on their own, equally precise: several times as fast."""
+        precision = mean_precision(whitener, weight)
+        factor = self.plate.factor(self.plate.normal(precision), self.plate.smoothing(stiffness, precision))
+        return factor.solve(self.plate.design.T @ (precision[:, None] * self.rest_px))
+
+    def of_both_axes(self, stiffness: float, whitener: Array, weight: Array) -> Array:
+        """Solve with the full covariances."""
+        precision = weight[:, None, None] * (whitener.transpose(0, 2, 1) @ whitener)
+        smoothing = self.plate.smoothing(stiffness, mean_precision(whitener, weight))
+        factor = self.plate.factor(self.plate.normal(precision), smoothing)
+        weighted = np.einsum("iab,ib->ia", precision, self.rest_px)
+        right = (self.plate.design.T @ weighted).T.reshape(-1, 1)
+        return factor.solve(right).reshape(2, -1).T
+
+    def fitted(
+        self,
+        stiffness: float,
+        coefficients: Callable[[float, Array, Array], Array],
+        start_px: Array,
+        coarse_steps: int = 0,
+    ) -> Estimate:
+        """Return the robust fit from a start."""
+        freedom = self.plate.freedom(stiffness, self.probes)
+
+        def solve(whitener: Array, weight: Array) -> Solution:
+            found = coefficients(stiffness, whitener, weight)
+            return Solution(found, self.plate.design @ found, freedom)
+
+        return reweighted(
+            solve,
+            start_px,
+            self.rest_px,
+            self.covariance_px2,
+            coarse_steps=coarse_steps,
+            tolerance_px=TOLERANCE_PX,
+        )

@@ -1,0 +1,98 @@
+"""A finished registration, read back from its folder: enough to apply its correction again."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
+
+from pcwlad_geo.correction.models import Correction, from_json
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.report.summary import SCHEMA_VERSION
+
+NUMBERS = "report.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FinishedRegistration:
+    """What `pcwlad-geo register` has found."""
+
+    correction: Correction
+    """Maps predicted to observed pixels of `target_grid`."""
+    reference_grid: Grid
+    target_grid: Grid
+    grid: Literal["reference", "target"]
+    """The output grid that was asked for."""
+    resampling: str
+
+
+def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
+    """Read a registration from its output folder, or from its report.json.
+
+    Raises
+    ------
+    InputError
+        If there is no report.json of a finished registration.
+    """
+    path = Path(folder)
+    path = path / NUMBERS if path.is_dir() else path
+    report = _report(path)
+    try:
+        settings = report["settings"]
+        return FinishedRegistration(
+            correction=from_json(report["model"]),
+            reference_grid=_grid(report["reference"]),
+            target_grid=_grid(report["target"]),
+            grid="target" if settings["grid"] == "target" else "reference",
+            resampling=str(settings["resampling"]),
+        )
+    except (KeyError, TypeError, ValueError, CRSError) as error:
+        raise InputError(
+            f"{path} is damaged ({type(error).__name__}: {error}): register the pair again"
+        ) from error
+
+
+def _report(path: Path) -> Mapping[str, Any]:
+    """Return the content of a report.json that tells a registration."""
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be read ({error.strerror}), so this is no finished registration: give the output "
+            "folder of pcwlad-geo register"
+        ) from error
+    except ValueError as error:
+        raise InputError(
+            f"{path} is no JSON ({error}): give the output folder of pcwlad-geo register"
+        ) from error
+    if not isinstance(report, dict) or not {"schema_version", "status", "model"} <= report.keys():
+        raise InputError(
+            f"{path} was not written by pcwlad-geo: give the output folder of pcwlad-geo register"
+        )
+    if report["schema_version"] != SCHEMA_VERSION:
+        raise InputError(
+            f"{path} has schema version {report['schema_version']}, this version reads {SCHEMA_VERSION}: "
+            "register the pair again"
+        )
+    if report["status"] != "registered":
+        reason = {"rejected": "the pair was refused", "matched": "it has tie points only"}
+        raise InputError(
+            f"{path.parent} holds no correction: {reason.get(report['status'], report['status'])}; "
+            "give the output folder of pcwlad-geo register"
+        )
+    return report
+
+
+def _grid(raster: Mapping[str, Any]) -> Grid:
+    rows, cols = raster["shape"]
+    crs = raster["crs"]
+    place = Affine(*(float(value) for value in raster["transform"]))
+    return Grid((int(rows), int(cols)), place, None if crs is None else CRS.from_string(crs))

@@ -1,0 +1,180 @@
+"""A finished registration, applied from its folder alone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+
+from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, warp, workflow
+from pcwlad_geo.correction.models import Correction, SplineCorrection
+from pcwlad_geo.correction.spline import SplineGrid
+from pcwlad_geo.registration.progress import Event
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.settings import Settings
+from tests.registrations import make_registration, of_files, write_pair
+
+SPLINE = SplineCorrection(
+    "tps", SplineGrid((0.0, 0.0), 200.0, (3, 2)), np.random.default_rng(1).uniform(-3, 3, (5, 6, 2))
+)
+Make = Callable[..., Path]
+
+
+@pytest.fixture
+def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Write the output folder of a registration made by hand."""
+    monkeypatch.chdir(tmp_path)
+    write_pair(tmp_path)
+
+    def make_it(status: str = "registered", correction: Correction | None = None, **options: object) -> Path:
+        def run(reference: Path, target: Path, settings: Settings, **_: object) -> Registration:
+            made = of_files(make_registration(status), Path(reference), Path(target))
+            return replace(made, settings=settings, correction=correction or made.correction)
+
+        monkeypatch.setattr("pcwlad_geo.registration.run.run", run)
+        job = workflow.match if status == "matched" else workflow.register
+        job("b4.tif", "b10.tif", out_dir="done", **options)  # type: ignore[operator]
+        return Path("done")
+
+    return make_it
+
+
+def with_pixels(source: str, path: str, factor: int) -> Path:
+    """Write a raster with pixels that are a factor larger."""
+    with rasterio.open(source) as file:
+        values = file.read(1).reshape(400 // factor, factor, 600 // factor, factor).mean(axis=(1, 3))
+        place = file.transform
+        profile = file.profile | {
+            "height": values.shape[0],
+            "width": values.shape[1],
+            "transform": Affine(place.a * factor, 0, place.c, 0, place.e * factor, place.f),
+        }
+    with rasterio.open(path, "w", **profile) as file:
+        file.write(values.astype(profile["dtype"]), 1)
+    return Path(path)
+
+
+@pytest.mark.parametrize("correction", [None, SPLINE], ids=["shift", "tps"])
+@pytest.mark.parametrize("grid", ["reference", "target"])
+def test_the_target_itself_becomes_the_registered_raster_again(
+    make: Make, correction: Correction | None, grid: str
+) -> None:
+    folder = make(correction=correction, grid=grid, resampling="bilinear")
+    shutil.copy("b10.tif", "again.tif")
+    for name in ("b4.tif", "b10.tif"):  # the folder alone is enough, wherever it is
+        Path(name).unlink()
+    folder = folder.rename("elsewhere")
+    (path,) = warp(folder, ["again.tif"], out_dir="warped")
+    assert path == Path("warped/again_registered.tif")
+    with rasterio.open(path) as ours, rasterio.open(folder / "b10_registered.tif") as first:
+        assert (ours.shape, ours.transform, ours.crs) == (first.shape, first.transform, first.crs)
+        np.testing.assert_array_equal(ours.read(), first.read())
+
+
+def test_a_band_of_larger_pixels_moves_by_the_same_ground(make: Make) -> None:
+    folder = make()  # a shift of (1.25, -0.5) px of 30 m
+    with_pixels("b10.tif", "b10_60m.tif", 2)
+    (path,) = warp(folder, ["b10_60m.tif"], grid="target", resampling="bilinear")
+    with rasterio.open("b10_60m.tif") as before, rasterio.open(path) as after:
+        assert after.transform == before.transform
+        values, moved = before.read(1).astype(float), after.read(1).astype(float)
+    # Of 60 m pixels that is (0.625, -0.25) px, and bilinear resampling the mean of four with these weights.
+    part = values[9:20, 10:22]
+    expected = 0.25 * (0.375 * part[:-1, :-1] + 0.625 * part[:-1, 1:])
+    expected += 0.75 * (0.375 * part[1:, :-1] + 0.625 * part[1:, 1:])
+    np.testing.assert_allclose(moved[10:20, 10:21], expected, atol=1.0)
+
+
+def test_on_the_references_lattice_larger_pixels_share_its_corners(make: Make) -> None:
+    folder = make()
+    with_pixels("b10.tif", "b10_60m.tif", 2)
+    (path,) = warp(folder, ["b10_60m.tif"])
+    with rasterio.open(path) as after, rasterio.open("b4.tif") as reference:
+        assert (after.transform.a, after.transform.e) == (60.0, -60.0)
+        offset = (after.transform.c - reference.transform.c, after.transform.f - reference.transform.f)
+    assert [value % 60 for value in offset] == [0.0, 0.0]
+
+
+def test_folders_without_a_correction_are_told(make: Make, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="absent"):
+        warp("absent", ["b10.tif"])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"empty.*no finished registration.*pcwlad-geo register"):
+        warp("empty", ["b10.tif"])
+    folder = make("matched")
+    with pytest.raises(InputError, match="tie points only"):
+        warp(folder, ["b10.tif"])
+    shutil.rmtree(folder)
+    with pytest.raises(RegistrationRejectedError):
+        make("rejected")
+    with pytest.raises(InputError, match="refused"):
+        warp("done", ["b10.tif"])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda report: {"report": 1}, "not written by pcwlad-geo"),
+        (lambda report: report | {"schema_version": 99}, "schema version 99"),
+        (lambda report: report | {"model": {"name": "magic"}}, "no correction model"),
+        (lambda report: report | {"target": {}}, "damaged"),
+        (lambda report: report | {"model": None}, "no correction model"),
+    ],
+)
+def test_a_foreign_or_damaged_report_is_told(make: Make, change: Callable[[dict], object], said: str) -> None:
+    path = make() / "report.json"
+    path.write_text(json.dumps(change(json.loads(path.read_text(encoding="utf-8")))), encoding="utf-8")
+    with pytest.raises(InputError, match=said):
+        warp("done", ["b10.tif"], out_dir="warped")
+    path.write_text("{", encoding="utf-8")
+    with pytest.raises(InputError, match="no JSON"):
+        warp("done", ["b10.tif"], out_dir="warped")
+    assert not Path("warped").exists()
+
+
+def test_rasters_that_cannot_be_warped_are_told_before_anything_is_written(make: Make) -> None:
+    folder = make()
+    with rasterio.open("b10.tif") as file:
+        values, profile = file.read(), file.profile | {"crs": "EPSG:32634"}
+    with rasterio.open("other.tif", "w", **profile) as file:
+        file.write(values)
+    for rasters, said in (
+        (["b10.tif", "other.tif"], "EPSG:32634"),
+        (["b10.tif", "absent.tif"], "absent.tif does not exist"),
+        (["b10.tif", "./b10.tif"], "two of the rasters"),
+        ([], "at least one"),
+    ):
+        with pytest.raises(InputError, match=said):
+            warp(folder, rasters, out_dir="warped")
+    assert not Path("warped").exists()
+
+
+def test_results_are_replaced_only_when_asked(make: Make) -> None:
+    folder = make()
+    warp(folder, ["b10.tif"])
+    with pytest.raises(OutputError, match="--overwrite"):
+        warp(folder, ["b10.tif"])
+    warp(folder, ["b10.tif"], overwrite=True)
+    shutil.copy("b10.tif", "b_registered.tif")
+    Path("b.tif").symlink_to("b_registered.tif")
+    with pytest.raises(OutputError, match="is an input too"):
+        warp(folder, ["b.tif"], overwrite=True)
+
+
+def test_a_run_that_ends_early_leaves_nothing(make: Make) -> None:
+    folder = make()
+
+    def stop(event: Event) -> None:
+        if getattr(event, "stage", "") == "warping":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        warp(folder, ["b10.tif"], out_dir="new/warped", on_event=stop)
+    assert not Path("new").exists()
