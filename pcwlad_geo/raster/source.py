@@ -7,7 +7,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from rasterio.io import DatasetReader
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
 from pcwlad_geo.raster.grid import Grid, linear_part
+from pcwlad_geo.raster.mask_kinds import MaskKind, kind_of
 
 # Filters of the warnings module belong to the process: two threads that open files must not swap theirs.
 _opening = threading.Lock()
@@ -39,7 +40,9 @@ class RasterInfo:
     dtype: str
     nodata: float | None
     mask_uri: str | None
-    """A mask file given by the user, 0 = excluded."""
+    """A mask file given by the user or found in a product."""
+    mask_kind: MaskKind = "zeros"
+    """What its values mean."""
 
 
 def describe(
@@ -57,8 +60,9 @@ def describe(
     band : int
         From 1.
     mask : path-like, optional
-        A mask file, its band 1, 0 = excluded: as large as the raster (then it lies on it pixel for pixel,
-        unless both are georeferenced), or georeferenced as the raster is.
+        A mask file, its band 1, 0 = excluded, or a quality raster (see `mask_kinds`): as large as the
+        raster (then it lies on it pixel for pixel, unless both are georeferenced), or georeferenced as the
+        raster is.
 
     Raises
     ------
@@ -81,6 +85,9 @@ def describe(
         )
     if info.mask_uri is not None:
         _check_mask(info, describe(info.mask_uri))
+        with open_raster(info.mask_uri) as dataset:
+            kind = kind_of(info.mask_uri, dataset.descriptions, dataset.dtypes)
+        info = replace(info, mask_kind=kind)
     return info
 
 
