@@ -20,7 +20,7 @@ from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.registration.tasks import Runner
+from pcwlad_geo.registration.tasks import InThisProcess, Runner
 from pcwlad_geo.report.summary import summarise, to_json
 from pcwlad_geo.staging import OutputFolder, place_file
 
@@ -51,6 +51,7 @@ class Options(TypedDict, total=False):
     tgt_band: int
     ref_mask: Path | None
     tgt_mask: Path | None
+    tie_points: Path | None
     method: s.Method
     points: int | Literal["all"] | None
     features: int
@@ -212,7 +213,8 @@ def _run(
     match_only: bool = False,
 ) -> Registration:
     """Run a job where its settings say, or on what the caller gives."""
-    with open_runner(settings, executor, on_event) as runner:
+    # points of a file leave workers nothing to do
+    with open_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
         from pcwlad_geo.registration.run import run  # slow to load: the workers start meanwhile
 
         return run(reference, target, settings, on_event=on_event, runner=runner, match_only=match_only)
@@ -230,7 +232,7 @@ def _run_and_write(
     out_dir = places["numbers"].parent
     inside = output_paths(inputs[1], "registered", out_dir=out_dir)
     elsewhere = {kind: path for kind, path in places.items() if path != inside[kind]}
-    _check_places(places, elsewhere, [*inputs, settings.ref_mask, settings.tgt_mask], overwrite)
+    _check_places(places, elsewhere, [*inputs, *settings.files], overwrite)
     with OutputFolder(out_dir, overwrite=overwrite) as folder:
         staged = {
             kind: folder.stage / inside[kind].name if kind in elsewhere else folder.path(inside[kind].name)

@@ -178,12 +178,11 @@ def _done_before(pair: Pair) -> PairOutcome | None:
 
 def _same_inputs(pair: Pair, report: Mapping[str, Any]) -> bool:
     """Whether the report is of these files, and none has been replaced since."""
-    names = [pair.reference, pair.target]
+    names: list[PathLike] = [pair.reference, pair.target]
     if [report[which]["path"] for which in ("reference", "target")] != names:
         return False
-    masks = [pair.settings.ref_mask, pair.settings.tgt_mask]
     written = (pair.out_dir / "report.json").stat().st_mtime
-    return all(_changed(file) <= written for file in [*names, *masks] if file is not None)
+    return all(_changed(file) <= written for file in [*names, *pair.settings.files])
 
 
 def _changed(file: PathLike) -> float:

@@ -33,8 +33,17 @@ Target = Annotated[str, typer.Argument(metavar="TARGET", help="Raster that moves
 
 RefBand = Annotated[int | None, _setting("ref_band", "Band of the reference.", metavar="N")]
 TgtBand = Annotated[int | None, _setting("tgt_band", "Band of the target.", metavar="N")]
-RefMask = Annotated[Path | None, _setting("ref_mask", "Mask of the reference, 0 = excluded.", metavar="FILE")]
-TgtMask = Annotated[Path | None, _setting("tgt_mask", "Mask of the target, 0 = excluded.", metavar="FILE")]
+RefMask = Annotated[
+    Path | None,
+    _setting(
+        "ref_mask", "Mask of the reference: 0 = excluded, or QA_PIXEL, SCL, MSK_CLASSI.", metavar="FILE"
+    ),
+]
+TgtMask = Annotated[Path | None, _setting("tgt_mask", "Mask of the target.", metavar="FILE")]
+TiePoints = Annotated[
+    Path | None,
+    _setting("tie_points", "Fit the tie points of this file, match nothing.", metavar="FILE"),
+]
 
 Method = Annotated[s.Method | None, _setting("method", "Fine matching method.")]
 Points = Annotated[

@@ -28,9 +28,11 @@ class Settings:
     tgt_band: int = 1
     """Band of the target, from 1."""
     ref_mask: Path | None = None
-    """Mask file of the reference, GDAL's convention: 0 = excluded."""
+    """Mask file of the reference: 0 = excluded, or a QA_PIXEL, SCL or MSK_CLASSI raster."""
     tgt_mask: Path | None = None
-    """Mask file of the target, GDAL's convention: 0 = excluded."""
+    """Mask file of the target."""
+    tie_points: Path | None = None
+    """File of tie points to fit instead of matching: tiepoints.csv, .points, .pts, raster with GCPs."""
     method: Method = "oriented"
     """Fine matching method."""
     points: int | Literal["all"] | None = None
@@ -93,6 +95,11 @@ class Settings:
             if get_origin(hint) is Literal:
                 value = getattr(self, name)
                 _check(name, value, value in get_args(hint), "one of " + ", ".join(get_args(hint)))
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files that the job reads besides the two rasters."""
+        return tuple(file for file in (self.ref_mask, self.tgt_mask, self.tie_points) if file is not None)
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Settings:
