@@ -91,6 +91,12 @@ def describe(
     return info
 
 
+def file_name(uri: str) -> str:
+    """Return the last part of a path or GDAL URI, without what a vrt:// connection adds to it."""
+    plain = uri.removeprefix("vrt://").partition("?")[0] if uri.startswith("vrt://") else uri
+    return Path(plain).name
+
+
 def same_band(a: RasterInfo, b: RasterInfo) -> bool:
     """Whether both are the same band of the same file, however its path is written."""
     if a.band != b.band:
@@ -128,7 +134,10 @@ def _why_not_opened(uri: str, error: Exception) -> str:
     path = Path(uri)
     try:
         if path.is_dir():
-            return f"{uri} is a folder: give a raster file"
+            return (
+                f"{uri} is a folder, and neither a Landsat Collection 2 nor a Sentinel-2 SAFE product: "
+                "give a raster file"
+            )
         if path.is_file():
             if not os.access(path, os.R_OK):
                 return f"{uri} cannot be read: change its permissions"

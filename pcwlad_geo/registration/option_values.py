@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, Literal, get_args, get_origin, get_type_hints
 
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.settings import BAND_NAME, Settings
 
 SETTINGS: Final = tuple(field.name for field in fields(Settings))
 """Names of the options."""
@@ -34,6 +34,8 @@ def to_setting(name: str, value: object) -> object:
         return value
     if Path in kinds:
         return Path(_checked(name, value, str, "a file name") if not isinstance(value, Path) else value)
+    if {int, str} <= kinds and isinstance(value, str) and BAND_NAME.match(value):
+        return value
     if int in kinds:
         words += [WORDS[name]] if name in WORDS else []
         return _number(name, value, int, " or ".join(["a whole number", *(f"'{word}'" for word in words)]))

@@ -17,6 +17,7 @@ from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.fitting import Fitted, fit_correction, shared_residual_px
 from pcwlad_geo.registration.given_points import footprint_px, points_of_file
+from pcwlad_geo.registration.inputs import resolve
 from pcwlad_geo.registration.job_log import JobLog
 from pcwlad_geo.registration.judge import Verdict
 from pcwlad_geo.registration.kernels import load_kernels
@@ -48,6 +49,7 @@ def run(
     Parameters
     ----------
     reference, target : path
+        Rasters, or products (see `inputs.resolve`).
     settings : Settings
     on_event : callable
         Receives progress and warnings; an exception that it raises ends the job.
@@ -64,10 +66,12 @@ def run(
     log = JobLog(on_event)
     runner = runner or InThisProcess()
     with log.stage("reading"):
-        ref = describe(reference, band=settings.ref_band, mask=settings.ref_mask)
-        tgt = describe(target, band=settings.tgt_band, mask=settings.tgt_mask)
+        inputs = resolve(reference, target, settings)
+        settings = inputs.settings
+        ref = describe(inputs.reference, band=int(settings.ref_band), mask=settings.ref_mask)
+        tgt = describe(inputs.target, band=int(settings.tgt_band), mask=settings.tgt_mask)
         pair = plan_views(ref, tgt)
-        for warning in pair.warnings:
+        for warning in (*inputs.notes, *pair.warnings):
             log.warn(warning)
         if same_band(ref, tgt):
             log.warn(
@@ -106,6 +110,7 @@ def run(
         counts=found.counts,
         seconds=log.seconds,
         settings=settings,
+        other_bands=inputs.other_bands,
     )
 
 
