@@ -18,6 +18,7 @@ from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
+from pcwlad_geo.raster.gcp_grid import geotransform_of
 from pcwlad_geo.raster.grid import Grid, linear_part
 from pcwlad_geo.raster.mask_kinds import MaskKind, kind_of
 
@@ -36,13 +37,15 @@ class RasterInfo:
     band_count: int
     grid: Grid
     georeferenced: bool
-    """False where the file has no geotransform or no CRS."""
+    """False where the file has no geotransform (nor control points that give one) or no CRS."""
     dtype: str
     nodata: float | None
     mask_uri: str | None
     """A mask file given by the user or found in a product."""
     mask_kind: MaskKind = "zeros"
     """What its values mean."""
+    gcp_misfit_px: float | None = None
+    """Largest misfit of the ground control points that the grid is made from; None: it is the file's own."""
 
 
 def describe(
@@ -51,7 +54,8 @@ def describe(
     """Describe one band of a raster file.
 
     A file counts as georeferenced with a CRS and a geotransform that can be inverted and is not the
-    identity; without them (also with GCPs or RPCs only) the grid has the identity and no CRS.
+    identity, or with ground control points on the geotransform that fits them best; without them (also with
+    RPCs only) the grid has the identity and no CRS.
 
     Parameters
     ----------
@@ -73,15 +77,17 @@ def describe(
     uri = os.fspath(path)
     with open_raster(uri) as dataset:
         _check_band(uri, dataset, band)
+        grid, misfit_px = _grid_of(dataset)
         info = RasterInfo(
             uri=uri,
             band=band,
             band_count=dataset.count,
-            grid=_grid_of(dataset),
-            georeferenced=_is_georeferenced(dataset),
+            grid=grid,
+            georeferenced=grid.crs is not None,
             dtype=dataset.dtypes[band - 1],
             nodata=dataset.nodatavals[band - 1],
             mask_uri=None if mask is None else os.fspath(mask),
+            gcp_misfit_px=misfit_px,
         )
     if info.mask_uri is not None:
         _check_mask(info, describe(info.mask_uri))
@@ -183,10 +189,15 @@ def _is_georeferenced(dataset: DatasetReader) -> bool:
     )
 
 
-def _grid_of(dataset: DatasetReader) -> Grid:
+def _grid_of(dataset: DatasetReader) -> tuple[Grid, float | None]:
+    """Return the grid, and how well it fits the control points where it is made from them."""
     if _is_georeferenced(dataset):
-        return Grid(dataset.shape, dataset.transform, dataset.crs)
-    return Grid(dataset.shape, Affine.identity(), None)
+        return Grid(dataset.shape, dataset.transform, dataset.crs), None
+    gcps, crs = dataset.gcps
+    found = geotransform_of(gcps) if crs is not None else None
+    if found is not None:
+        return Grid(dataset.shape, found[0], crs), found[1]
+    return Grid(dataset.shape, Affine.identity(), None), None
 
 
 def _check_mask(info: RasterInfo, mask: RasterInfo) -> None:

@@ -32,6 +32,9 @@ from pcwlad_geo.registration.tasks import InThisProcess, Runner
 PARALLAX_PX = 0.5
 """Residuals that neighbours share are worth a warning where a third of them exceed this."""
 
+MOST_REFERENCE_MISFIT_PX = 0.05
+"""Of ground control points."""
+
 PathLike = str | os.PathLike[str]
 
 
@@ -71,7 +74,7 @@ def run(
         ref = describe(inputs.reference, band=int(settings.ref_band), mask=settings.ref_mask)
         tgt = describe(inputs.target, band=int(settings.tgt_band), mask=settings.tgt_mask)
         pair = plan_views(ref, tgt)
-        for warning in (*inputs.notes, *pair.warnings):
+        for warning in (*inputs.notes, *_control_point_notes(ref, tgt), *pair.warnings):
             log.warn(warning)
         if same_band(ref, tgt):
             log.warn(
@@ -197,6 +200,23 @@ def _warn_of_parallax(fitted: Fitted, log: JobLog) -> None:
             f"{fitted.correction.name} model does not take out: parallax of another viewpoint, relief or "
             "sensor jitter; the corrected raster is off by as much"
         )
+
+
+def _control_point_notes(reference: RasterInfo, target: RasterInfo) -> list[str]:
+    """Tell how well control points are fitted by a geotransform; the reference's must be."""
+    off_px = reference.gcp_misfit_px
+    if off_px is not None and off_px > MOST_REFERENCE_MISFIT_PX:
+        raise InputError(
+            f"{reference.uri} is georeferenced by ground control points that no geotransform fits (off by "
+            f"up to {off_px:.2f} px): a reference must be on a map grid; warp it first (gdalwarp -tps)"
+        )
+    off_px = target.gcp_misfit_px
+    if off_px is None or off_px <= MOST_REFERENCE_MISFIT_PX:
+        return []
+    return [
+        f"{target.uri} is georeferenced by ground control points: displacements count from the geotransform "
+        f"that fits them best, which is off by up to {off_px:.1f} px; if that is much, raise --search-radius"
+    ]
 
 
 def _px_m(target: RasterInfo) -> tuple[float, float] | None:

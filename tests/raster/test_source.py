@@ -78,7 +78,7 @@ def test_no_warning_leaks(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> N
     assert not recwarn.list
 
 
-def test_gcps_alone_are_no_georeferencing(tmp_path: Path) -> None:
+def test_control_points_give_a_geotransform(tmp_path: Path) -> None:
     gcps = [
         GroundControlPoint(r, c, 500_000 + c, 5_000_000 - r) for r, c in ((0, 0), (0, 50), (40, 0), (40, 50))
     ]
@@ -87,7 +87,12 @@ def test_gcps_alone_are_no_georeferencing(tmp_path: Path) -> None:
         path, "w", driver="GTiff", count=1, height=40, width=50, dtype="uint8", gcps=gcps, crs=UTM33
     ) as dataset:
         dataset.write(ramp())
-    assert not describe(path).georeferenced
+    info = describe(path)
+    assert info.georeferenced
+    assert info.gcp_misfit_px == pytest.approx(0, abs=1e-9)
+    assert info.grid.crs == UTM33
+    at_px = np.array([[gcp.col, gcp.row] for gcp in gcps])
+    assert info.grid.to_xy(at_px) == pytest.approx(np.array([[gcp.x, gcp.y] for gcp in gcps]), abs=1e-6)
 
 
 @pytest.mark.parametrize(("driver", "suffix"), [("JPEG", ".jpg"), ("PNG", ".png"), ("JP2OpenJPEG", ".jp2")])
