@@ -20,7 +20,7 @@ from pcwlad_geo.raster.product import ProductBand
 from pcwlad_geo.raster.products import stem_of
 from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration import settings as s
-from pcwlad_geo.registration.inputs import band_file
+from pcwlad_geo.registration.inputs import band_file, resolve
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.runners import open_runner
@@ -54,9 +54,9 @@ class Options(TypedDict, total=False):
 
     ref_band: int | str
     tgt_band: int | str
-    ref_mask: Path | None
-    tgt_mask: Path | None
-    tie_points: Path | None
+    ref_mask: Path | str | None
+    tgt_mask: Path | str | None
+    tie_points: Path | str | None
     method: s.Method
     points: int | Literal["all"] | None
     features: int
@@ -257,12 +257,12 @@ def _run_and_write(
             kind: folder.stage / inside[kind].name if kind in elsewhere else folder.path(inside[kind].name)
             for kind in places
         }
-        registration = job()
         bands = {
             band: folder.path(_plain(f"{Path(file_name(band.uri)).stem}_registered.tif"))
-            for band in registration.other_bands
-            if registration.status == "registered"
+            for band in resolve(*inputs, settings).other_bands
+            if "raster" in places
         }
+        registration = job()
         for kind in _write(registration, staged, places, elsewhere, bands, on_event):
             if kind in elsewhere:
                 place_file(staged[kind], elsewhere[kind], overwrite=overwrite)
@@ -301,6 +301,8 @@ def _write(
     from pcwlad_geo.report.page import render  # slow to load: the figures' library
 
     since = time.perf_counter()
+    if registration.status != "registered":
+        bands = {}
     writers = _writers(registration, places, on_event)
     kinds = _kinds(registration)
     total = len(kinds) + len(bands) + 1  # the report is one

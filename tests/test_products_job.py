@@ -10,7 +10,8 @@ import pytest
 import rasterio
 
 import pcwlad_geo
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.cli.app import run as main
+from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster.grid import Grid, map_px
 from tests.products import LANDSAT, SAFE, SHIFT_M, grid_of, packed, seen_by, write_landsat, write_safe
 
@@ -135,6 +136,58 @@ def test_an_incomplete_product_is_refused_before_any_work(
     with pytest.raises(InputError, match=said):
         pcwlad_geo.register(reference, target, ref_band=bands[0], tgt_band=bands[1], out_dir=tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_the_reference_band_of_the_same_product_stays(tmp_path: Path) -> None:
+    scene = write_landsat(tmp_path)
+    out_dir = tmp_path / "out"
+    found = pcwlad_geo.register(
+        scene / f"{LANDSAT}_MTL.txt", scene, ref_band="B4", tgt_band="B10", out_dir=out_dir, **SMALL
+    )
+    made = {path.name.removeprefix(LANDSAT + "_") for path in out_dir.glob("*_registered.tif")}
+    assert made == {"B8_registered.tif", "B10_registered.tif"}
+    assert ["of the same product" in warning for warning in found.warnings] == [True]
+
+
+def test_nothing_is_done_where_a_band_would_be_in_the_way(tmp_path: Path) -> None:
+    scene = write_landsat(tmp_path)
+    out_dir = tmp_path / "out"
+    out_dir.mkdir()
+    (out_dir / f"{LANDSAT}_B8_registered.tif").write_text("mine")
+    events: list[object] = []
+    with pytest.raises(OutputError, match=r"B8_registered\.tif is in the way"):
+        pcwlad_geo.register(
+            scene, scene, ref_band="B4", tgt_band="B10", out_dir=out_dir, on_event=events.append, **SMALL
+        )
+    assert events == []
+    assert [path.name for path in out_dir.iterdir()] == [f"{LANDSAT}_B8_registered.tif"]
+
+
+def test_a_folder_can_move_with_its_product(tmp_path: Path) -> None:
+    """The VRTs refer to the band files relatively, also where nodata is declared on the way."""
+    reference = write_landsat(tmp_path / "ref", bands=("B4",))
+    target = write_safe(tmp_path / "all" / "tgt", shift_m=SHIFT_M)
+    out_dir = tmp_path / "all" / "out"
+    pcwlad_geo.register(reference, target, ref_band="B4", tgt_band="B4", out_dir=out_dir, **SMALL)
+    (tmp_path / "all").rename(tmp_path / "moved")
+    for ending in ("corrected", "gcps"):
+        with rasterio.open(
+            tmp_path / "moved" / "out" / f"T32TQM_20230809T100559_B04_10m_{ending}.vrt"
+        ) as made:
+            assert made.nodata == 0
+            assert made.read(1).any()
+
+
+def test_a_mask_inside_an_archive_may_be_given(tmp_path: Path) -> None:
+    scene = write_landsat(tmp_path, bands=("B4", "B10"))
+    archive = packed(scene, ".zip", with_folder=False)
+    mask = f"/vsizip/{archive}/{LANDSAT}_QA_PIXEL.TIF"
+    bands = [str(scene / f"{LANDSAT}_{band}.TIF") for band in ("B4", "B10")]
+    out_dir = tmp_path / "out"
+    work = ["match", *bands, "--tgt-mask", mask, "-o", str(out_dir), "--window", "41", "--template", "61"]
+    assert main([*work, "--features", "100", "--progress", "none"]) == 0
+    report = json.loads((out_dir / "report.json").read_text())
+    assert (report["target"]["mask"], report["target"]["mask_kind"]) == (mask, "QA_PIXEL")
 
 
 def test_names_are_for_products(tmp_path: Path) -> None:

@@ -42,14 +42,14 @@ TgtBand = Annotated[
     str | None, _setting("tgt_band", "Band of the target; of a product, its name.", metavar="N|NAME")
 ]
 RefMask = Annotated[
-    Path | None,
+    str | None,
     _setting(
         "ref_mask", "Mask of the reference: 0 = excluded, or QA_PIXEL, SCL, MSK_CLASSI.", metavar="FILE"
     ),
 ]
-TgtMask = Annotated[Path | None, _setting("tgt_mask", "Mask of the target.", metavar="FILE")]
+TgtMask = Annotated[str | None, _setting("tgt_mask", "Mask of the target.", metavar="FILE")]
 TiePoints = Annotated[
-    Path | None,
+    str | None,
     _setting("tie_points", "Fit the tie points of this file, match nothing.", metavar="FILE"),
 ]
 

@@ -28,6 +28,11 @@ _NAMES: Final[dict[MaskKind, str]] = {
     "SCL": rf"(^|_)SCL{_ENDINGS}",
     "MSK_CLASSI": rf"(^|_)MSK_CLASSI(_B00)?{_ENDINGS}",
 }
+_OTHERS: Final = re.compile(
+    rf"(^|_)(BQA|QA_RADSAT|QA_AEROSOL|CLOUD_QA|ST_QA|MSK_(?!CLASSI)[A-Z]+(_B\w\w)?|CLD|SNW){_ENDINGS}",
+    re.IGNORECASE,
+)
+"""Quality rasters whose values mean something else: read as zeros they would exclude the wrong pixels."""
 
 
 def kind_of(uri: str, descriptions: Sequence[str | None], dtypes: Sequence[str]) -> MaskKind:
@@ -43,7 +48,7 @@ def kind_of(uri: str, descriptions: Sequence[str | None], dtypes: Sequence[str])
     Raises
     ------
     InputError
-        If the name is that of a quality raster and the bands are not.
+        If the name is that of a quality raster that is not read, or of one that is and the bands are not.
     """
     names = [PurePosixPath(uri.replace("\\", "/")).name, (descriptions[0] or "") if descriptions else ""]
     for name in names:
@@ -51,6 +56,11 @@ def kind_of(uri: str, descriptions: Sequence[str | None], dtypes: Sequence[str])
             if re.search(_NAMES[kind], name, re.IGNORECASE):
                 _check(kind, uri, dtypes)
                 return kind  # type: ignore[no-any-return]  # get_args has no types
+    if _OTHERS.search(names[0]):
+        raise InputError(
+            f"the mask {uri} is a quality raster whose values are not read: give QA_PIXEL, SCL, MSK_CLASSI, "
+            "or a mask of your own (0 = excluded) under another name"
+        )
     return "zeros"
 
 

@@ -27,12 +27,12 @@ OTHER_PX: Final = 0.5
 """Columns that say the same twice may differ by so much; beyond, they are of other rasters."""
 
 
-def read_tie_points(path: Path, pair: ViewPair) -> TiePointTable:
+def read_tie_points(path: Path | str, pair: ViewPair) -> TiePointTable:
     """Read a file of tie points for a pair.
 
     Parameters
     ----------
-    path : pathlib.Path
+    path : path or GDAL URI
         One of the formats of `tie_point_readers.read_point_file`. Map coordinates without a CRS are in the
         reference's.
     pair : ViewPair
@@ -73,7 +73,7 @@ def read_tie_points(path: Path, pair: ViewPair) -> TiePointTable:
 
 
 def _on_raster(
-    path: Path, points: PointFile, side: Literal["reference", "target"], info: RasterInfo
+    path: Path | str, points: PointFile, side: Literal["reference", "target"], info: RasterInfo
 ) -> Array:
     """Return px of a raster; raise where most of the points lie outside of it."""
     readings = _readings(points, side, info)
@@ -127,7 +127,7 @@ def _inside(px: Array, info: RasterInfo) -> bool:
 
 
 def _check_against_itself(
-    path: Path, points: PointFile, reference_px: Array, target_px: Array, pair: ViewPair
+    path: Path | str, points: PointFile, reference_px: Array, target_px: Array, pair: ViewPair
 ) -> None:
     """Raise where columns that say the same twice contradict one another on this pair."""
     if points.xy is not None:
@@ -140,7 +140,7 @@ def _check_against_itself(
         _check_same(path, apart, "d_col, d_row and tgt_col, tgt_row", pair.target.info)
 
 
-def _check_same(path: Path, apart_px: Array, columns: str, info: RasterInfo) -> None:
+def _check_same(path: Path | str, apart_px: Array, columns: str, info: RasterInfo) -> None:
     size_px = np.linalg.norm(apart_px, axis=1)
     size_px = size_px[np.isfinite(size_px)]
     if len(size_px) and np.median(size_px) > OTHER_PX:

@@ -57,7 +57,7 @@ class PointFile:
     """Rows, columns of the raster that carries the points."""
 
 
-def read_point_file(path: Path, *, reference_name: str = "", target_name: str = "") -> PointFile:
+def read_point_file(path: Path | str, *, reference_name: str = "", target_name: str = "") -> PointFile:
     """Read tie points; the format is told by the content.
 
     - `tiepoints.csv`, or any CSV with the columns ref_col, ref_row, tgt_col, tgt_row (GDAL's px);
@@ -68,7 +68,7 @@ def read_point_file(path: Path, *, reference_name: str = "", target_name: str = 
 
     Parameters
     ----------
-    path : pathlib.Path
+    path : path
         The file, or a GDAL URI.
     reference_name, target_name : str
         File names of the rasters: an ENVI file that names them the other way round is turned.
@@ -78,7 +78,8 @@ def read_point_file(path: Path, *, reference_name: str = "", target_name: str = 
     InputError
         If it is none of these, a cell is no number, or there is no point.
     """
-    text = _text_of(path)
+    path = str(path)
+    text = _text_of(Path(path))
     if text is None:
         points = _read_gcps(path)
     else:
@@ -118,7 +119,7 @@ def _text_of(path: Path) -> str | None:
     return None
 
 
-def _unknown(path: Path) -> InputError:
+def _unknown(path: str) -> InputError:
     return InputError(
         f"{path} is no file of tie points: give a tiepoints.csv (columns {', '.join(_OWN)}), a QGIS .points "
         "file, an ENVI .pts file or a raster with ground control points"
@@ -130,7 +131,7 @@ def _only_numbers(line: str, least: int) -> bool:
     return len(cells) >= least and all(re.fullmatch(r"[-+.\deE]+", cell) for cell in cells)
 
 
-def _read_csv(path: Path, lines: Sequence[str]) -> PointFile:
+def _read_csv(path: str, lines: Sequence[str]) -> PointFile:
     table = _Table.read(path, lines)
     sides = {name: table.pair(f"{name}_col", f"{name}_row") for name in ("ref", "tgt")}
     return PointFile(
@@ -147,7 +148,7 @@ def _read_csv(path: Path, lines: Sequence[str]) -> PointFile:
     )
 
 
-def _read_qgis(path: Path, lines: Sequence[str]) -> PointFile:
+def _read_qgis(path: str, lines: Sequence[str]) -> PointFile:
     crs = _crs_of(path, next((line for line in lines if line.startswith(CRS_LINE)), CRS_LINE))
     body = [line for line in lines if not line.startswith("#")]
     table = _Table.read(path, body)
@@ -165,7 +166,7 @@ def _read_qgis(path: Path, lines: Sequence[str]) -> PointFile:
     )
 
 
-def _crs_of(path: Path, line: str) -> CRS | None:
+def _crs_of(path: str, line: str) -> CRS | None:
     text = line.removeprefix(CRS_LINE).strip()
     if not text:
         return None
@@ -175,7 +176,7 @@ def _crs_of(path: Path, line: str) -> CRS | None:
         raise InputError(f"{path}: the CRS in its first line is not understood: {text[:80]}") from error
 
 
-def _read_envi(path: Path, lines: Sequence[str], reference_name: str, target_name: str) -> PointFile:
+def _read_envi(path: str, lines: Sequence[str], reference_name: str, target_name: str) -> PointFile:
     comments = [line.strip() for line in lines if line.lstrip().startswith(";")]
     sides = next((found for line in comments if len(found := _ENVI_SIDE.findall(line)) == 2), None)
     names = [side.lower() for side, _ in sides] if sides else ["base", "warp"]
@@ -196,7 +197,7 @@ def _read_envi(path: Path, lines: Sequence[str], reference_name: str, target_nam
     return PointFile("ENVI .pts", base, warp, enabled, "px", "px")
 
 
-def _envi_rows(path: Path, lines: Sequence[str], width: int) -> Iterator[list[float]]:
+def _envi_rows(path: str, lines: Sequence[str], width: int) -> Iterator[list[float]]:
     for number, line in enumerate(lines, start=1):
         cells = line.replace(",", " ").split()
         if not cells or cells[0].startswith(";"):
@@ -210,14 +211,14 @@ def _name(path: str) -> str:
     return path.replace("\\", "/").rsplit("/", 1)[-1].casefold()
 
 
-def _read_gcps(path: Path) -> PointFile:
+def _read_gcps(path: str) -> PointFile:
     """Read the ground control points of a raster: pixel and line are those of the target."""
     try:
-        with open_raster(str(path)) as dataset:
+        with open_raster(path) as dataset:
             gcps, crs = dataset.gcps
             shape = dataset.shape
     except InputError as error:
-        raise (_unknown(path) if path.is_file() else error) from error
+        raise (_unknown(path) if Path(path).is_file() else error) from error
     if not gcps:
         raise InputError(f"{path} is a raster without ground control points: give one that has some")
     return PointFile(
@@ -236,13 +237,13 @@ def _read_gcps(path: Path) -> PointFile:
 class _Table:
     """A table with a header, its names in small letters."""
 
-    path: Path
+    path: str
     columns: tuple[str, ...]
     rows: list[tuple[int, dict[str, str]]]
     """Line number and cells by column."""
 
     @staticmethod
-    def read(path: Path, lines: Sequence[str]) -> _Table:
+    def read(path: str, lines: Sequence[str]) -> _Table:
         header = next(line for line in lines if line.strip())
         delimiter = "\t" if "\t" in header else "," if "," in header else ";"
         reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
@@ -275,7 +276,7 @@ class _Table:
         return np.column_stack([self.numbers(first), self.numbers(second)])
 
 
-def _number(path: Path, line: int, name: str, text: str) -> float:
+def _number(path: str, line: int, name: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError as error:

@@ -23,7 +23,7 @@ DENSE: Final = 100
 """From so many on, points are taken to come from overlapping matching windows; fewer were set one by one."""
 
 
-def points_of_file(path: Path, pair: ViewPair) -> tuple[TiePointTable, Verdict, dict[str, int]]:
+def points_of_file(path: Path | str, pair: ViewPair) -> tuple[TiePointTable, Verdict, dict[str, int]]:
     """Return the tie points of a file, those that their neighbours contradict ``rejected``.
 
     Points without a sigma get the one that their agreement with their neighbours shows.

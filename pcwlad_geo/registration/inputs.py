@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Literal
 
 from pcwlad_geo.errors import InputError
@@ -48,13 +47,13 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings) -> Inputs
     """
     ref = _side(reference, "ref", settings)
     tgt = _side(target, "tgt", settings)
-    return Inputs(
-        ref.uri,
-        tgt.uri,
-        replace(settings, **ref.changes, **tgt.changes),
-        ref.notes + tgt.notes,
-        tgt.others,
-    )
+    notes, others = ref.notes + tgt.notes, tuple(band for band in tgt.others if band.uri != ref.file)
+    if len(others) < len(tgt.others):
+        notes += (
+            f"reference and target are of the same product {os.fspath(target)}: the correction is applied to "
+            "all its bands but the reference; it holds for those that lie as the target does",
+        )
+    return Inputs(ref.uri, tgt.uri, replace(settings, **ref.changes, **tgt.changes), notes, others)
 
 
 def band_file(path: PathLike, band: int | str) -> str:
@@ -66,6 +65,9 @@ def band_file(path: PathLike, band: int | str) -> str:
 @dataclass(frozen=True, slots=True)
 class _Side:
     uri: str
+    """What is opened."""
+    file: str
+    """The band's file."""
     changes: dict[str, Any]
     notes: tuple[str, ...] = ()
     others: tuple[ProductBand, ...] = ()
@@ -81,11 +83,11 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
                 f"band {name} of {os.fspath(path)}: bands have names in Landsat Collection 2 and Sentinel-2 "
                 f"products only; give its number (--{side}-band 1)"
             )
-        return _Side(os.fspath(path), {})
+        return _Side(os.fspath(path), os.fspath(path), {})
     band = product.band(name)
     notes: tuple[str, ...] = ()
     if given is None and product.mask is None:
         notes = (f"{product.path} ({product.kind}) has no quality raster: its clouds are not masked",)
-    mask = given or (Path(product.mask) if product.mask else None)
+    mask = given or product.mask
     others = product.others(band) if side == "tgt" else ()
-    return _Side(band.opened_as(), {f"{side}_band": 1, f"{side}_mask": mask}, notes, others)
+    return _Side(band.opened_as(), band.uri, {f"{side}_band": 1, f"{side}_mask": mask}, notes, others)

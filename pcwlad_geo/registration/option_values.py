@@ -33,6 +33,8 @@ def to_setting(name: str, value: object) -> object:
     if value in words:
         return value
     if Path in kinds:
+        if isinstance(value, str) and (value.startswith("/vsi") or "://" in value):
+            return value  # a Path would fold the slashes of a GDAL URI
         return Path(_checked(name, value, str, "a file name") if not isinstance(value, Path) else value)
     if {int, str} <= kinds and isinstance(value, str) and BAND_NAME.match(value):
         return value

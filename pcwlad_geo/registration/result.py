@@ -8,7 +8,6 @@ from typing import Literal
 from pcwlad_geo.correction.accuracy import Accuracy
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.product import ProductBand
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.settings import Settings
@@ -51,5 +50,3 @@ class Registration:
     """Candidates and what became of them, stage by stage, in order."""
     seconds: dict[str, float]
     settings: Settings
-    other_bands: tuple[ProductBand, ...] = ()
-    """Bands of the target's product that are corrected like the target; none where it is a plain raster."""

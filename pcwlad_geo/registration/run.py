@@ -113,7 +113,6 @@ def run(
         counts=found.counts,
         seconds=log.seconds,
         settings=settings,
-        other_bands=inputs.other_bands,
     )
 
 
@@ -127,7 +126,7 @@ class _Found:
     prealignment: Prealignment
 
 
-def _from_file(pair: ViewPair, path: Path, log: JobLog) -> _Found:
+def _from_file(pair: ViewPair, path: Path | str, log: JobLog) -> _Found:
     with log.stage("reading"):
         table, verdict, counts = points_of_file(path, pair)
     return _Found(table, verdict, counts, Prealignment("tie points of a file", (0.0, 0.0), 0))

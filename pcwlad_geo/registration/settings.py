@@ -29,11 +29,11 @@ class Settings:
     """Band of the reference, from 1; its name where the reference is a product (B4)."""
     tgt_band: int | str = 1
     """Band of the target, from 1; its name where the target is a product."""
-    ref_mask: Path | None = None
-    """Mask file of the reference: 0 = excluded, or a QA_PIXEL, SCL or MSK_CLASSI raster."""
-    tgt_mask: Path | None = None
+    ref_mask: Path | str | None = None
+    """Mask file (or GDAL URI) of the reference: 0 = excluded, or a QA_PIXEL, SCL or MSK_CLASSI raster."""
+    tgt_mask: Path | str | None = None
     """Mask file of the target."""
-    tie_points: Path | None = None
+    tie_points: Path | str | None = None
     """File of tie points to fit instead of matching: tiepoints.csv, .points, .pts, raster with GCPs."""
     method: Method = "oriented"
     """Fine matching method."""
@@ -101,8 +101,8 @@ class Settings:
                 _check(name, value, value in get_args(hint), "one of " + ", ".join(get_args(hint)))
 
     @property
-    def files(self) -> tuple[Path, ...]:
-        """Files that the job reads besides the two rasters."""
+    def files(self) -> tuple[Path | str, ...]:
+        """Files and GDAL URIs that the job reads besides the two rasters."""
         return tuple(file for file in (self.ref_mask, self.tgt_mask, self.tie_points) if file is not None)
 
     @classmethod

@@ -79,6 +79,23 @@ def test_a_quality_raster_of_impossible_bands_is_refused(name: str, dtypes: list
         kind_of(name, [None] * len(dtypes), dtypes)
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        LANDSAT.replace("QA_PIXEL", "QA_RADSAT"),
+        "LC08_L2SP_198030_20200809_20200918_02_T1_SR_QA_AEROSOL.TIF",
+        "LC08_L1TP_198030_20200809_20200918_01_T1_BQA.TIF",
+        "MSK_CLDPRB_20m.jp2",
+        "MSK_QUALIT_B04.jp2",
+        "T32TQM_20200809T100559_CLD_20m.jp2",
+    ],
+)
+def test_other_quality_rasters_are_refused(name: str) -> None:
+    """Cloud probabilities are 0 where there is none: as a mask of zeros they would keep the clouds only."""
+    with pytest.raises(InputError, match="whose values are not read"):
+        kind_of(name, [None], ["uint8"])
+
+
 def test_landsat_words() -> None:
     words = np.array([[[CLEAR, WATER, SNOW, FILL, CLOUD, SHADOW, CIRRUS, DILATED]]], "uint16")
     assert accepted("QA_PIXEL", words).tolist() == [[True] * 3 + [False] * 5]
