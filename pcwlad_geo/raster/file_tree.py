@@ -84,7 +84,8 @@ def tree_of(path: Path) -> FileTree:
 
 
 def _plain(names: list[str]) -> tuple[str, ...]:
-    return tuple(sorted(name for name in names if not name.endswith("/")))
+    # macOS packs a shadow of each file: ._name
+    return tuple(sorted(name for name in names if name[-1:] != "/" and not name_in(name).startswith("._")))
 
 
 def _below(folder: Path, levels: int, above: str = "") -> list[str]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -101,6 +102,23 @@ def test_sentinel2_nodata_is_zero_of_the_stored_numbers(offset: int, level: str,
         assert ((values > 0) & (values < 1000)).sum() > 100
         assert ((opened.read_masks(1) == 0) == (values == 0)).all()
     assert file_name(band.opened_as()) == file_name(band.uri)
+
+
+def test_the_shadows_that_macos_packs_are_no_bands(tmp_path: Path) -> None:
+    safe = write_safe(tmp_path)
+    for band in sorted(safe.rglob("*_B0*.jp2")):
+        shadow = tmp_path / "__MACOSX" / band.relative_to(tmp_path)
+        shadow.parent.mkdir(parents=True, exist_ok=True)
+        shadow.with_name(f"._{band.name}").write_bytes(b"shadow")
+    archive = tmp_path / "mac.zip"
+    with zipfile.ZipFile(archive, "w") as made:
+        for path in sorted(tmp_path.rglob("*")):
+            if path.is_file() and path != archive:
+                made.write(path, path.relative_to(tmp_path).as_posix())
+    found = product(archive)
+    assert [file_name(band.uri) for band in found.bands] == [
+        file_name(band.uri) for band in product(safe).bands
+    ]
 
 
 def test_the_metadata_file_stands_for_its_folder(tmp_path: Path) -> None:
