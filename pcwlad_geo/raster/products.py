@@ -64,7 +64,10 @@ def stem_of(path: PathLike) -> str:
 
 
 def _found(tree: FileTree) -> Product | None:
-    return landsat.find_landsat(tree) or sentinel2.find_sentinel2(tree)
+    found = [product for product in (landsat.find_landsat(tree), sentinel2.find_sentinel2(tree)) if product]
+    if len(found) > 1:
+        raise InputError(f"{tree.path} holds a Landsat and a Sentinel-2 product: give the folder of one")
+    return found[0] if found else None
 
 
 def _folder_of(file: Path) -> FileTree:

@@ -180,6 +180,13 @@ def test_several_products_and_another_collection_are_refused(tmp_path: Path) -> 
         find_product(safe)
 
 
+def test_products_of_both_kinds_in_one_folder_are_refused(tmp_path: Path) -> None:
+    write_landsat(tmp_path, bands=("B4",))
+    write_safe(tmp_path)
+    with pytest.raises(InputError, match="a Landsat and a Sentinel-2 product: give the folder of one"):
+        find_product(tmp_path)
+
+
 def test_damaged_metadata_are_told(tmp_path: Path) -> None:
     safe = write_safe(tmp_path)
     (safe / "MTD_MSIL2A.xml").write_text("<a>")
