@@ -194,7 +194,8 @@ def _grid_of(dataset: DatasetReader) -> tuple[Grid, float | None]:
     if _is_georeferenced(dataset):
         return Grid(dataset.shape, dataset.transform, dataset.crs), None
     gcps, crs = dataset.gcps
-    found = geotransform_of(gcps) if crs is not None else None
+    # Beside RPCs they are the rough corners of an image (NITF).
+    found = geotransform_of(gcps) if crs is not None and not dataset.tags(ns="RPC") else None
     if found is not None:
         return Grid(dataset.shape, found[0], crs), found[1]
     return Grid(dataset.shape, Affine.identity(), None), None

@@ -95,6 +95,23 @@ def test_control_points_give_a_geotransform(tmp_path: Path) -> None:
     assert info.grid.to_xy(at_px) == pytest.approx(np.array([[gcp.x, gcp.y] for gcp in gcps]), abs=1e-6)
 
 
+def test_control_points_beside_rpcs_do_not_count(tmp_path: Path) -> None:
+    """The corners that a NITF file gives of an image with RPCs."""
+    corners = [(0, 0), (50, 0), (0, 40), (50, 40)]
+    gcps = "".join(
+        f'<GCP Pixel="{x}" Line="{y}" X="{25 + x / 1e5}" Y="{-33 - y / 1e5}"/>' for x, y in corners
+    )
+    rpc = '<Metadata domain="RPC"><MDI key="LINE_OFF">20</MDI></Metadata>'
+    for name, metadata in (("plain.vrt", ""), ("rpc.vrt", rpc)):
+        (tmp_path / name).write_text(
+            f'<VRTDataset rasterXSize="50" rasterYSize="40">{metadata}'
+            f'<GCPList Projection="EPSG:4326">{gcps}</GCPList>'
+            '<VRTRasterBand dataType="Byte" band="1"/></VRTDataset>'
+        )
+    assert describe(tmp_path / "plain.vrt").georeferenced
+    assert not describe(tmp_path / "rpc.vrt").georeferenced
+
+
 @pytest.mark.parametrize(("driver", "suffix"), [("JPEG", ".jpg"), ("PNG", ".png"), ("JP2OpenJPEG", ".jp2")])
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_other_formats(tmp_path: Path, driver: str, suffix: str) -> None:
