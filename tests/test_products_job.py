@@ -101,6 +101,12 @@ def test_sentinel2_to_landsat(level: str, tmp_path: Path) -> None:
     assert "a_nodata" not in page.split("<h2>Numbers</h2>")[0]
 
 
+def test_an_archive_without_an_index_is_warned_of(tmp_path: Path) -> None:
+    scene = packed(write_landsat(tmp_path, bands=("B4", "B10")), ".tar.gz")
+    found = pcwlad_geo.match(scene, scene, ref_band="B4", tgt_band="B10", out_dir=tmp_path / "out", **SMALL)
+    assert ["unpack it" in warning for warning in found.warnings[:2]] == [True, True]
+
+
 def test_a_mask_given_replaces_that_of_the_product(tmp_path: Path) -> None:
     scene = write_landsat(tmp_path, bands=("B4", "B10"))
     mask = tmp_path / "mask.tif"

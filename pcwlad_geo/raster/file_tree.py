@@ -6,6 +6,7 @@ import os
 import tarfile
 import zipfile
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -44,15 +45,7 @@ class FileTree:
             If it cannot be read.
         """
         try:
-            if self.prefix == "/vsizip":
-                with zipfile.ZipFile(self.path) as archive:
-                    data = archive.read(name)
-            elif self.prefix:
-                with tarfile.open(self.path) as tar:
-                    file = tar.extractfile(name)
-                    data = file.read() if file else b""
-            else:
-                data = (self.path / name).read_bytes()
+            data = _member(_Archive.of(self.path), name) if self.prefix else (self.path / name).read_bytes()
         except (OSError, KeyError, zipfile.BadZipFile, tarfile.TarError, EOFError) as error:
             raise InputError(f"{name} of {self.path} cannot be read: {error}") from error
         return data.decode("utf-8", errors="replace")
@@ -74,13 +67,48 @@ def tree_of(path: Path) -> FileTree:
     try:
         if path.is_dir():
             return FileTree(path, tuple(sorted(_below(path, DEEPEST))))
-        if path.name.lower().endswith(_ZIP):
-            with zipfile.ZipFile(path) as archive:
-                return FileTree(path, _plain(archive.namelist()), "/vsizip")
-        with tarfile.open(path) as tar:
-            return FileTree(path, _plain([member.name for member in tar if member.isfile()]), "/vsitar")
+        archive = _Archive.of(path)
+        return FileTree(path, _members(archive), "/vsizip" if archive.zipped else "/vsitar")
     except (OSError, zipfile.BadZipFile, tarfile.TarError, EOFError) as error:
         raise InputError(f"{path} cannot be read: it may be damaged ({error})") from error
+
+
+@dataclass(frozen=True, slots=True)
+class _Archive:
+    """An archive as it is now."""
+
+    path: Path
+    changed_ns: int
+    size: int
+
+    @staticmethod
+    def of(path: Path) -> _Archive:
+        status = path.stat()
+        return _Archive(path.absolute(), status.st_mtime_ns, status.st_size)
+
+    @property
+    def zipped(self) -> bool:
+        return self.path.name.lower().endswith(_ZIP)
+
+
+# A job asks several times, and a .tar.gz is unpacked from its beginning each time.
+@lru_cache(maxsize=16)
+def _members(archive: _Archive) -> tuple[str, ...]:
+    if archive.zipped:
+        with zipfile.ZipFile(archive.path) as file:
+            return _plain(file.namelist())
+    with tarfile.open(archive.path) as tar:
+        return _plain([member.name for member in tar if member.isfile()])
+
+
+@lru_cache(maxsize=16)
+def _member(archive: _Archive, name: str) -> bytes:
+    if archive.zipped:
+        with zipfile.ZipFile(archive.path) as file:
+            return file.read(name)
+    with tarfile.open(archive.path) as tar:
+        member = tar.extractfile(name)
+        return member.read() if member else b""
 
 
 def _plain(names: list[str]) -> tuple[str, ...]:

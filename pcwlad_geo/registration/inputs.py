@@ -88,6 +88,8 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
     notes: tuple[str, ...] = ()
     if given is None and product.mask is None:
         notes = (f"{product.path} ({product.kind}) has no quality raster: its clouds are not masked",)
+    if product.path.lower().endswith("gz"):
+        notes += (f"{product.path} is compressed as a whole, and reading parts of it is slow: unpack it",)
     mask = given or product.mask
     others = product.others(band) if side == "tgt" else ()
     return _Side(band.opened_as(), band.uri, {f"{side}_band": 1, f"{side}_mask": mask}, notes, others)
