@@ -259,8 +259,7 @@ def _run_and_write(
         }
         bands = {
             band: folder.path(_plain(f"{Path(file_name(band.uri)).stem}_registered.tif"))
-            for band in resolve(*inputs, settings).other_bands
-            if "raster" in places
+            for band in resolve(*inputs, settings, all_bands="raster" in places).other_bands
         }
         registration = job()
         for kind in _write(registration, staged, places, elsewhere, bands, on_event):

@@ -196,6 +196,13 @@ def test_a_mask_inside_an_archive_may_be_given(tmp_path: Path) -> None:
     assert (report["target"]["mask"], report["target"]["mask_kind"]) == (mask, "QA_PIXEL")
 
 
+def test_tie_points_alone_need_no_other_band(tmp_path: Path) -> None:
+    scene = write_landsat(tmp_path)
+    (scene / f"{LANDSAT}_B8.TIF").unlink()
+    found = pcwlad_geo.match(scene, scene, ref_band="B4", tgt_band="B10", out_dir=tmp_path / "out", **SMALL)
+    assert (found.status, found.warnings) == ("matched", ())
+
+
 def test_names_are_for_products(tmp_path: Path) -> None:
     scene = write_landsat(tmp_path, bands=("B4",))
     file = scene / f"{LANDSAT}_B4.TIF"

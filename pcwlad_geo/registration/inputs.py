@@ -30,7 +30,7 @@ class Inputs:
     """Of the target's product, to be corrected as well."""
 
 
-def resolve(reference: PathLike, target: PathLike, settings: Settings) -> Inputs:
+def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_bands: bool = False) -> Inputs:
     """Find the bands and masks of a pair.
 
     Parameters
@@ -39,6 +39,8 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings) -> Inputs
         A raster or a product, see `products.find_product`.
     settings : Settings
         Its bands are names where a side is a product.
+    all_bands : bool
+        The other bands of the target are wanted too, all of them.
 
     Raises
     ------
@@ -47,8 +49,11 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings) -> Inputs
     """
     ref = _side(reference, "ref", settings)
     tgt = _side(target, "tgt", settings)
-    notes, others = ref.notes + tgt.notes, tuple(band for band in tgt.others if band.uri != ref.file)
-    if len(others) < len(tgt.others):
+    notes = ref.notes + tgt.notes
+    product = find_product(target) if all_bands else None
+    found = product.others(product.band(settings.tgt_band)) if product else ()
+    others = tuple(band for band in found if band.uri != ref.file)
+    if len(others) < len(found):
         notes += (
             f"reference and target are of the same product {os.fspath(target)}: the correction is applied to "
             "all its bands but the reference; it holds for those that lie as the target does",
@@ -70,7 +75,6 @@ class _Side:
     """The band's file."""
     changes: dict[str, Any]
     notes: tuple[str, ...] = ()
-    others: tuple[ProductBand, ...] = ()
 
 
 def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
@@ -91,5 +95,4 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
     if product.path.lower().endswith("gz"):
         notes += (f"{product.path} is compressed as a whole, and reading parts of it is slow: unpack it",)
     mask = given or product.mask
-    others = product.others(band) if side == "tgt" else ()
-    return _Side(band.opened_as(), band.uri, {f"{side}_band": 1, f"{side}_mask": mask}, notes, others)
+    return _Side(band.opened_as(), band.uri, {f"{side}_band": 1, f"{side}_mask": mask}, notes)

@@ -69,7 +69,7 @@ def run(
     log = JobLog(on_event)
     runner = runner or InThisProcess()
     with log.stage("reading"):
-        inputs = resolve(reference, target, settings)
+        inputs = resolve(reference, target, settings, all_bands=not match_only)
         settings = inputs.settings
         ref = describe(inputs.reference, band=int(settings.ref_band), mask=settings.ref_mask)
         tgt = describe(inputs.target, band=int(settings.tgt_band), mask=settings.tgt_mask)
