@@ -30,7 +30,7 @@ class ProductBand:
         Raises
         ------
         InputError
-            If the file cannot be opened.
+            If the file cannot be opened, or its path holds a question mark.
         """
         with open_raster(self.uri) as dataset:
             has_nodata = dataset.nodatavals[0] is not None
@@ -38,7 +38,11 @@ class ProductBand:
         items = [] if has_nodata else [f"a_nodata={NODATA}"]
         if self.scale is not None and not has_scale:
             items += [f"a_scale={self.scale!r}", f"a_offset={self.offset or 0.0!r}"]
-        return f"vrt://{self.uri}?{'&'.join(items)}" if items and "?" not in self.uri else self.uri
+        if not items:
+            return self.uri
+        if "?" in self.uri:
+            raise InputError(f"the path of {self.uri} holds a '?', which GDAL takes for options: rename it")
+        return f"vrt://{self.uri}?{'&'.join(items)}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,6 +104,19 @@ def test_sentinel2_nodata_is_zero_of_the_stored_numbers(offset: int, level: str,
     assert file_name(band.opened_as()) == file_name(band.uri)
 
 
+@pytest.mark.parametrize("folder", ["a b", "a&b#c", "a%20b", "ä=+,'", ":c"])
+def test_odd_paths_keep_nodata(folder: str, tmp_path: Path) -> None:
+    band = product(write_safe(tmp_path / folder)).band("B04")
+    with rasterio.open(band.opened_as()) as opened:
+        assert opened.nodata == 0
+
+
+def test_a_question_mark_would_lose_nodata(tmp_path: Path) -> None:
+    band = product(write_safe(tmp_path / "a?b")).band("B04")
+    with pytest.raises(InputError, match=r"holds a '\?'.*rename it"):
+        band.opened_as()
+
+
 def test_the_shadows_that_macos_packs_are_no_bands(tmp_path: Path) -> None:
     safe = write_safe(tmp_path)
     for band in sorted(safe.rglob("*_B0*.jp2")):
