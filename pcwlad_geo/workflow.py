@@ -17,12 +17,16 @@ from pcwlad_geo.errors import OutputError, RegistrationRejectedError
 from pcwlad_geo.raster import gcp_files, geopackage, sigma_raster, tie_point_csv, vrt, warping
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_grid import output_grid
+from pcwlad_geo.raster.product import ProductBand
+from pcwlad_geo.raster.products import stem_of
+from pcwlad_geo.raster.source import describe, file_name
 from pcwlad_geo.registration import settings as s
+from pcwlad_geo.registration.inputs import band_file, resolve
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.registration.tasks import Runner
+from pcwlad_geo.registration.tasks import InThisProcess, Runner
 from pcwlad_geo.report.summary import summarise, to_json
 from pcwlad_geo.staging import OutputFolder, place_file
 
@@ -50,10 +54,11 @@ NAMES = {
 class Options(TypedDict, total=False):
     """The fields of `Settings`, as keywords."""
 
-    ref_band: int
-    tgt_band: int
-    ref_mask: Path | None
-    tgt_mask: Path | None
+    ref_band: int | str
+    tgt_band: int | str
+    ref_mask: Path | str | None
+    tgt_mask: Path | str | None
+    tie_points: Path | str | None
     method: s.Method
     points: int | Literal["all"] | None
     features: int
@@ -93,9 +98,9 @@ def register(
     Parameters
     ----------
     reference : path
-        Raster that stays.
+        Raster that stays, or a product with `ref_band` the name of a band.
     target : path
-        Raster that moves.
+        Raster that moves, or a product: all its bands are corrected as `tgt_band` is.
     out_dir : path, optional
         Output folder; ``<target stem>_registered`` in the working folder by default.
     overwrite : bool
@@ -126,16 +131,17 @@ def register(
     RegistrationRejectedError
         If the pair cannot be registered reliably; the report is written, a registered raster is not.
     """
+    settings = Settings.from_options(options)
     places = output_paths(
         target,
         "registered",
+        tgt_band=settings.tgt_band,
         out_dir=out_dir,
         output_raster=output_raster,
         output_tiepoints=output_tiepoints,
         output_report=output_report,
         output_points=output_points,
     )
-    settings = Settings.from_options(options)
     job = partial(_run, reference, target, settings, on_event, executor)
     return _run_and_write(job, (reference, target), settings, places, overwrite, on_event)
 
@@ -158,15 +164,16 @@ def match(
     Parameters, errors and result are those of `register`; `out_dir` is ``<target stem>_matched`` by default,
     and the result has no correction.
     """
+    settings = Settings.from_options(options)
     places = output_paths(
         target,
         "matched",
+        tgt_band=settings.tgt_band,
         out_dir=out_dir,
         output_tiepoints=output_tiepoints,
         output_report=output_report,
         output_points=output_points,
     )
-    settings = Settings.from_options(options)
     job = partial(_run, reference, target, settings, on_event, executor, match_only=True)
     return _run_and_write(job, (reference, target), settings, places, overwrite, on_event)
 
@@ -175,6 +182,7 @@ def output_paths(
     target: PathLike,
     job: Job,
     *,
+    tgt_band: int | str = 1,
     out_dir: PathLike | None = None,
     output_raster: PathLike | None = None,
     output_tiepoints: PathLike | None = None,
@@ -186,16 +194,17 @@ def output_paths(
     Parameters
     ----------
     target : path
-        Path or GDAL URI of the target.
+        Path or GDAL URI of the target, or a product.
     job : {"registered", "matched"}
         Ending of the default output folder.
+    tgt_band : int or str
+        Band of the target: the files are named after that of a product.
     out_dir, output_raster, output_tiepoints, output_report, output_points : path, optional
         As `register` takes them.
     """
-    # A URI's name may be none for a file, "." and "/" have none, and results do not hide behind a dot.
-    name = re.sub(r'[<>:"/\\|?*]+', "_", Path(target).name).lstrip(".") or "raster"
+    name = _plain(file_name(band_file(target, tgt_band)))
     stem = Path(name).stem
-    folder = Path(out_dir) if out_dir else Path(f"{stem}_{job}")
+    folder = Path(out_dir) if out_dir else output_folder(target, job)
     kinds = [kind for kind in NAMES if job == "registered" or kind not in ("corrected", "raster", "sigma")]
     paths = {kind: folder / NAMES[kind].format(name=name, stem=stem) for kind in kinds}
     elsewhere = {
@@ -207,6 +216,16 @@ def output_paths(
     return paths | {kind: Path(path) for kind, path in elsewhere.items() if path}
 
 
+def output_folder(target: PathLike, job: Job) -> Path:
+    """Return the default output folder of a job, in the working folder."""
+    return Path(f"{_plain(stem_of(target))}_{job}")
+
+
+def _plain(name: str) -> str:
+    """Return a file name: a URI's may be none, "." and "/" have none, results do not hide behind a dot."""
+    return re.sub(r'[<>:"/\\|?*]+', "_", name).lstrip(".") or "raster"
+
+
 def _run(
     reference: PathLike,
     target: PathLike,
@@ -216,7 +235,8 @@ def _run(
     match_only: bool = False,
 ) -> Registration:
     """Run a job where its settings say, or on what the caller gives."""
-    with open_runner(settings, executor, on_event) as runner:
+    # points of a file leave workers nothing to do
+    with open_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
         from pcwlad_geo.registration.run import run  # slow to load: the workers start meanwhile
 
         return run(reference, target, settings, on_event=on_event, runner=runner, match_only=match_only)
@@ -232,16 +252,20 @@ def _run_and_write(
 ) -> Registration:
     """Check the outputs, run the job, write its files beside their places, then put them there at once."""
     out_dir = places["numbers"].parent
-    inside = output_paths(inputs[1], "registered", out_dir=out_dir)
+    inside = output_paths(inputs[1], "registered", tgt_band=settings.tgt_band, out_dir=out_dir)
     elsewhere = {kind: path for kind, path in places.items() if path != inside[kind]}
-    _check_places(places, elsewhere, [*inputs, settings.ref_mask, settings.tgt_mask], overwrite)
+    _check_places(places, elsewhere, [*inputs, *settings.files], overwrite)
     with OutputFolder(out_dir, overwrite=overwrite) as folder:
         staged = {
             kind: folder.stage / inside[kind].name if kind in elsewhere else folder.path(inside[kind].name)
             for kind in places
         }
+        bands = {
+            band: folder.path(_plain(f"{Path(file_name(band.uri)).stem}_registered.tif"))
+            for band in resolve(*inputs, settings, all_bands="raster" in places).other_bands
+        }
         registration = job()
-        for kind in _write(registration, staged, places, elsewhere, on_event):
+        for kind in _write(registration, staged, places, elsewhere, bands, on_event):
             if kind in elsewhere:
                 place_file(staged[kind], elsewhere[kind], overwrite=overwrite)
         folder.commit()
@@ -272,22 +296,30 @@ def _write(
     staged: Mapping[str, Path],
     places: Mapping[str, Path],
     elsewhere: Collection[str],
+    bands: Mapping[ProductBand, Path],
     on_event: EventCallback,
 ) -> list[str]:
     """Write all files of a job, the report last, and return their kinds."""
     from pcwlad_geo.report.page import render  # slow to load: the figures' library
 
     since = time.perf_counter()
+    if registration.status != "registered":
+        bands = {}
     writers = _writers(registration, places, on_event)
     kinds = _kinds(registration)
-    total = len(kinds) + 1  # the report is one
+    total = len(kinds) + len(bands) + 1  # the report is one
     for done, kind in enumerate(kinds):
         on_event(Progress("writing", done, total))
         writers[kind](staged[kind])
-    on_event(Progress("writing", len(kinds), total))
+    for done, (band, path) in enumerate(bands.items(), start=len(kinds)):
+        on_event(Progress("writing", done, total))
+        _write_band(registration, band, path, on_event)
+    on_event(Progress("writing", total - 1, total))
     seconds = registration.seconds | {"writing": time.perf_counter() - since}
     written = [*kinds, "report", "numbers"]
-    names = sorted(staged[kind].name for kind in written if kind not in elsewhere)
+    names = sorted(
+        [*(staged[kind].name for kind in written if kind not in elsewhere), *(p.name for p in bands.values())]
+    )
     summary = summarise(replace(registration, seconds=seconds), names)
     page = render(registration, summary, staged["gcps"].name if "gcps" in kinds else None)
     staged["report"].write_text(page, encoding="utf-8", newline="\n")
@@ -350,6 +382,22 @@ def _writers(
         "raster": write_raster,
         "sigma": write_sigma,
     }
+
+
+def _write_band(registration: Registration, band: ProductBand, path: Path, on_event: EventCallback) -> None:
+    """Write another band of the target's product, corrected as the target is."""
+    source, correction, settings = band.opened_as(), _correction(registration), registration.settings
+    reference, target = registration.reference.grid, registration.target.grid
+    grid = output_grid(reference, target, correction, settings.grid, own_grid=describe(source).grid)
+    warping.warp(
+        source,
+        path,
+        correction,
+        grid,
+        settings.resampling,
+        target_grid=target,
+        progress=lambda done, total: on_event(Progress("warping", done, total)),
+    )
 
 
 def _correction(registration: Registration) -> Correction:

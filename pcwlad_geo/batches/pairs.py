@@ -12,7 +12,7 @@ from typing import Any, Final
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.registration.option_values import RUNNING, SETTINGS, to_setting
 from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.workflow import output_paths
+from pcwlad_geo.workflow import output_folder
 
 PLACES: Final = ("output_raster", "output_tiepoints", "output_report", "output_points")
 COLUMNS: Final = (
@@ -163,7 +163,7 @@ def _located(name: str, folder: Path) -> str:
 
 
 def _default_folder(target: str) -> Path:
-    return output_paths(target, "registered")["numbers"].parent
+    return output_folder(target, "registered")
 
 
 def _free(folder: Path, taken: set[str]) -> Path:

@@ -17,7 +17,8 @@ from pcwlad_geo.batches.summary import (
     read_report,
     write_summary,
 )
-from pcwlad_geo.errors import PcwladGeoError, RegistrationRejectedError
+from pcwlad_geo.errors import InputError, PcwladGeoError, RegistrationRejectedError
+from pcwlad_geo.registration.inputs import Inputs, resolve
 from pcwlad_geo.registration.option_values import RUNNING
 from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.runners import open_runner
@@ -167,23 +168,29 @@ def _done_before(pair: Pair) -> PairOutcome | None:
     """Return what an earlier run has made of the pair, if that was the same job."""
     report = read_report(pair.out_dir)
     status = report.get("status")
-    if status not in ("registered", "rejected") or not _same_inputs(pair, report):
+    if status not in ("registered", "rejected"):
         return None
-    settings = {name: value for name, value in asdict(pair.settings).items() if name not in RUNNING}
+    try:
+        inputs = resolve(pair.reference, pair.target, pair.settings)
+    except InputError:  # the job itself tells
+        return None
+    if not _same_inputs(pair, inputs, report):
+        return None
+    settings = {name: value for name, value in asdict(inputs.settings).items() if name not in RUNNING}
     before = {name: value for name, value in report["settings"].items() if name not in RUNNING}
     if before != plain(settings):
         return None
     return PairOutcome(pair, status, report.get("reason"), done_before=True, report=report)
 
 
-def _same_inputs(pair: Pair, report: Mapping[str, Any]) -> bool:
+def _same_inputs(pair: Pair, inputs: Inputs, report: Mapping[str, Any]) -> bool:
     """Whether the report is of these files, and none has been replaced since."""
-    names = [pair.reference, pair.target]
+    names = [inputs.reference, inputs.target]
     if [report[which]["path"] for which in ("reference", "target")] != names:
         return False
-    masks = [pair.settings.ref_mask, pair.settings.tgt_mask]
     written = (pair.out_dir / "report.json").stat().st_mtime
-    return all(_changed(file) <= written for file in [*names, *masks] if file is not None)
+    files: list[PathLike] = [pair.reference, pair.target, *names, *inputs.settings.files]
+    return all(_changed(file) <= written for file in files)
 
 
 def _changed(file: PathLike) -> float:

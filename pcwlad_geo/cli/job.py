@@ -144,16 +144,21 @@ def _work(command: Command, params: Mapping[str, Any], on_event: EventCallback) 
 
 def _abandon(command: Command, params: Mapping[str, Any]) -> None:
     from pcwlad_geo.staging import abandon
+    from pcwlad_geo.workflow import output_folder
 
-    abandon(_paths(command, params)["numbers"].parent)
+    abandon(params["out_dir"] or output_folder(params["target"], _job(command)))
 
 
 def _paths(command: Command, params: Mapping[str, Any]) -> Mapping[str, Path]:
     """Return where the outputs go, by kind."""
     from pcwlad_geo.workflow import output_paths
 
-    job: Literal["registered", "matched"] = "registered" if command == "register" else "matched"
-    return output_paths(params["target"], job, **_places(params))
+    band = collect(params, params["config"]).get("tgt_band", 1)
+    return output_paths(params["target"], _job(command), tgt_band=band, **_places(params))
+
+
+def _job(command: Command) -> Literal["registered", "matched"]:
+    return "registered" if command == "register" else "matched"
 
 
 def _places(params: Mapping[str, Any]) -> dict[str, Any]:

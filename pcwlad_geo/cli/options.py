@@ -28,13 +28,30 @@ def _setting(name: str, help_text: str, **more: Any) -> Any:  # noqa: ANN401  # 
     return typer.Option("--" + name.replace("_", "-"), help=help_text, show_default=False, **more)
 
 
-Reference = Annotated[str, typer.Argument(metavar="REFERENCE", help="Raster that stays.", show_default=False)]
-Target = Annotated[str, typer.Argument(metavar="TARGET", help="Raster that moves.", show_default=False)]
+Reference = Annotated[
+    str, typer.Argument(metavar="REFERENCE", help="Raster that stays, or a product.", show_default=False)
+]
+Target = Annotated[
+    str, typer.Argument(metavar="TARGET", help="Raster that moves, or a product.", show_default=False)
+]
 
-RefBand = Annotated[int | None, _setting("ref_band", "Band of the reference.", metavar="N")]
-TgtBand = Annotated[int | None, _setting("tgt_band", "Band of the target.", metavar="N")]
-RefMask = Annotated[Path | None, _setting("ref_mask", "Mask of the reference, 0 = excluded.", metavar="FILE")]
-TgtMask = Annotated[Path | None, _setting("tgt_mask", "Mask of the target, 0 = excluded.", metavar="FILE")]
+RefBand = Annotated[
+    str | None, _setting("ref_band", "Band of the reference; of a product, its name.", metavar="N|NAME")
+]
+TgtBand = Annotated[
+    str | None, _setting("tgt_band", "Band of the target; of a product, its name.", metavar="N|NAME")
+]
+RefMask = Annotated[
+    str | None,
+    _setting(
+        "ref_mask", "Mask of the reference: 0 = excluded, or QA_PIXEL, SCL, MSK_CLASSI.", metavar="FILE"
+    ),
+]
+TgtMask = Annotated[str | None, _setting("tgt_mask", "Mask of the target.", metavar="FILE")]
+TiePoints = Annotated[
+    str | None,
+    _setting("tie_points", "Fit the tie points of this file, match nothing.", metavar="FILE"),
+]
 
 Method = Annotated[s.Method | None, _setting("method", "Fine matching method.")]
 Points = Annotated[

@@ -17,6 +17,7 @@ def register(
     tgt_band: o.TgtBand = None,
     ref_mask: o.RefMask = None,
     tgt_mask: o.TgtMask = None,
+    tie_points: o.TiePoints = None,
     method: o.Method = None,
     points: o.Points = None,
     features: o.Features = None,

@@ -30,19 +30,44 @@ def locate(points: TiePoints, pair: ViewPair) -> TiePointTable:
         Status ``matched``, residuals NaN; the covariance is that of the target file's pixels.
     """
     target_view = pair.target
-    reference_px = pair.reference.to_file_px(points.reference_xy_px)
-    target_px = target_view.to_file_px(points.target_xy_px)
-    predicted_px = predict_target_px(reference_px, pair)
     scale = jacobian(points.target_xy_px, target_view.grid, target_view.info.grid)
-    count = len(points)
+    return place(
+        pair.reference.to_file_px(points.reference_xy_px),
+        target_view.to_file_px(points.target_xy_px),
+        scale @ points.covariance_px2 @ scale.transpose(0, 2, 1),
+        points.score,
+        pair,
+    )
+
+
+def place(
+    reference_px: Array, target_px: Array, covariance_px2: Array, score: Array, pair: ViewPair
+) -> TiePointTable:
+    """Make a table of tie points in px of the two original files.
+
+    Parameters
+    ----------
+    reference_px, target_px : (n, 2) arrays of float
+    covariance_px2 : (n, 2, 2) array of float
+        Of target_px.
+    score : (n,) array of float
+    pair : ViewPair
+
+    Returns
+    -------
+    TiePointTable
+        Status ``matched``, residuals NaN.
+    """
+    predicted_px = predict_target_px(reference_px, pair)
+    count = len(score)
     return TiePointTable(
         reference_px=reference_px,
         target_px=target_px,
         predicted_px=predicted_px,
-        xy=_ground_xy(reference_px, pair),
+        xy=ground_xy(reference_px, pair),
         displacement_m=_displacement_m(predicted_px, target_px, pair),
-        covariance_px2=scale @ points.covariance_px2 @ scale.transpose(0, 2, 1),
-        score=points.score,
+        covariance_px2=covariance_px2,
+        score=score,
         residual_px=np.full((count, 2), np.nan),
         status=np.full(count, "matched", dtype="<U8"),
         crs=pair.reference.info.grid.crs,
@@ -59,7 +84,8 @@ def predict_target_px(reference_px: Array, pair: ViewPair) -> Array:
     return map_px(reference_px, pair.reference.info.grid, pair.target.info.grid)
 
 
-def _ground_xy(reference_px: Array, pair: ViewPair) -> Array:
+def ground_xy(reference_px: Array, pair: ViewPair) -> Array:
+    """Map (n, 2) reference file px to the reference CRS; to (col, -row) without one."""
     grid = pair.reference.info.grid
     return reference_px * [1.0, -1.0] if grid.crs is None else grid.to_xy(reference_px)
 

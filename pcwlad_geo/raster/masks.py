@@ -11,6 +11,7 @@ from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.mask_kinds import accepted, bands_of
 from pcwlad_geo.raster.source import RasterInfo, describe, mask_on_pixels, open_raster
 from pcwlad_geo.raster.windows import Window
 
@@ -45,7 +46,7 @@ def valid_in_file(
 
 
 def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
-    """Read the user's mask of a raster on a window inside it: (rows, cols), False = excluded.
+    """Read the mask given for a raster on a window inside it: (rows, cols), False = excluded.
 
     A mask of another grid is taken at the pixel centres (nearest); outside of it nothing is valid.
 
@@ -58,11 +59,13 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
         return np.ones(window.shape, dtype=bool)
     mask = describe(info.mask_uri)
     file_window = FileWindow(window.col, window.row, window.cols, window.rows)
+    bands = list(bands_of(info.mask_kind))
     try:
         with open_raster(info.mask_uri) as dataset:
             if mask_on_pixels(info, mask):
-                values = dataset.read(1, window=file_window)
-                return np.asarray((values != 0) & valid_in_file(dataset, 1, values, file_window))
+                values = dataset.read(bands, window=file_window)
+                inside = valid_in_file(dataset, bands[0], values[0], file_window)
+                return np.asarray(inside & accepted(info.mask_kind, values))
             rows, cols = info.grid.shape
             with WarpedVRT(
                 dataset,
@@ -75,8 +78,7 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
                 add_alpha=True,
             ) as warped:
                 inside = warped.read(warped.count, window=file_window) != 0
-                values = warped.read(1, window=file_window)
-                return np.asarray(inside & (values != 0) & np.isfinite(values))
+                return np.asarray(inside & accepted(info.mask_kind, warped.read(bands, window=file_window)))
     except RasterioError as error:
         raise InputError(
             f"the mask {info.mask_uri} cannot be read: it may be truncated or corrupt ({error})"

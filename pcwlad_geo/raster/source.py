@@ -7,7 +7,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,9 @@ from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
+from pcwlad_geo.raster.gcp_grid import geotransform_of
 from pcwlad_geo.raster.grid import Grid, linear_part
+from pcwlad_geo.raster.mask_kinds import MaskKind, kind_of
 
 # Filters of the warnings module belong to the process: two threads that open files must not swap theirs.
 _opening = threading.Lock()
@@ -35,11 +37,15 @@ class RasterInfo:
     band_count: int
     grid: Grid
     georeferenced: bool
-    """False where the file has no geotransform or no CRS."""
+    """False where the file has no geotransform (nor control points that give one) or no CRS."""
     dtype: str
     nodata: float | None
     mask_uri: str | None
-    """A mask file given by the user, 0 = excluded."""
+    """A mask file given by the user or found in a product."""
+    mask_kind: MaskKind = "zeros"
+    """What its values mean."""
+    gcp_misfit_px: float | None = None
+    """Largest misfit of the ground control points that the grid is made from; None: it is the file's own."""
 
 
 def describe(
@@ -48,7 +54,8 @@ def describe(
     """Describe one band of a raster file.
 
     A file counts as georeferenced with a CRS and a geotransform that can be inverted and is not the
-    identity; without them (also with GCPs or RPCs only) the grid has the identity and no CRS.
+    identity, or with ground control points on the geotransform that fits them best; without them (also with
+    RPCs only) the grid has the identity and no CRS.
 
     Parameters
     ----------
@@ -57,8 +64,9 @@ def describe(
     band : int
         From 1.
     mask : path-like, optional
-        A mask file, its band 1, 0 = excluded: as large as the raster (then it lies on it pixel for pixel,
-        unless both are georeferenced), or georeferenced as the raster is.
+        A mask file, its band 1, 0 = excluded, or a quality raster (see `mask_kinds`): as large as the
+        raster (then it lies on it pixel for pixel, unless both are georeferenced), or georeferenced as the
+        raster is.
 
     Raises
     ------
@@ -69,19 +77,30 @@ def describe(
     uri = os.fspath(path)
     with open_raster(uri) as dataset:
         _check_band(uri, dataset, band)
+        grid, misfit_px = _grid_of(dataset)
         info = RasterInfo(
             uri=uri,
             band=band,
             band_count=dataset.count,
-            grid=_grid_of(dataset),
-            georeferenced=_is_georeferenced(dataset),
+            grid=grid,
+            georeferenced=grid.crs is not None,
             dtype=dataset.dtypes[band - 1],
             nodata=dataset.nodatavals[band - 1],
             mask_uri=None if mask is None else os.fspath(mask),
+            gcp_misfit_px=misfit_px,
         )
     if info.mask_uri is not None:
         _check_mask(info, describe(info.mask_uri))
+        with open_raster(info.mask_uri) as dataset:
+            kind = kind_of(info.mask_uri, dataset.descriptions, dataset.dtypes)
+        info = replace(info, mask_kind=kind)
     return info
+
+
+def file_name(uri: str) -> str:
+    """Return the last part of a path or GDAL URI, without what a vrt:// connection adds to it."""
+    plain = uri.removeprefix("vrt://").partition("?")[0] if uri.startswith("vrt://") else uri
+    return Path(plain).name
 
 
 def same_band(a: RasterInfo, b: RasterInfo) -> bool:
@@ -121,7 +140,10 @@ def _why_not_opened(uri: str, error: Exception) -> str:
     path = Path(uri)
     try:
         if path.is_dir():
-            return f"{uri} is a folder: give a raster file"
+            return (
+                f"{uri} is a folder, and neither a Landsat Collection 2 nor a Sentinel-2 SAFE product: "
+                "give a raster file"
+            )
         if path.is_file():
             if not os.access(path, os.R_OK):
                 return f"{uri} cannot be read: change its permissions"
@@ -167,10 +189,16 @@ def _is_georeferenced(dataset: DatasetReader) -> bool:
     )
 
 
-def _grid_of(dataset: DatasetReader) -> Grid:
+def _grid_of(dataset: DatasetReader) -> tuple[Grid, float | None]:
+    """Return the grid, and how well it fits the control points where it is made from them."""
     if _is_georeferenced(dataset):
-        return Grid(dataset.shape, dataset.transform, dataset.crs)
-    return Grid(dataset.shape, Affine.identity(), None)
+        return Grid(dataset.shape, dataset.transform, dataset.crs), None
+    gcps, crs = dataset.gcps
+    # Beside RPCs they are the rough corners of an image (NITF).
+    found = geotransform_of(gcps) if crs is not None and not dataset.tags(ns="RPC") else None
+    if found is not None:
+        return Grid(dataset.shape, found[0], crs), found[1]
+    return Grid(dataset.shape, Affine.identity(), None), None
 
 
 def _check_mask(info: RasterInfo, mask: RasterInfo) -> None:

@@ -14,7 +14,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.masks import valid_in_file, valid_in_mask_file
 from pcwlad_geo.raster.resample import block_mean, box_average, cell_means, sample_positions, spline_samples
-from pcwlad_geo.raster.source import RasterInfo, open_raster
+from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
 from pcwlad_geo.raster.windows import Window
 
 Array = NDArray[np.float64]
@@ -230,8 +230,8 @@ def _read_file(
 
 def _overview_for(info: RasterInfo, file_px_per_px: float) -> int | None:
     """Choose the coarsest overview that is at least twice as fine as what is wanted."""
-    if info.mask_uri is not None:  # the mask file has the original's pixels
-        return None
+    if info.mask_uri is not None and not (info.georeferenced and describe(info.mask_uri).georeferenced):
+        return None  # a mask without a place of its own has the original's pixels
     with open_raster(info.uri) as dataset:
         factors = dataset.overviews(info.band)
     fine_enough = [level for level, factor in enumerate(factors) if factor <= file_px_per_px / 2]

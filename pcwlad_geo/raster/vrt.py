@@ -256,10 +256,11 @@ def _reference_to(source: DatasetReader, final_path: Path) -> PixelFile:
     """Return how a VRT at final_path refers to a raster: relatively below a common parent."""
     nodata = tuple(usable_nodata(source, band) for band in source.indexes)
     mask = has_mask_band(source)
-    file = Path(source.name)
+    # vrt:// and remote files: what GDAL opened
+    name = source.files[0] if "://" in source.name and source.files else source.name
+    file = Path(name)
     if not file.exists():  # a GDAL URI: a subdataset, an archive, a remote file
-        remote = "://" in source.name and len(source.files) > 0
-        return PixelFile(source.files[0] if remote else source.name, False, nodata, mask)
+        return PixelFile(name, False, nodata, mask)
     folder = final_path.parent.resolve()
     file = file.parent.resolve() / file.name
     if not _share_a_parent(file.parent, folder):

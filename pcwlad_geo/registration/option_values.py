@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, Literal, get_args, get_origin, get_type_hints
 
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.settings import BAND_NAME, Settings
 
 SETTINGS: Final = tuple(field.name for field in fields(Settings))
 """Names of the options."""
@@ -35,7 +35,11 @@ def to_setting(name: str, value: object) -> object:
     if bool in kinds:
         return _truth(name, value)
     if Path in kinds:
+        if isinstance(value, str) and (value.startswith("/vsi") or "://" in value):
+            return value  # a Path would fold the slashes of a GDAL URI
         return Path(_checked(name, value, str, "a file name") if not isinstance(value, Path) else value)
+    if {int, str} <= kinds and isinstance(value, str) and BAND_NAME.match(value):
+        return value
     if int in kinds:
         words += [WORDS[name]] if name in WORDS else []
         return _number(name, value, int, " or ".join(["a whole number", *(f"'{word}'" for word in words)]))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -15,7 +16,10 @@ from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.fitting import Fitted, fit_correction, shared_residual_px
+from pcwlad_geo.registration.given_points import footprint_px, points_of_file
+from pcwlad_geo.registration.inputs import resolve
 from pcwlad_geo.registration.job_log import JobLog
+from pcwlad_geo.registration.judge import Verdict
 from pcwlad_geo.registration.kernels import load_kernels
 from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search, look_at
@@ -27,6 +31,9 @@ from pcwlad_geo.registration.tasks import InThisProcess, Runner
 
 PARALLAX_PX = 0.5
 """Residuals that neighbours share are worth a warning where a third of them exceed this."""
+
+MOST_REFERENCE_MISFIT_PX = 0.05
+"""Of ground control points."""
 
 PathLike = str | os.PathLike[str]
 
@@ -45,6 +52,7 @@ def run(
     Parameters
     ----------
     reference, target : path
+        Rasters, or products (see `inputs.resolve`).
     settings : Settings
     on_event : callable
         Receives progress and warnings; an exception that it raises ends the job.
@@ -61,50 +69,80 @@ def run(
     log = JobLog(on_event)
     runner = runner or InThisProcess()
     with log.stage("reading"):
-        ref = describe(reference, band=settings.ref_band, mask=settings.ref_mask)
-        tgt = describe(target, band=settings.tgt_band, mask=settings.tgt_mask)
+        inputs = resolve(reference, target, settings, all_bands=not match_only)
+        settings = inputs.settings
+        ref = describe(inputs.reference, band=int(settings.ref_band), mask=settings.ref_mask)
+        tgt = describe(inputs.target, band=int(settings.tgt_band), mask=settings.tgt_mask)
         pair = plan_views(ref, tgt)
-        for warning in pair.warnings:
+        for warning in (*inputs.notes, *_control_point_notes(ref, tgt), *pair.warnings):
             log.warn(warning)
         if same_band(ref, tgt):
             log.warn(
                 "reference and target are the same file and band: the displacement is zero by construction"
             )
-        runner.expect(count_tiles(pair, settings))
-        if runner.shares_kernels:
-            load_kernels(settings.method, runner, on_event)
-        on_event(Progress("reading", 0, 1))
-        look = look_at(pair)
-        on_event(Progress("reading", 1, 1))
-    matched = _match(pair, look, settings, log, runner)
-    table = _table(matched, pair)
+    found = (
+        _from_file(pair, settings.tie_points, log)
+        if settings.tie_points
+        else _by_matching(pair, settings, log, runner)
+    )
+    table = found.table
     px_m = _px_m(tgt)
     fitted: Fitted | None = None
-    if matched.verdict.accepted and not match_only:
+    if found.verdict.accepted and not match_only:
         with log.stage("fitting"):
             on_event(Progress("fitting", 0, 1))
             footprint = settings.window * _target_px_per_view_px(pair)
+            if settings.tie_points:
+                footprint = footprint_px(table, footprint)
             fitted = fit_correction(table, settings, footprint, px_m, tgt.grid.shape)
             _warn_of_parallax(fitted, log)
             on_event(Progress("fitting", 1, 1))
-    status = "rejected" if not matched.verdict.accepted else "matched" if match_only else "registered"
+    status = "rejected" if not found.verdict.accepted else "matched" if match_only else "registered"
     return Registration(
         status=status,  # type: ignore[arg-type]  # one of three literals
-        reason=matched.verdict.reason,
+        reason=found.verdict.reason,
         warnings=tuple(log.warnings),
         reference=ref,
         target=tgt,
         matching_grid=pair.reference.grid,
         px_m=px_m,
-        prealignment=matched.prealignment,
+        prealignment=found.prealignment,
         tie_points=fitted.table if fitted else table,
         correction=fitted.correction if fitted else None,
         accuracy=fitted.accuracy if fitted else {},
-        counts=matched.counts,
+        counts=found.counts,
         seconds=log.seconds,
         settings=settings,
         selection=fitted.selection if fitted else None,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """Tie points, wherever they come from, before any fit."""
+
+    table: TiePointTable
+    verdict: Verdict
+    counts: dict[str, int]
+    prealignment: Prealignment
+
+
+def _from_file(pair: ViewPair, path: Path | str, log: JobLog) -> _Found:
+    with log.stage("reading"):
+        table, verdict, counts = points_of_file(path, pair)
+    return _Found(table, verdict, counts, Prealignment("tie points of a file", (0.0, 0.0), 0))
+
+
+def _by_matching(pair: ViewPair, settings: Settings, log: JobLog, runner: Runner) -> _Found:
+    with log.stage("reading"):
+        runner.expect(count_tiles(pair, settings))
+        if runner.shares_kernels:
+            load_kernels(settings.method, runner, log.on_event)
+        log.on_event(Progress("reading", 0, 1))
+        look = look_at(pair)
+        log.on_event(Progress("reading", 1, 1))
+    matched = _match(pair, look, settings, log, runner)
+    return _Found(_table(matched, pair), matched.verdict, matched.counts, matched.prealignment)
 
 
 def _match(pair: ViewPair, look: Look, settings: Settings, log: JobLog, runner: Runner) -> Matched:
@@ -162,6 +200,23 @@ def _warn_of_parallax(fitted: Fitted, log: JobLog) -> None:
             f"{fitted.correction.name} model does not take out: parallax of another viewpoint, relief or "
             "sensor jitter; the corrected raster is off by as much"
         )
+
+
+def _control_point_notes(reference: RasterInfo, target: RasterInfo) -> list[str]:
+    """Tell how well control points are fitted by a geotransform; the reference's must be."""
+    off_px = reference.gcp_misfit_px
+    if off_px is not None and off_px > MOST_REFERENCE_MISFIT_PX:
+        raise InputError(
+            f"{reference.uri} is georeferenced by ground control points that no geotransform fits (off by "
+            f"up to {off_px:.2f} px): a reference must be on a map grid; warp it first (gdalwarp -tps)"
+        )
+    off_px = target.gcp_misfit_px
+    if off_px is None or off_px <= MOST_REFERENCE_MISFIT_PX:
+        return []
+    return [
+        f"{target.uri} is georeferenced by ground control points: displacements count from the geotransform "
+        f"that fits them best, which is off by up to {off_px:.1f} px; if that is much, raise --search-radius"
+    ]
 
 
 def _px_m(target: RasterInfo) -> tuple[float, float] | None:

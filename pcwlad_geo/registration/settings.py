@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from numbers import Integral, Real
@@ -17,20 +18,23 @@ Prealign = Literal["auto", "georef", "search", "none"]
 Consensus = Literal["auto", "off"]
 OutputGrid = Literal["reference", "target"]
 Resampling = Literal["nearest", "bilinear", "cubic", "cubic_spline", "lanczos"]
+BAND_NAME = re.compile(r"[A-Za-z]\w*$")
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
     """Options of `register` and `match`; the defaults are for the user who gives none."""
 
-    ref_band: int = 1
-    """Band of the reference, from 1."""
-    tgt_band: int = 1
-    """Band of the target, from 1."""
-    ref_mask: Path | None = None
-    """Mask file of the reference, GDAL's convention: 0 = excluded."""
-    tgt_mask: Path | None = None
-    """Mask file of the target, GDAL's convention: 0 = excluded."""
+    ref_band: int | str = 1
+    """Band of the reference, from 1; its name where the reference is a product (B4)."""
+    tgt_band: int | str = 1
+    """Band of the target, from 1; its name where the target is a product."""
+    ref_mask: Path | str | None = None
+    """Mask file (or GDAL URI) of the reference: 0 = excluded, or a QA_PIXEL, SCL or MSK_CLASSI raster."""
+    tgt_mask: Path | str | None = None
+    """Mask file of the target."""
+    tie_points: Path | str | None = None
+    """File of tie points to fit instead of matching: tiepoints.csv, .points, .pts, raster with GCPs."""
     method: Method = "oriented"
     """Fine matching method."""
     points: int | Literal["all"] | None = None
@@ -70,14 +74,16 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name, least in (
-            ("ref_band", 1),
-            ("tgt_band", 1),
             ("features", 1),
             ("iterations", 1),
             ("tile_size", 128),
         ):
             value = getattr(self, name)
             _check(name, value, _whole(value) and value >= least, f"a whole number from {least}")
+        for name in ("ref_band", "tgt_band"):
+            value = getattr(self, name)
+            good = (_whole(value) and value >= 1) or (isinstance(value, str) and bool(BAND_NAME.match(value)))
+            _check(name, value, good, "a whole number from 1, or the name of a product's band")
         for name in ("template", "window"):
             value = getattr(self, name)
             odd = _whole(value) and value % 2 == 1
@@ -96,6 +102,11 @@ class Settings:
             if get_origin(hint) is Literal:
                 value = getattr(self, name)
                 _check(name, value, value in get_args(hint), "one of " + ", ".join(get_args(hint)))
+
+    @property
+    def files(self) -> tuple[Path | str, ...]:
+        """Files and GDAL URIs that the job reads besides the two rasters."""
+        return tuple(file for file in (self.ref_mask, self.tgt_mask, self.tie_points) if file is not None)
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Settings:

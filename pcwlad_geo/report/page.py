@@ -5,10 +5,10 @@ from __future__ import annotations
 import base64
 import shlex
 from collections.abc import Mapping
-from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.figures.displacements import displacement_figure
 from pcwlad_geo.report.figures.sigma import sigma_figure
@@ -46,8 +46,8 @@ def render(registration: Registration, summary: Summary, gcps_vrt: str | None) -
     return environment.get_template("report.html.j2").render(
         summary,
         verdict=VERDICTS[registration.status],
-        target_name=Path(registration.target.uri).name,
-        reference_name=Path(registration.reference.uri).name,
+        target_name=file_name(registration.target.uri),
+        reference_name=file_name(registration.reference.uri),
         figure_base64=base64.b64encode(png).decode("ascii"),
         sigma_base64=_sigma_base64(registration),
         warp_line=warp_line(gcps_vrt) if gcps_vrt else None,

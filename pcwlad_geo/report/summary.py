@@ -117,6 +117,7 @@ def _raster(info: RasterInfo) -> Summary:
         "dtype": info.dtype,
         "nodata": info.nodata,
         "mask": info.mask_uri,
+        "mask_kind": info.mask_kind if info.mask_uri else None,
     }
 
 

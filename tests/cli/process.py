@@ -20,12 +20,16 @@ from pcwlad_geo.__main__ import main
 def register(reference, target, *, on_event, **keywords):
 {work}
 
+def output_folder(target, job):
+    return Path("b_registered")
+
 def output_paths(target, job, *, out_dir=None, **elsewhere):
-    folder = Path(out_dir or "b_registered")
+    folder = Path(out_dir or output_folder(target, job))
     return dict(numbers=folder / "report.json", report=folder / "report.html", raster=folder / "absent.tif")
 
 workflow = types.ModuleType("pcwlad_geo.workflow")
-workflow.register, workflow.output_paths = register, output_paths
+workflow.register = register
+workflow.output_paths, workflow.output_folder = output_paths, output_folder
 pcwlad_geo.workflow = sys.modules["pcwlad_geo.workflow"] = workflow
 main()
 """

@@ -78,7 +78,7 @@ def test_no_warning_leaks(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> N
     assert not recwarn.list
 
 
-def test_gcps_alone_are_no_georeferencing(tmp_path: Path) -> None:
+def test_control_points_give_a_geotransform(tmp_path: Path) -> None:
     gcps = [
         GroundControlPoint(r, c, 500_000 + c, 5_000_000 - r) for r, c in ((0, 0), (0, 50), (40, 0), (40, 50))
     ]
@@ -87,7 +87,29 @@ def test_gcps_alone_are_no_georeferencing(tmp_path: Path) -> None:
         path, "w", driver="GTiff", count=1, height=40, width=50, dtype="uint8", gcps=gcps, crs=UTM33
     ) as dataset:
         dataset.write(ramp())
-    assert not describe(path).georeferenced
+    info = describe(path)
+    assert info.georeferenced
+    assert info.gcp_misfit_px == pytest.approx(0, abs=1e-9)
+    assert info.grid.crs == UTM33
+    at_px = np.array([[gcp.col, gcp.row] for gcp in gcps])
+    assert info.grid.to_xy(at_px) == pytest.approx(np.array([[gcp.x, gcp.y] for gcp in gcps]), abs=1e-6)
+
+
+def test_control_points_beside_rpcs_do_not_count(tmp_path: Path) -> None:
+    """The corners that a NITF file gives of an image with RPCs."""
+    corners = [(0, 0), (50, 0), (0, 40), (50, 40)]
+    gcps = "".join(
+        f'<GCP Pixel="{x}" Line="{y}" X="{25 + x / 1e5}" Y="{-33 - y / 1e5}"/>' for x, y in corners
+    )
+    rpc = '<Metadata domain="RPC"><MDI key="LINE_OFF">20</MDI></Metadata>'
+    for name, metadata in (("plain.vrt", ""), ("rpc.vrt", rpc)):
+        (tmp_path / name).write_text(
+            f'<VRTDataset rasterXSize="50" rasterYSize="40">{metadata}'
+            f'<GCPList Projection="EPSG:4326">{gcps}</GCPList>'
+            '<VRTRasterBand dataType="Byte" band="1"/></VRTDataset>'
+        )
+    assert describe(tmp_path / "plain.vrt").georeferenced
+    assert not describe(tmp_path / "rpc.vrt").georeferenced
 
 
 @pytest.mark.parametrize(("driver", "suffix"), [("JPEG", ".jpg"), ("PNG", ".png"), ("JP2OpenJPEG", ".jp2")])

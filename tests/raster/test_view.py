@@ -487,3 +487,18 @@ def test_decimated_look_heeds_the_mask_file(tmp_path: Path) -> None:
         mask_path = write(tmp_path / "m.tif", mask, Affine.identity(), None)
     patch, _ = own(path, mask=mask_path).read_decimated(16)
     np.testing.assert_array_equal(patch.valid, np.repeat([[False], [True]], 8, axis=0) & np.ones(16, bool))
+
+
+def test_decimated_look_with_a_georeferenced_mask_reads_overviews(tmp_path: Path) -> None:
+    """The original, which differs from its overviews here, is not read for it."""
+    path = write_ramp(tmp_path / "a.tif", (256, 256), north_up())
+    with rasterio.open(path, "r+") as dataset:
+        dataset.build_overviews([2, 4], Resampling.average)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.write(np.zeros((256, 256)), 1)
+    mask = np.ones((64, 64), "uint8")
+    mask[:32] = 0
+    mask_path = write(tmp_path / "m.tif", mask, north_up(40))
+    patch, _ = own(path, mask=mask_path).read_decimated(32)
+    np.testing.assert_array_equal(patch.valid, np.repeat([[False], [True]], 16, axis=0) & np.ones(32, bool))
+    np.testing.assert_allclose(patch.values[16:], on_grid(Grid((32, 32), north_up(80), UTM33))[16:])

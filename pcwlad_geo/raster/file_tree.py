@@ -1,0 +1,132 @@
+"""The files of a folder, a .zip or a .tar, by name, and how GDAL opens them."""
+
+from __future__ import annotations
+
+import os
+import tarfile
+import zipfile
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+from pcwlad_geo.errors import InputError
+
+_ZIP: Final = (".zip",)
+_TAR: Final = (".tar", ".tar.gz", ".tgz")
+DEEPEST: Final = 6
+"""Levels of folders that are looked into."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileTree:
+    """The files below a root."""
+
+    path: Path
+    """The folder or the archive."""
+    names: tuple[str, ...]
+    """Relative, with forward slashes, in order."""
+    prefix: str = ""
+    """What GDAL puts before an archive; empty for a folder."""
+
+    def uri(self, name: str) -> str:
+        """Return the path or GDAL URI of a file."""
+        if not self.prefix:
+            return str(self.path / name)
+        # Braces keep GDAL from guessing where the archive's name ends.
+        return f"{self.prefix}/{{{self.path.absolute().as_posix()}}}/{name}"
+
+    def read_text(self, name: str) -> str:
+        """Read a small text file.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read.
+        """
+        try:
+            data = _member(_Archive.of(self.path), name) if self.prefix else (self.path / name).read_bytes()
+        except (OSError, KeyError, zipfile.BadZipFile, tarfile.TarError, EOFError) as error:
+            raise InputError(f"{name} of {self.path} cannot be read: {error}") from error
+        return data.decode("utf-8", errors="replace")
+
+
+def is_archive(path: Path) -> bool:
+    """Whether a name is that of a .zip or .tar."""
+    return path.name.lower().endswith((*_ZIP, *_TAR))
+
+
+def tree_of(path: Path) -> FileTree:
+    """List the files of a folder or an archive.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    try:
+        if path.is_dir():
+            return FileTree(path, tuple(sorted(_below(path, DEEPEST))))
+        archive = _Archive.of(path)
+        return FileTree(path, _members(archive), "/vsizip" if archive.zipped else "/vsitar")
+    except (OSError, zipfile.BadZipFile, tarfile.TarError, EOFError) as error:
+        raise InputError(f"{path} cannot be read: it may be damaged ({error})") from error
+
+
+@dataclass(frozen=True, slots=True)
+class _Archive:
+    """An archive as it is now."""
+
+    path: Path
+    changed_ns: int
+    size: int
+
+    @staticmethod
+    def of(path: Path) -> _Archive:
+        status = path.stat()
+        return _Archive(path.absolute(), status.st_mtime_ns, status.st_size)
+
+    @property
+    def zipped(self) -> bool:
+        return self.path.name.lower().endswith(_ZIP)
+
+
+# A job asks several times, and a .tar.gz is unpacked from its beginning each time.
+@lru_cache(maxsize=16)
+def _members(archive: _Archive) -> tuple[str, ...]:
+    if archive.zipped:
+        with zipfile.ZipFile(archive.path) as file:
+            return _plain(file.namelist())
+    with tarfile.open(archive.path) as tar:
+        return _plain([member.name for member in tar if member.isfile()])
+
+
+@lru_cache(maxsize=16)
+def _member(archive: _Archive, name: str) -> bytes:
+    if archive.zipped:
+        with zipfile.ZipFile(archive.path) as file:
+            return file.read(name)
+    with tarfile.open(archive.path) as tar:
+        member = tar.extractfile(name)
+        return member.read() if member else b""
+
+
+def _plain(names: list[str]) -> tuple[str, ...]:
+    # macOS packs a shadow of each file: ._name
+    return tuple(sorted(name for name in names if name[-1:] != "/" and not name_in(name).startswith("._")))
+
+
+def _below(folder: Path, levels: int, above: str = "") -> list[str]:
+    names = []
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.is_file():
+                names.append(above + entry.name)
+            elif entry.is_dir() and levels > 1:
+                names += _below(Path(entry.path), levels - 1, f"{above}{entry.name}/")
+    return names
+
+
+def name_in(name: str) -> str:
+    """Return the last part of a name."""
+    return PurePosixPath(name).name

@@ -1,0 +1,101 @@
+"""What a product of several band files holds, whoever made it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.source import open_raster
+
+NODATA = 0
+"""Of the stored numbers, in Landsat's bands and Sentinel-2's, whatever offset makes reflectances of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProductBand:
+    """One band file of a product."""
+
+    name: str
+    """As the product names it, such as B10, SR_B4, B04."""
+    uri: str
+    """Path or GDAL URI of the file."""
+    scale: float | None = None
+    offset: float | None = None
+    """Physical value = number · scale + offset, where only the product's metadata say so."""
+
+    def opened_as(self) -> str:
+        """Return what to open: the file, with nodata (and scale, offset) declared if it lacks them.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be opened, or its path holds a question mark.
+        """
+        with open_raster(self.uri) as dataset:
+            has_nodata = dataset.nodatavals[0] is not None
+            has_scale = dataset.scales[0] != 1.0 or dataset.offsets[0] != 0.0
+        items = [] if has_nodata else [f"a_nodata={NODATA}"]
+        if self.scale is not None and not has_scale:
+            items += [f"a_scale={self.scale!r}", f"a_offset={self.offset or 0.0!r}"]
+        if not items:
+            return self.uri
+        if "?" in self.uri:
+            raise InputError(f"the path of {self.uri} holds a '?', which GDAL takes for options: rename it")
+        return f"vrt://{self.uri}?{'&'.join(items)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """The bands of a product, and its clouds."""
+
+    path: str
+    """As the user gave it."""
+    kind: str
+    """For messages, such as Landsat Collection 2 L1TP."""
+    bands: tuple[ProductBand, ...]
+    """Every band at its finest pixel size."""
+    mask: str | None
+    """Path or GDAL URI of its quality raster."""
+    missing: tuple[str, ...] = ()
+    """Bands that its metadata list and that are not there."""
+    aliases: Mapping[str, ProductBand] = field(default_factory=dict)
+    """Other names of bands, and bands at coarser pixel sizes, in capitals."""
+
+    def band(self, name: str | int) -> ProductBand:
+        """Return a band by name.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name.
+        """
+        held = ", ".join(band.name for band in self.bands) or "none"
+        if not isinstance(name, str):
+            raise InputError(
+                f"{self.path} is a {self.kind} product: say which band by name (--ref-band, --tgt-band); "
+                f"it holds {held}"
+            )
+        found = {band.name.upper(): band for band in self.bands} | dict(self.aliases)
+        if name.upper() not in found:
+            raise InputError(
+                f"band {name} of {self.path} ({self.kind}) is missing: it holds {held}"
+                + (f"; its metadata list {', '.join(self.missing)} besides" if self.missing else "")
+            )
+        return found[name.upper()]
+
+    def others(self, band: ProductBand) -> tuple[ProductBand, ...]:
+        """Return the bands besides one.
+
+        Raises
+        ------
+        InputError
+            If the product is not complete.
+        """
+        if self.missing:
+            raise InputError(
+                f"{self.path} ({self.kind}) lacks bands that its metadata list: {', '.join(self.missing)}; "
+                f"complete it, or give the file of band {band.name} itself to correct no other"
+            )
+        same = band.name.split("_")[0] if self.kind.startswith("Sentinel") else band.name
+        return tuple(other for other in self.bands if other.name != same)

@@ -1,0 +1,98 @@
+"""What the user names, a raster or a product, to the band files that a job opens."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.product import ProductBand
+from pcwlad_geo.raster.products import find_product
+from pcwlad_geo.registration.settings import Settings
+
+PathLike = str | os.PathLike[str]
+Side = Literal["ref", "tgt"]
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """The band files of a job."""
+
+    reference: str
+    target: str
+    """Paths or GDAL URIs."""
+    settings: Settings
+    """Bands are numbers; masks are those of the products where the user gives none."""
+    notes: tuple[str, ...] = ()
+    """What to warn of."""
+    other_bands: tuple[ProductBand, ...] = ()
+    """Of the target's product, to be corrected as well."""
+
+
+def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_bands: bool = False) -> Inputs:
+    """Find the bands and masks of a pair.
+
+    Parameters
+    ----------
+    reference, target : path
+        A raster or a product, see `products.find_product`.
+    settings : Settings
+        Its bands are names where a side is a product.
+    all_bands : bool
+        The other bands of the target are wanted too, all of them.
+
+    Raises
+    ------
+    InputError
+        If a product, or a band of it, is missing or cannot be used.
+    """
+    ref = _side(reference, "ref", settings)
+    tgt = _side(target, "tgt", settings)
+    notes = ref.notes + tgt.notes
+    product = find_product(target) if all_bands else None
+    found = product.others(product.band(settings.tgt_band)) if product else ()
+    others = tuple(band for band in found if band.uri != ref.file)
+    if len(others) < len(found):
+        notes += (
+            f"reference and target are of the same product {os.fspath(target)}: the correction is applied to "
+            "all its bands but the reference; it holds for those that lie as the target does",
+        )
+    return Inputs(ref.uri, tgt.uri, replace(settings, **ref.changes, **tgt.changes), notes, others)
+
+
+def band_file(path: PathLike, band: int | str) -> str:
+    """Return the path or GDAL URI that is opened for a band: the path itself where it is no product."""
+    product = find_product(path)
+    return os.fspath(path) if product is None else product.band(band).uri
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    uri: str
+    """What is opened."""
+    file: str
+    """The band's file."""
+    changes: dict[str, Any]
+    notes: tuple[str, ...] = ()
+
+
+def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
+    name = settings.ref_band if side == "ref" else settings.tgt_band
+    given = settings.ref_mask if side == "ref" else settings.tgt_mask
+    product = find_product(path)
+    if product is None:
+        if isinstance(name, str):
+            raise InputError(
+                f"band {name} of {os.fspath(path)}: bands have names in Landsat Collection 2 and Sentinel-2 "
+                f"products only; give its number (--{side}-band 1)"
+            )
+        return _Side(os.fspath(path), os.fspath(path), {})
+    band = product.band(name)
+    notes: tuple[str, ...] = ()
+    if given is None and product.mask is None:
+        notes = (f"{product.path} ({product.kind}) has no quality raster: its clouds are not masked",)
+    if product.path.lower().endswith("gz"):
+        notes += (f"{product.path} is compressed as a whole, and reading parts of it is slow: unpack it",)
+    mask = given or product.mask
+    return _Side(band.opened_as(), band.uri, {f"{side}_band": 1, f"{side}_mask": mask}, notes)
