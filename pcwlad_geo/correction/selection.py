@@ -19,7 +19,9 @@ Array = NDArray[np.float64]
 
 FEWEST_BLOCKS = 4
 SIGNIFICANCE = 1.0
-"""Standard errors by which a model has to predict better than a simpler one."""
+"""Standard errors by which the affine has to predict better than the shift."""
+DENSE_SIGNIFICANCE = 0.5
+"""The same between models that both need resampling: the simpler one is worth less there."""
 LOSSLESS = ("shift", "affine")
 """Models that need no resampling. What replaces them by one that does has to earn it:"""
 RESAMPLING_SIGNIFICANCE = 2.5
@@ -31,6 +33,8 @@ CHANCE = 0.05
 COMMON_SIGMA = 0.6
 """Error that the points of a scene have in common, in sigmas of a point: from scenes of exact truth.
 Residuals do not show it, and no number of points averages it out."""
+COMMON_CHANGE = 0.5
+"""Share of its variance that changes from place to place, as a deformation does."""
 SAMPLE = 64
 """Points at which the precisions of two fits are compared."""
 
@@ -108,7 +112,8 @@ def choose(
     predicted by a fit to the others (see `folds.spatial_folds`). What overlapping windows share across the
     border of a block flatters the prediction; the flattery expected is added (see
     `cross_validation.left_out_errors`). A model replaces a simpler one when (1) the mean of the paired
-    differences of the blocks' squared errors is larger than its standard error, and (2) the correction
+    differences of the blocks' squared errors is larger than its standard error (than half of it, where both
+    need resampling), and (2) the correction
     changes by more than the uncertainty of the fits, and what all points err alike, explains to 95 %. Shift
     and affine need no resampling:
     to replace them, another model has to be better by 2.5 standard errors, and to take out at least 0.05 px
@@ -227,7 +232,7 @@ def _simplest_unbeaten(
         gain = errors[chosen] - errors[name]
         standard_error = gain.std(ddof=1) / np.sqrt(len(gain))
         resampling = chosen in LOSSLESS and name not in LOSSLESS
-        if gain.mean() <= (RESAMPLING_SIGNIFICANCE if resampling else SIGNIFICANCE) * standard_error:
+        if gain.mean() <= _significance(chosen, name) * standard_error:
             notes[name] = f"does not predict significantly better than {chosen}"
         elif resampling and gain.mean() < RESAMPLING_GAIN_PX**2:
             notes[name] = f"takes out only {np.sqrt(gain.mean()):.2f} px more than {chosen}"
@@ -237,6 +242,13 @@ def _simplest_unbeaten(
             notes[chosen] = f"{name} predicts better"
             chosen = name
     return chosen
+
+
+def _significance(simple: str, other: str) -> float:
+    """Return how many standard errors better than a simpler model another one has to predict."""
+    if simple not in LOSSLESS:
+        return DENSE_SIGNIFICANCE
+    return SIGNIFICANCE if other in LOSSLESS else RESAMPLING_SIGNIFICANCE
 
 
 def _misfit(points: _Points, fits: dict[str, Fit], name: str) -> tuple[float, float]:
@@ -282,5 +294,6 @@ def _differs(simple: Fit, other: Fit, points: _Points) -> bool:
     )
     by_chance = max(theirs - ours, theirs / 2)
     freedom = max(other.freedom - simple.freedom, other.freedom / 2)
-    explained = chi2.ppf(1 - CHANCE, freedom) / freedom * by_chance + sum(_common(points, other))
+    explained = chi2.ppf(1 - CHANCE, freedom) / freedom * by_chance
+    explained += COMMON_CHANGE * sum(_common(points, other))
     return bool((change**2).sum(axis=1).mean() > explained)

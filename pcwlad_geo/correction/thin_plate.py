@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fitted import checked
+from pcwlad_geo.correction.local_surface import local_surface
 from pcwlad_geo.correction.plate import Plate, mean_precision
 from pcwlad_geo.correction.robust_linear import (
-    COARSE_STEPS,
     Estimate,
     Solution,
     estimate,
@@ -29,8 +28,6 @@ STIFF = 0.02
 FACTOR = 4.0
 """Between two stiffnesses tried: it doubles the effective number of parameters."""
 MOST_STEPS = 14
-PILOT_STEP = 3
-ROUNDS = 5
 TOLERANCE_PX = 1e-4
 """Largest change of the spline at a point at which its robust weights rest."""
 
@@ -71,34 +68,28 @@ def fit_tps(
         displacement - affine.fitted_px,
         covariance,
     )
-    stiffness, pilot = _stiffness(task)
-    found = task.fitted(stiffness, task.of_both_axes, pilot.fitted_px)
+    start = local_surface(predicted, task.rest_px)
+    stiffness = _stiffness(task, start)
+    found = task.fitted(stiffness, start)
     smoothing = plate.smoothing(stiffness, mean_precision(found.whitener, found.weight))
     trial = task.trials(found).at(smoothing)
     straight = plane(plate.grid.nodes_px()) @ affine.parameters
     return SplineFit.of(plate, found, trial, straight, task.rest_px, predicted, footprint_px)
 
 
-def _stiffness(task: _Task) -> tuple[float, Estimate]:
-    """Return the stiffness of the best score, and a fit of about that stiffness.
+def _stiffness(task: _Task, start_px: Array) -> float:
+    """Return the stiffness of the best score.
 
-    The robust weights are those of one pilot fit while stiffnesses are compared. Where a softer spline than
-    the pilot wins, it becomes the pilot: the weights of a stiff one take detail for outliers.
+    The robust weights are those of the points' own neighbours while stiffnesses are compared: a stiff spline
+    takes detail for outliers.
     """
     side = float(max(task.plate.grid.cells))
     tried = [STIFF * side**4 / FACTOR**step for step in range(MOST_STEPS)]
-    step = PILOT_STEP
-    pilot = task.fitted(tried[step], task.of_one_axis, np.zeros_like(task.rest_px), COARSE_STEPS)
-    for _ in range(ROUNDS):
-        trials = task.trials(pilot)
-        found, alpha = _best(trials, tried)
-        if found <= step:
-            break
-        step = found
-        pilot = task.fitted(tried[step], task.of_one_axis, pilot.fitted_px, COARSE_STEPS // 2)
+    trials = task.trials(task.weighted(start_px))
+    found, alpha = _best(trials, tried)
     between = [tried[found] * factor for factor in (2.0, 1.0, 0.5)]
     near = [trials.at(trials.smoothing(stiffness)) for stiffness in between]
-    return between[best(near, alpha)[0]], pilot
+    return between[best(near, alpha)[0]]
 
 
 def _best(trials: Trials, tried: list[float]) -> tuple[int, float]:
@@ -126,11 +117,13 @@ class _Task:
         """Return trials with the weights of a fit."""
         return Trials.of(self.plate, self.overlaps, self.probes, self.rest_px, pilot.whitener, pilot.weight)
 
-    def of_one_axis(self, stiffness: float, whitener: Array, weight: Array) -> Array:
-        """Solve for col and row on their own, equally precise: several times as fast."""
-        precision = mean_precision(whitener, weight)
-        factor = self.plate.factor(self.plate.normal(precision), self.plate.smoothing(stiffness, precision))
-        return factor.solve(self.plate.design.T @ (precision[:, None] * self.rest_px))
+    def weighted(self, start_px: Array) -> Estimate:
+        """Return the robust weights about a first fit."""
+
+        def stay(_whitener: Array, _weight: Array) -> Solution:
+            return Solution(np.empty((0, 2)), start_px, 0.0)
+
+        return reweighted(stay, start_px, self.rest_px, self.covariance_px2)
 
     def of_both_axes(self, stiffness: float, whitener: Array, weight: Array) -> Array:
         """Solve with the full covariances."""
@@ -141,25 +134,12 @@ class _Task:
         right = (self.plate.design.T @ weighted).T.reshape(-1, 1)
         return factor.solve(right).reshape(2, -1).T
 
-    def fitted(
-        self,
-        stiffness: float,
-        coefficients: Callable[[float, Array, Array], Array],
-        start_px: Array,
-        coarse_steps: int = 0,
-    ) -> Estimate:
+    def fitted(self, stiffness: float, start_px: Array) -> Estimate:
         """Return the robust fit from a start."""
         freedom = self.plate.freedom(stiffness, self.probes)
 
         def solve(whitener: Array, weight: Array) -> Solution:
-            found = coefficients(stiffness, whitener, weight)
+            found = self.of_both_axes(stiffness, whitener, weight)
             return Solution(found, self.plate.design @ found, freedom)
 
-        return reweighted(
-            solve,
-            start_px,
-            self.rest_px,
-            self.covariance_px2,
-            coarse_steps=coarse_steps,
-            tolerance_px=TOLERANCE_PX,
-        )
+        return reweighted(solve, start_px, self.rest_px, self.covariance_px2, tolerance_px=TOLERANCE_PX)

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fit import FITS, fit_tps, predicted_sigma
-from pcwlad_geo.correction.selection import choose
+from pcwlad_geo.correction.selection import COMMON_SIGMA, choose
 
 from .points import (
     affine,
@@ -86,7 +86,8 @@ def test_sigma_of_the_model_chosen_holds_whatever_the_field() -> None:
     for seed in range(24):
         points = scattered(seed, 350, SIDE)
         size = (0.0, 0.3, 2.0)[seed % 3]
-        observed = points + waves(seed, points, size, 900) + errors_px(seed, points, 0.5)
+        common = COMMON_SIGMA * noise(1000 + seed, 1, 0.1)  # what all points err alike
+        observed = points + waves(seed, points, size, 900) + errors_px(seed, points, 0.5) + common
         selection = choose(points, observed, isotropic(350, 0.1), 81)
         moved = selection.fit.correction.forward(places) - places
         ratios.append((moved - waves(seed, places, size, 900)) / selection.sigma(places))

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fit import FITS
-from pcwlad_geo.correction.selection import choose
+from pcwlad_geo.correction.fitted import predicted_sigma
+from pcwlad_geo.correction.selection import COMMON_SIGMA, choose
 from pcwlad_geo.errors import InputError
 
 from .points import (
@@ -185,7 +186,8 @@ def test_the_precision_of_a_model_chosen_by_hand_knows_what_it_misses() -> None:
     size = np.sqrt((missed**2).mean(axis=0))
     np.testing.assert_allclose(selection.sigma(places).mean(axis=0), size, rtol=0.25)
     straight = choose(points, points + noise(23, 400, 0.1), isotropic(400, 0.1), 81, ("shift",))
-    assert straight.sigma(places).max() < 0.015
+    assert predicted_sigma(straight.fit, places).max() < 0.015
+    assert straight.sigma(places).max() < COMMON_SIGMA * 0.1 + 0.005  # and what all points err alike
 
 
 def test_points_in_one_corner_do_not_bend_the_rest() -> None:
