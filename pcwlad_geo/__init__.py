@@ -1,8 +1,8 @@
 """Sub-pixel registration of multimodal rasters.
 
-`register` and `match` do a whole job, files in, folder out, and `batch` does many; `match_arrays` takes two
-arrays and gives their tie points. The heavy libraries load when a name is first used, so that
-``pcwlad-geo --help`` answers at once.
+`register` and `match` do a whole job, files in, folder out, and `batch` does many; `qa` measures how well the
+bands of a stack lie on each other; `match_arrays` takes two arrays and gives their tie points. The heavy
+libraries load when a name is first used, so that ``pcwlad-geo --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pcwlad_geo.matching.tie_points import TiePoints
     from pcwlad_geo.registration.result import Registration
     from pcwlad_geo.registration.settings import Settings
+    from pcwlad_geo.stacks.run import qa
     from pcwlad_geo.workflow import match, register
 
 __version__ = "0.1.0"
@@ -45,6 +46,7 @@ __all__ = [
     "batch",
     "match",
     "match_arrays",
+    "qa",
     "register",
 ]
 
@@ -55,6 +57,7 @@ _HOMES = {
     "batch": "pcwlad_geo.batches.run",
     "match": "pcwlad_geo.workflow",
     "match_arrays": "pcwlad_geo.matching.matcher",
+    "qa": "pcwlad_geo.stacks.run",
     "register": "pcwlad_geo.workflow",
 }
 

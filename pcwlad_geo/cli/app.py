@@ -11,6 +11,7 @@ import pcwlad_geo
 from pcwlad_geo.cli.batch import batch
 from pcwlad_geo.cli.match import match
 from pcwlad_geo.cli.progress import show_error
+from pcwlad_geo.cli.qa import qa
 from pcwlad_geo.cli.register import register
 
 app = typer.Typer(
@@ -22,6 +23,7 @@ app = typer.Typer(
 )
 app.command()(register)
 app.command()(match)
+app.command()(qa)
 app.command()(batch)
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from rasterio.enums import ColorInterp
@@ -18,6 +18,9 @@ from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
 from pcwlad_geo.stacks.sensors import native_px_m
 
 PathLike = str | os.PathLike[str]
+
+LONGEST_NAME: Final = 24
+"""Descriptions that are longer are no names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +64,7 @@ def list_bands(
     InputError
         If a raster, band or mask cannot be used, a band is there twice, or there are fewer than two.
     """
-    found = [
-        _described(uri, number, mask) for raster in rasters for uri, number in _expanded(raster, bands)
-    ]
+    found = [_described(uri, number, mask) for raster in rasters for uri, number in _expanded(raster, bands)]
     for band in found:
         if sum(_same(band, other) for other in found) > 1:
             raise InputError(f"{band.where} is there twice: name every band once")
@@ -200,28 +201,40 @@ def _same(a: Band, b: Band) -> bool:
 
 
 def _names(bands: Sequence[Band]) -> list[str]:
-    """Return a short, unique name for each: its description, else its file's stem and its number."""
-    stems = _short_stems([Path(band.info.uri).stem for band in bands])
-    described = Counter((band.description or "").strip() for band in bands)
+    """Return a short, unique name for each: a word for its file where there are several, and one for it."""
+    files = _short_stems([Path(band.info.uri).stem for band in bands])
+    several = len({band.info.uri for band in bands}) > 1
     names = []
-    for band, stem in zip(bands, stems, strict=True):
-        text = (band.description or "").strip()
-        if text and described[text] == 1 and len(text) <= 24:
-            names.append(text)
-        else:
-            names.append(stem if band.info.band_count == 1 else f"{stem}:{band.info.band}")
-    if len(set(names)) < len(names):
-        names = [f"{Path(band.info.uri).stem}:{band.info.band}" for band in bands]
-    if len(set(names)) < len(names):
-        names = [f"{band.info.uri}:{band.info.band}" for band in bands]
+    for band, file in zip(bands, files, strict=True):
+        own = _own_name(band)
+        alone = band.info.band_count == 1
+        names.append(file if several and alone else f"{file} {own}" if several else own)
+    for form in ("{stem} {band}", "{uri} {band}"):
+        if len(set(names)) == len(names):
+            break
+        names = [
+            form.format(stem=Path(band.info.uri).stem, uri=band.info.uri, band=band.info.band)
+            for band in bands
+        ]
     return names
 
 
+def _own_name(band: Band) -> str:
+    """Return what a band is called within its file."""
+    text = " ".join((band.description or "").split())
+    return text if 0 < len(text) <= LONGEST_NAME else f"band {band.info.band}"
+
+
 def _short_stems(stems: Sequence[str]) -> list[str]:
-    """Return stems without the words at their beginning that all share."""
-    if len(set(stems)) < 2:
+    """Return the word that tells each file: the first, or what follows the words that all share."""
+    different = list(dict.fromkeys(stems))
+    if len(different) < 2:
         return list(stems)
-    shared = os.path.commonprefix(list(stems))
-    cut = max(shared.rfind(mark) for mark in "_-.") + 1
+    first = {stem: re.split(r"[_\-. ]", stem)[0] for stem in different}
+    if all(first.values()) and len(set(first.values())) == len(different):
+        return [first[stem] for stem in stems]
+    low, high = min(different), max(different)  # what these two share, all do
+    shared = next((i for i, pair in enumerate(zip(low, high, strict=False)) if pair[0] != pair[1]), len(low))
+    cut = max(low.rfind(mark, 0, shared) for mark in "_-. ") + 1
     short = [stem[cut:] for stem in stems]
     return short if all(short) else list(stems)

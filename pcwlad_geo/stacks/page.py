@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +18,9 @@ CLASSES_PX: Final = (0.1, 0.2, 0.3, 0.5, 1.0)
 """Limits of CE90 between the colours of the matrix; they stay, so that pages can be compared."""
 CLOSES_PX: Final = 0.05
 """A triangle that closes no better than this is worth a look."""
-ARROW_PX: Final = 13.0
+MOST_ROWS: Final = 24
+"""Triangles shown, and names before a list is cut short at a quarter of it."""
+ARROW_PX: Final = 15.0
 """Length of the longest arrow in the matrix, in CSS px, and half the side of its box less the tip."""
 
 
@@ -49,29 +52,34 @@ def render(summary: Summary) -> str:
     cells = {(pair["reference"], pair["target"]): _cell(pair, longest) for pair in pairs}
     names = [band["name"] for band in summary["bands"]]
     against = summary["against"]
-    return environment().get_template("qa.html.j2").render(
-        summary,
-        verdict=verdict(summary),
-        state={None: "open", True: "good", False: "bad"}[summary["passed"]],
-        title=_title(names),
-        rows=[against] if against else names[:-1],
-        columns=[name for name in names if name != against] if against else names[1:],
-        cells=cells,
-        where={band["name"]: _where(band) for band in summary["bands"]},
-        measured=measured,
-        refused=[pair for pair in pairs if pair["status"] == "refused"],
-        few=[pair for pair in measured if pair["n"] < 30],
-        worst=max(measured, key=lambda pair: pair["displacement"]["px"]["radial"]["ce90"], default=None),
-        farthest=max(measured, key=_length, default=None),
-        farthest_px=longest,
-        widest_gap=max(map(gap, summary["closure"]), default=None),
-        classes=_classes(),
-        closes_px=CLOSES_PX,
-        closes=closes,
-        crs_name=crs_name,
-        differs=differs,
-        native_differs=any(differs(pair) for pair in measured),
-        warnings=_warnings(pairs),
+    return (
+        environment()
+        .get_template("qa.html.j2")
+        .render(
+            summary,
+            verdict=verdict(summary),
+            state={None: "open", True: "good", False: "bad"}[summary["passed"]],
+            title=_title(names),
+            rows=[against] if against else names[:-1],
+            columns=[name for name in names if name != against] if against else names[1:],
+            cells=cells,
+            where={band["name"]: _where(band) for band in summary["bands"]},
+            measured=measured,
+            refused=[pair for pair in pairs if pair["status"] == "refused"],
+            few=few,
+            worst_gaps=sorted(summary["closure"], key=gap, reverse=True)[:MOST_ROWS],
+            worst=max(measured, key=lambda pair: pair["displacement"]["px"]["radial"]["ce90"], default=None),
+            farthest=max(measured, key=_length, default=None),
+            farthest_px=longest,
+            widest_gap=max(map(gap, summary["closure"]), default=None),
+            classes=_classes(),
+            closes_px=CLOSES_PX,
+            closes=closes,
+            crs_name=crs_name,
+            differs=differs,
+            native_differs=any(differs(pair) for pair in measured),
+            warnings=_warnings(pairs),
+        )
     )
 
 
@@ -104,18 +112,21 @@ def verdict(summary: Summary) -> str:
             "s" if len(summary["requirements"]) > 1 else ""
         )
     failed = sum(pair["passed"] is False for pair in pairs)
+    missed = [each["text"] for each in summary["requirements"] if not each["passed"]]
     if failed:
-        return f"Failed: {failed} of {count}"
+        return f"Failed: {failed} of {count}" + (
+            f" miss {missed[0].replace('<=', '≤')}" if len(missed) == 1 and not refused else ""
+        )
     return "Failed: triangles do not close"
 
 
 def gap(triangle: Mapping[str, Any]) -> float:
     """Return how far a triangle is from closing, px, the larger axis; 0 where it is not known."""
-    return max(map(abs, triangle["mean_px"] or (0.0, 0.0)))
+    return float(max(map(abs, triangle["mean_px"] or (0.0, 0.0))))
 
 
 def closes(triangle: Mapping[str, Any]) -> bool:
-    """Whether nothing contradicts that a triangle closes: within the limit, or within three standard errors."""
+    """Whether a triangle closes within the limit, or within three standard errors."""
     if triangle["mean_px"] is None:
         return False
     errors = triangle["error_px"] or (0.0, 0.0)
@@ -153,6 +164,13 @@ def signed(value: float | None, digits: int = 2) -> str:
     return f"+{text}" if value is not None and float(text.replace("−", "-")) > 0 else text
 
 
+def few(names: Sequence[str]) -> str:
+    """Return a list of names, cut short where it is long."""
+    most = MOST_ROWS // 4
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
 def _cell(pair: Mapping[str, Any], longest: float) -> Cell:
     if pair["status"] == "refused":
         return Cell(pair, 0, None, 0.0)
@@ -175,7 +193,7 @@ def _length(pair: Mapping[str, Any]) -> float:
 def _classes() -> list[str]:
     """Return the words of the legend, finest class first."""
     limits = [f"{limit:g}" for limit in CLASSES_PX]
-    between = [f"{low}–{high}" for low, high in zip(limits, limits[1:], strict=False)]
+    between = [f"{low}–{high}" for low, high in pairwise(limits)]
     return [f"up to {limits[0]}", *between, f"over {limits[-1]}"]
 
 

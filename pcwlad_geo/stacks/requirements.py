@@ -116,7 +116,8 @@ def parse_requirement(text: str) -> Requirement:
     name = NAMES.get(match["name"].casefold())
     if name is None:
         raise SettingsError(
-            f"require = {text!r}: there is no statistic '{match['name']}'; there are {', '.join(NAMES.values())}"
+            f"require = {text!r}: there is no statistic '{match['name']}'; "
+            f"there are {', '.join(NAMES.values())}"
         )
     if match["net"] and name not in NET:
         raise SettingsError(f"require = {text!r}: there is no net {name}; net are {', '.join(NET)}")
@@ -155,9 +156,7 @@ def is_about(requirement: Requirement, reference: Band, target: Band) -> bool:
     """Whether a pair of bands is one of those that a requirement speaks of."""
     if requirement.statistic == "closure":
         return False
-    thermal = sum(
-        band.native_m is not None and min(band.native_m) >= TIRS_M for band in (reference, target)
-    )
+    thermal = sum(band.native_m is not None and min(band.native_m) >= TIRS_M for band in (reference, target))
     return requirement.scope in ("all", ("no thermal", "one thermal", "both thermal")[thermal])
 
 

@@ -16,7 +16,6 @@ from pcwlad_geo.registration.progress import Event, EventCallback, Progress, War
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import Runner
-from pcwlad_geo.staging import OutputFolder
 from pcwlad_geo.stacks.bands import Band, find_band, list_bands, parse_bands, split_bands, with_native_px
 from pcwlad_geo.stacks.closure import Triangle, close_triangles
 from pcwlad_geo.stacks.pairs import PairResult, measured, plan_pairs
@@ -29,6 +28,7 @@ from pcwlad_geo.stacks.requirements import (
     parse_requirement,
     preset_requirements,
 )
+from pcwlad_geo.staging import OutputFolder
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -239,10 +239,10 @@ def _match(
         on_event(Warned(f"{name}: {event.message}") if isinstance(event, Warned) else event)
 
     try:
-        found = run(
-            reference.info.uri, target.info.uri, own, on_event=tell, runner=runner, match_only=True
-        )
-    except InputError as error:  # of this pair, such as no common ground: the others are measured all the same
+        found = run(reference.info.uri, target.info.uri, own, on_event=tell, runner=runner, match_only=True)
+    except (
+        InputError
+    ) as error:  # of this pair, such as no common ground: the others are measured all the same
         return PairResult(reference, target, "refused", " ".join(str(error).split()))
     return measured(reference, target, found)
 
