@@ -18,6 +18,8 @@ LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44.0, 10.0, 10.0, 24.0
 """Margins of the plot, CSS px."""
 ENOUGH: Final = 4
 """Dates from which on the latest is compared with those before."""
+RISEN: Final = 1.5
+"""The latest CE90 is worth a note where it is above all before it and this times their median."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +48,8 @@ class Chart:
     """Points (x, y) of `ce90`, `col`, `row`, CSS px."""
     ce90_latest: float | None
     ce90_median: float | None
-    worst_so_far: bool
-    """Whether the latest CE90 is above all before it."""
+    risen: bool
+    """Whether the latest CE90 is well above those before it."""
 
     @property
     def alt(self) -> str:
@@ -77,7 +79,7 @@ def render(found: Trend) -> str:
         .render(
             found=found,
             charts=charts,
-            risen=[chart for chart in charts if chart.worst_so_far],
+            risen=[chart for chart in charts if chart.risen],
             ticks=[(f"{tick:g}".replace("-", "−"), y(tick)) for tick in ticks],
             first=dates[0],
             last=dates[-1],
@@ -99,6 +101,13 @@ def nice_ticks(low: float, high: float) -> list[float]:
     return [round(number * step, 6) for number in range(first, last + 1)]
 
 
+def has_risen(values: Sequence[float]) -> bool:
+    """Whether the last value is above all before it, and well above their median."""
+    if len(values) < ENOUGH:
+        return False
+    return values[-1] > max(*values[:-1], RISEN * median(values[:-1]))
+
+
 def _chart(series: Series, x: Axis, y: Axis) -> Chart:
     at = [(x(_time(moment)), moment) for moment in series.moments]
     known = [moment.ce90_px for moment in series.moments if moment.ce90_px is not None]
@@ -111,12 +120,10 @@ def _chart(series: Series, x: Axis, y: Axis) -> Chart:
         },
         ce90_latest=series.moments[-1].ce90_px,
         ce90_median=median(known) if known else None,
-        worst_so_far=_worst_so_far(known),
+        risen=has_risen(known),
     )
 
 
-def _worst_so_far(values: Sequence[float]) -> bool:
-    return len(values) >= ENOUGH and values[-1] > max(values[:-1])
 
 
 def _time(moment: Moment) -> float:
