@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from pcwlad_geo.stacks.maps import displacement_maps
 from pcwlad_geo.stacks.summary import Summary
 
 CLASSES_PX: Final = (0.1, 0.2, 0.3, 0.5, 1.0)
@@ -74,6 +75,7 @@ def render(summary: Summary) -> str:
             widest_gap=max(map(gap, summary["closure"]), default=None),
             classes=_classes(),
             closes_px=CLOSES_PX,
+            maps=displacement_maps(pairs, {band["name"]: band["shape"] for band in summary["bands"]}),
             closes=closes,
             crs_name=crs_name,
             differs=differs,
@@ -113,10 +115,11 @@ def verdict(summary: Summary) -> str:
         )
     failed = sum(pair["passed"] is False for pair in pairs)
     missed = [each["text"] for each in summary["requirements"] if not each["passed"]]
+    if failed and refused:
+        return f"Failed: {failed} of {count}, {refused} of them refused"
     if failed:
-        return f"Failed: {failed} of {count}" + (
-            f" miss {missed[0].replace('<=', '≤')}" if len(missed) == 1 and not refused else ""
-        )
+        one = f" miss {missed[0].replace('<=', '≤')}" if len(missed) == 1 else ""
+        return f"Failed: {failed} of {count}{one}"
     return "Failed: triangles do not close"
 
 

@@ -13,6 +13,7 @@ from pcwlad_geo.correction.error_statistics import ErrorStatistics
 from pcwlad_geo.report.summary import plain, versions
 from pcwlad_geo.stacks.bands import Band
 from pcwlad_geo.stacks.closure import Triangle
+from pcwlad_geo.stacks.local import local_means
 from pcwlad_geo.stacks.pairs import PairResult
 from pcwlad_geo.stacks.requirements import Judged
 
@@ -119,8 +120,15 @@ def _pair(pair: PairResult, verdicts: Sequence[Judged]) -> Summary:
         "rejected": pair.rejected,
         "px_m": pair.target.px_m,
         "native_px_m": pair.native_m,
+        "local": _local(pair),
         "displacement": {name: _statistics(pair.statistics.get(unit)) for name, unit in UNITS.items()},
     }
+
+
+def _local(pair: PairResult) -> list[Summary]:
+    if pair.points is None:
+        return []
+    return [asdict(each) for each in local_means(pair.points, pair.target.info.grid.shape)]
 
 
 def _statistics(statistics: ErrorStatistics | None) -> Summary | None:

@@ -124,8 +124,6 @@ def _chart(series: Series, x: Axis, y: Axis) -> Chart:
     )
 
 
-
-
 def _time(moment: Moment) -> float:
     """Return seconds; a date without a time is its midnight in UTC."""
     parsed = datetime.fromisoformat(moment.date)

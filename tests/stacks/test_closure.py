@@ -19,7 +19,7 @@ def leg(*rows: tuple[float, float, float, float]) -> Leg:
 
 
 def test_by_hand() -> None:
-    """Two cells of 10 px with three points each; in the first it closes to (0.1, 0), in the second to (0.3, 0)."""
+    """Two cells of 10 px with three points each, which close to (0.1, 0) and (0.3, 0)."""
     places = [(1.0, 1.0), (2.0, 2.0), (3.0, 3.0), (11.0, 1.0), (12.0, 2.0), (13.0, 3.0)]
 
     def of(first: float, second: float) -> Leg:

@@ -50,9 +50,9 @@ def test_a_series_in_the_order_of_its_dates(tmp_path: Path) -> None:
     with (tmp_path / "out/trend.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(row["date"], row["report"], row["passed"]) for row in rows] == [
-        ("2023-01-05", os.path.join("1", "qa.json"), "yes"),
-        ("2023-06-01", os.path.join("2", "qa.json"), "yes"),
-        ("2024-03-05", os.path.join("0", "qa.json"), "no"),
+        ("2023-01-05", str(Path("1", "qa.json")), "yes"),
+        ("2023-06-01", str(Path("2", "qa.json")), "yes"),
+        ("2024-03-05", str(Path("0", "qa.json")), "no"),
     ]
     numbers = json.loads((tmp_path / "out/trend.json").read_text(encoding="utf-8"))
     assert numbers["series"][0]["moments"][2]["date"] == "2024-03-05"
@@ -82,7 +82,7 @@ def test_registrations_too_and_what_is_no_report_is_told(tmp_path: Path) -> None
     assert first.mean_px == pytest.approx((1.25, -0.5), abs=0.05)
     assert first.ce90_px is not None
     assert second.ce90_px is None  # only matched
-    assert set(found.skipped) == {os.path.join("bad", "report.json"), "qa.json"}
+    assert set(found.skipped) == {str(Path("bad", "report.json")), "qa.json"}
     assert sum(isinstance(event, Warned) for event in events) == 2
     page = read((tmp_path / "out/trend.html").read_text(encoding="utf-8"))
     assert "b" not in page.tags
