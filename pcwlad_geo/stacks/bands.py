@@ -172,6 +172,8 @@ def _expanded(raster: PathLike, bands: Sequence[int] | None) -> list[tuple[str, 
     """Return the path and number of each band that a command-line word asks for."""
     # The seam for products: a Landsat folder, MTL file or SAFE folder expands into its bands here.
     uri, own = split_bands(raster)
+    if not uri:
+        raise InputError("a raster has an empty name: give its path")
     wanted = own or bands
     with open_raster(uri) as dataset:
         if wanted is None:

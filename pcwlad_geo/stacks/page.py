@@ -110,9 +110,8 @@ def verdict(summary: Summary) -> str:
             return f"{refused} of {count} could not be measured"
         return f"{count} measured"
     if summary["passed"]:
-        return f"Passed: {'the pair meets' if len(pairs) == 1 else f'all {count} meet'} the requirement" + (
-            "s" if len(summary["requirements"]) > 1 else ""
-        )
+        who = {1: "the pair meets", 2: "both pairs meet"}.get(len(pairs), f"all {count} meet")
+        return f"Passed: {who} the requirement{'s' if len(summary['requirements']) > 1 else ''}"
     failed = sum(pair["passed"] is False for pair in pairs)
     missed = [each["text"] for each in summary["requirements"] if not each["passed"]]
     if failed and refused:

@@ -89,6 +89,8 @@ def test_what_is_no_stack_is_told(tmp_path: Path) -> None:
         list_bands([one])
     with pytest.raises(InputError, match=r"one\.tif, band 1 is there twice"):
         list_bands([one, one])
+    with pytest.raises(InputError, match="empty name"):
+        list_bands([one, ""])
     with pytest.raises(InputError, match="does not exist"):
         list_bands([one, tmp_path / "two.tif"])
     with pytest.raises(InputError, match="holds 1 band, and band 4 was asked for"):

@@ -159,6 +159,19 @@ def test_bands_without_common_ground_are_a_refused_pair(folder: Path) -> None:
     assert "overlap" in str(result.refused[0].reason)
 
 
+def test_a_mask_holds_for_both_bands(folder: Path) -> None:
+    valid = np.zeros((200, 200), np.uint8)
+    valid[:, :120] = 1
+    write(folder / "mask.tif", valid, make_grid((200, 200)), dtype="uint8")
+    rasters = [folder / "b4.tif", folder / "b5.tif"]
+    result = pcwlad_geo.qa(rasters, out_dir=folder / "masked", mask=folder / "mask.tif", **OPTIONS)
+    points = result.pairs[0].points
+    assert points is not None
+    assert points.reference_px[:, 0].max() < 120
+    assert result.settings.ref_mask is None  # the report has it with the bands
+    assert {band.info.mask_uri for band in result.bands} == {str(folder / "mask.tif")}
+
+
 def test_results_are_not_overwritten_unasked(folder: Path, checked: tuple[QaResult, list[Event]]) -> None:
     with pytest.raises(OutputError, match="holds results: give --overwrite"):
         pcwlad_geo.qa([folder / "b4.tif", folder / "b5.tif"], out_dir=checked[0].out_dir, **OPTIONS)
