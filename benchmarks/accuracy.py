@@ -20,6 +20,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.runs import Runner
+from benchmarks.studies.bands import bands
 from benchmarks.studies.closure import closure
 from benchmarks.studies.difference import difference
 from benchmarks.studies.field import displacement_field
@@ -43,6 +44,7 @@ STUDIES: dict[str, Study] = {
     "field": displacement_field,
     "sigma": sigma,
     "closure": closure,
+    "bands": bands,
     "refusal": refusal,
     "windows": windows,
     "tiles": tiles,

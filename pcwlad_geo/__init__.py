@@ -1,7 +1,8 @@
 """Sub-pixel registration of multimodal rasters.
 
 `register` and `match` do a whole job, files in, folder out, and `batch` does many; `warp` applies what
-`register` has found to other bands; `match_arrays` takes two arrays and gives their tie points. The heavy
+`register` has found to other bands; `qa` measures how well the bands of a stack lie on each other;
+`match_arrays` takes two arrays and gives their tie points. The heavy
 libraries load when a name is first used, so that ``pcwlad-geo --help`` answers at once.
 """
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from pcwlad_geo.matching.tie_points import TiePoints
     from pcwlad_geo.registration.result import Registration
     from pcwlad_geo.registration.settings import Settings
+    from pcwlad_geo.stacks.run import qa
     from pcwlad_geo.workflow import match, register
 
 __version__ = "0.1.0"
@@ -46,6 +48,7 @@ __all__ = [
     "batch",
     "match",
     "match_arrays",
+    "qa",
     "register",
     "warp",
 ]
@@ -57,6 +60,7 @@ _HOMES = {
     "batch": "pcwlad_geo.batches.run",
     "match": "pcwlad_geo.workflow",
     "match_arrays": "pcwlad_geo.matching.matcher",
+    "qa": "pcwlad_geo.stacks.run",
     "register": "pcwlad_geo.workflow",
     "warp": "pcwlad_geo.bands",
 }

@@ -27,7 +27,9 @@ _HOST = re.sub(r"[^A-Za-z0-9]+", "_", socket.gethostname()) or "host"
 _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 
 
-def check_output_folder(out_dir: str | os.PathLike[str], overwrite: bool = False) -> None:
+def check_output_folder(
+    out_dir: str | os.PathLike[str], overwrite: bool = False, results: str = RESULTS
+) -> None:
     """Check, before any work, that results may be written into a folder. Changes nothing.
 
     Parameters
@@ -36,12 +38,14 @@ def check_output_folder(out_dir: str | os.PathLike[str], overwrite: bool = False
         The folder, which need not exist.
     overwrite : bool
         Whether results of an earlier run may be replaced.
+    results : str
+        Name of the file that tells a folder with results.
 
     Raises
     ------
     OutputError
         If it is no folder, cannot be written to, holds results and overwrite is False, or holds a
-        report.json of another program.
+        file of that name of another program.
     """
     folder = _absolute(out_dir)
     existing = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
@@ -51,11 +55,11 @@ def check_output_folder(out_dir: str | os.PathLike[str], overwrite: bool = False
         raise OutputError(
             f"cannot write in {existing}: change its permissions or choose another output folder"
         )
-    if not os.path.lexists(folder / RESULTS):
+    if not os.path.lexists(folder / results):
         return
-    if _listed_outputs(folder) is None:
+    if _listed_outputs(folder, results) is None:
         raise OutputError(
-            f"{folder / RESULTS} was not written by pcwlad-geo and will not be touched: "
+            f"{folder / results} was not written by pcwlad-geo and will not be touched: "
             f"choose another output folder"
         )
     if not overwrite:
@@ -138,6 +142,8 @@ class OutputFolder:
         The folder.
     overwrite : bool
         Whether results of an earlier run, the files its report.json lists, may be replaced.
+    results : str
+        Name of the file that takes the place of report.json.
 
     Raises
     ------
@@ -145,21 +151,24 @@ class OutputFolder:
         On entering, what `check_output_folder` raises, and if another run writes there.
     """
 
-    def __init__(self, out_dir: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    def __init__(
+        self, out_dir: str | os.PathLike[str], *, overwrite: bool = False, results: str = RESULTS
+    ) -> None:
         self.out_dir = _absolute(out_dir)
         self._overwrite = overwrite
+        self._results = results
         self._made: list[Path] = []
         self._lock = _Lock(self.out_dir)
         self._stage: Path | None = None
 
     def __enter__(self) -> OutputFolder:
-        check_output_folder(self.out_dir, overwrite=True)
+        check_output_folder(self.out_dir, overwrite=True, results=self._results)
         try:
             with _disk_errors(self.out_dir):
                 self._made = _make_folders(self.out_dir.parent)
                 self._lock.acquire()
                 _sweep(self.out_dir)
-                check_output_folder(self.out_dir, self._overwrite)
+                check_output_folder(self.out_dir, self._overwrite, self._results)
                 stage = _stage_of(self.out_dir)
                 stage.mkdir()
                 self._stage = stage
@@ -216,7 +225,7 @@ class OutputFolder:
             for scratch in self.stage.glob(".*"):
                 shutil.rmtree(scratch) if scratch.is_dir() else scratch.unlink()
             names = sorted(
-                (file.name for file in self.stage.iterdir()), key=lambda name: (name == RESULTS, name)
+                (file.name for file in self.stage.iterdir()), key=lambda name: (name == self._results, name)
             )
             for name in names:
                 verify(self.stage / name)
@@ -252,7 +261,7 @@ class OutputFolder:
                 )
 
     def _replaceable(self) -> frozenset[str]:
-        listed = _listed_outputs(self.out_dir) if self._overwrite else None
+        listed = _listed_outputs(self.out_dir, self._results) if self._overwrite else None
         return frozenset() if listed is None else listed
 
     def _leave(self) -> None:
@@ -391,16 +400,16 @@ def _discard(stage: Path, out_dir: Path) -> None:
     shutil.rmtree(stage, ignore_errors=True)
 
 
-def _listed_outputs(folder: Path) -> frozenset[str] | None:
+def _listed_outputs(folder: Path, results: str) -> frozenset[str] | None:
     """Return the file names that belong to the results in a folder; None where it holds none of ours."""
     try:
-        report = json.loads((folder / RESULTS).read_text(encoding="utf-8"))
+        report = json.loads((folder / results).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     versions = report.get("versions") if isinstance(report, dict) else None
     if not isinstance(versions, dict) or "pcwlad-geo" not in versions or "schema_version" not in report:
         return None
-    return frozenset({RESULTS, *_plain_names(report.get("outputs"))})
+    return frozenset({results, *_plain_names(report.get("outputs"))})
 
 
 def _plain_names(names: object) -> list[str]:

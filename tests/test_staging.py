@@ -372,3 +372,21 @@ def test_a_process_that_must_end_at_once_abandons_its_stage(tmp_path: Path) -> N
     child(out_dir, body).communicate()
     assert content(tmp_path) == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
+
+
+def test_a_results_file_of_another_name(tmp_path: Path) -> None:
+    """It tells the folder's results as report.json does elsewhere; a report.json beside it stays."""
+    out_dir = tmp_path / "out"
+    run(out_dir, {"tiepoints.csv": "a"})
+    for overwrite, text in ((False, "first"), (True, "second")):
+        with OutputFolder(out_dir, overwrite=overwrite, results="qa.json") as folder:
+            folder.path("qa.csv").write_text(text)
+            folder.path("qa.json").write_text(report("qa.csv", "qa.json"))
+            folder.commit()
+        assert set(content(out_dir)) == {"tiepoints.csv", "report.json", "qa.csv", "qa.json"}
+        assert content(out_dir)["qa.csv"] == text
+    with pytest.raises(OutputError, match="holds results"):
+        check_output_folder(out_dir, results="qa.json")
+    (out_dir / "qa.json").write_text("{}")
+    with pytest.raises(OutputError, match=r"qa\.json was not written by pcwlad-geo"):
+        check_output_folder(out_dir, True, "qa.json")

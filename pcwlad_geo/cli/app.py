@@ -11,6 +11,7 @@ import pcwlad_geo
 from pcwlad_geo.cli.batch import batch
 from pcwlad_geo.cli.match import match
 from pcwlad_geo.cli.progress import show_error
+from pcwlad_geo.cli.qa import qa
 from pcwlad_geo.cli.register import register
 from pcwlad_geo.cli.warp import warp
 
@@ -24,6 +25,7 @@ app = typer.Typer(
 app.command()(register)
 app.command()(match)
 app.command()(warp)
+app.command()(qa)
 app.command()(batch)
 
 

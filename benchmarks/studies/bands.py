@@ -1,0 +1,56 @@
+"""Bands of one Landsat scene and of Sentinel-2: the quality report must find them where they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import pcwlad_geo
+from benchmarks.runs import Runner
+from benchmarks.tables import Cell, Check, Table, at_most
+from pcwlad_geo.stacks.closure import Triangle
+from pcwlad_geo.stacks.pairs import PairResult
+
+APART_PX = 0.05
+CLOSES_PX = 0.05
+
+
+def bands(data: Path, scratch: Path, _runner: Runner) -> Iterator[Table]:
+    """Yield a table of the pairs and one of the triangles of ``pcwlad-geo qa``."""
+    folder = data / "cross_sensor"
+    result = pcwlad_geo.qa(
+        [f"{folder / 'landsat8_byte.tif'}:2,4,5", f"{folder / 'sentinel2_b432_byte.tif'}:1"],
+        out_dir=scratch / "qa",
+        jobs=1,
+    )
+    yield _pairs(result.pairs)
+    yield _triangles(result.triangles)
+
+
+def _pairs(pairs: tuple[PairResult, ...]) -> Table:
+    rows: list[list[Cell]] = []
+    checks: list[Check] = []
+    for pair in pairs:
+        px = pair.statistics["px"]
+        if px is None:
+            raise RuntimeError(f"{pair.name}: {pair.reason}")
+        figures = (px.col.mean, px.row.mean, px.col.le90, px.row.le90, px.radial.ce90, px.net.ce90)
+        rows.append([pair.name, px.n, *(f"{figure:+.3f}" for figure in figures)])
+        if "sentinel2" not in pair.name:
+            apart = math.hypot(px.col.mean, px.row.mean)
+            checks.append(at_most(f"{pair.name}: mean displacement", apart, APART_PX, "px"))
+    header = ("pair", "points", "mean col, px", "row", "LE90 col", "row", "CE90", "net CE90")
+    return Table("Bands: displacement as found, px of 30 m", header, rows, checks)
+
+
+def _triangles(triangles: tuple[Triangle, ...]) -> Table:
+    rows: list[list[Cell]] = []
+    checks: list[Check] = []
+    for triangle in triangles:
+        mean, error = triangle.mean_px or (math.nan,) * 2, triangle.error_px or (math.nan,) * 2
+        rows.append([triangle.name, triangle.cells, *(f"{figure:+.3f}" for figure in (*mean, *error))])
+        gap = max(abs(mean[0]), abs(mean[1])) if triangle.mean_px else math.nan
+        checks.append(at_most(f"{triangle.name}: larger axis", gap, CLOSES_PX, "px"))
+    header = ("triangle", "places", "mean col, px", "row", "standard error col", "row")
+    return Table("Closure of the bands, px of 30 m", header, rows, checks)

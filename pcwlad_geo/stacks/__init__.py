@@ -1,0 +1,1 @@
+"""Stacks of bands: measure every pair, close the triangles, judge, and write the quality report."""

@@ -1,0 +1,218 @@
+"""The quality report's page: one HTML file that needs nothing else, offline."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from pcwlad_geo.stacks.maps import displacement_maps
+from pcwlad_geo.stacks.summary import Summary
+
+CLASSES_PX: Final = (0.1, 0.2, 0.3, 0.5, 1.0)
+"""Limits of CE90 between the colours of the matrix; they stay, so that pages can be compared."""
+CLOSES_PX: Final = 0.05
+"""A triangle that closes no better than this is worth a look."""
+MOST_ROWS: Final = 24
+"""Triangles shown, and names before a list is cut short at a quarter of it."""
+ARROW_PX: Final = 15.0
+"""Length of the longest arrow in the matrix, in CSS px, and half the side of its box less the tip."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A cell of the matrix."""
+
+    pair: Mapping[str, Any]
+    """As in the summary."""
+    level: int
+    """Class of CE90, from 0."""
+    arrow: tuple[float, float] | None
+    """Its tip from the middle of its box, CSS px; None where the displacement is too short to draw."""
+    turn_deg: float
+    """Direction of the arrow."""
+
+
+def render(summary: Summary) -> str:
+    """Return the text of `qa.html`.
+
+    Parameters
+    ----------
+    summary : dict
+        What `summarise` made of the result.
+    """
+    pairs = summary["pairs"]
+    measured = [pair for pair in pairs if pair["status"] == "measured"]
+    longest = max((_length(pair) for pair in measured), default=0.0)
+    cells = {(pair["reference"], pair["target"]): _cell(pair, longest) for pair in pairs}
+    names = [band["name"] for band in summary["bands"]]
+    against = summary["against"]
+    return (
+        environment()
+        .get_template("qa.html.j2")
+        .render(
+            summary,
+            verdict=verdict(summary),
+            state={None: "open", True: "good", False: "bad"}[summary["passed"]],
+            title=_title(names),
+            rows=[against] if against else names[:-1],
+            columns=[name for name in names if name != against] if against else names[1:],
+            cells=cells,
+            where={band["name"]: _where(band) for band in summary["bands"]},
+            measured=measured,
+            refused=[pair for pair in pairs if pair["status"] == "refused"],
+            few=few,
+            worst_gaps=sorted(summary["closure"], key=gap, reverse=True)[:MOST_ROWS],
+            worst=max(measured, key=lambda pair: pair["displacement"]["px"]["radial"]["ce90"], default=None),
+            farthest=max(measured, key=_length, default=None),
+            farthest_px=longest,
+            widest_gap=max(map(gap, summary["closure"]), default=None),
+            classes=_classes(),
+            closes_px=CLOSES_PX,
+            maps=displacement_maps(pairs, {band["name"]: band["shape"] for band in summary["bands"]}),
+            closes=closes,
+            crs_name=crs_name,
+            differs=differs,
+            native_differs=any(differs(pair) for pair in measured),
+            warnings=_warnings(pairs),
+        )
+    )
+
+
+def environment() -> Environment:
+    """Return the templates of this package, everything escaped, with the filters for figures."""
+    made = Environment(
+        loader=PackageLoader("pcwlad_geo.stacks"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters["figure"] = figure
+    made.filters["signed"] = signed
+    made.filters["file_name"] = lambda path: Path(path).name
+    return made
+
+
+def verdict(summary: Summary) -> str:
+    """Return the headline: what a reader must know if they read nothing else."""
+    pairs = summary["pairs"]
+    refused = sum(pair["status"] == "refused" for pair in pairs)
+    count = "1 pair" if len(pairs) == 1 else f"{len(pairs)} pairs"
+    if summary["passed"] is None:
+        if refused:
+            return f"{refused} of {count} could not be measured"
+        return f"{count} measured"
+    if summary["passed"]:
+        who = {1: "the pair meets", 2: "both pairs meet"}.get(len(pairs), f"all {count} meet")
+        return f"Passed: {who} the requirement{'s' if len(summary['requirements']) > 1 else ''}"
+    failed = sum(pair["passed"] is False for pair in pairs)
+    missed = [each["text"] for each in summary["requirements"] if not each["passed"]]
+    if failed and refused:
+        return f"Failed: {failed} of {count}, {refused} of them refused"
+    if failed:
+        one = f" miss {missed[0].replace('<=', '≤')}" if len(missed) == 1 else ""
+        return f"Failed: {failed} of {count}{one}"
+    return "Failed: triangles do not close"
+
+
+def gap(triangle: Mapping[str, Any]) -> float:
+    """Return how far a triangle is from closing, px, the larger axis; 0 where it is not known."""
+    return float(max(map(abs, triangle["mean_px"] or (0.0, 0.0))))
+
+
+def closes(triangle: Mapping[str, Any]) -> bool:
+    """Whether a triangle closes within the limit, or within three standard errors."""
+    if triangle["mean_px"] is None:
+        return False
+    errors = triangle["error_px"] or (0.0, 0.0)
+    return all(
+        abs(mean) <= max(CLOSES_PX, 3 * error)
+        for mean, error in zip(triangle["mean_px"], errors, strict=True)
+    )
+
+
+def crs_name(crs: str | None) -> str:
+    """Return the short name of a CRS: its code, or what its text begins with."""
+    if crs is None:
+        return "none"
+    name = re.match(r'\w+\["([^"]+)"', crs)
+    return name[1] if name else crs
+
+
+def differs(pair: Mapping[str, Any]) -> bool:
+    """Whether the native pixel of a measured pair is another than the target's."""
+    displacement = pair["displacement"]
+    return bool(displacement["native_px"]["radial"] != displacement["px"]["radial"])
+
+
+def figure(value: float | None, digits: int = 2) -> str:
+    """Return a number with a true minus sign; a dash for None."""
+    if value is None:
+        return "–"
+    text = f"{value:.{digits}f}"
+    return text.replace("-", "−") if float(text) else f"{0:.{digits}f}"
+
+
+def signed(value: float | None, digits: int = 2) -> str:
+    """Return a number with its sign; a dash for None."""
+    text = figure(value, digits)
+    return f"+{text}" if value is not None and float(text.replace("−", "-")) > 0 else text
+
+
+def few(names: Sequence[str]) -> str:
+    """Return a list of names, cut short where it is long."""
+    most = MOST_ROWS // 4
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def _cell(pair: Mapping[str, Any], longest: float) -> Cell:
+    if pair["status"] == "refused":
+        return Cell(pair, 0, None, 0.0)
+    px = pair["displacement"]["px"]
+    level = sum(px["radial"]["ce90"] > limit for limit in CLASSES_PX)
+    col, row, length = px["col"]["mean"], px["row"]["mean"], _length(pair)
+    if length < 0.15 * longest or longest == 0:
+        return Cell(pair, level, None, 0.0)
+    scale = ARROW_PX / longest
+    return Cell(
+        pair, level, (round(col * scale, 1), round(row * scale, 1)), round(math.degrees(math.atan2(row, col)))
+    )
+
+
+def _length(pair: Mapping[str, Any]) -> float:
+    px = pair["displacement"]["px"]
+    return math.hypot(px["col"]["mean"], px["row"]["mean"])
+
+
+def _classes() -> list[str]:
+    """Return the words of the legend, finest class first."""
+    limits = [f"{limit:g}" for limit in CLASSES_PX]
+    between = [f"{low}–{high}" for low, high in pairwise(limits)]
+    return [f"up to {limits[0]}", *between, f"over {limits[-1]}"]
+
+
+def _where(band: Mapping[str, Any]) -> str:
+    """Return file and number of a band, where its name does not say them already."""
+    stem = Path(band["path"]).stem
+    return "" if stem.endswith(band["name"]) else f"{stem}, band {band['band']}"
+
+
+def _title(names: Sequence[str]) -> str:
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+
+
+def _warnings(pairs: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
+    """Return each warning once, with the pairs that have it."""
+    found: dict[str, list[str]] = {}
+    for pair in pairs:
+        for warning in pair["warnings"]:
+            found.setdefault(warning, []).append(pair["name"])
+    return list(found.items())

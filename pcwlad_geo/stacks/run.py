@@ -1,0 +1,258 @@
+"""Measure a stack: match every pair of bands, close the triangles, judge, write the report."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned, ignore
+from pcwlad_geo.registration.runners import open_runner
+from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.tasks import Runner
+from pcwlad_geo.stacks.bands import Band, find_band, list_bands, parse_bands, split_bands, with_native_px
+from pcwlad_geo.stacks.closure import Triangle, close_triangles
+from pcwlad_geo.stacks.pairs import PairResult, measured, plan_pairs
+from pcwlad_geo.stacks.requirements import (
+    Judged,
+    Requirement,
+    check_applicable,
+    judge_pairs,
+    judge_triangles,
+    parse_requirement,
+    preset_requirements,
+)
+from pcwlad_geo.staging import OutputFolder
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from pcwlad_geo.workflow import Options
+
+PathLike = str | os.PathLike[str]
+
+NAMES: Final = {"numbers": "qa.json", "table": "qa.csv", "report": "qa.html"}
+"""File names of the outputs in OUT_DIR."""
+OF_PAIRS: Final = ("ref_band", "tgt_band", "ref_mask", "tgt_mask")
+"""Settings that a stack decides for each pair."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QaResult:
+    """What the quality check of a stack found."""
+
+    bands: tuple[Band, ...]
+    against: Band | None
+    """The band that all others were compared with; None: all pairs."""
+    pairs: tuple[PairResult, ...]
+    triangles: tuple[Triangle, ...]
+    verdicts: tuple[Judged, ...]
+    """One for each requirement."""
+    settings: Settings
+    seconds: float
+    out_dir: Path
+    """Where `qa.json`, `qa.csv` and `qa.html` are."""
+
+    @property
+    def refused(self) -> tuple[PairResult, ...]:
+        """The pairs that could not be matched reliably."""
+        return tuple(pair for pair in self.pairs if pair.status == "refused")
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether all requirements are met and no pair was refused; None where nothing was required."""
+        if not self.verdicts:
+            return None
+        return not self.refused and all(verdict.passed for verdict in self.verdicts)
+
+
+def qa(
+    rasters: Sequence[PathLike] | PathLike,
+    *,
+    out_dir: PathLike | None = None,
+    bands: Sequence[int] | str | None = None,
+    against: str | None = None,
+    require: Sequence[str] = (),
+    preset: Sequence[str] = (),
+    native_px: Sequence[str] = (),
+    mask: PathLike | None = None,
+    overwrite: bool = False,
+    on_event: EventCallback = ignore,
+    executor: Executor | Runner | None = None,
+    **options: Unpack[Options],
+) -> QaResult:
+    """Measure how well the bands of a stack lie on each other, and write `qa.json`, `qa.csv`, `qa.html`.
+
+    The displacements are as found: nothing is fitted or corrected. In each pair the finer band is the
+    reference, so that px are pixels of the coarser one (of the target, with `against`).
+
+    Parameters
+    ----------
+    rasters : path or sequence of path
+        Single- or multi-band rasters; ``FILE:2,4,5`` takes some bands of one.
+    out_dir : path, optional
+        Output folder; ``<stem of the first raster>_qa`` in the working folder by default.
+    bands : sequence of int or str, optional
+        Bands of the rasters that do not name theirs; all by default.
+    against : str, optional
+        Compare every band with this one only: its name, description, or the end of it (``B4``).
+    require : sequence of str
+        Limits such as ``CE90<=0.3px``; all pairs must meet them.
+    preset : sequence of str
+        ``sentinel2``, ``landsat-oli``, ``landsat-tirs``: the missions' own requirements.
+    native_px : sequence of str
+        ``NAME=METRES``: pixel size that the sensor recorded, where the files are resampled.
+    mask : path, optional
+        Mask of all rasters, 0 = excluded.
+    overwrite : bool
+        Replace the results of an earlier run in `out_dir`.
+    on_event : callable
+        Receives `Progress` (its stage `pairs` counts them) and `Warned` events; an exception that it raises
+        ends the job.
+    executor : concurrent.futures.Executor or Runner, optional
+        Runs the tiles; None = `jobs` processes, or the workers of `scheduler`.
+    **options
+        The fields of `Settings` that concern matching.
+
+    Returns
+    -------
+    QaResult
+        Its `passed` is the verdict. A pair that cannot be matched reliably is in it as refused.
+
+    Raises
+    ------
+    InputError
+        If a raster, a name or an option cannot be used; nothing is written.
+    OutputError
+        If the report cannot be written.
+    ExecutionError
+        If what the job runs on cannot be used or is lost.
+    """
+    started = time.perf_counter()
+    rasters = [rasters] if isinstance(rasters, str | os.PathLike) else list(rasters)
+    settings = _settings(options)
+    requirements = read_requirements(require, preset)
+    numbers = parse_bands(bands) if isinstance(bands, str) else bands
+    stack = with_native_px(list_bands(rasters, numbers, mask), native_px)
+    base = find_band(stack, against) if against is not None else None
+    planned = plan_pairs(stack, base)
+    requirements = check_applicable(requirements, planned, base is None and len(stack) > 2)
+    with OutputFolder(qa_folder(rasters, out_dir), overwrite=overwrite, results=NAMES["numbers"]) as folder:
+        pairs = _measure(planned, settings, mask, on_event, executor)
+        triangles = close_triangles(stack, pairs, settings.window) if base is None else []
+        verdicts = [
+            judge_triangles(each, triangles) if each.statistic == "closure" else judge_pairs(each, pairs)
+            for each in requirements
+        ]
+        result = QaResult(
+            bands=tuple(stack),
+            against=base,
+            pairs=tuple(pairs),
+            triangles=tuple(triangles),
+            verdicts=tuple(verdicts),
+            settings=settings,
+            seconds=time.perf_counter() - started,
+            out_dir=folder.out_dir,
+        )
+        _write(result, folder)
+        folder.commit()
+    return result
+
+
+def read_requirements(require: Sequence[str], preset: Sequence[str]) -> list[Requirement]:
+    """Return the requirements of both kinds, read.
+
+    Raises
+    ------
+    SettingsError
+        If one cannot be read.
+    """
+    read = [parse_requirement(text) for text in require]
+    return read + [each for name in dict.fromkeys(preset) for each in preset_requirements(name)]
+
+
+def qa_folder(rasters: Sequence[PathLike], out_dir: PathLike | None) -> Path:
+    """Return the output folder."""
+    if out_dir:
+        return Path(out_dir)
+    name = re.sub(r'[<>:"/\\|?*]+', "_", Path(split_bands(rasters[0])[0]).name).lstrip(".") if rasters else ""
+    return Path(f"{Path(name).stem or 'raster'}_qa")
+
+
+def _settings(options: Options) -> Settings:
+    settings = Settings.from_options(options)
+    default = Settings()
+    for name in OF_PAIRS:
+        if getattr(settings, name) != getattr(default, name):
+            word = "mask" if "mask" in name else "bands"
+            raise SettingsError(f"{name} is for a single pair: give {word}")
+    return settings
+
+
+def _measure(
+    planned: Sequence[tuple[Band, Band]],
+    settings: Settings,
+    mask: PathLike | None,
+    on_event: EventCallback,
+    executor: Executor | Runner | None,
+) -> list[PairResult]:
+    """Match all pairs, one after another, on the same workers."""
+    results = []
+    with open_runner(settings, executor, on_event) as runner:
+        for number, (reference, target) in enumerate(planned):
+            on_event(Progress("pairs", number, len(planned)))
+            result = _match(reference, target, settings, mask, on_event, runner)
+            if result.status == "refused":
+                on_event(Warned(f"{result.name}: refused: {result.reason}"))
+            results.append(result)
+    on_event(Progress("pairs", len(planned), len(planned)))
+    return results
+
+
+def _match(
+    reference: Band,
+    target: Band,
+    settings: Settings,
+    mask: PathLike | None,
+    on_event: EventCallback,
+    runner: Runner,
+) -> PairResult:
+    from pcwlad_geo.registration.run import run  # slow to load: the workers start meanwhile
+
+    masks = None if mask is None else Path(mask)
+    own = replace(
+        settings,
+        ref_band=reference.info.band,
+        tgt_band=target.info.band,
+        ref_mask=masks,
+        tgt_mask=masks,
+    )
+    name = f"{reference.name} – {target.name}"
+
+    def tell(event: Event) -> None:
+        on_event(Warned(f"{name}: {event.message}") if isinstance(event, Warned) else event)
+
+    try:
+        found = run(reference.info.uri, target.info.uri, own, on_event=tell, runner=runner, match_only=True)
+    except (
+        InputError
+    ) as error:  # of this pair, such as no common ground: the others are measured all the same
+        return PairResult(reference, target, "refused", " ".join(str(error).split()))
+    return measured(reference, target, found)
+
+
+def _write(result: QaResult, folder: OutputFolder) -> None:
+    from pcwlad_geo.report.summary import to_json  # slow to load
+    from pcwlad_geo.stacks.page import render
+    from pcwlad_geo.stacks.summary import summarise, to_csv
+
+    summary = summarise(result, sorted(NAMES.values()))
+    texts = {"table": to_csv(summary), "report": render(summary), "numbers": to_json(summary)}
+    for kind, text in texts.items():
+        folder.path(NAMES[kind]).write_text(text, encoding="utf-8", newline="")
