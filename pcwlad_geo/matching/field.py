@@ -23,6 +23,8 @@ ALIKE: Final = 0.6
 ROUGH: Final = 3.0
 """Independent neighbours that predict worse than so many times the scatter of the nearest do not know."""
 ROUGH_FROM_PX: Final = 0.15
+MOST_NEIGHBOURS: Final = 768
+"""Of more neighbours one of several is asked: the windows of those between share their pixels with it."""
 NEAREST: Final = 12
 SAMPLE: Final = 400
 CHUNK_VALUES: Final = 2_000_000
@@ -85,7 +87,7 @@ def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, surface
         Where to predict.
     surface : Surface
     """
-    return _predict_apart(xy_px, displacement_px, at_xy_px, surface, 0.0)
+    return _predict_apart(*_thinned(xy_px, displacement_px, surface), at_xy_px, 0.0)
 
 
 def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int) -> Choice:
@@ -135,14 +137,23 @@ def _against_neighbours(
 ) -> tuple[Float64, Float64]:
     """Return displacement minus prediction, (m, 2), and how much of it is the point's own error, (m,)."""
     sample = np.unique(np.linspace(0, len(xy) - 1, min(SAMPLE, len(xy))).astype(np.intp))
-    predicted = _predict_apart(xy, displacement, xy[sample], surface, EXCLUSION * window_px)
+    others = _thinned(xy, displacement, surface)
+    predicted = _predict_apart(*others, xy[sample], EXCLUSION * window_px)
     # points whose windows share pixels err alike: together they are little more than one witness
-    in_a_window = cKDTree(xy).query_ball_point(xy[sample], window_px / np.sqrt(np.pi), return_length=True)
+    in_a_window = cKDTree(others[0]).query_ball_point(
+        xy[sample], window_px / np.sqrt(np.pi), return_length=True
+    )
     alike = ALIKE * float(np.median(in_a_window)) if len(sample) else 1.0
     residual, share = np.full(xy.shape, np.nan), np.full(len(xy), np.nan)
     residual[sample] = displacement[sample] - predicted.displacement_px
     share[sample] = 1 / np.sqrt(1 + predicted.leverage * alike)
     return residual, share
+
+
+def _thinned(xy: Float64, displacement: Float64, surface: Surface) -> tuple[Float64, Float64, Surface]:
+    """Return so many of the points that the surface's neighbours are not more than needed."""
+    step = -(-surface.count // MOST_NEIGHBOURS)
+    return xy[::step], displacement[::step], Surface(surface.count // step, surface.order)
 
 
 def _typical(residual: Float64) -> float:
@@ -177,7 +188,7 @@ def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Fl
 
 
 def _predict_apart(
-    xy: Float64, displacement: Float64, at: Float64, surface: Surface, apart_px: float
+    xy: Float64, displacement: Float64, surface: Surface, at: Float64, apart_px: float
 ) -> Prediction:
     count = surface.count
     xy, displacement, at = (np.ascontiguousarray(array, np.float64) for array in (xy, displacement, at))

@@ -89,17 +89,18 @@ def _with_their_surroundings(
     index = np.flatnonzero(kept)
     if len(index) < 4:
         return np.zeros_like(kept)
-    cells, cell_of = np.unique(np.floor(xy[index] / cell_px).astype(np.intp), axis=0, return_inverse=True)
+    place, moved = xy[index], displacement[index]
+    cells, cell_of = np.unique(np.floor(place / cell_px).astype(np.intp), axis=0, return_inverse=True)
     cell_of = cell_of.ravel()
     if len(cells) < CELLS_AROUND:
         return kept
     order = np.argsort(cell_of, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(cell_of[order])) + 1)
-    centres = np.array([xy[index][group].mean(axis=0) for group in groups])
-    medians = np.array([np.median(displacement[index][group], axis=0) for group in groups])
+    centres = np.array([place[group].mean(axis=0) for group in groups])
+    medians = np.array([np.median(moved[group], axis=0) for group in groups])
     _, nearest = cKDTree(centres).query(centres, k=min(CELLS_AROUND + 1, len(cells)))
     around = np.median(medians[nearest[:, 1:]], axis=1)
-    residual = np.linalg.norm(displacement[index] - around[cell_of], axis=1)
+    residual = np.linalg.norm(moved - around[cell_of], axis=1)
     scatter = 1.4826 * float(np.median(residual))
     width = np.maximum(SCATTERS * scatter, SIGMAS * sigma[index])
     result = np.zeros_like(kept)
