@@ -181,9 +181,11 @@ def _same_inputs(pair: Pair, report: Mapping[str, Any]) -> bool:
     names = [pair.reference, pair.target]
     if [report[which]["path"] for which in ("reference", "target")] != names:
         return False
-    masks = [pair.settings.ref_mask, pair.settings.tgt_mask]
+    settings = pair.settings
+    given = [settings.ref_mask, settings.tgt_mask, settings.dem, settings.dem_vertical]
+    masks = [file for file in given if isinstance(file, Path)]
     written = (pair.out_dir / "report.json").stat().st_mtime
-    return all(_changed(file) <= written for file in [*names, *masks] if file is not None)
+    return all(_changed(file) <= written for file in [*names, *masks])
 
 
 def _changed(file: PathLike) -> float:

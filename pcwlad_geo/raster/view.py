@@ -14,6 +14,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.masks import valid_in_file, valid_in_mask_file
 from pcwlad_geo.raster.resample import block_mean, box_average, cell_means, sample_positions, spline_samples
+from pcwlad_geo.raster.rpc_grid import RpcGrid, positions_on
 from pcwlad_geo.raster.source import RasterInfo, open_raster
 from pcwlad_geo.raster.windows import Window
 
@@ -178,7 +179,7 @@ def _read_interpolated(
     """Sample the file by spline; where it is finer, average block means below and several samples a pixel."""
     factor = max(1, int(step.min() // 2))
     per_px = max(1, int(np.ceil(step.max() / factor - 0.25)))
-    positions = sample_positions(window, per_px, source.to_file_px)
+    positions = _positions(source, window, per_px)
     needed = _around(positions, factor, source.info.grid.shape)
     if needed.empty:
         return np.zeros(window.shape), np.zeros(window.shape, dtype=bool)
@@ -187,6 +188,13 @@ def _read_interpolated(
     origin_rc = np.array([needed.row, needed.col])[:, None, None]
     samples, shares = spline_samples(means, fraction, (positions - origin_rc) / factor)
     return cell_means(samples, per_px), cell_means(shares, per_px) >= LEAST_VALID_CUBIC
+
+
+def _positions(source: View, window: Window, per_px: int) -> Array:
+    """Return where the samples of a window lie in the file: (2, rows, cols), rows and columns."""
+    if isinstance(source.info.grid, RpcGrid):
+        return positions_on(source.info.grid, source.grid, window, per_px)
+    return sample_positions(window, per_px, source.to_file_px)
 
 
 def _around(positions_rc: Array, factor: int, shape: tuple[int, int]) -> Window:

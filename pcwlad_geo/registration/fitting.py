@@ -35,7 +35,11 @@ class Fitted:
 
 
 def fit_correction(
-    table: TiePointTable, settings: Settings, footprint_px: float, px_m: tuple[float, float] | None
+    table: TiePointTable,
+    settings: Settings,
+    footprint_px: float,
+    px_m: tuple[float, float] | None,
+    candidates: tuple[str, ...] = tuple(FITS),
 ) -> Fitted:
     """Fit a correction to the matched points of a table.
 
@@ -48,6 +52,8 @@ def fit_correction(
         Side of the matching window in target px.
     px_m : (float, float), optional
         Size of a target pixel (col, row) in metres.
+    candidates : tuple of str
+        Models to choose from where the settings leave it open, the simplest first.
     """
     status = table.status.astype("<U8")
     matched = np.flatnonzero(status == "matched")
@@ -57,7 +63,7 @@ def fit_correction(
     taken = thin(table.predicted_px[wanted], np.hypot(*table.sigma_px[wanted].T), most)
     status[wanted[~taken]] = "unused"
     fit_points = table[status == "fit"]
-    models = tuple(FITS) if settings.model == "auto" else (settings.model,)
+    models = candidates if settings.model in ("auto", "rpc") else (settings.model,)
     correction = choose(
         fit_points.predicted_px, fit_points.target_px, fit_points.covariance_px2, footprint_px, models
     ).fit.correction

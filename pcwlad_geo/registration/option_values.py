@@ -32,6 +32,8 @@ def to_setting(name: str, value: object) -> object:
     words = [word for kind in kinds - {hint} if get_origin(kind) is Literal for word in get_args(kind)]
     if value in words:
         return value
+    if {float, Path} <= kinds:
+        return _number_or_path(name, value)
     if Path in kinds:
         return Path(_checked(name, value, str, "a file name") if not isinstance(value, Path) else value)
     if int in kinds:
@@ -52,6 +54,15 @@ def _number(name: str, value: object, kind: type[int] | type[float], wanted: str
     if isinstance(value, bool) or not isinstance(value, accepted):
         raise SettingsError(f"{name} = {value!r}: give {wanted}")
     return kind(value)
+
+
+def _number_or_path(name: str, value: object) -> object:
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return Path(value)
+    return value if isinstance(value, Path) else _number(name, value, float, "a number or a file name")
 
 
 def _checked(name: str, value: object, kind: type[str], wanted: str) -> str:

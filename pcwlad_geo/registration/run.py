@@ -8,10 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from pcwlad_geo.correction.fit import FITS
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.geodesy import pixel_size_m
 from pcwlad_geo.raster.locate import locate
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
+from pcwlad_geo.raster.rpc_view import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.fitting import Fitted, fit_correction, shared_residual_px
@@ -21,6 +23,7 @@ from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search, look_at
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.result import Prealignment, Registration
+from pcwlad_geo.registration.rpc_target import MODELS, check_start, corrected_rpc, place_target
 from pcwlad_geo.registration.scene import Matched, match_scene
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
@@ -63,8 +66,10 @@ def run(
     with log.stage("reading"):
         ref = describe(reference, band=settings.ref_band, mask=settings.ref_mask)
         tgt = describe(target, band=settings.tgt_band, mask=settings.tgt_mask)
-        pair = plan_views(ref, tgt)
-        for warning in pair.warnings:
+        placed, warnings = place_target(ref, tgt, settings)
+        tgt = placed.info if placed else tgt
+        pair = plan_rpc_views(ref, tgt) if placed else plan_views(ref, tgt)
+        for warning in (*warnings, *pair.warnings):
             log.warn(warning)
         if same_band(ref, tgt):
             log.warn(
@@ -77,6 +82,8 @@ def run(
         look = look_at(pair)
         on_event(Progress("reading", 1, 1))
     matched = _match(pair, look, settings, log, runner)
+    if placed and matched.verdict.accepted:
+        check_start(placed, matched.prealignment, pair.reference.grid, settings)
     table = _table(matched, pair)
     px_m = _px_m(tgt)
     fitted: Fitted | None = None
@@ -84,7 +91,8 @@ def run(
         with log.stage("fitting"):
             on_event(Progress("fitting", 0, 1))
             footprint = settings.window * _target_px_per_view_px(pair)
-            fitted = fit_correction(table, settings, footprint, px_m)
+            candidates = MODELS if placed else tuple(FITS)
+            fitted = fit_correction(table, settings, footprint, px_m, candidates)
             _warn_of_parallax(fitted, log)
             on_event(Progress("fitting", 1, 1))
     status = "rejected" if not matched.verdict.accepted else "matched" if match_only else "registered"
@@ -103,6 +111,7 @@ def run(
         counts=matched.counts,
         seconds=log.seconds,
         settings=settings,
+        rpc=corrected_rpc(placed, fitted.correction if fitted else None) if placed else None,
     )
 
 

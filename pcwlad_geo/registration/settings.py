@@ -12,7 +12,7 @@ from pcwlad_geo.errors import SettingsError
 
 Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 Keypoints = Literal["cells", "strongest"]
-Model = Literal["auto", "shift", "affine"]
+Model = Literal["auto", "shift", "affine", "rpc"]
 Prealign = Literal["auto", "georef", "search", "none"]
 Consensus = Literal["auto", "off"]
 OutputGrid = Literal["reference", "target"]
@@ -31,6 +31,11 @@ class Settings:
     """Mask file of the reference, GDAL's convention: 0 = excluded."""
     tgt_mask: Path | None = None
     """Mask file of the target, GDAL's convention: 0 = excluded."""
+    dem: Path | None = None
+    """Heights of the ground, for a target with RPCs."""
+    dem_vertical: float | Path | None = None
+    """Metres from the ellipsoid up to what the DEM's heights are above (0: the ellipsoid itself), or a file of
+    them; None = the DEM's CRS tells."""
     method: Method = "oriented"
     """Fine matching method."""
     points: int | Literal["all"] | None = None
@@ -54,7 +59,7 @@ class Settings:
     prealign: Prealign = "auto"
     """Rough alignment: by georeferencing, a pyramid search, neither, or what the pair needs."""
     model: Model = "auto"
-    """Correction model."""
+    """Correction model; `rpc`: the target's RPC counts, also beside a geotransform, and takes the correction."""
     grid: OutputGrid = "reference"
     """Registered raster: the reference's CRS and alignment (target's pixel size), or the target's grid."""
     resampling: Resampling = "cubic"
@@ -89,6 +94,11 @@ class Settings:
         _check("scheduler", self.scheduler, address, "an address such as tcp://host:8786")
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
         _check("ssim_min", self.ssim_min, real, "a number from -1 to below 1")
+        if self.dem_vertical is not None and self.dem is None:
+            raise SettingsError(f"dem_vertical = {self.dem_vertical!r} without a DEM: give --dem too")
+        if isinstance(self.dem_vertical, Real):
+            near = -500.0 <= self.dem_vertical <= 500.0
+            _check("dem_vertical", self.dem_vertical, near, "metres from -500 to 500, or a file")
         for name, hint in get_type_hints(type(self)).items():
             if get_origin(hint) is Literal:
                 value = getattr(self, name)
