@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,12 +12,13 @@ from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import displacement_m
 from pcwlad_geo.raster.grid import jacobian, map_px
 from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 
 Array = NDArray[np.float64]
 
 
-def locate(points: TiePoints, pair: ViewPair) -> TiePointTable:
+def locate(points: TiePoints, pair: ViewPair, original: RasterInfo | None = None) -> TiePointTable:
     """Express tie points in the original files and on the ground.
 
     Parameters
@@ -23,6 +26,8 @@ def locate(points: TiePoints, pair: ViewPair) -> TiePointTable:
     points : TiePoints
         Reference positions in reference-view px, target positions in target-view px.
     pair : ViewPair
+    original : RasterInfo, optional
+        The target as its own georeferencing places it, where the matching started from a better one.
 
     Returns
     -------
@@ -32,6 +37,8 @@ def locate(points: TiePoints, pair: ViewPair) -> TiePointTable:
     target_view = pair.target
     reference_px = pair.reference.to_file_px(points.reference_xy_px)
     target_px = target_view.to_file_px(points.target_xy_px)
+    if original is not None:
+        pair = replace(pair, target=replace(target_view, info=original))
     predicted_px = predict_target_px(reference_px, pair)
     scale = jacobian(points.target_xy_px, target_view.grid, target_view.info.grid)
     count = len(points)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.correction.rpc_fold import FOLD_TOLERANCE_PX, fold, fold_error_px
@@ -14,6 +15,7 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.raster.geodesy import pixel_size_m
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc_files import read_rpc
+from pcwlad_geo.raster.rpc_grid import RpcGrid
 from pcwlad_geo.raster.rpc_view import Placed, place_by_rpc
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Prealignment
@@ -105,6 +107,15 @@ def check_start(
             "the image as it is (gdal_translate -srcwin adapts it), or --prealign search to correct it by a "
             "shift all the same"
         )
+
+
+def shifted(target: RasterInfo, shift_px: NDArray[np.float64]) -> RasterInfo:
+    """Return a target with RPC placed where a shift (col, row) of its pixels puts it."""
+    grid = target.grid
+    if not isinstance(grid, RpcGrid):
+        raise TypeError(f"{target.uri} is not placed by an RPC")
+    correction = AffineCorrection("shift", np.column_stack([np.eye(2), shift_px]))
+    return replace(target, grid=replace(grid, rpc=fold(grid.rpc, correction)))
 
 
 def corrected_rpc(placed: Placed, correction: Correction | None) -> RpcRegistration:

@@ -23,13 +23,18 @@ from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search, look_at
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.result import Prealignment, Registration
-from pcwlad_geo.registration.rpc_target import MODELS, check_start, corrected_rpc, place_target
+from pcwlad_geo.registration.rpc_target import MODELS, check_start, corrected_rpc, place_target, shifted
 from pcwlad_geo.registration.scene import Matched, match_scene
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
 
 PARALLAX_PX = 0.5
 """Residuals that neighbours share are worth a warning where a third of them exceed this."""
+
+NEARER = 2
+"""Times that a target with RPC is matched again,"""
+NEAR_PX = 0.5
+"""as long as it lies farther than this from where it was taken to be, target px."""
 
 PathLike = str | os.PathLike[str]
 
@@ -84,7 +89,8 @@ def run(
     matched = _match(pair, look, settings, log, runner)
     if placed and matched.verdict.accepted:
         check_start(placed, matched.prealignment, pair.reference.grid, settings)
-    table = _table(matched, pair)
+        matched, pair = _match_from_nearer(matched, pair, settings, log, runner)
+    table = _table(matched, pair, tgt)
     px_m = _px_m(tgt)
     fitted: Fitted | None = None
     if matched.verdict.accepted and not match_only:
@@ -156,8 +162,32 @@ def _starts(pair: ViewPair, look: Look, settings: Settings, log: JobLog) -> Iter
         yield direct
 
 
-def _table(matched: Matched, pair: ViewPair) -> TiePointTable:
-    table = locate(matched.matches, pair)
+def _match_from_nearer(
+    matched: Matched, pair: ViewPair, settings: Settings, log: JobLog, runner: Runner
+) -> tuple[Matched, ViewPair]:
+    """Match a target with RPC again, as the shift found so far places it.
+
+    Where the RPC errs, the image is seen with the height of the ground beside: relief distorts the windows by
+    the more, the larger the error is.
+    """
+    for _ in range(NEARER):
+        table = _table(matched, pair, pair.target.info)
+        shift_px = np.median(table.select("matched").displacement_px, axis=0)
+        if np.hypot(*shift_px) < NEAR_PX:
+            break
+        target = shifted(pair.target.info, shift_px)
+        nearer = plan_rpc_views(pair.reference.info, target)
+        again = match_scene(
+            nearer, look_at(nearer), by_georeferencing(settings.search_radius), settings, log, runner
+        )
+        if not again.verdict.accepted:
+            break
+        matched, pair = replace(again, prealignment=matched.prealignment), nearer
+    return matched, pair
+
+
+def _table(matched: Matched, pair: ViewPair, original: RasterInfo) -> TiePointTable:
+    table = locate(matched.matches, pair, original)
     return replace(table, status=np.where(matched.kept, "matched", "rejected"))
 
 
