@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
 
 from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError
-from pcwlad_geo.raster import gcp_files, geopackage, tie_point_csv, vrt, warping
+from pcwlad_geo.raster import gcp_files, geopackage, rpc_files, rpc_warping, tie_point_csv, vrt, warping
 from pcwlad_geo.registration import settings as s
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.result import Registration
@@ -39,9 +40,13 @@ NAMES = {
     "gcps": "{stem}_gcps.vrt",
     "envi": "{stem}.pts",
     "corrected": "{stem}_corrected.vrt",
+    "rpc": "{stem}_rpc.vrt",
+    "rpc_text": "{stem}_rpc_RPC.TXT",
     "raster": "{stem}_registered.tif",
 }
 """File names of the outputs in OUT_DIR; name and stem are the target's."""
+CORRECTED = ("corrected", "rpc", "rpc_text", "raster")
+"""Those that need a correction."""
 
 
 class Options(TypedDict, total=False):
@@ -51,6 +56,8 @@ class Options(TypedDict, total=False):
     tgt_band: int
     ref_mask: Path | None
     tgt_mask: Path | None
+    dem: Path | None
+    dem_vertical: float | Path | None
     method: s.Method
     points: int | Literal["all"] | None
     features: int
@@ -192,7 +199,7 @@ def output_paths(
     name = re.sub(r'[<>:"/\\|?*]+', "_", Path(target).name).lstrip(".") or "raster"
     stem = Path(name).stem
     folder = Path(out_dir) if out_dir else Path(f"{stem}_{job}")
-    kinds = [kind for kind in NAMES if job == "registered" or kind not in ("corrected", "raster")]
+    kinds = [kind for kind in NAMES if job == "registered" or kind not in CORRECTED]
     paths = {kind: folder / NAMES[kind].format(name=name, stem=stem) for kind in kinds}
     elsewhere = {
         "raster": output_raster,
@@ -230,7 +237,9 @@ def _run_and_write(
     out_dir = places["numbers"].parent
     inside = output_paths(inputs[1], "registered", out_dir=out_dir)
     elsewhere = {kind: path for kind, path in places.items() if path != inside[kind]}
-    _check_places(places, elsewhere, [*inputs, settings.ref_mask, settings.tgt_mask], overwrite)
+    options = (settings.ref_mask, settings.tgt_mask, settings.dem, settings.dem_vertical)
+    files = [option for option in options if isinstance(option, Path)]
+    _check_places(places, elsewhere, [*inputs, *files], overwrite)
     with OutputFolder(out_dir, overwrite=overwrite) as folder:
         staged = {
             kind: folder.stage / inside[kind].name if kind in elsewhere else folder.path(inside[kind].name)
@@ -297,7 +306,9 @@ def _kinds(registration: Registration) -> list[str]:
     kinds = ["tiepoints", "geopackage"]
     if registration.status != "rejected":
         kinds += ["points", "envi", "gcps"]
-    if registration.status == "registered":
+    if registration.status == "registered" and registration.rpc is not None:
+        kinds += ["rpc", "rpc_text", "raster"]
+    elif registration.status == "registered":
         kinds += ["corrected", "raster"] if registration.target.georeferenced else ["raster"]
     return kinds
 
@@ -307,6 +318,7 @@ def _writers(
 ) -> dict[str, Callable[[Path], None]]:
     """Return what writes each kind of output to a path."""
     table, target, reference = registration.tie_points, registration.target, registration.reference
+    on_ground = target.georeferenced and registration.rpc is None
 
     def write_corrected(path: Path) -> None:
         vrt.write_corrected_vrt(
@@ -314,6 +326,15 @@ def _writers(
         )
 
     def write_raster(path: Path) -> None:
+        def progress(done: int, total: int) -> None:
+            on_event(Progress("warping", done, total))
+
+        if registration.rpc is not None:
+            corrected = registration.rpc.corrected_grid
+            ortho = rpc_warping.ortho_grid(reference.grid, corrected)
+            resampling = registration.settings.resampling
+            rpc_warping.orthorectify(target.uri, path, corrected, ortho, resampling, progress=progress)
+            return
         correction = _correction(registration)
         grid = warping.output_grid(reference.grid, target.grid, correction, registration.settings.grid)
         warping.warp(
@@ -322,20 +343,30 @@ def _writers(
             correction,
             grid,
             registration.settings.resampling,
-            progress=lambda done, total: on_event(Progress("warping", done, total)),
+            progress=progress,
         )
 
     return {
         "tiepoints": lambda path: tie_point_csv.write(table, path),
         "geopackage": lambda path: geopackage.write(table, path),
-        "points": lambda path: gcp_files.write_points(table, path, target.georeferenced, target.grid),
+        "points": lambda path: gcp_files.write_points(table, path, on_ground, target.grid),
         "envi": lambda path: gcp_files.write_envi(table, path, reference.uri, target.uri),
         "gcps": lambda path: vrt.write_gcps_vrt(
             path, target.uri, table, table.crs, final_path=places["gcps"]
         ),
         "corrected": write_corrected,
+        "rpc": lambda path: vrt.write_rpc_vrt(
+            path, target.uri, rpc_files.to_gdal(_corrected_rpc(registration)), final_path=places["rpc"]
+        ),
+        "rpc_text": lambda path: rpc_files.write_rpc_text(_corrected_rpc(registration), path),
         "raster": write_raster,
     }
+
+
+def _corrected_rpc(registration: Registration) -> RpcModel:
+    if registration.rpc is None:
+        raise TypeError("the target has no RPC")
+    return registration.rpc.corrected_grid.rpc
 
 
 def _correction(registration: Registration) -> AffineCorrection:

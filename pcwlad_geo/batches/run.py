@@ -182,7 +182,7 @@ def _same_inputs(pair: Pair, report: Mapping[str, Any]) -> bool:
     if [report[which]["path"] for which in ("reference", "target")] != names:
         return False
     settings = pair.settings
-    given = [settings.ref_mask, settings.tgt_mask, settings.dem, settings.dem_vertical]
+    given: list[object] = [settings.ref_mask, settings.tgt_mask, settings.dem, settings.dem_vertical]
     masks = [file for file in given if isinstance(file, Path)]
     written = (pair.out_dir / "report.json").stat().st_mtime
     return all(_changed(file) <= written for file in [*names, *masks])

@@ -35,7 +35,9 @@ RefBand = Annotated[int | None, _setting("ref_band", "Band of the reference.", m
 TgtBand = Annotated[int | None, _setting("tgt_band", "Band of the target.", metavar="N")]
 RefMask = Annotated[Path | None, _setting("ref_mask", "Mask of the reference, 0 = excluded.", metavar="FILE")]
 TgtMask = Annotated[Path | None, _setting("tgt_mask", "Mask of the target, 0 = excluded.", metavar="FILE")]
-Dem = Annotated[Path | None, _setting("dem", "Heights of the ground, for a target with RPCs.", metavar="FILE")]
+Dem = Annotated[
+    Path | None, _setting("dem", "Heights of the ground, for a target with RPCs.", metavar="FILE")
+]
 DemVertical = Annotated[
     str | None,
     _setting(

@@ -79,9 +79,9 @@ class RpcModel:
     def normalised(self, ground: Array) -> Array:
         """Return (n, 3) longitude, latitude, height as the polynomials take them: -1 to 1 in the scene."""
         offset = np.array([self.long_off, self.lat_off, self.height_off])
-        moved = np.asarray(ground, dtype=np.float64) - offset
+        moved: Array = np.asarray(ground, dtype=np.float64) - offset
         moved[:, 0] = (moved[:, 0] + 180.0) % 360.0 - 180.0  # scenes at the date line
-        return moved / [self.long_scale, self.lat_scale, self.height_scale]
+        return moved / np.array([self.long_scale, self.lat_scale, self.height_scale])
 
     def _to_px(self, normalised: Array) -> Array:
         terms = polynomial_terms(normalised)
@@ -94,8 +94,8 @@ class RpcModel:
     def _slopes(self, normalised: Array) -> Array:
         """(n, 2, 2): derivatives of (col, row) by normalised longitude and latitude."""
         steps = STEP * np.eye(3)[:2]
-        sides = [(self._to_px(normalised + step) - self._to_px(normalised - step)) / (2 * STEP) for step in steps]
-        return np.stack(sides, axis=2)
+        sides = [self._to_px(normalised + step) - self._to_px(normalised - step) for step in steps]
+        return np.stack(sides, axis=2) / (2 * STEP)
 
 
 def polynomial_terms(normalised: Array) -> Array:

@@ -120,8 +120,15 @@ class Dem:
         """Return the same as `at` where the (n, 2) DEM pixels are known too."""
         return self._own(dem_px) * self.metres_per_unit + self.undulation.at(lon_lat)
 
+    def ellipsoidal(self, window: Window) -> Array:
+        """Return the heights above the ellipsoid, m, of a window of the file; NaN where there are none."""
+        row, col = np.mgrid[window.row : window.row_stop, window.col : window.col_stop]
+        pixels = np.column_stack([col.ravel(), row.ravel()]) + 0.5
+        added = self.undulation.at(transform_xy(self.grid.to_xy(pixels), self.grid.crs, WGS84))
+        return self._read(window) * self.metres_per_unit + added.reshape(window.shape)
+
     def missing_in(self, window: Window, outline_px: shapely.Geometry) -> int:
-        """Count the pixels without height in a window of the file whose centres lie within an outline (px)."""
+        """Count the pixels without height in a window whose centres lie within an outline (px)."""
         if window.area_px2 > MOST_PX_AT_ONCE and max(window.shape) > 1:
             return sum(self.missing_in(half, outline_px) for half in window.halves())
         row, col = np.nonzero(np.isnan(self._read(window)))

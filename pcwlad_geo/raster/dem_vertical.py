@@ -110,7 +110,7 @@ def _from_grid(path: str, bounds: Bounds) -> Undulation:
         found = geoid.at(lon_lat)
         for turn in (360.0, -360.0):
             if info.grid.crs is not None and info.grid.crs.is_geographic:
-                around = geoid.at_px(info.grid.to_px(lon_lat + [turn, 0.0]), lon_lat)
+                around = geoid.at_px(info.grid.to_px(lon_lat + np.array([turn, 0.0])), lon_lat)
                 found = np.where(np.isnan(found), around, found)
         return found
 
@@ -122,8 +122,8 @@ def _from_grid(path: str, bounds: Bounds) -> Undulation:
         )
     if np.abs(undulation.values_m).max() > 150.0:
         raise InputError(
-            f"the geoid grid {path} holds up to {np.abs(undulation.values_m).max():.0f} m: no geoid is so far "
-            "from the ellipsoid; give a file of undulations, not of heights"
+            f"the geoid grid {path} holds {np.abs(undulation.values_m).max():.0f} m: no geoid is as far from "
+            "the ellipsoid; give a file of undulations, not of heights"
         )
     return undulation
 
@@ -150,7 +150,7 @@ def _from_crs(info: RasterInfo, crs: pyproj.CRS, bounds: Bounds) -> Undulation:
     transformer = group.transformers[0]
 
     def at(lon_lat: Array) -> Array:
-        return np.asarray(transformer.transform(*lon_lat.T, np.zeros(len(lon_lat)))[2])
+        return np.asarray(transformer.transform(lon_lat[:, 0], lon_lat[:, 1], np.zeros(len(lon_lat)))[2])
 
     undulation = Undulation.sampled(at, bounds, STEP_DEG)
     if not np.isfinite(undulation.values_m).all():

@@ -12,6 +12,7 @@ from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import displacement_m
 from pcwlad_geo.raster.grid import jacobian, map_px
 from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster.rpc_grid import levelled
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 
@@ -40,7 +41,7 @@ def locate(points: TiePoints, pair: ViewPair, original: RasterInfo | None = None
     if original is not None:
         pair = replace(pair, target=replace(target_view, info=original))
     predicted_px = predict_target_px(reference_px, pair)
-    scale = jacobian(points.target_xy_px, target_view.grid, target_view.info.grid)
+    scale = jacobian(points.target_xy_px, target_view.grid, levelled(target_view.info.grid))
     count = len(points)
     return TiePointTable(
         reference_px=reference_px,

@@ -101,7 +101,7 @@ def check_domain(source: RpcSource, uri: str, shape: tuple[int, int]) -> None:
         if reach > MOST_REACH:
             raise InputError(
                 f"the RPC in {source.origin} describes {name} {offset - scale:.0f} to {offset + scale:.0f}, "
-                f"and {uri} has {name} 0 to {size}: it is the RPC of another, a cropped or a decimated image; "
+                f"and {uri} has {name} 0 to {size}: it is that of another, a cropped or a decimated image; "
                 "give the image that it belongs to (gdal_translate keeps the two together)"
             )
 
@@ -189,7 +189,12 @@ def _rpc_txt(text: str) -> dict[str, Any]:
 def _rpb(text: str) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, value in re.findall(r"(\w+)\s*=\s*(\([^)]*\)|[^;]*);", text):
-        key = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().replace("offset", "off").replace("coef", "coeff")
+        key = (
+            re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
+            .lower()
+            .replace("offset", "off")
+            .replace("coef", "coeff")
+        )
         numbers = [float(number) for number in re.findall(_NUMBER, value)]
         if numbers:
             values[key] = numbers if value.lstrip().startswith("(") else numbers[0]
@@ -208,9 +213,8 @@ def _model(values: Mapping[str, Any], origin: str) -> RpcModel:
             f"the RPC in {origin} lacks {', '.join(missing).upper()}: get it again, or delete it to register "
             "without it"
         )
-    return RpcModel(
-        **{name: float(values[name]) for name in NUMBERS}, **{name: tuple(values[name]) for name in POLYNOMIALS}
-    )
+    items: dict[str, Any] = {name: float(values[name]) for name in NUMBERS}
+    return RpcModel(**items, **{name: tuple(values[name]) for name in POLYNOMIALS})
 
 
 def _difference_px(first: RpcModel, second: RpcModel, shape: tuple[int, int]) -> float:

@@ -26,7 +26,7 @@ class RpcGrid(Grid):
     """A grid whose map coordinates are longitude and latitude on the ground; NaN where no height is known."""
 
     rpc: RpcModel
-    """Of the file's pixels, to which `transform` maps those of this grid (other than itself: of an overview)."""
+    """Of the file's pixels, to which `transform` maps those of this grid (an overview's, a part's)."""
     heights: ConstantHeight | Dem
 
     @staticmethod
@@ -72,6 +72,13 @@ class RpcGrid(Grid):
         return replace(self, shape=shape, transform=Affine(a, b, x, d, e, y))
 
 
+def levelled(grid: Grid) -> Grid:
+    """Return a grid without the relief below it: pixel sizes there are those of the sensor, not of a slope."""
+    if not isinstance(grid, RpcGrid):
+        return grid
+    return replace(grid, heights=ConstantHeight(grid.rpc.height_off))
+
+
 def positions_on(grid: RpcGrid, view_grid: Grid, window: Window, per_px: int) -> Array:
     """Return where the pixels of a view's window lie in an RPC raster.
 
@@ -101,6 +108,8 @@ def positions_on(grid: RpcGrid, view_grid: Grid, window: Window, per_px: int) ->
 
     lon_lat = sampled(geographic)
     heights = grid.heights
-    height = heights.at_px(sampled(heights.grid), lon_lat) if isinstance(heights, Dem) else heights.at(lon_lat)
+    height = (
+        heights.at_px(sampled(heights.grid), lon_lat) if isinstance(heights, Dem) else heights.at(lon_lat)
+    )
     own = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height])))
     return np.ascontiguousarray(own[:, ::-1].T).reshape(2, window.rows * per_px, window.cols * per_px)

@@ -14,8 +14,8 @@ from pcwlad_geo.raster.dem import ConstantHeight, Dem
 from pcwlad_geo.raster.dem_vertical import Vertical, open_dem
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.matching_grid import MARGIN_PX, ViewPair
-from pcwlad_geo.raster.rpc_files import RpcSource, check_domain, read_rpc
-from pcwlad_geo.raster.rpc_grid import RpcGrid
+from pcwlad_geo.raster.rpc_files import RpcSource, check_domain
+from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.raster.windows import Window
@@ -27,6 +27,8 @@ LATTICE: Final = 33
 RELIEF_M: Final = 100.0
 MARGIN_SHARE: Final = 0.05
 """Of the scene's extent, what an undulation is known around it."""
+ALL: Final = 0.999
+"""Share of the target that a DEM covers whole."""
 _FINER: Final = 0.99
 
 
@@ -96,7 +98,9 @@ def plan_rpc_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
     common = shapely.MultiPoint(lattice).convex_hull.intersection(shapely.box(0, 0, cols, rows))
     if common.area < 1.0:
         (left, top), (right, bottom) = reference.grid.to_xy(np.array([[0.0, 0.0], [cols, rows]])).tolist()
-        (x0, y0), (x1, y1) = (reference.grid.to_xy(side(lattice, axis=0)[None])[0] for side in (np.min, np.max))
+        (x0, y0), (x1, y1) = (
+            reference.grid.to_xy(side(lattice, axis=0)[None])[0] for side in (np.min, np.max)
+        )
         raise InputError(
             f"the rasters do not overlap: {reference.uri} covers x {left:.10g} to {right:.10g}, y "
             f"{bottom:.10g} to {top:.10g}, and by its RPC {target.uri} lies at x {x0:.10g} to {x1:.10g}, y "
@@ -104,7 +108,7 @@ def plan_rpc_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
             "target as it is (not that of the image it was cropped from)"
         )
     centre = np.array([[common.centroid.x, common.centroid.y]])
-    size = np.sqrt(abs(np.linalg.det(jacobian(centre, reference.grid, target.grid)[0])))
+    size = np.sqrt(abs(np.linalg.det(jacobian(centre, reference.grid, levelled(target.grid))[0])))
     if np.isfinite(size) and size < _FINER:
         coarser = _coarser(reference.grid, 1.0 / float(size))
         own = View(reference, coarser, "cubic")
@@ -142,7 +146,7 @@ def _scene_bounds(source: RpcSource, info: RasterInfo) -> tuple[float, float, fl
     found = found[np.isfinite(found).all(axis=1)]
     if len(found) == 0:
         raise InputError(
-            f"the RPC in {source.origin} gives no place on the ground for the pixels of {info.uri}: get it again"
+            f"the RPC in {source.origin} places no pixel of {info.uri} on the ground: get it again"
         )
     low, high = found.min(axis=0), found.max(axis=0)
     margin = MARGIN_SHARE * (high - low)
@@ -173,7 +177,7 @@ def _look_at_dem(placed: RasterInfo, grid: RpcGrid, dem: Dem) -> tuple[float, fl
     holes = count_holes(dem, dem_px[covered])
     if holes:
         raise InputError(
-            f"the DEM {dem.uri} has holes below {placed.uri}: {holes} of its pixels there have no height; fill "
+            f"the DEM {dem.uri} has holes below {placed.uri}: {holes} of its pixels have no height; fill "
             "them first (gdal_fillnodata.py DEM FILLED), or give another DEM"
         )
     heights = dem.at(grid.to_xy(pixels))
@@ -188,12 +192,12 @@ def _look_at_dem(placed: RasterInfo, grid: RpcGrid, dem: Dem) -> tuple[float, fl
             f"{placed.uri}: check its unit and its nodata value"
         )
     share = covered.mean()
-    warnings = ()
-    if share < 0.999:
-        warnings = (
-            f"the DEM {dem.uri} covers {share:.0%} of {placed.uri}: the rest is neither matched nor orthorectified",
+    warnings = []
+    if share < ALL:
+        warnings.append(
+            f"the DEM {dem.uri} covers {share:.0%} of {placed.uri}: the rest is neither matched nor warped"
         )
-    return float(heights.min()), float(heights.max()), warnings
+    return float(heights.min()), float(heights.max()), tuple(warnings)
 
 
 def count_holes(dem: Dem, dem_px: Array) -> int:
@@ -210,7 +214,7 @@ def _relief_warning(grid: RpcGrid) -> str:
     ground = np.column_stack([grid.to_xy(middle), [grid.rpc.height_off]])
     col, row = (RELIEF_M * grid.rpc.px_per_metre_of_height(ground))[0].tolist()
     return (
-        f"no DEM: all ground is taken to be {grid.rpc.height_off:.0f} m above the ellipsoid, the RPC's height "
-        f"offset; each {RELIEF_M:.0f} m of relief displaces the image by ({col:.2f}, {row:.2f}) px (col, row), "
-        f"{float(np.hypot(col, row)):.2f} px in all: give --dem"
+        f"no DEM: all ground is taken to be {grid.rpc.height_off:.0f} m above the ellipsoid, the height "
+        f"offset of the RPC; each {RELIEF_M:.0f} m of relief displaces the image by "
+        f"{float(np.hypot(col, row)):.2f} px ({col:.2f}, {row:.2f}; col, row): give --dem"
     )

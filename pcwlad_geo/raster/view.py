@@ -14,7 +14,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.masks import valid_in_file, valid_in_mask_file
 from pcwlad_geo.raster.resample import block_mean, box_average, cell_means, sample_positions, spline_samples
-from pcwlad_geo.raster.rpc_grid import RpcGrid, positions_on
+from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled, positions_on
 from pcwlad_geo.raster.source import RasterInfo, open_raster
 from pcwlad_geo.raster.windows import Window
 
@@ -258,7 +258,7 @@ def _at_overview(view: View, overview: int | None) -> View:
 def _file_px_per_px(view: View) -> Array:
     """(2,): how far a step of one view pixel along columns and rows goes in the file, file px."""
     rows, cols = view.grid.shape
-    matrix = jacobian(np.array([[cols / 2, rows / 2]]), view.grid, view.info.grid)[0]
+    matrix = jacobian(np.array([[cols / 2, rows / 2]]), view.grid, levelled(view.info.grid))[0]
     lengths = np.hypot(matrix[0], matrix[1])
     # Outside the projection's domain there is nothing to read: any finite step will do.
     return np.asarray(np.where(np.isfinite(lengths), lengths, 1.0))

@@ -6,8 +6,9 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,7 +29,7 @@ from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause, small_block_cache
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.metadata import has_alpha, has_mask_band, is_paletted, usable_nodata
 from pcwlad_geo.raster.source import describe, open_raster
-from pcwlad_geo.raster.warped_blocks import warped_blocks
+from pcwlad_geo.raster.warped_blocks import Block, warped_blocks
 
 Array = NDArray[np.float64]
 ProgressCallback = Callable[[int, int], None]
@@ -42,6 +43,30 @@ _SLIVER_PX = 1e-3
 # Pixel sizes this close to a multiple or a fraction of the reference's are taken as such across CRSs.
 _SAME_SIZE_ACROSS_CRS = 0.02
 _SAME_SIZE = 1e-6
+
+
+Blocks = Generator[tuple[Window, Block], None, None]
+
+
+@dataclass(frozen=True, slots=True)
+class BlockRequest:
+    """Which blocks of a warped raster are wanted, and how they tell what is valid."""
+
+    windows: Sequence[Window]
+    nodata: float | None
+    as_alpha: bool
+    """By an additional alpha band, or else by the nodata value where nothing is known."""
+
+    def options(self) -> dict[str, object]:
+        """Return the same as options of `rasterio.vrt.WarpedVRT`."""
+        options: dict[str, object] = {"add_alpha": self.as_alpha}
+        if self.nodata is not None:
+            options |= {"src_nodata": self.nodata}
+            options |= {} if self.as_alpha else {"nodata": self.nodata}
+        return options
+
+
+BlocksOf = Callable[[DatasetReader, Resampling, BlockRequest], Blocks]
 
 
 def output_grid(
@@ -84,7 +109,7 @@ def output_grid(
         )
     tolerance = _SAME_SIZE if reference_grid.crs == target_grid.crs else _SAME_SIZE_ACROSS_CRS
     # A step along an axis of the reference that crosses one target pixel, in reference pixels.
-    size = np.array([_snapped(1.0 / float(np.hypot(*column)), tolerance) for column in inverse.T])
+    size = np.array([snapped_size(1.0 / float(np.hypot(*column)), tolerance) for column in inverse.T])
     low = np.floor(boundary_px.min(axis=0) / size + _SLIVER_PX).astype(int)
     high = np.ceil(boundary_px.max(axis=0) / size - _SLIVER_PX).astype(int)
     cols, rows = (high - low).tolist()
@@ -93,7 +118,7 @@ def output_grid(
     return reference_grid.remade(linear, origin_px, (rows, cols))
 
 
-def _snapped(size: float, tolerance: float) -> float:
+def snapped_size(size: float, tolerance: float = _SAME_SIZE_ACROSS_CRS) -> float:
     """Return the whole multiple or fraction of 1 that a size agrees with, or the size itself."""
     whole = max(1, round(max(size, 1.0 / size)))
     nearest = float(whole) if size >= 1.0 else 1.0 / whole
@@ -144,20 +169,52 @@ def warp(
     OutputError
         If the result cannot be written.
     """
+    own_grid = describe(os.fspath(source_path)).grid
+    if target_grid is not None and target_grid.crs != own_grid.crs:
+        raise InputError(
+            f"{source_path} is in {name_of(own_grid.crs)}, the registered target in "
+            f"{name_of(target_grid.crs)}: give a raster in the same CRS"
+        )
+    placed = _corrected_grid(own_grid, target_grid or own_grid, correction, grid)
+
+    def blocks_of(source: DatasetReader, method: Resampling, request: BlockRequest) -> Blocks:
+        options = _warp_options(source, placed, grid, method) | request.options()
+        return warped_blocks(source.name, options, request.windows)
+
+    write_warped(source_path, out_path, grid, resampling, blocks_of, progress)
+
+
+def write_warped(
+    source_path: str | Path,
+    out_path: Path,
+    grid: Grid,
+    resampling: str,
+    blocks_of: BlocksOf,
+    progress: ProgressCallback | None = None,
+) -> None:
+    """Write the blocks of a warped raster as a COG with all that the raster carries beside its pixels.
+
+    Parameters
+    ----------
+    source_path, out_path, grid, resampling, progress
+        As for `warp`.
+    blocks_of : callable
+        Resamples the windows of the output that it is asked for.
+
+    Raises
+    ------
+    InputError
+        If the source cannot be read.
+    OutputError
+        If the result cannot be written.
+    """
     with (
         open_raster(os.fspath(source_path)) as source,
         _scratch_folder(out_path) as scratch,
         small_block_cache(),
     ):
-        own_grid = describe(os.fspath(source_path)).grid
-        if target_grid is not None and target_grid.crs != own_grid.crs:
-            raise InputError(
-                f"{source_path} is in {name_of(own_grid.crs)}, the registered target in "
-                f"{name_of(target_grid.crs)}: give a raster in the same CRS"
-            )
-        placed = _corrected_grid(own_grid, target_grid or own_grid, correction, grid)
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
-        pixels = _write_pixels(source, scratch / "pixels.tif", placed, grid, method, progress)
+        pixels = _write_pixels(source, scratch / "pixels.tif", grid, method, blocks_of, progress)
         interpolated = method != Resampling.nearest
         write_cog(source, scratch, pixels, grid, interpolated=interpolated).replace(out_path)
 
@@ -192,9 +249,9 @@ def _scratch_folder(out_path: Path) -> Iterator[Path]:
 def _write_pixels(
     source: DatasetReader,
     path: Path,
-    placed: Grid,
     grid: Grid,
     method: Resampling,
+    blocks_of: BlocksOf,
     progress: ProgressCallback | None,
 ) -> vrt.PixelFile:
     """Write the resampled pixels, and nothing else, block by block."""
@@ -219,11 +276,11 @@ def _write_pixels(
         "transform": Affine.scale(2.0, -2.0),
     }
     windows = list(_blocks(grid.shape, (source.count + 1) * dtype.itemsize))
-    options = _warp_options(source, placed, grid, method) | _validity_options(nodata, needs_mask or fills)
+    request = BlockRequest(windows, nodata, needs_mask or fills)
     with (
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
         rasterio.open(path, "w", **profile) as sink,
-        closing(warped_blocks(source.name, options, windows)) as blocks,
+        closing(blocks_of(source, method, request)) as blocks,
     ):
         for done, (window, block) in enumerate(blocks, start=1):
             if fills and nodata is not None:
@@ -257,14 +314,6 @@ def _warp_options(source: DatasetReader, placed: Grid, grid: Grid, method: Resam
         "dtype": np.result_type(*source.dtypes).name,
         **_kernel_scale(placed, grid),
     }
-
-
-def _validity_options(nodata: float | None, as_alpha: bool) -> dict[str, object]:
-    """Ask for an additional alpha band, or else for the nodata value where nothing is known."""
-    options: dict[str, object] = {"add_alpha": as_alpha}
-    if nodata is not None:
-        options |= {"src_nodata": nodata} if as_alpha else {"src_nodata": nodata, "nodata": nodata}
-    return options
 
 
 def _fill(values: NDArray[Any], valid: NDArray[np.bool_], nodata: float) -> None:

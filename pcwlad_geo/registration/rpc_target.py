@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.correction.rpc_fold import FOLD_TOLERANCE_PX, fold, fold_error_px
-from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.raster.geodesy import pixel_size_m
 from pcwlad_geo.raster.grid import Grid
@@ -33,13 +32,21 @@ class RpcRegistration:
 
     origin: str
     """Where it was found."""
-    original: RpcModel
-    corrected: RpcModel | None
-    """None without a correction."""
+    original: RpcGrid
+    """Of the target: its RPC, and the heights."""
+    corrected: RpcGrid | None
+    """The same with the corrected RPC; None without a correction."""
     fold_error_px: float | None
     """Largest distance between the corrected RPC and the correction of the original one, px."""
     heights_m: tuple[float, float]
     """Lowest and highest ground below the target, above the ellipsoid."""
+
+    @property
+    def corrected_grid(self) -> RpcGrid:
+        """The corrected one."""
+        if self.corrected is None:
+            raise ValueError("there is no correction of the RPC")
+        return self.corrected
 
 
 def place_target(
@@ -64,17 +71,19 @@ def place_target(
             )
         return None, ()
     if target.georeferenced and not wanted:
-        return None, (f"{target.uri} has a geotransform and an RPC: the RPC is not used; give --dem to use it",)
+        return None, (
+            f"{target.uri} has a geotransform and an RPC: the RPC is not used; give --dem to use it",
+        )
     if not reference.georeferenced:
         if wanted:
             raise InputError(
-                f"{reference.uri} has no georeferencing (CRS and geotransform): the RPC of {target.uri} needs a "
-                "reference that has"
+                f"{reference.uri} has no georeferencing (CRS and geotransform): the RPC of {target.uri} "
+                "needs a reference that has"
             )
         return None, ()
     if settings.grid == "target":
         raise SettingsError(
-            "grid = 'target': the pixels of a target with RPC are no grid on the ground; give --grid reference"
+            "grid = 'target': the pixels of a target with RPC are no grid on the ground; give 'reference'"
         )
     if settings.model not in ("auto", "rpc", *MODELS):
         raise SettingsError(
@@ -85,9 +94,7 @@ def place_target(
     return placed, placed.warnings
 
 
-def check_start(
-    placed: Placed, prealignment: Prealignment, matching_grid: Grid, settings: Settings
-) -> None:
+def check_start(placed: Placed, prealignment: Prealignment, matching_grid: Grid, settings: Settings) -> None:
     """Raise where the image was found so far from where its RPC puts it that the RPC must be another's.
 
     Raises
@@ -102,18 +109,16 @@ def check_start(
     off_m = np.array(prealignment.shift_px) * px_m
     if np.hypot(*off_m) > MOST_BIAS_M:
         raise InputError(
-            f"{placed.info.uri} was found {np.hypot(*off_m):.0f} m from where the RPC in {placed.source.origin} "
-            "puts it: it is the RPC of another image or of the one that this was cropped from; give the RPC of "
-            "the image as it is (gdal_translate -srcwin adapts it), or --prealign search to correct it by a "
+            f"{placed.info.uri} was found {np.hypot(*off_m):.0f} m from where the RPC in "
+            f"{placed.source.origin} puts it: it is the RPC of another image or of the one that this was "
+            "cropped from; give the RPC of the image as it is (gdal_translate -srcwin adapts it), or --prealign search to correct it by a "
             "shift all the same"
         )
 
 
 def shifted(target: RasterInfo, shift_px: NDArray[np.float64]) -> RasterInfo:
     """Return a target with RPC placed where a shift (col, row) of its pixels puts it."""
-    grid = target.grid
-    if not isinstance(grid, RpcGrid):
-        raise TypeError(f"{target.uri} is not placed by an RPC")
+    grid = _rpc_grid(target)
     correction = AffineCorrection("shift", np.column_stack([np.eye(2), shift_px]))
     return replace(target, grid=replace(grid, rpc=fold(grid.rpc, correction)))
 
@@ -126,16 +131,22 @@ def corrected_rpc(placed: Placed, correction: Correction | None) -> RpcRegistrat
     InputError
         If the corrected RPC cannot reproduce the correction to 1e-3 px.
     """
-    source = placed.source
+    source, grid = placed.source, _rpc_grid(placed.info)
     if correction is None:
-        return RpcRegistration(source.origin, source.rpc, None, None, placed.heights_m)
+        return RpcRegistration(source.origin, grid, None, None, placed.heights_m)
     if not isinstance(correction, AffineCorrection):
         raise TypeError(f"{correction!r} cannot be folded into an RPC")
     corrected = fold(source.rpc, correction)
     error_px = fold_error_px(source.rpc, corrected, correction, placed.info.grid.shape, placed.heights_m)
     if not error_px <= FOLD_TOLERANCE_PX:
         raise InputError(
-            f"the {correction.name} correction of {placed.info.uri} does not fit into its RPC: {error_px:.2g} px "
-            "are left; give --model shift"
+            f"the {correction.name} correction of {placed.info.uri} does not fit into its RPC: {error_px:.2g} "
+            "px are left; give --model shift"
         )
-    return RpcRegistration(source.origin, source.rpc, corrected, error_px, placed.heights_m)
+    return RpcRegistration(source.origin, grid, replace(grid, rpc=corrected), error_px, placed.heights_m)
+
+
+def _rpc_grid(target: RasterInfo) -> RpcGrid:
+    if not isinstance(target.grid, RpcGrid):
+        raise TypeError(f"{target.uri} is not placed by an RPC")
+    return target.grid

@@ -11,8 +11,10 @@ import numpy as np
 from pcwlad_geo.correction.fit import FITS
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.geodesy import pixel_size_m
+from pcwlad_geo.raster.grid import jacobian
 from pcwlad_geo.raster.locate import locate
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
+from pcwlad_geo.raster.rpc_grid import levelled
 from pcwlad_geo.raster.rpc_view import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
@@ -204,11 +206,11 @@ def _warn_of_parallax(fitted: Fitted, log: JobLog) -> None:
 
 def _px_m(target: RasterInfo) -> tuple[float, float] | None:
     rows, cols = target.grid.shape
-    return pixel_size_m(target.grid, np.array([cols / 2, rows / 2]))
+    return pixel_size_m(levelled(target.grid), np.array([cols / 2, rows / 2]))
 
 
 def _target_px_per_view_px(pair: ViewPair) -> float:
     rows, cols = pair.target.grid.shape
     middle = np.array([[cols / 2, rows / 2]])
-    step = pair.target.to_file_px(middle + np.array([[1.0, 0.0]])) - pair.target.to_file_px(middle)
-    return float(np.hypot(*step[0]))
+    matrix = jacobian(middle, pair.target.grid, levelled(pair.target.info.grid))[0]
+    return float(np.hypot(*matrix[:, 0]))

@@ -34,8 +34,8 @@ class Settings:
     dem: Path | None = None
     """Heights of the ground, for a target with RPCs."""
     dem_vertical: float | Path | None = None
-    """Metres from the ellipsoid up to what the DEM's heights are above (0: the ellipsoid itself), or a file of
-    them; None = the DEM's CRS tells."""
+    """Metres from the ellipsoid up to what the DEM's heights are above (0: the ellipsoid), or a file of them;
+    None = the DEM's CRS tells."""
     method: Method = "oriented"
     """Fine matching method."""
     points: int | Literal["all"] | None = None
@@ -59,7 +59,7 @@ class Settings:
     prealign: Prealign = "auto"
     """Rough alignment: by georeferencing, a pyramid search, neither, or what the pair needs."""
     model: Model = "auto"
-    """Correction model; `rpc`: the target's RPC counts, also beside a geotransform, and takes the correction."""
+    """Correction model; `rpc`: the target's RPC counts, also beside a geotransform, and is corrected."""
     grid: OutputGrid = "reference"
     """Registered raster: the reference's CRS and alignment (target's pixel size), or the target's grid."""
     resampling: Resampling = "cubic"
