@@ -26,6 +26,7 @@ from benchmarks.studies.field import displacement_field
 from benchmarks.studies.paper import paper
 from benchmarks.studies.refusal import refusal
 from benchmarks.studies.robustness import robustness
+from benchmarks.studies.rpc import rpc
 from benchmarks.studies.sigma import sigma
 from benchmarks.studies.tiles import tiles
 from benchmarks.studies.windows import windows
@@ -42,6 +43,7 @@ STUDIES: dict[str, Study] = {
     "field": displacement_field,
     "sigma": sigma,
     "closure": closure,
+    "rpc": rpc,
     "refusal": refusal,
     "windows": windows,
     "tiles": tiles,

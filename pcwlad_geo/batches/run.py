@@ -183,9 +183,9 @@ def _same_inputs(pair: Pair, report: Mapping[str, Any]) -> bool:
         return False
     settings = pair.settings
     given: list[object] = [settings.ref_mask, settings.tgt_mask, settings.dem, settings.dem_vertical]
-    masks = [file for file in given if isinstance(file, Path)]
+    files: list[PathLike] = [*names, *(file for file in given if isinstance(file, Path))]
     written = (pair.out_dir / "report.json").stat().st_mtime
-    return all(_changed(file) <= written for file in [*names, *masks])
+    return all(_changed(file) <= written for file in files)
 
 
 def _changed(file: PathLike) -> float:

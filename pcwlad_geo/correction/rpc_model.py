@@ -81,7 +81,7 @@ class RpcModel:
         offset = np.array([self.long_off, self.lat_off, self.height_off])
         moved: Array = np.asarray(ground, dtype=np.float64) - offset
         moved[:, 0] = (moved[:, 0] + 180.0) % 360.0 - 180.0  # scenes at the date line
-        return moved / np.array([self.long_scale, self.lat_scale, self.height_scale])
+        return np.asarray(moved / [self.long_scale, self.lat_scale, self.height_scale])
 
     def _to_px(self, normalised: Array) -> Array:
         terms = polynomial_terms(normalised)

@@ -214,7 +214,8 @@ def _model(values: Mapping[str, Any], origin: str) -> RpcModel:
             "without it"
         )
     items: dict[str, Any] = {name: float(values[name]) for name in NUMBERS}
-    return RpcModel(**items, **{name: tuple(values[name]) for name in POLYNOMIALS})
+    items |= {name: tuple(values[name]) for name in POLYNOMIALS}
+    return RpcModel(**items)
 
 
 def _difference_px(first: RpcModel, second: RpcModel, shape: tuple[int, int]) -> float:

@@ -73,7 +73,7 @@ class RpcGrid(Grid):
 
 
 def levelled(grid: Grid) -> Grid:
-    """Return a grid without the relief below it: pixel sizes there are those of the sensor, not of a slope."""
+    """Return a grid without the relief below it: its pixel sizes are those of the sensor, not of a slope."""
     if not isinstance(grid, RpcGrid):
         return grid
     return replace(grid, heights=ConstantHeight(grid.rpc.height_off))

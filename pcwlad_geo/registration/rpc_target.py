@@ -111,8 +111,8 @@ def check_start(placed: Placed, prealignment: Prealignment, matching_grid: Grid,
         raise InputError(
             f"{placed.info.uri} was found {np.hypot(*off_m):.0f} m from where the RPC in "
             f"{placed.source.origin} puts it: it is the RPC of another image or of the one that this was "
-            "cropped from; give the RPC of the image as it is (gdal_translate -srcwin adapts it), or --prealign search to correct it by a "
-            "shift all the same"
+            "cropped from; give the RPC of the image as it is (gdal_translate -srcwin adapts it), or give "
+            "--prealign search to correct it by a shift all the same"
         )
 
 
@@ -140,8 +140,8 @@ def corrected_rpc(placed: Placed, correction: Correction | None) -> RpcRegistrat
     error_px = fold_error_px(source.rpc, corrected, correction, placed.info.grid.shape, placed.heights_m)
     if not error_px <= FOLD_TOLERANCE_PX:
         raise InputError(
-            f"the {correction.name} correction of {placed.info.uri} does not fit into its RPC: {error_px:.2g} "
-            "px are left; give --model shift"
+            f"the {correction.name} correction of {placed.info.uri} does not fit into its RPC: "
+            f"{error_px:.2g} px are left; give --model shift"
         )
     return RpcRegistration(source.origin, grid, replace(grid, rpc=corrected), error_px, placed.heights_m)
 
