@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 WGS84: Final = CRS.from_epsg(4326)
 MOST_PX_AT_ONCE: Final = 1 << 22
 """Of the DEM."""
+ROUNDING_PX: Final = 1e-6
+"""What map coordinates may be off by."""
 
 
 class Heights(Protocol):
@@ -139,7 +141,7 @@ class Dem:
         heights = np.full(len(dem_px), np.nan)
         size = np.array(self.grid.shape[::-1])
         with np.errstate(invalid="ignore"):
-            inside = np.flatnonzero(((dem_px >= 0) & (dem_px <= size)).all(axis=1))
+            inside = np.flatnonzero(((dem_px >= -ROUNDING_PX) & (dem_px <= size + ROUNDING_PX)).all(axis=1))
         if len(inside) == 0:
             return heights
         # the outer half of the outermost pixels is as high as their centres

@@ -89,10 +89,10 @@ def check_domain(source: RpcSource, uri: str, shape: tuple[int, int]) -> None:
     rpc = source.rpc
     middle = np.array([[rpc.long_off, rpc.lat_off, rpc.height_off]])
     numbers = np.array([getattr(rpc, name) for name in NUMBERS])
-    if not np.isfinite(numbers).all() or not np.isfinite(rpc.to_px(middle)).all():
-        raise InputError(f"the RPC in {source.origin} holds values that are not finite: get it again")
     if min(abs(getattr(rpc, name)) for name in NUMBERS if name.endswith("scale")) == 0:
         raise InputError(f"the RPC in {source.origin} has a scale of zero: get it again")
+    if not np.isfinite(numbers).all() or not np.isfinite(rpc.to_px(middle)).all():
+        raise InputError(f"the RPC in {source.origin} holds values that are not finite: get it again")
     for name, offset, scale, size in (
         ("lines", rpc.line_off, abs(rpc.line_scale), shape[0]),
         ("samples", rpc.samp_off, abs(rpc.samp_scale), shape[1]),
