@@ -27,6 +27,9 @@ LATTICE: Final = 33
 RELIEF_M: Final = 100.0
 MARGIN_SHARE: Final = 0.05
 """Of the scene's extent, what an undulation is known around it."""
+LOWEST_M: Final = -600.0
+HIGHEST_M: Final = 9500.0
+"""Of the ground, with room."""
 ALL: Final = 0.999
 """Share of the target that a DEM covers whole."""
 _FINER: Final = 0.99
@@ -180,16 +183,17 @@ def _look_at_dem(placed: RasterInfo, grid: RpcGrid, dem: Dem) -> tuple[float, fl
             f"the DEM {dem.uri} has holes below {placed.uri}: {holes} of its pixels have no height; fill "
             "them first (gdal_fillnodata.py DEM FILLED), or give another DEM"
         )
+    heights = dem.at(level)
+    lowest, highest = np.nanmin(heights), np.nanmax(heights)
+    if not LOWEST_M <= lowest <= highest <= HIGHEST_M:
+        raise InputError(
+            f"the DEM {dem.uri} holds heights from {lowest:.0f} to {highest:.0f} m below {placed.uri}: check "
+            "its unit and its nodata value"
+        )
     heights = dem.at(grid.to_xy(pixels))
-    heights = heights[np.isfinite(heights)]
-    if len(heights) == 0:
+    if not np.isfinite(heights).any():
         raise InputError(
             f"the DEM {dem.uri} gives no height below {placed.uri}: give one that covers the image"
-        )
-    if not -600 <= heights.min() <= heights.max() <= 9500:
-        raise InputError(
-            f"the DEM {dem.uri} holds heights from {heights.min():.0f} to {heights.max():.0f} m below "
-            f"{placed.uri}: check its unit and its nodata value"
         )
     share = covered.mean()
     warnings = []
@@ -197,7 +201,7 @@ def _look_at_dem(placed: RasterInfo, grid: RpcGrid, dem: Dem) -> tuple[float, fl
         warnings.append(
             f"the DEM {dem.uri} covers {share:.0%} of {placed.uri}: the rest is neither matched nor warped"
         )
-    return float(heights.min()), float(heights.max()), tuple(warnings)
+    return float(np.nanmin(heights)), float(np.nanmax(heights)), tuple(warnings)
 
 
 def count_holes(dem: Dem, dem_px: Array) -> int:

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 import rasterio
+from affine import Affine
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.io import DatasetReader
@@ -33,6 +34,8 @@ Array = NDArray[np.float64]
 
 LATTICE: Final = 65
 """Points along a side of the image that tell how far it reaches on the ground."""
+LEVEL: Final = Grid((8, 8), Affine(100.0, 0.0, -400.0, 0.0, -25.0, 100.0), WGS84)
+"""Around the whole earth."""
 DEM_MARGIN_PX: Final = 2
 SLIVER_PX: Final = 1e-3
 
@@ -87,7 +90,7 @@ def orthorectify(
 ) -> None:
     """Resample all bands of a raster once, through its RPC and the ground's heights, and write a COG.
 
-    GDAL takes RPC and height at every pixel, nothing is interpolated between. Where no height is known,
+    GDAL takes RPC and height at every pixel. Where no height is known,
     nothing is written. All else is as for `warping.warp`.
 
     Parameters
@@ -128,7 +131,6 @@ def _blocks(
         "src_crs": WGS84,
         "dst_crs": grid.crs,
         "resampling": method,
-        "tolerance": 0.0,
         "num_threads": 1,
         "src_nodata": request.nodata,
         "dst_nodata": None if request.as_alpha else request.nodata,
@@ -169,21 +171,22 @@ def _alpha(source: DatasetReader, request: BlockRequest) -> dict[str, int]:
 def _ground_below(target: RpcGrid, part: Grid) -> Iterator[dict[str, object] | None]:
     """Give GDAL the ground of a block: heights above the ellipsoid, in memory; None where the DEM has none.
 
-    GDAL would take those of an orthometric DEM as they are.
+    GDAL would take those of an orthometric DEM as they are. And only where it has a DEM does it compute each
+    position; else it interpolates along rows, to 0.1 px.
     """
     if isinstance(target.heights, ConstantHeight):
-        yield {"RPC_HEIGHT": target.heights.height_m}
-        return
-    dem = target.heights
-    window = _dem_window(dem, part)
-    if window.empty:
-        yield None
-        return
-    heights = dem.ellipsoidal(window)
-    profile = {"driver": "GTiff", "dtype": "float32", "count": 1, "nodata": np.nan, "crs": dem.grid.crs}
-    place = dem.grid.part((window.col, window.row), window.shape).transform
+        place, heights = LEVEL, np.full((8, 8), target.heights.height_m)
+    else:
+        window = _dem_window(target.heights, part)
+        if window.empty:
+            yield None
+            return
+        place = target.heights.grid.part((window.col, window.row), window.shape)
+        heights = target.heights.ellipsoidal(window)
+    rows, cols = heights.shape
+    profile = {"driver": "GTiff", "dtype": "float32", "count": 1, "nodata": np.nan, "crs": place.crs}
     with rasterio.MemoryFile(ext=".tif") as memory:
-        with memory.open(height=window.rows, width=window.cols, transform=place, **profile) as file:
+        with memory.open(height=rows, width=cols, transform=place.transform, **profile) as file:
             file.write(heights.astype(np.float32), 1)
         yield {"RPC_DEM": memory.name}
 

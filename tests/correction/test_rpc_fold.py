@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -49,7 +51,7 @@ def test_the_error_is_that_of_the_worst_place() -> None:
     assert fold_error_px(rpc, rpc, affine, SHAPE, HEIGHTS_M) == pytest.approx(0.25, abs=1e-9)
 
 
-def test_on_the_real_rpc(shared_data) -> None:
+def test_on_the_real_rpc(shared_data: Path) -> None:
     from pcwlad_geo.raster.rpc_files import read_rpc
 
     source = read_rpc(str(shared_data / "rpc/qb2_basic1b.tif"))

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -31,7 +33,7 @@ def test_forward_is_gdals_with_corner_based_pixels() -> None:
     np.testing.assert_allclose(rpc.to_px(ground), gdal_px(rpc, ground), rtol=0, atol=TOLERANCE_PX)
 
 
-def test_forward_is_gdals_on_a_real_rpc(shared_data) -> None:
+def test_forward_is_gdals_on_a_real_rpc(shared_data: Path) -> None:
     source = read_rpc(str(shared_data / "rpc/qb2_basic1b.tif"))
     assert source is not None
     ground = ground_of(source.rpc)
@@ -78,5 +80,5 @@ def test_a_long_list_of_points_is_the_same_as_short_ones() -> None:
 def test_height_moves_the_image_as_two_heights_do() -> None:
     rpc = make_rpc()
     ground = ground_of(rpc, 20)
-    higher = rpc.to_px(ground + [0, 0, 29.0]) - rpc.to_px(ground)
+    higher = rpc.to_px(ground + np.array([0, 0, 29.0])) - rpc.to_px(ground)
     assert 29 * rpc.px_per_metre_of_height(ground) == pytest.approx(higher, abs=0.02)

@@ -128,7 +128,9 @@ def test_a_compound_crs_that_proj_can_transform_is_believed(tmp_path: Path) -> N
     wkt = compound(f',EXTENSION["PROJ4_GRIDS","{geoid}"]').replace("EGM2008", "own")
     text = (tmp_path / "dem.vrt").read_text()
     begin, end = text.index("<SRS"), text.index("</SRS>")
-    (tmp_path / "dem.vrt").write_text(text[:begin] + "<SRS>" + escape(wkt) + text[end:])  # GTiff cannot hold it
+    (tmp_path / "dem.vrt").write_text(
+        text[:begin] + "<SRS>" + escape(wkt) + text[end:]
+    )  # GTiff cannot hold it
     dem = open_dem(tmp_path / "dem.vrt", None, BOUNDS)
     at = lon_lat_of(dem, [[60.5, 50.5]])
     undulation = 45.0 + 2.0 * (at[0, 0] - 13.0)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import rasterio
 
+from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.rpc_files import RpcSource, check_domain, parse_rpc_text, read_rpc, write_rpc_text
 from tests.rpc_scene import SHAPE, make_rpc, write_image
@@ -11,7 +12,7 @@ from tests.rpc_scene import SHAPE, make_rpc, write_image
 PIXELS = np.ones(SHAPE, np.uint8)
 
 
-def apart_px(first, second) -> float:
+def apart_px(first: RpcModel, second: RpcModel) -> float:
     ground = np.array([[first.long_off + 0.01, first.lat_off - 0.02, 380.0]])
     return float(np.abs(first.to_px(ground) - second.to_px(ground)).max())
 
