@@ -194,7 +194,6 @@ def _predict_apart(
         distance, index = tree.query(at[part], k=np.arange(1, reach + 1))
         usable = distance >= apart_px
         usable &= np.cumsum(usable, axis=1) <= count
-        fit_surfaces(
-            xy, displacement, at[part], index.astype(np.intp), usable, surface.order, out[part], scatter[part], leverage[part]
-        )
+        found = (out[part], scatter[part], leverage[part])
+        fit_surfaces(xy, displacement, at[part], index.astype(np.intp), usable, surface.order, *found)
     return Prediction(out, SIGMA_OF_MEDIAN_DISTANCE * scatter, leverage)

@@ -156,7 +156,7 @@ def _median(values: Float64) -> float:
     lower = values[0]
     for j in range(1, middle):
         lower = max(lower, values[j])
-    return 0.5 * (lower + upper)
+    return float(0.5 * (lower + upper))
 
 
 @compiled_part()

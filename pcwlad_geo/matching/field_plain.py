@@ -37,7 +37,8 @@ def fit_surfaces_plain(
     masked[~enough] = 0.0
     start = np.nanmedian(masked, axis=1)
     residual = np.hypot(*np.moveaxis(displacement_px - start[:, None, :], 2, 0))
-    value, scale = start, np.ones(len(start))
+    value: Float64 = start
+    scale: Float64 = np.ones(len(start))
     for _ in range(ROUNDS):
         seen = np.where(usable, residual, np.nan)
         seen[~enough] = 1.0
@@ -48,7 +49,8 @@ def fit_surfaces_plain(
         solution = np.linalg.solve(_normal_matrices(design, weighted), right)
         residual = np.hypot(*np.moveaxis(displacement_px - design @ solution, 2, 0))
         value = solution[:, 0, :].copy()
-    leverage = np.linalg.inv(_normal_matrices(design, design * usable[..., None]))[:, 0, 0].copy()
+    inverse = np.linalg.inv(_normal_matrices(design, design * usable[..., None]))
+    leverage: Float64 = np.asarray(inverse[:, 0, 0], np.float64).copy()
     for array in (value, scale, leverage):
         array[~enough] = np.nan
     return value, scale, leverage

@@ -47,7 +47,12 @@ def compile_kernels(method: Method, on_compiling: Callable[[bool], None]) -> Non
         start, False where every process compiles them anew.
     """
     settings = MatchSettings(
-        method=method, template=WINDOW_PX, window=WINDOW_PX, features=POINTS, search_radius=3, consensus="auto"
+        method=method,
+        template=WINDOW_PX,
+        window=WINDOW_PX,
+        features=POINTS,
+        search_radius=3,
+        consensus="auto",
     )
     with event.install_listener("numba:compile", _FirstCompilation(on_compiling)):
         match_arrays(_blobs(0.0), _blobs(0.4), settings=settings)

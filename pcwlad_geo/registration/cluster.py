@@ -17,7 +17,7 @@ from pcwlad_geo.registration.runners import IN_FLIGHT, OnExecutor
 if TYPE_CHECKING:
     from distributed import Client
 
-CONNECT_S: Final = 4.0
+CONNECT_S: Final = 3.0
 """How long a scheduler may take to answer."""
 CLOSE_S: Final = 1.0
 CALLS_PER_THREAD: Final = 2

@@ -105,7 +105,8 @@ def plan(
     densest = settings.features / min(area, FEATURE_AREA_PX**2)
     one_tile = max(region.shape) <= ONE_TILE * settings.tile_size
     if one_tile or candidates >= densest * area:
-        return Plan(_cover(replace(base, guides_itself=True), densest, settings.tile_size))
+        tiles = _cover(base, densest, settings.tile_size)
+        return Plan([replace(tile, guides_itself=len(tiles) == 1) for tile in tiles])
     tiles = _cover(base, candidates / area, settings.tile_size)
     window = small_window(base, round(candidates))
     count = int(np.prod(lattice_shape(region, round(candidates))))

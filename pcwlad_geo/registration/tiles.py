@@ -157,10 +157,14 @@ def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide) -> TileResu
 
 
 def _guided(job: TileJob, pair: PreparedPair, points: TiePoints) -> Guided:
-    index = np.flatnonzero(consistent_points(points, job.settings))
-    guide = guide_by_field(points[index], job.settings)
-    again = rematch(pair, points[index], guide, job.settings)
-    return Guided(index, again.shifted(*_origins(job)), guide.surface, guide.shared_variance_px2)
+    reference_origin, target_origin = _origins(job)
+    # in pixels of the views: which points agree must not depend on where the tile begins
+    seen = points.shifted(reference_origin, target_origin)
+    index = np.flatnonzero(consistent_points(seen, job.settings))
+    guide = guide_by_field(seen[index], job.settings)
+    again = rematch(pair, points[index], guide.moved(reference_origin - target_origin), job.settings)
+    moved = again.shifted(reference_origin, target_origin)
+    return Guided(index, moved, guide.surface, guide.shared_variance_px2)
 
 
 def _prepare(job: TileJob) -> PreparedPair | None:

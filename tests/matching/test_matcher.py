@@ -1,3 +1,4 @@
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -154,6 +155,17 @@ def test_masked_and_missing_pixels_have_no_say() -> None:
     assert mask[row, col].all()
     untouched = match_arrays(reference * np.where(mask, 1, -3), target, reference_valid=mask, settings=SMALL)
     assert_same_points(untouched, points, 1e-6)
+
+
+def test_points_that_do_not_go_back_are_where_those_are_that_do() -> None:
+    both = cross_modal_points()
+    sampled = match_arrays(image(0), image(1, SHIFT_XY), settings=replace(SMALL, backward_every=4))
+    place = {tuple(xy): index for index, xy in enumerate(both.reference_xy_px)}
+    common = [i for i, xy in enumerate(sampled.reference_xy_px) if tuple(xy) in place]
+    assert len(common) > 0.9 * len(both)
+    there = [place[tuple(xy)] for xy in sampled.reference_xy_px[common]]
+    moved = np.linalg.norm(sampled.target_xy_px[common] - both.target_xy_px[there], axis=1)
+    assert np.sqrt((moved**2).mean()) < 0.03
 
 
 def test_a_smooth_deformation_is_followed_point_by_point() -> None:

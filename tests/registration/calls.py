@@ -25,6 +25,16 @@ def process_of(value: int) -> int:
     return os.getpid()
 
 
+def remember(text: str) -> None:
+    """Leave a mark on this process."""
+    threading.current_thread().__dict__["remembered"] = text
+
+
+def remembered(value: int) -> str | None:
+    """Return the mark that was left on this process."""
+    return threading.current_thread().__dict__.get("remembered")
+
+
 def fail_at_three(value: int) -> int:
     if value == 3:
         raise ValueError("three")

@@ -24,6 +24,8 @@ from tests.registration.calls import (
     fail_oddly,
     print_something,
     process_of,
+    remember,
+    remembered,
     sleep,
     threads_of,
     unpicklable,
@@ -51,6 +53,14 @@ def test_a_call_goes_to_the_worker_that_it_asks_for() -> None:
         assert second.workers == first.workers[::-1]
         lone = runner.run(process_of, CALLS[:1], "third", affinity=[2])
         assert (lone.results, lone.workers) == ([runner.process_ids[2]], [2])
+
+
+def test_every_worker_is_prepared_before_its_first_call() -> None:
+    with OwnProcesses(2, preload="") as runner:
+        runner.expect(5)
+        runner.prepare(remember, ("prepared",))
+        assert runner.run(remembered, CALLS, "calls").results == ["prepared"] * len(CALLS)
+    assert remembered(0) is None
 
 
 @pytest.mark.parametrize(("jobs", "calls"), [(4, 1), (1, 4)])
