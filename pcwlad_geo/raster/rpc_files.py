@@ -60,12 +60,12 @@ def read_rpc(uri: str) -> RpcSource | None:
         chosen = _of_dataset(uri, dataset)
         shape = dataset.shape
     beside = {str(path): parse_rpc_text(path) for path in _sidecars(uri)}
+    if chosen is None and not beside:
+        return None
     with rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"), open_raster(uri) as dataset:
         inside = _of_dataset(uri, dataset)
     found = {**beside, **({f"the tag of {uri}": inside} if inside else {})}
     if chosen is None:  # GDAL does not look for sidecars of every format
-        if not found:
-            return None
         chosen = next(iter(found.values()))
     apart = {origin: _difference_px(chosen, rpc, shape) for origin, rpc in found.items()}
     origin = next((origin for origin, px in apart.items() if px <= SAME_PX), f"the metadata of {uri}")

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 HEIGHT_TOLERANCE_M: Final = 1e-4
 ITERATIONS: Final = 40
+MOST_POSITIONS: Final = 1 << 18
+"""At a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,16 @@ def positions_on(grid: RpcGrid, view_grid: Grid, window: Window, per_px: int) ->
     (2, rows * per_px, cols * per_px) array
         Rows and columns, corner-based; NaN where no height is known.
     """
+    # in strips: heights and RPC take many times the memory of the positions
+    step = max(1, MOST_POSITIONS // (window.cols * per_px**2))
+    strips = [
+        Window(row, window.col, min(step, window.row_stop - row), window.cols)
+        for row in range(window.row, window.row_stop, step)
+    ]
+    return np.concatenate([_positions(grid, view_grid, strip, per_px) for strip in strips], axis=1)
+
+
+def _positions(grid: RpcGrid, view_grid: Grid, window: Window, per_px: int) -> Array:
     geographic = Grid(view_grid.shape, Affine.identity(), grid.crs)
 
     def sampled(onto: Grid) -> Array:

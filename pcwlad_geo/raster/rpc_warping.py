@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,6 +28,7 @@ from pcwlad_geo.raster.metadata import has_alpha
 from pcwlad_geo.raster.rpc_files import to_gdal
 from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled
 from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.raster.warped_blocks import MOST_THREADS
 from pcwlad_geo.raster.warping import BlockRequest, Blocks, ProgressCallback, snapped_size, write_warped
 from pcwlad_geo.raster.windows import Window
 
@@ -131,7 +133,7 @@ def _blocks(
         "src_crs": WGS84,
         "dst_crs": grid.crs,
         "resampling": method,
-        "num_threads": 1,
+        "num_threads": min(os.cpu_count() or 1, MOST_THREADS),
         "src_nodata": request.nodata,
         "dst_nodata": None if request.as_alpha else request.nodata,
         **_alpha(source, request),

@@ -62,6 +62,8 @@ def place_target(
         If the RPC or the DEM cannot be used, or are asked for and missing.
     """
     wanted = settings.dem is not None or settings.model == "rpc"
+    if target.georeferenced and not wanted:
+        return None, _left_aside(target.uri)
     source = read_rpc(target.uri)
     if source is None:
         if wanted:
@@ -70,10 +72,6 @@ def place_target(
                 "for: give the image with its RPC, or leave these options out"
             )
         return None, ()
-    if target.georeferenced and not wanted:
-        return None, (
-            f"{target.uri} has a geotransform and an RPC: the RPC is not used; give --dem to use it",
-        )
     if not reference.georeferenced:
         if wanted:
             raise InputError(
@@ -92,6 +90,16 @@ def place_target(
     dem = None if settings.dem is None else str(settings.dem)
     placed = place_by_rpc(target, source, dem, settings.dem_vertical)
     return placed, placed.warnings
+
+
+def _left_aside(uri: str) -> tuple[str, ...]:
+    """Say that an RPC beside a geotransform does not count; nothing where there is none that can be read."""
+    try:
+        source = read_rpc(uri)
+    except InputError:
+        return ()
+    warning = f"{uri} has a geotransform and an RPC: the RPC is not used; give --dem to use it"
+    return () if source is None else (warning,)
 
 
 def check_start(placed: Placed, prealignment: Prealignment, matching_grid: Grid, settings: Settings) -> None:

@@ -12,7 +12,10 @@ from rasterio.rpc import RPC
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.raster.rpc_files import read_rpc, to_gdal
+from pcwlad_geo.raster.rpc_view import plan_rpc_views
 from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster.view import View
+from pcwlad_geo.raster.windows import Window
 from pcwlad_geo.registration.result import Prealignment
 from pcwlad_geo.registration.rpc_target import MOST_BIAS_M, check_start, place_target
 from pcwlad_geo.registration.run import run
@@ -94,6 +97,9 @@ def test_what_is_written(registered: Registered) -> None:
     assert report["rpc"]["undulation_m"] == UNDULATION_M
     assert report["rpc"]["corrected"]["line_off"] == source.rpc.line_off
     assert report["target"]["georeferenced"] is False
+    page = (out_dir / "report.html").read_text()
+    assert "the tag of" in page
+    assert "45.0 m up to the ellipsoid; error of the corrected coefficients" in page
     lines = (out_dir / "image.tif.points").read_text().splitlines()
     source_xy = np.array(lines[2].split(",")[2:4], float)
     assert (np.abs(source_xy) <= SHAPE[1]).all()  # pixels, not degrees
@@ -152,6 +158,50 @@ def test_a_target_with_both_needs_to_be_told(pair: Pair, tmp_path: Path) -> None
     assert "the RPC is not used; give --dem" in warnings[0]
     placed, _ = place_target(reference, target, Settings(model="rpc"))
     assert placed is not None
+
+
+def test_a_broken_rpc_beside_a_geotransform_is_no_matter(pair: Pair, tmp_path: Path) -> None:
+    path = write(tmp_path / "plain.tif", np.ones(SHAPE, np.uint8), make_grid(SHAPE), dtype="uint8")
+    (tmp_path / "plain_RPC.TXT").write_text("LINE_OFF: none")
+    assert place_target(describe(pair[0]), describe(path), Settings()) == (None, ())
+    with pytest.raises(InputError, match="lacks"):
+        place_target(describe(pair[0]), describe(path), Settings(model="rpc"))
+
+
+def test_masks_are_in_the_sensors_geometry(pair: Pair, tmp_path: Path) -> None:
+    mask = np.ones(SHAPE, np.uint8)
+    mask[:100] = 0
+    plain = write(tmp_path / "plain.tif", mask, None, dtype="uint8")
+    placed, _ = place_target(describe(pair[0]), describe(pair[1], mask=plain), Settings())
+    assert placed is not None
+    view = View(placed.info, make_grid((320, 340), offset_m=(-300, -300)), "cubic")
+    patch = view.read(Window.whole((320, 340)))
+    rows = view.to_file_px(np.array([[170.5, 60.5], [170.5, 250.5]]))[:, 1]
+    assert rows[0] < 100 < rows[1]
+    assert patch.valid[60, 170] == (rows[0] > 100)
+    assert patch.valid[250, 170]
+    on_ground = write(tmp_path / "ground.tif", mask, make_grid(SHAPE), dtype="uint8")
+    with pytest.raises(InputError, match="mask of the target's own pixels"):
+        place_target(describe(pair[0]), describe(pair[1], mask=on_ground), Settings())
+
+
+@pytest.mark.parametrize("reference_m", [12.0, 30.0, 75.0])
+def test_the_target_is_matched_at_the_coarser_pixel_size(
+    pair: Pair, tmp_path: Path, reference_m: float
+) -> None:
+    grid = make_grid((int(9000 / reference_m), int(9300 / reference_m)), pixel_m=reference_m)
+    reference = describe(
+        write(tmp_path / "reference.tif", np.ones(grid.shape, np.uint8), grid, dtype="uint8")
+    )
+    placed, _ = place_target(reference, describe(pair[1]), Settings(dem=pair[2], dem_vertical=UNDULATION_M))
+    assert placed is not None
+    views = plan_rpc_views(reference, placed.info)
+    size_m = views.reference.grid.transform.a
+    assert size_m == pytest.approx(max(reference_m, 30.0), rel=0.02)
+    assert views.target.grid.transform.a == size_m
+    at = np.array([[40.25, 55.75]])
+    ground = views.reference.grid.to_xy(at)
+    np.testing.assert_allclose(views.target.grid.to_xy(at + views.offset_px), ground, rtol=0, atol=1e-6)
 
 
 def rpcs(**changes: float) -> RPC:
