@@ -1,6 +1,8 @@
 """Targets with RPC from files to corrected RPC, and what cannot be used."""
 
 import json
+import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,6 +118,34 @@ def test_the_orthorectified_raster_lies_on_the_reference(registered: Registered,
     _, out_dir = registered
     again = run(pair[0], out_dir / "image_registered.tif", Settings(jobs=1))
     assert np.hypot(*again.tie_points.select("fit", "check").displacement_px.mean(axis=0)) < 0.03
+
+
+@pytest.mark.skipif(shutil.which("gdalwarp") is None, reason="no gdalwarp")
+def test_gdalwarp_makes_the_same_of_the_corrected_rpc(
+    registered: Registered, pair: Pair, tmp_path: Path
+) -> None:
+    _, out_dir = registered
+    ellipsoidal = write_dem(tmp_path / "ellipsoidal.tif", dem_values(dem_grid()) + UNDULATION_M)
+    with rasterio.open(out_dir / "image_registered.tif") as file:
+        ours, valid, bounds, crs = file.read(1), file.dataset_mask() != 0, file.bounds, file.crs
+    extent = ["-te", *map(repr, bounds), "-ts", str(ours.shape[1]), str(ours.shape[0])]
+    options = [
+        "-q",
+        "-rpc",
+        "-to",
+        f"RPC_DEM={ellipsoidal}",
+        "-et",
+        "0",
+        "-r",
+        "cubic",
+        "-t_srs",
+        crs.to_string(),
+    ]
+    theirs = tmp_path / "theirs.tif"
+    subprocess.run(["gdalwarp", *options, *extent, out_dir / "image_rpc.vrt", theirs], check=True)
+    with rasterio.open(theirs) as file:
+        difference = np.abs(file.read(1)[valid].astype(float) - ours[valid])
+    assert difference.mean() < 1e-3 * ours.std()
 
 
 def test_a_wrong_datum_moves_the_shift_by_what_its_height_means(registered: Registered, pair: Pair) -> None:
