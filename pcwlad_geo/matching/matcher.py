@@ -15,7 +15,7 @@ from pcwlad_geo.matching.guidance import FieldGuide, calibrate, guide_by_field
 from pcwlad_geo.matching.noise import measure_noise
 from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.matching.phase_congruency import scene_epsilon
-from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
+from pcwlad_geo.matching.prepare import Image, PreparedPair, StackPair, prepare
 from pcwlad_geo.matching.refinement import Refined, Start, refine
 from pcwlad_geo.matching.settings import TRAITS, MatchSettings, MethodTraits
 from pcwlad_geo.matching.similarity import match_coarsely
@@ -90,7 +90,7 @@ def match_arrays(
     core = Core(margin, margin, margin + rows, margin + cols, (-margin, -margin))
     first, _ = match_candidates(pair, core, settings)
     kept = first[consistent_points(first, settings)]
-    final = second_pass(pair, kept, settings)
+    final = second_pass(pair.stacks, kept, settings)
     return final.shifted(np.array([-margin, -margin]), np.array([-margin, -margin]))
 
 
@@ -150,19 +150,19 @@ def match_candidates(
         covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(corners), 1, 1))
         return _points(corners, shift, covariance, score), counts
     start = Start(shift, np.zeros((len(corners), 2, 2)))
-    refined, agree = _refine_both(pair, corners, start, settings)
+    refined, agree = _refine_both(pair.stacks, corners, start, settings)
     counts["not_converged"] = int((~refined.converged).sum())
     counts["directions_disagree"] = int((refined.converged & ~agree).sum())
     points = _points(corners, refined.shift_xy_px, refined.covariance_px2, score)
     return points[refined.converged & agree], counts
 
 
-def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
+def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
     """Second pass: points again, with the deformation and the structure that the field gives.
 
     Parameters
     ----------
-    pair : PreparedPair
+    pair : StackPair
     points : TiePoints
         In pixel coordinates of the arrays.
     guide : FieldGuide
@@ -196,7 +196,7 @@ def rematch(pair: PreparedPair, points: TiePoints, guide: FieldGuide, settings: 
     return replace(points, target_xy_px=target, covariance_px2=covariance)
 
 
-def second_pass(pair: PreparedPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
+def second_pass(pair: StackPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
     """Guide, rematch, check and calibrate the points of one prepared pair."""
     guide = guide_by_field(points, settings)
     again = rematch(pair, points, guide, settings)
@@ -211,7 +211,7 @@ def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
 
 
 def _refine_both(
-    pair: PreparedPair, corners: Index, start: Start, settings: MatchSettings
+    pair: StackPair, corners: Index, start: Start, settings: MatchSettings
 ) -> tuple[Refined, Bool]:
     """Refine forward and, where the method asks for it, backward; the mean and whether the two agree."""
     forward = _refine_one_way(pair, corners, start, settings)
@@ -236,7 +236,7 @@ def _refine_both(
 
 
 def _refine_back(
-    pair: PreparedPair,
+    pair: StackPair,
     corners: Index,
     shift_xy: Float64,
     linear: Float64,
@@ -258,7 +258,7 @@ def _refine_back(
     return -backward.shift_xy_px - deformation, backward
 
 
-def _refine_one_way(pair: PreparedPair, corners: Index, start: Start, settings: MatchSettings) -> Refined:
+def _refine_one_way(pair: StackPair, corners: Index, start: Start, settings: MatchSettings) -> Refined:
     traits = _traits(settings)
     if traits.structure == "filter":
         start = replace(start, structure=shared_structure(pair, corners, start, settings.window))

@@ -44,28 +44,27 @@ class Image:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PreparedPair:
-    """Maps of two images of the same shape."""
+class StackPair:
+    """What is refined: the channels of two images of the same shape."""
 
     reference: ChannelStack
     target: ChannelStack
+
+    @property
+    def turned(self) -> StackPair:
+        """The same pair seen from the target."""
+        return StackPair(self.target, self.reference)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedPair:
+    """Maps of two images of the same shape."""
+
+    stacks: StackPair
     reference_map: MaskedMap
     target_map: MaskedMap
     contrast: NDArray[np.float32]
     """(rows, cols) contrast weight of the reference, see `keypoints.contrast_weight`."""
-
-    @property
-    def turned(self) -> PreparedPair:
-        """The same pair seen from the target."""
-        return PreparedPair(self.target, self.reference, self.target_map, self.reference_map, self.contrast)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the arrays."""
-        stacks = [stack.maps.nbytes + stack.coefficients.nbytes for stack in (self.reference, self.target)]
-        maps = [each.values.nbytes + each.valid.nbytes for each in (self.reference_map, self.target_map)]
-        masks = self.reference.valid.nbytes + self.target.valid.nbytes
-        return sum(stacks) + sum(maps) + masks + self.contrast.nbytes
 
     @property
     def reference_moment(self) -> NDArray[np.float32]:
@@ -92,7 +91,7 @@ def prepare(reference: Image, target: Image, *, channels: Channels, halo_px: int
     ref_stack, ref_map = _maps(filled, reference, channels, smooth, halo_px)
     filled = fill_smoothly(target.values, target.valid)
     tgt_stack, tgt_map = _maps(filled, target, channels, smooth, halo_px)
-    return PreparedPair(ref_stack, tgt_stack, ref_map, tgt_map, _inside(contrast, halo_px))
+    return PreparedPair(StackPair(ref_stack, tgt_stack), ref_map, tgt_map, _inside(contrast, halo_px))
 
 
 def _maps(

@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 
 from pcwlad_geo.matching.keypoints import FULL_SCALE
 from pcwlad_geo.matching.mutual_structure import mutual_structure
-from pcwlad_geo.matching.prepare import PreparedPair
+from pcwlad_geo.matching.prepare import StackPair
 from pcwlad_geo.matching.refinement import Refined, Start
 from pcwlad_geo.matching.similarity import ssim
 
@@ -21,7 +21,7 @@ Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
-def shared_structure(pair: PreparedPair, corners_rc: Index, start: Start, window_px: int) -> Float32:
+def shared_structure(pair: StackPair, corners_rc: Index, start: Start, window_px: int) -> Float32:
     """Return the mutual structure of every corner's windows at the start's position.
 
     Returns
@@ -39,7 +39,7 @@ def shared_structure(pair: PreparedPair, corners_rc: Index, start: Start, window
 
 
 def passes_paper(
-    pair: PreparedPair, corners_rc: Index, start: Start, refined: Refined, window_px: int, gate: float
+    pair: StackPair, corners_rc: Index, start: Start, refined: Refined, window_px: int, gate: float
 ) -> NDArray[np.bool_]:
     """Tell which refined windows have an SSIM above the gate and above that of the coarse match."""
     result = np.zeros(len(corners_rc), bool)
@@ -55,7 +55,7 @@ def passes_paper(
 
 
 def _windows(
-    pair: PreparedPair, corners_rc: Index, shift_xy: Float64, linear: Float64, window_px: int
+    pair: StackPair, corners_rc: Index, shift_xy: Float64, linear: Float64, window_px: int
 ) -> tuple[Float64, Float64]:
     """Return the (k, window, window) reference and sampled target windows of the one map."""
     half = window_px // 2

@@ -20,7 +20,7 @@ from pcwlad_geo.matching.matcher import (
     rematch,
 )
 from pcwlad_geo.matching.noise import Noise
-from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
+from pcwlad_geo.matching.prepare import Image, PreparedPair, StackPair, prepare
 from pcwlad_geo.matching.settings import TRAITS, MatchSettings
 from pcwlad_geo.matching.tie_points import TiePoints
 from pcwlad_geo.raster.view import View
@@ -125,7 +125,7 @@ def match_tile(job: TileJob) -> TileResult:
     )
     points, counts = match_candidates(pair, inside, job.settings)
     if job.returns and len(points):
-        _KEPT.keep(job.scene, job.id, pair)
+        _KEPT.keep(job.scene, job.id, pair.stacks)
     guided = _guided(job, pair, points) if job.guides_itself else None
     return TileResult(
         job.id,
@@ -142,16 +142,16 @@ def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide) -> TileResu
     """Second pass of a tile: its consistent points again, guided by the displacement field."""
     begun = time.perf_counter()
     try:
-        pair = _prepare(job)
+        stacks = _KEPT.take(job.scene, job.id) or _stacks(job)
     except InputError as error:
         return TileResult(job.id, "failed", points, {}, str(error), time.perf_counter() - begun)
-    if pair is None:
+    if stacks is None:
         return TileResult(job.id, "empty", points, {}, "no valid pixels", time.perf_counter() - begun)
     reference_origin, target_origin = _origins(job)
     inside = points.shifted(-reference_origin, -target_origin)
     # shifts inside the arrays leave out the offset between the two windows
     between = target_origin - reference_origin
-    again = rematch(pair, inside, guide.moved(-between), job.settings)
+    again = rematch(stacks, inside, guide.moved(-between), job.settings)
     moved = again.shifted(reference_origin, target_origin)
     return TileResult(job.id, "matched", moved, {}, None, time.perf_counter() - begun)
 
@@ -162,16 +162,13 @@ def _guided(job: TileJob, pair: PreparedPair, points: TiePoints) -> Guided:
     seen = points.shifted(reference_origin, target_origin)
     index = np.flatnonzero(consistent_points(seen, job.settings))
     guide = guide_by_field(seen[index], job.settings)
-    again = rematch(pair, points[index], guide.moved(reference_origin - target_origin), job.settings)
+    again = rematch(pair.stacks, points[index], guide.moved(reference_origin - target_origin), job.settings)
     moved = again.shifted(reference_origin, target_origin)
     return Guided(index, moved, guide.surface, guide.shared_variance_px2)
 
 
 def _prepare(job: TileJob) -> PreparedPair | None:
-    """Read and prepare the tile's window, unless it is kept; None where a band shows nothing of it."""
-    kept = _KEPT.take(job.scene, job.id)
-    if kept is not None:
-        return kept
+    """Read and prepare the tile's window; None where a band shows nothing of it."""
     window, traits = job.read_window, TRAITS[job.settings.method]
     reference = job.reference.read(window)
     target = job.target.read(window.moved(job.target_offset_px[1], job.target_offset_px[0]))
@@ -183,6 +180,11 @@ def _prepare(job: TileJob) -> PreparedPair | None:
         channels=traits.channels,
         halo_px=traits.halo_px,
     )
+
+
+def _stacks(job: TileJob) -> StackPair | None:
+    pair = _prepare(job)
+    return None if pair is None else pair.stacks
 
 
 def _origins(job: TileJob) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
