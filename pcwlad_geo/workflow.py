@@ -13,8 +13,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
 
 from pcwlad_geo.correction.models import AffineCorrection, Correction
+from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError
-from pcwlad_geo.raster import gcp_files, geopackage, sigma_raster, tie_point_csv, vrt, warping
+from pcwlad_geo.raster import (
+    gcp_files,
+    geopackage,
+    rpc_files,
+    rpc_warping,
+    sigma_raster,
+    tie_point_csv,
+    vrt,
+    warping,
+)
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_grid import output_grid
 from pcwlad_geo.raster.product import ProductBand
@@ -45,10 +55,14 @@ NAMES = {
     "gcps": "{stem}_gcps.vrt",
     "envi": "{stem}.pts",
     "corrected": "{stem}_corrected.vrt",
+    "rpc": "{stem}_rpc.vrt",
+    "rpc_text": "{stem}_rpc_RPC.TXT",
     "raster": "{stem}_registered.tif",
     "sigma": "{stem}_sigma.tif",
 }
 """File names of the outputs in OUT_DIR; name and stem are the target's."""
+CORRECTED = ("corrected", "rpc", "rpc_text", "raster", "sigma")
+"""Those that need a correction."""
 
 
 class Options(TypedDict, total=False):
@@ -59,6 +73,8 @@ class Options(TypedDict, total=False):
     ref_mask: Path | str | None
     tgt_mask: Path | str | None
     tie_points: Path | str | None
+    dem: Path | str | None
+    dem_vertical: float | Path | str | None
     method: s.Method
     points: int | Literal["all"] | None
     features: int
@@ -205,7 +221,7 @@ def output_paths(
     name = _plain(file_name(band_file(target, tgt_band)))
     stem = Path(name).stem
     folder = Path(out_dir) if out_dir else output_folder(target, job)
-    kinds = [kind for kind in NAMES if job == "registered" or kind not in ("corrected", "raster", "sigma")]
+    kinds = [kind for kind in NAMES if job == "registered" or kind not in CORRECTED]
     paths = {kind: folder / NAMES[kind].format(name=name, stem=stem) for kind in kinds}
     elsewhere = {
         "raster": output_raster,
@@ -335,7 +351,9 @@ def _kinds(registration: Registration) -> list[str]:
         kinds += ["points", "envi", "gcps"]
     if registration.status != "registered":
         return kinds
-    if isinstance(registration.correction, AffineCorrection) and registration.target.georeferenced:
+    if registration.rpc is not None:
+        kinds += ["rpc", "rpc_text"]
+    elif isinstance(registration.correction, AffineCorrection) and registration.target.georeferenced:
         kinds.append("corrected")
     return [*kinds, "raster", *(["sigma"] if registration.settings.write_sigma else [])]
 
@@ -345,6 +363,7 @@ def _writers(
 ) -> dict[str, Callable[[Path], None]]:
     """Return what writes each kind of output to a path."""
     table, target, reference = registration.tie_points, registration.target, registration.reference
+    on_ground = target.georeferenced and registration.rpc is None
 
     def write_corrected(path: Path) -> None:
         correction = _correction(registration)
@@ -353,17 +372,20 @@ def _writers(
         vrt.write_corrected_vrt(path, target.uri, correction, target.grid, final_path=places["corrected"])
 
     def grid() -> Grid:
+        if registration.rpc is not None:
+            return rpc_warping.ortho_grid(reference.grid, registration.rpc.corrected_grid)
         return output_grid(reference.grid, target.grid, _correction(registration), registration.settings.grid)
 
     def write_raster(path: Path) -> None:
-        warping.warp(
-            target.uri,
-            path,
-            _correction(registration),
-            grid(),
-            registration.settings.resampling,
-            progress=lambda done, total: on_event(Progress("warping", done, total)),
-        )
+        def progress(done: int, total: int) -> None:
+            on_event(Progress("warping", done, total))
+
+        resampling = registration.settings.resampling
+        if registration.rpc is not None:
+            corrected = registration.rpc.corrected_grid
+            rpc_warping.orthorectify(target.uri, path, corrected, grid(), resampling, progress=progress)
+            return
+        warping.warp(target.uri, path, _correction(registration), grid(), resampling, progress=progress)
 
     def write_sigma(path: Path) -> None:
         if registration.selection is None:
@@ -373,12 +395,16 @@ def _writers(
     return {
         "tiepoints": lambda path: tie_point_csv.write(table, path),
         "geopackage": lambda path: geopackage.write(table, path),
-        "points": lambda path: gcp_files.write_points(table, path, target.georeferenced, target.grid),
+        "points": lambda path: gcp_files.write_points(table, path, on_ground, target.grid),
         "envi": lambda path: gcp_files.write_envi(table, path, reference.uri, target.uri),
         "gcps": lambda path: vrt.write_gcps_vrt(
             path, target.uri, table, table.crs, final_path=places["gcps"]
         ),
         "corrected": write_corrected,
+        "rpc": lambda path: vrt.write_rpc_vrt(
+            path, target.uri, rpc_files.to_gdal(_corrected_rpc(registration)), final_path=places["rpc"]
+        ),
+        "rpc_text": lambda path: rpc_files.write_rpc_text(_corrected_rpc(registration), path),
         "raster": write_raster,
         "sigma": write_sigma,
     }
@@ -398,6 +424,12 @@ def _write_band(registration: Registration, band: ProductBand, path: Path, on_ev
         target_grid=target,
         progress=lambda done, total: on_event(Progress("warping", done, total)),
     )
+
+
+def _corrected_rpc(registration: Registration) -> RpcModel:
+    if registration.rpc is None:
+        raise TypeError("the target has no RPC")
+    return registration.rpc.corrected_grid.rpc
 
 
 def _correction(registration: Registration) -> Correction:

@@ -13,6 +13,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import name_of, transform_xy
 from pcwlad_geo.raster.locate import ground_xy, place, predict_target_px
 from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster.rpc_grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.tie_point_readers import PointFile, read_point_file, swapped
 from pcwlad_geo.raster.tie_point_table import TiePointTable
@@ -105,8 +106,10 @@ def _readings(points: PointFile, side: Literal["reference", "target"], info: Ras
         return [points.target]
     # QGIS: layer coordinates of a georeferenced source, (col, -row) of any other, and of this one by
     # programs that do not know the difference.
+    # One with RPC has no layer coordinates.
     plane = points.target * [1.0, -1.0]
-    return [info.grid.to_px(points.target), plane] if info.georeferenced else [plane]
+    on_map = info.georeferenced and not isinstance(info.grid, RpcGrid)
+    return [info.grid.to_px(points.target), plane] if on_map else [plane]
 
 
 def _from_map(points: PointFile, info: RasterInfo) -> Array:

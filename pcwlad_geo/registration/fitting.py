@@ -51,6 +51,7 @@ def fit_correction(
     footprint_px: float,
     px_m: tuple[float, float] | None,
     shape: tuple[int, int] | None = None,
+    candidates: tuple[str, ...] = tuple(FITS),
 ) -> Fitted:
     """Fit a correction to the matched points of a table.
 
@@ -65,6 +66,8 @@ def fit_correction(
         Size of a target pixel (col, row) in metres.
     shape : (int, int), optional
         Rows and columns of the target: no model may fold it. By default the box of the fit points counts.
+    candidates : tuple of str
+        Models to choose from where the settings leave it open, the simplest first.
     """
     status = table.status.astype("<U8")
     matched = np.flatnonzero(status == "matched")
@@ -79,7 +82,7 @@ def fit_correction(
         fit_points.target_px,
         fit_points.covariance_px2,
         footprint_px,
-        MODELS.get(settings.model, (settings.model,)),
+        candidates if settings.model in ("auto", "rpc") else MODELS.get(settings.model, (settings.model,)),
         box_px=None if shape is None else (np.zeros(2), np.array(shape[::-1], dtype=np.float64)),
     )
     residual = table.target_px - selection.fit.correction.forward(table.predicted_px)
