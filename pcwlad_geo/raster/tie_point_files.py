@@ -66,6 +66,8 @@ def read_tie_points(path: Path | str, pair: ViewPair) -> TiePointTable:
     score = np.ones(count) if points.score is None else np.nan_to_num(points.score, nan=1.0)
     table = place(reference_px, target_px, covariance_px2, score, pair)
     if not np.isfinite(table.predicted_px).all():
+        if isinstance(target.grid, RpcGrid):
+            raise InputError(f"{path}: some points lie where the DEM has no height: remove them")
         raise InputError(
             f"{path}: some points lie where {name_of(reference.grid.crs)} cannot be transformed to "
             f"{name_of(target.grid.crs)}: remove them"

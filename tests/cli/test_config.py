@@ -34,6 +34,7 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
         ({"dem_vertical": "-29.5"}, {"dem_vertical": -29.5}),
         ({"dem_vertical": 29}, {"dem_vertical": 29.0}),
         ({"dem_vertical": "egm2008.tif"}, {"dem_vertical": Path("egm2008.tif")}),
+        ({"dem_vertical": "/vsicurl/https://x/g.tif"}, {"dem_vertical": "/vsicurl/https://x/g.tif"}),
         ({}, {}),
     ],
 )

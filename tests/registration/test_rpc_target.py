@@ -107,6 +107,46 @@ def test_what_is_written(registered: Registered) -> None:
     assert (np.abs(source_xy) <= SHAPE[1]).all()  # pixels, not degrees
 
 
+@pytest.mark.parametrize("name", ["tiepoints.csv", "image.tif.points", "image.pts", "image_gcps.vrt"])
+def test_its_own_tie_points_give_the_same_rpc(
+    registered: Registered, pair: Pair, tmp_path: Path, name: str
+) -> None:
+    found, out_dir = registered
+    options = {"dem": pair[2], "dem_vertical": UNDULATION_M, "write_sigma": True}
+    again = pcwlad_geo.register(
+        *pair[:2], out_dir=tmp_path / "again", tie_points=out_dir / name, model="shift", **options
+    )
+    corrected = again.rpc.corrected_grid.rpc
+    expected = found.rpc.corrected_grid.rpc
+    assert corrected.samp_off == pytest.approx(expected.samp_off, abs=0.02)
+    assert corrected.line_off == pytest.approx(expected.line_off, abs=0.02)
+    with (
+        rasterio.open(tmp_path / "again" / "image_sigma.tif") as sigma,
+        rasterio.open(tmp_path / "again" / "image_registered.tif") as warped,
+    ):
+        assert sigma.crs == warped.crs
+        assert sigma.bounds == pytest.approx(warped.bounds)
+        values = sigma.read([1, 2])
+    assert (values[np.isfinite(values)] < 0.1).all()
+    assert np.isfinite(values).mean() > 0.9
+
+
+def test_the_correction_of_an_rpc_is_for_no_other_raster(
+    registered: Registered, pair: Pair, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="the correction of an RPC, which cannot be applied"):
+        pcwlad_geo.warp(registered[1], [pair[1]], out_dir=tmp_path / "warped")
+    assert not (tmp_path / "warped").exists()
+
+
+def test_dem_and_geoid_are_files_that_a_job_reads(pair: Pair) -> None:
+    assert Settings(dem=pair[2], dem_vertical="/vsizip/egm.zip/egm.tif").files == (
+        pair[2],
+        "/vsizip/egm.zip/egm.tif",
+    )
+    assert Settings(dem=pair[2], dem_vertical=45.0).files == (pair[2],)
+
+
 def test_a_second_registration_finds_nothing(registered: Registered, pair: Pair) -> None:
     _, out_dir = registered
     settings = Settings(dem=pair[2], dem_vertical=UNDULATION_M, jobs=1)
