@@ -28,7 +28,7 @@ from pcwlad_geo.registration.result import Registration
 def kinds(registration: Registration) -> list[str]:
     """Return the kinds of output that a job of this end has, without its report.
 
-    A target with RPC has its corrected RPC instead of a corrected geotransform; models beyond affine have none.
+    A target with RPC has that corrected, not a geotransform; models beyond affine have neither.
     """
     found = ["tiepoints", "geopackage"]
     if registration.status != "rejected":
