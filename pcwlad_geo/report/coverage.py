@@ -54,7 +54,7 @@ class Coverage:
     @property
     def empty(self) -> NDArray[np.bool_]:
         """(rows, columns) True where there is data, or may be, and no tie point that agrees."""
-        return (self.kept == 0) & ~self.without_data
+        return np.asarray((self.kept == 0) & ~self.without_data)
 
     @property
     def empty_share(self) -> float:

@@ -52,7 +52,7 @@ def render(registration: Registration, summary: Summary, gcps_vrt: str | None) -
     environment = _environment()
     backdrop = read_backdrop(registration.reference)
     shape = registration.reference.grid.shape
-    coverage = Coverage.of(registration.tie_points, shape, backdrop and backdrop.valid)
+    coverage = Coverage.of(registration.tie_points, shape, backdrop.valid if backdrop else None)
     script = _source(environment, "slider.js")
     return environment.get_template("report.html.j2").render(
         summary,
@@ -60,7 +60,7 @@ def render(registration: Registration, summary: Summary, gcps_vrt: str | None) -
         answers=answers(summary, coverage.empty_share),
         target_name=file_name(registration.target.uri),
         reference_name=file_name(registration.reference.uri),
-        figures=_figures(registration, summary, coverage, backdrop and backdrop.image),
+        figures=_figures(registration, summary, coverage, backdrop.image if backdrop else None),
         coverage=coverage,
         views=pair_views(registration),
         style=_source(environment, "style.css"),

@@ -11,7 +11,7 @@ ENOUGH_CHECK_POINTS: Final = 30
 FINE_PX, POOR_PX = 0.5, 1.0
 """CE90 up to which a registration counts as sub-pixel, and beyond which it is poor."""
 UNEVEN: Final = 1.5
-"""Check points that are so many times worse than fit points tell of a model that does not hold between them."""
+"""Check points so many times worse than fit points tell of a model that does not hold between them."""
 MUCH: Final = 0.2
 """Share of the image beyond the tie points, or without any, that is worth a word of caution."""
 
@@ -59,11 +59,8 @@ def _how_well(summary: Mapping[str, Any], judged: Mapping[str, Any]) -> Answer:
     text += f"; {_px(net)} once the noise of the matching is taken out."
     state: State = "good" if ce90 <= FINE_PX else "caution" if ce90 <= POOR_PX else "bad"
     if ce90 >= before:
-        return Answer(
-            "How well?",
-            text + " The correction improves nothing.",
-            max(state, "caution", key=list(MARKS).index),
-        )
+        state = "bad" if state == "bad" else "caution"
+        text += " The correction improves nothing."
     return Answer("How well?", text, state)
 
 
@@ -72,9 +69,7 @@ def _where_not(summary: Mapping[str, Any], empty_share: float) -> Answer:
     beyond = sigma["extrapolated_share"] if sigma else 0.0
     parts = []
     if beyond > 0:
-        parts.append(
-            f"{100 * beyond:.0f} % of the target lies beyond the tie points, where the correction is only continued"
-        )
+        parts.append(f"{100 * beyond:.0f} % of the target lies beyond the tie points: a continued correction")
     if empty_share > 0:
         parts.append(f"{100 * empty_share:.0f} % of the image has no tie point near (see Coverage)")
     if not parts:

@@ -26,7 +26,7 @@ SHOWN_PX: Final = (64.0, 400.0)
 """Least and most pixels of the target along a side of a view."""
 SIDES_PER_DISPLACEMENT: Final = 60.0
 """A view is so many displacements wide, as far as its limits allow: then they can be seen."""
-BACKDROP_PX: Final = 700
+BACKDROP_PX: Final = 350
 MOST_READ_PX: Final = 2**25
 """A file without overviews that has more pixels is not read for a backdrop."""
 NODES: Final = 25
@@ -163,7 +163,7 @@ def _dense(nodes: Array) -> Array:
     """Interpolate (n, n, 2) nodes linearly to the pixels' centres of a view."""
     at = (np.arange(SIDE_PX) + 0.5) / SIDE_PX * (NODES - 1)
     weights = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(NODES)))
-    return np.einsum("ra,abk,cb->rck", weights, nodes, weights, optimize=True)
+    return np.asarray(np.einsum("ra,abk,cb->rck", weights, nodes, weights, optimize=True))
 
 
 def _sampled(info: RasterInfo, at_px: Array) -> tuple[Array, NDArray[np.bool_]]:

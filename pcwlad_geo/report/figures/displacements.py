@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -57,7 +58,7 @@ def displacement_figure(
 def draw_arrows(
     axes: Axes, at_px: Array, arrows_px: Array, scale_of_px: Array, side_px: int, colours: Array | None = None
 ) -> object:
-    """Draw arrows, rows downwards, so that the typical one of `scale_of_px` is of the typical length, and a key.
+    """Draw arrows and a key, rows downwards, the typical one of `scale_of_px` of the typical length.
 
     Returns
     -------
@@ -66,6 +67,7 @@ def draw_arrows(
     lengths = np.hypot(*scale_of_px.T)
     typical = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
     key_px = nice_number(typical or 1.0)
+    style: dict[str, Any] = {"color": COL_COLOUR} if colours is None else {}
     arrows = axes.quiver(
         *at_px.T,
         *arrows_px.T,
@@ -76,7 +78,7 @@ def draw_arrows(
         units="inches",
         width=0.016,
         cmap="viridis",
-        **({"color": COL_COLOUR} if colours is None else {}),
+        **style,
     )
     axes.quiverkey(
         arrows, 0.98, -0.17, key_px, f"{key_px:g} target px", labelpos="W", fontproperties={"size": 9}

@@ -33,10 +33,8 @@ def trend_figure(table: TiePointTable, target_shape: tuple[int, int]) -> bytes:
     """
     points = table.select("fit", "check")
     figure = new_figure(3.6)
-    grid = figure.subplots(
-        2, 2, sharex="col", sharey=True, gridspec_kw={"left": 0.09, "right": 0.99, "bottom": 0.13, "top": 0.98,
-                                                      "wspace": 0.05, "hspace": 0.08}
-    )  # fmt: skip
+    grid = figure.subplots(2, 2, sharex="col", sharey=True)
+    figure.subplots_adjust(left=0.09, right=0.99, bottom=0.13, top=0.98, wspace=0.05, hspace=0.08)
     limit = float(np.percentile(np.abs(points.residual_px), 99)) * 1.1 or 1.0
     for across, (place, side) in enumerate((("column", target_shape[1]), ("row", target_shape[0]))):
         for down, (axis, colour) in enumerate((("column", COL_COLOUR), ("row", ROW_COLOUR))):
@@ -60,7 +58,7 @@ def _draw(axes: Axes, points: TiePointTable, which: tuple[int, int], side: int, 
 
 
 def stretch_means(places: Array, values: Array, side: int) -> tuple[Array, Array, Array]:
-    """Return the middles of the stretches of a side that hold enough values, their means and standard errors."""
+    """Return middles, means and standard errors of the stretches of a side that hold enough values."""
     stretch = np.clip((places * BINS / side).astype(int), 0, BINS - 1)
     count = np.bincount(stretch, minlength=BINS)
     enough = count >= LEAST_IN_BIN
