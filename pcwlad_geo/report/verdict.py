@@ -12,6 +12,8 @@ FINE_PX, POOR_PX = 0.5, 1.0
 """CE90 up to which a registration counts as sub-pixel, and beyond which it is poor."""
 UNEVEN: Final = 1.5
 """Check points so many times worse than fit points tell of a model that does not hold between them."""
+NOISY: Final = 0.3
+"""Net CE90 below such a part of CE90 says that noise explains the rest."""
 MUCH: Final = 0.2
 """Share of the image beyond the tie points, or without any, that is worth a word of caution."""
 
@@ -56,7 +58,10 @@ def _how_well(summary: Mapping[str, Any], judged: Mapping[str, Any]) -> Answer:
     text = f"CE90 {_px(before)} before, {_px(ce90)} after the correction"
     if judged["m"]:
         text += f" ({judged['m']['radial']['ce90']:.2f} m)"
-    text += f"; {_px(net)} once the noise of the matching is taken out."
+    if net < NOISY * ce90:
+        text += "; nearly all of what is left is noise of the matching itself."
+    else:
+        text += f"; {_px(net)} of it once the noise of the matching is taken out."
     state: State = "good" if ce90 <= FINE_PX else "caution" if ce90 <= POOR_PX else "bad"
     if ce90 >= before:
         state = "bad" if state == "bad" else "caution"

@@ -22,7 +22,7 @@ from pcwlad_geo.report.statistics import KEPT
 
 SIDE_PX: Final = 360
 """Of a view on the page."""
-SHOWN_PX: Final = (64.0, 400.0)
+SHOWN_PX: Final = (48.0, 400.0)
 """Least and most pixels of the target along a side of a view."""
 SIDES_PER_DISPLACEMENT: Final = 60.0
 """A view is so many displacements wide, as far as its limits allow: then they can be seen."""

@@ -15,6 +15,8 @@ WIDTH_IN: Final = 8.5
 DPI: Final = 100
 COL_COLOUR, ROW_COLOUR, CHECK_COLOUR = "#0072b2", "#d55e00", "#cc79a7"
 """Of the axes and of check points: colour-blind readers tell them apart (Okabe and Ito 2008)."""
+ARROW_COLOUR = "#00456f"
+"""Dark enough on a pale image."""
 PNG: Final = {"compress_level": 4}
 """Twice as fast as the default and a few per cent larger."""
 
@@ -41,7 +43,7 @@ def frame_figure(shape: tuple[int, int], panels: int = 1, bar: bool = False) -> 
     left, right, top, bottom, gap = 0.75, 1.15 if bar else 0.15, 0.45, 0.75, 0.65
     room = (WIDTH_IN - left - right - gap * (panels - 1)) / panels
     rows, cols = shape
-    height = min(max(room * rows / cols, 0.8), 7.0)
+    height = min(max(room * rows / cols, 0.8), 5.2)
     width = min(room, height * cols / rows)
     full = height + top + bottom
     figure = new_figure(full)

@@ -10,13 +10,15 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from pcwlad_geo.raster.tie_point_table import TiePointTable
-from pcwlad_geo.report.figures.canvas import COL_COLOUR, draw_backdrop, frame_figure, to_png
+from pcwlad_geo.report.figures.canvas import ARROW_COLOUR, WIDTH_IN, draw_backdrop, frame_figure, to_png
 from pcwlad_geo.report.statistics import KEPT
 
-MOST_ARROWS = 500
+MOST_ARROWS = 400
 """More cannot be told apart on the page; every n-th is drawn beyond."""
-TYPICAL_LENGTH = 0.07
+TYPICAL_LENGTH = 0.05
 """Length of a typical arrow, as a part of the frame's longer side."""
+KEY_HEIGHT_IN = 0.12
+"""Of the scale arrow above the figure's lower edge."""
 
 Array = NDArray[np.float64]
 
@@ -67,7 +69,7 @@ def draw_arrows(
     lengths = np.hypot(*scale_of_px.T)
     typical = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
     key_px = nice_number(typical or 1.0)
-    style: dict[str, Any] = {"color": COL_COLOUR} if colours is None else {}
+    style: dict[str, Any] = {"color": ARROW_COLOUR} if colours is None else {}
     arrows = axes.quiver(
         *at_px.T,
         *arrows_px.T,
@@ -80,9 +82,10 @@ def draw_arrows(
         cmap="viridis",
         **style,
     )
-    axes.quiverkey(
-        arrows, 0.98, -0.17, key_px, f"{key_px:g} target px", labelpos="W", fontproperties={"size": 9}
-    )
+    at_in = axes.get_position().x1 * WIDTH_IN - 0.05, KEY_HEIGHT_IN
+    words = f"{key_px:g} target px"
+    font = {"size": 9}
+    axes.quiverkey(arrows, *at_in, key_px, words, coordinates="inches", labelpos="W", fontproperties=font)
     return arrows
 
 

@@ -11,7 +11,7 @@ from pcwlad_geo.report.figures.canvas import CHECK_COLOUR, draw_backdrop, frame_
 from pcwlad_geo.report.figures.displacements import draw_arrows, thin
 from pcwlad_geo.report.statistics import KEPT
 
-MOST_ARROWS = 1000
+MOST_ARROWS = 500
 
 
 def residual_figure(

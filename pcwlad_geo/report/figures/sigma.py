@@ -32,7 +32,7 @@ def sigma_figure(precision: PrecisionMap, points_px: Array) -> bytes:
     image = axes.imshow(sigma, extent=frame, cmap="viridis", aspect="auto")
     box = axes.get_position()
     bar = figure.add_axes((box.x1 + 0.015, box.y0, 0.018, box.height))
-    figure.colorbar(image, cax=bar).set_label("predicted sigma of the correction, target px", fontsize=9)
+    figure.colorbar(image, cax=bar).set_label("predicted sigma, target px", fontsize=9)
     bar.tick_params(labelsize=8)
     axes.plot(*points_px.T, ".", color="white", markersize=2.5, alpha=0.7)
     if precision.extrapolated.any() and min(precision.extrapolated.shape) > 1:

@@ -12,3 +12,6 @@ for (const box of document.querySelectorAll("input[data-checkered]")) {
     document.getElementById(box.dataset.checkered).classList.toggle("checkered", box.checked);
   });
 }
+window.addEventListener("beforeprint", () => {
+  for (const closed of document.querySelectorAll("details")) closed.open = true;
+});
