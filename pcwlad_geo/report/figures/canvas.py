@@ -46,10 +46,11 @@ def frame_figure(shape: tuple[int, int], panels: int = 1, bar: bool = False) -> 
     height = min(max(room * rows / cols, 0.8), 5.2)
     width = min(room, height * cols / rows)
     full = height + top + bottom
+    left += (room - width) * panels / 2  # in the middle of the page
     figure = new_figure(full)
     axes = [
         figure.add_axes(
-            ((left + each * (room + gap)) / WIDTH_IN, bottom / full, width / WIDTH_IN, height / full),
+            ((left + each * (width + gap)) / WIDTH_IN, bottom / full, width / WIDTH_IN, height / full),
             xlim=(0, cols),
             ylim=(rows, 0),
         )
