@@ -15,7 +15,7 @@ WIDTH_IN: Final = 8.5
 DPI: Final = 100
 COL_COLOUR, ROW_COLOUR, CHECK_COLOUR = "#0072b2", "#d55e00", "#cc79a7"
 """Of the axes and of check points: colour-blind readers tell them apart (Okabe and Ito 2008)."""
-ARROW_COLOUR = "#00456f"
+ARROW_COLOUR = "#003355"
 """Dark enough on a pale image."""
 PNG: Final = {"compress_level": 4}
 """Twice as fast as the default and a few per cent larger."""

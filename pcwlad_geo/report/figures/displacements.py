@@ -78,7 +78,7 @@ def draw_arrows(
         scale_units="xy",
         scale=(typical or 1.0) / (TYPICAL_LENGTH * side_px),
         units="inches",
-        width=0.016,
+        width=0.022,
         cmap="viridis",
         **style,
     )
