@@ -324,7 +324,10 @@ def _write(
         [*(staged[kind].name for kind in written if kind not in elsewhere), *(p.name for p in bands.values())]
     )
     summary = summarise(replace(registration, seconds=seconds), names)
+    drawing = time.perf_counter()
     page = render(registration, summary, staged["gcps"].name if "gcps" in kinds else None)
+    seconds["report"] = time.perf_counter() - drawing
+    summary["seconds"] = {stage: round(value, 3) for stage, value in seconds.items()}
     staged["report"].write_text(page, encoding="utf-8", newline="\n")
     staged["numbers"].write_text(to_json(summary), encoding="utf-8", newline="\n")
     on_event(Progress("writing", total, total))

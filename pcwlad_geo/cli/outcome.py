@@ -6,10 +6,20 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+
+from pcwlad_geo.cli.qa_table import columns
 
 FIGURES = ("status", "tie_points", "displacement_px", "displacement_m", "accuracy", "warnings")
 """Entries of report.json that the result event repeats."""
+
+HEADER: Final = ("", "n", "mean col, row", "std col, row", "LE90 col, row", "RMSE", "CE90", "net", "CE90 m")
+ROWS: Final = (
+    ("displacement before, px", "before", "all"),
+    ("residual after, fit, px", "after", "fit"),
+    ("residual after, check, px", "after", "check"),
+)
+"""Rows of the table, and where their statistics are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +59,7 @@ class Outcome:
             col, row = displacement["median"]
             lines.append(f"median displacement: {col:+.3f} px in column, {row:+.3f} px in row")
         lines += self._accuracy()
+        lines += self._table()
         lines.append(f"report: {self.paths.get('report', self.paths['numbers'])}")
         return "\n".join(lines) + "\n"
 
@@ -62,3 +73,26 @@ class Outcome:
                 )
                 return [f"accuracy at {px['n']} {group} points: RMSE {rmse}, CE90 {ce90}"]
         return []
+
+    def _table(self) -> list[str]:
+        """Return the statistics before and after the correction, in columns."""
+        statistics = self.summary.get("statistics") or {}
+        found = [(title, statistics.get(when, {}).get(group)) for title, when, group in ROWS]
+        rows = [_row(title, each) for title, each in found if each]
+        return columns([HEADER, *rows], (0,)) if rows else []
+
+
+def _row(title: str, statistics: Mapping[str, Any]) -> tuple[str, ...]:
+    px, m = statistics["px"], statistics["m"]
+    col, row, radial = px["col"], px["row"], px["radial"]
+    return (
+        title,
+        str(statistics["n"]),
+        f"{col['mean']:+.3f} {row['mean']:+.3f}",
+        f"{col['std']:.3f} {row['std']:.3f}",
+        f"{col['le90']:.3f} {row['le90']:.3f}",
+        f"{radial['rmse']:.3f}",
+        f"{radial['ce90']:.3f}",
+        f"{px['net']['ce90']:.3f}",
+        f"{m['radial']['ce90']:.2f}" if m else "",
+    )

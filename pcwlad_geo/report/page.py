@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import io
 import shlex
 from collections.abc import Mapping
+from functools import partial
+from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from numpy.typing import NDArray
+from PIL import Image
 
 from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report.coverage import Coverage
+from pcwlad_geo.report.figures.coverage import coverage_figure
 from pcwlad_geo.report.figures.displacements import displacement_figure
+from pcwlad_geo.report.figures.distribution import distribution_figure
+from pcwlad_geo.report.figures.residuals import residual_figure
 from pcwlad_geo.report.figures.sigma import sigma_figure
+from pcwlad_geo.report.figures.trends import trend_figure
 from pcwlad_geo.report.precision import PrecisionMap
 from pcwlad_geo.report.summary import Summary
+from pcwlad_geo.report.verdict import answers
+from pcwlad_geo.report.views import pair_views, read_backdrop
 
 VERDICTS = {
     "registered": "Registered",
@@ -28,28 +43,29 @@ def render(registration: Registration, summary: Summary, gcps_vrt: str | None) -
     Parameters
     ----------
     registration : Registration
+        The files it names are read for small views; without them the page does without.
     summary : dict
         What `summarise` made of it.
     gcps_vrt : str, optional
         Name of the VRT with the GCPs, for the gdalwarp line; None where none was written.
     """
-    environment = Environment(
-        loader=PackageLoader("pcwlad_geo.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["figure"] = _figure
-    environment.filters["pair"] = _pair
-    png = displacement_figure(registration.tie_points, registration.reference.grid.shape)
+    environment = _environment()
+    backdrop = read_backdrop(registration.reference)
+    shape = registration.reference.grid.shape
+    coverage = Coverage.of(registration.tie_points, shape, backdrop.valid if backdrop else None)
+    script = _source(environment, "slider.js")
     return environment.get_template("report.html.j2").render(
         summary,
         verdict=VERDICTS[registration.status],
+        answers=answers(summary, coverage.empty_share),
         target_name=file_name(registration.target.uri),
         reference_name=file_name(registration.reference.uri),
-        figure_base64=base64.b64encode(png).decode("ascii"),
-        sigma_base64=_sigma_base64(registration),
+        figures=_figures(registration, summary, coverage, backdrop.image if backdrop else None),
+        coverage=coverage,
+        views=pair_views(registration),
+        style=_source(environment, "style.css"),
+        script=script,
+        script_hash="sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
         warp_line=warp_line(gcps_vrt) if gcps_vrt else None,
     )
 
@@ -60,13 +76,60 @@ def warp_line(gcps_vrt: str) -> str:
     return shlex.join(["gdalwarp", "-tps", "-r", "cubic", gcps_vrt, f"{stem}_tps.tif"])
 
 
-def _sigma_base64(registration: Registration) -> str | None:
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("pcwlad_geo.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["figure"] = _figure
+    environment.filters["pair"] = _pair
+    environment.filters["png"] = partial(_data_uri, "png")
+    environment.filters["jpeg"] = _jpeg
+    return environment
+
+
+def _source(environment: Environment, name: str) -> Markup:
+    """Return one of the page's own files, which must not be escaped."""
+    if environment.loader is None:
+        raise TypeError("templates have no loader")
+    return Markup(environment.loader.get_source(environment, name)[0])
+
+
+def _figures(
+    registration: Registration,
+    summary: Mapping[str, Any],
+    coverage: Coverage,
+    image: NDArray[np.uint8] | None,
+) -> dict[str, bytes | None]:
+    """Return the figures as PNG by name; None for what there is nothing to draw of."""
+    table, shape = registration.tie_points, registration.reference.grid.shape
     selection = registration.selection
-    if selection is None:
-        return None
-    precision = PrecisionMap.of(selection, registration.target.grid.shape)
-    png = sigma_figure(precision, registration.tie_points.select("fit").predicted_px)
-    return base64.b64encode(png).decode("ascii")
+    after = summary["statistics"]["after"]
+    judged = after["check"] or after["fit"]
+    figures: dict[str, bytes | None] = dict.fromkeys(("residuals", "distribution", "trends", "sigma"))
+    figures["displacements"] = displacement_figure(table, shape, image)
+    figures["coverage"] = coverage_figure(coverage, image)
+    if judged:
+        figures["residuals"] = residual_figure(table, shape, image)
+        figures["distribution"] = distribution_figure(table, judged["px"]["radial"]["ce90"])
+        figures["trends"] = trend_figure(table, registration.target.grid.shape)
+    if selection is not None:
+        precision = PrecisionMap.of(selection, registration.target.grid.shape)
+        figures["sigma"] = sigma_figure(precision, table.select("fit").predicted_px)
+    return figures
+
+
+def _data_uri(kind: str, content: bytes) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def _jpeg(image: NDArray[np.uint8]) -> str:
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "jpeg", quality=82)
+    return _data_uri("jpeg", buffer.getvalue())
 
 
 def _figure(value: object, digits: int = 3) -> str:

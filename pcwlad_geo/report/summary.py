@@ -22,10 +22,9 @@ from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.rpc_target import RpcRegistration
 from pcwlad_geo.report.precision import PrecisionMap
+from pcwlad_geo.report.statistics import KEPT, error_statistics
 
 SCHEMA_VERSION = 1
-KEPT = ("fit", "check", "unused", "matched")
-"""Statuses of the tie points that the displacement statistics count."""
 LIBRARIES = ("numpy", "scipy", "cv2", "numba", "rasterio", "pyproj")
 PX_DIGITS, M_DIGITS, SECONDS_DIGITS = 5, 4, 3
 
@@ -70,6 +69,7 @@ def summarise(registration: Registration, outputs: Sequence[str]) -> Summary:
             }
             for group in ("fit", "check")
         },
+        "statistics": error_statistics(registration),
         "seconds": {stage: round(value, SECONDS_DIGITS) for stage, value in registration.seconds.items()},
         "settings": asdict(registration.settings),
         "versions": versions(),

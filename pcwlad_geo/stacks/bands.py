@@ -14,8 +14,8 @@ from rasterio.enums import ColorInterp
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.raster.geodesy import pixel_size_m
+from pcwlad_geo.raster.native_pixels import native_px_m
 from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
-from pcwlad_geo.stacks.sensors import native_px_m
 
 PathLike = str | os.PathLike[str]
 

@@ -10,10 +10,10 @@ from typing import Final, Literal
 
 from pcwlad_geo.correction.error_statistics import AxisStatistics, ErrorStatistics
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.raster.native_pixels import TIRS_M
 from pcwlad_geo.stacks.bands import Band
 from pcwlad_geo.stacks.closure import Triangle
 from pcwlad_geo.stacks.pairs import PairResult
-from pcwlad_geo.stacks.sensors import TIRS_M
 
 Unit = Literal["px", "native px", "m"]
 Scope = Literal["all", "no thermal", "one thermal", "both thermal"]

@@ -1,10 +1,15 @@
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 import shlex
+import shutil
+import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
@@ -12,8 +17,10 @@ from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.page import render, warp_line
 from pcwlad_geo.report.summary import summarise
+from tests.registrations import of_files, write_pair
 
 Make = Callable[..., Registration]
+VOID = {"meta", "br", "img", "input", "link"}
 OUTPUTS = ["report.html", "tiepoints.csv"]
 
 
@@ -25,20 +32,34 @@ class Reader(HTMLParser):
         self.text = ""
         self.tags: list[str] = []
         self.sources: list[str] = []
+        self.open: list[str] = []
         self.alt = ""
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "img":
+            assert dict(attrs).get("alt")
         self.sources += [value or "" for name, value in attrs if name == "src"]
         self.alt += dict(attrs).get("alt") or ""
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in VOID:
+            assert self.open.pop() == tag
 
     def handle_data(self, data: str) -> None:
         self.text += data
 
 
+def page_of(made: Registration, gcps_vrt: str | None = "b10_gcps.vrt") -> str:
+    return render(made, summarise(made, OUTPUTS), gcps_vrt)
+
+
 def read(made: Registration, gcps_vrt: str | None = "b10_gcps.vrt") -> Reader:
     reader = Reader()
-    reader.feed(render(made, summarise(made, OUTPUTS), gcps_vrt))
+    reader.feed(page_of(made, gcps_vrt))
+    assert reader.open == []
     reader.text = re.sub(r"\s+", " ", reader.text)
     return reader
 
@@ -57,7 +78,7 @@ def test_says_verdict_accuracy_and_points(registration: Make) -> None:
 
 def test_is_self_contained_and_escaped(registration: Make) -> None:
     page = read(registration(name="a & <b>.tif"))
-    assert "script" not in page.tags
+    assert page.tags.count("script") == 1  # the slider's
     assert "link" not in page.tags
     assert "<script>alert(1)</script>" in page.text  # as text
     assert "a & <b>.tif" in page.text
@@ -97,3 +118,68 @@ def test_shows_the_table_of_models_and_not_their_thousands_of_numbers(registrati
     page = read(replace(made, selection=chosen, correction=chosen.fit.correction))
     assert "does not predict significantly better than shift" in page.text
     assert f"{chosen.candidates[0].rmse_px:.3f} ±" in page.text
+
+
+def test_a_raster_named_like_a_tag_stays_a_name(registration: Make) -> None:
+    name = "<script>alert(2)<!-- \"' --></script>.tif"
+    made = registration(name=name)
+    page = read(replace(made, target=replace(made.target, uri=name)))
+    assert page.tags.count("script") == 1
+    assert "<script>alert(2)<!--" in page.text
+
+
+def test_questions_are_answered_at_the_top(registration: Make) -> None:
+    page = read(registration())
+    top = page.text[: page.text.index("Numbers")]
+    assert "How well? CE90" in top
+    assert "Where not?" in top
+    assert "only 24 check points, 30 are asked for" in top
+    assert "no reliable" not in top
+
+
+def test_without_the_files_there_are_no_views(registration: Make) -> None:
+    page = read(registration())
+    assert "Before and after" not in page.text
+
+
+def test_the_slider_moves_in_chromium_without_a_complaint(registration: Make, tmp_path: Path) -> None:
+    """No error on the console (a request would be one: the page forbids all); skipped without Chromium."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no Chromium")
+    page = page_of(of_files(registration(), *write_pair(tmp_path)))
+    assert "default-src 'none'" in page
+    move = """<script>for (const slider of document.querySelectorAll("input[data-views]")) {
+      slider.value = 20; slider.dispatchEvent(new Event("input")); }
+      document.querySelector("input[data-checkered]").click();</script></body>"""
+    allowed = re.sub(r"script-src '[^']*'", r"\g<0> 'unsafe-hashes'", page)
+    digest = base64.b64encode(hashlib.sha256(move[8 : -len("</script></body>")].encode()).digest()).decode()
+    path = tmp_path / "report.html"
+    path.write_text(
+        allowed.replace("'unsafe-hashes'", f"'sha256-{digest}'").replace("</body>", move), encoding="utf-8"
+    )
+    arguments = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"]
+    shown = subprocess.run(
+        [browser, *arguments, f"--user-data-dir={tmp_path / 'profile'}", path.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert "CONSOLE" not in shown.stderr
+    assert shown.stdout.count('style="--cut: 20%;"') == 2
+    assert shown.stdout.count('aria-valuetext="20 % reference"') == 2
+    assert shown.stdout.count('class="views checkered"') == 1
+
+
+def test_good_and_bad_pages_differ_at_a_glance(registration: Make) -> None:
+    """The figure of a poor registration is marked, and a refused one has its advice open."""
+    made = registration()
+    table = made.tie_points
+    poor = replace(table, residual_px=table.residual_px * 20)
+    assert '<li class="good"><strong><span class="mark">✓</span> How well?' in page_of(made)
+    assert '<li class="bad"><strong><span class="mark">✗</span> How well?' in page_of(
+        replace(made, tie_points=poor)
+    )
+    assert '<details class="advice" open>' in page_of(registration("rejected"))
+    assert '<details class="advice">' in page_of(made)

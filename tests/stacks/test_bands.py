@@ -11,8 +11,8 @@ import rasterio
 from rasterio.enums import ColorInterp
 
 from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.raster.native_pixels import native_px_m
 from pcwlad_geo.stacks.bands import find_band, list_bands, parse_bands, split_bands, with_native_px
-from pcwlad_geo.stacks.sensors import native_px_m
 from tests.scenes import make_grid, write
 
 

@@ -1,93 +1,97 @@
-"""Where the tie points lie, which way they moved, and how well the model explains it."""
+"""Displacements before the correction and residuals after it, on one scale."""
 
 from __future__ import annotations
 
-import io
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.report.figures.canvas import ARROW_COLOUR, WIDTH_IN, draw_backdrop, frame_figure, to_png
+from pcwlad_geo.report.statistics import KEPT
 
-MOST_ARROWS = 1500
+MOST_ARROWS = 400
 """More cannot be told apart on the page; every n-th is drawn beyond."""
-TYPICAL_LENGTH = 0.06
-"""Length of a typical arrow, as a part of the figure's longer side."""
-WIDTH_IN, DPI = 8.5, 110
+TYPICAL_LENGTH = 0.05
+"""Length of a typical arrow, as a part of the frame's longer side."""
+KEY_HEIGHT_IN = 0.12
+"""Of the scale arrow above the figure's lower edge."""
 
 Array = NDArray[np.float64]
 
 
-def displacement_figure(table: TiePointTable, reference_shape: tuple[int, int]) -> bytes:
-    """Draw the displacement arrows on the reference image's frame.
+def displacement_figure(
+    table: TiePointTable, reference_shape: tuple[int, int], backdrop: NDArray[np.uint8] | None = None
+) -> bytes:
+    """Draw the displacement arrows on the reference image's frame, and beside them the residuals if any.
 
     Parameters
     ----------
     table : TiePointTable
-        Rejected points are drawn as grey crosses, the others as arrows coloured by their residual (by
-        status alone where there is no model); check points carry a ring.
+        Rejected points are left out.
     reference_shape : (rows, cols)
         Size of the reference image, px.
+    backdrop : (m, n) uint8 array, optional
+        The reference image, of any size.
 
     Returns
     -------
     bytes
         A PNG.
     """
-    rows, cols = reference_shape
-    height_in = min(max(WIDTH_IN * rows / cols, 3.0), 9.0)
-    figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    kept = _thin(table.select("fit", "check", "unused", "matched"))
-    _draw_rejected(axes, _thin(table.select("rejected")).reference_px)
-    if len(kept):
-        _draw_arrows(figure, axes, kept, max(rows, cols))
-    axes.set(xlim=(0, cols), ylim=(rows, 0), aspect="equal")
-    axes.set(xlabel="reference column, px", ylabel="reference row, px")
-    axes.set_title(" ", fontsize=14)  # room for the key arrow
-    if axes.get_legend_handles_labels()[0]:
-        figure.legend(loc="outside lower left", ncols=3, frameon=False)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+    kept = thin(table.select(*KEPT), MOST_ARROWS)
+    corrected = bool(np.isfinite(kept.residual_px).any())
+    drawn = [("before: displacement", kept.displacement_px)]
+    drawn += [("after: residual, same scale", kept.residual_px)] if corrected else []
+    figure, panels = frame_figure(reference_shape, panels=len(drawn))
+    for axes, (title, arrows) in zip(panels, drawn, strict=True):
+        draw_backdrop(axes, backdrop, reference_shape)
+        axes.set_title(title, fontsize=10, loc="left")
+        axes.set_xlabel("reference column, px", fontsize=9)
+        if len(kept):
+            draw_arrows(axes, kept.reference_px, arrows, kept.displacement_px, max(reference_shape))
+    panels[0].set_ylabel("reference row, px", fontsize=9)
+    return to_png(figure)
 
 
-def _draw_rejected(axes: Axes, position: Array) -> None:
-    if len(position):
-        axes.plot(*position.T, "x", color="0.6", markersize=3.5, markeredgewidth=0.8, label="rejected")
+def draw_arrows(
+    axes: Axes, at_px: Array, arrows_px: Array, scale_of_px: Array, side_px: int, colours: Array | None = None
+) -> object:
+    """Draw arrows and a key, rows downwards, the typical one of `scale_of_px` of the typical length.
 
-
-def _draw_arrows(figure: Figure, axes: Axes, kept: TiePointTable, side_px: int) -> None:
-    displacement = kept.displacement_px
-    residual = np.hypot(*kept.residual_px.T)
-    typical = float(np.median(np.hypot(*displacement.T)))
+    Returns
+    -------
+    matplotlib.quiver.Quiver
+    """
+    lengths = np.hypot(*scale_of_px.T)
+    typical = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
     key_px = nice_number(typical or 1.0)
+    style: dict[str, Any] = {"color": ARROW_COLOUR} if colours is None else {}
     arrows = axes.quiver(
-        *kept.reference_px.T,
-        *displacement.T,
-        *([residual] if np.isfinite(residual).any() else []),
+        *at_px.T,
+        *arrows_px.T,
+        *([] if colours is None else [colours]),
         angles="xy",  # rows grow downwards
         scale_units="xy",
         scale=(typical or 1.0) / (TYPICAL_LENGTH * side_px),
-        width=0.0022,
+        units="inches",
+        width=0.022,
         cmap="viridis",
+        **style,
     )
-    if np.isfinite(residual).any():
-        arrows.set_clim(0, float(np.nanpercentile(residual, 98)) or 1.0)
-        figure.colorbar(arrows, ax=axes, label="residual of the model, target px", shrink=0.8, extend="max")
-    axes.quiverkey(arrows, 0.9, 1.03, key_px, f"{key_px:g} target px", labelpos="E")
-    check = kept.select("check")
-    if len(check):
-        axes.plot(*check.reference_px.T, "o", markersize=4, mfc="none", mec="tab:red", label="check point")
+    at_in = axes.get_position().x1 * WIDTH_IN - 0.05, KEY_HEIGHT_IN
+    words = f"{key_px:g} target px"
+    font = {"size": 9}
+    axes.quiverkey(arrows, *at_in, key_px, words, coordinates="inches", labelpos="W", fontproperties=font)
+    return arrows
 
 
-def _thin(table: TiePointTable) -> TiePointTable:
-    return table[:: math.ceil(len(table) / MOST_ARROWS) or 1]
+def thin(table: TiePointTable, most: int) -> TiePointTable:
+    """Return every n-th point, so that there are no more than so many."""
+    return table[:: math.ceil(len(table) / most) or 1]
 
 
 def nice_number(value: float) -> float:

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from pcwlad_geo.report.figures.canvas import frame_figure, to_png
 from pcwlad_geo.report.precision import PrecisionMap
-
-WIDTH_IN, DPI = 8.5, 110
 
 Array = NDArray[np.float64]
 
@@ -31,13 +26,14 @@ def sigma_figure(precision: PrecisionMap, points_px: Array) -> bytes:
         A PNG.
     """
     rows, cols = precision.target_shape
-    height_in = min(max(WIDTH_IN * rows / cols, 3.0), 9.0)
-    figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    figure, (axes,) = frame_figure(precision.target_shape, bar=True)
     frame = (0, cols, rows, 0)
-    image = axes.imshow(np.hypot(*np.moveaxis(precision.sigma_px, 2, 0)), extent=frame, cmap="viridis")
-    figure.colorbar(image, ax=axes, label="predicted sigma of the correction, target px", shrink=0.8)
+    sigma = np.hypot(*np.moveaxis(precision.sigma_px, 2, 0))
+    image = axes.imshow(sigma, extent=frame, cmap="viridis", aspect="auto")
+    box = axes.get_position()
+    bar = figure.add_axes((box.x1 + 0.015, box.y0, 0.018, box.height))
+    figure.colorbar(image, cax=bar).set_label("predicted sigma, target px", fontsize=9)
+    bar.tick_params(labelsize=8)
     axes.plot(*points_px.T, ".", color="white", markersize=2.5, alpha=0.7)
     if precision.extrapolated.any() and min(precision.extrapolated.shape) > 1:
         axes.contourf(
@@ -47,7 +43,7 @@ def sigma_figure(precision: PrecisionMap, points_px: Array) -> bytes:
             colors="none",
             hatches=["///"],
         )
-    axes.set(xlim=(0, cols), ylim=(rows, 0), xlabel="target column, px", ylabel="target row, px")
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+    axes.set(xlim=(0, cols), ylim=(rows, 0))
+    axes.set_xlabel("target column, px", fontsize=9)
+    axes.set_ylabel("target row, px", fontsize=9)
+    return to_png(figure)

@@ -1,0 +1,82 @@
+"""Error statistics of a registration, before and after its correction, in three units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.correction.error_statistics import ErrorStatistics
+from pcwlad_geo.raster.native_pixels import native_px_m
+from pcwlad_geo.raster.source import RasterInfo, file_name
+from pcwlad_geo.registration.result import Registration
+
+KEPT: Final = ("fit", "check", "unused", "matched")
+"""Statuses of the tie points that the displacement statistics count."""
+GROUPS: Final[Mapping[str, tuple[str, ...]]] = {"all": KEPT, "fit": ("fit",), "check": ("check",)}
+"""Statuses of the tie points of a group, by its name."""
+DIGITS: Final = 5
+
+Array = NDArray[np.float64]
+
+
+def error_statistics(registration: Registration) -> dict[str, object]:
+    """Return the statistics of displacements (before) and residuals (after) of all, fit and check points.
+
+    Returns
+    -------
+    dict
+        `before` and `after`, each with the groups `all`, `fit`, `check`: None, or `n` and, by unit (`px` of
+        the target, `native_px`, `m`), `col`, `row`, `radial` and `net` (without the matching noise) as
+        `ErrorStatistics` has them. Metres are target px times px_m, along its columns and rows; a unit that
+        is not known is None. `native_px_m` is the coarser native pixel of the two, None where none is known.
+    """
+    native = native_size_m(registration.reference, registration.target)
+    factors = _factors(registration.px_m, native)
+    table = registration.tie_points
+    groups = {name: table.select(*statuses) for name, statuses in GROUPS.items()}
+    return {
+        "native_px_m": native,
+        "before": {
+            name: _of(points.displacement_px, points.sigma_px, factors) for name, points in groups.items()
+        },
+        "after": {name: _of(points.residual_px, points.sigma_px, factors) for name, points in groups.items()},
+    }
+
+
+def native_size_m(*rasters: RasterInfo) -> float | None:
+    """Return the coarsest pixel that the sensors recorded, as far as file names tell, metres."""
+    sizes = [native_px_m(Path(file_name(info.uri)).stem, None) for info in rasters]
+    return max((size for size in sizes if size is not None), default=None)
+
+
+def _factors(px_m: tuple[float, float] | None, native_m: float | None) -> dict[str, Array | None]:
+    metres = None if px_m is None else np.array(px_m)
+    native = None if metres is None or native_m is None else metres / native_m
+    return {"px": np.ones(2), "native_px": native, "m": metres}
+
+
+def _of(errors_px: Array, sigma_px: Array, factors: Mapping[str, Array | None]) -> dict[str, object] | None:
+    by_unit = {
+        unit: None if factor is None else ErrorStatistics.of(errors_px * factor, sigma_px * factor)
+        for unit, factor in factors.items()
+    }
+    in_px = by_unit["px"]
+    if in_px is None:
+        return None
+    return {"n": in_px.n} | {
+        unit: None if found is None else _rounded({k: v for k, v in asdict(found).items() if k != "n"})
+        for unit, found in by_unit.items()
+    }
+
+
+def _rounded(value: object) -> object:
+    if isinstance(value, float):
+        return round(value, DIGITS)
+    if isinstance(value, Mapping):
+        return {name: _rounded(item) for name, item in value.items()}
+    return [_rounded(item) for item in value] if isinstance(value, list | tuple) else value

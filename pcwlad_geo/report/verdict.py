@@ -1,0 +1,113 @@
+"""The verdict in words: registered or not, how well, where not, and whether to trust the figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+ENOUGH_CHECK_POINTS: Final = 30
+"""ASPRS Positional Accuracy Standards, 2023."""
+FINE_PX, POOR_PX = 0.5, 1.0
+"""CE90 up to which a registration counts as sub-pixel, and beyond which it is poor."""
+UNEVEN: Final = 1.5
+"""Check points so many times worse than fit points tell of a model that does not hold between them."""
+NOISY: Final = 0.3
+"""Net CE90 below such a part of CE90 says that noise explains the rest."""
+MUCH: Final = 0.2
+"""Share of the image beyond the tie points, or without any, that is worth a word of caution."""
+
+State = Literal["good", "caution", "bad"]
+MARKS: Final[Mapping[State, str]] = {"good": "✓", "caution": "!", "bad": "✗"}
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """An answer to a question that every reader has."""
+
+    question: str
+    text: str
+    state: State
+
+    @property
+    def mark(self) -> str:
+        """A sign for those who see no colour."""
+        return MARKS[self.state]
+
+
+def answers(summary: Mapping[str, Any], empty_share: float) -> list[Answer]:
+    """Return the answers for a registered pair; none for others.
+
+    Parameters
+    ----------
+    summary : dict
+        What `summarise` made.
+    empty_share : float
+        Share of the squares with data that have no tie point.
+    """
+    after = summary["statistics"]["after"]
+    judged = after["check"] or after["fit"]
+    if summary["status"] != "registered" or judged is None:
+        return []
+    return [_how_well(summary, judged), _where_not(summary, empty_share), _trust(summary)]
+
+
+def _how_well(summary: Mapping[str, Any], judged: Mapping[str, Any]) -> Answer:
+    ce90, net = judged["px"]["radial"]["ce90"], judged["px"]["net"]["ce90"]
+    before = summary["statistics"]["before"]["all"]["px"]["radial"]["ce90"]
+    text = f"CE90 {_px(before)} before, {_px(ce90)} after the correction"
+    if judged["m"]:
+        text += f" ({judged['m']['radial']['ce90']:.2f} m)"
+    if net < NOISY * ce90:
+        text += "; nearly all of what is left is noise of the matching itself."
+    else:
+        text += f"; {_px(net)} of it once the noise of the matching is taken out."
+    state: State = "good" if ce90 <= FINE_PX else "caution" if ce90 <= POOR_PX else "bad"
+    if ce90 >= before:
+        state = "bad" if state == "bad" else "caution"
+        text += " The correction improves nothing."
+    return Answer("How well?", text, state)
+
+
+def _where_not(summary: Mapping[str, Any], empty_share: float) -> Answer:
+    sigma = (summary["model"] or {}).get("predicted_sigma_px")
+    beyond = sigma["extrapolated_share"] if sigma else 0.0
+    parts = []
+    if beyond > 0:
+        parts.append(f"{100 * beyond:.0f} % of the target lies beyond the tie points: a continued correction")
+    if empty_share > 0:
+        parts.append(f"{100 * empty_share:.0f} % of the image has no tie point near (see Coverage)")
+    if not parts:
+        return Answer("Where not?", "Tie points cover the whole common area.", "good")
+    text = "; ".join(parts) + "."
+    return Answer(
+        "Where not?", text[0].upper() + text[1:], "caution" if max(beyond, empty_share) > MUCH else "good"
+    )
+
+
+def _trust(summary: Mapping[str, Any]) -> Answer:
+    after = summary["statistics"]["after"]
+    fit, check = after["fit"], after["check"]
+    if check is None:
+        return Answer(
+            "Can I trust the figure?",
+            "With care: there were too few points to keep some out of the fit.",
+            "caution",
+        )
+    doubts = []
+    if check["n"] < ENOUGH_CHECK_POINTS:
+        doubts.append(f"only {check['n']} check points, {ENOUGH_CHECK_POINTS} are asked for (ASPRS 2023)")
+    if fit and check["px"]["radial"]["ce90"] > UNEVEN * fit["px"]["radial"]["ce90"]:
+        doubts.append(
+            "check points are much worse than fit points: the model does not hold between its points"
+        )
+    if summary["warnings"]:
+        doubts.append("there are warnings below")
+    if doubts:
+        return Answer("Can I trust the figure?", "With care: " + "; ".join(doubts) + ".", "caution")
+    text = f"Yes: it is counted at {check['n']} check points that the fit has not seen."
+    return Answer("Can I trust the figure?", text, "good")
+
+
+def _px(value: float) -> str:
+    return f"{value:.3f} px"

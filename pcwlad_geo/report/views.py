@@ -1,0 +1,183 @@
+"""Small parts of the two images, laid on each other before and after the correction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.errors import RasterioError
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.grid import jacobian, map_px
+from pcwlad_geo.raster.resample import spline_samples
+from pcwlad_geo.raster.source import RasterInfo, open_raster
+from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.raster.view import View
+from pcwlad_geo.raster.windows import Window
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report.statistics import KEPT
+
+SIDE_PX: Final = 360
+"""Of a view on the page."""
+SHOWN_PX: Final = (48.0, 400.0)
+"""Least and most pixels of the target along a side of a view."""
+SIDES_PER_DISPLACEMENT: Final = 60.0
+"""A view is so many displacements wide, as far as its limits allow: then they can be seen."""
+BACKDROP_PX: Final = 350
+MOST_READ_PX: Final = 2**25
+"""A file without overviews that has more pixels is not read for a backdrop."""
+NODES: Final = 25
+"""Along a side, where the mapping is evaluated; linear between."""
+MARGIN_PX: Final = 8
+"""Read around what is sampled."""
+MOST_SOURCE_PX: Final = 3000
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairView:
+    """A part of the pair: square images of the same ground, grey, 0 where there is no data."""
+
+    title: str
+    """Why this place."""
+    centre_px: tuple[float, float]
+    """(col, row), reference px."""
+    shown_px: float
+    """Pixels of the target along a side."""
+    reference: Image
+    before: Image
+    """The target where its georeferencing puts it."""
+    after: Image | None
+    """The target corrected; None without a correction."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Backdrop:
+    """The reference, made small."""
+
+    image: Image
+    valid: NDArray[np.bool_]
+
+
+def read_backdrop(info: RasterInfo) -> Backdrop | None:
+    """Read a raster made small; None where that would take long or cannot be done."""
+    rows, cols = info.grid.shape
+    factor = max(1.0, max(rows, cols) / BACKDROP_PX)
+    shape = (max(1, round(rows / factor)), max(1, round(cols / factor)))
+    try:
+        with open_raster(info.uri) as dataset:
+            if rows * cols > MOST_READ_PX and not dataset.overviews(info.band):
+                return None
+            values = dataset.read(info.band, out_shape=shape).astype(np.float64)
+            valid = (dataset.read_masks(info.band, out_shape=shape) > 0) & np.isfinite(values)
+    except (InputError, RasterioError):
+        return None
+    return Backdrop(stretched(values, valid), valid)
+
+
+def pair_views(registration: Registration) -> list[PairView]:
+    """Return views around the best match and around the largest residual; none where files cannot be read."""
+    views = []
+    for title, centre in _places(registration.tie_points):
+        try:
+            view = _view(registration, title, centre)
+        except (InputError, RasterioError):
+            return []
+        if view is not None:
+            views.append(view)
+    return views
+
+
+def stretched(values: Array, valid: NDArray[np.bool_]) -> Image:
+    """Return grey values, the middle 96 % of the valid ones over the whole range; 0 where not valid."""
+    if not valid.any():
+        return np.zeros(values.shape, dtype=np.uint8)
+    low, high = np.percentile(values[valid], [2, 98])
+    grey = np.clip((values - low) / max(high - low, 1e-12), 0, 1) * 254 + 1
+    return np.where(valid, grey, 0).astype(np.uint8)
+
+
+def _places(table: TiePointTable) -> list[tuple[str, Array]]:
+    kept = table.select(*KEPT)
+    if len(kept) == 0:
+        return []
+    best = int(np.nanargmax(np.nan_to_num(kept.score)))
+    places = [("the most distinct match", kept.reference_px[best])]
+    residual = np.nan_to_num(np.hypot(*kept.residual_px.T))
+    if residual.any():
+        places.append(("the largest residual", kept.reference_px[int(residual.argmax())]))
+    return places
+
+
+def _view(registration: Registration, title: str, centre_px: Array) -> PairView | None:
+    reference, target = registration.reference, registration.target
+    predict = _prediction(registration)
+    side_px, shown_px = _side(registration, centre_px)
+    room = np.array(reference.grid.shape[::-1], dtype=np.float64)
+    centre_px = np.clip(centre_px, np.minimum(side_px, room) / 2, room - np.minimum(side_px, room) / 2)
+    nodes = centre_px + (np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, NODES)] * 2), -1) * side_px)
+    predicted = predict(nodes.reshape(-1, 2)).reshape(nodes.shape)
+    if not np.isfinite(predicted).all():
+        return None
+    correction = registration.correction
+    grey = stretched(*_sampled(reference, _dense(nodes)))
+    before = _sampled(target, _dense(predicted))
+    after = None
+    if correction is not None:
+        observed = correction.forward(predicted.reshape(-1, 2)).reshape(nodes.shape)
+        after = _sampled(target, _dense(observed))
+    if not before[1].any() and (after is None or not after[1].any()):
+        return None
+    col, row = centre_px.tolist()
+    return PairView(
+        title, (col, row), shown_px, grey, stretched(*before), None if after is None else stretched(*after)
+    )
+
+
+def _prediction(registration: Registration) -> Callable[[Array], Array]:
+    """Return what maps reference px to the target px that the georeferencing predicts."""
+    reference, target = registration.reference, registration.target
+    if not (reference.georeferenced and target.georeferenced):
+        return np.asarray
+    return lambda at_px: map_px(at_px, reference.grid, target.grid)
+
+
+def _side(registration: Registration, centre_px: Array) -> tuple[float, float]:
+    """Return the side of a view, px of the reference and px of the target."""
+    reference, target = registration.reference, registration.target
+    target_px_per_px = 1.0
+    if reference.georeferenced and target.georeferenced:
+        found = abs(np.linalg.det(jacobian(centre_px[None], reference.grid, target.grid)[0])) ** 0.5
+        target_px_per_px = float(found) if np.isfinite(found) and found > 0 else 1.0
+    moved = np.median(np.hypot(*registration.tie_points.select(*KEPT).displacement_px.T))
+    shown = float(np.clip(SIDES_PER_DISPLACEMENT * moved, *SHOWN_PX))
+    return shown / target_px_per_px, shown
+
+
+def _dense(nodes: Array) -> Array:
+    """Interpolate (n, n, 2) nodes linearly to the pixels' centres of a view."""
+    at = (np.arange(SIDE_PX) + 0.5) / SIDE_PX * (NODES - 1)
+    weights = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(NODES)))
+    return np.asarray(np.einsum("ra,abk,cb->rck", weights, nodes, weights, optimize=True))
+
+
+def _sampled(info: RasterInfo, at_px: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Sample a band at (n, n, 2) places (col, row)."""
+    low = np.floor(at_px.min(axis=(0, 1))).astype(int) - MARGIN_PX
+    high = np.ceil(at_px.max(axis=(0, 1))).astype(int) + MARGIN_PX
+    window = Window.from_bounds(int(low[1]), int(low[0]), int(high[1]), int(high[0]))
+    window = window.intersection(Window.whole(info.grid.shape))
+    nothing = np.zeros(at_px.shape[:2])
+    if window.empty or max(window.shape) > MOST_SOURCE_PX:
+        return nothing, nothing > 0
+    patch = View(info, info.grid, "none").read(window)
+    positions = np.moveaxis(at_px[..., ::-1] - [window.row, window.col], 2, 0)
+    values, fraction = spline_samples(
+        patch.values.astype(np.float64), patch.valid.astype(np.float64), positions
+    )
+    return values, fraction > 0.5

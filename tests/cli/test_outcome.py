@@ -1,0 +1,33 @@
+"""The table that ends `register`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pcwlad_geo.cli.outcome import Outcome
+from pcwlad_geo.report.summary import summarise
+from tests.registrations import make_registration
+
+
+def test_the_table_has_displacement_before_and_residuals_after() -> None:
+    made = make_registration()
+    lines = Outcome(summarise(made, []), {"numbers": Path("report.json")}).text().splitlines()
+    header, before, fit, check = (
+        line for line in lines if line.startswith((" ", "displacement", "residual"))
+    )
+    assert header.split()[-5:] == ["RMSE", "CE90", "net", "CE90", "m"]
+    assert before.split()[3:5] == [
+        "108",
+        f"{made.tie_points.select('fit', 'check').displacement_px[:, 0].mean():+.3f}",
+    ]
+    assert fit.startswith("residual after, fit, px")
+    assert check.split()[-3] == f"{made.accuracy['check_px'].ce90:.3f}"
+    assert check.split()[-1] == f"{made.accuracy['check_m'].ce90:.2f}"
+
+
+def test_what_was_only_matched_has_no_residuals() -> None:
+    lines = Outcome(summarise(make_registration("matched"), []), {"numbers": Path("report.json")}).text()
+    assert "displacement before" in lines
+    assert "residual" not in lines
+    without = summarise(make_registration("rejected", n=0), [])
+    assert "LE90" not in Outcome(without, {"numbers": Path("report.json")}).text()

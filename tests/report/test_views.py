@@ -1,0 +1,90 @@
+"""Views: the same ground in both images, before and after the correction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report.views import SIDE_PX, pair_views, read_backdrop, stretched
+from tests.registrations import SHIFT_PX, of_files
+from tests.scenes import write
+
+Make = Callable[..., Registration]
+
+
+def smooth(at_px: np.ndarray) -> np.ndarray:
+    """A scene of slow waves, at (..., 2) places."""
+    col, row = at_px[..., 0], at_px[..., 1]
+    return 30000 + 10000 * (np.sin(col / 7) * np.cos(row / 9) + 0.5 * np.sin((col + 2 * row) / 15))
+
+
+@pytest.fixture
+def made(registration: Make, tmp_path: Path) -> Registration:
+    """A pair whose target is displaced by the shift of the registration's correction, exactly."""
+    result = registration()
+    grid = result.reference.grid
+    rows, cols = grid.shape
+    centres = np.stack(np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5), -1)
+    reference = write(tmp_path / "b4.tif", smooth(centres).astype(np.uint16), grid)
+    target = write(tmp_path / "b10.tif", smooth(centres - SHIFT_PX).astype(np.uint16), grid)
+    return of_files(result, reference, target)
+
+
+def test_after_the_correction_both_show_the_same(made: Registration) -> None:
+    """Contrast stretches differ by a grey value or two; a displacement of 1.3 px by far more."""
+    views = pair_views(made)
+    assert [view.title for view in views] == ["the most distinct match", "the largest residual"]
+    for view in views:
+        assert view.after is not None
+        assert view.reference.shape == view.before.shape == view.after.shape == (SIDE_PX, SIDE_PX)
+        after = np.abs(view.reference.astype(int) - view.after)[view.after > 0]
+        before = np.abs(view.reference.astype(int) - view.before)[view.before > 0]
+        assert np.percentile(after, 95) <= 4
+        assert np.median(before) > 4 * np.median(after) + 4
+
+
+def test_the_target_lies_where_its_displacement_puts_it(made: Registration) -> None:
+    """A view of n target px shows the displacement as SIDE_PX / n times as many of its own."""
+    view = pair_views(made)[0]
+    step = SIDE_PX / view.shown_px
+    shift = np.round(SHIFT_PX * step).astype(int)
+    moved = np.roll(view.before, -shift[::-1], axis=(0, 1)).astype(int)
+    inner = np.s_[80:-80, 80:-80]
+    assert np.median(np.abs(moved - view.reference)[inner]) <= 1
+    assert np.median(np.abs(view.before.astype(int) - view.reference)[inner]) > 5
+
+
+def test_what_cannot_be_read_costs_the_views_only(registration: Make, made: Registration) -> None:
+    assert pair_views(registration()) == []
+    assert read_backdrop(registration().reference) is None
+    assert pair_views(registration("rejected", n=0)) == []
+    only_before = pair_views(replace(made, correction=None))
+    assert only_before[0].after is None
+
+
+def test_the_backdrop_is_small_and_knows_its_valid_pixels(tmp_path: Path, registration: Make) -> None:
+    made = registration()
+    values = np.full((400, 600), 7, np.uint16)
+    values[:200] = 0
+    path = write(tmp_path / "half.tif", values, made.reference.grid)
+    with rasterio.open(path, "r+") as file:
+        file.nodata = 0
+    backdrop = read_backdrop(replace(made.reference, uri=str(path)))
+    assert backdrop is not None
+    assert max(backdrop.image.shape) <= 350
+    assert backdrop.valid.mean() == pytest.approx(0.5, abs=0.01)
+
+
+def test_stretched() -> None:
+    grey = stretched(np.arange(100.0).reshape(10, 10), np.arange(100).reshape(10, 10) > 0)
+    assert grey[0, 0] == 0
+    assert grey[0, 1] == 1
+    assert grey[-1, -1] == 255
+    assert stretched(np.ones((2, 2)), np.zeros((2, 2), bool)).max() == 0
+    assert stretched(np.ones((2, 2)), np.ones((2, 2), bool)).tolist() == [[1, 1], [1, 1]]
