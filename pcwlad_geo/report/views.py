@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import jacobian, map_px
-from pcwlad_geo.raster.resample import spline_samples
 from pcwlad_geo.raster.source import RasterInfo, open_raster
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.raster.view import View
@@ -34,6 +34,8 @@ NODES: Final = 25
 MARGIN_PX: Final = 8
 """Read around what is sampled."""
 MOST_SOURCE_PX: Final = 3000
+MOSTLY_VALID: Final = 0.99
+"""Share of valid pixels around a sample: what is not valid must not shine through."""
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -176,8 +178,7 @@ def _sampled(info: RasterInfo, at_px: Array) -> tuple[Array, NDArray[np.bool_]]:
     if window.empty or max(window.shape) > MOST_SOURCE_PX:
         return nothing, nothing > 0
     patch = View(info, info.grid, "none").read(window)
-    positions = np.moveaxis(at_px[..., ::-1] - [window.row, window.col], 2, 0)
-    values, fraction = spline_samples(
-        patch.values.astype(np.float64), patch.valid.astype(np.float64), positions
-    )
-    return values, fraction > 0.5
+    at = (at_px - [window.col, window.row] - 0.5).astype(np.float32)
+    values = cv2.remap(patch.values.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_CUBIC)
+    valid = cv2.remap(patch.valid.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+    return values.astype(np.float64), valid > MOSTLY_VALID
