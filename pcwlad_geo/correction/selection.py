@@ -28,6 +28,9 @@ RESAMPLING_SIGNIFICANCE = 2.5
 """standard errors by which it predicts better, and"""
 RESAMPLING_GAIN_PX = 0.05
 """radial RMS displacement that it takes out beyond the simpler one."""
+WINDOWS_PER_PARAMETER = 3.0
+"""Separate matching windows for each parameter of an axis: a model which resamples has to rest on so many,
+or to take out more than it leaves. Errors that neighbours share look like detail to a cross-validation."""
 CHANCE = 0.05
 """Probability with which errors alone may change the correction as much as a model has to."""
 COMMON_SIGMA = 0.6
@@ -113,11 +116,11 @@ def choose(
     border of a block flatters the prediction; the flattery expected is added (see
     `cross_validation.left_out_errors`). A model replaces a simpler one when (1) the mean of the paired
     differences of the blocks' squared errors is larger than its standard error (than half of it, where both
-    need resampling), and (2) the correction
-    changes by more than the uncertainty of the fits, and what all points err alike, explains to 95 %. Shift
-    and affine need no resampling:
-    to replace them, another model has to be better by 2.5 standard errors, and to take out at least 0.05 px
-    more. Squared errors are weighted by the points' variance; points that are outliers to every model do not
+    need resampling), and (2) the correction changes by more than the uncertainty of the fits, and what all
+    points err alike, explains to 95 %. Shift and affine need no resampling: to replace them, another model
+    has to be better by 2.5 standard errors, to take out at least 0.05 px more, and to rest on three separate
+    windows for each parameter of an axis or to take out more than it leaves. Squared errors are weighted by
+    the points' variance; points that are outliers to every model do not
     count. A model that folds the image is never chosen.
 
     Parameters
@@ -225,7 +228,7 @@ def _score(
 def _simplest_unbeaten(
     points: _Points, fits: dict[str, Fit], errors: dict[str, Array], notes: dict[str, str]
 ) -> str:
-    chosen = next(iter(fits))
+    chosen, windows = next(iter(fits)), _windows(points)
     for name in errors:
         if chosen not in errors or name == chosen:
             continue
@@ -234,6 +237,8 @@ def _simplest_unbeaten(
         resampling = chosen in LOSSLESS and name not in LOSSLESS
         if gain.mean() <= _significance(chosen, name) * standard_error:
             notes[name] = f"does not predict significantly better than {chosen}"
+        elif resampling and _rests_on_little(fits[name], windows) and gain.mean() < errors[name].mean():
+            notes[name] = f"has too many parameters for {windows} separate matching windows"
         elif resampling and gain.mean() < RESAMPLING_GAIN_PX**2:
             notes[name] = f"takes out only {np.sqrt(gain.mean()):.2f} px more than {chosen}"
         elif not _differs(fits[chosen], fits[name], points):
@@ -242,6 +247,15 @@ def _simplest_unbeaten(
             notes[chosen] = f"{name} predicts better"
             chosen = name
     return chosen
+
+
+def _rests_on_little(fit: Fit, windows: int) -> bool:
+    return windows < WINDOWS_PER_PARAMETER * fit.freedom / 2
+
+
+def _windows(points: _Points) -> int:
+    """Return on how many windows that share no pixels the points lie, about."""
+    return len(np.unique(np.floor(points.predicted_px / points.footprint_px), axis=0))
 
 
 def _significance(simple: str, other: str) -> float:
