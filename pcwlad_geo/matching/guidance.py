@@ -91,7 +91,7 @@ def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Flo
     """
     size = np.abs(predicted.slope - linear).max(axis=(1, 2)) * reach_px
     by_chance = predicted.scatter_px * np.sqrt(2 * predicted.leverage)
-    if not np.nanmedian(size) > max(LEAST_DEFORMATION_PX, 3 * float(np.nanmedian(by_chance))):
+    if not np.nanmedian(size) > max(LEAST_DEFORMATION_PX, 5 * float(np.nanmedian(by_chance))):
         return linear
     known = np.isfinite(predicted.slope).all(axis=(1, 2), keepdims=True)
     return np.where(known, predicted.slope, linear)
