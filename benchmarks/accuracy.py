@@ -28,6 +28,7 @@ from benchmarks.studies.models import models
 from benchmarks.studies.paper import paper
 from benchmarks.studies.refusal import refusal
 from benchmarks.studies.robustness import robustness
+from benchmarks.studies.rpc import rpc
 from benchmarks.studies.sigma import sigma
 from benchmarks.studies.tiles import tiles
 from benchmarks.studies.windows import windows
@@ -45,6 +46,7 @@ STUDIES: dict[str, Study] = {
     "sigma": sigma,
     "closure": closure,
     "bands": bands,
+    "rpc": rpc,
     "refusal": refusal,
     "windows": windows,
     "tiles": tiles,

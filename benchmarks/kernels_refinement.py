@@ -79,7 +79,9 @@ def costs(window_px: int, files: Files) -> list[float]:
     """Return the cost of the first pass, of the second one, and of the first with deformation; ms a point."""
     found = matches(files)
     none = np.zeros((len(found.corners_rc), 2, 2))
-    run = partial(refine, found.pair.reference, found.pair.target, found.corners_rc, window_px=window_px)
+    run = partial(
+        refine, found.pair.stacks.reference, found.pair.stacks.target, found.corners_rc, window_px=window_px
+    )
     shift = found.coarse.shift_xy_px
     first = run(Start(shift, none))
     centre = np.median(first.shift_xy_px[first.converged], axis=0)

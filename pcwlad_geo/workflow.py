@@ -12,14 +12,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
 
-from pcwlad_geo.correction.models import AffineCorrection, Correction
+from pcwlad_geo import outputs
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError
-from pcwlad_geo.raster import gcp_files, geopackage, sigma_raster, tie_point_csv, vrt, warping
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.output_grid import output_grid
 from pcwlad_geo.raster.product import ProductBand
 from pcwlad_geo.raster.products import stem_of
-from pcwlad_geo.raster.source import describe, file_name
+from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration import settings as s
 from pcwlad_geo.registration.inputs import band_file, resolve
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
@@ -45,10 +42,14 @@ NAMES = {
     "gcps": "{stem}_gcps.vrt",
     "envi": "{stem}.pts",
     "corrected": "{stem}_corrected.vrt",
+    "rpc": "{stem}_rpc.vrt",
+    "rpc_text": "{stem}_rpc_RPC.TXT",
     "raster": "{stem}_registered.tif",
     "sigma": "{stem}_sigma.tif",
 }
 """File names of the outputs in OUT_DIR; name and stem are the target's."""
+CORRECTED = ("corrected", "rpc", "rpc_text", "raster", "sigma")
+"""Those that need a correction."""
 
 
 class Options(TypedDict, total=False):
@@ -59,6 +60,8 @@ class Options(TypedDict, total=False):
     ref_mask: Path | str | None
     tgt_mask: Path | str | None
     tie_points: Path | str | None
+    dem: Path | str | None
+    dem_vertical: float | Path | str | None
     method: s.Method
     points: int | Literal["all"] | None
     features: int
@@ -205,7 +208,7 @@ def output_paths(
     name = _plain(file_name(band_file(target, tgt_band)))
     stem = Path(name).stem
     folder = Path(out_dir) if out_dir else output_folder(target, job)
-    kinds = [kind for kind in NAMES if job == "registered" or kind not in ("corrected", "raster", "sigma")]
+    kinds = [kind for kind in NAMES if job == "registered" or kind not in CORRECTED]
     paths = {kind: folder / NAMES[kind].format(name=name, stem=stem) for kind in kinds}
     elsewhere = {
         "raster": output_raster,
@@ -305,15 +308,15 @@ def _write(
     since = time.perf_counter()
     if registration.status != "registered":
         bands = {}
-    writers = _writers(registration, places, on_event)
-    kinds = _kinds(registration)
+    writers = outputs.writers(registration, places, on_event)
+    kinds = outputs.kinds(registration)
     total = len(kinds) + len(bands) + 1  # the report is one
     for done, kind in enumerate(kinds):
         on_event(Progress("writing", done, total))
         writers[kind](staged[kind])
     for done, (band, path) in enumerate(bands.items(), start=len(kinds)):
         on_event(Progress("writing", done, total))
-        _write_band(registration, band, path, on_event)
+        outputs.write_band(registration, band, path, on_event)
     on_event(Progress("writing", total - 1, total))
     seconds = registration.seconds | {"writing": time.perf_counter() - since}
     written = [*kinds, "report", "numbers"]
@@ -329,81 +332,3 @@ def _write(
     staged["numbers"].write_text(to_json(summary), encoding="utf-8", newline="\n")
     on_event(Progress("writing", total, total))
     return written
-
-
-def _kinds(registration: Registration) -> list[str]:
-    """Return the kinds of output that a job of this end has, without its report."""
-    kinds = ["tiepoints", "geopackage"]
-    if registration.status != "rejected":
-        kinds += ["points", "envi", "gcps"]
-    if registration.status != "registered":
-        return kinds
-    if isinstance(registration.correction, AffineCorrection) and registration.target.georeferenced:
-        kinds.append("corrected")
-    return [*kinds, "raster", *(["sigma"] if registration.settings.write_sigma else [])]
-
-
-def _writers(
-    registration: Registration, places: Mapping[str, Path], on_event: EventCallback
-) -> dict[str, Callable[[Path], None]]:
-    """Return what writes each kind of output to a path."""
-    table, target, reference = registration.tie_points, registration.target, registration.reference
-
-    def write_corrected(path: Path) -> None:
-        correction = _correction(registration)
-        if not isinstance(correction, AffineCorrection):
-            raise TypeError(f"{correction.name} corrections have no geotransform")
-        vrt.write_corrected_vrt(path, target.uri, correction, target.grid, final_path=places["corrected"])
-
-    def grid() -> Grid:
-        return output_grid(reference.grid, target.grid, _correction(registration), registration.settings.grid)
-
-    def write_raster(path: Path) -> None:
-        warping.warp(
-            target.uri,
-            path,
-            _correction(registration),
-            grid(),
-            registration.settings.resampling,
-            progress=lambda done, total: on_event(Progress("warping", done, total)),
-        )
-
-    def write_sigma(path: Path) -> None:
-        if registration.selection is None:
-            raise TypeError("a registration without a fit has no sigma")
-        sigma_raster.write(path, registration.selection, target.grid, grid())
-
-    return {
-        "tiepoints": lambda path: tie_point_csv.write(table, path),
-        "geopackage": lambda path: geopackage.write(table, path),
-        "points": lambda path: gcp_files.write_points(table, path, target.georeferenced, target.grid),
-        "envi": lambda path: gcp_files.write_envi(table, path, reference.uri, target.uri),
-        "gcps": lambda path: vrt.write_gcps_vrt(
-            path, target.uri, table, table.crs, final_path=places["gcps"]
-        ),
-        "corrected": write_corrected,
-        "raster": write_raster,
-        "sigma": write_sigma,
-    }
-
-
-def _write_band(registration: Registration, band: ProductBand, path: Path, on_event: EventCallback) -> None:
-    """Write another band of the target's product, corrected as the target is."""
-    source, correction, settings = band.opened_as(), _correction(registration), registration.settings
-    reference, target = registration.reference.grid, registration.target.grid
-    grid = output_grid(reference, target, correction, settings.grid, own_grid=describe(source).grid)
-    warping.warp(
-        source,
-        path,
-        correction,
-        grid,
-        settings.resampling,
-        target_grid=target,
-        progress=lambda done, total: on_event(Progress("warping", done, total)),
-    )
-
-
-def _correction(registration: Registration) -> Correction:
-    if registration.correction is None:
-        raise TypeError(f"a pair that is {registration.status} has no correction")
-    return registration.correction

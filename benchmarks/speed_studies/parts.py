@@ -100,7 +100,7 @@ def refinement_ms(pair: ScenePair, windows: Sequence[int], points: int, repeats:
     )
     start = Start(coarse.shift_xy_px, np.zeros((len(corners), 2, 2)))
     works = [
-        partial(refine, prepared.reference, prepared.target, corners, start, window_px=window)
+        partial(refine, prepared.stacks.reference, prepared.stacks.target, corners, start, window_px=window)
         for window in windows
     ]
     return [cost.cpu_s * 1000 / len(corners) for cost in cheapest(works, repeats)]

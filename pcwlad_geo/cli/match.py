@@ -17,6 +17,8 @@ def match(
     tgt_band: o.TgtBand = None,
     ref_mask: o.RefMask = None,
     tgt_mask: o.TgtMask = None,
+    dem: o.Dem = None,
+    dem_vertical: o.DemVertical = None,
     method: o.Method = None,
     points: o.Points = None,
     features: o.Features = None,

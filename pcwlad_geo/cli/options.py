@@ -52,6 +52,16 @@ TiePoints = Annotated[
     str | None,
     _setting("tie_points", "Fit the tie points of this file, match nothing.", metavar="FILE"),
 ]
+Dem = Annotated[str | None, _setting("dem", "Heights of the ground, for a target with RPCs.", metavar="FILE")]
+DemVertical = Annotated[
+    str | None,
+    _setting(
+        "dem_vertical",
+        "What is added to the DEM's heights to count from the ellipsoid (0: they do), where its CRS does not "
+        "tell: metres, or a geoid grid.",
+        metavar="METRES|GRID",
+    ),
+]
 
 Method = Annotated[s.Method | None, _setting("method", "Fine matching method.")]
 Points = Annotated[

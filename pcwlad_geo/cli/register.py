@@ -18,6 +18,8 @@ def register(
     ref_mask: o.RefMask = None,
     tgt_mask: o.TgtMask = None,
     tie_points: o.TiePoints = None,
+    dem: o.Dem = None,
+    dem_vertical: o.DemVertical = None,
     method: o.Method = None,
     points: o.Points = None,
     features: o.Features = None,

@@ -70,6 +70,8 @@ class Prediction:
 
     displacement_px: Float64
     """(n, 2)."""
+    slope: Float64
+    """(n, 2, 2) derivatives of the displacement (component, by x and y)."""
     scatter_px: Float64
     """(n,) robust scatter of the neighbours about their surface."""
     leverage: Float64
@@ -193,7 +195,7 @@ def _predict_apart(
     count = surface.count
     xy, displacement, at = (np.ascontiguousarray(array, np.float64) for array in (xy, displacement, at))
     tree = cKDTree(xy)
-    out = np.full((len(at), 2), np.nan)
+    out, slope = np.full((len(at), 2), np.nan), np.full((len(at), 2, 2), np.nan)
     scatter, leverage = np.full(len(at), np.nan), np.full(len(at), np.nan)
     reach = min(len(xy), 2 * count if apart_px else count)
     if apart_px and len(xy) > 1:
@@ -205,6 +207,6 @@ def _predict_apart(
         distance, index = tree.query(at[part], k=np.arange(1, reach + 1))
         usable = distance >= apart_px
         usable &= np.cumsum(usable, axis=1) <= count
-        found = (out[part], scatter[part], leverage[part])
+        found = (out[part], slope[part], scatter[part], leverage[part])
         fit_surfaces(xy, displacement, at[part], index.astype(np.intp), usable, surface.order, *found)
-    return Prediction(out, SIGMA_OF_MEDIAN_DISTANCE * scatter, leverage)
+    return Prediction(out, slope, SIGMA_OF_MEDIAN_DISTANCE * scatter, leverage)

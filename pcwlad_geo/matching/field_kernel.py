@@ -30,6 +30,7 @@ def fit_surfaces(
     usable: NDArray[np.bool_],
     order: int,
     value: Float64,
+    slope: Float64,
     scale: Float64,
     leverage: Float64,
 ) -> None:
@@ -45,9 +46,10 @@ def fit_surfaces(
         Points near each place, and which of them take part.
     order : int
         1: a plane, 2: a quadratic surface.
-    value, scale, leverage : (n, 2), (n,), (n,) float64 arrays
-        Filled: the surface at the place, the median distance from it, and the variance of the value over
-        that of one neighbour. NaN where there are fewer than two neighbours to a term.
+    value, slope, scale, leverage : (n, 2), (n, 2, 2), (n,), (n,) float64 arrays
+        Filled: the surface at the place, its derivatives (component, by x and y), the median distance from
+        it, and the variance of the value over that of one neighbour. NaN where there are fewer than two
+        neighbours to a term.
     """
     terms = 3 if order == 1 else 6
     most = neighbours.shape[1]
@@ -70,10 +72,12 @@ def fit_surfaces(
                 design[count, 1], design[count, 2] = x, y
                 moved[count, 0], moved[count, 1] = displacement_px[k, 0], displacement_px[k, 1]
                 count += 1
-        value[p, 0] = value[p, 1] = scale[p] = leverage[p] = np.nan
+        value[p] = scale[p] = leverage[p] = np.nan
+        slope[p] = np.nan
         if count < 2 * terms:
             continue
-        _fill_design(design[:count], max(np.sqrt(reach), 1e-9))
+        extent = max(np.sqrt(reach), 1e-9)
+        _fill_design(design[:count], extent)
         for axis in range(2):
             work[:count] = moved[:count, axis]
             solution[0, axis] = _median(work[:count])
@@ -90,7 +94,10 @@ def fit_surfaces(
             invert(normal)
             if round_ < ROUNDS:
                 _multiply(normal, right, solution)
-        value[p, 0], value[p, 1], leverage[p] = solution[0, 0], solution[0, 1], normal[0, 0]
+        leverage[p] = normal[0, 0]
+        for axis in range(2):
+            value[p, axis] = solution[0, axis]
+            slope[p, axis, 0], slope[p, axis, 1] = solution[1, axis] / extent, solution[2, axis] / extent
 
 
 @compiled_part()

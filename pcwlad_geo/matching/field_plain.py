@@ -12,7 +12,7 @@ Float64 = NDArray[np.float64]
 
 def fit_surfaces_plain(
     offset_px: Float64, displacement_px: Float64, usable: NDArray[np.bool_], order: int
-) -> tuple[Float64, Float64, Float64]:
+) -> tuple[Float64, Float64, Float64, Float64]:
     """Lay a robust surface through the usable neighbours of each place.
 
     Parameters
@@ -25,6 +25,7 @@ def fit_surfaces_plain(
     Returns
     -------
     value : (n, 2) array
+    slope : (n, 2, 2) array
     scale, leverage : (n,) arrays
         As of `field_kernel.fit_surfaces`.
     """
@@ -49,11 +50,12 @@ def fit_surfaces_plain(
         solution = np.linalg.solve(_normal_matrices(design, weighted), right)
         residual = np.hypot(*np.moveaxis(displacement_px - design @ solution, 2, 0))
         value = solution[:, 0, :].copy()
+        slope = solution[:, 1:3, :].transpose(0, 2, 1) / reach[:, None, None]
     inverse = np.linalg.inv(_normal_matrices(design, design * usable[..., None]))
     leverage: Float64 = np.asarray(inverse[:, 0, 0], np.float64).copy()
-    for array in (value, scale, leverage):
+    for array in (value, slope, scale, leverage):
         array[~enough] = np.nan
-    return value, np.asarray(scale, dtype=np.float64), np.asarray(leverage, dtype=np.float64)
+    return value, slope, np.asarray(scale, dtype=np.float64), np.asarray(leverage, dtype=np.float64)
 
 
 def _normal_matrices(design: Float64, weighted: Float64) -> Float64:

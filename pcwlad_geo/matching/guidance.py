@@ -80,34 +80,21 @@ def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
     apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
     shared = calibration.shared_variance(xy, choice.residual_px, settings.window, surface.count)
-    return FieldGuide(_local(everywhere, points, surface, predicted, reach), structure, surface, shared)
+    return FieldGuide(_local(everywhere, predicted, reach), structure, surface, shared)
 
 
-def _local(
-    linear: Float64, points: TiePoints, surface: field.Surface, predicted: field.Prediction, reach_px: float
-) -> Float64:
+def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Float64:
     """Return the deformation at every point by the slopes of the field there, where these matter.
 
     A window that is not modelled so finds the displacement of where its structure lies, not of its middle: at
     the edge of the image, where half of it is missing, that is many pixels off.
     """
-    slopes = np.empty_like(linear)
-    for axis in range(2):
-        step = np.zeros(2)
-        step[axis] = reach_px / 2
-        sides = [
-            field.predict(
-                points.reference_xy_px, points.displacement_px, points.reference_xy_px + sign * step, surface
-            )
-            for sign in (1, -1)
-        ]
-        slopes[:, :, axis] = (sides[0].displacement_px - sides[1].displacement_px) / reach_px
-    size = np.abs(slopes - linear).max(axis=(1, 2)) * reach_px
+    size = np.abs(predicted.slope - linear).max(axis=(1, 2)) * reach_px
     by_chance = predicted.scatter_px * np.sqrt(2 * predicted.leverage)
     if not np.nanmedian(size) > max(LEAST_DEFORMATION_PX, 3 * float(np.nanmedian(by_chance))):
         return linear
-    known = np.isfinite(slopes).all(axis=(1, 2), keepdims=True)
-    return np.where(known, slopes, linear)
+    known = np.isfinite(predicted.slope).all(axis=(1, 2), keepdims=True)
+    return np.where(known, predicted.slope, linear)
 
 
 def calibrate(

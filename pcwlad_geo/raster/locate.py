@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,12 +12,14 @@ from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import displacement_m
 from pcwlad_geo.raster.grid import jacobian, map_px
 from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster.rpc_grid import levelled
+from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 
 Array = NDArray[np.float64]
 
 
-def locate(points: TiePoints, pair: ViewPair) -> TiePointTable:
+def locate(points: TiePoints, pair: ViewPair, original: RasterInfo | None = None) -> TiePointTable:
     """Express tie points in the original files and on the ground.
 
     Parameters
@@ -23,6 +27,8 @@ def locate(points: TiePoints, pair: ViewPair) -> TiePointTable:
     points : TiePoints
         Reference positions in reference-view px, target positions in target-view px.
     pair : ViewPair
+    original : RasterInfo, optional
+        The target as its own georeferencing places it, where the matching started from a better one.
 
     Returns
     -------
@@ -30,14 +36,13 @@ def locate(points: TiePoints, pair: ViewPair) -> TiePointTable:
         Status ``matched``, residuals NaN; the covariance is that of the target file's pixels.
     """
     target_view = pair.target
-    scale = jacobian(points.target_xy_px, target_view.grid, target_view.info.grid)
-    return place(
-        pair.reference.to_file_px(points.reference_xy_px),
-        target_view.to_file_px(points.target_xy_px),
-        scale @ points.covariance_px2 @ scale.transpose(0, 2, 1),
-        points.score,
-        pair,
-    )
+    reference_px = pair.reference.to_file_px(points.reference_xy_px)
+    target_px = target_view.to_file_px(points.target_xy_px)
+    scale = jacobian(points.target_xy_px, target_view.grid, levelled(target_view.info.grid))
+    if original is not None:
+        pair = replace(pair, target=replace(target_view, info=original))
+    covariance_px2 = scale @ points.covariance_px2 @ scale.transpose(0, 2, 1)
+    return place(reference_px, target_px, covariance_px2, points.score, pair)
 
 
 def place(

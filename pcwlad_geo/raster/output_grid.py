@@ -67,7 +67,7 @@ def output_grid(
         )
     tolerance = _SAME_SIZE if reference_grid.crs == own.crs else _SAME_SIZE_ACROSS_CRS
     # A step along an axis of the reference that crosses one pixel of the raster, in reference pixels.
-    size = np.array([_snapped(1.0 / float(np.hypot(*column)), tolerance) for column in inverse.T])
+    size = np.array([snapped_size(1.0 / float(np.hypot(*column)), tolerance) for column in inverse.T])
     low = np.floor(boundary_px.min(axis=0) / size + _SLIVER_PX).astype(int)
     high = np.ceil(boundary_px.max(axis=0) / size - _SLIVER_PX).astype(int)
     cols, rows = (high - low).tolist()
@@ -103,7 +103,7 @@ def original_pixels(
     return mapping
 
 
-def _snapped(size: float, tolerance: float) -> float:
+def snapped_size(size: float, tolerance: float = _SAME_SIZE_ACROSS_CRS) -> float:
     """Return the whole multiple or fraction of 1 that a size agrees with, or the size itself."""
     whole = max(1, round(max(size, 1.0 / size)))
     nearest = float(whole) if size >= 1.0 else 1.0 / whole

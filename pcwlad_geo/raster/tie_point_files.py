@@ -13,6 +13,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import name_of, transform_xy
 from pcwlad_geo.raster.locate import ground_xy, place, predict_target_px
 from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster.rpc_grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.tie_point_readers import PointFile, read_point_file, swapped
 from pcwlad_geo.raster.tie_point_table import TiePointTable
@@ -65,6 +66,8 @@ def read_tie_points(path: Path | str, pair: ViewPair) -> TiePointTable:
     score = np.ones(count) if points.score is None else np.nan_to_num(points.score, nan=1.0)
     table = place(reference_px, target_px, covariance_px2, score, pair)
     if not np.isfinite(table.predicted_px).all():
+        if isinstance(target.grid, RpcGrid):
+            raise InputError(f"{path}: some points lie where the DEM has no height: remove them")
         raise InputError(
             f"{path}: some points lie where {name_of(reference.grid.crs)} cannot be transformed to "
             f"{name_of(target.grid.crs)}: remove them"
@@ -105,8 +108,10 @@ def _readings(points: PointFile, side: Literal["reference", "target"], info: Ras
         return [points.target]
     # QGIS: layer coordinates of a georeferenced source, (col, -row) of any other, and of this one by
     # programs that do not know the difference.
+    # One with RPC has no layer coordinates.
     plane = points.target * [1.0, -1.0]
-    return [info.grid.to_px(points.target), plane] if info.georeferenced else [plane]
+    on_map = info.georeferenced and not isinstance(info.grid, RpcGrid)
+    return [info.grid.to_px(points.target), plane] if on_map else [plane]
 
 
 def _from_map(points: PointFile, info: RasterInfo) -> Array:

@@ -14,6 +14,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.masks import valid_in_file, valid_in_mask_file
 from pcwlad_geo.raster.resample import block_mean, box_average, cell_means, sample_positions, spline_samples
+from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled, positions_on
 from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
 from pcwlad_geo.raster.windows import Window
 
@@ -178,7 +179,7 @@ def _read_interpolated(
     """Sample the file by spline; where it is finer, average block means below and several samples a pixel."""
     factor = max(1, int(step.min() // 2))
     per_px = max(1, int(np.ceil(step.max() / factor - 0.25)))
-    positions = sample_positions(window, per_px, source.to_file_px)
+    positions = _positions(source, window, per_px)
     needed = _around(positions, factor, source.info.grid.shape)
     if needed.empty:
         return np.zeros(window.shape), np.zeros(window.shape, dtype=bool)
@@ -187,6 +188,13 @@ def _read_interpolated(
     origin_rc = np.array([needed.row, needed.col])[:, None, None]
     samples, shares = spline_samples(means, fraction, (positions - origin_rc) / factor)
     return cell_means(samples, per_px), cell_means(shares, per_px) >= LEAST_VALID_CUBIC
+
+
+def _positions(source: View, window: Window, per_px: int) -> Array:
+    """Return where the samples of a window lie in the file: (2, rows, cols), rows and columns."""
+    if isinstance(source.info.grid, RpcGrid):
+        return positions_on(source.info.grid, source.grid, window, per_px)
+    return sample_positions(window, per_px, source.to_file_px)
 
 
 def _around(positions_rc: Array, factor: int, shape: tuple[int, int]) -> Window:
@@ -250,7 +258,7 @@ def _at_overview(view: View, overview: int | None) -> View:
 def _file_px_per_px(view: View) -> Array:
     """(2,): how far a step of one view pixel along columns and rows goes in the file, file px."""
     rows, cols = view.grid.shape
-    matrix = jacobian(np.array([[cols / 2, rows / 2]]), view.grid, view.info.grid)[0]
+    matrix = jacobian(np.array([[cols / 2, rows / 2]]), view.grid, levelled(view.info.grid))[0]
     lengths = np.hypot(matrix[0], matrix[1])
     # Outside the projection's domain there is nothing to read: any finite step will do.
     return np.asarray(np.where(np.isfinite(lengths), lengths, 1.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.parsers import expat
@@ -111,6 +112,26 @@ def write_corrected_vrt(
     write(tree, path)
 
 
+def write_rpc_vrt(path: Path, target_path: str | Path, rpc: Mapping[str, str], *, final_path: Path) -> None:
+    """Write the target's pixels with another RPC.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Where the file is written now.
+    target_path : str or pathlib.Path
+        The original target: a path or a GDAL URI.
+    rpc : mapping
+        Items of GDAL's metadata domain RPC.
+    final_path : pathlib.Path
+        Where the file will live: the path to the target is relative to its folder.
+    """
+    with open_raster(os.fspath(target_path)) as target:
+        tree = describe_pixels(target, _reference_to(target, final_path), target.shape)
+    _add_tags(tree, {"RPC": dict(rpc)})
+    write(tree, path)
+
+
 def write_gcps_vrt(
     path: Path, target_path: str | Path, table: TiePointTable, crs: CRS | None, *, final_path: Path
 ) -> None:
@@ -171,6 +192,30 @@ def describe_pixels(source: DatasetReader, pixels: PixelFile, shape: tuple[int, 
     if pixels.has_mask:
         mask = ET.SubElement(ET.SubElement(tree, "MaskBand"), "VRTRasterBand", dataType="Byte")
         mask.append(_pixels_of("mask,1", pixels, shape))
+    return tree
+
+
+def with_rpc(source: DatasetReader, rpc: Mapping[str, str], *, mask_as_alpha: bool) -> ET.Element:
+    """Return the VRT of an open raster with another RPC, wherever it is opened.
+
+    Parameters
+    ----------
+    source : DatasetReader
+    rpc : mapping
+        Items of GDAL's metadata domain RPC.
+    mask_as_alpha : bool
+        Add the raster's mask (from nodata, or a mask band) as an alpha band.
+    """
+    file = Path(source.name)
+    nodata = tuple(usable_nodata(source, band) for band in source.indexes)
+    name = str(file.absolute()) if file.exists() else source.name
+    pixels = PixelFile(name, False, nodata, has_mask_band(source) and not mask_as_alpha)
+    tree = describe_pixels(source, pixels, source.shape)
+    _add_tags(tree, {"RPC": dict(rpc)})
+    if mask_as_alpha:
+        alpha = ET.SubElement(tree, "VRTRasterBand", dataType="Byte", band=str(source.count + 1))
+        ET.SubElement(alpha, "ColorInterp").text = "Alpha"
+        alpha.append(_pixels_of("mask,1", pixels, source.shape))
     return tree
 
 

@@ -6,8 +6,9 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.metadata import has_alpha, has_mask_band, is_paletted, usable_nodata
 from pcwlad_geo.raster.output_grid import original_pixels
 from pcwlad_geo.raster.source import describe, open_raster
-from pcwlad_geo.raster.warped_blocks import warped_blocks
+from pcwlad_geo.raster.warped_blocks import Block, warped_blocks
 
 Array = NDArray[np.float64]
 ProgressCallback = Callable[[int, int], None]
@@ -47,6 +48,30 @@ _DENSE_TOLERANCE_PX = 0.01
 _PIXELS = Affine.scale(1.0, -1.0)
 # A view of the warped raster that a thread opens for itself.
 View = Callable[[], AbstractContextManager[DatasetReader]]
+Blocks = Generator[tuple[Window, Block], None, None]
+
+
+@dataclass(frozen=True, slots=True)
+class BlockRequest:
+    """Which blocks of a warped raster are wanted, and how they tell what is valid."""
+
+    windows: Sequence[Window]
+    nodata: float | None
+    as_alpha: bool
+    """By an additional alpha band, or else by the nodata value where nothing is known."""
+    scratch: Path
+    """Folder for files that are needed until the last block."""
+
+    def options(self) -> dict[str, object]:
+        """Return what is valid as options of `rasterio.vrt.WarpedVRT`."""
+        options: dict[str, object] = {"add_alpha": self.as_alpha}
+        if self.nodata is not None:
+            options |= {"src_nodata": self.nodata}
+            options |= {} if self.as_alpha else {"nodata": self.nodata}
+        return options
+
+
+BlocksOf = Callable[[DatasetReader, Resampling, BlockRequest], Blocks]
 
 
 def warp(
@@ -93,17 +118,49 @@ def warp(
     OutputError
         If the result cannot be written.
     """
+    own_grid = describe(os.fspath(source_path)).grid
+    target_grid = target_grid or own_grid
+    check_geometry(source_path, own_grid, target_grid)
+    grids = (own_grid, target_grid, grid)
+
+    def blocks_of(source: DatasetReader, method: Resampling, request: BlockRequest) -> Blocks:
+        view = _view(source, grids, correction, method, request)
+        return warped_blocks(source.name, view, request.windows)
+
+    write_warped(source_path, out_path, grid, resampling, blocks_of, progress)
+
+
+def write_warped(
+    source_path: str | Path,
+    out_path: Path,
+    grid: Grid,
+    resampling: str,
+    blocks_of: BlocksOf,
+    progress: ProgressCallback | None = None,
+) -> None:
+    """Write the blocks of a warped raster as a COG with all that the raster carries beside its pixels.
+
+    Parameters
+    ----------
+    source_path, out_path, grid, resampling, progress
+        As for `warp`.
+    blocks_of : callable
+        Resamples the windows of the output that it is asked for.
+
+    Raises
+    ------
+    InputError
+        If the source cannot be read.
+    OutputError
+        If the result cannot be written.
+    """
     with (
         open_raster(os.fspath(source_path)) as source,
         _scratch_folder(out_path) as scratch,
         small_block_cache(),
     ):
-        own_grid = describe(os.fspath(source_path)).grid
-        target_grid = target_grid or own_grid
-        check_geometry(source_path, own_grid, target_grid)
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
-        view = _view(source, scratch, (own_grid, target_grid, grid), correction, method)
-        pixels = _write_pixels(source, scratch / "pixels.tif", view, grid.shape, progress)
+        pixels = _write_pixels(source, scratch / "pixels.tif", grid.shape, method, blocks_of, progress)
         interpolated = method != Resampling.nearest
         write_cog(source, scratch, pixels, grid, interpolated=interpolated).replace(out_path)
 
@@ -130,10 +187,10 @@ def check_geometry(source_path: str | Path, own: Grid, target: Grid) -> None:
 
 def _view(
     source: DatasetReader,
-    scratch: Path,
     grids: tuple[Grid, Grid, Grid],
     correction: Correction,
     method: Resampling,
+    request: BlockRequest,
 ) -> View:
     """Return how to open the warped raster; the grids are the source's own, the target's, the output's."""
     own, target, out = grids
@@ -142,18 +199,17 @@ def _view(
         placed = _corrected_grid(own, target, correction, out)
         centre_px = np.array([[own.shape[1] / 2, own.shape[0] / 2]])
         step = jacobian(map_px(centre_px, placed, out), out, placed)[0]
-        options = _warp_options(source, placed, out, method, step)
+        options = _warp_options(source, placed, out, method, step) | request.options()
         return lambda: _warped(uri, options)
     mapping = original_pixels(*grids[:2], correction, out)
     rows, cols = out.shape
     ends = np.array([cols, rows]) / 2 + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     moved = mapping(ends)
     step = np.stack([moved[0] - moved[1], moved[2] - moved[3]], axis=1)
-    options = _warp_options(
-        source, Grid(own.shape, _PIXELS, None), Grid(out.shape, _PIXELS, None), method, step
-    )
+    own_px, out_px = (Grid(grid.shape, _PIXELS, None) for grid in (own, out))
+    options = _warp_options(source, own_px, out_px, method, step) | request.options()
     dense = dense_mapping(mapping, (0.0, 0.0), (cols, rows), tolerance_px=_DENSE_TOLERANCE_PX)
-    path = os.fspath(write_dense_view(source, scratch, dense, options))
+    path = os.fspath(write_dense_view(source, request.scratch, dense, options))
     return lambda: open_raster(path)
 
 
@@ -193,8 +249,9 @@ def _scratch_folder(out_path: Path) -> Iterator[Path]:
 def _write_pixels(
     source: DatasetReader,
     path: Path,
-    view: View,
     shape: tuple[int, int],
+    method: Resampling,
+    blocks_of: BlocksOf,
     progress: ProgressCallback | None,
 ) -> vrt.PixelFile:
     """Write the resampled pixels, and nothing else, block by block."""
@@ -216,10 +273,11 @@ def _write_pixels(
         "transform": Affine.scale(2.0, -2.0),
     }
     windows = list(_blocks(shape, (source.count + 1) * dtype.itemsize))
+    request = BlockRequest(windows, nodata, needs_mask or fills, path.parent)
     with (
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
         rasterio.open(path, "w", **profile) as sink,
-        closing(warped_blocks(source.name, view, windows)) as blocks,
+        closing(blocks_of(source, method, request)) as blocks,
     ):
         for done, (window, block) in enumerate(blocks, start=1):
             if fills and nodata is not None:
@@ -252,7 +310,6 @@ def _warp_options(
     source: DatasetReader, placed: Grid, grid: Grid, method: Resampling, step: Array
 ) -> dict[str, object]:
     """Return what GDAL's warper needs to know; `step` is how far a source pixel goes per output pixel."""
-    nodata, fills, needs_mask = _validity(source)
     return {
         "src_transform": placed.transform,
         "src_crs": placed.crs,
@@ -264,16 +321,7 @@ def _warp_options(
         "tolerance": _TOLERANCE_PX,
         "dtype": np.result_type(*source.dtypes).name,
         **_kernel_scale(step),
-        **_validity_options(nodata, fills or needs_mask),
     }
-
-
-def _validity_options(nodata: float | None, as_alpha: bool) -> dict[str, object]:
-    """Ask for an additional alpha band, or else for the nodata value where nothing is known."""
-    options: dict[str, object] = {"add_alpha": as_alpha}
-    if nodata is not None:
-        options |= {"src_nodata": nodata} if as_alpha else {"src_nodata": nodata, "nodata": nodata}
-    return options
 
 
 def _fill(values: NDArray[Any], valid: NDArray[np.bool_], nodata: float) -> None:

@@ -21,10 +21,8 @@ from pcwlad_geo.registration.settings import Settings
 
 Float64 = NDArray[np.float64]
 
-MODELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"auto": tuple(FITS), "polynomial": ("polynomial2", "polynomial3")}
-)
-"""Candidates of the options that leave a choice."""
+ORDERS: Mapping[str, tuple[str, ...]] = MappingProxyType({"polynomial": ("polynomial2", "polynomial3")})
+"""Candidates of the option that leaves the order open."""
 NEIGHBOURS = 8
 NOISE_SHARE = 0.5
 """Neighbours whose residuals differ by more than this share of their size do not share them."""
@@ -51,6 +49,7 @@ def fit_correction(
     footprint_px: float,
     px_m: tuple[float, float] | None,
     shape: tuple[int, int] | None = None,
+    candidates: tuple[str, ...] = tuple(FITS),
 ) -> Fitted:
     """Fit a correction to the matched points of a table.
 
@@ -65,6 +64,8 @@ def fit_correction(
         Size of a target pixel (col, row) in metres.
     shape : (int, int), optional
         Rows and columns of the target: no model may fold it. By default the box of the fit points counts.
+    candidates : tuple of str
+        Models to choose from where the settings leave it open, the simplest first.
     """
     status = table.status.astype("<U8")
     matched = np.flatnonzero(status == "matched")
@@ -74,12 +75,14 @@ def fit_correction(
     taken = thin(table.predicted_px[wanted], np.hypot(*table.sigma_px[wanted].T), most)
     status[wanted[~taken]] = "unused"
     fit_points = table[status == "fit"]
+    named = ORDERS.get(settings.model, (settings.model,))
+    models = candidates if settings.model in ("auto", "rpc") else named
     selection = choose(
         fit_points.predicted_px,
         fit_points.target_px,
         fit_points.covariance_px2,
         footprint_px,
-        MODELS.get(settings.model, (settings.model,)),
+        models,
         box_px=None if shape is None else (np.zeros(2), np.array(shape[::-1], dtype=np.float64)),
     )
     residual = table.target_px - selection.fit.correction.forward(table.predicted_px)

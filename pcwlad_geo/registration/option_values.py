@@ -34,10 +34,10 @@ def to_setting(name: str, value: object) -> object:
         return value
     if bool in kinds:
         return _truth(name, value)
+    if {float, Path} <= kinds:
+        return _number_or_path(name, value)
     if Path in kinds:
-        if isinstance(value, str) and (value.startswith("/vsi") or "://" in value):
-            return value  # a Path would fold the slashes of a GDAL URI
-        return Path(_checked(name, value, str, "a file name") if not isinstance(value, Path) else value)
+        return _path(name, value)
     if {int, str} <= kinds and isinstance(value, str) and BAND_NAME.match(value):
         return value
     if int in kinds:
@@ -67,6 +67,21 @@ def _truth(name: str, value: object) -> bool:
     if not isinstance(value, bool):
         raise SettingsError(f"{name} = {value!r}: give true or false")
     return value
+
+
+def _number_or_path(name: str, value: object) -> object:
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return _path(name, value)
+    return value if isinstance(value, Path) else _number(name, value, float, "a number or a file name")
+
+
+def _path(name: str, value: object) -> Path | str:
+    if isinstance(value, str) and (value.startswith("/vsi") or "://" in value):
+        return value  # a Path would fold the slashes of a GDAL URI
+    return value if isinstance(value, Path) else Path(_checked(name, value, str, "a file name"))
 
 
 def _checked(name: str, value: object, kind: type[str], wanted: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pcwlad_geo.correction.accuracy import Accuracy
 from pcwlad_geo.correction.models import Correction
@@ -12,6 +12,9 @@ from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.settings import Settings
+
+if TYPE_CHECKING:
+    from pcwlad_geo.registration.rpc_target import RpcRegistration
 
 Status = Literal["registered", "rejected", "matched"]
 
@@ -53,3 +56,5 @@ class Registration:
     settings: Settings
     selection: Selection | None = None
     """How the correction was chosen, and its precision anywhere; None where there is none."""
+    rpc: RpcRegistration | None = None
+    """The target's RPC, where that places it."""

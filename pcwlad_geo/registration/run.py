@@ -9,10 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from pcwlad_geo.correction.fit import FITS
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.geodesy import pixel_size_m
+from pcwlad_geo.raster.grid import jacobian
 from pcwlad_geo.raster.locate import locate
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
+from pcwlad_geo.raster.rpc_grid import levelled
+from pcwlad_geo.raster.rpc_view import Placed, plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.fitting import Fitted, fit_correction, shared_residual_px
@@ -25,6 +29,7 @@ from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search, look_at
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.result import Prealignment, Registration
+from pcwlad_geo.registration.rpc_target import MODELS, check_start, corrected_rpc, place_target, shifted
 from pcwlad_geo.registration.scene import Matched, match_scene
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
@@ -34,6 +39,10 @@ PARALLAX_PX = 0.5
 
 MOST_REFERENCE_MISFIT_PX = 0.05
 """Of ground control points."""
+NEARER = 2
+"""Times that a target with RPC is matched again,"""
+NEAR_PX = 0.5
+"""as long as it lies farther than this from where it was taken to be, target px."""
 
 PathLike = str | os.PathLike[str]
 
@@ -73,17 +82,19 @@ def run(
         settings = inputs.settings
         ref = describe(inputs.reference, band=int(settings.ref_band), mask=settings.ref_mask)
         tgt = describe(inputs.target, band=int(settings.tgt_band), mask=settings.tgt_mask)
-        pair = plan_views(ref, tgt)
-        for warning in (*inputs.notes, *_control_point_notes(ref, tgt), *pair.warnings):
+        placed, warnings = place_target(ref, tgt, settings)
+        tgt = placed.info if placed else tgt
+        pair = plan_rpc_views(ref, tgt) if placed else plan_views(ref, tgt)
+        for warning in (*inputs.notes, *_control_point_notes(ref, tgt), *warnings, *pair.warnings):
             log.warn(warning)
         if same_band(ref, tgt):
             log.warn(
                 "reference and target are the same file and band: the displacement is zero by construction"
             )
-    found = (
-        _from_file(pair, settings.tie_points, log)
+    found, pair = (
+        (_from_file(pair, settings.tie_points, log), pair)
         if settings.tie_points
-        else _by_matching(pair, settings, log, runner)
+        else _by_matching(pair, placed, settings, log, runner)
     )
     table = found.table
     px_m = _px_m(tgt)
@@ -94,7 +105,8 @@ def run(
             footprint = settings.window * _target_px_per_view_px(pair)
             if settings.tie_points:
                 footprint = footprint_px(table, footprint)
-            fitted = fit_correction(table, settings, footprint, px_m, tgt.grid.shape)
+            candidates = MODELS if placed else tuple(FITS)
+            fitted = fit_correction(table, settings, footprint, px_m, tgt.grid.shape, candidates)
             _warn_of_parallax(fitted, log)
             on_event(Progress("fitting", 1, 1))
     status = "rejected" if not found.verdict.accepted else "matched" if match_only else "registered"
@@ -114,6 +126,7 @@ def run(
         seconds=log.seconds,
         settings=settings,
         selection=fitted.selection if fitted else None,
+        rpc=corrected_rpc(placed, fitted.correction if fitted else None) if placed else None,
     )
 
 
@@ -133,7 +146,10 @@ def _from_file(pair: ViewPair, path: Path | str, log: JobLog) -> _Found:
     return _Found(table, verdict, counts, Prealignment("tie points of a file", (0.0, 0.0), 0))
 
 
-def _by_matching(pair: ViewPair, settings: Settings, log: JobLog, runner: Runner) -> _Found:
+def _by_matching(
+    pair: ViewPair, placed: Placed | None, settings: Settings, log: JobLog, runner: Runner
+) -> tuple[_Found, ViewPair]:
+    """Return the tie points, and the views that they were found on."""
     with log.stage("reading"):
         runner.expect(count_tiles(pair, settings))
         if runner.shares_kernels:
@@ -142,7 +158,12 @@ def _by_matching(pair: ViewPair, settings: Settings, log: JobLog, runner: Runner
         look = look_at(pair)
         log.on_event(Progress("reading", 1, 1))
     matched = _match(pair, look, settings, log, runner)
-    return _Found(_table(matched, pair), matched.verdict, matched.counts, matched.prealignment)
+    original = pair.target.info
+    if placed and matched.verdict.accepted:
+        check_start(placed, matched.prealignment, pair.reference.grid, settings)
+        matched, pair = _match_from_nearer(matched, pair, settings, log, runner)
+    table = _table(matched, pair, original)
+    return _Found(table, matched.verdict, matched.counts, matched.prealignment), pair
 
 
 def _match(pair: ViewPair, look: Look, settings: Settings, log: JobLog, runner: Runner) -> Matched:
@@ -186,8 +207,32 @@ def _starts(pair: ViewPair, look: Look, settings: Settings, log: JobLog) -> Iter
         yield direct
 
 
-def _table(matched: Matched, pair: ViewPair) -> TiePointTable:
-    table = locate(matched.matches, pair)
+def _match_from_nearer(
+    matched: Matched, pair: ViewPair, settings: Settings, log: JobLog, runner: Runner
+) -> tuple[Matched, ViewPair]:
+    """Match a target with RPC again, as the shift found so far places it.
+
+    Where the RPC errs, the image is seen with the height of the ground beside: relief distorts the windows by
+    the more, the larger the error is.
+    """
+    for _ in range(NEARER):
+        table = _table(matched, pair, pair.target.info)
+        shift_px = np.median(table.select("matched").displacement_px, axis=0)
+        if np.hypot(*shift_px) < NEAR_PX:
+            break
+        target = shifted(pair.target.info, shift_px)
+        nearer = plan_rpc_views(pair.reference.info, target)
+        again = match_scene(
+            nearer, look_at(nearer), by_georeferencing(settings.search_radius), settings, log, runner
+        )
+        if not again.verdict.accepted:
+            break
+        matched, pair = replace(again, prealignment=matched.prealignment), nearer
+    return matched, pair
+
+
+def _table(matched: Matched, pair: ViewPair, original: RasterInfo) -> TiePointTable:
+    table = locate(matched.matches, pair, original)
     return replace(table, status=np.where(matched.kept, "matched", "rejected"))
 
 
@@ -221,11 +266,11 @@ def _control_point_notes(reference: RasterInfo, target: RasterInfo) -> list[str]
 
 def _px_m(target: RasterInfo) -> tuple[float, float] | None:
     rows, cols = target.grid.shape
-    return pixel_size_m(target.grid, np.array([cols / 2, rows / 2]))
+    return pixel_size_m(levelled(target.grid), np.array([cols / 2, rows / 2]))
 
 
 def _target_px_per_view_px(pair: ViewPair) -> float:
     rows, cols = pair.target.grid.shape
     middle = np.array([[cols / 2, rows / 2]])
-    step = pair.target.to_file_px(middle + np.array([[1.0, 0.0]])) - pair.target.to_file_px(middle)
-    return float(np.hypot(*step[0]))
+    matrix = jacobian(middle, pair.target.grid, levelled(pair.target.info.grid))[0]
+    return float(np.hypot(*matrix[:, 0]))

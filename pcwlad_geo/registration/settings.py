@@ -13,7 +13,7 @@ from pcwlad_geo.errors import SettingsError
 
 Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 Keypoints = Literal["cells", "strongest"]
-Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps"]
+Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps", "rpc"]
 Prealign = Literal["auto", "georef", "search", "none"]
 Consensus = Literal["auto", "off"]
 OutputGrid = Literal["reference", "target"]
@@ -35,6 +35,11 @@ class Settings:
     """Mask file of the target."""
     tie_points: Path | str | None = None
     """File of tie points to fit instead of matching: tiepoints.csv, .points, .pts, raster with GCPs."""
+    dem: Path | str | None = None
+    """Heights of the ground, for a target with RPCs."""
+    dem_vertical: float | Path | str | None = None
+    """Metres from the ellipsoid up to what the DEM's heights are above (0: the ellipsoid), or a file of them;
+    None = the DEM's CRS tells."""
     method: Method = "oriented"
     """Fine matching method."""
     points: int | Literal["all"] | None = None
@@ -58,7 +63,8 @@ class Settings:
     prealign: Prealign = "auto"
     """Rough alignment: by georeferencing, a pyramid search, neither, or what the pair needs."""
     model: Model = "auto"
-    """Correction model; `polynomial` is of order 2 or 3, as cross-validation says."""
+    """Correction model; `polynomial` is of order 2 or 3, as cross-validation says; `rpc`: the target's RPC
+    counts, also beside a geotransform, and is corrected."""
     grid: OutputGrid = "reference"
     """Registered raster: the reference's CRS and alignment (target's pixel size), or the target's grid."""
     resampling: Resampling = "cubic"
@@ -98,6 +104,11 @@ class Settings:
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
         _check("ssim_min", self.ssim_min, real, "a number from -1 to below 1")
         _check("write_sigma", self.write_sigma, isinstance(self.write_sigma, bool), "true or false")
+        if self.dem_vertical is not None and self.dem is None:
+            raise SettingsError(f"dem_vertical = {self.dem_vertical!r} without a DEM: give --dem too")
+        if isinstance(self.dem_vertical, Real):
+            near = -500.0 <= self.dem_vertical <= 500.0
+            _check("dem_vertical", self.dem_vertical, near, "metres from -500 to 500, or a file")
         for name, hint in get_type_hints(type(self)).items():
             if get_origin(hint) is Literal:
                 value = getattr(self, name)
@@ -106,7 +117,8 @@ class Settings:
     @property
     def files(self) -> tuple[Path | str, ...]:
         """Files and GDAL URIs that the job reads besides the two rasters."""
-        return tuple(file for file in (self.ref_mask, self.tgt_mask, self.tie_points) if file is not None)
+        given = (self.ref_mask, self.tgt_mask, self.tie_points, self.dem, self.dem_vertical)
+        return tuple(file for file in given if isinstance(file, Path | str))
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Settings:

@@ -88,6 +88,11 @@ def _report(path: Path) -> Mapping[str, Any]:
             f"{path.parent} holds no correction: {reason.get(report['status'], report['status'])}; "
             "give the output folder of pcwlad-geo register"
         )
+    if report.get("rpc"):
+        raise InputError(
+            f"{path.parent} holds the correction of an RPC, which cannot be applied to other rasters: "
+            "give them its corrected RPC (copy *_rpc_RPC.TXT to X_RPC.TXT beside X.tif) and run gdalwarp -rpc"
+        )
     return report
 
 

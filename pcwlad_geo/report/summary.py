@@ -16,8 +16,11 @@ from numpy.typing import NDArray
 
 import pcwlad_geo
 from pcwlad_geo.correction.accuracy import Accuracy
+from pcwlad_geo.raster.dem import Dem
+from pcwlad_geo.raster.rpc_grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.rpc_target import RpcRegistration
 from pcwlad_geo.report.precision import PrecisionMap
 from pcwlad_geo.report.statistics import KEPT, error_statistics
 
@@ -57,6 +60,7 @@ def summarise(registration: Registration, outputs: Sequence[str]) -> Summary:
         "counts": dict(registration.counts),
         "displacement_px": _statistics(kept.displacement_px, PX_DIGITS),
         "displacement_m": _statistics(kept.displacement_m, M_DIGITS),
+        "rpc": _rpc(registration.rpc) if registration.rpc else None,
         "model": _model(registration),
         "accuracy": {
             group: {
@@ -112,12 +116,28 @@ def _raster(info: RasterInfo) -> Summary:
         "band_count": info.band_count,
         "shape": list(grid.shape),
         "transform": list(grid.transform)[:6],
-        "crs": grid.crs.to_string() if grid.crs else None,
-        "georeferenced": info.georeferenced,
+        "crs": grid.crs.to_string() if grid.crs and not isinstance(grid, RpcGrid) else None,
+        "georeferenced": info.georeferenced and not isinstance(grid, RpcGrid),
         "dtype": info.dtype,
         "nodata": info.nodata,
         "mask": info.mask_uri,
         "mask_kind": info.mask_kind if info.mask_uri else None,
+    }
+
+
+def _rpc(rpc: RpcRegistration) -> Summary:
+    """Return the RPC before and after, and the heights that it was used with."""
+    heights = rpc.original.heights
+    dem = heights if isinstance(heights, Dem) else None
+    return {
+        "origin": rpc.origin,
+        "dem": dem.uri if dem else None,
+        "undulation_m": round(dem.undulation.mean_m, M_DIGITS) if dem else None,
+        "height_m": None if isinstance(heights, Dem) else heights.height_m,
+        "height_range_m": np.round(rpc.heights_m, 1).tolist(),
+        "original": asdict(rpc.original.rpc),
+        "corrected": asdict(rpc.corrected.rpc) if rpc.corrected else None,
+        "fold_error_px": rpc.fold_error_px,
     }
 
 

@@ -31,6 +31,10 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
         ({"search_radius": "auto"}, {"search_radius": None}),
         ({"search_radius": "7"}, {"search_radius": 7}),
         ({"ssim_min": 0}, {"ssim_min": 0.0}),
+        ({"dem_vertical": "-29.5"}, {"dem_vertical": -29.5}),
+        ({"dem_vertical": 29}, {"dem_vertical": 29.0}),
+        ({"dem_vertical": "egm2008.tif"}, {"dem_vertical": Path("egm2008.tif")}),
+        ({"dem_vertical": "/vsicurl/https://x/g.tif"}, {"dem_vertical": "/vsicurl/https://x/g.tif"}),
         ({}, {}),
     ],
 )

@@ -90,7 +90,7 @@ for _ in range(2):
     images.append(Image(values, values < 150, scene_epsilon(values)))
 pair = prepare(*images, channels="orientations")
 digest = hashlib.sha256()
-for stack, whole in ((pair.reference, pair.reference_map), (pair.target, pair.target_map)):
+for stack, whole in ((pair.stacks.reference, pair.reference_map), (pair.stacks.target, pair.target_map)):
     for array in (stack.maps, stack.coefficients, whole.values, pair.contrast):
         digest.update(np.ascontiguousarray(array).tobytes())
 print(digest.hexdigest())

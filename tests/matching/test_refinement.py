@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.fft import fft2, fftfreq, ifft2
 
 from pcwlad_geo.matching.phase_congruency import scene_epsilon
-from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
+from pcwlad_geo.matching.prepare import Image, StackPair, prepare
 from pcwlad_geo.matching.refinement import ChannelStack, Start, correlation_half_px, refine
 from pcwlad_geo.matching.refinement_plain import refine_plain
 from tests.matching.landscape import Field, Landscape, constant
@@ -16,13 +16,13 @@ SIDE = 200
 
 def prepared(
     reference: NDArray, target: NDArray, *, oriented: bool = True, valid: NDArray | None = None
-) -> PreparedPair:
+) -> StackPair:
     everything = np.ones(reference.shape, bool)
     images = (
         Image(image, valid if valid is not None else everything, scene_epsilon(image))
         for image in (reference, target)
     )
-    return prepare(*images, channels="orientations" if oriented else "moment")
+    return prepare(*images, channels="orientations" if oriented else "moment").stacks
 
 
 def start_at(shift_xy: tuple[float, float], n: int, **more: NDArray) -> Start:
@@ -43,7 +43,7 @@ def periodic_texture(side: int, seed: int) -> NDArray:
 
 
 @cache
-def cross_modal(oriented: bool, with_holes: bool) -> PreparedPair:
+def cross_modal(oriented: bool, with_holes: bool) -> StackPair:
     scene = Landscape(5)
     valid = np.ones((SIDE, SIDE), bool)
     if with_holes:

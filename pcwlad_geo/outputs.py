@@ -1,0 +1,125 @@
+"""The files of a finished job, by kind: which there are, and what writes each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from pcwlad_geo.correction.models import AffineCorrection, Correction
+from pcwlad_geo.correction.rpc_model import RpcModel
+from pcwlad_geo.raster import (
+    gcp_files,
+    geopackage,
+    rpc_files,
+    rpc_warping,
+    sigma_raster,
+    tie_point_csv,
+    vrt,
+    warping,
+)
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.output_grid import output_grid
+from pcwlad_geo.raster.product import ProductBand
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.registration.progress import EventCallback, Progress
+from pcwlad_geo.registration.result import Registration
+
+
+def kinds(registration: Registration) -> list[str]:
+    """Return the kinds of output that a job of this end has, without its report.
+
+    A target with RPC has that corrected, not a geotransform; models beyond affine have neither.
+    """
+    found = ["tiepoints", "geopackage"]
+    if registration.status != "rejected":
+        found += ["points", "envi", "gcps"]
+    if registration.status != "registered":
+        return found
+    if registration.rpc is not None:
+        found += ["rpc", "rpc_text"]
+    elif isinstance(registration.correction, AffineCorrection) and registration.target.georeferenced:
+        found.append("corrected")
+    return [*found, "raster", *(["sigma"] if registration.settings.write_sigma else [])]
+
+
+def writers(
+    registration: Registration, places: Mapping[str, Path], on_event: EventCallback
+) -> dict[str, Callable[[Path], None]]:
+    """Return what writes each kind of output to a path.
+
+    `places` says where the files will live in the end: what they point to is relative to that.
+    """
+    table, target, reference = registration.tie_points, registration.target, registration.reference
+    on_ground = target.georeferenced and registration.rpc is None
+
+    def write_corrected(path: Path) -> None:
+        correction = _correction(registration)
+        if not isinstance(correction, AffineCorrection):
+            raise TypeError(f"{correction.name} corrections have no geotransform")
+        vrt.write_corrected_vrt(path, target.uri, correction, target.grid, final_path=places["corrected"])
+
+    def grid() -> Grid:
+        if registration.rpc is not None:
+            return rpc_warping.ortho_grid(reference.grid, registration.rpc.corrected_grid)
+        return output_grid(reference.grid, target.grid, _correction(registration), registration.settings.grid)
+
+    def write_raster(path: Path) -> None:
+        def progress(done: int, total: int) -> None:
+            on_event(Progress("warping", done, total))
+
+        resampling = registration.settings.resampling
+        if registration.rpc is not None:
+            corrected = registration.rpc.corrected_grid
+            rpc_warping.orthorectify(target.uri, path, corrected, grid(), resampling, progress=progress)
+            return
+        warping.warp(target.uri, path, _correction(registration), grid(), resampling, progress=progress)
+
+    def write_sigma(path: Path) -> None:
+        if registration.selection is None:
+            raise TypeError("a registration without a fit has no sigma")
+        sigma_raster.write(path, registration.selection, target.grid, grid())
+
+    return {
+        "tiepoints": lambda path: tie_point_csv.write(table, path),
+        "geopackage": lambda path: geopackage.write(table, path),
+        "points": lambda path: gcp_files.write_points(table, path, on_ground, target.grid),
+        "envi": lambda path: gcp_files.write_envi(table, path, reference.uri, target.uri),
+        "gcps": lambda path: vrt.write_gcps_vrt(
+            path, target.uri, table, table.crs, final_path=places["gcps"]
+        ),
+        "corrected": write_corrected,
+        "rpc": lambda path: vrt.write_rpc_vrt(
+            path, target.uri, rpc_files.to_gdal(_corrected_rpc(registration)), final_path=places["rpc"]
+        ),
+        "rpc_text": lambda path: rpc_files.write_rpc_text(_corrected_rpc(registration), path),
+        "raster": write_raster,
+        "sigma": write_sigma,
+    }
+
+
+def write_band(registration: Registration, band: ProductBand, path: Path, on_event: EventCallback) -> None:
+    """Write another band of the target's product, corrected as the target is."""
+    source, correction, settings = band.opened_as(), _correction(registration), registration.settings
+    reference, target = registration.reference.grid, registration.target.grid
+    grid = output_grid(reference, target, correction, settings.grid, own_grid=describe(source).grid)
+    warping.warp(
+        source,
+        path,
+        correction,
+        grid,
+        settings.resampling,
+        target_grid=target,
+        progress=lambda done, total: on_event(Progress("warping", done, total)),
+    )
+
+
+def _corrected_rpc(registration: Registration) -> RpcModel:
+    if registration.rpc is None:
+        raise TypeError("the target has no RPC")
+    return registration.rpc.corrected_grid.rpc
+
+
+def _correction(registration: Registration) -> Correction:
+    if registration.correction is None:
+        raise TypeError(f"a pair that is {registration.status} has no correction")
+    return registration.correction

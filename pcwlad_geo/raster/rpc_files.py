@@ -1,0 +1,231 @@
+"""RPCs in files: the tag or metadata domain of a raster, .RPB and _RPC.TXT beside it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.io import DatasetReader
+
+from pcwlad_geo.correction.rpc_model import TERMS, RpcModel
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.source import open_raster
+
+Array = NDArray[np.float64]
+
+NUMBERS: Final = (
+    *("line_off", "samp_off", "lat_off", "long_off", "height_off"),
+    *("line_scale", "samp_scale", "lat_scale", "long_scale", "height_scale"),
+)
+POLYNOMIALS: Final = ("line_num_coeff", "line_den_coeff", "samp_num_coeff", "samp_den_coeff")
+SAME_PX: Final = 0.01
+"""Two RPCs that differ by less are copies of each other."""
+_UNITS: Final = {"line": "pixels", "samp": "pixels", "lat": "degrees", "long": "degrees", "height": "meters"}
+_NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+
+
+@dataclass(frozen=True, slots=True)
+class RpcSource:
+    """The RPC of a raster, and where it was found."""
+
+    rpc: RpcModel
+    origin: str
+    """The file that holds it."""
+    warnings: tuple[str, ...]
+
+
+def read_rpc(uri: str) -> RpcSource | None:
+    """Read the RPC of a raster; None where it has none.
+
+    GDAL's choice counts: a .RPB or _RPC.TXT file beside the raster goes before the raster's own tag. Where
+    the two differ, a warning tells, as one of them is stale.
+
+    Parameters
+    ----------
+    uri : str
+        Path or GDAL URI.
+
+    Raises
+    ------
+    InputError
+        If an RPC cannot be read.
+    """
+    with open_raster(uri) as dataset:
+        chosen = _of_dataset(uri, dataset)
+        shape = dataset.shape
+    beside = {str(path): parse_rpc_text(path) for path in _sidecars(uri)}
+    if chosen is None and not beside:
+        return None
+    with rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"), open_raster(uri) as dataset:
+        inside = _of_dataset(uri, dataset)
+    found = {**beside, **({f"the tag of {uri}": inside} if inside else {})}
+    if chosen is None:  # GDAL does not look for sidecars of every format
+        chosen = next(iter(found.values()))
+    apart = {origin: _difference_px(chosen, rpc, shape) for origin, rpc in found.items()}
+    origin = next((origin for origin, px in apart.items() if px <= SAME_PX), f"the metadata of {uri}")
+    warnings = tuple(
+        f"the RPC in {other} differs from the one in {origin} by up to {px:.3g} px; the one in {origin} is "
+        "used, as GDAL does: one of them is stale, delete or rewrite it"
+        for other, px in apart.items()
+        if not px <= SAME_PX
+    )
+    return RpcSource(chosen, origin, warnings)
+
+
+def check_domain(source: RpcSource, uri: str, shape: tuple[int, int]) -> None:
+    """Raise where an RPC cannot be that of an image of (rows, cols).
+
+    Raises
+    ------
+    InputError
+        If the image reaches far beyond the lines and samples that the RPC describes, or the RPC gives none.
+    """
+    rpc = source.rpc
+    middle = np.array([[rpc.long_off, rpc.lat_off, rpc.height_off]])
+    numbers = np.array([getattr(rpc, name) for name in NUMBERS])
+    if min(abs(getattr(rpc, name)) for name in NUMBERS if name.endswith("scale")) == 0:
+        raise InputError(f"the RPC in {source.origin} has a scale of zero: get it again")
+    if not np.isfinite(numbers).all() or not np.isfinite(rpc.to_px(middle)).all():
+        raise InputError(f"the RPC in {source.origin} holds values that are not finite: get it again")
+    for name, offset, scale, size in (
+        ("lines", rpc.line_off, abs(rpc.line_scale), shape[0]),
+        ("samples", rpc.samp_off, abs(rpc.samp_scale), shape[1]),
+    ):
+        reach = max(abs(0.0 - offset), abs(size - offset)) / scale
+        if reach > MOST_REACH:
+            raise InputError(
+                f"the RPC in {source.origin} describes {name} {offset - scale:.0f} to {offset + scale:.0f}, "
+                f"and {uri} has {name} 0 to {size}: it is that of another, a cropped or a decimated image; "
+                "give the image that it belongs to (gdal_translate keeps the two together)"
+            )
+
+
+MOST_REACH: Final = 1.6
+"""Times the RPC's scale that the image may reach from its offset: 1 where the two belong together."""
+
+
+def to_gdal(rpc: RpcModel) -> dict[str, str]:
+    """Return the items of GDAL's metadata domain RPC, in full precision."""
+    items = {name.upper(): repr(float(getattr(rpc, name))) for name in NUMBERS}
+    for name in POLYNOMIALS:
+        items[name.upper()] = " ".join(repr(float(value)) for value in getattr(rpc, name))
+    return items
+
+
+def write_rpc_text(rpc: RpcModel, path: Path) -> None:
+    """Write an `_RPC.TXT` file.
+
+    Parameters
+    ----------
+    rpc : RpcModel
+    path : pathlib.Path
+        GDAL finds `X_RPC.TXT` beside `X.tif`.
+    """
+    lines = [f"{name.upper()}: {getattr(rpc, name)!r} {_UNITS[name.split('_')[0]]}" for name in NUMBERS]
+    for name in POLYNOMIALS:
+        lines += [
+            f"{name.upper()}_{number}: {value!r}" for number, value in enumerate(getattr(rpc, name), start=1)
+        ]
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write("\n".join(lines) + "\n")
+
+
+def parse_rpc_text(path: Path) -> RpcModel:
+    """Read a .RPB or an `_RPC.TXT` file.
+
+    Raises
+    ------
+    InputError
+        If it is none, or something is missing.
+    """
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InputError(f"the RPC file {path} cannot be read: {error.strerror}") from error
+    values = _rpb(text) if path.suffix.upper() == ".RPB" else _rpc_txt(text)
+    return _model(values, str(path))
+
+
+def _of_dataset(uri: str, dataset: DatasetReader) -> RpcModel | None:
+    # GDAL's items, not rasterio's: those stop at the first odd value
+    items = dataset.tags(ns="RPC")
+    if not items:
+        return None
+    values: dict[str, Any] = {}
+    for key, value in items.items():
+        numbers = [float(number) for number in re.findall(_NUMBER, value)]
+        values[key.lower()] = numbers if key.lower() in POLYNOMIALS else (numbers or [np.nan])[0]
+    return _model(values, uri)
+
+
+def _sidecars(uri: str) -> list[Path]:
+    """Return the RPC files beside a raster, in the order in which GDAL takes them."""
+    path = Path(uri)
+    try:
+        names = {file.name.upper(): file for file in path.parent.iterdir()} if path.is_file() else {}
+    except OSError:
+        return []
+    wanted = (f"{path.stem}.RPB", f"{path.stem}_RPC.TXT")
+    return [names[name.upper()] for name in wanted if name.upper() in names]
+
+
+def _rpc_txt(text: str) -> dict[str, Any]:
+    values: dict[str, Any] = {name: [np.nan] * TERMS for name in POLYNOMIALS}
+    for name, value in re.findall(rf"^\s*(\w+)\s*[:=]\s*({_NUMBER})", text, re.MULTILINE):
+        base, _, number = name.lower().rpartition("_")
+        if base in POLYNOMIALS and number.isdecimal() and 1 <= int(number) <= TERMS:
+            values[base][int(number) - 1] = float(value)
+        else:
+            values[name.lower()] = float(value)
+    return values
+
+
+def _rpb(text: str) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for name, value in re.findall(r"(\w+)\s*=\s*(\([^)]*\)|[^;]*);", text):
+        key = (
+            re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
+            .lower()
+            .replace("offset", "off")
+            .replace("coef", "coeff")
+        )
+        numbers = [float(number) for number in re.findall(_NUMBER, value)]
+        if numbers:
+            values[key] = numbers if value.lstrip().startswith("(") else numbers[0]
+    return values
+
+
+def _model(values: Mapping[str, Any], origin: str) -> RpcModel:
+    missing = [name for name in NUMBERS if not np.isfinite(values.get(name, np.nan))]
+    missing += [
+        name
+        for name in POLYNOMIALS
+        if len(values.get(name, ())) != TERMS or not np.isfinite(values[name]).all()
+    ]
+    if missing:
+        raise InputError(
+            f"the RPC in {origin} lacks {', '.join(missing).upper()}: get it again, or delete it to register "
+            "without it"
+        )
+    items: dict[str, Any] = {name: float(values[name]) for name in NUMBERS}
+    items |= {name: tuple(values[name]) for name in POLYNOMIALS}
+    return RpcModel(**items)
+
+
+def _difference_px(first: RpcModel, second: RpcModel, shape: tuple[int, int]) -> float:
+    """Return how far two RPCs put the same ground apart in the image, px; infinite where one fails."""
+    if asdict(first) == asdict(second):
+        return 0.0
+    rows, cols = shape
+    col, row = np.meshgrid(np.linspace(0, cols, 5), np.linspace(0, rows, 5))
+    pixels = np.column_stack([col.ravel(), row.ravel()])
+    lon_lat = first.to_ground(pixels, first.height_off)
+    there = second.to_px(np.column_stack([lon_lat, np.full(len(pixels), first.height_off)]))
+    largest = float(np.max(np.hypot(*(there - pixels).T)))
+    return largest if np.isfinite(largest) else float("inf")

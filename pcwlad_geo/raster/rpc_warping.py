@@ -1,0 +1,216 @@
+"""Orthorectification: a raster with RPC and the ground's heights onto a grid on the ground."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import rasterio
+from affine import Affine
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp, Resampling
+from rasterio.io import DatasetReader
+from rasterio.rpc import RPC
+from rasterio.warp import reproject
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster import vrt
+from pcwlad_geo.raster.crs import name_of
+from pcwlad_geo.raster.dem import WGS84, ConstantHeight, Dem
+from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
+from pcwlad_geo.raster.grid import Grid, jacobian, map_px
+from pcwlad_geo.raster.metadata import has_alpha
+from pcwlad_geo.raster.output_grid import snapped_size
+from pcwlad_geo.raster.rpc_files import to_gdal
+from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled
+from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.raster.warped_blocks import MOST_THREADS
+from pcwlad_geo.raster.warping import BlockRequest, Blocks, ProgressCallback, write_warped
+from pcwlad_geo.raster.windows import Window
+
+Array = NDArray[np.float64]
+
+LATTICE: Final = 65
+"""Points along a side of the image that tell how far it reaches on the ground."""
+LEVEL: Final = Grid((8, 8), Affine(100.0, 0.0, -400.0, 0.0, -25.0, 100.0), WGS84)
+"""Around the whole earth."""
+DEM_MARGIN_PX: Final = 2
+SLIVER_PX: Final = 1e-3
+
+
+def ortho_grid(reference: Grid, target: RpcGrid) -> Grid:
+    """Return the grid of the orthorectified target: the reference's lattice at the target's pixel size.
+
+    Pixels have the shape of the reference's and are as small as the target's along its finer axis, or the
+    multiple or fraction of the reference's that is within 2 % of that.
+
+    Parameters
+    ----------
+    reference : Grid
+    target : RpcGrid
+        With the corrected RPC.
+
+    Raises
+    ------
+    InputError
+        If no part of the target can be placed in the reference's CRS.
+    """
+    rows, cols = target.shape
+    col, row = np.meshgrid(np.linspace(0, cols, LATTICE), np.linspace(0, rows, LATTICE))
+    lattice = np.column_stack([col.ravel(), row.ravel()])
+    placed = map_px(lattice, target, reference)
+    known = np.isfinite(placed).all(axis=1)
+    scales = jacobian(placed[known], reference, levelled(target))
+    scales = scales[np.isfinite(scales).all(axis=(1, 2))]
+    if len(scales) == 0:
+        raise InputError(
+            f"the target's footprint cannot be placed in {name_of(reference.crs)} by its RPC: check RPC, "
+            "DEM and the reference's CRS"
+        )
+    # how far a step along each axis of the target goes, in reference pixels
+    lengths = np.hypot(*np.linalg.inv(scales).transpose(1, 0, 2))
+    side = snapped_size(float(np.median(lengths.min(axis=1))))
+    low = np.floor(placed[known].min(axis=0) / side + SLIVER_PX).astype(int)
+    high = np.ceil(placed[known].max(axis=0) / side - SLIVER_PX).astype(int)
+    out_cols, out_rows = (high - low).tolist()
+    origin_px = (float(low[0] * side), float(low[1] * side))
+    return reference.remade(((side, 0.0), (0.0, side)), origin_px, (out_rows, out_cols))
+
+
+def orthorectify(
+    source_path: str | Path,
+    out_path: Path,
+    target: RpcGrid,
+    grid: Grid,
+    resampling: str = "cubic",
+    *,
+    progress: ProgressCallback | None = None,
+) -> None:
+    """Resample all bands of a raster once, through its RPC and the ground's heights, and write a COG.
+
+    GDAL takes RPC and height at every pixel. Where no height is known,
+    nothing is written. All else is as for `warping.warp`.
+
+    Parameters
+    ----------
+    source_path : str or pathlib.Path
+    out_path : pathlib.Path
+        The GeoTIFF to write; scratch files are made beside it.
+    target : RpcGrid
+        The raster's grid, with the corrected RPC.
+    grid : Grid
+        The output grid.
+    resampling : str
+        A name of `rasterio.enums.Resampling`.
+    progress : callable, optional
+        Receives done, total after each block; what it raises ends the work.
+
+    Raises
+    ------
+    InputError
+        If the raster or the DEM cannot be read.
+    OutputError
+        If the result cannot be written.
+    """
+
+    def blocks_of(source: DatasetReader, method: Resampling, request: BlockRequest) -> Blocks:
+        return _blocks(source, target, grid, method, request)
+
+    write_warped(source_path, out_path, grid, resampling, blocks_of, progress)
+
+
+def _blocks(
+    source: DatasetReader, target: RpcGrid, grid: Grid, method: Resampling, request: BlockRequest
+) -> Blocks:
+    count = source.count + request.as_alpha
+    dtype = np.result_type(*source.dtypes)
+    options = {
+        "rpcs": RPC.from_gdal(to_gdal(target.rpc)),
+        "src_crs": WGS84,
+        "dst_crs": grid.crs,
+        "resampling": method,
+        "num_threads": min(os.cpu_count() or 1, MOST_THREADS),
+        "src_nodata": request.nodata,
+        "dst_nodata": None if request.as_alpha else request.nodata,
+        **_alpha(source, request),
+        **_kernel_scale(target, grid),
+    }
+    # GDAL takes the RPC from the metadata of what it reads, whatever it is told
+    tree = vrt.with_rpc(source, to_gdal(target.rpc), mask_as_alpha=request.as_alpha)
+    with open_raster(ET.tostring(tree, encoding="unicode")) as seen:
+        for window in request.windows:
+            part = grid.part((window.col_off, window.row_off), (window.height, window.width))
+            block = np.full((count, *part.shape), _initial(request), dtype=dtype)
+            with _ground_below(target, part) as heights:
+                if heights is not None:
+                    try:
+                        bands = rasterio.band(seen, list(range(1, count + 1)))
+                        reproject(bands, block, dst_transform=part.transform, **options, **heights)
+                    except GDAL_ERRORS as error:
+                        raise InputError(f"{source.name} cannot be read: {root_cause(error)}") from error
+            yield window, block
+
+
+def _initial(request: BlockRequest) -> float:
+    return 0.0 if request.as_alpha or request.nodata is None else request.nodata
+
+
+def _alpha(source: DatasetReader, request: BlockRequest) -> dict[str, int]:
+    """Say which band tells what is valid."""
+    if request.as_alpha:
+        return {"src_alpha": source.count + 1, "dst_alpha": source.count + 1}
+    if has_alpha(source):
+        band = source.colorinterp.index(ColorInterp.alpha) + 1
+        return {"src_alpha": band, "dst_alpha": band}
+    return {}
+
+
+@contextmanager
+def _ground_below(target: RpcGrid, part: Grid) -> Iterator[dict[str, object] | None]:
+    """Give GDAL the ground of a block: heights above the ellipsoid, in memory; None where the DEM has none.
+
+    GDAL would take those of an orthometric DEM as they are. And only where it has a DEM does it compute each
+    position; else it interpolates along rows, to 0.1 px.
+    """
+    if isinstance(target.heights, ConstantHeight):
+        place, heights = LEVEL, np.full((8, 8), target.heights.height_m)
+    else:
+        window = _dem_window(target.heights, part)
+        if window.empty:
+            yield None
+            return
+        place = target.heights.grid.part((window.col, window.row), window.shape)
+        heights = target.heights.ellipsoidal(window)
+    rows, cols = heights.shape
+    profile = {"driver": "GTiff", "dtype": "float32", "count": 1, "nodata": np.nan, "crs": place.crs}
+    with rasterio.MemoryFile(ext=".tif") as memory:
+        with memory.open(height=rows, width=cols, transform=place.transform, **profile) as file:
+            file.write(heights.astype(np.float32), 1)
+        yield {"RPC_DEM": memory.name}
+
+
+def _dem_window(dem: Dem, part: Grid) -> Window:
+    """Return the window of the DEM below a block, with what the interpolation needs around."""
+    rows, cols = part.shape
+    col, row = np.meshgrid(np.linspace(0, cols, 33), np.linspace(0, rows, 33))
+    dem_px = map_px(np.column_stack([col.ravel(), row.ravel()]), part, dem.grid)
+    dem_px = dem_px[np.isfinite(dem_px).all(axis=1)]
+    if len(dem_px) == 0:
+        return Window(0, 0, 0, 0)
+    low, high = np.floor(dem_px.min(axis=0)).astype(int), np.ceil(dem_px.max(axis=0)).astype(int)
+    box = Window.from_bounds(int(low[1]), int(low[0]), int(high[1]), int(high[0]))
+    return box.padded(DEM_MARGIN_PX).clipped(dem.grid.shape)
+
+
+def _kernel_scale(target: RpcGrid, grid: Grid) -> dict[str, float]:
+    """Return GDAL's XSCALE, YSCALE: below 1 the kernel is widened against aliasing."""
+    rows, cols = grid.shape
+    step = jacobian(np.array([[cols / 2, rows / 2]]), grid, levelled(target))[0]
+    lengths = [float(np.hypot(*row)) for row in step]
+    x, y = (1.0 / max(1.0, length) if np.isfinite(length) else 1.0 for length in lengths)
+    return {"XSCALE": x if x < 0.95 else 1.0, "YSCALE": y if y < 0.95 else 1.0}

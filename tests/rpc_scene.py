@@ -1,0 +1,126 @@
+"""A hilly scene seen obliquely by a sensor with RPC, and its DEM, made from the scene of `scenes`."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from affine import Affine
+from numpy.typing import ArrayLike, NDArray
+from rasterio.crs import CRS
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.rpc import RPC
+
+from pcwlad_geo.correction.rpc_model import TERMS, RpcModel
+from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.dem import WGS84, Dem, Undulation
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.rpc_files import to_gdal
+from pcwlad_geo.raster.rpc_grid import RpcGrid
+from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, PIXEL_M, make_grid, render, write
+
+Array = NDArray[np.float64]
+
+SHAPE = (300, 320)
+UNDULATION_M = 45.0
+HEIGHT_OFF_M = 400.0
+PX_PER_M = np.array([0.02, -0.008])
+"""How far a metre of height moves the image, about."""
+
+
+def make_rpc(**changes: float) -> RpcModel:
+    """Return an RPC whose image of `SHAPE` lies on the scene, upright, 30 m pixels, seen obliquely."""
+    middle_m = ORIGIN_XY_M + np.array([SHAPE[1] / 2, -SHAPE[0] / 2]) * PIXEL_M
+    lon, lat = transform_xy(middle_m[None], CRS_OF_SCENE, WGS84)[0].tolist()
+    reach_m = np.array([SHAPE[1], SHAPE[0]]) * PIXEL_M / 2
+    around = transform_xy(middle_m + np.array([[reach_m[0], 0.0], [0.0, reach_m[1]]]), CRS_OF_SCENE, WGS84)
+    height_scale = 500.0
+    samp_scale, line_scale = SHAPE[1] / 2, SHAPE[0] / 2
+    higher = PX_PER_M * height_scale / [samp_scale, line_scale]
+    return replace(
+        RpcModel(
+            line_off=SHAPE[0] / 2 - 0.5,
+            samp_off=SHAPE[1] / 2 - 0.5,
+            lat_off=lat,
+            long_off=lon,
+            height_off=HEIGHT_OFF_M,
+            line_scale=line_scale,
+            samp_scale=samp_scale,
+            lat_scale=float(around[1, 1] - lat),
+            long_scale=float(around[0, 0] - lon),
+            height_scale=height_scale,
+            # terms 1, L, P, H, LP, ...
+            line_num_coeff=_padded(0.0, 0.01, -1.0, higher[1], 2e-4, -3e-4, 1e-4, 2e-4),
+            line_den_coeff=_padded(1.0, 1e-4, -2e-4, 3e-4, 1e-5),
+            samp_num_coeff=_padded(0.0, 1.0, 0.012, higher[0], -1e-4, 2e-4, 3e-4, -2e-4),
+            samp_den_coeff=_padded(1.0, -2e-4, 1e-4, -3e-4, 2e-5),
+        ),
+        **changes,  # type: ignore[arg-type]
+    )
+
+
+def _padded(*values: float) -> tuple[float, ...]:
+    return (*(float(value) for value in values), *[0.0] * (TERMS - len(values)))
+
+
+def relief(xy: Array) -> Array:
+    """Return (n,) heights of the hills above the geoid, m."""
+    east, north = ((xy - ORIGIN_XY_M) / 1000.0).T
+    return 350.0 + 120.0 * np.sin(east / 0.7) * np.cos(north / 0.9) + 20.0 * east
+
+
+def dem_values(grid: Grid) -> Array:
+    """Return the heights at the pixel centres of a grid."""
+    rows, cols = grid.shape
+    col, row = np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5)
+    return relief(grid.to_xy(np.column_stack([col.ravel(), row.ravel()]))).reshape(grid.shape)
+
+
+def dem_grid(crs: CRS = CRS_OF_SCENE) -> Grid:
+    """Return a grid of 60 m around the scene."""
+    corner = ORIGIN_XY_M + np.array([-1500.0, 1500.0])
+    return Grid((200, 210), Affine(60.0, 0.0, corner[0], 0.0, -60.0, corner[1]), crs)
+
+
+def write_dem(path: Path, values: Array | None = None, grid: Grid | None = None, **options: object) -> Path:
+    """Write a DEM, float32, nodata -9999 where NaN."""
+    grid = grid or dem_grid()
+    values = dem_values(grid) if values is None else values
+    filled = np.where(np.isnan(values), -9999.0, values).astype(np.float32)
+    return write(path, filled, grid, dtype="float32", nodata=-9999.0, **options)
+
+
+def rpc_grid(dem: Path, rpc: RpcModel | None = None, undulation_m: float = UNDULATION_M) -> RpcGrid:
+    """Return the image's grid with the heights of a DEM."""
+    heights = Dem(str(dem), dem_grid(), 1.0, Undulation.constant(undulation_m))
+    return RpcGrid.of_file(SHAPE, rpc or make_rpc(), heights)
+
+
+def write_image(path: Path, values: NDArray[Any], rpc: RpcModel | None, **options: object) -> Path:
+    """Write an image with an RPC tag and no other georeferencing."""
+    bands = values[None] if values.ndim == 2 else values
+    profile: dict[str, Any] = {"driver": "GTiff", "count": len(bands), "dtype": bands.dtype.name, **options}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", height=bands.shape[1], width=bands.shape[2], **profile) as file:
+            file.write(bands)
+            if rpc is not None:
+                file.rpcs = RPC.from_gdal(to_gdal(rpc))
+    return path
+
+
+def write_pair(folder: Path, displacement_px: ArrayLike = (2.6, -1.4)) -> tuple[Path, Path, Path]:
+    """Write reference, image with an RPC that errs by the displacement, and DEM; return their paths."""
+    dem = write_dem(folder / "dem.tif")
+    reference = write(
+        folder / "reference.tif",
+        render(make_grid((320, 340), offset_m=(-300, -300))),
+        make_grid((320, 340), offset_m=(-300, -300)),
+    )
+    seen = render(rpc_grid(dem), displacement_px=displacement_px)
+    values = np.clip(np.rint(seen * 200), 1, 65535).astype(np.uint16)
+    return reference, write_image(folder / "image.tif", values, make_rpc()), dem
