@@ -42,7 +42,7 @@ def trend_figure(
         against += [("height, m", heights_m, (low, max(high, low + 1.0)))]
     figure = new_figure(3.6)
     grid = figure.subplots(2, len(against), sharex="col", sharey=True)
-    figure.subplots_adjust(left=0.09, right=0.99, bottom=0.13, top=0.98, wspace=0.05, hspace=0.08)
+    figure.subplots_adjust(left=0.09, right=0.99, bottom=0.13, top=0.98, wspace=0.12, hspace=0.08)
     limit = float(np.percentile(np.abs(table.residual_px), 99)) * 1.1 or 1.0
     for across, (name, places, span) in enumerate(against):
         for down, colour in enumerate((COL_COLOUR, ROW_COLOUR)):
