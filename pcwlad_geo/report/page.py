@@ -16,6 +16,8 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image
 
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.dem import Dem
 from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.coverage import Coverage
@@ -115,11 +117,24 @@ def _figures(
     if judged:
         figures["residuals"] = residual_figure(table, shape, image)
         figures["distribution"] = distribution_figure(table, judged["px"]["radial"]["ce90"])
-        figures["trends"] = trend_figure(table, registration.target.grid.shape)
+        points = table.select("fit", "check")
+        heights = _heights_m(registration, points.predicted_px)
+        figures["trends"] = trend_figure(points, registration.target.grid.shape, heights)
     if selection is not None:
         precision = PrecisionMap.of(selection, registration.target.grid.shape)
         figures["sigma"] = sigma_figure(precision, table.select("fit").predicted_px)
     return figures
+
+
+def _heights_m(registration: Registration, predicted_px: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return (n,) heights of the ground at target px; None without an elevation model."""
+    rpc = registration.rpc
+    if rpc is None or not isinstance(rpc.original.heights, Dem):
+        return None
+    try:
+        return rpc.original.heights.at(rpc.original.to_xy(predicted_px))
+    except InputError:  # the rest of the page does not need them
+        return None
 
 
 def _data_uri(kind: str, content: bytes) -> str:

@@ -74,7 +74,7 @@ def _where_not(summary: Mapping[str, Any], empty_share: float) -> Answer:
     beyond = sigma["extrapolated_share"] if sigma else 0.0
     parts = []
     if beyond > 0:
-        parts.append(f"{100 * beyond:.0f} % of the target lies beyond the tie points: a continued correction")
+        parts.append(f"{100 * beyond:.0f} % of the target lies beyond the tie points (hatched below)")
     if empty_share > 0:
         parts.append(f"{100 * empty_share:.0f} % of the image has no tie point near (see Coverage)")
     if not parts:

@@ -83,9 +83,14 @@ def read_backdrop(info: RasterInfo) -> Backdrop | None:
 
 
 def pair_views(registration: Registration) -> list[PairView]:
-    """Return views around the best match and around the largest residual; none where files cannot be read."""
+    """Return views around the best match and the largest residual, or of the middle without any match.
+
+    There are none where the files cannot be read.
+    """
     views = []
-    for title, centre in _places(registration.tie_points):
+    rows, cols = registration.reference.grid.shape
+    places = _places(registration.tie_points) or [("the middle", np.array([cols / 2, rows / 2]))]
+    for title, centre in places:
         try:
             view = _view(registration, title, centre)
         except (InputError, RasterioError):
@@ -156,8 +161,9 @@ def _side(registration: Registration, centre_px: Array) -> tuple[float, float]:
     if reference.georeferenced and target.georeferenced:
         found = abs(np.linalg.det(jacobian(centre_px[None], reference.grid, target.grid)[0])) ** 0.5
         target_px_per_px = float(found) if np.isfinite(found) and found > 0 else 1.0
-    moved = np.median(np.hypot(*registration.tie_points.select(*KEPT).displacement_px.T))
-    shown = float(np.clip(SIDES_PER_DISPLACEMENT * moved, *SHOWN_PX))
+    lengths = np.hypot(*registration.tie_points.select(*KEPT).displacement_px.T)
+    wanted = SIDES_PER_DISPLACEMENT * float(np.median(lengths)) if len(lengths) else sum(SHOWN_PX) / 2
+    shown = float(np.clip(wanted, *SHOWN_PX))
     return shown / target_px_per_px, shown
 
 

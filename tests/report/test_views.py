@@ -64,6 +64,8 @@ def test_what_cannot_be_read_costs_the_views_only(registration: Make, made: Regi
     assert pair_views(registration()) == []
     assert read_backdrop(registration().reference) is None
     assert pair_views(registration("rejected", n=0)) == []
+    refused = replace(made, tie_points=made.tie_points[:0], correction=None)
+    assert [view.title for view in pair_views(refused)] == ["the middle"]
     only_before = pair_views(replace(made, correction=None))
     assert only_before[0].after is None
 
