@@ -255,6 +255,8 @@ def _rests_on_little(fit: Fit, windows: int) -> bool:
 
 def _windows(points: _Points) -> int:
     """Return on how many windows that share no pixels the points lie, about."""
+    if points.footprint_px <= 0:  # points that share no window: each counts by itself
+        return len(points.predicted_px)
     return len(np.unique(np.floor(points.predicted_px / points.footprint_px), axis=0))
 
 
