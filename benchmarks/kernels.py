@@ -10,7 +10,6 @@ Everything runs in this process, one thread, the stages in turn; the least time 
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,11 +23,13 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.tables import Check, Table, as_text, at_most
+from benchmarks.timing import cheapest
 from pcwlad_geo.matching.filter_bank import ORIENTATIONS, SCALES
 from pcwlad_geo.matching.gradient import oriented_gradients
 from pcwlad_geo.matching.noise import LEAST_SMOOTHING_PX
 from pcwlad_geo.matching.phase_congruency import maximum_moment, oriented_phase_congruency, scene_epsilon
 from pcwlad_geo.matching.prepare import Image, fast_even, prepare
+from pcwlad_geo.registration.environment import one_opencv_thread
 
 SIDES_PX: Final = (512, 1300, 2048)
 ROUNDS: Final = 5
@@ -91,22 +92,10 @@ def phase_congruency_cost(side_px: int = SIDES_PX[-1], rounds: int = ROUNDS) -> 
         lambda: prepare(whole, whole, channels="orientations"),
         lambda: oriented_gradients(image, epsilon, LEAST_SMOOTHING_PX),
     ]
-    in_place, copied, oriented, moment, pair, gradients = _least_cpu_s(stages, rounds)
+    with one_opencv_thread():
+        costs = cheapest(stages, rounds)
+    in_place, copied, oriented, moment, pair, gradients = (cost.cpu_s for cost in costs)
     return PhaseCongruencyCost(side_px, padded_px, in_place, copied, oriented, moment, pair / 2, gradients)
-
-
-def _least_cpu_s(stages: list[Callable[[], object]], rounds: int) -> list[float]:
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    least = [np.inf] * len(stages)
-    for turn in range(rounds + 1):
-        for index, stage in enumerate(stages):
-            begun = time.process_time()
-            stage()
-            if turn > 0:  # the first round compiles
-                least[index] = min(least[index], time.process_time() - begun)
-    cv2.setNumThreads(threads)
-    return least
 
 
 def _texture(side_px: int) -> NDArray[np.float32]:

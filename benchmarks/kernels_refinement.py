@@ -12,14 +12,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.pairs import landsat, read, rgbnir
 from benchmarks.tables import Cell, Check, Table, as_text, at_most
+from benchmarks.timing import cheapest
 from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.matcher import margin_px
 from pcwlad_geo.matching.noise import measure_noise
@@ -35,6 +34,7 @@ from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
 from pcwlad_geo.matching.refinement import Start, refine
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.matching.similarity import CoarseMatches, match_coarsely
+from pcwlad_geo.registration.environment import one_opencv_thread
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
 LIMITS_MS: Final = {81: 1.0, 129: 2.5}
@@ -90,13 +90,13 @@ def costs(window_px: int, files: Files) -> list[float]:
         Start(first.shift_xy_px, none, structure_xy_px=np.broadcast_to(centre, shift.shape)),
         Start(shift, none + DEFORMATION),
     ]
-    return [1000 * s / len(shift) for s in _least_cpu_s([partial(run, start) for start in starts])]
+    return _ms_a_point([partial(run, start) for start in starts], len(shift))
 
 
 def coarse_cost(files: Files) -> float:
     """Return the cost of the coarse search, ms a point."""
     found = matches(files)
-    return 1000 * _least_cpu_s([partial(_search, found.pair, found.corners_rc)])[0] / len(found.corners_rc)
+    return _ms_a_point([partial(_search, found.pair, found.corners_rc)], len(found.corners_rc))[0]
 
 
 @cache
@@ -135,18 +135,9 @@ def _whole(image: NDArray[np.float64]) -> Image:
     return Image(image, everything, scene_epsilon(image), measure_noise(image, everything))
 
 
-def _least_cpu_s(works: list[Callable[[], object]]) -> list[float]:
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    least = [np.inf] * len(works)
-    for turn in range(ROUNDS + 1):
-        for index, work in enumerate(works):
-            begun = time.process_time()
-            work()
-            if turn > 0:  # the first round compiles
-                least[index] = min(least[index], time.process_time() - begun)
-    cv2.setNumThreads(threads)
-    return least
+def _ms_a_point(works: list[Callable[[], object]], points: int) -> list[float]:
+    with one_opencv_thread():
+        return [1000 * cost.cpu_s / points for cost in cheapest(works, ROUNDS)]
 
 
 def _sample() -> Files:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pcwlad_geo.errors import InputError, OutputError
+from pcwlad_geo.outputs import warp_band
 from pcwlad_geo.raster import warping
-from pcwlad_geo.raster.output_grid import output_grid
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.settings import OutputGrid, Resampling
@@ -71,7 +71,15 @@ def warp(
         for number, (source, place) in enumerate(zip(sources, places, strict=True)):
             on_event(Progress("rasters", number, len(sources)))
             staged = stage / place.name
-            _warp(source, staged, finished, grid, resampling, on_event)
+            warp_band(
+                source,
+                staged,
+                finished.correction,
+                (finished.reference_grid, finished.target_grid),
+                grid or finished.grid,
+                resampling or finished.resampling,
+                on_event,
+            )
             place_file(staged, place, overwrite=overwrite)
     on_event(Progress("rasters", len(sources), len(sources)))
     return places
@@ -80,30 +88,6 @@ def warp(
 def warped_paths(rasters: Sequence[PathLike], out_dir: PathLike | None) -> tuple[Path, ...]:
     """Return where the warped rasters go, in order."""
     return tuple(Path(out_dir or ".") / f"{Path(raster).stem}_registered.tif" for raster in rasters)
-
-
-def _warp(
-    source: str,
-    path: Path,
-    finished: FinishedRegistration,
-    mode: OutputGrid | None,
-    resampling: Resampling | None,
-    on_event: EventCallback,
-) -> None:
-    correction, target_grid = finished.correction, finished.target_grid
-    own_grid = describe(source).grid
-    grid = output_grid(
-        finished.reference_grid, target_grid, correction, mode or finished.grid, own_grid=own_grid
-    )
-    warping.warp(
-        source,
-        path,
-        correction,
-        grid,
-        resampling or finished.resampling,
-        target_grid=target_grid,
-        progress=lambda done, total: on_event(Progress("warping", done, total)),
-    )
 
 
 def _check(

@@ -23,6 +23,7 @@ from pcwlad_geo.raster.product import ProductBand
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.progress import EventCallback, Progress
 from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.settings import OutputGrid
 
 
 def kinds(registration: Registration) -> list[str]:
@@ -99,15 +100,45 @@ def writers(
 
 def write_band(registration: Registration, band: ProductBand, path: Path, on_event: EventCallback) -> None:
     """Write another band of the target's product, corrected as the target is."""
-    source, correction, settings = band.opened_as(), _correction(registration), registration.settings
-    reference, target = registration.reference.grid, registration.target.grid
-    grid = output_grid(reference, target, correction, settings.grid, own_grid=describe(source).grid)
+    settings = registration.settings
+    grids = registration.reference.grid, registration.target.grid
+    correction = _correction(registration)
+    warp_band(band.opened_as(), path, correction, grids, settings.grid, settings.resampling, on_event)
+
+
+def warp_band(
+    source: str,
+    path: Path,
+    correction: Correction,
+    grids: tuple[Grid, Grid],
+    mode: OutputGrid,
+    resampling: str,
+    on_event: EventCallback,
+) -> None:
+    """Warp a raster of the target's geometry by the correction of the target.
+
+    Parameters
+    ----------
+    source : str
+        Path or GDAL URI.
+    path : pathlib.Path
+        The GeoTIFF to write.
+    correction : Correction
+    grids : (Grid, Grid)
+        Of the registered pair: reference, target.
+    mode, resampling
+        As `register` takes `grid` and `resampling`.
+    on_event : callable
+        Receives `Progress` events.
+    """
+    reference, target = grids
+    grid = output_grid(reference, target, correction, mode, own_grid=describe(source).grid)
     warping.warp(
         source,
         path,
         correction,
         grid,
-        settings.resampling,
+        resampling,
         target_grid=target,
         progress=lambda done, total: on_event(Progress("warping", done, total)),
     )

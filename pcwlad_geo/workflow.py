@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 from concurrent.futures import Executor
@@ -16,7 +15,7 @@ from pcwlad_geo import outputs
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError
 from pcwlad_geo.raster.product import ProductBand
 from pcwlad_geo.raster.products import stem_of
-from pcwlad_geo.raster.source import file_name
+from pcwlad_geo.raster.source import file_name, plain_name
 from pcwlad_geo.registration import settings as s
 from pcwlad_geo.registration.inputs import band_file, resolve
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
@@ -24,6 +23,7 @@ from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
+from pcwlad_geo.report.precision import precision_of
 from pcwlad_geo.report.summary import summarise, to_json
 from pcwlad_geo.staging import OutputFolder, place_file
 
@@ -205,7 +205,7 @@ def output_paths(
     out_dir, output_raster, output_tiepoints, output_report, output_points : path, optional
         As `register` takes them.
     """
-    name = _plain(file_name(band_file(target, tgt_band)))
+    name = plain_name(file_name(band_file(target, tgt_band)))
     stem = Path(name).stem
     folder = Path(out_dir) if out_dir else output_folder(target, job)
     kinds = [kind for kind in NAMES if job == "registered" or kind not in CORRECTED]
@@ -221,12 +221,7 @@ def output_paths(
 
 def output_folder(target: PathLike, job: Job) -> Path:
     """Return the default output folder of a job, in the working folder."""
-    return Path(f"{_plain(stem_of(target))}_{job}")
-
-
-def _plain(name: str) -> str:
-    """Return a file name: a URI's may be none, "." and "/" have none, results do not hide behind a dot."""
-    return re.sub(r'[<>:"/\\|?*]+', "_", name).lstrip(".") or "raster"
+    return Path(f"{plain_name(stem_of(target))}_{job}")
 
 
 def _run(
@@ -264,7 +259,7 @@ def _run_and_write(
             for kind in places
         }
         bands = {
-            band: folder.path(_plain(f"{Path(file_name(band.uri)).stem}_registered.tif"))
+            band: folder.path(plain_name(f"{Path(file_name(band.uri)).stem}_registered.tif"))
             for band in resolve(*inputs, settings, all_bands="raster" in places).other_bands
         }
         registration = job()
@@ -323,9 +318,10 @@ def _write(
     names = sorted(
         [*(staged[kind].name for kind in written if kind not in elsewhere), *(p.name for p in bands.values())]
     )
-    summary = summarise(replace(registration, seconds=seconds), names)
+    precision = precision_of(registration)
+    summary = summarise(replace(registration, seconds=seconds), names, precision)
     drawing = time.perf_counter()
-    page = render(registration, summary, staged["gcps"].name if "gcps" in kinds else None)
+    page = render(registration, summary, staged["gcps"].name if "gcps" in kinds else None, precision)
     seconds["report"] = time.perf_counter() - drawing
     summary["seconds"] = {stage: round(value, 3) for stage, value in seconds.items()}
     staged["report"].write_text(page, encoding="utf-8", newline="\n")

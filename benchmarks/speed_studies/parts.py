@@ -6,12 +6,9 @@ machine does only adds to it.
 
 from __future__ import annotations
 
-import math
 import tempfile
-import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -23,6 +20,7 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from benchmarks.speed_studies.scene_files import ScenePair
+from benchmarks.timing import Cost, cheapest
 from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.filter_bank import ORIENTATIONS, SCALES
 from pcwlad_geo.matching.matcher import margin_px
@@ -40,27 +38,6 @@ from pcwlad_geo.workflow import register
 
 ALL_POINTS: Final = MatchSettings(window=81, search_radius=12)
 """What `--points all --window 81` comes to on a georeferenced scene."""
-
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """CPU and wall time, s."""
-
-    cpu_s: float
-    wall_s: float
-
-
-def cheapest(works: Sequence[Callable[[], object]], repeats: int) -> list[Cost]:
-    """Run the works in turn, `repeats` times; return the least cost of each. The first round warms up."""
-    best = [Cost(math.inf, math.inf)] * len(works)
-    for round_ in range(repeats + 1):
-        for index, work in enumerate(works):
-            wall, cpu = time.perf_counter(), time.process_time()
-            work()
-            cpu_s, wall_s = time.process_time() - cpu, time.perf_counter() - wall
-            if round_ > 0:
-                best[index] = Cost(min(best[index].cpu_s, cpu_s), min(best[index].wall_s, wall_s))
-    return best
 
 
 def bare_scene_bank(pair: ScenePair) -> Cost:

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from scipy import ndimage
 
-from benchmarks.pairs import Image, landsat, read, rgbnir, write
+from benchmarks.displacing import displace
+from benchmarks.pairs import landsat, read, rgbnir, write
 from benchmarks.runs import PAPER, PER_POINT, Array, Job, Outcome, Runner, common_points
 from benchmarks.tables import Cell, Check, Table, at_most
 
@@ -22,7 +22,7 @@ def displacement_field(data: Path, scratch: Path, runner: Runner) -> Iterator[Ta
     rows: list[list[Cell]] = []
     checks: list[Check] = []
     for pair in (landsat(data), rgbnir(data)):
-        displaced = write(scratch / f"{pair.name}_field.tif", displace(read(pair.undisplaced)))
+        displaced = write(scratch / f"{pair.name}_field.tif", displace(read(pair.undisplaced), field_px))
         targets = (pair.undisplaced, displaced)
         rmse = {}
         for name, settings in (("oriented", PER_POINT), ("oriented + consensus", PAPER)):
@@ -46,18 +46,6 @@ def field_px(xy_px: Array) -> Array:
     turn = 2 * np.pi / WAVELENGTH_PX
     waves = (np.sin(turn * (0.8 * x + 0.6 * y) + 0.4), np.sin(turn * (0.6 * x - 0.8 * y) + 2.1))
     return AMPLITUDE_PX * np.stack(waves, axis=-1)
-
-
-def displace(image: Image) -> Image:
-    """Resample an image once, with a quintic spline, so that what was at p is at p + field(p)."""
-    rows, cols = np.indices(image.shape, dtype=np.float64)
-    wanted = np.stack([cols, rows], axis=-1) + 0.5
-    source = wanted - field_px(wanted)
-    for _ in range(8):
-        source = wanted - field_px(source)
-    index = np.moveaxis(source[..., ::-1] - 0.5, -1, 0)
-    moved = ndimage.map_coordinates(image.astype(np.float64), index, order=5, mode="mirror")
-    return np.asarray(moved, dtype=np.float32)
 
 
 def _error(plain: Outcome, displaced: Outcome) -> Array:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import Delaunay
 
-from benchmarks.pairs import Image, as_uint8, landsat, read, rgbnir, with_gamma, with_noise, write
+from benchmarks.displacing import Field, displace
+from benchmarks.pairs import as_uint8, landsat, read, rgbnir, with_gamma, with_noise, write
 from benchmarks.runs import Array, Job, Outcome, Runner
 from benchmarks.scenes import countryside, folds, image_pair
 from benchmarks.tables import Cell, Check, Table, at_most, within
@@ -27,7 +27,6 @@ LOCAL: Final = ("polynomial2", "polynomial3", "tps")
 SEEDS: Final = (301, 302, 303)
 PLAIN: Final = Settings(prealign="none", jobs=1)
 
-Field = Callable[[Array], Array]
 """Positions (..., 2) px to displacements: what is at p moves to p + field(p)."""
 
 
@@ -67,18 +66,6 @@ FIELDS: Final[dict[str, Field]] = {
     "waves of 1500 px": partial(waves, wavelength_px=1500.0, turn=2.2),
     "shift": constant,
 }
-
-
-def displace(image: Image, field: Field) -> Image:
-    """Resample an image once, with a quintic spline, so that what was at p is at p + field(p)."""
-    rows, cols = np.indices(image.shape, dtype=np.float64)
-    wanted = np.stack([cols, rows], axis=-1) + 0.5
-    source = wanted - field(wanted)
-    for _ in range(8):
-        source = wanted - field(source)
-    index = np.moveaxis(source[..., ::-1] - 0.5, -1, 0)
-    moved = ndimage.map_coordinates(image.astype(np.float64), index, order=5, mode="mirror")
-    return np.asarray(moved, dtype=np.float32)
 
 
 def _sources(data: Path, scratch: Path) -> list[Source]:

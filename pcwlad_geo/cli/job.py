@@ -53,8 +53,9 @@ def run_job(command: Command, params: Mapping[str, Any]) -> None:
     """
 
     def work(on_event: EventCallback) -> Ending:
-        _work(command, params, on_event)
-        outcome = Outcome.read(_paths(command, params))
+        settings = collect(params, params["config"])
+        _work(command, params, settings, on_event)
+        outcome = Outcome.read(_paths(command, params, settings))
         return Ending(outcome.figures(), outcome.text())
 
     run_guarded(params, work, lambda: _abandon(command, params))
@@ -126,8 +127,9 @@ def _report_error(error: Exception, report: Reporter) -> int:
     return UNEXPECTED
 
 
-def _work(command: Command, params: Mapping[str, Any], on_event: EventCallback) -> None:
-    settings = collect(params, params["config"])
+def _work(
+    command: Command, params: Mapping[str, Any], settings: Mapping[str, Any], on_event: EventCallback
+) -> None:
     Settings.from_options(settings)  # a bad value need not wait for the heavy libraries, which load here:
     from pcwlad_geo import workflow
 
@@ -149,11 +151,11 @@ def _abandon(command: Command, params: Mapping[str, Any]) -> None:
     abandon(params["out_dir"] or output_folder(params["target"], _job(command)))
 
 
-def _paths(command: Command, params: Mapping[str, Any]) -> Mapping[str, Path]:
+def _paths(command: Command, params: Mapping[str, Any], settings: Mapping[str, Any]) -> Mapping[str, Path]:
     """Return where the outputs go, by kind."""
     from pcwlad_geo.workflow import output_paths
 
-    band = collect(params, params["config"]).get("tgt_band", 1)
+    band = settings.get("tgt_band", 1)
     return output_paths(params["target"], _job(command), tgt_band=band, **_places(params))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from pcwlad_geo.cli.qa_table import columns
+from pcwlad_geo.cli.columns import columns
 
 FIGURES = ("status", "tie_points", "displacement_px", "displacement_m", "accuracy", "warnings")
 """Entries of report.json that the result event repeats."""

@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
+from pcwlad_geo.cli.columns import columns
+
 if TYPE_CHECKING:
     from pcwlad_geo.stacks.closure import Triangle
     from pcwlad_geo.stacks.pairs import PairResult
@@ -51,26 +53,6 @@ def outcome_of(result: QaResult) -> dict[str, object]:
 def trend_text(found: Trend) -> str:
     """Return what is printed at the end of a trend."""
     return f"{found.reports} reports, {len(found.series)} series\nreport: {found.paths['report']}\n"
-
-
-def columns(rows: Sequence[Sequence[str]], left: Sequence[int]) -> list[str]:
-    """Return lines of aligned columns, numbers to the right.
-
-    Parameters
-    ----------
-    rows : sequence of rows
-        Of equal length.
-    left : sequence of int
-        Columns that are aligned to the left.
-    """
-    widths = [max(len(row[index]) for row in rows) for index in range(len(rows[0]))]
-    return [
-        "  ".join(
-            cell.ljust(width) if index in left else cell.rjust(width)
-            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
 
 
 def _pair(pair: PairResult) -> Sequence[str]:

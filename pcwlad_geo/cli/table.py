@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from pcwlad_geo.cli.columns import columns
+
 COLUMNS: Final = ("target", "status", "points", "RMSE px", "shift px", "folder or reason")
 NUMBERS: Final = ("points", "RMSE px", "shift px")
 
@@ -41,16 +43,8 @@ def _figure(value: object) -> str:
 
 
 def _plain(cells: list[list[str]]) -> str:
-    lines = [list(COLUMNS), *cells]
-    widths = [max(len(line[column]) for line in lines) for column in range(len(COLUMNS))]
-    return "\n".join("  ".join(_padded(line, widths)).rstrip() for line in lines)
-
-
-def _padded(line: list[str], widths: list[int]) -> list[str]:
-    return [
-        cell.rjust(width) if name in NUMBERS else cell.ljust(width)
-        for name, cell, width in zip(COLUMNS, line, widths, strict=True)
-    ]
+    words = [index for index, name in enumerate(COLUMNS) if name not in NUMBERS]
+    return "\n".join(columns([COLUMNS, *cells], words))
 
 
 def _drawn(cells: list[list[str]]) -> str:

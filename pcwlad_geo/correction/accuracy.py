@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pcwlad_geo.correction.error_statistics import axis_statistics, radial_statistics
+
 Array = NDArray[np.float64]
 
 
@@ -33,17 +35,14 @@ class Accuracy:
         if len(residuals) == 0:
             nan2 = (float("nan"), float("nan"))
             return Accuracy(0, nan2, nan2, nan2, *(float("nan"),) * 3)
-        radial = np.hypot(residuals[:, 0], residuals[:, 1])
+        x, y = axis_statistics(residuals[:, 0]), axis_statistics(residuals[:, 1])
+        radial = radial_statistics(residuals)
         return Accuracy(
             n=len(residuals),
-            mean_xy=_pair(residuals.mean(axis=0)),
-            rmse_xy=_pair(np.sqrt((residuals**2).mean(axis=0))),
-            le90_xy=_pair(np.percentile(np.abs(residuals), 90, axis=0)),
-            rmse=float(np.sqrt((radial**2).mean())),
-            ce90=float(np.percentile(radial, 90)),
-            ce95=float(np.percentile(radial, 95)),
+            mean_xy=(x.mean, y.mean),
+            rmse_xy=(x.rmse, y.rmse),
+            le90_xy=(x.le90, y.le90),
+            rmse=radial.rmse,
+            ce90=radial.ce90,
+            ce95=radial.ce95,
         )
-
-
-def _pair(values: Array) -> tuple[float, float]:
-    return float(values[0]), float(values[1])

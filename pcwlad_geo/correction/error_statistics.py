@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,11 +84,21 @@ class ErrorStatistics:
             return None
         return ErrorStatistics(
             n=len(errors),
-            col=_axis(errors[:, 0]),
-            row=_axis(errors[:, 1]),
-            radial=_radial(errors),
+            col=axis_statistics(errors[:, 0]),
+            row=axis_statistics(errors[:, 1]),
+            radial=radial_statistics(errors),
             net=_net(errors, sigma),
         )
+
+
+def in_units(
+    errors_xy: Array, sigma_xy: Array, factors: Mapping[str, Array | None]
+) -> dict[str, ErrorStatistics | None]:
+    """Return the statistics by unit: errors and sigmas times the unit's (col, row); None: it is not known."""
+    return {
+        unit: None if factor is None else ErrorStatistics.of(errors_xy * factor, sigma_xy * factor)
+        for unit, factor in factors.items()
+    }
 
 
 def without_noise(errors_xy: Array, sigma_xy: Array) -> Array:
@@ -118,7 +129,8 @@ def without_noise(errors_xy: Array, sigma_xy: Array) -> Array:
     return np.asarray(mean + left - left.mean(axis=0))
 
 
-def _axis(errors: Array) -> AxisStatistics:
+def axis_statistics(errors: Array) -> AxisStatistics:
+    """Return the statistics of (n,) errors, one or more."""
     return AxisStatistics(
         mean=float(errors.mean()),
         median=float(np.median(errors)),
@@ -130,7 +142,8 @@ def _axis(errors: Array) -> AxisStatistics:
     )
 
 
-def _radial(errors_xy: Array) -> RadialStatistics:
+def radial_statistics(errors_xy: Array) -> RadialStatistics:
+    """Return the statistics of the lengths of (n, 2) errors, one or more."""
     length = np.hypot(errors_xy[:, 0], errors_xy[:, 1])
     ce90, ce95, ce99_7 = np.percentile(length, [90, 95, THREE_SIGMA_PERCENT]).tolist()
     return RadialStatistics(float(np.sqrt((length**2).mean())), ce90, ce95, ce99_7)
@@ -138,7 +151,7 @@ def _radial(errors_xy: Array) -> RadialStatistics:
 
 def _net(errors_xy: Array, sigma_xy: Array) -> NetStatistics:
     left = without_noise(errors_xy, sigma_xy)
-    radial = _radial(left)
+    radial = radial_statistics(left)
     return NetStatistics(
         noise_xy=_pair(np.sqrt((sigma_xy**2).mean(axis=0))),
         std_xy=_pair(left.std(axis=0)),

@@ -37,6 +37,12 @@ def pixel_size_m(grid: Grid, at_px: tuple[float, float] | Array) -> tuple[float,
     return width_m, height_m
 
 
+def middle_pixel_size_m(grid: Grid) -> tuple[float, float] | None:
+    """Measure a pixel in the middle of a grid, see `pixel_size_m`."""
+    rows, cols = grid.shape
+    return pixel_size_m(grid, (cols / 2, rows / 2))
+
+
 def displacement_m(xy_from: Array, xy_to: Array, crs: CRS | None) -> Array:
     """Measure the way from one point to another along the axes of a CRS.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import threading
 import warnings
 from collections.abc import Iterator
@@ -101,6 +102,11 @@ def file_name(uri: str) -> str:
     """Return the last part of a path or GDAL URI, without what a vrt:// connection adds to it."""
     plain = uri.removeprefix("vrt://").partition("?")[0] if uri.startswith("vrt://") else uri
     return Path(plain).name
+
+
+def plain_name(name: str) -> str:
+    """Return a file name: a URI's may be none, "." and "/" have none, results do not hide behind a dot."""
+    return re.sub(r'[<>:"/\\|?*]+', "_", name).lstrip(".") or "raster"
 
 
 def same_band(a: RasterInfo, b: RasterInfo) -> bool:

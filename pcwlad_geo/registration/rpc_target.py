@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.correction.rpc_fold import FOLD_TOLERANCE_PX, fold, fold_error_px
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.raster.geodesy import pixel_size_m
+from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc_files import read_rpc
 from pcwlad_geo.raster.rpc_grid import RpcGrid
@@ -110,8 +110,7 @@ def check_start(placed: Placed, prealignment: Prealignment, matching_grid: Grid,
     InputError
         If so, unless the user asked for a search.
     """
-    rows, cols = matching_grid.shape
-    px_m = pixel_size_m(matching_grid, (cols / 2, rows / 2))
+    px_m = middle_pixel_size_m(matching_grid)
     if prealignment.method != "search" or settings.prealign == "search" or px_m is None:
         return
     off_m = np.array(prealignment.shift_px) * px_m

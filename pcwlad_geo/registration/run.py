@@ -11,7 +11,7 @@ import numpy as np
 
 from pcwlad_geo.correction.fit import FITS
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.geodesy import pixel_size_m
+from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import jacobian
 from pcwlad_geo.raster.locate import locate
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
@@ -97,7 +97,7 @@ def run(
         else _by_matching(pair, placed, settings, log, runner)
     )
     table = found.table
-    px_m = _px_m(tgt)
+    px_m = middle_pixel_size_m(levelled(tgt.grid))
     fitted: Fitted | None = None
     if found.verdict.accepted and not match_only:
         with log.stage("fitting"):
@@ -262,11 +262,6 @@ def _control_point_notes(reference: RasterInfo, target: RasterInfo) -> list[str]
         f"{target.uri} is georeferenced by ground control points: displacements count from the geotransform "
         f"that fits them best, which is off by up to {off_px:.1f} px; if that is much, raise --search-radius"
     ]
-
-
-def _px_m(target: RasterInfo) -> tuple[float, float] | None:
-    rows, cols = target.grid.shape
-    return pixel_size_m(levelled(target.grid), np.array([cols / 2, rows / 2]))
 
 
 def _target_px_per_view_px(pair: ViewPair) -> float:

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image
@@ -27,8 +27,9 @@ from pcwlad_geo.report.figures.distribution import distribution_figure
 from pcwlad_geo.report.figures.residuals import residual_figure
 from pcwlad_geo.report.figures.sigma import sigma_figure
 from pcwlad_geo.report.figures.trends import trend_figure
-from pcwlad_geo.report.precision import PrecisionMap
+from pcwlad_geo.report.precision import PrecisionMap, precision_of
 from pcwlad_geo.report.summary import Summary
+from pcwlad_geo.report.templating import templates_of
 from pcwlad_geo.report.verdict import answers
 from pcwlad_geo.report.views import pair_views, read_backdrop
 
@@ -39,7 +40,12 @@ VERDICTS = {
 }
 
 
-def render(registration: Registration, summary: Summary, gcps_vrt: str | None) -> str:
+def render(
+    registration: Registration,
+    summary: Summary,
+    gcps_vrt: str | None,
+    precision: PrecisionMap | None = None,
+) -> str:
     """Return the text of `report.html`.
 
     Parameters
@@ -50,6 +56,8 @@ def render(registration: Registration, summary: Summary, gcps_vrt: str | None) -
         What `summarise` made of it.
     gcps_vrt : str, optional
         Name of the VRT with the GCPs, for the gdalwarp line; None where none was written.
+    precision : PrecisionMap, optional
+        The registration's, where it is known already.
     """
     environment = _environment()
     backdrop = read_backdrop(registration.reference)
@@ -62,7 +70,13 @@ def render(registration: Registration, summary: Summary, gcps_vrt: str | None) -
         answers=answers(summary, coverage.empty_share),
         target_name=file_name(registration.target.uri),
         reference_name=file_name(registration.reference.uri),
-        figures=_figures(registration, summary, coverage, backdrop.image if backdrop else None),
+        figures=_figures(
+            registration,
+            summary,
+            coverage,
+            precision or precision_of(registration),
+            backdrop.image if backdrop else None,
+        ),
         coverage=coverage,
         views=pair_views(registration),
         style=_source(environment, "style.css"),
@@ -79,13 +93,7 @@ def warp_line(gcps_vrt: str) -> str:
 
 
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("pcwlad_geo.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templates_of("pcwlad_geo.report")
     environment.filters["figure"] = _figure
     environment.filters["pair"] = _pair
     environment.filters["png"] = partial(_data_uri, "png")
@@ -104,11 +112,11 @@ def _figures(
     registration: Registration,
     summary: Mapping[str, Any],
     coverage: Coverage,
+    precision: PrecisionMap | None,
     image: NDArray[np.uint8] | None,
 ) -> dict[str, bytes | None]:
     """Return the figures as PNG by name; None for what there is nothing to draw of."""
     table, shape = registration.tie_points, registration.reference.grid.shape
-    selection = registration.selection
     after = summary["statistics"]["after"]
     judged = after["check"] or after["fit"]
     figures: dict[str, bytes | None] = dict.fromkeys(("residuals", "distribution", "trends", "sigma"))
@@ -120,8 +128,7 @@ def _figures(
         points = table.select("fit", "check")
         heights = _heights_m(registration, points.predicted_px)
         figures["trends"] = trend_figure(points, registration.target.grid.shape, heights)
-    if selection is not None:
-        precision = PrecisionMap.of(selection, registration.target.grid.shape)
+    if precision is not None:
         figures["sigma"] = sigma_figure(precision, table.select("fit").predicted_px)
     return figures
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.selection import Selection
+from pcwlad_geo.registration.result import Registration
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,12 @@ class PrecisionMap:
             selection.sigma(flat).reshape(places.shape),
             selection.extrapolated(flat).reshape(places.shape[:2]),
         )
+
+
+def precision_of(registration: Registration) -> PrecisionMap | None:
+    """Return the predicted sigma of a registration's correction; None where none was chosen."""
+    selection = registration.selection
+    return None if selection is None else PrecisionMap.of(selection, registration.target.grid.shape)
 
 
 def _counts(shape: tuple[int, int], step: float) -> list[tuple[int, int]]:

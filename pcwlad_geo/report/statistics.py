@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.error_statistics import ErrorStatistics
+from pcwlad_geo.correction.error_statistics import in_units
 from pcwlad_geo.raster.native_pixels import native_px_m
 from pcwlad_geo.raster.source import RasterInfo, file_name
 from pcwlad_geo.registration.result import Registration
@@ -61,22 +61,20 @@ def _factors(px_m: tuple[float, float] | None, native_m: float | None) -> dict[s
 
 
 def _of(errors_px: Array, sigma_px: Array, factors: Mapping[str, Array | None]) -> dict[str, object] | None:
-    by_unit = {
-        unit: None if factor is None else ErrorStatistics.of(errors_px * factor, sigma_px * factor)
-        for unit, factor in factors.items()
-    }
+    by_unit = in_units(errors_px, sigma_px, factors)
     in_px = by_unit["px"]
     if in_px is None:
         return None
     return {"n": in_px.n} | {
-        unit: None if found is None else _rounded({k: v for k, v in asdict(found).items() if k != "n"})
+        unit: None if found is None else rounded({k: v for k, v in asdict(found).items() if k != "n"})
         for unit, found in by_unit.items()
     }
 
 
-def _rounded(value: object) -> object:
+def rounded(value: object) -> object:
+    """Return numbers, also those within, without the digits that say nothing."""
     if isinstance(value, float):
         return round(value, DIGITS)
     if isinstance(value, Mapping):
-        return {name: _rounded(item) for name, item in value.items()}
-    return [_rounded(item) for item in value] if isinstance(value, list | tuple) else value
+        return {name: rounded(item) for name, item in value.items()}
+    return [rounded(item) for item in value] if isinstance(value, list | tuple) else value

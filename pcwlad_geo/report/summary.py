@@ -21,7 +21,7 @@ from pcwlad_geo.raster.rpc_grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.rpc_target import RpcRegistration
-from pcwlad_geo.report.precision import PrecisionMap
+from pcwlad_geo.report.precision import PrecisionMap, precision_of
 from pcwlad_geo.report.statistics import KEPT, error_statistics
 
 SCHEMA_VERSION = 1
@@ -31,7 +31,9 @@ PX_DIGITS, M_DIGITS, SECONDS_DIGITS = 5, 4, 3
 Summary = dict[str, object]
 
 
-def summarise(registration: Registration, outputs: Sequence[str]) -> Summary:
+def summarise(
+    registration: Registration, outputs: Sequence[str], precision: PrecisionMap | None = None
+) -> Summary:
     """Return the content of `report.json`.
 
     Parameters
@@ -39,6 +41,8 @@ def summarise(registration: Registration, outputs: Sequence[str]) -> Summary:
     registration : Registration
     outputs : sequence of str
         Names of the files written into the output folder, relative to it.
+    precision : PrecisionMap, optional
+        The registration's, where it is known already.
 
     Returns
     -------
@@ -61,7 +65,7 @@ def summarise(registration: Registration, outputs: Sequence[str]) -> Summary:
         "displacement_px": _statistics(kept.displacement_px, PX_DIGITS),
         "displacement_m": _statistics(kept.displacement_m, M_DIGITS),
         "rpc": _rpc(registration.rpc) if registration.rpc else None,
-        "model": _model(registration),
+        "model": _model(registration, precision or precision_of(registration)),
         "accuracy": {
             group: {
                 unit: _accuracy(registration.accuracy.get(f"{group}_{unit}"), digits)
@@ -149,13 +153,12 @@ def _tie_point_counts(registration: Registration) -> dict[str, int]:
     return {"total": len(status), **{name: int(np.count_nonzero(status == name)) for name in names}}
 
 
-def _model(registration: Registration) -> Summary | None:
+def _model(registration: Registration, precision: PrecisionMap | None) -> Summary | None:
     """Return the correction, in full precision, and the candidates it was chosen from."""
     if registration.correction is None:
         return None
     selection = registration.selection
     candidates = selection.candidates if selection else ()
-    precision = PrecisionMap.of(selection, registration.target.grid.shape) if selection else None
     return registration.correction.to_dict() | {
         "predicted_sigma_px": precision and _predicted_sigma(precision),
         "candidates": [

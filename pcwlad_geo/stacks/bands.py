@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 from rasterio.enums import ColorInterp
 
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.raster.geodesy import pixel_size_m
+from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.native_pixels import native_px_m
 from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
 
@@ -190,8 +189,7 @@ def _described(uri: str, number: int, mask: PathLike | None) -> Band:
     info = describe(uri, band=number, mask=mask)
     with open_raster(uri) as dataset:
         description = dataset.descriptions[number - 1]
-    rows, cols = info.grid.shape
-    px_m = pixel_size_m(info.grid, np.array([cols / 2, rows / 2]))
+    px_m = middle_pixel_size_m(info.grid)
     known = native_px_m(Path(uri).stem, description)
     return Band("", info, description, px_m, (known, known) if known else px_m, known is not None)
 

@@ -13,16 +13,14 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.raster.geodesy import pixel_size_m
+from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.stacks.bands import Band
+from pcwlad_geo.stacks.cells import cell_means
 from pcwlad_geo.stacks.pairs import PairResult
 
 Array = NDArray[np.float64]
 Pair = tuple[float, float]
-
-LEAST_POINTS = 3
-"""A cell counts where all three legs have so many points in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +93,7 @@ def close_triangles(bands: Sequence[Band], pairs: Sequence[PairResult], cell_px:
             coarsest = max((a, b, c), key=lambda band: band.px_m[0] * band.px_m[1] if band.px_m else 0.0)
             grid = coarsest.info.grid
             legs = [Leg.of(side, grid) for side in found]
-            rows, cols = grid.shape
-            px_m = pixel_size_m(grid, np.array([cols / 2, rows / 2]))
-            triangles.append(close((a.name, b.name, c.name), legs, cell_px, px_m))
+            triangles.append(close((a.name, b.name, c.name), legs, cell_px, middle_pixel_size_m(grid)))
     return triangles
 
 
@@ -116,11 +112,11 @@ def close(
     px_m : (float, float), optional
         Size of the grid's pixel.
     """
-    ab, bc, ac = (_cell_means(leg, cell_px) for leg in legs)
+    ab, bc, ac = (cell_means(leg.at_px, leg.moved_px, cell_px) for leg in legs)
     shared = sorted(set(ab) & set(bc) & set(ac))
     if not shared:
         return Triangle(names, 0, None, None, None, px_m)
-    gaps = np.array([ab[cell] + bc[cell] - ac[cell] for cell in shared])
+    gaps = np.array([np.add(ab[cell].mean_px, bc[cell].mean_px) - ac[cell].mean_px for cell in shared])
     error = gaps.std(axis=0, ddof=1) / np.sqrt(len(gaps)) if len(gaps) > 1 else None
     return Triangle(
         names,
@@ -130,22 +126,6 @@ def close(
         _pair(np.sqrt((gaps**2).mean(axis=0))),
         px_m,
     )
-
-
-def _cell_means(leg: Leg, cell_px: float) -> dict[tuple[int, int], Array]:
-    """Return the mean displacement in each cell that has enough points."""
-    if len(leg.at_px) == 0:
-        return {}
-    cells, of, count = np.unique(
-        np.floor(leg.at_px / cell_px).astype(np.intp), axis=0, return_inverse=True, return_counts=True
-    )
-    of = of.ravel()
-    sums = np.column_stack([np.bincount(of, weights=leg.moved_px[:, axis]) for axis in (0, 1)])
-    return {
-        (int(col), int(row)): sums[index] / count[index]
-        for index, (col, row) in enumerate(cells)
-        if count[index] >= LEAST_POINTS
-    }
 
 
 def _pair(values: Array) -> Pair:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
 from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.stacks.cells import cell_means
 
 SQUARES: Final = 8
 """Along the longer side of the target."""
-LEAST_POINTS: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +33,7 @@ def local_means(points: TiePointTable, shape: tuple[int, int]) -> list[LocalMean
         Of the target.
     """
     side = max(shape) / SQUARES
-    squares = np.floor(points.predicted_px / side).astype(np.intp)
-    moved = points.displacement_px
-    found = []
-    for square in np.unique(squares, axis=0):
-        inside = (squares == square).all(axis=1)
-        if inside.sum() >= LEAST_POINTS:
-            col, row = ((square + 0.5) * side).tolist()
-            d_col, d_row = moved[inside].mean(axis=0).tolist()
-            found.append(LocalMean((col, row), int(inside.sum()), (d_col, d_row)))
-    return found
+    return [
+        LocalMean(((col + 0.5) * side, (row + 0.5) * side), cell.n, cell.mean_px)
+        for (col, row), cell in cell_means(points.predicted_px, points.displacement_px, side).items()
+    ]

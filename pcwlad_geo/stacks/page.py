@@ -10,8 +10,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 
+from pcwlad_geo.report.templating import templates_of
 from pcwlad_geo.stacks.maps import displacement_maps
 from pcwlad_geo.stacks.summary import Summary
 
@@ -87,13 +88,7 @@ def render(summary: Summary) -> str:
 
 def environment() -> Environment:
     """Return the templates of this package, everything escaped, with the filters for figures."""
-    made = Environment(
-        loader=PackageLoader("pcwlad_geo.stacks"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    made = templates_of("pcwlad_geo.stacks")
     made.filters["figure"] = figure
     made.filters["signed"] = signed
     made.filters["file_name"] = lambda path: Path(path).name

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from pcwlad_geo.correction.error_statistics import ErrorStatistics
+from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.stacks.bands import Band
@@ -95,11 +95,7 @@ def statistics_by_unit(
     factors = {"px": one, "native px": one, "m": px_m}
     if px_m is not None and native is not None:
         factors["native px"] = px_m / native
-    moved, sigma = points.displacement_px, points.sigma_px
-    return {
-        unit: None if factor is None else ErrorStatistics.of(moved * factor, sigma * factor)
-        for unit, factor in factors.items()
-    }
+    return in_units(points.displacement_px, points.sigma_px, factors)
 
 
 def native_m(reference: Band, target: Band) -> tuple[float, float] | None:

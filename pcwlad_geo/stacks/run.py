@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import time
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.raster.source import plain_name
 from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
@@ -181,8 +181,8 @@ def qa_folder(rasters: Sequence[PathLike], out_dir: PathLike | None) -> Path:
     """Return the output folder."""
     if out_dir:
         return Path(out_dir)
-    name = re.sub(r'[<>:"/\\|?*]+', "_", Path(split_bands(rasters[0])[0]).name).lstrip(".") if rasters else ""
-    return Path(f"{Path(name).stem or 'raster'}_qa")
+    name = plain_name(Path(split_bands(rasters[0])[0]).name if rasters else "")
+    return Path(f"{Path(name).stem}_qa")
 
 
 def _settings(options: Options) -> Settings:

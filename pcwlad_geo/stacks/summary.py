@@ -10,6 +10,7 @@ from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Any, Final
 
 from pcwlad_geo.correction.error_statistics import ErrorStatistics
+from pcwlad_geo.report.statistics import rounded
 from pcwlad_geo.report.summary import plain, versions
 from pcwlad_geo.stacks.bands import Band
 from pcwlad_geo.stacks.closure import Triangle
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 SCHEMA_VERSION: Final = 1
 UNITS: Final = {"px": "px", "native_px": "native px", "m": "m"}
 """Units by their name in files."""
-PX_DIGITS: Final = 5
 AXIS_STATISTICS: Final = ("mean", "median", "std", "rmse", "min", "max", "le90")
 RADIAL_STATISTICS: Final = ("rmse", "ce90", "ce95", "ce99_7")
 
@@ -59,7 +59,7 @@ def summarise(result: QaResult, outputs: Sequence[str]) -> Summary:
         "versions": versions(),
         "outputs": list(outputs),
     }
-    return {name: plain(_rounded(value)) for name, value in summary.items()}
+    return {name: plain(rounded(value)) for name, value in summary.items()}
 
 
 def to_csv(summary: Mapping[str, Any]) -> str:
@@ -175,14 +175,3 @@ def _flat(statistics: Mapping[str, Any] | None) -> dict[str, float | None]:
         values = net.get(field) or (None, None)
         flat |= {f"{name}_{axis}": value for axis, value in zip(("col", "row"), values, strict=True)}
     return flat
-
-
-def _rounded(value: object) -> object:
-    """Return numbers without the digits that say nothing."""
-    if isinstance(value, float):
-        return round(value, PX_DIGITS)
-    if isinstance(value, Mapping):
-        return {name: _rounded(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(item) for item in value]
-    return value

@@ -13,10 +13,10 @@ import pytest
 
 from benchmarks.speed_studies import truth
 from benchmarks.speed_studies.limits import checks_of_scenes
-from benchmarks.speed_studies.parts import cheapest
 from benchmarks.speed_studies.processes import Measured, measure
 from benchmarks.speed_studies.scene_files import displacement_px
 from benchmarks.speed_studies.whole_scenes import ALL, AROSICS, MATCH, Results, Run
+from benchmarks.timing import cheapest
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 

@@ -4,8 +4,6 @@ import base64
 import hashlib
 import re
 import shlex
-import shutil
-import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -17,6 +15,7 @@ from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.page import render, warp_line
 from pcwlad_geo.report.summary import summarise
+from tests.chromium import show
 from tests.registrations import of_files, write_pair
 
 Make = Callable[..., Registration]
@@ -144,9 +143,6 @@ def test_without_the_files_there_are_no_views(registration: Make) -> None:
 
 def test_the_slider_moves_in_chromium_without_a_complaint(registration: Make, tmp_path: Path) -> None:
     """No error on the console (a request would be one: the page forbids all); skipped without Chromium."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if browser is None:
-        pytest.skip("no Chromium")
     page = page_of(of_files(registration(), *write_pair(tmp_path)))
     assert "default-src 'none'" in page
     move = """<script>for (const slider of document.querySelectorAll("input[data-views]")) {
@@ -158,18 +154,11 @@ def test_the_slider_moves_in_chromium_without_a_complaint(registration: Make, tm
     path.write_text(
         allowed.replace("'unsafe-hashes'", f"'sha256-{digest}'").replace("</body>", move), encoding="utf-8"
     )
-    arguments = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"]
-    shown = subprocess.run(
-        [browser, *arguments, f"--user-data-dir={tmp_path / 'profile'}", path.as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert "CONSOLE" not in shown.stderr
-    assert shown.stdout.count('style="--cut: 20%;"') == 2
-    assert shown.stdout.count('aria-valuetext="20 % reference"') == 2
-    assert shown.stdout.count('class="views checkered"') == 1
+    shown = show(path)
+    assert not shown.complaints
+    assert shown.page.count('style="--cut: 20%;"') == 2
+    assert shown.page.count('aria-valuetext="20 % reference"') == 2
+    assert shown.page.count('class="views checkered"') == 1
 
 
 def test_good_and_bad_pages_differ_at_a_glance(registration: Make) -> None:

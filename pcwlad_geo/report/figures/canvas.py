@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -70,6 +71,17 @@ def draw_backdrop(axes: Axes, image: NDArray[np.uint8] | None, shape: tuple[int,
         axes.imshow(
             image, cmap="gray", vmin=-180, vmax=255, extent=frame, aspect="auto", interpolation="nearest"
         )
+
+
+def add_bar(axes: Axes, shown: ScalarMappable, label: str, extend: str = "neither") -> None:
+    """Draw the colour bar of a panel in the room on its right."""
+    box = axes.get_position()
+    figure = axes.get_figure(root=True)
+    if figure is None:
+        raise TypeError("the panel is of no figure")
+    bar = figure.add_axes((box.x1 + 0.015, box.y0, 0.018, box.height))
+    figure.colorbar(shown, cax=bar, extend=extend).set_label(label, fontsize=9)
+    bar.tick_params(labelsize=8)
 
 
 def to_png(figure: Figure) -> bytes:

@@ -8,7 +8,7 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from pcwlad_geo.report.coverage import Coverage
-from pcwlad_geo.report.figures.canvas import draw_backdrop, frame_figure, to_png
+from pcwlad_geo.report.figures.canvas import add_bar, draw_backdrop, frame_figure, to_png
 
 NOTHING, REJECTED_ONLY, NO_DATA = "#d55e00", "#f0c000", "0.75"
 
@@ -44,10 +44,7 @@ def coverage_figure(coverage: Coverage, backdrop: NDArray[np.uint8] | None = Non
         interpolation="nearest",
     )
     _mark(axes, coverage)
-    box = axes.get_position()
-    bar = figure.add_axes((box.x1 + 0.015, box.y0, 0.018, box.height))
-    figure.colorbar(shown, cax=bar).set_label("tie points", fontsize=9)
-    bar.tick_params(labelsize=8)
+    add_bar(axes, shown, "tie points")
     axes.set_xlabel("reference column, px", fontsize=9)
     axes.set_ylabel("reference row, px", fontsize=9)
     kinds = [

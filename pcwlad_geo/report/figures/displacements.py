@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.quiver import Quiver
 from numpy.typing import NDArray
 
 from pcwlad_geo.raster.tie_point_table import TiePointTable
@@ -59,13 +60,8 @@ def displacement_figure(
 
 def draw_arrows(
     axes: Axes, at_px: Array, arrows_px: Array, scale_of_px: Array, side_px: int, colours: Array | None = None
-) -> object:
-    """Draw arrows and a key, rows downwards, the typical one of `scale_of_px` of the typical length.
-
-    Returns
-    -------
-    matplotlib.quiver.Quiver
-    """
+) -> Quiver:
+    """Draw arrows and a key, rows downwards, the typical one of `scale_of_px` of the typical length."""
     lengths = np.hypot(*scale_of_px.T)
     typical = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
     key_px = nice_number(typical or 1.0)

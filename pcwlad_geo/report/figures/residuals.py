@@ -7,7 +7,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from pcwlad_geo.raster.tie_point_table import TiePointTable
-from pcwlad_geo.report.figures.canvas import CHECK_COLOUR, draw_backdrop, frame_figure, to_png
+from pcwlad_geo.report.figures.canvas import CHECK_COLOUR, add_bar, draw_backdrop, frame_figure, to_png
 from pcwlad_geo.report.figures.displacements import draw_arrows, thin
 from pcwlad_geo.report.statistics import KEPT
 
@@ -43,11 +43,8 @@ def residual_figure(
     if np.isfinite(length).any():
         side = max(reference_shape)
         arrows = draw_arrows(axes, kept.reference_px, kept.residual_px, kept.residual_px, side, length)
-        arrows.set_clim(0, float(np.nanpercentile(length, 98)) or 1.0)  # type: ignore[attr-defined]
-        box = axes.get_position()
-        bar = figure.add_axes((box.x1 + 0.015, box.y0, 0.018, box.height))
-        figure.colorbar(arrows, cax=bar, extend="max").set_label("residual, target px", fontsize=9)  # type: ignore[arg-type]
-        bar.tick_params(labelsize=8)
+        arrows.set_clim(0, float(np.nanpercentile(length, 98)) or 1.0)
+        add_bar(axes, arrows, "residual, target px", extend="max")
     if len(check):
         ring = {"ms": 6, "mfc": "none", "mec": CHECK_COLOUR, "mew": 1.3}
         marks += axes.plot(*check.reference_px.T, "o", label="check point", **ring)  # type: ignore[arg-type]

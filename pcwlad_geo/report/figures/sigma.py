@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.report.figures.canvas import frame_figure, to_png
+from pcwlad_geo.report.figures.canvas import add_bar, frame_figure, to_png
 from pcwlad_geo.report.precision import PrecisionMap
 
 Array = NDArray[np.float64]
@@ -30,10 +30,7 @@ def sigma_figure(precision: PrecisionMap, points_px: Array) -> bytes:
     frame = (0, cols, rows, 0)
     sigma = np.hypot(*np.moveaxis(precision.sigma_px, 2, 0))
     image = axes.imshow(sigma, extent=frame, cmap="viridis", aspect="auto")
-    box = axes.get_position()
-    bar = figure.add_axes((box.x1 + 0.015, box.y0, 0.018, box.height))
-    figure.colorbar(image, cax=bar).set_label("predicted sigma, target px", fontsize=9)
-    bar.tick_params(labelsize=8)
+    add_bar(axes, image, "predicted sigma, target px")
     axes.plot(*points_px.T, ".", color="white", markersize=2.5, alpha=0.7)
     if precision.extrapolated.any() and min(precision.extrapolated.shape) > 1:
         axes.contourf(
