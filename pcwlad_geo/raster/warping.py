@@ -320,7 +320,7 @@ def _warp_options(
         "resampling": method,
         "tolerance": _TOLERANCE_PX,
         "dtype": np.result_type(*source.dtypes).name,
-        **_kernel_scale(step),
+        **kernel_scale(step),
     }
 
 
@@ -337,13 +337,13 @@ def _fill(values: NDArray[Any], valid: NDArray[np.bool_], nodata: float) -> None
     values[~valid] = nodata
 
 
-def _kernel_scale(step: Array) -> dict[str, float]:
+def kernel_scale(step: Array) -> dict[str, float]:
     """Return GDAL's XSCALE, YSCALE: below 1 the kernel is widened against aliasing.
 
     Left to itself GDAL derives them per block, with seams, and from bounding boxes, which blurs
-    rotated grids. `step` is (2, 2): source (col, row) by output (col, row).
+    rotated grids. `step` is (2, 2): source (col, row) by output (col, row), NaN where unknown.
     """
-    x, y = (1.0 / max(1.0, float(np.hypot(*row))) for row in step)
+    x, y = (1.0 / np.fmax(1.0, np.hypot(*row)) for row in step)
     return {"XSCALE": x if x < 0.95 else 1.0, "YSCALE": y if y < 0.95 else 1.0}
 
 
