@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.locate import locate
@@ -105,7 +105,7 @@ def run(
             footprint = settings.window * float(file_px_per_px(pair.target)[0])
             if settings.tie_points:
                 footprint = footprint_px(table, footprint)
-            candidates = MODELS if placed else tuple(FITS)
+            candidates = MODELS if placed else CANDIDATES
             fitted = fit_correction(table, settings, footprint, px_m, tgt.grid.shape, candidates)
             _warn_of_parallax(fitted, log)
             on_event(Progress("fitting", 1, 1))
