@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 FEWEST_BLOCKS = 4
 SIGNIFICANCE = 1.0
 """Standard errors by which the affine has to predict better than the shift."""
-DENSE_SIGNIFICANCE = 0.5
-"""The same between models that both need resampling: the simpler one is worth less there."""
+DENSE_SIGNIFICANCE = 0.0
+"""The same between models that both need resampling: the simpler one is worth nothing there, and blocks left
+out count against a spline, which interpolates over shorter ways than that."""
 LOSSLESS = ("shift", "drift", "affine")
 """Models that need no resampling. What replaces them by one that does has to earn it:"""
 RESAMPLING_SIGNIFICANCE = 2.5
@@ -115,7 +116,7 @@ def choose(
     predicted by a fit to the others (see `folds.spatial_folds`). What overlapping windows share across the
     border of a block flatters the prediction; the flattery expected is added (see
     `cross_validation.left_out_errors`). A model replaces a simpler one when (1) the mean of the paired
-    differences of the blocks' squared errors is larger than its standard error (than half of it, where both
+    differences of the blocks' squared errors is larger than its standard error (than nothing, where both
     need resampling), and (2) the correction changes by more than the uncertainty of the fits, and what all
     points err alike, explains to 95 %. Shift and affine need no resampling: to replace them, another model
     has to be better by 2.5 standard errors, to take out at least 0.05 px more, and to rest on three separate

@@ -80,19 +80,19 @@ def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
     apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
     slopes = _local(linear, predicted, reach)
-    if slopes is not None:
+    if slopes is not None and field.reach_px(xy, surface) > settings.window:
+        # what neighbours say about a bent field errs as much as a point does, and a spline takes errors that
+        # reach farther than a window for displacement: points keep their own structure
         return FieldGuide(slopes, nowhere, surface, 0.0)
     shared = calibration.shared_variance(xy, choice.residual_px, settings.window, surface.count)
-    return FieldGuide(everywhere, structure, surface, shared)
+    return FieldGuide(everywhere if slopes is None else slopes, structure, surface, shared)
 
 
 def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Float64 | None:
     """Return the deformation at every point by the slopes of the field there; None where these do not matter.
 
     A window that is not modelled so finds the displacement of where its structure lies, not of its middle: at
-    the edge of the image, where half of it is missing, that is many pixels off. Such points keep their own
-    structure: what the neighbours say about a bent field errs as much as a point does, and errors taken from
-    them reach farther than a window, where a spline takes them for displacement.
+    the edge of the image, where half of it is missing, that is many pixels off.
     """
     size = np.abs(predicted.slope - linear).max(axis=(1, 2)) * reach_px
     by_chance = predicted.scatter_px * np.sqrt(2 * predicted.leverage)
