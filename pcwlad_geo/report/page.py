@@ -31,7 +31,10 @@ from pcwlad_geo.report.precision import PrecisionMap, precision_of
 from pcwlad_geo.report.summary import Summary
 from pcwlad_geo.report.templating import templates_of
 from pcwlad_geo.report.verdict import answers
-from pcwlad_geo.report.views import pair_views, read_backdrop
+from pcwlad_geo.report.views import checkered, pair_views, read_backdrop
+
+Content = dict[str, object]
+"""Names and values of the template."""
 
 VERDICTS = {
     "registered": "Registered",
@@ -46,7 +49,27 @@ def render(
     gcps_vrt: str | None,
     precision: PrecisionMap | None = None,
 ) -> str:
-    """Return the text of `report.html`.
+    """Return the text of `report.html`; see `compose`."""
+    return on_screen(compose(registration, summary, gcps_vrt, precision))
+
+
+def on_screen(content: Content) -> str:
+    """Return the page for browsers."""
+    return _environment().get_template("report.html.j2").render(content, paper=False)
+
+
+def on_paper(content: Content) -> str:
+    """Return the page for what runs no scripts and draws no masks, such as makers of PDF."""
+    return _environment().get_template("report.html.j2").render(content, paper=True)
+
+
+def compose(
+    registration: Registration,
+    summary: Summary,
+    gcps_vrt: str | None,
+    precision: PrecisionMap | None = None,
+) -> Content:
+    """Draw the figures, and return all that the page is made from.
 
     Parameters
     ----------
@@ -59,31 +82,21 @@ def render(
     precision : PrecisionMap, optional
         The registration's, where it is known already.
     """
-    environment = _environment()
     backdrop = read_backdrop(registration.reference)
     shape = registration.reference.grid.shape
     coverage = Coverage.of(registration.tie_points, shape, backdrop.valid if backdrop else None)
-    script = _source(environment, "slider.js")
-    return environment.get_template("report.html.j2").render(
-        summary,
-        verdict=VERDICTS[registration.status],
-        answers=answers(summary, coverage.empty_share),
-        target_name=file_name(registration.target.uri),
-        reference_name=file_name(registration.reference.uri),
-        figures=_figures(
-            registration,
-            summary,
-            coverage,
-            precision or precision_of(registration),
-            backdrop.image if backdrop else None,
-        ),
-        coverage=coverage,
-        views=pair_views(registration),
-        style=_source(environment, "style.css"),
-        script=script,
-        script_hash="sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
-        warp_line=warp_line(gcps_vrt) if gcps_vrt else None,
-    )
+    image = backdrop.image if backdrop else None
+    precision = precision or precision_of(registration)
+    return summary | {
+        "verdict": VERDICTS[registration.status],
+        "answers": answers(summary, coverage.empty_share),
+        "target_name": file_name(registration.target.uri),
+        "reference_name": file_name(registration.reference.uri),
+        "figures": _figures(registration, summary, coverage, precision, image),
+        "coverage": coverage,
+        "views": pair_views(registration),
+        "warp_line": warp_line(gcps_vrt) if gcps_vrt else None,
+    }
 
 
 def warp_line(gcps_vrt: str) -> str:
@@ -98,6 +111,13 @@ def _environment() -> Environment:
     environment.filters["pair"] = _pair
     environment.filters["png"] = partial(_data_uri, "png")
     environment.filters["jpeg"] = _jpeg
+    script = _source(environment, "slider.js")
+    environment.globals |= {
+        "style": _source(environment, "style.css"),
+        "script": script,
+        "checkered": checkered,
+        "script_hash": "sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
+    }
     return environment
 
 

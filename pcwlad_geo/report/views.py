@@ -34,6 +34,8 @@ NODES: Final = 25
 MARGIN_PX: Final = 8
 """Read around what is sampled."""
 MOST_SOURCE_PX: Final = 3000
+SQUARES: Final = 8
+"""Of a checkerboard, along a side."""
 MOSTLY_VALID: Final = 0.99
 """Share of valid pixels around a sample: what is not valid must not shine through."""
 
@@ -107,6 +109,12 @@ def stretched(values: Array, valid: NDArray[np.bool_]) -> Image:
     low, high = np.percentile(values[valid], [2, 98])
     grey = np.clip((values - low) / max(high - low, 1e-12), 0, 1) * 254 + 1
     return np.where(valid, grey, 0).astype(np.uint8)
+
+
+def checkered(one: Image, other: Image) -> Image:
+    """Return two views of the same size in alternate squares, the first in the corner."""
+    rows, cols = (np.arange(side) * SQUARES // side for side in one.shape)
+    return np.where((rows[:, None] + cols) % 2 == 0, one, other)
 
 
 def _places(table: TiePointTable) -> list[tuple[str, Array]]:
