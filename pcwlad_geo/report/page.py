@@ -20,15 +20,13 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.dem import Dem
 from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.coverage import Coverage
-from pcwlad_geo.report.figures.coverage import coverage_figure
+from pcwlad_geo.report.figures.coverage import coverage_figure, missing_kinds
 from pcwlad_geo.report.figures.displacements import displacement_figure
 from pcwlad_geo.report.figures.distribution import distribution_figure
 from pcwlad_geo.report.figures.residuals import residual_figure
 from pcwlad_geo.report.figures.sigma import sigma_figure
 from pcwlad_geo.report.figures.trends import trend_figure
 from pcwlad_geo.report.precision import PrecisionMap, precision_of
-from pcwlad_geo.report.summary import Summary
 from pcwlad_geo.report.templating import templates_of
 from pcwlad_geo.report.verdict import answers
 from pcwlad_geo.report.views import checkered, pair_views, read_backdrop
@@ -45,7 +43,7 @@ VERDICTS = {
 
 def render(
     registration: Registration,
-    summary: Summary,
+    summary: Mapping[str, Any],
     gcps_vrt: str | None,
     precision: PrecisionMap | None = None,
 ) -> str:
@@ -65,7 +63,7 @@ def on_paper(content: Content) -> str:
 
 def compose(
     registration: Registration,
-    summary: Summary,
+    summary: Mapping[str, Any],
     gcps_vrt: str | None,
     precision: PrecisionMap | None = None,
 ) -> Content:
@@ -83,17 +81,16 @@ def compose(
         The registration's, where it is known already.
     """
     backdrop = read_backdrop(registration.reference)
-    shape = registration.reference.grid.shape
-    coverage = Coverage.of(registration.tie_points, shape, backdrop.valid if backdrop else None)
     image = backdrop.image if backdrop else None
     precision = precision or precision_of(registration)
-    return summary | {
+    return {
+        **summary,
         "verdict": VERDICTS[registration.status],
-        "answers": answers(summary, coverage.empty_share),
+        "answers": answers(summary),
         "target_name": file_name(registration.target.uri),
         "reference_name": file_name(registration.reference.uri),
-        "figures": _figures(registration, summary, coverage, precision, image),
-        "coverage": coverage,
+        "figures": _figures(registration, summary, precision, image),
+        "missing": missing_kinds(summary["coverage"]),
         "views": pair_views(registration),
         "warp_line": warp_line(gcps_vrt) if gcps_vrt else None,
     }
@@ -131,7 +128,6 @@ def _source(environment: Environment, name: str) -> Markup:
 def _figures(
     registration: Registration,
     summary: Mapping[str, Any],
-    coverage: Coverage,
     precision: PrecisionMap | None,
     image: NDArray[np.uint8] | None,
 ) -> dict[str, bytes | None]:
@@ -141,7 +137,7 @@ def _figures(
     judged = after["check"] or after["fit"]
     figures: dict[str, bytes | None] = dict.fromkeys(("residuals", "distribution", "trends", "sigma"))
     figures["displacements"] = displacement_figure(table, shape, image)
-    figures["coverage"] = coverage_figure(coverage, image)
+    figures["coverage"] = coverage_figure(summary["coverage"], shape, image)
     if judged:
         figures["residuals"] = residual_figure(table, shape, image)
         figures["distribution"] = distribution_figure(table, judged["px"]["radial"]["ce90"])

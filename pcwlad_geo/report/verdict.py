@@ -35,21 +35,19 @@ class Answer:
         return MARKS[self.state]
 
 
-def answers(summary: Mapping[str, Any], empty_share: float) -> list[Answer]:
+def answers(summary: Mapping[str, Any]) -> list[Answer]:
     """Return the answers for a registered pair; none for others.
 
     Parameters
     ----------
     summary : dict
         What `summarise` made.
-    empty_share : float
-        Share of the squares with data that have no tie point.
     """
     after = summary["statistics"]["after"]
     judged = after["check"] or after["fit"]
     if summary["status"] != "registered" or judged is None:
         return []
-    return [_how_well(summary, judged), _where_not(summary, empty_share), _trust(summary)]
+    return [_how_well(summary, judged), _where_not(summary), _trust(summary)]
 
 
 def _how_well(summary: Mapping[str, Any], judged: Mapping[str, Any]) -> Answer:
@@ -69,14 +67,15 @@ def _how_well(summary: Mapping[str, Any], judged: Mapping[str, Any]) -> Answer:
     return Answer("How well?", text, state)
 
 
-def _where_not(summary: Mapping[str, Any], empty_share: float) -> Answer:
+def _where_not(summary: Mapping[str, Any]) -> Answer:
+    empty_share = summary["coverage"]["empty_share"]
     sigma = (summary["model"] or {}).get("predicted_sigma_px")
     beyond = sigma["extrapolated_share"] if sigma else 0.0
     parts = []
     if beyond > 0:
-        parts.append(f"{100 * beyond:.0f} % of the target lies beyond the tie points (hatched below)")
+        parts.append(f"{_percent(beyond)} of the target lies beyond the tie points (hatched below)")
     if empty_share > 0:
-        parts.append(f"{100 * empty_share:.0f} % of the image has no tie point near (see Coverage)")
+        parts.append(f"{_percent(empty_share)} of the image has no tie point near (see Coverage)")
     if not parts:
         return Answer("Where not?", "Tie points cover the whole common area.", "good")
     text = "; ".join(parts) + "."
@@ -107,6 +106,10 @@ def _trust(summary: Mapping[str, Any]) -> Answer:
         return Answer("Can I trust the figure?", "With care: " + "; ".join(doubts) + ".", "caution")
     text = f"Yes: it is counted at {check['n']} check points that the fit has not seen."
     return Answer("Can I trust the figure?", text, "good")
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share >= 0.005 else "less than 1 %"
 
 
 def _px(value: float) -> str:
