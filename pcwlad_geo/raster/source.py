@@ -100,8 +100,12 @@ def describe(
 
 def file_name(uri: str) -> str:
     """Return the last part of a path or GDAL URI, without what a vrt:// connection adds to it."""
-    plain = uri.removeprefix("vrt://").partition("?")[0] if uri.startswith("vrt://") else uri
-    return Path(plain).name
+    return Path(plain_uri(uri)).name
+
+
+def plain_uri(uri: str) -> str:
+    """Return a path or GDAL URI without what a vrt:// connection adds to it."""
+    return uri.removeprefix("vrt://").partition("?")[0] if uri.startswith("vrt://") else uri
 
 
 def plain_name(name: str) -> str:
