@@ -108,6 +108,7 @@ def qa(
     iterations: o.Iterations = None,
     consensus: o.Consensus = None,
     prealign: o.Prealign = None,
+    pdf: o.Pdf = None,
     jobs: o.Jobs = None,
     scheduler: o.Scheduler = None,
     progress: o.ProgressOption = "auto",

@@ -8,7 +8,7 @@ import io
 import shlex
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from jinja2 import Environment
@@ -20,6 +20,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.dem import Dem
 from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report.figures.candidates import candidate_figure
 from pcwlad_geo.report.figures.coverage import coverage_figure, missing_kinds
 from pcwlad_geo.report.figures.displacements import displacement_figure
 from pcwlad_geo.report.figures.distribution import distribution_figure
@@ -28,17 +29,13 @@ from pcwlad_geo.report.figures.sigma import sigma_figure
 from pcwlad_geo.report.figures.trends import trend_figure
 from pcwlad_geo.report.precision import PrecisionMap, precision_of
 from pcwlad_geo.report.templating import templates_of
-from pcwlad_geo.report.verdict import answers
+from pcwlad_geo.report.verdict import answers, headline
 from pcwlad_geo.report.views import checkered, pair_views, read_backdrop
 
+OPTIONAL: Final = ("residuals", "distribution", "trends", "candidates", "sigma")
+"""Figures that not every page has."""
 Content = dict[str, object]
 """Names and values of the template."""
-
-VERDICTS = {
-    "registered": "Registered",
-    "rejected": "Could not be registered reliably",
-    "matched": "Tie points matched",
-}
 
 
 def render(
@@ -83,10 +80,11 @@ def compose(
     backdrop = read_backdrop(registration.reference)
     image = backdrop.image if backdrop else None
     precision = precision or precision_of(registration)
+    given = answers(summary)
     return {
         **summary,
-        "verdict": VERDICTS[registration.status],
-        "answers": answers(summary),
+        "headline": headline(registration.status, given),
+        "answers": given,
         "target_name": file_name(registration.target.uri),
         "reference_name": file_name(registration.reference.uri),
         "figures": _figures(registration, summary, precision, image),
@@ -135,7 +133,7 @@ def _figures(
     table, shape = registration.tie_points, registration.reference.grid.shape
     after = summary["statistics"]["after"]
     judged = after["check"] or after["fit"]
-    figures: dict[str, bytes | None] = dict.fromkeys(("residuals", "distribution", "trends", "sigma"))
+    figures: dict[str, bytes | None] = dict.fromkeys(OPTIONAL)
     figures["displacements"] = displacement_figure(table, shape, image)
     figures["coverage"] = coverage_figure(summary["coverage"], shape, image)
     if judged:
@@ -144,6 +142,11 @@ def _figures(
         points = table.select("fit", "check")
         heights = _heights_m(registration, points.predicted_px)
         figures["trends"] = trend_figure(points, registration.target.grid.shape, heights)
+    candidates = [
+        each for each in (summary["model"] or {}).get("candidates", ()) if each["rmse_px"] is not None
+    ]
+    if len(candidates) > 1:
+        figures["candidates"] = candidate_figure(candidates)
     if precision is not None:
         figures["sigma"] = sigma_figure(precision, table.select("fit").predicted_px)
     return figures

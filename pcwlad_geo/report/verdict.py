@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
+
+from pcwlad_geo.registration.result import Status
 
 ENOUGH_CHECK_POINTS: Final = 30
 """ASPRS Positional Accuracy Standards, 2023."""
@@ -33,6 +35,31 @@ class Answer:
     def mark(self) -> str:
         """A sign for those who see no colour."""
         return MARKS[self.state]
+
+
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """What a reader must know if they read nothing else."""
+
+    text: str
+    state: State
+
+    @property
+    def mark(self) -> str:
+        """A sign for those who see no colour."""
+        return MARKS[self.state]
+
+
+def headline(status: Status, given: Sequence[Answer]) -> Headline:
+    """Return the verdict, as good as the worst of the answers to a registered pair."""
+    if status == "rejected":
+        return Headline("Could not be registered reliably", "bad")
+    if status == "matched":
+        return Headline("Tie points matched", "good")
+    state: State = max((answer.state for answer in given), key=list(MARKS).index, default="caution")
+    return Headline(
+        {"good": "Registered", "caution": "Registered, with care", "bad": "Registered, poorly"}[state], state
+    )
 
 
 def answers(summary: Mapping[str, Any]) -> list[Answer]:

@@ -17,6 +17,7 @@ from pcwlad_geo.registration.progress import Event, EventCallback, Progress, War
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import Runner
+from pcwlad_geo.report.pdf import check_pdf, to_pdf
 from pcwlad_geo.stacks.bands import Band, find_band, list_bands, with_native_px
 from pcwlad_geo.stacks.closure import Triangle, close_triangles
 from pcwlad_geo.stacks.inputs import parse_bands, split_bands
@@ -39,8 +40,8 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 
-NAMES: Final = {"numbers": "qa.json", "table": "qa.csv", "report": "qa.html"}
-"""File names of the outputs in OUT_DIR."""
+NAMES: Final = {"numbers": "qa.json", "table": "qa.csv", "report": "qa.html", "pdf": "qa.pdf"}
+"""File names of the outputs in OUT_DIR; the PDF on request."""
 NOT_HERE: Final = {
     **dict.fromkeys(("ref_band", "tgt_band"), "is for a single pair: give bands"),
     **dict.fromkeys(("ref_mask", "tgt_mask"), "is for a single pair: give mask"),
@@ -150,6 +151,8 @@ def qa(
     started = time.perf_counter()
     rasters = [rasters] if isinstance(rasters, str | os.PathLike) else list(rasters)
     settings = _settings(options)
+    if settings.pdf:
+        check_pdf()
     requirements = read_requirements(require, preset)
     numbers = parse_bands(bands) if isinstance(bands, str) else bands
     stack = with_native_px(list_bands(rasters, numbers, mask), native_px)
@@ -265,7 +268,11 @@ def _write(result: QaResult, folder: OutputFolder) -> None:
     from pcwlad_geo.stacks.page import render
     from pcwlad_geo.stacks.summary import summarise, to_csv
 
-    summary = summarise(result, sorted(NAMES.values()))
-    texts = {"table": to_csv(summary), "report": render(summary), "numbers": to_json(summary)}
+    kinds = [kind for kind in NAMES if kind != "pdf" or result.settings.pdf]
+    summary = summarise(result, sorted(NAMES[kind] for kind in kinds))
+    page = render(summary)
+    if "pdf" in kinds:
+        folder.path(NAMES["pdf"]).write_bytes(to_pdf(page))
+    texts = {"table": to_csv(summary), "report": page, "numbers": to_json(summary)}
     for kind, text in texts.items():
         folder.path(NAMES[kind]).write_text(text, encoding="utf-8", newline="")

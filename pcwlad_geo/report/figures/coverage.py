@@ -58,7 +58,8 @@ KINDS: Final = (
     ),
     Kind(
         "beyond the search",
-        "most best matches lie on the border of the search: raise --search-radius",
+        "most best matches lie on the border of the search: the displacement may be larger (raise "
+        "--search-radius), or clouds hide the ground",
         ("at_search_border",),
         "#f0e442",
         "//",
