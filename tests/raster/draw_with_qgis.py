@@ -19,7 +19,7 @@ from qgis.core import (  # type: ignore[import-not-found]
 from qgis.PyQt.QtCore import QSize  # type: ignore[import-not-found]
 from qgis.PyQt.QtGui import QColor  # type: ignore[import-not-found]
 
-SIDE = 900
+SIDE, DPI = 1800, 192
 
 
 def main(path: str, folder: str, *frame: str) -> None:
@@ -34,6 +34,7 @@ def main(path: str, folder: str, *frame: str) -> None:
         settings.setLayers([layer])
         settings.setBackgroundColor(QColor(255, 255, 255))
         settings.setOutputSize(QSize(SIDE, SIDE))
+        settings.setOutputDpi(DPI)
         settings.setDestinationCrs(layer.crs())
         settings.setExtent(QgsRectangle(*map(float, frame)))
         job = QgsMapRendererSequentialJob(settings)
