@@ -176,7 +176,7 @@ def qa(
             seconds=time.perf_counter() - started,
             out_dir=folder.out_dir,
         )
-        _write(result, folder)
+        write_results(result, folder)
         folder.commit()
     return result
 
@@ -263,7 +263,8 @@ def _match(
     return replace(result, warnings=(*notes, *result.warnings))
 
 
-def _write(result: QaResult, folder: OutputFolder) -> None:
+def write_results(result: QaResult, folder: OutputFolder) -> None:
+    """Write the files of a quality check into a folder that is being staged."""
     from pcwlad_geo.report.summary import to_json  # slow to load
     from pcwlad_geo.stacks.page import render
     from pcwlad_geo.stacks.summary import summarise, to_csv

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import builtins
+import json
 import logging
 import shutil
 import subprocess
@@ -12,7 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+import pcwlad_geo
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.raster import tie_point_csv
 from pcwlad_geo.raster.verification import verify_output
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.page import compose, on_paper, on_screen
@@ -97,3 +100,28 @@ def test_missing_pango_is_told_with_what_to_install(
     with pytest.raises(SettingsError, match="apt install libpango"):
         check_pdf()
     assert capsys.readouterr().out == ""  # events of --progress json are there
+
+
+@pytest.mark.usefixtures("_weasyprint")
+def test_register_writes_and_lists_it_on_request_only(registration: Make, tmp_path: Path) -> None:
+    reference, target = write_pair(tmp_path)
+    points = tmp_path / "points.csv"
+    tie_point_csv.write(registration(n=200).tie_points, points)
+    for wanted in (True, False):
+        out_dir = tmp_path / str(wanted)
+        pcwlad_geo.register(reference, target, tie_points=points, out_dir=out_dir, pdf=wanted)
+        report = json.loads((out_dir / "report.json").read_text(encoding="utf-8"))
+        assert (out_dir / "report.pdf").exists() is wanted
+        assert ("report.pdf" in report["outputs"]) is wanted
+        assert ("pdf" in report["seconds"]) is wanted
+        assert report["seconds"]["report"] > 0
+
+
+def test_without_the_library_nothing_is_begun(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "weasyprint", None)
+    reference, target = write_pair(tmp_path)
+    with pytest.raises(SettingsError, match="WeasyPrint"):
+        pcwlad_geo.register(reference, target, out_dir=tmp_path / "out", pdf=True)
+    with pytest.raises(SettingsError, match="WeasyPrint"):
+        pcwlad_geo.qa([reference, target], out_dir=tmp_path / "out", pdf=True)
+    assert not (tmp_path / "out").exists()
