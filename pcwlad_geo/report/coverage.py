@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from pcwlad_geo.matching.candidates import FATES, Candidates
 from pcwlad_geo.raster.tie_point_table import TiePointTable
@@ -14,7 +15,7 @@ from pcwlad_geo.registration.match_record import GROUND, MatchRecord
 from pcwlad_geo.report.statistics import KEPT
 
 SQUARES: Final = 12
-"""Along the longer side of the reference."""
+"""Along the longer side of the reference, at most."""
 LEAST_DATA: Final = 0.1
 """Of the places in a square: a smaller share that can be matched is as good as none."""
 LOST: Final = (*FATES[1:], "rejected")
@@ -24,6 +25,8 @@ REASONS: Final = (*GROUND[1:], "unread", "not_asked", *LOST, "unknown")
 NO_DATA: Final = ("reference_without_data", "target_without_data")
 """Reasons for which no tie point is to be expected."""
 
+JOINED: Final = 0.5
+"""Windows that cover a larger share of their extent are tiles."""
 TINY: Final = 1e-9
 
 Counts = NDArray[np.int64]
@@ -48,9 +51,14 @@ class Coverage:
 
     @property
     def empty_share(self) -> float:
-        """Part of the squares with data that has no tie point."""
+        """Part of the squares with data that has no tie point.
+
+        Where none was asked for, one in a square beside it will do.
+        """
         with_data = ~np.isin(self.reason, NO_DATA)
-        return float((with_data & (self.points == 0)).sum() / max(int(with_data.sum()), 1))
+        near = binary_dilation(self.points > 0, np.ones((3, 3)))
+        missing = with_data & (self.points == 0) & ~(near & np.isin(self.reason, ("not_asked", "unknown")))
+        return float(missing.sum() / max(int(with_data.sum()), 1))
 
 
 def coverage_of(table: TiePointTable, shape_px: tuple[int, int], record: MatchRecord | None) -> Coverage:
@@ -67,7 +75,7 @@ def coverage_of(table: TiePointTable, shape_px: tuple[int, int], record: MatchRe
     record : MatchRecord, optional
         What the matching did where.
     """
-    step = max(shape_px) / SQUARES
+    step = max(max(shape_px) / SQUARES, _spacing_px(record))
     frame = _Frame(shape_px, (max(1, round(shape_px[0] / step)), max(1, round(shape_px[1] / step))))
     points = frame.count(table.select(*KEPT).reference_px)
     reason = np.full(frame.squares, "unknown", dtype="<U24")
@@ -79,6 +87,16 @@ def coverage_of(table: TiePointTable, shape_px: tuple[int, int], record: MatchRe
         ground = _by_ground(record.ground, frame)
         reason = np.where(ground == "", reason, ground)
     return Coverage(shape_px, points, np.where(points > 0, "", reason))
+
+
+def _spacing_px(record: MatchRecord | None) -> float:
+    """Return how far apart small windows lie: smaller squares would fall between them; 0 where tiles join."""
+    if record is None or not record.searched:
+        return 0.0
+    first, last = record.windows_px[:, :2], record.windows_px[:, 2:]
+    region = float(np.prod(np.nanmax(last, axis=0) - np.nanmin(first, axis=0)))
+    covered = float(np.nansum((last - first).prod(axis=1)))
+    return (region / len(first)) ** 0.5 if covered < JOINED * region else 0.0
 
 
 @dataclass(frozen=True, slots=True)

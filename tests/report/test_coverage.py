@@ -11,7 +11,7 @@ import pytest
 from pcwlad_geo.matching.candidates import FATES, Candidates
 from pcwlad_geo.registration.match_record import GROUND, MatchRecord
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.coverage import REASONS, coverage_of
+from pcwlad_geo.report.coverage import REASONS, Coverage, coverage_of
 from pcwlad_geo.report.figures.coverage import KINDS, coverage_figure, missing_kinds
 from pcwlad_geo.report.summary import summarise
 
@@ -100,8 +100,10 @@ def test_ground_decides_first(registration: Make) -> None:
 
 def test_windows_that_were_not_asked_for_are_told_from_flat_ground(registration: Make) -> None:
     table = registration("rejected", n=0).tie_points
-    windows = [(110.0, 110.0, 140.0, 140.0), (200.0, 200.0, 300.0, 250.0)]
-    record = record_of(windows=windows, barren=[(0.0, 0.0, 100.0, 100.0)], unread=[False, True])
+    windows = [(110.0, 110.0, 140.0, 140.0)] + [
+        (200.0, 200.0, 300.0, 250.0)
+    ] * 3  # joined: squares stay small
+    record = record_of(windows=windows, barren=[(0.0, 0.0, 100.0, 100.0)], unread=[False, True, True, True])
     reason = coverage_of(table, SHAPE, record).reason
     assert reason[2, 2] == "no_texture"  # asked, no candidate
     assert (reason[:2, :2] == "no_texture").all()  # never asked, as there is nothing
@@ -112,9 +114,30 @@ def test_windows_that_were_not_asked_for_are_told_from_flat_ground(registration:
     assert (reason[~told] == "not_asked").all()
 
 
+def test_squares_are_as_large_as_small_windows_lie_apart(registration: Make) -> None:
+    """Ten windows of 20 px in 500 x 240 px: each has 110 px to itself."""
+    table = registration("rejected", n=0).tie_points
+    corners = [(120.0 * col + 50, 220.0 * row + 80) for row in range(2) for col in range(5)]
+    coverage = coverage_of(table, SHAPE, record_of(windows=[(x, y, x + 20, y + 20) for x, y in corners]))
+    assert coverage.points.shape == (4, 5)
+    assert set(coverage.without) == {"no_texture", "not_asked"}
+
+
+def test_where_none_was_asked_for_the_neighbours_will_do(registration: Make) -> None:
+    points = np.zeros((3, 4), int)
+    points[1, 1] = 7
+    reason = np.full((3, 4), "not_asked", dtype="<U24")
+    reason[1, 1], reason[0, 0] = "", "rejected"
+    coverage = Coverage((300, 400), points, reason)
+    assert coverage.empty_share == (1 + 3) / 12  # what was rejected, and the far column
+    assert coverage.without == {"not_asked": 10, "rejected": 1}
+
+
 def test_a_box_beyond_the_image_touches_what_it_covers(registration: Make) -> None:
     table = registration("rejected", n=0).tie_points
-    windows = [(-500.0, -500.0, 55.0, 55.0), (np.nan, 0.0, 10.0, 10.0), (590.0, 390.0, 900.0, 900.0)]
+    windows = [(-500.0, -500.0, 55.0, 55.0), (np.nan, 0.0, 10.0, 10.0), (590.0, 390.0, 900.0, 900.0)] + [
+        (-500.0, -500.0, 55.0, 55.0)
+    ] * 3
     reason = coverage_of(table, SHAPE, record_of(windows=windows)).reason
     assert reason[0, 0] == "no_texture"
     assert np.count_nonzero(reason == "not_asked") == 8 * 12 - 1  # a tenth of the last one is not half
