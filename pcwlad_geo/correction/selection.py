@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from pcwlad_geo.correction.cross_validation import SharedNoise, left_out_errors
-from pcwlad_geo.correction.fit import FITS, Fit, fit_tps, predicted_sigma
+from pcwlad_geo.correction.fit import CANDIDATES, FITS, Fit, fit_tps, predicted_sigma
 from pcwlad_geo.correction.folding import folds
 from pcwlad_geo.correction.folds import spatial_folds
 from pcwlad_geo.errors import InputError
@@ -22,7 +22,7 @@ SIGNIFICANCE = 1.0
 """Standard errors by which the affine has to predict better than the shift."""
 DENSE_SIGNIFICANCE = 0.5
 """The same between models that both need resampling: the simpler one is worth less there."""
-LOSSLESS = ("shift", "affine")
+LOSSLESS = ("shift", "drift", "affine")
 """Models that need no resampling. What replaces them by one that does has to earn it:"""
 RESAMPLING_SIGNIFICANCE = 2.5
 """standard errors by which it predicts better, and"""
@@ -105,7 +105,7 @@ def choose(
     observed_px: Array,
     covariance_px2: Array,
     footprint_px: float,
-    candidates: Sequence[str] = tuple(FITS),
+    candidates: Sequence[str] = CANDIDATES,
     *,
     box_px: tuple[Array, Array] | None = None,
 ) -> Selection:
