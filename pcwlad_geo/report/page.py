@@ -29,7 +29,7 @@ from pcwlad_geo.report.figures.sigma import sigma_figure
 from pcwlad_geo.report.figures.trends import trend_figure
 from pcwlad_geo.report.precision import PrecisionMap, precision_of
 from pcwlad_geo.report.templating import templates_of
-from pcwlad_geo.report.verdict import answers, headline
+from pcwlad_geo.report.verdict import answers, headline, percent
 from pcwlad_geo.report.views import checkered, pair_views, read_backdrop
 
 OPTIONAL: Final = ("residuals", "distribution", "trends", "candidates", "sigma")
@@ -103,6 +103,7 @@ def warp_line(gcps_vrt: str) -> str:
 def _environment() -> Environment:
     environment = templates_of("pcwlad_geo.report")
     environment.filters["figure"] = _figure
+    environment.filters["percent"] = percent
     environment.filters["pair"] = _pair
     environment.filters["png"] = partial(_data_uri, "png")
     environment.filters["jpeg"] = _jpeg

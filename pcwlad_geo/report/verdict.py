@@ -100,9 +100,9 @@ def _where_not(summary: Mapping[str, Any]) -> Answer:
     beyond = sigma["extrapolated_share"] if sigma else 0.0
     parts = []
     if beyond > 0:
-        parts.append(f"{_percent(beyond)} of the target lies beyond the tie points (hatched below)")
+        parts.append(f"{percent(beyond)} of the target lies beyond the tie points (hatched below)")
     if empty_share > 0:
-        parts.append(f"{_percent(empty_share)} of the image has no tie point near (see Coverage)")
+        parts.append(f"{percent(empty_share)} of the image has no tie point near (see Coverage)")
     if not parts:
         return Answer("Where not?", "Tie points cover the whole common area.", "good")
     text = "; ".join(parts) + "."
@@ -135,7 +135,8 @@ def _trust(summary: Mapping[str, Any]) -> Answer:
     return Answer("Can I trust the figure?", text, "good")
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """Return a share in words."""
     return f"{100 * share:.0f} %" if share >= 0.005 else "less than 1 %"
 
 

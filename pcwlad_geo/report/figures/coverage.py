@@ -138,9 +138,9 @@ def coverage_figure(
         for kind, _ in kinds
     ]
     if patches:
-        legend = axes.legend(handles=patches, ncols=4, columnspacing=1.2, frameon=False, fontsize=8)
-        legend.set_loc("lower left")
-        legend.set_bbox_to_anchor((0.0, 1.0))
+        figure.legend(
+            handles=patches, loc="upper center", ncols=4, columnspacing=1.2, frameon=False, fontsize=8
+        )
     return to_png(figure)
 
 
