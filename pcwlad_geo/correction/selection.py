@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from pcwlad_geo.correction.cross_validation import SharedNoise, left_out_errors
 from pcwlad_geo.correction.fit import CANDIDATES, FITS, Fit, fit_tps, predicted_sigma
@@ -310,6 +310,6 @@ def _differs(simple: Fit, other: Fit, points: _Points) -> bool:
     )
     by_chance = max(theirs - ours, theirs / 2)
     freedom = max(other.freedom - simple.freedom, other.freedom / 2)
-    explained = chi2.ppf(1 - CHANCE, freedom) / freedom * by_chance
+    explained = float(chdtri(freedom, CHANCE)) / freedom * by_chance
     explained += COMMON_CHANGE * sum(_common(points, other))
     return bool((change**2).sum(axis=1).mean() > explained)
