@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import rasterio
@@ -25,6 +26,9 @@ from pcwlad_geo.raster.mask_kinds import MaskKind, kind_of
 
 # Filters of the warnings module belong to the process: two threads that open files must not swap theirs.
 _opening = threading.Lock()
+
+MOST_READ_PX: Final = 2**25
+"""A file without overviews that has more pixels is not read for a look at it alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +118,19 @@ def plain_uri(uri: str) -> str:
 def plain_name(name: str) -> str:
     """Return a file name: a URI's may be none, "." and "/" have none, results do not hide behind a dot."""
     return re.sub(r'[<>:"/\\|?*]+', "_", name).lstrip(".") or "raster"
+
+
+def is_quick_to_glance_at(info: RasterInfo) -> bool:
+    """Whether a band can be read made small without reading all of a large file.
+
+    Raises
+    ------
+    InputError
+        If it cannot be opened.
+    """
+    rows, cols = info.grid.shape
+    with open_raster(info.uri) as dataset:
+        return rows * cols <= MOST_READ_PX or bool(dataset.overviews(info.band))
 
 
 def same_band(a: RasterInfo, b: RasterInfo) -> bool:

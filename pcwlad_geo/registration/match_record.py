@@ -14,6 +14,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.candidates import Candidates
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster.source import is_quick_to_glance_at
 from pcwlad_geo.raster.windows import Window
 from pcwlad_geo.registration.prealign import Look
 from pcwlad_geo.registration.sites import LEAST_TEXTURE, texture_of
@@ -93,10 +94,15 @@ def record_matching(
 
 
 def record_ground(pair: ViewPair) -> MatchRecord | None:
-    """Record where a pair can be compared at all, without any matching; None where it cannot be read."""
+    """Record where a pair can be compared at all, without any matching.
+
+    None where that would take long or cannot be read.
+    """
     sides = max(pair.reference.grid.shape), max(pair.target.grid.shape)
     factor = max(1.0, max(sides) / GLANCE_PX)
     try:
+        if not all(is_quick_to_glance_at(view.info) for view in (pair.reference, pair.target)):
+            return None
         seen = [
             view.read_decimated(max(1, round(side / factor)))[0].valid
             for view, side in zip((pair.reference, pair.target), sides, strict=True)

@@ -13,7 +13,7 @@ from rasterio.errors import RasterioError
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import jacobian, map_px
-from pcwlad_geo.raster.source import RasterInfo, open_raster
+from pcwlad_geo.raster.source import RasterInfo, is_quick_to_glance_at, open_raster
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.raster.windows import Window
@@ -27,8 +27,6 @@ SHOWN_PX: Final = (48.0, 400.0)
 SIDES_PER_DISPLACEMENT: Final = 60.0
 """A view is so many displacements wide, as far as its limits allow: then they can be seen."""
 BACKDROP_PX: Final = 350
-MOST_READ_PX: Final = 2**25
-"""A file without overviews that has more pixels is not read for a backdrop."""
 NODES: Final = 25
 """Along a side, where the mapping is evaluated; linear between."""
 MARGIN_PX: Final = 8
@@ -74,9 +72,9 @@ def read_backdrop(info: RasterInfo) -> Backdrop | None:
     factor = max(1.0, max(rows, cols) / BACKDROP_PX)
     shape = (max(1, round(rows / factor)), max(1, round(cols / factor)))
     try:
+        if not is_quick_to_glance_at(info):
+            return None
         with open_raster(info.uri) as dataset:
-            if rows * cols > MOST_READ_PX and not dataset.overviews(info.band):
-                return None
             values = dataset.read(info.band, out_shape=shape).astype(np.float64)
             valid = (dataset.read_masks(info.band, out_shape=shape) > 0) & np.isfinite(values)
     except (InputError, RasterioError):

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
+from rasterio.enums import Resampling
 
 from pcwlad_geo.matching.candidates import FATES, Candidates
+from pcwlad_geo.raster import source
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.match_record import GROUND, record_ground
@@ -113,6 +116,19 @@ def test_ground_of_a_file_that_cannot_be_read_is_not_known(tmp_path: Path) -> No
     pair = plan_views(describe(path), describe(path))
     gone = replace(pair, target=replace(pair.target, info=replace(pair.target.info, uri="/nowhere.tif")))
     assert record_ground(gone) is None
+
+
+def test_large_files_without_overviews_are_not_read_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grid = make_grid((120, 120))
+    path = write(tmp_path / "ref.tif", render(grid), grid)
+    pair = plan_views(describe(path), describe(path))
+    monkeypatch.setattr(source, "MOST_READ_PX", 120 * 120 - 1)
+    assert record_ground(pair) is None
+    with rasterio.open(path, "r+") as file:
+        file.build_overviews([2], Resampling.average)
+    assert record_ground(pair) is not None
 
 
 def test_candidates_count_and_join() -> None:
