@@ -77,8 +77,7 @@ def compose(
     precision : PrecisionMap, optional
         The registration's, where it is known already.
     """
-    backdrop = read_backdrop(registration.reference)
-    image = backdrop.image if backdrop else None
+    image = read_backdrop(registration.reference)
     precision = precision or precision_of(registration)
     given = answers(summary)
     return {

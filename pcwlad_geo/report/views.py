@@ -58,16 +58,8 @@ class PairView:
     """The target corrected; None without a correction."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Backdrop:
-    """The reference, made small."""
-
-    image: Image
-    valid: NDArray[np.bool_]
-
-
-def read_backdrop(info: RasterInfo) -> Backdrop | None:
-    """Read a raster made small; None where that would take long or cannot be done."""
+def read_backdrop(info: RasterInfo) -> Image | None:
+    """Read a raster made small, 0 where it has no data; None where that would take long or cannot be done."""
     rows, cols = info.grid.shape
     factor = max(1.0, max(rows, cols) / BACKDROP_PX)
     shape = (max(1, round(rows / factor)), max(1, round(cols / factor)))
@@ -79,7 +71,7 @@ def read_backdrop(info: RasterInfo) -> Backdrop | None:
             valid = (dataset.read_masks(info.band, out_shape=shape) > 0) & np.isfinite(values)
     except (InputError, RasterioError):
         return None
-    return Backdrop(stretched(values, valid), valid)
+    return stretched(values, valid)
 
 
 def pair_views(registration: Registration) -> list[PairView]:
