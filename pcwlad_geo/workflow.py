@@ -23,6 +23,7 @@ from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
+from pcwlad_geo.report.pdf import check_pdf, to_pdf
 from pcwlad_geo.report.precision import precision_of
 from pcwlad_geo.report.summary import summarise, to_json
 from pcwlad_geo.staging import OutputFolder, place_file
@@ -36,6 +37,7 @@ Job = Literal["registered", "matched"]
 NAMES = {
     "numbers": "report.json",
     "report": "report.html",
+    "pdf": "report.pdf",
     "tiepoints": "tiepoints.csv",
     "geopackage": "tiepoints.gpkg",
     "points": "{name}.points",
@@ -77,6 +79,7 @@ class Options(TypedDict, total=False):
     grid: s.OutputGrid
     resampling: s.Resampling
     write_sigma: bool
+    pdf: bool
     tile_size: int
     jobs: int | None
     scheduler: str | None
@@ -249,6 +252,8 @@ def _run_and_write(
     on_event: EventCallback,
 ) -> Registration:
     """Check the outputs, run the job, write its files beside their places, then put them there at once."""
+    if settings.pdf:
+        check_pdf()
     out_dir = places["numbers"].parent
     inside = output_paths(inputs[1], "registered", tgt_band=settings.tgt_band, out_dir=out_dir)
     elsewhere = {kind: path for kind, path in places.items() if path != inside[kind]}
@@ -298,9 +303,10 @@ def _write(
     on_event: EventCallback,
 ) -> list[str]:
     """Write all files of a job, the report last, and return their kinds."""
-    from pcwlad_geo.report.page import render  # slow to load: the figures' library
-
     since = time.perf_counter()
+    from pcwlad_geo.report import page  # slow to load: the figures' library
+
+    loading = time.perf_counter() - since
     if registration.status != "registered":
         bands = {}
     writers = outputs.writers(registration, places, on_event)
@@ -313,18 +319,23 @@ def _write(
         on_event(Progress("writing", done, total))
         outputs.write_band(registration, band, path, on_event)
     on_event(Progress("writing", total - 1, total))
-    seconds = registration.seconds | {"writing": time.perf_counter() - since}
-    written = [*kinds, "report", "numbers"]
+    seconds = registration.seconds | {"writing": time.perf_counter() - since - loading}
+    written = [*kinds, "report", *(["pdf"] if registration.settings.pdf else []), "numbers"]
     names = sorted(
         [*(staged[kind].name for kind in written if kind not in elsewhere), *(p.name for p in bands.values())]
     )
     precision = precision_of(registration)
     summary = summarise(replace(registration, seconds=seconds), names, precision)
     drawing = time.perf_counter()
-    page = render(registration, summary, staged["gcps"].name if "gcps" in kinds else None, precision)
-    seconds["report"] = time.perf_counter() - drawing
+    gcps = staged["gcps"].name if "gcps" in kinds else None
+    content = page.compose(registration, summary, gcps, precision)
+    staged["report"].write_text(page.on_screen(content), encoding="utf-8", newline="\n")
+    seconds["report"] = loading + time.perf_counter() - drawing
+    if "pdf" in written:
+        printing = time.perf_counter()
+        staged["pdf"].write_bytes(to_pdf(page.on_paper(content)))
+        seconds["pdf"] = time.perf_counter() - printing
     summary["seconds"] = {stage: round(value, 3) for stage, value in seconds.items()}
-    staged["report"].write_text(page, encoding="utf-8", newline="\n")
     staged["numbers"].write_text(to_json(summary), encoding="utf-8", newline="\n")
     on_event(Progress("writing", total, total))
     return written

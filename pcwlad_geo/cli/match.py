@@ -30,6 +30,7 @@ def match(
     iterations: o.Iterations = None,
     consensus: o.Consensus = None,
     prealign: o.Prealign = None,
+    pdf: o.Pdf = None,
     jobs: o.Jobs = None,
     scheduler: o.Scheduler = None,
     progress: o.ProgressOption = "auto",

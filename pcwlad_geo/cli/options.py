@@ -98,6 +98,10 @@ WriteSigma = Annotated[
     bool | None,
     typer.Option("--write-sigma", help="Write the predicted sigma of the correction as a raster too."),
 ]
+Pdf = Annotated[
+    bool | None,
+    typer.Option("--pdf", help="Write the report as PDF too; needs pip install 'pcwlad-geo[pdf]'."),
+]
 Jobs = Annotated[str | None, _setting("jobs", "Processes, at most; all: one a core.", metavar="N|all")]
 Scheduler = Annotated[
     str | None,

@@ -26,14 +26,17 @@ Rasters = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="RASTER…",
-        help="Rasters, or one with several bands; FILE:2,4,5 takes these bands of it.",
+        help="Rasters, one with several bands, or Landsat and Sentinel-2 products; FILE:2,4,5 or "
+        "PRODUCT:B4,B10 takes these bands of it.",
         show_default=False,
     ),
 ]
 Bands = Annotated[
     str | None,
     typer.Option(
-        "--bands", metavar="2,4-6", help="Bands of the rasters that do not name theirs.  [default: all]"
+        "--bands",
+        metavar="2,4-6",
+        help="Bands of the rasters that do not name theirs; of products, names.  [default: all]",
     ),
 ]
 Against = Annotated[
@@ -68,7 +71,10 @@ NativePx = Annotated[
     ),
 ]
 Mask = Annotated[
-    Path | None, typer.Option("--mask", metavar="FILE", help="Mask of all rasters, 0 = excluded.")
+    Path | None,
+    typer.Option(
+        "--mask", metavar="FILE", help="Mask of all rasters, 0 = excluded.  [default: that of a product]"
+    ),
 ]
 TrendOption = Annotated[
     Path | None,
@@ -102,6 +108,7 @@ def qa(
     iterations: o.Iterations = None,
     consensus: o.Consensus = None,
     prealign: o.Prealign = None,
+    pdf: o.Pdf = None,
     jobs: o.Jobs = None,
     scheduler: o.Scheduler = None,
     progress: o.ProgressOption = "auto",

@@ -38,6 +38,7 @@ def stack_text(result: QaResult) -> str:
 def outcome_of(result: QaResult) -> dict[str, object]:
     """Return the values of the result event."""
     names = {"numbers": "qa.json", "table": "qa.csv", "report": "qa.html"}
+    names |= {"pdf": "qa.pdf"} if result.settings.pdf else {}
     return {
         "passed": result.passed,
         "pairs": len(result.pairs),

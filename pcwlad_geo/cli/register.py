@@ -35,6 +35,7 @@ def register(
     grid: o.Grid = None,
     resampling: o.Resampling = None,
     write_sigma: o.WriteSigma = None,
+    pdf: o.Pdf = None,
     jobs: o.Jobs = None,
     scheduler: o.Scheduler = None,
     progress: o.ProgressOption = "auto",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import keypoints
+from pcwlad_geo.matching.candidates import FATES, Candidates
 from pcwlad_geo.matching.guidance import FieldGuide, calibrate, guide_by_field
 from pcwlad_geo.matching.noise import measure_noise
 from pcwlad_geo.matching.outliers import consistent
@@ -104,9 +105,7 @@ def margin_px(settings: MatchSettings) -> int:
     return max(settings.template, settings.window) // 2 + settings.search_radius + 16
 
 
-def match_candidates(
-    pair: PreparedPair, core: Core, settings: MatchSettings
-) -> tuple[TiePoints, dict[str, int]]:
+def match_candidates(pair: PreparedPair, core: Core, settings: MatchSettings) -> tuple[TiePoints, Candidates]:
     """First pass: every candidate on its own.
 
     Parameters
@@ -120,8 +119,8 @@ def match_candidates(
     -------
     points : TiePoints
         In pixel coordinates of the two arrays; not yet checked against one another, covariances formal.
-    counts : dict
-        Candidates, and how many each stage lost.
+    candidates : Candidates
+        All corners looked for, and the stage that lost each.
     """
     traits = _traits(settings)
     corners = _corners(pair, core, settings)
@@ -136,25 +135,26 @@ def match_candidates(
     compared = coarse.ssim > -1.0
     similar = compared & (coarse.ssim >= settings.ssim_min)
     inside = similar & ~coarse.at_border
-    counts = {
-        "candidates": len(corners),
-        "not_comparable": int((~compared).sum()),
-        "not_similar": int((compared & ~similar).sum()),
-        "at_search_border": int((similar & coarse.at_border).sum()),
-    }
+    fate = np.select(
+        [~compared, ~similar, coarse.at_border],
+        [FATES.index(name) for name in ("not_comparable", "not_similar", "at_search_border")],
+    ).astype(np.uint8)
+    candidates = Candidates(_centres(corners), fate)
     corners, score = corners[inside], coarse.distinctness[inside]
     # the paper begins at the whole pixel; nearer to the place fewer steps are needed
     whole = coarse.offset_rc[inside, ::-1].astype(np.float64)
     shift = coarse.shift_xy_px[inside] if traits.structure == "local" else whole
     if not traits.refined:
         covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(corners), 1, 1))
-        return _points(corners, shift, covariance, score), counts
+        return _points(corners, shift, covariance, score), candidates
     start = Start(shift, np.zeros((len(corners), 2, 2)))
     refined, agree = _refine_both(pair.stacks, corners, start, settings)
-    counts["not_converged"] = int((~refined.converged).sum())
-    counts["directions_disagree"] = int((refined.converged & ~agree).sum())
+    fate[inside] = np.select(
+        [~refined.converged, ~agree],
+        [FATES.index(name) for name in ("not_converged", "directions_disagree")],
+    )
     points = _points(corners, refined.shift_xy_px, refined.covariance_px2, score)
-    return points[refined.converged & agree], counts
+    return points[refined.converged & agree], candidates
 
 
 def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
@@ -317,8 +317,12 @@ def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
 
 
 def _points(corners: Index, shift_xy: Float64, covariance: Float64, score: Float64) -> TiePoints:
-    centre = corners[:, ::-1].astype(np.float64) + 0.5
+    centre = _centres(corners)
     return TiePoints(centre, centre + shift_xy, covariance, score)
+
+
+def _centres(corners: Index) -> Float64:
+    return corners[:, ::-1].astype(np.float64) + 0.5
 
 
 def _image(values: NDArray[Any], valid: Bool | None, which: str) -> Image:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 
@@ -29,7 +30,8 @@ _UNDEFINED_PLANE = 'LOCAL_CS["Undefined Cartesian SRS"]'
 def write(table: TiePointTable, path: Path) -> None:
     """Write the layers `tie_points` and `displacements`, each with the columns of tiepoints.csv.
 
-    Displacements are lines from the predicted to the observed place on the map, true to scale.
+    Displacements are lines from the predicted to the observed place on the map, true to scale; their style
+    draws them longer.
     Without a CRS the map is the pixel plane of the reference, y = -row.
 
     Parameters
@@ -44,13 +46,14 @@ def write(table: TiePointTable, path: Path) -> None:
     OutputError
         If it cannot be written.
     """
+    moved_xy = observed_xy(table)
     layers = {
         "tie_points": ("Point", shapely.points(table.xy)),
-        "displacements": (
-            "LineString",
-            shapely.linestrings(np.stack([table.xy, observed_xy(table)], axis=1)),
-        ),
+        "displacements": ("LineString", shapely.linestrings(np.stack([table.xy, moved_xy], axis=1))),
     }
+    kept = table.status != "rejected"
+    arrows = qgis_styles.arrows_style(qgis_styles.enlargement(table.xy[kept], moved_xy[kept]))
+    styles = {"tie_points": qgis_styles.points_style(), "displacements": arrows}
     columns = tie_point_csv.columns_of(table)
     try:
         for name, (geometry_type, geometry) in layers.items():
@@ -65,7 +68,7 @@ def write(table: TiePointTable, path: Path) -> None:
                 crs=_UNDEFINED_PLANE if table.crs is None else table.crs.to_wkt(version="WKT2_2019"),
             )
         with closing(sqlite3.connect(path)) as database, database:
-            _add_styles(database)
+            _add_styles(database, styles)
     except (DataSourceError, DataLayerError, sqlite3.Error, OSError) as error:
         raise OutputError(f"cannot write {path}: {error}; is the disk full?") from error
 
@@ -114,11 +117,11 @@ INSERT INTO layer_styles (
 """
 
 
-def _add_styles(database: sqlite3.Connection) -> None:
+def _add_styles(database: sqlite3.Connection, styles: Mapping[str, str]) -> None:
     """Add QGIS's table of styles; a layer takes its default style from there."""
     database.execute(_LAYER_STYLES)
     database.execute(_CONTENTS, (_TIMESTAMP,))
     geometry_columns = dict(database.execute("SELECT table_name, column_name FROM gpkg_geometry_columns"))
-    for layer, style in qgis_styles.STYLES.items():
+    for layer, style in styles.items():
         database.execute(_STYLE, (layer, geometry_columns[layer], layer, style, _TIMESTAMP))
     database.execute("UPDATE gpkg_contents SET last_change = ?", (_TIMESTAMP,))

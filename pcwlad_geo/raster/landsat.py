@@ -64,6 +64,7 @@ def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:
         bands=tuple(made[name] for name in order),
         mask=tree.uri(quality) if quality else None,
         missing=_missing(tree, identifier, files),
+        cirrus=("B9",) if identifier[3] in "89" else (),
         aliases=_aliases(made, {name: match["number"] for name, (match, _) in bands.items()}),
     )
 

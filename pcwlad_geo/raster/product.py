@@ -61,6 +61,8 @@ class Product:
     """Bands that its metadata list and that are not there."""
     aliases: Mapping[str, ProductBand] = field(default_factory=dict)
     """Other names of bands, and bands at coarser pixel sizes, in capitals."""
+    cirrus: tuple[str, ...] = ()
+    """Names of bands in which the atmosphere hides the ground."""
 
     def band(self, name: str | int) -> ProductBand:
         """Return a band by name.
@@ -83,6 +85,28 @@ class Product:
                 + (f"; its metadata list {', '.join(self.missing)} besides" if self.missing else "")
             )
         return found[name.upper()]
+
+    def ground_bands(self) -> tuple[tuple[ProductBand, ...], tuple[str, ...]]:
+        """Return the bands that show the ground, and what to tell of those left out.
+
+        Raises
+        ------
+        InputError
+            If the product is not complete.
+        """
+        if self.missing:
+            raise InputError(
+                f"{self.path} ({self.kind}) lacks bands that its metadata list: {', '.join(self.missing)}; "
+                f"complete it, or name those to compare ({self.path}:{','.join(b.name for b in self.bands)})"
+            )
+        cirrus = tuple(band for band in self.bands if band.name in self.cirrus)
+        ground = tuple(band for band in self.bands if band not in cirrus)
+        notes = tuple(
+            f"band {band.name} of {self.path} shows cirrus, not the ground, and is left out (name it to "
+            "have it compared)"
+            for band in cirrus
+        )
+        return ground, notes
 
     def others(self, band: ProductBand) -> tuple[ProductBand, ...]:
         """Return the bands besides one.

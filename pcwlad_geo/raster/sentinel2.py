@@ -62,6 +62,7 @@ def find_sentinel2(tree: FileTree) -> Product | None:
         bands=tuple(finest[name] for name in BANDS if name in finest),
         mask=scene_classes.uri if scene_classes else tree.uri(clouds) if clouds else None,
         missing=facts.missing(tree),
+        cirrus=("B10",),
         aliases=sized | {f"B{int(name[1:])}": band for name, band in finest.items() if name[1:].isdecimal()},
     )
 

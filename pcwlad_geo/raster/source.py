@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import rasterio
@@ -25,6 +26,9 @@ from pcwlad_geo.raster.mask_kinds import MaskKind, kind_of
 
 # Filters of the warnings module belong to the process: two threads that open files must not swap theirs.
 _opening = threading.Lock()
+
+MOST_READ_PX: Final = 2**25
+"""A file without overviews that has more pixels is not read for a look at it alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +107,30 @@ def describe(
 
 def file_name(uri: str) -> str:
     """Return the last part of a path or GDAL URI, without what a vrt:// connection adds to it."""
-    plain = uri.removeprefix("vrt://").partition("?")[0] if uri.startswith("vrt://") else uri
-    return Path(plain).name
+    return Path(plain_uri(uri)).name
+
+
+def plain_uri(uri: str) -> str:
+    """Return a path or GDAL URI without what a vrt:// connection adds to it."""
+    return uri.removeprefix("vrt://").partition("?")[0] if uri.startswith("vrt://") else uri
 
 
 def plain_name(name: str) -> str:
     """Return a file name: a URI's may be none, "." and "/" have none, results do not hide behind a dot."""
     return re.sub(r'[<>:"/\\|?*]+', "_", name).lstrip(".") or "raster"
+
+
+def is_quick_to_glance_at(info: RasterInfo) -> bool:
+    """Whether a band can be read made small without reading all of a large file.
+
+    Raises
+    ------
+    InputError
+        If it cannot be opened.
+    """
+    rows, cols = info.grid.shape
+    with open_raster(info.uri) as dataset:
+        return rows * cols <= MOST_READ_PX or bool(dataset.overviews(info.band))
 
 
 def same_band(a: RasterInfo, b: RasterInfo) -> bool:

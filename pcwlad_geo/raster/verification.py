@@ -21,7 +21,7 @@ def verify_output(path: Path) -> None:
     """Reopen a file that was written, and raise where it is not whole.
 
     Rasters: the last block of every band; VRT and JSON: parsed; GeoPackage: SQLite's integrity
-    check; the rest: not empty, UTF-8.
+    check; PDF: its end; the rest: not empty, UTF-8.
 
     Raises
     ------
@@ -33,6 +33,7 @@ def verify_output(path: Path) -> None:
         ".gpkg": _verify_database,
         ".vrt": _verify_xml,
         ".json": _verify_json,
+        ".pdf": _verify_pdf,
     }
     try:
         if path.stat().st_size == 0:
@@ -67,6 +68,11 @@ def _verify_xml(path: Path) -> None:
 
 def _verify_json(path: Path) -> None:
     json.loads(path.read_text(encoding="utf-8"))
+
+
+def _verify_pdf(path: Path) -> None:
+    if not path.read_bytes().rstrip().endswith(b"%%EOF"):
+        raise ValueError("it has no end")
 
 
 def _verify_text(path: Path) -> None:

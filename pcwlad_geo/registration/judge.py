@@ -102,7 +102,8 @@ def _reason(points: int, agreeing: int, cells: int, counts: dict[str, int], radi
         return "almost no window has enough valid pixels in both images; check masks, nodata and overlap"
     border = counts.get("at_search_border", 0) / candidates
     advice = (
-        f"many best matches lie on the edge of the search radius of {radius_px} px: raise --search-radius"
+        f"many best matches lie on the edge of the search radius of {radius_px} px: raise --search-radius, "
+        "or give --prealign search, unless the two do not show the same place"
         if border > 0.25
         else f"the displacement may exceed the search radius of {radius_px} px (raise --search-radius "
         "or give --prealign search), clouds may hide the ground, or the two do not show the same place"

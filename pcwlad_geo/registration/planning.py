@@ -15,7 +15,7 @@ from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.windows import Window
 from pcwlad_geo.registration.prealign import Look
 from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.registration.sites import find_sites, lattice_shape, small_window
+from pcwlad_geo.registration.sites import find_sites, lattice_places, lattice_shape, small_window
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 
 ONE_TILE: Final = 1.3
@@ -42,6 +42,8 @@ class Plan:
     """Tie points wanted from small windows; None: the tiles cover the scene."""
     sites: tuple[tuple[TileJob, ...], ...] = ()
     """Small windows: one tuple for each place of the lattice, the best window first."""
+    barren: tuple[Window, ...] = ()
+    """Places of the lattice that show no structure, so that they have no window."""
 
     def following(self, results: Sequence[TileResult]) -> list[TileJob]:
         """Return the windows to match next, given what all so far gave.
@@ -113,7 +115,9 @@ def plan(
     if count * window.read_window.area_px2 >= sum(job.read_window.area_px2 for job in tiles):
         return Plan(tiles)
     sites = find_sites(window, look, round(candidates))
-    return Plan([site[0] for site in sites if site], int(wanted), sites)
+    places = lattice_places(region, round(candidates))
+    barren = tuple(place for place, site in zip(places, sites, strict=True) if not site)
+    return Plan([site[0] for site in sites if site], int(wanted), sites, barren)
 
 
 def count_tiles(pair: ViewPair, settings: Settings) -> int:

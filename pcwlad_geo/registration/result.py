@@ -14,6 +14,7 @@ from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.settings import Settings
 
 if TYPE_CHECKING:
+    from pcwlad_geo.registration.match_record import MatchRecord
     from pcwlad_geo.registration.rpc_target import RpcRegistration
 
 Status = Literal["registered", "rejected", "matched"]
@@ -58,3 +59,5 @@ class Registration:
     """How the correction was chosen, and its precision anywhere; None where there is none."""
     rpc: RpcRegistration | None = None
     """The target's RPC, where that places it."""
+    record: MatchRecord | None = None
+    """What the matching did where; None where that is not known."""

@@ -25,6 +25,7 @@ from pcwlad_geo.registration.inputs import resolve
 from pcwlad_geo.registration.job_log import JobLog
 from pcwlad_geo.registration.judge import Verdict
 from pcwlad_geo.registration.kernels import load_kernels
+from pcwlad_geo.registration.match_record import MatchRecord, record_ground
 from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search, look_at
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
@@ -126,6 +127,7 @@ def run(
         seconds=log.seconds,
         settings=settings,
         selection=fitted.selection if fitted else None,
+        record=found.record,
         rpc=corrected_rpc(placed, fitted.correction if fitted else None) if placed else None,
     )
 
@@ -138,12 +140,14 @@ class _Found:
     verdict: Verdict
     counts: dict[str, int]
     prealignment: Prealignment
+    record: MatchRecord | None
 
 
 def _from_file(pair: ViewPair, path: Path | str, log: JobLog) -> _Found:
     with log.stage("reading"):
         table, verdict, counts = points_of_file(path, pair)
-    return _Found(table, verdict, counts, Prealignment("tie points of a file", (0.0, 0.0), 0))
+        record = record_ground(pair)
+    return _Found(table, verdict, counts, Prealignment("tie points of a file", (0.0, 0.0), 0), record)
 
 
 def _by_matching(
@@ -163,7 +167,8 @@ def _by_matching(
         check_start(placed, matched.prealignment, pair.reference.grid, settings)
         matched, pair = _match_from_nearer(matched, pair, settings, log, runner)
     table = _table(matched, pair, original)
-    return _Found(table, matched.verdict, matched.counts, matched.prealignment), pair
+    found = _Found(table, matched.verdict, matched.counts, matched.prealignment, matched.record)
+    return found, pair
 
 
 def _match(pair: ViewPair, look: Look, settings: Settings, log: JobLog, runner: Runner) -> Matched:

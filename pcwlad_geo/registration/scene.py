@@ -19,6 +19,7 @@ from pcwlad_geo.matching.tie_points import TiePoints
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.registration.job_log import JobLog
 from pcwlad_geo.registration.judge import Verdict, judge
+from pcwlad_geo.registration.match_record import MatchRecord, record_matching
 from pcwlad_geo.registration.planning import Plan, common_region, plan
 from pcwlad_geo.registration.prealign import Look, target_offset_px
 from pcwlad_geo.registration.result import Prealignment
@@ -48,6 +49,8 @@ class Matched:
     counts: dict[str, int]
     verdict: Verdict
     prealignment: Prealignment
+    record: MatchRecord
+    """Of the first pass."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +102,8 @@ def match_scene(
             verdict = judge(first.matches, kept, counts, matching.window, prealignment.search_radius_px)
     counts["inconsistent"] = int((~kept).sum())
     counts["tie_points"] = int(kept.sum())
-    return Matched(matches, kept, counts, verdict, prealignment)
+    record = record_matching(pair, look, offset, matching, planned.barren, first.jobs, first.results)
+    return Matched(matches, kept, counts, verdict, prealignment, record)
 
 
 def _first_pass(planned: Plan, log: JobLog, runner: Runner) -> _FirstPass:

@@ -72,6 +72,8 @@ class Settings:
     Lanczos does not; cubic replaces it where the output's pixels are coarser."""
     write_sigma: bool = False
     """Write the predicted sigma of the correction as a raster too."""
+    pdf: bool = False
+    """Write the report as PDF too."""
     tile_size: int = 1024
     """Core of a tile, matching-grid px (without its halo)."""
     jobs: int | None = None
@@ -104,7 +106,9 @@ class Settings:
         _check("scheduler", self.scheduler, address, "an address such as tcp://host:8786")
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
         _check("ssim_min", self.ssim_min, real, "a number from -1 to below 1")
-        _check("write_sigma", self.write_sigma, isinstance(self.write_sigma, bool), "true or false")
+        for name in ("write_sigma", "pdf"):
+            value = getattr(self, name)
+            _check(name, value, isinstance(value, bool), "true or false")
         if self.dem_vertical is not None and self.dem is None:
             raise SettingsError(f"dem_vertical = {self.dem_vertical!r} without a DEM: give --dem too")
         if isinstance(self.dem_vertical, Real):

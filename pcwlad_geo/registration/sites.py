@@ -45,6 +45,12 @@ def lattice_shape(region: Window, candidates: int) -> tuple[int, int]:
     return rows, int(np.ceil(count / rows))
 
 
+def lattice_places(region: Window, candidates: int) -> list[Window]:
+    """Return the places into which a region is divided, row by row."""
+    shape = lattice_shape(region, candidates)
+    return [_place(region, shape, row, col) for row in range(shape[0]) for col in range(shape[1])]
+
+
 def small_window(base: TileJob, candidates: int) -> TileJob:
     """Return a small window in the corner of the region: its core is made of whole cells of candidates."""
     rows, cols = lattice_shape(base.region, candidates)
@@ -78,13 +84,10 @@ def find_sites(window: TileJob, look: Look, candidates: int) -> tuple[tuple[Tile
     step = window.core.rows // CELLS_ACROSS
     sites: list[tuple[TileJob, ...]] = []
     count = 0
-    shape = lattice_shape(region, candidates)
-    for row in range(shape[0]):
-        for col in range(shape[1]):
-            place = _place(region, shape, row, col)
-            chosen = _best_windows(place, window, step, texture, valid, look.factor)
-            sites.append(tuple(replace(window, id=count + k, core=core) for k, core in enumerate(chosen)))
-            count += len(chosen)
+    for place in lattice_places(region, candidates):
+        chosen = _best_windows(place, window, step, texture, valid, look.factor)
+        sites.append(tuple(replace(window, id=count + k, core=core) for k, core in enumerate(chosen)))
+        count += len(chosen)
     return tuple(sites)
 
 
@@ -138,7 +141,7 @@ def _merged(window: TileJob, look: Look) -> tuple[Float64, Float64]:
     scenes = (window.reference_scene, window.target_scene)
     textures, valids = [], []
     for patch, scene in zip((look.reference, look.target), scenes, strict=True):
-        textures.append(_texture(patch, scene.epsilon))
+        textures.append(texture_of(patch, scene.epsilon))
         valids.append(patch.valid.astype(np.float32))
     shape = textures[0].shape
     offset = np.round(np.asarray(window.target_offset_px) / look.factor).astype(int)
@@ -148,7 +151,8 @@ def _merged(window: TileJob, look: Look) -> tuple[Float64, Float64]:
     return texture, valid
 
 
-def _texture(patch: Patch, epsilon: float) -> NDArray[np.float32]:
+def texture_of(patch: Patch, epsilon: float) -> NDArray[np.float32]:
+    """Return where a band has more than faint contrast: near 1 there, else near 0; 0 where not valid."""
     filled = fill_smoothly(np.where(patch.valid, patch.values, 0), patch.valid)
     return contrast_weight(filled, epsilon) * patch.valid
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching.candidates import Candidates
 from pcwlad_geo.matching.field import Surface
 from pcwlad_geo.matching.guidance import FieldGuide, guide_by_field
 from pcwlad_geo.matching.matcher import (
@@ -102,6 +103,8 @@ class TileResult:
     reason: str | None
     seconds: float
     guided: Guided | None = None
+    lost: Candidates = field(default_factory=Candidates.empty)
+    """Of the first pass: those that found no match, reference-view px."""
 
 
 def match_tile(job: TileJob) -> TileResult:
@@ -123,7 +126,7 @@ def match_tile(job: TileJob) -> TileResult:
         core.col_stop - window.col,
         (window.row - job.region.row, window.col - job.region.col),
     )
-    points, counts = match_candidates(pair, inside, job.settings)
+    points, candidates = match_candidates(pair, inside, job.settings)
     if job.returns and len(points):
         _KEPT.keep(job.scene, job.id, pair.stacks)
     guided = _guided(job, pair, points) if job.guides_itself else None
@@ -131,10 +134,11 @@ def match_tile(job: TileJob) -> TileResult:
         job.id,
         "matched" if len(points) else "empty",
         points.shifted(*_origins(job)),
-        counts,
+        candidates.counts,
         None,
         time.perf_counter() - begun,
         guided,
+        candidates.lost.shifted(_origins(job)[0]),
     )
 
 

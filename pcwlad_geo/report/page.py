@@ -8,7 +8,7 @@ import io
 import shlex
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from jinja2 import Environment
@@ -20,33 +20,51 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.dem import Dem
 from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.coverage import Coverage
-from pcwlad_geo.report.figures.coverage import coverage_figure
+from pcwlad_geo.report.figures.candidates import candidate_figure
+from pcwlad_geo.report.figures.coverage import coverage_figure, missing_kinds
 from pcwlad_geo.report.figures.displacements import displacement_figure
 from pcwlad_geo.report.figures.distribution import distribution_figure
 from pcwlad_geo.report.figures.residuals import residual_figure
 from pcwlad_geo.report.figures.sigma import sigma_figure
 from pcwlad_geo.report.figures.trends import trend_figure
 from pcwlad_geo.report.precision import PrecisionMap, precision_of
-from pcwlad_geo.report.summary import Summary
 from pcwlad_geo.report.templating import templates_of
-from pcwlad_geo.report.verdict import answers
-from pcwlad_geo.report.views import pair_views, read_backdrop
+from pcwlad_geo.report.verdict import answers, headline, percent
+from pcwlad_geo.report.views import checkered, pair_views, read_backdrop
 
-VERDICTS = {
-    "registered": "Registered",
-    "rejected": "Could not be registered reliably",
-    "matched": "Tie points matched",
-}
+OPTIONAL: Final = ("residuals", "distribution", "trends", "candidates", "sigma")
+"""Figures that not every page has."""
+Content = dict[str, object]
+"""Names and values of the template."""
 
 
 def render(
     registration: Registration,
-    summary: Summary,
+    summary: Mapping[str, Any],
     gcps_vrt: str | None,
     precision: PrecisionMap | None = None,
 ) -> str:
-    """Return the text of `report.html`.
+    """Return the text of `report.html`; see `compose`."""
+    return on_screen(compose(registration, summary, gcps_vrt, precision))
+
+
+def on_screen(content: Content) -> str:
+    """Return the page for browsers."""
+    return _environment().get_template("report.html.j2").render(content, paper=False)
+
+
+def on_paper(content: Content) -> str:
+    """Return the page for what runs no scripts and draws no masks, such as makers of PDF."""
+    return _environment().get_template("report.html.j2").render(content, paper=True)
+
+
+def compose(
+    registration: Registration,
+    summary: Mapping[str, Any],
+    gcps_vrt: str | None,
+    precision: PrecisionMap | None = None,
+) -> Content:
+    """Draw the figures, and return all that the page is made from.
 
     Parameters
     ----------
@@ -59,31 +77,20 @@ def render(
     precision : PrecisionMap, optional
         The registration's, where it is known already.
     """
-    environment = _environment()
-    backdrop = read_backdrop(registration.reference)
-    shape = registration.reference.grid.shape
-    coverage = Coverage.of(registration.tie_points, shape, backdrop.valid if backdrop else None)
-    script = _source(environment, "slider.js")
-    return environment.get_template("report.html.j2").render(
-        summary,
-        verdict=VERDICTS[registration.status],
-        answers=answers(summary, coverage.empty_share),
-        target_name=file_name(registration.target.uri),
-        reference_name=file_name(registration.reference.uri),
-        figures=_figures(
-            registration,
-            summary,
-            coverage,
-            precision or precision_of(registration),
-            backdrop.image if backdrop else None,
-        ),
-        coverage=coverage,
-        views=pair_views(registration),
-        style=_source(environment, "style.css"),
-        script=script,
-        script_hash="sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
-        warp_line=warp_line(gcps_vrt) if gcps_vrt else None,
-    )
+    image = read_backdrop(registration.reference)
+    precision = precision or precision_of(registration)
+    given = answers(summary)
+    return {
+        **summary,
+        "headline": headline(registration.status, given),
+        "answers": given,
+        "target_name": file_name(registration.target.uri),
+        "reference_name": file_name(registration.reference.uri),
+        "figures": _figures(registration, summary, precision, image),
+        "missing": missing_kinds(summary["coverage"]),
+        "views": pair_views(registration),
+        "warp_line": warp_line(gcps_vrt) if gcps_vrt else None,
+    }
 
 
 def warp_line(gcps_vrt: str) -> str:
@@ -95,9 +102,17 @@ def warp_line(gcps_vrt: str) -> str:
 def _environment() -> Environment:
     environment = templates_of("pcwlad_geo.report")
     environment.filters["figure"] = _figure
+    environment.filters["percent"] = percent
     environment.filters["pair"] = _pair
     environment.filters["png"] = partial(_data_uri, "png")
     environment.filters["jpeg"] = _jpeg
+    script = _source(environment, "slider.js")
+    environment.globals |= {
+        "style": _source(environment, "style.css"),
+        "script": script,
+        "checkered": checkered,
+        "script_hash": "sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
+    }
     return environment
 
 
@@ -111,7 +126,6 @@ def _source(environment: Environment, name: str) -> Markup:
 def _figures(
     registration: Registration,
     summary: Mapping[str, Any],
-    coverage: Coverage,
     precision: PrecisionMap | None,
     image: NDArray[np.uint8] | None,
 ) -> dict[str, bytes | None]:
@@ -119,15 +133,20 @@ def _figures(
     table, shape = registration.tie_points, registration.reference.grid.shape
     after = summary["statistics"]["after"]
     judged = after["check"] or after["fit"]
-    figures: dict[str, bytes | None] = dict.fromkeys(("residuals", "distribution", "trends", "sigma"))
+    figures: dict[str, bytes | None] = dict.fromkeys(OPTIONAL)
     figures["displacements"] = displacement_figure(table, shape, image)
-    figures["coverage"] = coverage_figure(coverage, image)
+    figures["coverage"] = coverage_figure(summary["coverage"], shape, image)
     if judged:
         figures["residuals"] = residual_figure(table, shape, image)
         figures["distribution"] = distribution_figure(table, judged["px"]["radial"]["ce90"])
         points = table.select("fit", "check")
         heights = _heights_m(registration, points.predicted_px)
         figures["trends"] = trend_figure(points, registration.target.grid.shape, heights)
+    candidates = [
+        each for each in (summary["model"] or {}).get("candidates", ()) if each["rmse_px"] is not None
+    ]
+    if len(candidates) > 1:
+        figures["candidates"] = candidate_figure(candidates)
     if precision is not None:
         figures["sigma"] = sigma_figure(precision, table.select("fit").predicted_px)
     return figures

@@ -21,6 +21,7 @@ from pcwlad_geo.raster.rpc_grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.rpc_target import RpcRegistration
+from pcwlad_geo.report.coverage import coverage_of
 from pcwlad_geo.report.precision import PrecisionMap, precision_of
 from pcwlad_geo.report.statistics import KEPT, error_statistics
 
@@ -74,6 +75,7 @@ def summarise(
             for group in ("fit", "check")
         },
         "statistics": error_statistics(registration),
+        "coverage": _coverage(registration),
         "seconds": {stage: round(value, SECONDS_DIGITS) for stage, value in registration.seconds.items()},
         "settings": asdict(registration.settings),
         "versions": versions(),
@@ -180,6 +182,18 @@ def _predicted_sigma(precision: PrecisionMap) -> Summary:
         "median": np.round(np.median(sigma, axis=0), PX_DIGITS).tolist(),
         "largest": np.round(sigma.max(axis=0), PX_DIGITS).tolist(),
         "extrapolated_share": round(float(precision.extrapolated.mean()), 3),
+    }
+
+
+def _coverage(registration: Registration) -> Summary:
+    """Return the tie points by square of the reference, and why there are none."""
+    found = coverage_of(registration.tie_points, registration.reference.grid.shape, registration.record)
+    return {
+        "squares": list(found.points.shape),
+        "points": found.points.tolist(),
+        "reason": [[name or None for name in row] for row in found.reason.tolist()],
+        "without_points": found.without,
+        "empty_share": round(found.empty_share, 3),
     }
 
 

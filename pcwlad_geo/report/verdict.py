@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
+
+from pcwlad_geo.registration.result import Status
 
 ENOUGH_CHECK_POINTS: Final = 30
 """ASPRS Positional Accuracy Standards, 2023."""
@@ -35,21 +37,44 @@ class Answer:
         return MARKS[self.state]
 
 
-def answers(summary: Mapping[str, Any], empty_share: float) -> list[Answer]:
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """What a reader must know if they read nothing else."""
+
+    text: str
+    state: State
+
+    @property
+    def mark(self) -> str:
+        """A sign for those who see no colour."""
+        return MARKS[self.state]
+
+
+def headline(status: Status, given: Sequence[Answer]) -> Headline:
+    """Return the verdict, as good as the worst of the answers to a registered pair."""
+    if status == "rejected":
+        return Headline("Could not be registered reliably", "bad")
+    if status == "matched":
+        return Headline("Tie points matched", "good")
+    state: State = max((answer.state for answer in given), key=list(MARKS).index, default="caution")
+    return Headline(
+        {"good": "Registered", "caution": "Registered, with care", "bad": "Registered, poorly"}[state], state
+    )
+
+
+def answers(summary: Mapping[str, Any]) -> list[Answer]:
     """Return the answers for a registered pair; none for others.
 
     Parameters
     ----------
     summary : dict
         What `summarise` made.
-    empty_share : float
-        Share of the squares with data that have no tie point.
     """
     after = summary["statistics"]["after"]
     judged = after["check"] or after["fit"]
     if summary["status"] != "registered" or judged is None:
         return []
-    return [_how_well(summary, judged), _where_not(summary, empty_share), _trust(summary)]
+    return [_how_well(summary, judged), _where_not(summary), _trust(summary)]
 
 
 def _how_well(summary: Mapping[str, Any], judged: Mapping[str, Any]) -> Answer:
@@ -69,14 +94,15 @@ def _how_well(summary: Mapping[str, Any], judged: Mapping[str, Any]) -> Answer:
     return Answer("How well?", text, state)
 
 
-def _where_not(summary: Mapping[str, Any], empty_share: float) -> Answer:
+def _where_not(summary: Mapping[str, Any]) -> Answer:
+    empty_share = summary["coverage"]["empty_share"]
     sigma = (summary["model"] or {}).get("predicted_sigma_px")
     beyond = sigma["extrapolated_share"] if sigma else 0.0
     parts = []
     if beyond > 0:
-        parts.append(f"{100 * beyond:.0f} % of the target lies beyond the tie points (hatched below)")
+        parts.append(f"{percent(beyond)} of the target lies beyond the tie points (hatched below)")
     if empty_share > 0:
-        parts.append(f"{100 * empty_share:.0f} % of the image has no tie point near (see Coverage)")
+        parts.append(f"{percent(empty_share)} of the image has no tie point near (see Coverage)")
     if not parts:
         return Answer("Where not?", "Tie points cover the whole common area.", "good")
     text = "; ".join(parts) + "."
@@ -107,6 +133,11 @@ def _trust(summary: Mapping[str, Any]) -> Answer:
         return Answer("Can I trust the figure?", "With care: " + "; ".join(doubts) + ".", "caution")
     text = f"Yes: it is counted at {check['n']} check points that the fit has not seen."
     return Answer("Can I trust the figure?", text, "good")
+
+
+def percent(share: float) -> str:
+    """Return a share in words."""
+    return f"{100 * share:.0f} %" if share >= 0.005 else "less than 1 %"
 
 
 def _px(value: float) -> str:

@@ -13,7 +13,7 @@ from rasterio.errors import RasterioError
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import jacobian, map_px
-from pcwlad_geo.raster.source import RasterInfo, open_raster
+from pcwlad_geo.raster.source import RasterInfo, is_quick_to_glance_at, open_raster
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.raster.windows import Window
@@ -27,13 +27,13 @@ SHOWN_PX: Final = (48.0, 400.0)
 SIDES_PER_DISPLACEMENT: Final = 60.0
 """A view is so many displacements wide, as far as its limits allow: then they can be seen."""
 BACKDROP_PX: Final = 350
-MOST_READ_PX: Final = 2**25
-"""A file without overviews that has more pixels is not read for a backdrop."""
 NODES: Final = 25
 """Along a side, where the mapping is evaluated; linear between."""
 MARGIN_PX: Final = 8
 """Read around what is sampled."""
 MOST_SOURCE_PX: Final = 3000
+SQUARES: Final = 8
+"""Of a checkerboard, along a side."""
 MOSTLY_VALID: Final = 0.99
 """Share of valid pixels around a sample: what is not valid must not shine through."""
 
@@ -58,28 +58,20 @@ class PairView:
     """The target corrected; None without a correction."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Backdrop:
-    """The reference, made small."""
-
-    image: Image
-    valid: NDArray[np.bool_]
-
-
-def read_backdrop(info: RasterInfo) -> Backdrop | None:
-    """Read a raster made small; None where that would take long or cannot be done."""
+def read_backdrop(info: RasterInfo) -> Image | None:
+    """Read a raster made small, 0 where it has no data; None where that would take long or cannot be done."""
     rows, cols = info.grid.shape
     factor = max(1.0, max(rows, cols) / BACKDROP_PX)
     shape = (max(1, round(rows / factor)), max(1, round(cols / factor)))
     try:
+        if not is_quick_to_glance_at(info):
+            return None
         with open_raster(info.uri) as dataset:
-            if rows * cols > MOST_READ_PX and not dataset.overviews(info.band):
-                return None
             values = dataset.read(info.band, out_shape=shape).astype(np.float64)
             valid = (dataset.read_masks(info.band, out_shape=shape) > 0) & np.isfinite(values)
     except (InputError, RasterioError):
         return None
-    return Backdrop(stretched(values, valid), valid)
+    return stretched(values, valid)
 
 
 def pair_views(registration: Registration) -> list[PairView]:
@@ -107,6 +99,12 @@ def stretched(values: Array, valid: NDArray[np.bool_]) -> Image:
     low, high = np.percentile(values[valid], [2, 98])
     grey = np.clip((values - low) / max(high - low, 1e-12), 0, 1) * 254 + 1
     return np.where(valid, grey, 0).astype(np.uint8)
+
+
+def checkered(one: Image, other: Image) -> Image:
+    """Return two views of the same size in alternate squares, the first in the corner."""
+    rows, cols = (np.arange(side) * SQUARES // side for side in one.shape)
+    return np.where((rows[:, None] + cols) % 2 == 0, one, other)
 
 
 def _places(table: TiePointTable) -> list[tuple[str, Array]]:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from rasterio.enums import ColorInterp
-
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.native_pixels import native_px_m
-from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
-
-PathLike = str | os.PathLike[str]
+from pcwlad_geo.raster.products import stem_of
+from pcwlad_geo.raster.source import RasterInfo, describe, file_name, open_raster, plain_uri
+from pcwlad_geo.stacks.inputs import PathLike, Wanted, expand
 
 LONGEST_NAME: Final = 24
 """Descriptions that are longer are no names."""
@@ -37,33 +34,42 @@ class Band:
     """Pixel size (col, row) that the sensor recorded; that of the file where nothing else is known."""
     native_told: bool
     """Whether a known sensor or the user says so."""
+    product: str | None = None
+    """Path of the product that it is of; None: the raster was given itself."""
+    notes: tuple[str, ...] = ()
+    """What to warn of."""
+
+    @property
+    def file(self) -> str:
+        """Path or GDAL URI of its file."""
+        return plain_uri(self.info.uri)
 
     @property
     def where(self) -> str:
         """Its file and number."""
-        return f"{Path(self.info.uri).name}, band {self.info.band}"
+        return f"{file_name(self.info.uri)}, band {self.info.band}"
 
 
 def list_bands(
-    rasters: Sequence[PathLike], bands: Sequence[int] | None = None, mask: PathLike | None = None
+    rasters: Sequence[PathLike], bands: Sequence[int | str] | None = None, mask: PathLike | None = None
 ) -> list[Band]:
     """Describe the bands of a stack, those of the finest pixels first.
 
     Parameters
     ----------
     rasters : sequence of path
-        Rasters; ``FILE:2,4,5`` or ``FILE:1-4`` takes these bands of it.
-    bands : sequence of int, optional
-        Bands of the rasters that do not name theirs; None = all that are no alpha.
+        Rasters or products; ``FILE:2,4,5``, ``FILE:1-4`` or ``PRODUCT:B4,B10`` takes these bands of it.
+    bands : sequence of int or str, optional
+        Bands of those that do not name theirs; None = all that are no alpha and no cirrus band.
     mask : path, optional
-        Mask of all rasters, 0 = excluded.
+        Mask of all rasters, 0 = excluded; None = those of the products.
 
     Raises
     ------
     InputError
         If a raster, band or mask cannot be used, a band is there twice, or there are fewer than two.
     """
-    found = [_described(uri, number, mask) for raster in rasters for uri, number in _expanded(raster, bands)]
+    found = [_described(wanted) for raster in rasters for wanted in expand(raster, bands, mask)]
     for band in found:
         if sum(_same(band, other) for other in found) > 1:
             raise InputError(f"{band.where} is there twice: name every band once")
@@ -85,22 +91,12 @@ def find_band(bands: Sequence[Band], name: str) -> Band:
     SettingsError
         If there is none, or more than one.
     """
-    wanted = name.casefold()
-
-    def exact(band: Band) -> bool:
-        path = Path(band.info.uri)
-        numbered = (f"{path.name}:{band.info.band}", f"{path.stem}:{band.info.band}", str(band.info.band))
-        return wanted in {
-            text.casefold()
-            for text in (band.name, band.description or "", path.name, path.stem, band.info.uri, *numbered)
-        }
-
-    def ending(band: Band) -> bool:
-        texts = (band.name, band.description or "", Path(band.info.uri).stem)
-        return any(re.split(r"[_\-. ]", text.casefold())[-1] == wanted for text in texts)
-
-    matches = [band for band in bands if band.name.casefold() == wanted]
-    matches = matches or [band for band in bands if exact(band)] or [band for band in bands if ending(band)]
+    matches: list[Band] = []
+    for fold in (str.casefold, _without_zero):
+        wanted = fold(name)
+        matches = matches or [band for band in bands if fold(band.name) == wanted]
+        matches = matches or [band for band in bands if wanted in map(fold, _spellings(band))]
+        matches = matches or [band for band in bands if wanted in map(fold, _last_words(band))]
     if len(matches) == 1:
         return matches[0]
     names = ", ".join(band.name for band in (matches or bands))
@@ -138,85 +134,62 @@ def with_native_px(bands: Sequence[Band], told: Sequence[str]) -> list[Band]:
     return list(result.values())
 
 
-def split_bands(raster: PathLike) -> tuple[str, list[int] | None]:
-    """Return a path without its ending ``:2,4-6``, and those bands; a GDAL URI stays as it is."""
-    raster = os.fspath(raster)
-    match = re.fullmatch(r"(.+):(\d+(?:-\d+)?(?:,\d+(?:-\d+)?)*)", raster)
-    if match is None or Path(raster).exists() or not _is_file(match[1]):
-        return raster, None
-    return match[1], parse_bands(match[2])
-
-
-def parse_bands(text: str) -> list[int]:
-    """Return the numbers of ``2,4-6``.
-
-    Raises
-    ------
-    SettingsError
-        If they cannot be read.
-    """
-    numbers: list[int] = []
-    for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdecimal() or (dash and not last.isdecimal()) or int(first) < 1:
-            raise SettingsError(f"bands = {text!r}: give numbers from 1, such as 2,4,5 or 1-4")
-        span = range(int(first), int(last or first) + 1)
-        if not span or len(span) > 1000:
-            raise SettingsError(f"bands = {text!r}: {part.strip()} is no range of bands")
-        numbers += span
-    return numbers
-
-
-def _expanded(raster: PathLike, bands: Sequence[int] | None) -> list[tuple[str, int]]:
-    """Return the path and number of each band that a command-line word asks for."""
-    # The seam for products: a Landsat folder, MTL file or SAFE folder expands into its bands here.
-    uri, own = split_bands(raster)
-    if not uri:
-        raise InputError("a raster has an empty name: give its path")
-    wanted = own or bands
-    with open_raster(uri) as dataset:
-        if wanted is None:
-            kinds = zip(dataset.indexes, dataset.colorinterp, strict=True)
-            wanted = [number for number, kind in kinds if kind != ColorInterp.alpha] or [1]
-    return [(uri, number) for number in wanted]
-
-
-def _is_file(path: str) -> bool:
-    return path.startswith("/vsi") or Path(path).exists()
-
-
-def _described(uri: str, number: int, mask: PathLike | None) -> Band:
-    info = describe(uri, band=number, mask=mask)
-    with open_raster(uri) as dataset:
-        description = dataset.descriptions[number - 1]
+def _described(wanted: Wanted) -> Band:
+    info = describe(wanted.uri, band=wanted.number, mask=wanted.mask)
+    description = wanted.name
+    if description is None:
+        with open_raster(wanted.uri) as dataset:
+            description = dataset.descriptions[wanted.number - 1]
     px_m = middle_pixel_size_m(info.grid)
-    known = native_px_m(Path(uri).stem, description)
-    return Band("", info, description, px_m, (known, known) if known else px_m, known is not None)
+    known = native_px_m(Path(file_name(wanted.uri)).stem, description)
+    native = (known, known) if known else px_m
+    return Band("", info, description, px_m, native, known is not None, wanted.product, wanted.notes)
 
 
 def _same(a: Band, b: Band) -> bool:
     if a.info.band != b.info.band:
         return False
-    return a.info.uri == b.info.uri or Path(a.info.uri).absolute() == Path(b.info.uri).absolute()
+    return Path(a.file).absolute() == Path(b.file).absolute()
 
 
 def _names(bands: Sequence[Band]) -> list[str]:
-    """Return a short, unique name for each: a word for its file where there are several, and one for it."""
-    files = _short_stems([Path(band.info.uri).stem for band in bands])
-    several = len({band.info.uri for band in bands}) > 1
+    """Return a short, unique name for each: a word for its file where there are several, and one for it.
+
+    A product counts as one file.
+    """
+    sources = [band.product or band.file for band in bands]
+    stems = [
+        stem_of(source) if band.product else Path(source).stem
+        for source, band in zip(sources, bands, strict=True)
+    ]
+    several = len(set(sources)) > 1
     names = []
-    for band, file in zip(bands, files, strict=True):
+    for band, file in zip(bands, _short_stems(stems), strict=True):
         own = _own_name(band)
-        alone = band.info.band_count == 1
+        alone = band.info.band_count == 1 and band.product is None
         names.append(file if several and alone else f"{file} {own}" if several else own)
     for form in ("{stem} {band}", "{uri} {band}"):
         if len(set(names)) == len(names):
             break
-        names = [
-            form.format(stem=Path(band.info.uri).stem, uri=band.info.uri, band=band.info.band)
-            for band in bands
-        ]
+        names = [form.format(stem=Path(band.file).stem, uri=band.file, band=band.info.band) for band in bands]
     return names
+
+
+def _spellings(band: Band) -> list[str]:
+    """Return what a band may be called, in full."""
+    path = Path(band.file)
+    numbered = (f"{path.name}:{band.info.band}", f"{path.stem}:{band.info.band}", str(band.info.band))
+    return [band.description or "", path.name, path.stem, band.file, band.info.uri, *numbered]
+
+
+def _last_words(band: Band) -> list[str]:
+    texts = (band.name, band.description or "", Path(band.file).stem)
+    return [re.split(r"[_\-. ]", text)[-1] for text in texts]
+
+
+def _without_zero(name: str) -> str:
+    """Return a name as it is compared where nothing else is found: B4 and b04 are one."""
+    return re.sub(r"\bb0(?=\d)", "b", name.casefold())
 
 
 def _own_name(band: Band) -> str:

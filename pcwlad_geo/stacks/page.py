@@ -69,6 +69,7 @@ def render(summary: Summary) -> str:
             measured=measured,
             refused=[pair for pair in pairs if pair["status"] == "refused"],
             few=few,
+            more_gaps=max(len(summary["closure"]) - MOST_ROWS, 0),
             worst_gaps=sorted(summary["closure"], key=gap, reverse=True)[:MOST_ROWS],
             worst=max(measured, key=lambda pair: pair["displacement"]["px"]["radial"]["ce90"], default=None),
             farthest=max(measured, key=_length, default=None),

@@ -11,13 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.raster.products import stem_of
 from pcwlad_geo.raster.source import plain_name
 from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import Runner
-from pcwlad_geo.stacks.bands import Band, find_band, list_bands, parse_bands, split_bands, with_native_px
+from pcwlad_geo.report.pdf import check_pdf, to_pdf
+from pcwlad_geo.stacks.bands import Band, find_band, list_bands, with_native_px
 from pcwlad_geo.stacks.closure import Triangle, close_triangles
+from pcwlad_geo.stacks.inputs import parse_bands, split_bands
 from pcwlad_geo.stacks.pairs import PairResult, measured, plan_pairs
 from pcwlad_geo.stacks.requirements import (
     Judged,
@@ -37,10 +40,20 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 
-NAMES: Final = {"numbers": "qa.json", "table": "qa.csv", "report": "qa.html"}
-"""File names of the outputs in OUT_DIR."""
-OF_PAIRS: Final = ("ref_band", "tgt_band", "ref_mask", "tgt_mask")
-"""Settings that a stack decides for each pair."""
+NAMES: Final = {"numbers": "qa.json", "table": "qa.csv", "report": "qa.html", "pdf": "qa.pdf"}
+"""File names of the outputs in OUT_DIR; the PDF on request."""
+NOT_HERE: Final = {
+    **dict.fromkeys(("ref_band", "tgt_band"), "is for a single pair: give bands"),
+    **dict.fromkeys(("ref_mask", "tgt_mask"), "is for a single pair: give mask"),
+    "tie_points": "is for register: a stack is measured by matching it",
+    **dict.fromkeys(
+        ("dem", "dem_vertical"), "is for an image with RPCs: give bands on a map grid (gdalwarp -rpc)"
+    ),
+}
+"""Settings that a stack decides for each pair, or that would make other displacements of it.
+
+Those of the correction (model, grid, resampling, write_sigma) change nothing, as for `match`.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +89,7 @@ def qa(
     rasters: Sequence[PathLike] | PathLike,
     *,
     out_dir: PathLike | None = None,
-    bands: Sequence[int] | str | None = None,
+    bands: Sequence[int | str] | str | None = None,
     against: str | None = None,
     require: Sequence[str] = (),
     preset: Sequence[str] = (),
@@ -95,11 +108,12 @@ def qa(
     Parameters
     ----------
     rasters : path or sequence of path
-        Single- or multi-band rasters; ``FILE:2,4,5`` takes some bands of one.
+        Single- or multi-band rasters, or Landsat and Sentinel-2 products; ``FILE:2,4,5`` and
+        ``PRODUCT:B4,B10`` take some bands of one.
     out_dir : path, optional
         Output folder; ``<stem of the first raster>_qa`` in the working folder by default.
-    bands : sequence of int or str, optional
-        Bands of the rasters that do not name theirs; all by default.
+    bands : sequence of int or str, or str, optional
+        Bands of the rasters and products that do not name theirs; all that show the ground by default.
     against : str, optional
         Compare every band with this one only: its name, description, or the end of it (``B4``).
     require : sequence of str
@@ -109,7 +123,7 @@ def qa(
     native_px : sequence of str
         ``NAME=METRES``: pixel size that the sensor recorded, where the files are resampled.
     mask : path, optional
-        Mask of all rasters, 0 = excluded.
+        Mask of all rasters, 0 = excluded; by default the products' own.
     overwrite : bool
         Replace the results of an earlier run in `out_dir`.
     on_event : callable
@@ -137,6 +151,8 @@ def qa(
     started = time.perf_counter()
     rasters = [rasters] if isinstance(rasters, str | os.PathLike) else list(rasters)
     settings = _settings(options)
+    if settings.pdf:
+        check_pdf()
     requirements = read_requirements(require, preset)
     numbers = parse_bands(bands) if isinstance(bands, str) else bands
     stack = with_native_px(list_bands(rasters, numbers, mask), native_px)
@@ -144,7 +160,7 @@ def qa(
     planned = plan_pairs(stack, base)
     requirements = check_applicable(requirements, planned, base is None and len(stack) > 2)
     with OutputFolder(qa_folder(rasters, out_dir), overwrite=overwrite, results=NAMES["numbers"]) as folder:
-        pairs = _measure(planned, settings, mask, on_event, executor)
+        pairs = _measure(planned, settings, on_event, executor)
         triangles = close_triangles(stack, pairs, settings.window) if base is None else []
         verdicts = [
             judge_triangles(each, triangles) if each.statistic == "closure" else judge_pairs(each, pairs)
@@ -160,7 +176,7 @@ def qa(
             seconds=time.perf_counter() - started,
             out_dir=folder.out_dir,
         )
-        _write(result, folder)
+        write_results(result, folder)
         folder.commit()
     return result
 
@@ -181,33 +197,33 @@ def qa_folder(rasters: Sequence[PathLike], out_dir: PathLike | None) -> Path:
     """Return the output folder."""
     if out_dir:
         return Path(out_dir)
-    name = plain_name(Path(split_bands(rasters[0])[0]).name if rasters else "")
-    return Path(f"{Path(name).stem}_qa")
+    name = plain_name(stem_of(split_bands(rasters[0])[0]) if rasters else "")
+    return Path(f"{name}_qa")
 
 
 def _settings(options: Options) -> Settings:
     settings = Settings.from_options(options)
     default = Settings()
-    for name in OF_PAIRS:
+    for name, why in NOT_HERE.items():
         if getattr(settings, name) != getattr(default, name):
-            word = "mask" if "mask" in name else "bands"
-            raise SettingsError(f"{name} is for a single pair: give {word}")
+            raise SettingsError(f"{name} {why}")
     return settings
 
 
 def _measure(
     planned: Sequence[tuple[Band, Band]],
     settings: Settings,
-    mask: PathLike | None,
     on_event: EventCallback,
     executor: Executor | Runner | None,
 ) -> list[PairResult]:
     """Match all pairs, one after another, on the same workers."""
     results = []
+    for note in dict.fromkeys(note for pair in planned for band in pair for note in band.notes):
+        on_event(Warned(note))
     with open_runner(settings, executor, on_event) as runner:
         for number, (reference, target) in enumerate(planned):
             on_event(Progress("pairs", number, len(planned)))
-            result = _match(reference, target, settings, mask, on_event, runner)
+            result = _match(reference, target, settings, on_event, runner)
             if result.status == "refused":
                 on_event(Warned(f"{result.name}: refused: {result.reason}"))
             results.append(result)
@@ -219,19 +235,17 @@ def _match(
     reference: Band,
     target: Band,
     settings: Settings,
-    mask: PathLike | None,
     on_event: EventCallback,
     runner: Runner,
 ) -> PairResult:
     from pcwlad_geo.registration.run import run  # slow to load: the workers start meanwhile
 
-    masks = None if mask is None else Path(mask)
     own = replace(
         settings,
         ref_band=reference.info.band,
         tgt_band=target.info.band,
-        ref_mask=masks,
-        tgt_mask=masks,
+        ref_mask=reference.info.mask_uri,
+        tgt_mask=target.info.mask_uri,
     )
     name = f"{reference.name} – {target.name}"
 
@@ -244,15 +258,22 @@ def _match(
         InputError
     ) as error:  # of this pair, such as no common ground: the others are measured all the same
         return PairResult(reference, target, "refused", " ".join(str(error).split()))
-    return measured(reference, target, found)
+    result = measured(reference, target, found)
+    notes = dict.fromkeys((*reference.notes, *target.notes))
+    return replace(result, warnings=(*notes, *result.warnings))
 
 
-def _write(result: QaResult, folder: OutputFolder) -> None:
+def write_results(result: QaResult, folder: OutputFolder) -> None:
+    """Write the files of a quality check into a folder that is being staged."""
     from pcwlad_geo.report.summary import to_json  # slow to load
     from pcwlad_geo.stacks.page import render
     from pcwlad_geo.stacks.summary import summarise, to_csv
 
-    summary = summarise(result, sorted(NAMES.values()))
-    texts = {"table": to_csv(summary), "report": render(summary), "numbers": to_json(summary)}
+    kinds = [kind for kind in NAMES if kind != "pdf" or result.settings.pdf]
+    summary = summarise(result, sorted(NAMES[kind] for kind in kinds))
+    page = render(summary)
+    if "pdf" in kinds:
+        folder.path(NAMES["pdf"]).write_bytes(to_pdf(page))
+    texts = {"table": to_csv(summary), "report": page, "numbers": to_json(summary)}
     for kind, text in texts.items():
         folder.path(NAMES[kind]).write_text(text, encoding="utf-8", newline="")

@@ -93,7 +93,8 @@ def _verdict(judged: Judged) -> Summary:
 def _band(band: Band) -> Summary:
     return {
         "name": band.name,
-        "path": band.info.uri,
+        "path": band.file,
+        "product": band.product,
         "band": band.info.band,
         "description": band.description,
         "shape": list(band.info.grid.shape),

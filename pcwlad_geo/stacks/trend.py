@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.staging import OutputFolder
 
@@ -181,7 +182,7 @@ def _of_registration(report: Mapping[str, Any], file: Path, top: Path) -> Iterat
     if report["displacement_px"] is None or report["status"] == "rejected":
         return
     ends = [report["reference"], report["target"]]
-    stems = [Path(end["path"]).stem for end in ends]
+    stems = [Path(file_name(end["path"])).stem for end in ends]
     names = [
         without_dates(stem) + (f" band {end['band']}" if end["band_count"] > 1 else "")
         for stem, end in zip(stems, ends, strict=True)

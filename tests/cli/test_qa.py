@@ -74,7 +74,8 @@ def test_trend(stack: Path, cli: Cli) -> None:
         (["b4.tif", "--trend", "."], "takes no rasters"),
         (["--trend", ".", "--require", "CE90<=1px"], "--trend takes no --require"),
         (["absent.tif", "b5.tif"], "absent.tif does not exist"),
-        (["b4.tif", "b5.tif", "--bands", "x"], "give numbers from 1"),
+        (["b4.tif", "b5.tif", "--bands", "2-"], "give numbers from 1"),
+        (["b4.tif", "b5.tif", "--bands", "x"], "give its number"),
     ],
 )
 def test_nonsense_is_one_line_and_status_2(arguments: list[str], said: str, stack: Path, cli: Cli) -> None:

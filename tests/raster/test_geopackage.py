@@ -94,7 +94,7 @@ def test_without_a_crs_lines_lie_in_the_pixel_plane(tmp_path: Path) -> None:
         assert set(database.execute("SELECT srs_id FROM gpkg_geometry_columns")) == {(-1,)}
 
 
-def test_every_layer_has_a_default_style_with_a_colour_per_status(tmp_path: Path) -> None:
+def test_every_layer_has_a_default_style(tmp_path: Path) -> None:
     path = tmp_path / "t.gpkg"
     geopackage.write(UTM_TABLE, path)
     with closing(sqlite3.connect(path)) as database:
@@ -107,13 +107,10 @@ def test_every_layer_has_a_default_style_with_a_colour_per_status(tmp_path: Path
     for _, _, qml in styles:
         renderer = ET.fromstring(qml).find("renderer-v2")
         assert renderer is not None
-        assert renderer.get("attr") == "status"
-        symbols = {symbol.get("name") for symbol in renderer.findall("symbols/symbol")}
-        categories = {
-            item.get("value"): item.get("symbol") for item in renderer.findall("categories/category")
-        }
-        assert {"fit", "check", "unused", "rejected", "matched"} == set(categories)
-        assert set(categories.values()) == symbols
+        symbols = [symbol.get("name") for symbol in renderer.findall("symbols/symbol")]
+        rules = renderer.findall("rules/rule")
+        assert [rule.get("symbol") for rule in rules] == symbols
+        assert "residual up to 0.1 px" in str(rules[2].get("label"))
     arrows = [qml for name, _, qml in styles if name == "displacements"]
     assert "ArrowLine" in arrows[0]
 

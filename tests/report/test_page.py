@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,6 +16,7 @@ from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.page import render, warp_line
 from pcwlad_geo.report.summary import summarise
+from pcwlad_geo.report.verdict import Answer, headline
 from tests.chromium import show
 from tests.registrations import of_files, write_pair
 
@@ -159,6 +161,25 @@ def test_the_slider_moves_in_chromium_without_a_complaint(registration: Make, tm
     assert shown.page.count('style="--cut: 20%;"') == 2
     assert shown.page.count('aria-valuetext="20 % reference"') == 2
     assert shown.page.count('class="views checkered"') == 1
+
+
+@pytest.mark.parametrize(
+    ("status", "states", "text", "state"),
+    [
+        ("registered", ("good", "good"), "Registered", "good"),
+        ("registered", ("good", "caution"), "Registered, with care", "caution"),
+        ("registered", ("bad", "caution"), "Registered, poorly", "bad"),
+        ("registered", (), "Registered, with care", "caution"),
+        ("rejected", (), "Could not be registered reliably", "bad"),
+        ("matched", (), "Tie points matched", "good"),
+    ],
+)
+def test_the_headline_is_as_good_as_the_worst_answer(
+    status: Any, states: tuple[Any, ...], text: str, state: str
+) -> None:
+    made = headline(status, [Answer("?", "", each) for each in states])
+    assert (made.text, made.state) == (text, state)
+    assert made.mark
 
 
 def test_good_and_bad_pages_differ_at_a_glance(registration: Make) -> None:

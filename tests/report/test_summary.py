@@ -22,7 +22,7 @@ def test_holds_what_the_file_promises_and_is_strict_json(registration: Make) -> 
     assert list(read) == [
         "schema_version", "status", "reason", "warnings", "reference", "target", "px_m", "prealignment",
         "tie_points", "counts", "displacement_px", "displacement_m", "rpc", "model", "accuracy", "statistics",
-        "seconds", "settings", "versions", "outputs",
+        "coverage", "seconds", "settings", "versions", "outputs",
     ]  # fmt: skip
     assert read["schema_version"] == 1
     assert read["outputs"] == ["report.json", "tiepoints.csv"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ import pytest
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.registration.progress import Event, Progress, Warned
-from pcwlad_geo.stacks.run import QaResult
+from pcwlad_geo.report.pdf import check_pdf
+from pcwlad_geo.stacks.run import QaResult, write_results
+from pcwlad_geo.staging import OutputFolder
 from tests.scenes import make_grid, render, write
 from tests.stacks.stack import schema_file
 
@@ -62,6 +65,20 @@ def test_finds_the_displacements(checked: tuple[QaResult, list[Event]]) -> None:
     (triangle,) = result.triangles
     assert triangle.mean_px == pytest.approx((0.0, 0.0), abs=0.05)
     assert triangle.cells >= 4
+
+
+def test_the_pdf_is_written_on_request(checked: tuple[QaResult, list[Event]], tmp_path: Path) -> None:
+    result, _ = checked
+    assert not (result.out_dir / "qa.pdf").exists()
+    try:
+        check_pdf()
+    except SettingsError as error:
+        pytest.skip(str(error))
+    with OutputFolder(tmp_path / "pdf", results="qa.json") as folder:
+        write_results(replace(result, settings=replace(result.settings, pdf=True)), folder)
+        folder.commit()
+    assert (tmp_path / "pdf" / "qa.pdf").read_bytes().startswith(b"%PDF-")
+    assert "qa.pdf" in json.loads((tmp_path / "pdf" / "qa.json").read_text(encoding="utf-8"))["outputs"]
 
 
 def test_judges(checked: tuple[QaResult, list[Event]]) -> None:

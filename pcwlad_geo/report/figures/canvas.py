@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 
 WIDTH_IN: Final = 8.5
 DPI: Final = 95
@@ -18,8 +19,8 @@ COL_COLOUR, ROW_COLOUR, CHECK_COLOUR = "#0072b2", "#d55e00", "#cc79a7"
 """Of the axes and of check points: colour-blind readers tell them apart (Okabe and Ito 2008)."""
 ARROW_COLOUR = "#003355"
 """Dark enough on a pale image."""
-PNG: Final = {"compress_level": 2}
-"""Several times as fast as the default, and somewhat larger."""
+COLOURS: Final = 256
+"""Of a figure's PNG: a quarter of the size of all colours, and none is missed."""
 
 
 def new_figure(height_in: float) -> Figure:
@@ -86,6 +87,8 @@ def add_bar(axes: Axes, shown: ScalarMappable, label: str, extend: str = "neithe
 
 def to_png(figure: Figure) -> bytes:
     """Return a figure as a PNG."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", pil_kwargs=PNG)
-    return buffer.getvalue()
+    raw, made = io.BytesIO(), io.BytesIO()
+    figure.savefig(raw, format="rgba")
+    drawn = Image.frombytes("RGBA", figure.canvas.get_width_height(), raw.getvalue()).convert("RGB")
+    drawn.quantize(COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(made, "png")
+    return made.getvalue()

@@ -1,0 +1,39 @@
+"""The example reports of the documentation: small, self-contained, and told apart by their first line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.chromium import show
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+
+
+@pytest.mark.parametrize(
+    ("name", "headline", "says"),
+    [
+        ("good", "✓ Registered", "Tie points cover the whole common area"),
+        ("cloudy", "! Registered, with care", "of the image has no tie point near"),
+        ("wrong_search_radius", "✗ Could not be registered reliably", "raise --search-radius"),
+        ("unrelated", "✗ Could not be registered reliably", "no better than chance"),
+    ],
+)
+def test_an_example_is_what_its_name_says(name: str, headline: str, says: str) -> None:
+    path = EXAMPLES / f"{name}.html"
+    assert path.stat().st_size <= 1_000_000
+    page = path.read_text(encoding="utf-8")
+    heading = re.search(r"<h1[^>]*>(.*?)</h1>", page)
+    assert heading is not None
+    assert re.sub(r"<[^>]+>", "", heading[1]).strip() == headline
+    assert says in page
+    assert "/tmp/" not in page
+    assert not re.findall(r'(?:src|href)="(?!data:|[\w.]+")', page)
+
+
+def test_the_good_one_opens_without_a_complaint(tmp_path: Path) -> None:
+    path = tmp_path / "good.html"
+    path.write_text((EXAMPLES / "good.html").read_text(encoding="utf-8"), encoding="utf-8")
+    assert not show(path).complaints
