@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
-from concurrent.futures import Executor
-from dataclasses import replace
+from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from pcwlad_geo import outputs
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError
@@ -24,7 +24,7 @@ from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
 from pcwlad_geo.report.pdf import check_pdf, to_pdf
-from pcwlad_geo.report.precision import precision_of
+from pcwlad_geo.report.precision import PrecisionMap, precision_of
 from pcwlad_geo.report.summary import summarise, to_json
 from pcwlad_geo.staging import OutputFolder, place_file
 
@@ -304,38 +304,55 @@ def _write(
 ) -> list[str]:
     """Write all files of a job, the report last, and return their kinds."""
     since = time.perf_counter()
-    from pcwlad_geo.report import page  # slow to load: the figures' library
-
-    loading = time.perf_counter() - since
     if registration.status != "registered":
         bands = {}
-    writers = outputs.writers(registration, places, on_event)
     kinds = outputs.kinds(registration)
     total = len(kinds) + len(bands) + 1  # the report is one
-    for done, kind in enumerate(kinds):
-        on_event(Progress("writing", done, total))
-        writers[kind](staged[kind])
-    for done, (band, path) in enumerate(bands.items(), start=len(kinds)):
-        on_event(Progress("writing", done, total))
-        outputs.write_band(registration, band, path, on_event)
-    on_event(Progress("writing", total - 1, total))
-    seconds = registration.seconds | {"writing": time.perf_counter() - since - loading}
+    on_event(Progress("writing", 0, total))
     written = [*kinds, "report", *(["pdf"] if registration.settings.pdf else []), "numbers"]
     names = sorted(
         [*(staged[kind].name for kind in written if kind not in elsewhere), *(p.name for p in bands.values())]
     )
     precision = precision_of(registration)
-    summary = summarise(replace(registration, seconds=seconds), names, precision)
-    drawing = time.perf_counter()
+    summary = summarise(registration, names, precision)
     gcps = staged["gcps"].name if "gcps" in kinds else None
-    content = page.compose(registration, summary, gcps, precision)
-    staged["report"].write_text(page.on_screen(content), encoding="utf-8", newline="\n")
-    seconds["report"] = loading + time.perf_counter() - drawing
+    with ThreadPoolExecutor(1) as side:  # GDAL warps without Python's lock
+        drawing = side.submit(_draw, registration, summary, gcps, precision)
+        writers = outputs.writers(registration, places, on_event)
+        for done, kind in enumerate(kinds, start=1):
+            writers[kind](staged[kind])
+            on_event(Progress("writing", done, total))
+        for done, (band, path) in enumerate(bands.items(), start=len(kinds) + 1):
+            outputs.write_band(registration, band, path, on_event)
+            on_event(Progress("writing", done, total))
+        content, seconds_drawing = drawing.result()
+    seconds = registration.seconds | {"writing": time.perf_counter() - since, "report": seconds_drawing}
+    content["seconds"] = _rounded(seconds)
+    staged["report"].write_text(_page().on_screen(content), encoding="utf-8", newline="\n")
     if "pdf" in written:
         printing = time.perf_counter()
-        staged["pdf"].write_bytes(to_pdf(page.on_paper(content)))
+        staged["pdf"].write_bytes(to_pdf(_page().on_paper(content)))
         seconds["pdf"] = time.perf_counter() - printing
-    summary["seconds"] = {stage: round(value, 3) for stage, value in seconds.items()}
+    summary["seconds"] = _rounded(seconds)
     staged["numbers"].write_text(to_json(summary), encoding="utf-8", newline="\n")
     on_event(Progress("writing", total, total))
     return written
+
+
+def _draw(
+    registration: Registration, summary: Mapping[str, Any], gcps: str | None, precision: PrecisionMap | None
+) -> tuple[dict[str, object], float]:
+    """Return what the page is made from, and the seconds that this took, its libraries included."""
+    since = time.perf_counter()
+    content = _page().compose(registration, summary, gcps, precision)
+    return content, time.perf_counter() - since
+
+
+def _page() -> ModuleType:
+    from pcwlad_geo.report import page  # slow to load: the figures' library
+
+    return page
+
+
+def _rounded(seconds: Mapping[str, float]) -> dict[str, float]:
+    return {stage: round(value, 3) for stage, value in seconds.items()}
