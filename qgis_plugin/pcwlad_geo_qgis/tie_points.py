@@ -1,0 +1,204 @@
+"""The layer of tie points: the engine's, with displacements and residuals on the map, and arrows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from qgis import core
+from qgis.PyQt.QtGui import QColor
+
+from .text import tr
+
+VECTORS = {"displacement": ("d_col", "d_row"), "residual": ("residual_col", "residual_row")}
+"""What is added along the map's axes, and the columns in target pixels that it is made of."""
+COLOURS = {
+    "fit": "#0072b2",
+    "matched": "#0072b2",
+    "check": "#009e73",
+    "unused": "#999999",
+    "rejected": "#d55e00",
+}
+"""Okabe and Ito's, which people with colour-blindness tell apart; the colours of the report."""
+ARROW_MM = 6.0
+"""About how long the longer arrows are drawn."""
+Matrix = tuple[float, float, float, float]
+
+
+class TiePoints:
+    """Tie points of a finished job, from its GeoPackage."""
+
+    def __init__(self, geopackage: str) -> None:
+        layer = core.QgsVectorLayer(f"{geopackage}|layername=tie_points", "tie_points", "ogr")
+        if not layer.isValid():
+            raise core.QgsProcessingException(tr("The tie points in {} cannot be read.").format(geopackage))
+        self.crs, self.wkb_type = layer.crs(), layer.wkbType()
+        self._names = [field.name() for field in layer.fields() if field.name() != "fid"]
+        self._features = list(layer.getFeatures())
+        self.fields = core.QgsFields()
+        for name in self._names:
+            self.fields.append(layer.fields().field(name))
+        for vector in VECTORS:
+            for axis in "xy":
+                field = core.QgsField(layer.fields().field("d_col"))  # a number like that
+                field.setName(f"{vector}_{axis}")
+                self.fields.append(field)
+
+    def write(self, sink: core.QgsFeatureSink, feedback: core.QgsProcessingFeedback) -> None:
+        """Write the points, and with them their vectors in units of the map, y to the north."""
+        matrix = pixel_to_map(self._features)
+        if matrix is None:
+            feedback.pushWarning(tr("There are too few tie points for arrows along the axes of the map."))
+        for feature in self._features:
+            vectors = [value for pair in VECTORS.values() for value in _on_map(feature, pair, matrix)]
+            written = core.QgsFeature(self.fields)
+            written.setGeometry(feature.geometry())
+            written.setAttributes([*(feature[name] for name in self._names), *vectors])
+            if not sink.addFeature(written, core.QgsFeatureSink.FastInsert):
+                raise core.QgsProcessingException(
+                    tr("The tie points cannot be written: {}").format(sink.lastError())
+                )
+
+
+def pixel_to_map(features: Iterable[core.QgsFeature]) -> Matrix | None:
+    """Return what turns steps in target pixels into steps on the map, fitted to the points themselves.
+
+    So it holds for any georeferencing: rotated, in another CRS, by RPCs, or none.
+
+    Returns
+    -------
+    (dx/dcol, dx/drow, dy/dcol, dy/drow)
+        In units of the reference CRS a pixel; None where the points do not span an area.
+    """
+    rows = [
+        (feature["tgt_col"], feature["tgt_row"], feature["x"], feature["y"])
+        for feature in features
+        if feature["status"] != "rejected"
+    ]
+    if len(rows) < 3:
+        return None
+    means = [math.fsum(column) / len(rows) for column in zip(*rows)]  # Python 3.9 has no strict
+    centred = [[value - mean for value, mean in zip(row, means)] for row in rows]
+
+    def moment(one: int, other: int) -> float:
+        return math.fsum(row[one] * row[other] for row in centred)
+
+    cc, cr, rr = moment(0, 0), moment(0, 1), moment(1, 1)
+    determinant = cc * rr - cr * cr
+    if determinant <= 1e-9 * cc * rr:
+        return None
+    steps = []
+    for axis in (2, 3):
+        c, r = moment(0, axis), moment(1, axis)
+        steps += [(c * rr - r * cr) / determinant, (r * cc - c * cr) / determinant]
+    return steps[0], steps[1], steps[2], steps[3]
+
+
+def _on_map(feature: core.QgsFeature, columns: tuple[str, str], matrix: Matrix | None) -> list[object]:
+    col, row = (feature[name] for name in columns)
+    if matrix is None or not isinstance(col, float) or not isinstance(row, float):
+        return [core.NULL, core.NULL]
+    return [matrix[0] * col + matrix[1] * row, matrix[2] * col + matrix[3] * row]
+
+
+class TiePointStyle(core.QgsProcessingLayerPostProcessorInterface):
+    """Styles the loaded layer: a colour for each status, arrows for the residuals."""
+
+    def postProcessLayer(
+        self,
+        layer: core.QgsVectorLayer,
+        context: core.QgsProcessingContext,
+        feedback: core.QgsProcessingFeedback,
+    ) -> None:
+        """Style the layer; keep the style in a GeoPackage for the next time it is opened."""
+        if not isinstance(layer, core.QgsVectorLayer):
+            return
+        layer.setRenderer(renderer_of(layer))
+        if layer.storageType() == "GPKG":
+            layer.saveStyleToDatabase("tie_points", "", True, "")
+        layer.triggerRepaint()
+
+
+STYLE = TiePointStyle()
+"""The one style: it has no state, and QGIS needs it until the layer is loaded."""
+
+
+def renderer_of(layer: core.QgsVectorLayer) -> core.QgsCategorizedSymbolRenderer:
+    """Return a renderer with arrows for the residuals, for the displacements where there are none."""
+    points = [feature for feature in layer.getFeatures() if feature["status"] != "rejected"]
+    for vector, columns in reversed(VECTORS.items()):
+        lengths_px = _lengths(points, columns)
+        lengths_map = _lengths(points, (f"{vector}_x", f"{vector}_y"))
+        if lengths_map:
+            break
+    long_px = _round_down(_percentile_90(lengths_px))
+    mm_per_px = ARROW_MM / long_px if long_px else 0.0
+    map_per_px = math.fsum(lengths_map) / math.fsum(lengths_px) if lengths_map and long_px else 1.0
+    found = {feature["status"] for feature in layer.getFeatures()}
+    legend = {
+        "residual": tr("{}: residual, arrow of {:g} mm = {:g} px"),
+        "displacement": tr("{}: displacement, arrow of {:g} mm = {:g} px"),
+    }[vector]
+    categories = []
+    for status, colour in COLOURS.items():
+        if status not in found:
+            continue
+        arrows = bool(lengths_map) and status != "rejected"
+        symbol = _symbol(colour, vector, mm_per_px / map_per_px if arrows else 0.0)
+        label = legend.format(_status_text(status), ARROW_MM, long_px) if arrows else _status_text(status)
+        categories.append(core.QgsRendererCategory(status, symbol, label))
+    return core.QgsCategorizedSymbolRenderer("status", categories)
+
+
+def _symbol(colour: str, vector: str, mm_per_map_unit: float) -> core.QgsMarkerSymbol:
+    symbol = core.QgsMarkerSymbol.createSimple(
+        {"name": "circle", "color": colour, "outline_color": "white", "outline_width": "0.2", "size": "1.6"}
+    )
+    if not mm_per_map_unit:
+        return symbol
+    arrow = core.QgsArrowSymbolLayer.create(
+        {
+            "arrow_width": "0.4",
+            "arrow_start_width": "0.4",
+            "head_length": "1.2",
+            "head_thickness": "0.8",
+            "is_curved": "0",
+        }
+    )
+    arrow.setSubSymbol(core.QgsFillSymbol.createSimple({"color": colour, "outline_style": "no"}))
+    field = core.QgsVectorFieldSymbolLayer()  # its arrows point up where y is positive, as the map does
+    field.setXAttribute(f"{vector}_x")
+    field.setYAttribute(f"{vector}_y")
+    field.setScale(mm_per_map_unit)
+    field.setSubSymbol(core.QgsLineSymbol([arrow]))
+    field.setColor(QColor(colour))
+    symbol.appendSymbolLayer(field)
+    return symbol
+
+
+def _lengths(features: Sequence[core.QgsFeature], columns: tuple[str, str]) -> list[float]:
+    pairs = [[feature[name] for name in columns] for feature in features]
+    return [math.hypot(*pair) for pair in pairs if all(isinstance(value, float) for value in pair)]
+
+
+def _percentile_90(values: Sequence[float]) -> float:
+    return sorted(values)[int(0.9 * (len(values) - 1))] if values else 0.0
+
+
+def _round_down(value: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above a value."""
+    if value <= 0:
+        return 0.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-12) or step == 1.0)
+
+
+def _status_text(status: str) -> str:
+    texts = {
+        "fit": tr("fit"),
+        "matched": tr("matched"),
+        "check": tr("check"),
+        "unused": tr("unused"),
+        "rejected": tr("rejected"),
+    }
+    return texts[status]
