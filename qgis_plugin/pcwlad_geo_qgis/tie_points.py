@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Sequence
 
 from qgis import core
-from qgis.PyQt.QtGui import QColor
 
 from .text import tr
 
@@ -110,12 +109,9 @@ class TiePointStyle(core.QgsProcessingLayerPostProcessorInterface):
         context: core.QgsProcessingContext,
         feedback: core.QgsProcessingFeedback,
     ) -> None:
-        """Style the layer; keep the style in a GeoPackage for the next time it is opened."""
         if not isinstance(layer, core.QgsVectorLayer):
             return
         layer.setRenderer(renderer_of(layer))
-        if layer.storageType() == "GPKG":
-            layer.saveStyleToDatabase("tie_points", "", True, "")
         layer.triggerRepaint()
 
 
@@ -152,7 +148,7 @@ def renderer_of(layer: core.QgsVectorLayer) -> core.QgsCategorizedSymbolRenderer
 
 def _symbol(colour: str, vector: str, mm_per_map_unit: float) -> core.QgsMarkerSymbol:
     symbol = core.QgsMarkerSymbol.createSimple(
-        {"name": "circle", "color": colour, "outline_color": "white", "outline_width": "0.2", "size": "1.6"}
+        {"name": "circle", "color": colour, "outline_color": "white", "outline_width": "0.2", "size": "1.3"}
     )
     if not mm_per_map_unit:
         return symbol
@@ -166,12 +162,13 @@ def _symbol(colour: str, vector: str, mm_per_map_unit: float) -> core.QgsMarkerS
         }
     )
     arrow.setSubSymbol(core.QgsFillSymbol.createSimple({"color": colour, "outline_style": "no"}))
+    line = core.QgsLineSymbol.createSimple({})
+    line.changeSymbolLayer(0, arrow)  # hands the arrow over, which a list in the constructor does not
     field = core.QgsVectorFieldSymbolLayer()  # its arrows point up where y is positive, as the map does
     field.setXAttribute(f"{vector}_x")
     field.setYAttribute(f"{vector}_y")
     field.setScale(mm_per_map_unit)
-    field.setSubSymbol(core.QgsLineSymbol([arrow]))
-    field.setColor(QColor(colour))
+    field.setSubSymbol(line)
     symbol.appendSymbolLayer(field)
     return symbol
 

@@ -177,7 +177,7 @@ class EngineAlgorithm(PlainAlgorithm):
         return True
 
     def file_output(self, parameters: Values, name: str, context: Context) -> str:
-        """Return the absolute path of what is to be written (the engine works elsewhere); empty if nothing."""
+        """Return the absolute path of an output, as the engine works elsewhere; empty if there is none."""
         return absolute(self.parameterAsFileOutput(parameters, name, context))
 
     def paths(self, name: str) -> list[str]:
