@@ -88,12 +88,15 @@ def follow(
         _hand_over(child, readers, lines, feedback, grace_s)
         return child.wait()
     finally:
-        if child.poll() is None:
-            _kill(child)
-            child.wait()
-        for stream in (child.stdin, child.stdout, child.stderr):
-            with suppress(OSError):
+        if child.poll() is None or any(reader.is_alive() for reader in readers):
+            _kill(child)  # with what it has left behind, which keeps the pipes open
+        child.wait()
+        for stream, reader in zip((child.stdout, child.stderr), readers):
+            reader.join(DRAIN_S)
+            if not reader.is_alive():  # to close what is being read would wait for its end
                 stream.close()
+        with suppress(OSError):
+            child.stdin.close()
 
 
 def _read(stream: IO[bytes], on_line: OnLine, lines: queue.Queue[tuple[OnLine, str]]) -> None:

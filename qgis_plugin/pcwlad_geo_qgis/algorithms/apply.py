@@ -38,4 +38,6 @@ class ApplyRegistration(EngineAlgorithm):
         folder = absolute(self.parameterAsFile(parameters, "REGISTRATION", context))
         place = absolute(self.parameterAsOutputLayer(parameters, "OUTPUT", context))
         arguments = ["warp", folder, *self.paths("INPUT"), "--output-raster", place, "--overwrite"]
-        return {} if self.run(arguments, feedback, {"warping": (0, 100)}) is None else {"OUTPUT": place}
+        return (
+            {} if self.run_command(arguments, feedback, {"warping": (0, 100)}) is None else {"OUTPUT": place}
+        )

@@ -84,7 +84,7 @@ class BandToBandQa(EngineAlgorithm):
             if limit.strip():
                 arguments += ["--require", limit.strip()]
         arguments += self.matching_options(parameters, context)
-        outcome = self.run(arguments, feedback, {"pairs": (0, 100)})
+        outcome = self.run_command(arguments, feedback, {"pairs": (0, 100)})
         if outcome is None:
             return {}
         found: dict[str, Any] = {"OUTPUT_FOLDER": folder}

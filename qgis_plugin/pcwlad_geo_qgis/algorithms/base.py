@@ -156,6 +156,10 @@ class EngineAlgorithm(PlainAlgorithm):
         places = {name: place for name in self.OUTPUTS if (place := file_of(parameters.get(name)))}
         for name, place in places.items():
             title = self.parameterDefinition(name).description()
+            if name == "OUTPUT" and Path(place).suffix.lower() not in (".tif", ".tiff"):
+                return tr("{}: the engine writes GeoTIFF. Choose a file name that ends in .tif.").format(
+                    title
+                )
             if any(same_file(place, path) for path in inputs):
                 return tr("{}: {} is an input too. Choose another file.").format(title, place)
             if any(same_file(place, other) for key, other in places.items() if key != name):
@@ -184,7 +188,7 @@ class EngineAlgorithm(PlainAlgorithm):
         """Return the files of a parameter that was read by `prepareAlgorithm`."""
         return self._paths.get(name, [])
 
-    def run(
+    def run_command(
         self, arguments: Sequence[str], feedback: Feedback, shares: Shares = SHARES
     ) -> dict[str, Any] | None:
         """Run a command of the engine and return its result; None where the user cancelled."""

@@ -50,7 +50,9 @@ class InstallEngine(CheckEngine):
         self.addParameter(
             behaviour("FOLDER", tr("Or source folder of pcwlad-geo"), behaviour.Folder, optional=True)
         )
-        python = behaviour("PYTHON", tr("Python 3.10 or newer (not set: found by itself)"), optional=True)
+        title = tr("Python 3.10 or newer (not set: found by itself)")
+        # the default filter, *.*, would turn away a Python whose name has no dot
+        python = behaviour("PYTHON", title, optional=True, fileFilter=tr("All files (*)"))
         self.add_advanced(python)
         self.addOutput(QgsProcessingOutputString("ENGINE", tr("Engine")))
         self.addOutput(QgsProcessingOutputString("VERSION", tr("Version of the engine")))

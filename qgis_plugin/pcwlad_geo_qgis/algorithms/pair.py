@@ -8,6 +8,7 @@ from typing import Any
 
 from qgis import core
 
+from ..rasters import path_of, same_file
 from ..text import tr
 from ..tie_points import STYLE, TiePoints
 from .base import Context, EngineAlgorithm, Feedback, Values, options_of, temporary_folder
@@ -75,9 +76,9 @@ class PairAlgorithm(EngineAlgorithm):
         found = super().problem(parameters, context)
         if found:
             return found
-        layers = dict(self.layers(parameters, context))
+        paths = {name: path_of(layer) for name, layer in self.layers(parameters, context)}
         bands = [self.parameterAsInt(parameters, f"{name}_BAND", context) for name in ("REFERENCE", "INPUT")]
-        if layers["REFERENCE"].source() == layers["INPUT"].source() and bands[0] == bands[1]:
+        if same_file(paths["REFERENCE"], paths["INPUT"]) and bands[0] == bands[1]:
             return tr("Reference and target are the same raster and band. Choose another target.")
         return ""
 
@@ -136,7 +137,7 @@ class PairAlgorithm(EngineAlgorithm):
             **more,
         }
         arguments = [command, *self.pair_options(parameters, context), *options_of(options), "--overwrite"]
-        outcome = self.run(arguments, feedback)
+        outcome = self.run_command(arguments, feedback)
         if outcome is None:
             return {}
         tie_points = self.add_tie_points(parameters, context, feedback, outcome["paths"]["geopackage"])
