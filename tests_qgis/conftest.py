@@ -10,7 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,10 +31,12 @@ from qgis.core import (  # noqa: E402
 )
 
 _exit_status = 0
+_kept: list[QgsApplication] = []
+"""QGIS may crash when Python takes it down: it never is."""
 
 
 @pytest.fixture(scope="session", autouse=True)
-def qgis(tmp_path_factory: pytest.TempPathFactory) -> Iterator[QgsApplication]:
+def qgis(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Start QGIS with a profile of its own and the provider in it."""
     profile = tmp_path_factory.mktemp("profile")
     application = QgsApplication([b"tests"], False, str(profile))
@@ -46,7 +48,7 @@ def qgis(tmp_path_factory: pytest.TempPathFactory) -> Iterator[QgsApplication]:
 
     provider = PcwladGeoProvider()
     QgsApplication.processingRegistry().addProvider(provider)
-    yield application
+    _kept.append(application)
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:

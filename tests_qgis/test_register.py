@@ -218,7 +218,7 @@ def test_a_refusal_is_an_error_with_its_reason_and_its_report(
     band = data.GetRasterBand(1)
     band.WriteArray(band.ReadAsArray()[::-1, ::-1])
     del band, data  # written now
-    with pytest.raises(Exception, match="refused, and nothing was corrected: .*report"):
+    with pytest.raises(Exception, match=r"refused, and nothing was corrected: .*report"):
         run_algorithm(
             "register",
             {
