@@ -31,7 +31,7 @@ from qgis.core import (  # noqa: E402
 )
 
 _exit_status = 0
-_kept: list[QgsApplication] = []
+_kept: list[object] = []
 """QGIS may crash when Python takes it down: it never is."""
 
 
@@ -48,7 +48,7 @@ def qgis(tmp_path_factory: pytest.TempPathFactory) -> None:
 
     provider = PcwladGeoProvider()
     QgsApplication.processingRegistry().addProvider(provider)
-    _kept.append(application)
+    _kept.extend([application, provider])
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:

@@ -188,7 +188,8 @@ def test_match_only_has_displacements_and_no_residuals(sample: tuple[Path, Path]
     assert run.results["SHIFT"] == pytest.approx(1.43, abs=0.3)
     assert not {"RMSE", "OUTPUT"} & set(run.results)
     layer = tie_points(run)
-    category = layer.renderer().categories()[0]
+    categories = layer.renderer().categories()
+    category = categories[0]
     assert category.label().startswith("matched: displacement, arrow of 6 mm = 1 px")
     assert category.symbol().symbolLayer(1).xAttribute() == "displacement_x"
 

@@ -140,9 +140,24 @@ class PairAlgorithm(EngineAlgorithm):
         outcome = self.run_command(arguments, feedback)
         if outcome is None:
             return {}
+        feedback.pushInfo(summary(outcome))
         tie_points = self.add_tie_points(parameters, context, feedback, outcome["paths"]["geopackage"])
         written = {name: place for name, place in places.items() if place}
         return {**written, **tie_points, **figures(outcome)}
+
+
+def summary(outcome: Mapping[str, Any]) -> str:
+    """Return the main figures of a result event in a sentence or two."""
+    found = figures(outcome)
+    lines = [tr("Tie points: {:.0f}").format(found["POINTS"])]
+    if "SHIFT" in found:
+        text = tr("Median displacement of the target: {:+.3f} px to the right, {:+.3f} px down")
+        lines.append(text.format(found["SHIFT_COL"], found["SHIFT_ROW"]))
+    if "RMSE" in found:
+        lines.append(tr("What is left: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px").format(**found))
+    if "RMSE_M" in found:
+        lines[-1] += tr(" (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)").format(**found)
+    return "\n".join(lines)
 
 
 def figures(outcome: Mapping[str, Any]) -> dict[str, float]:
