@@ -112,7 +112,7 @@ def test_the_toolbox_lists_the_algorithms(seen: dict[str, Any]) -> None:
 def test_a_run_from_the_dialog_loads_its_layers_with_arrows(seen: dict[str, Any]) -> None:
     assert seen["finished"] == [True]
     assert {"Registered raster", "Tie points"} <= set(seen["layers"])
-    assert (seen["renderer"], seen["arrows"]) == ("categorizedSymbol", "VectorField")
+    assert (seen["renderer"], seen["arrows"]) == ("categorizedSymbol", "GeometryGenerator")
 
 
 def test_nothing_asks_for_a_crs(seen: dict[str, Any]) -> None:

@@ -112,6 +112,8 @@ def run(window: QWidget, layers: list[QgsRasterLayer]) -> Iterator[int]:
     seen["renderer"] = points.renderer().type()
     categories = points.renderer().categories()  # kept: its symbols go with it
     seen["arrows"] = categories[0].symbol().symbolLayer(1).layerType()
+    window.findChild(QDockWidget, "Browser").close()
+    iface.messageBar().clearWidgets()
     iface.setActiveLayer(points)
     iface.zoomToActiveLayer()
     yield 2500

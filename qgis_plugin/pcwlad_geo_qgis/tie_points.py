@@ -19,8 +19,8 @@ COLOURS = {
     "rejected": "#d55e00",
 }
 """Okabe and Ito's, which people with colour-blindness tell apart; the colours of the report."""
-ARROW_MM = 6.0
-"""About how long the longer arrows are drawn."""
+ARROW_SPACINGS = 2.0
+"""How long the longer arrows are at most, in distances between neighbours."""
 Matrix = tuple[float, float, float, float]
 
 
@@ -120,66 +120,54 @@ STYLE = TiePointStyle()
 
 
 def renderer_of(layer: core.QgsVectorLayer) -> core.QgsCategorizedSymbolRenderer:
-    """Return a renderer with arrows for the residuals, for the displacements where there are none."""
+    """Return a renderer with arrows for the residuals, for the displacements where there are none.
+
+    The arrows are on the map, exaggerated so that the longer ones reach beyond the next point.
+    """
     points = [feature for feature in layer.getFeatures() if feature["status"] != "rejected"]
-    for vector, columns in reversed(VECTORS.items()):
-        lengths_px = _lengths(points, columns)
-        lengths_map = _lengths(points, (f"{vector}_x", f"{vector}_y"))
-        if lengths_map:
-            break
-    long_px = _round_down(_percentile_90(lengths_px))
-    mm_per_px = ARROW_MM / long_px if long_px else 0.0
-    map_per_px = math.fsum(lengths_map) / math.fsum(lengths_px) if lengths_map and long_px else 1.0
+    vector, lengths = "residual", _lengths(points, "residual")
+    if not lengths:
+        vector, lengths = "displacement", _lengths(points, "displacement")
+    extent = layer.extent()
+    spacing = math.sqrt(extent.width() * extent.height() / len(points)) if points else 0.0
+    long = sorted(lengths)[int(0.9 * (len(lengths) - 1))] if lengths else 0.0
+    factor = _round_down(ARROW_SPACINGS * spacing / long) if long else 0.0
+    legend = {"residual": tr("{}: residual × {:g}"), "displacement": tr("{}: displacement × {:g}")}[vector]
     found = {feature["status"] for feature in layer.getFeatures()}
-    legend = {
-        "residual": tr("{}: residual, arrow of {:g} mm = {:g} px"),
-        "displacement": tr("{}: displacement, arrow of {:g} mm = {:g} px"),
-    }[vector]
     categories = []
     for status, colour in COLOURS.items():
-        if status not in found:
-            continue
-        arrows = bool(lengths_map) and status != "rejected"
-        symbol = _symbol(colour, vector, mm_per_px / map_per_px if arrows else 0.0)
-        label = legend.format(_status_text(status), ARROW_MM, long_px) if arrows else _status_text(status)
-        categories.append(core.QgsRendererCategory(status, symbol, label))
+        if status in found:
+            arrows = bool(factor) and status != "rejected"
+            label = legend.format(_status_text(status), factor) if arrows else _status_text(status)
+            symbol = _symbol(colour, vector, factor if arrows else 0.0)
+            categories.append(core.QgsRendererCategory(status, symbol, label))
     return core.QgsCategorizedSymbolRenderer("status", categories)
 
 
-def _symbol(colour: str, vector: str, mm_per_map_unit: float) -> core.QgsMarkerSymbol:
+def _symbol(colour: str, vector: str, factor: float) -> core.QgsMarkerSymbol:
     symbol = core.QgsMarkerSymbol.createSimple(
         {"name": "circle", "color": colour, "outline_color": "white", "outline_width": "0.2", "size": "1.3"}
     )
-    if not mm_per_map_unit:
+    if not factor:
         return symbol
-    arrow = core.QgsArrowSymbolLayer.create(
-        {
-            "arrow_width": "0.4",
-            "arrow_start_width": "0.4",
-            "head_length": "1.2",
-            "head_thickness": "0.8",
-            "is_curved": "0",
-        }
-    )
+    sizes = {"arrow_width": "0.4", "arrow_start_width": "0.4", "head_length": "1.2", "head_thickness": "0.8"}
+    arrow = core.QgsArrowSymbolLayer.create({**sizes, "is_curved": "0"})
     arrow.setSubSymbol(core.QgsFillSymbol.createSimple({"color": colour, "outline_style": "no"}))
     line = core.QgsLineSymbol.createSimple({})
     line.changeSymbolLayer(0, arrow)  # hands the arrow over, which a list in the constructor does not
-    field = core.QgsVectorFieldSymbolLayer()  # its arrows point up where y is positive, as the map does
-    field.setXAttribute(f"{vector}_x")
-    field.setYAttribute(f"{vector}_y")
-    field.setScale(mm_per_map_unit)
-    field.setSubSymbol(line)
-    symbol.appendSymbolLayer(field)
+    # A generator and not a vector field: that one makes the legend wider than the panel.
+    head = f'translate($geometry, {factor!r} * "{vector}_x", {factor!r} * "{vector}_y")'
+    arrows = core.QgsGeometryGeneratorSymbolLayer.create(
+        {"SymbolType": "Line", "geometryModifier": f"make_line($geometry, {head})"}
+    )
+    arrows.setSubSymbol(line)
+    symbol.appendSymbolLayer(arrows)
     return symbol
 
 
-def _lengths(features: Sequence[core.QgsFeature], columns: tuple[str, str]) -> list[float]:
-    pairs = [[feature[name] for name in columns] for feature in features]
+def _lengths(features: Sequence[core.QgsFeature], vector: str) -> list[float]:
+    pairs = [[feature[f"{vector}_{axis}"] for axis in "xy"] for feature in features]
     return [math.hypot(*pair) for pair in pairs if all(isinstance(value, float) for value in pair)]
-
-
-def _percentile_90(values: Sequence[float]) -> float:
-    return sorted(values)[int(0.9 * (len(values) - 1))] if values else 0.0
 
 
 def _round_down(value: float) -> float:
