@@ -178,3 +178,27 @@ def test_a_run_that_ends_early_leaves_nothing(make: Make) -> None:
     with pytest.raises(KeyboardInterrupt):
         warp(folder, ["b10.tif"], out_dir="new/warped", on_event=stop)
     assert not Path("new").exists()
+
+
+def test_one_raster_goes_where_it_is_wanted(make: Make, tmp_path: Path) -> None:
+    done = make()
+    (before,) = warp(done, ["b10.tif"])
+    place = tmp_path / "elsewhere" / "here.tif"
+    assert warp(done, ["b10.tif"], output_raster=place) == (place,)
+    assert place.read_bytes() == before.read_bytes()
+    assert [path.name for path in place.parent.iterdir()] == ["here.tif"]
+    with pytest.raises(OutputError, match="exists"):
+        warp(done, ["b10.tif"], output_raster=place)
+    warp(done, ["b10.tif"], output_raster=place, overwrite=True)
+
+
+def test_several_rasters_do_not_go_to_one_file(make: Make, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="names one file, and there are 2 rasters: give --out-dir"):
+        warp(make(), ["b10.tif", "b4.tif"], output_raster=tmp_path / "here.tif")
+    assert not (tmp_path / "here.tif").exists()
+
+
+def test_a_raster_is_not_warped_onto_itself(make: Make) -> None:
+    done = make()
+    with pytest.raises(OutputError, match="is an input too"):
+        warp(done, ["b10.tif"], output_raster="b10.tif", overwrite=True)
