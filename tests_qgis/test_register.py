@@ -179,6 +179,7 @@ def test_match_only_has_displacements_and_no_residuals(sample: tuple[Path, Path]
             "REFERENCE": str(sample[0]),
             "INPUT": str(sample[1]),
             "POINTS": 50,
+            "EXTRA": "--features 200 --prealign 'georef'",
             "OUTPUT_TIEPOINTS": loaded(str(tmp_path / "points.gpkg")),
             "OUTPUT_HTML": str(tmp_path / "report.html"),
         },
@@ -199,7 +200,7 @@ def test_band_to_band_qa_judges(sample: tuple[Path, Path], tmp_path: Path) -> No
         {
             "INPUTS": [str(path) for path in sample],
             "REQUIRE": "mean<=0.3px; CE90<=5px",
-            "POINTS": 50,
+            "EXTRA": "--features 200",
             "OUTPUT_HTML": str(tmp_path / "qa.html"),
             "OUTPUT_CSV": str(tmp_path / "qa.csv"),
         },
@@ -224,6 +225,7 @@ def test_a_refusal_is_an_error_with_its_reason_and_its_report(
             {
                 "REFERENCE": str(sample[0]),
                 "INPUT": str(turned),
+                "EXTRA": "--prealign georef --features 200",
                 "OUTPUT": str(tmp_path / "out.tif"),
                 "OUTPUT_HTML": str(tmp_path / "report.html"),
             },

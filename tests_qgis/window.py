@@ -24,6 +24,7 @@ from qgis.PyQt.QtWidgets import (
     QLineEdit,
     QTableView,
     QTreeView,
+    QTreeWidget,
     QWidget,
 )
 from qgis.utils import iface
@@ -103,7 +104,6 @@ def run(window: QWidget, layers: list[QgsRasterLayer]) -> Iterator[int]:
     while not finished:
         yield 200
     yield 2000
-    grab(dialog, "log")
     dialog.close()
     seen["finished"] = finished
     by_name = {layer.name(): layer for layer in QgsProject.instance().mapLayers().values()}
@@ -123,8 +123,10 @@ def run(window: QWidget, layers: list[QgsRasterLayer]) -> Iterator[int]:
     )
     results.show()
     results.raise_()
-    yield 1000
-    grab(results, "results")
+    yield 500
+    starts = Qt.MatchFlag.MatchStartsWith | Qt.MatchFlag.MatchRecursive
+    found = results.findChild(QTreeWidget).findItems("Report", starts)
+    seen["results"] = [item.text(0) for item in found]
 
 
 def load() -> Iterator[int]:
@@ -168,6 +170,7 @@ def georeferencer(window: QWidget) -> Iterator[int]:
     seen["enabled"] = [
         model.data(model.index(row, 0), Qt.ItemDataRole.CheckStateRole) for row in range(model.rowCount())
     ]
+    tool.statusBar().hide()  # it holds a path of this machine
     grab(tool, "georeferencer")
 
 
