@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import filecmp
+import gc
 import math
 import os
 import shutil
@@ -13,14 +14,18 @@ from pathlib import Path
 import pytest
 from conftest import Feedback, Finished, Run, loaded, run_algorithm
 from osgeo import gdal
+from pcwlad_geo_qgis.tie_points import TiePointStyle
 from qgis.core import (
     QgsCategorizedSymbolRenderer,
     QgsMapRendererSequentialJob,
     QgsMapSettings,
+    QgsProcessingContext,
+    QgsProject,
     QgsRasterLayer,
     QgsRectangle,
     QgsVectorLayer,
 )
+from qgis.PyQt import sip
 from qgis.PyQt.QtCore import QSize
 from qgis.PyQt.QtGui import QColor, QImage
 from test_child import count_until, mark, processes  # noqa: F401  # mark is a fixture
@@ -153,6 +158,25 @@ def test_results_load_with_their_crs(finished: Finished) -> None:
         assert layer.isValid()
         assert layer.dataProvider().crs().authid() == "EPSG:32633"
         assert layer.renderer().type() == "categorizedSymbol"  # from the file itself
+
+
+def test_every_context_has_a_style_of_its_own(finished: Finished) -> None:
+    place = finished.plugin.results["OUTPUT_TIEPOINTS"]
+    used = finished.plugin.context.layersToLoadOnCompletion()[place].postProcessor()
+    for _ in range(3):  # a context deletes the post-processor that it was given
+        context = QgsProcessingContext()
+        context.addLayerToLoadOnCompletion(
+            place, QgsProcessingContext.LayerDetails("x", QgsProject.instance())
+        )
+        TiePointStyle.apply_when_loaded(context.layerToLoadOnCompletionDetails(place))
+        gc.collect()
+        made = context.layerToLoadOnCompletionDetails(place).postProcessor()
+        assert isinstance(made, TiePointStyle)  # not the empty one of QGIS
+        assert made is not used
+        del context
+        gc.collect()
+        assert sip.isdeleted(made)
+    assert not sip.isdeleted(used)
 
 
 def test_relative_paths_are_those_of_qgis(

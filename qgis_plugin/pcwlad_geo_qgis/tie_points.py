@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import ClassVar
 
 from qgis import core
+from qgis.PyQt import sip
 
 from .text import tr
 
@@ -103,6 +105,18 @@ def _on_map(feature: core.QgsFeature, columns: tuple[str, str], matrix: Matrix |
 class TiePointStyle(core.QgsProcessingLayerPostProcessorInterface):
     """Styles the loaded layer: a colour for each status, arrows for the residuals."""
 
+    _alive: ClassVar[list[TiePointStyle]] = []
+
+    @classmethod
+    def apply_when_loaded(cls, details: core.QgsProcessingContext.LayerDetails) -> None:
+        """Have a layer styled when it is loaded.
+
+        The context deletes the object, so each layer needs one of its own; but until then Python must keep it,
+        or QGIS is left with the empty method that it overrides.
+        """
+        cls._alive = [style for style in cls._alive if not sip.isdeleted(style)] + [cls()]
+        details.setPostProcessor(cls._alive[-1])
+
     def postProcessLayer(
         self,
         layer: core.QgsVectorLayer,
@@ -113,10 +127,6 @@ class TiePointStyle(core.QgsProcessingLayerPostProcessorInterface):
             return
         layer.setRenderer(renderer_of(layer))
         layer.triggerRepaint()
-
-
-STYLE = TiePointStyle()
-"""The one style: it has no state, and QGIS needs it until the layer is loaded."""
 
 
 def renderer_of(layer: core.QgsVectorLayer) -> core.QgsCategorizedSymbolRenderer:

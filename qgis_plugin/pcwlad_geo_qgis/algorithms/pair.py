@@ -10,7 +10,7 @@ from qgis import core
 
 from ..rasters import path_of, same_file
 from ..text import tr
-from ..tie_points import STYLE, TiePoints
+from ..tie_points import TiePoints, TiePointStyle
 from .base import Context, EngineAlgorithm, Feedback, Values, options_of, temporary_folder
 
 
@@ -112,7 +112,7 @@ class PairAlgorithm(EngineAlgorithm):
             raise core.QgsProcessingException(self.invalidSinkError(parameters, "OUTPUT_TIEPOINTS"))
         points.write(sink, feedback)
         if context.willLoadLayerOnCompletion(place):
-            context.layerToLoadOnCompletionDetails(place).setPostProcessor(STYLE)
+            TiePointStyle.apply_when_loaded(context.layerToLoadOnCompletionDetails(place))
         return {"OUTPUT_TIEPOINTS": place}
 
     def run_pair(
