@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from osgeo import gdal
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SAMPLE = REPOSITORY / "sample_data"
@@ -148,6 +149,16 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     for name in ("landsat_b4.tif", "landsat_b10.tif"):
         shutil.copy(SAMPLE / name, folder / name)
     return folder / "landsat_b4.tif", folder / "landsat_b10.tif"
+
+
+@pytest.fixture(scope="session")
+def large(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The sample pair on so many pixels that it is done in tiles, by workers."""
+    folder = tmp_path_factory.mktemp("large")
+    for path in sample:
+        place = str(folder / path.name)
+        gdal.Translate(place, str(path), widthPct=450, heightPct=450, resampleAlg="cubic")
+    return folder / sample[0].name, folder / sample[1].name
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from conftest import REPOSITORY, SAMPLE, Finished, run_cli
+from test_child import count_until, mark  # noqa: F401  # mark is a fixture
 
 TEST_DATA = Path(os.environ.get("PCWLAD_GEO_TEST_DATA", "/none"))
 # in QGIS 3.22 of Debian the wrapper without .bin does not work
@@ -125,6 +126,42 @@ def test_landsat_against_sentinel(profile: Path, tmp_path: Path) -> None:
     outcome = run_cli("register", reference, target, "-o", tmp_path / "cli")
     results = results_of(profile, "register", REFERENCE=reference, INPUT=target, **outputs(tmp_path))
     check_against(outcome, results)
+
+
+def test_the_end_of_qgis_is_the_end_of_the_engine(
+    profile: Path,
+    large: tuple[Path, Path],
+    tmp_path: Path,
+    mark: str,  # noqa: F811
+) -> None:
+    places = outputs(tmp_path)
+    pair = {"REFERENCE": large[0], "INPUT": large[1], "EXTRA": "--jobs 2 --points all"}
+    process = subprocess.Popen(
+        [
+            QGIS_PROCESS,
+            "run",
+            "pcwlad_geo:register",
+            "--",
+            *(f"{k}={v}" for k, v in {**pair, **places}.items()),
+        ],
+        env={**os.environ, "QGIS_CUSTOM_CONFIG_PATH": str(profile)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    running = count_until(mark, 4, limit_s=60)
+    process.kill()
+    process.wait()
+    print(f"processes while it ran: {running}")
+    assert running >= 4  # QGIS, the engine and its workers
+    assert count_until(mark, 0) == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(shutil.which("lrelease") is None, reason="no lrelease: no translations in the zip")
+def test_the_texts_are_translated(profile: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LANG", "de_DE.UTF-8")
+    monkeypatch.delenv("LC_ALL", raising=False)
+    assert "pcwlad_geo:register\tRaster registrieren" in call(profile, "list")
 
 
 def test_an_error_reaches_the_user(profile: Path, tmp_path: Path) -> None:

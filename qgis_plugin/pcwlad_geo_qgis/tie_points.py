@@ -111,7 +111,7 @@ class TiePointStyle(core.QgsProcessingLayerPostProcessorInterface):
     def apply_when_loaded(cls, details: core.QgsProcessingContext.LayerDetails) -> None:
         """Have a layer styled when it is loaded.
 
-        The context deletes the object, so each layer needs one of its own; but until then Python must keep it,
+        The context deletes the object: each layer needs one of its own. But until then Python must keep it,
         or QGIS is left with the empty method that it overrides.
         """
         cls._alive = [style for style in cls._alive if not sip.isdeleted(style)] + [cls()]
