@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 
 from pcwlad_geo.correction.models import AffineCorrection, Correction
@@ -59,6 +60,7 @@ def writers(
             raise TypeError(f"{correction.name} corrections have no geotransform")
         vrt.write_corrected_vrt(path, target.uri, correction, target.grid, final_path=places["corrected"])
 
+    @cache
     def grid() -> Grid:
         if registration.rpc is not None:
             return rpc_warping.ortho_grid(reference.grid, registration.rpc.corrected_grid)

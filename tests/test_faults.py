@@ -6,10 +6,12 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -328,6 +330,27 @@ def test_a_scheduler_that_cannot_be_reached_is_one_line_and_status_2(
     assert ended.stderr.startswith(f"error: the scheduler {address} cannot be reached within")
     assert ended.stderr.count("\n") == 1
     assert not list(work.iterdir())
+
+
+@pytest.mark.parametrize(
+    "greeting", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\x00" * 64, b"\xff" * 64, b""], ids=repr
+)
+def test_a_server_that_is_no_scheduler(greeting: bytes, pair: tuple[Path, Path], tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as pool:
+
+        def answer() -> None:
+            with suppress(TimeoutError):
+                while True:
+                    with server.accept()[0] as connection:
+                        connection.sendall(greeting)
+
+        server.settimeout(5)
+        pool.submit(answer)
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(ExecutionError, match=f"{address} cannot be reached"):
+            pcwlad_geo.match(*pair, out_dir=tmp_path / "out", scheduler=address)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("address", ["foo://host:1", "tcp://"])

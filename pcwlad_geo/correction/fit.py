@@ -29,6 +29,7 @@ __all__ = [
     "Fit",
     "FitFunction",
     "fit_affine",
+    "fit_drift",
     "fit_polynomial2",
     "fit_polynomial3",
     "fit_projective",
@@ -66,6 +67,17 @@ def fit_shift(
         If there are too few points, or an array has a wrong shape or values that are not finite.
     """
     return _fit("shift", 0, predicted_px, observed_px, covariance_px2, footprint_px)
+
+
+def fit_drift(
+    predicted_px: Array, observed_px: Array, covariance_px2: Array, *, footprint_px: float = 0.0
+) -> ParametricFit:
+    """Fit a shift that drifts from line to line: observed = predicted + constant + slope · row.
+
+    What a drifting attitude does to a pushbroom image (Fraser & Hanley 2005, doi:10.14358/PERS.71.8.909).
+    Parameters, result and errors are those of `fit_shift`; at least four points.
+    """
+    return _fit("drift", 1, predicted_px, observed_px, covariance_px2, footprint_px, columns=(0, 2))
 
 
 def fit_affine(
@@ -116,6 +128,7 @@ def fit_polynomial3(
 FITS: Mapping[str, FitFunction] = MappingProxyType(
     {
         "shift": fit_shift,
+        "drift": fit_drift,
         "affine": fit_affine,
         "projective": fit_projective,
         "polynomial2": fit_polynomial2,
@@ -124,23 +137,32 @@ FITS: Mapping[str, FitFunction] = MappingProxyType(
     }
 )
 """Every model, the simplest first."""
+CANDIDATES = tuple(name for name in FITS if name != "drift")
+"""Models of any image; lines that drift are those of a sensor's geometry."""
 
 
 def _fit(
-    name: str, order: int, predicted_px: Array, observed_px: Array, covariance_px2: Array, footprint_px: float
+    name: str,
+    order: int,
+    predicted_px: Array,
+    observed_px: Array,
+    covariance_px2: Array,
+    footprint_px: float,
+    columns: tuple[int, ...] | None = None,
 ) -> ParametricFit:
-    terms = (order + 1) * (order + 2) // 2
+    """Fit the polynomial of an order, or some of its terms."""
+    columns = columns or tuple(range((order + 1) * (order + 2) // 2))
     predicted, observed, covariance = checked(
-        name, terms + REDUNDANCY, predicted_px, observed_px, covariance_px2
+        name, len(columns) + REDUNDANCY, predicted_px, observed_px, covariance_px2
     )
     basis = _basis(order, predicted)
-    values, displacement = basis.values(predicted), observed - predicted
+    values, displacement = basis.values(predicted)[:, columns], observed - predicted
     found = estimate(values[:, :3], displacement, covariance)
     if order > 1:
         found = _refined(values, displacement, covariance, found)
     return ParametricFit.of(
-        correction=_correction(name, basis, found.parameters),
-        jacobian=partial(_jacobian, basis=basis),
+        correction=_correction(name, basis, found.parameters, columns),
+        jacobian=partial(_jacobian, basis=basis, columns=columns),
         predicted_px=predicted,
         observed_px=observed,
         estimate=found,
@@ -167,15 +189,19 @@ def _refined(values: Array, displacement_px: Array, covariance_px2: Array, start
     return reweighted(solve, start.fitted_px, displacement_px, covariance_px2, coarse_steps=COARSE_STEPS)
 
 
-def _correction(name: str, basis: PolynomialBasis, parameters_px: Array) -> Correction:
+def _correction(
+    name: str, basis: PolynomialBasis, parameters_px: Array, columns: tuple[int, ...]
+) -> Correction:
     if basis.order > 1:
         return PolynomialCorrection(basis, parameters_px)
+    terms = np.zeros((3, 2))
+    terms[list(columns)] = parameters_px
     matrix = np.zeros((2, 3))
-    matrix[:, : 2 * basis.order] = parameters_px[1:].T / basis.radius_px
-    matrix[:, 2] = parameters_px[0] - matrix[:, :2] @ basis.centre_px
+    matrix[:, :2] = terms[1:].T / basis.radius_px
+    matrix[:, 2] = terms[0] - matrix[:, :2] @ basis.centre_px
     matrix[:, :2] += np.eye(2)
     return AffineCorrection(name, matrix)
 
 
-def _jacobian(at_px: Array, *, basis: PolynomialBasis) -> Array:
-    return design(basis.values(at_px), np.broadcast_to(np.eye(2), (len(at_px), 2, 2)))
+def _jacobian(at_px: Array, *, basis: PolynomialBasis, columns: tuple[int, ...]) -> Array:
+    return design(basis.values(at_px)[:, columns], np.broadcast_to(np.eye(2), (len(at_px), 2, 2)))

@@ -50,7 +50,7 @@ class AffineCorrection:
     """observed = matrix · (predicted col, predicted row, 1); a shift is the affine with identity."""
 
     name: str
-    """shift or affine."""
+    """shift, drift or affine."""
     matrix: Array
     """(2, 3)."""
 

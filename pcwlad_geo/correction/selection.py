@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from pcwlad_geo.correction.cross_validation import SharedNoise, left_out_errors
-from pcwlad_geo.correction.fit import FITS, Fit, fit_tps, predicted_sigma
+from pcwlad_geo.correction.fit import CANDIDATES, FITS, Fit, fit_tps, predicted_sigma
 from pcwlad_geo.correction.folding import folds
 from pcwlad_geo.correction.folds import spatial_folds
 from pcwlad_geo.errors import InputError
@@ -22,7 +22,7 @@ SIGNIFICANCE = 1.0
 """Standard errors by which the affine has to predict better than the shift."""
 DENSE_SIGNIFICANCE = 0.5
 """The same between models that both need resampling: the simpler one is worth less there."""
-LOSSLESS = ("shift", "affine")
+LOSSLESS = ("shift", "drift", "affine")
 """Models that need no resampling. What replaces them by one that does has to earn it:"""
 RESAMPLING_SIGNIFICANCE = 2.5
 """standard errors by which it predicts better, and"""
@@ -105,7 +105,7 @@ def choose(
     observed_px: Array,
     covariance_px2: Array,
     footprint_px: float,
-    candidates: Sequence[str] = tuple(FITS),
+    candidates: Sequence[str] = CANDIDATES,
     *,
     box_px: tuple[Array, Array] | None = None,
 ) -> Selection:
@@ -310,6 +310,6 @@ def _differs(simple: Fit, other: Fit, points: _Points) -> bool:
     )
     by_chance = max(theirs - ours, theirs / 2)
     freedom = max(other.freedom - simple.freedom, other.freedom / 2)
-    explained = chi2.ppf(1 - CHANCE, freedom) / freedom * by_chance
+    explained = float(chdtri(freedom, CHANCE)) / freedom * by_chance
     explained += COMMON_CHANGE * sum(_common(points, other))
     return bool((change**2).sum(axis=1).mean() > explained)

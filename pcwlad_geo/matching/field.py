@@ -47,8 +47,10 @@ SURFACES: Final = (
     Surface(768, 1),
     Surface(768, 2),
     Surface(192, 1),
+    Surface(384, 2),
     Surface(192, 2),
     Surface(48, 1),
+    Surface(96, 2),
 )
 """The simplest first: with the most neighbours for each of its parameters."""
 

@@ -79,20 +79,25 @@ def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
     rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
     apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
+    slopes = _local(linear, predicted, reach)
+    if slopes is not None:
+        return FieldGuide(slopes, nowhere, surface, 0.0)
     shared = calibration.shared_variance(xy, choice.residual_px, settings.window, surface.count)
-    return FieldGuide(_local(everywhere, predicted, reach), structure, surface, shared)
+    return FieldGuide(everywhere, structure, surface, shared)
 
 
-def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Float64:
-    """Return the deformation at every point by the slopes of the field there, where these matter.
+def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Float64 | None:
+    """Return the deformation at every point by the slopes of the field there; None where these do not matter.
 
     A window that is not modelled so finds the displacement of where its structure lies, not of its middle: at
-    the edge of the image, where half of it is missing, that is many pixels off.
+    the edge of the image, where half of it is missing, that is many pixels off. Such points keep their own
+    structure: what the neighbours say about a bent field errs as much as a point does, and errors taken from
+    them reach farther than a window, where a spline takes them for displacement.
     """
     size = np.abs(predicted.slope - linear).max(axis=(1, 2)) * reach_px
     by_chance = predicted.scatter_px * np.sqrt(2 * predicted.leverage)
     if not np.nanmedian(size) > max(LEAST_DEFORMATION_PX, 5 * float(np.nanmedian(by_chance))):
-        return linear
+        return None
     known = np.isfinite(predicted.slope).all(axis=(1, 2), keepdims=True)
     return np.where(known, predicted.slope, linear)
 

@@ -81,12 +81,15 @@ class Undulation:
         return Undulation(west, south, step, (rows, cols), tuple(values))
 
     def at(self, lon_lat: Array) -> Array:
-        """Return the (n,) undulation in metres at (n, 2) degrees, by bilinear interpolation."""
+        """Return the (n,) undulation in metres at (n, 2) degrees, bilinear; NaN at NaN."""
         if len(self.values_m) == 1:
             return np.full(len(lon_lat), self.values_m[0])
         index = (lon_lat - [self.west, self.south]) / self.step
         index = np.clip(index, 0, np.array(self.shape[::-1]) - 1.0)  # the lattice holds the scene
-        return _bilinear(np.array(self.values_m).reshape(self.shape), index)
+        known = np.isfinite(index).all(axis=1)  # a place off the DEM has no coordinates
+        found = np.full(len(index), np.nan)
+        found[known] = _bilinear(np.array(self.values_m).reshape(self.shape), index[known])
+        return found
 
     @property
     def mean_m(self) -> float:

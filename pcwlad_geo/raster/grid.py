@@ -31,10 +31,7 @@ class Grid:
 
     def to_px(self, xy: Array) -> Array:
         """Map (n, 2) map coordinates (x, y) to (n, 2) pixel coordinates (col, row)."""
-        # Differences first: eastings and northings have more digits than the inverse geotransform keeps.
-        origin = np.array([self.transform.c, self.transform.f])
-        inverse = np.linalg.inv(linear_part(self.transform))
-        return np.asarray((np.asarray(xy, dtype=np.float64) - origin) @ inverse.T)
+        return apply_inverse(self.transform, xy)
 
     def part(self, origin_px: tuple[float, float], shape: tuple[int, int]) -> Grid:
         """Return the grid of the same pixels that starts at (col, row) and has another shape."""
@@ -52,10 +49,7 @@ class Grid:
         shape: tuple[int, int],
     ) -> Grid:
         """Return the grid whose pixel p lies at linear · p + origin of this grid's pixels (col, row)."""
-        matrix = linear_part(self.transform) @ np.array(linear)
-        x, y = self.to_xy(np.array([origin_px], dtype=np.float64))[0].tolist()
-        a, b, d, e = matrix.ravel().tolist()
-        return Grid(shape, Affine(a, b, x, d, e, y), self.crs)
+        return Grid(shape, composed(self.transform, linear, origin_px), self.crs)
 
     def boundary_px(self, points_per_side: int = 32) -> Array:
         """Return (n, 2) points around the outer edge of the pixels, in order, not closed."""
@@ -75,6 +69,23 @@ def apply(transform: Affine, points_xy: Array) -> Array:
     """Map (n, 2) points by an affine transformation."""
     points_xy = np.asarray(points_xy, dtype=np.float64)
     return np.asarray(points_xy @ linear_part(transform).T + np.array([transform.c, transform.f]))
+
+
+def apply_inverse(transform: Affine, points_xy: Array) -> Array:
+    """Map (n, 2) points by the inverse of an affine transformation."""
+    # Differences first: eastings and northings have more digits than the inverse geotransform keeps.
+    origin = np.array([transform.c, transform.f])
+    inverse = np.linalg.inv(linear_part(transform))
+    return np.asarray((np.asarray(points_xy, dtype=np.float64) - origin) @ inverse.T)
+
+
+def composed(
+    transform: Affine, linear: tuple[tuple[float, float], tuple[float, float]], origin_px: tuple[float, float]
+) -> Affine:
+    """Return the transform of pixels p that lie at linear · p + origin of another's pixels (col, row)."""
+    a, b, d, e = (linear_part(transform) @ np.array(linear)).ravel().tolist()
+    x, y = apply(transform, np.array([origin_px], dtype=np.float64))[0].tolist()
+    return Affine(a, b, x, d, e, y)
 
 
 def map_px(points_px: Array, from_grid: Grid, to_grid: Grid) -> Array:

@@ -12,7 +12,7 @@ from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.mask_kinds import accepted, bands_of
-from pcwlad_geo.raster.source import RasterInfo, describe, mask_on_pixels, open_raster
+from pcwlad_geo.raster.source import RasterInfo, mask_on_pixels, open_raster
 from pcwlad_geo.raster.windows import Window
 
 Bool = NDArray[np.bool_]
@@ -55,14 +55,13 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
     InputError
         If the mask file cannot be read.
     """
-    if info.mask_uri is None:
+    if info.mask_uri is None or info.mask_grid is None:
         return np.ones(window.shape, dtype=bool)
-    mask = describe(info.mask_uri)
     file_window = FileWindow(window.col, window.row, window.cols, window.rows)
     bands = list(bands_of(info.mask_kind))
     try:
         with open_raster(info.mask_uri) as dataset:
-            if mask_on_pixels(info, mask):
+            if mask_on_pixels(info, info.mask_grid):
                 values = dataset.read(bands, window=file_window)
                 inside = valid_in_file(dataset, bands[0], values[0], file_window)
                 return np.asarray(inside & accepted(info.mask_kind, values))

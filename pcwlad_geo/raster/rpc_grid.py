@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.raster.dem import WGS84, ConstantHeight, Dem
-from pcwlad_geo.raster.grid import Grid, apply, linear_part, map_px
+from pcwlad_geo.raster.grid import Grid, apply, apply_inverse, composed, map_px
 from pcwlad_geo.raster.resample import sample_positions
 from pcwlad_geo.raster.windows import Window
 
@@ -57,9 +57,7 @@ class RpcGrid(Grid):
 
     def file_to_own_px(self, file_px: Array) -> Array:
         """Map (n, 2) pixels of the file to those of this grid."""
-        return np.asarray(
-            (file_px - [self.transform.c, self.transform.f]) @ np.linalg.inv(linear_part(self.transform)).T
-        )
+        return apply_inverse(self.transform, file_px)
 
     def remade(
         self,
@@ -68,10 +66,7 @@ class RpcGrid(Grid):
         shape: tuple[int, int],
     ) -> RpcGrid:
         """Return the grid whose pixel p lies at linear · p + origin of this grid's pixels (col, row)."""
-        matrix = linear_part(self.transform) @ np.array(linear)
-        x, y = apply(self.transform, np.array([origin_px], dtype=np.float64))[0].tolist()
-        a, b, d, e = matrix.ravel().tolist()
-        return replace(self, shape=shape, transform=Affine(a, b, x, d, e, y))
+        return replace(self, shape=shape, transform=composed(self.transform, linear, origin_px))
 
 
 def levelled(grid: Grid) -> Grid:

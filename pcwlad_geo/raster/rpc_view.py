@@ -16,7 +16,7 @@ from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.matching_grid import MARGIN_PX, ViewPair
 from pcwlad_geo.raster.rpc_files import RpcSource, check_domain
 from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled
-from pcwlad_geo.raster.source import RasterInfo, describe
+from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.raster.windows import Window
 
@@ -66,7 +66,7 @@ def place_by_rpc(info: RasterInfo, source: RpcSource, dem: str | None, vertical:
         If RPC, DEM and raster do not fit together, or the DEM's heights mean nothing known.
     """
     check_domain(source, info.uri, info.grid.shape)
-    if info.mask_uri is not None and describe(info.mask_uri).georeferenced:
+    if info.mask_grid is not None and info.mask_grid.crs is not None:
         raise InputError(
             f"the mask {info.mask_uri} lies on the ground and {info.uri} is in the sensor's geometry: give a "
             "mask of the target's own pixels, without georeferencing"
@@ -188,7 +188,7 @@ def _look_at_dem(placed: RasterInfo, grid: RpcGrid, dem: Dem) -> tuple[float, fl
             f"the DEM {dem.uri} has holes below {placed.uri}: {holes} of its pixels have no height; fill "
             "them first (gdal_fillnodata.py DEM FILLED), or give another DEM"
         )
-    heights = dem.at(level)
+    heights = dem.at_px(dem_px, level)
     lowest, highest = np.nanmin(heights), np.nanmax(heights)
     if not LOWEST_M <= lowest <= highest <= HIGHEST_M:
         raise InputError(

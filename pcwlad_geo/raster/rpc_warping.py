@@ -30,7 +30,7 @@ from pcwlad_geo.raster.rpc_files import to_gdal
 from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled
 from pcwlad_geo.raster.source import open_raster
 from pcwlad_geo.raster.warped_blocks import MOST_THREADS
-from pcwlad_geo.raster.warping import BlockRequest, Blocks, ProgressCallback, write_warped
+from pcwlad_geo.raster.warping import BlockRequest, Blocks, ProgressCallback, kernel, write_warped
 from pcwlad_geo.raster.windows import Window
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ def orthorectify(
     out_path: Path,
     target: RpcGrid,
     grid: Grid,
-    resampling: str = "cubic",
+    resampling: str = "lanczos",
     *,
     progress: ProgressCallback | None = None,
 ) -> None:
@@ -133,12 +133,11 @@ def _blocks(
         "rpcs": RPC.from_gdal(to_gdal(target.rpc)),
         "src_crs": WGS84,
         "dst_crs": grid.crs,
-        "resampling": method,
         "num_threads": min(os.cpu_count() or 1, MOST_THREADS),
         "src_nodata": request.nodata,
         "dst_nodata": None if request.as_alpha else request.nodata,
         **_alpha(source, request),
-        **_kernel_scale(target, grid),
+        **kernel(method, _step(target, grid)),
     }
     # GDAL takes the RPC from the metadata of what it reads, whatever it is told
     tree = vrt.with_rpc(source, to_gdal(target.rpc), mask_as_alpha=request.as_alpha)
@@ -207,10 +206,6 @@ def _dem_window(dem: Dem, part: Grid) -> Window:
     return box.padded(DEM_MARGIN_PX).clipped(dem.grid.shape)
 
 
-def _kernel_scale(target: RpcGrid, grid: Grid) -> dict[str, float]:
-    """Return GDAL's XSCALE, YSCALE: below 1 the kernel is widened against aliasing."""
+def _step(target: RpcGrid, grid: Grid) -> Array:
     rows, cols = grid.shape
-    step = jacobian(np.array([[cols / 2, rows / 2]]), grid, levelled(target))[0]
-    lengths = [float(np.hypot(*row)) for row in step]
-    x, y = (1.0 / max(1.0, length) if np.isfinite(length) else 1.0 for length in lengths)
-    return {"XSCALE": x if x < 0.95 else 1.0, "YSCALE": y if y < 0.95 else 1.0}
+    return np.asarray(jacobian(np.array([[cols / 2, rows / 2]]), grid, levelled(target))[0])

@@ -43,6 +43,8 @@ class RasterInfo:
     nodata: float | None
     mask_uri: str | None
     """A mask file given by the user or found in a product."""
+    mask_grid: Grid | None = None
+    """Where its pixels lie."""
     mask_kind: MaskKind = "zeros"
     """What its values mean."""
     gcp_misfit_px: float | None = None
@@ -91,10 +93,11 @@ def describe(
             gcp_misfit_px=misfit_px,
         )
     if info.mask_uri is not None:
-        _check_mask(info, describe(info.mask_uri))
+        described = describe(info.mask_uri)
+        _check_mask(info, described)
         with open_raster(info.mask_uri) as dataset:
             kind = kind_of(info.mask_uri, dataset.descriptions, dataset.dtypes)
-        info = replace(info, mask_kind=kind)
+        info = replace(info, mask_grid=described.grid, mask_kind=kind)
     return info
 
 
@@ -121,11 +124,11 @@ def same_band(a: RasterInfo, b: RasterInfo) -> bool:
         return False
 
 
-def mask_on_pixels(info: RasterInfo, mask: RasterInfo) -> bool:
-    """Whether a mask lies on a raster pixel for pixel: same grid, or same size where one lacks a grid."""
-    if info.georeferenced and mask.georeferenced:
-        return info.grid == mask.grid
-    return info.grid.shape == mask.grid.shape
+def mask_on_pixels(info: RasterInfo, mask_grid: Grid) -> bool:
+    """Whether a mask lies on a raster pixel for pixel: same grid, or same size where one lacks a place."""
+    if info.georeferenced and mask_grid.crs is not None:
+        return info.grid == mask_grid
+    return info.grid.shape == mask_grid.shape
 
 
 @contextmanager
@@ -210,7 +213,7 @@ def _grid_of(dataset: DatasetReader) -> tuple[Grid, float | None]:
 def _check_mask(info: RasterInfo, mask: RasterInfo) -> None:
     if info.georeferenced and mask.georeferenced:
         transformation_warnings(info.grid.crs, mask.grid.crs)  # raises where none exists
-    elif not mask_on_pixels(info, mask):
+    elif not mask_on_pixels(info, mask.grid):
         lacking = mask if info.georeferenced else info
         raise InputError(
             f"the mask {mask.uri} has {mask.grid.shape[1]} x {mask.grid.shape[0]} pixels, {info.uri} has "

@@ -33,8 +33,6 @@ _OWN: Final = ("ref_col", "ref_row", "tgt_col", "tgt_row")
 class PointFile:
     """What a file of tie points says."""
 
-    format: str
-    """For messages."""
     reference: Array
     """(n, 2): px (col, row) of the reference, or map coordinates (x, y)."""
     target: Array
@@ -135,7 +133,6 @@ def _read_csv(path: str, lines: Sequence[str]) -> PointFile:
     table = _Table.read(path, lines)
     sides = {name: table.pair(f"{name}_col", f"{name}_row") for name in ("ref", "tgt")}
     return PointFile(
-        "tiepoints.csv",
         sides["ref"],
         sides["tgt"],
         np.array([text != "rejected" for text in table.texts("status")]),
@@ -161,9 +158,7 @@ def _read_qgis(path: str, lines: Sequence[str]) -> PointFile:
     enabled = np.ones(len(table.rows), bool)
     if "enable" in table.columns:
         enabled = table.numbers("enable") != 0  # an empty cell is NaN, which is not 0
-    return PointFile(
-        "QGIS .points", table.pair("mapx", "mapy"), table.pair(*source), enabled, "map", "layer", crs
-    )
+    return PointFile(table.pair("mapx", "mapy"), table.pair(*source), enabled, "map", "layer", crs)
 
 
 def _crs_of(path: str, line: str) -> CRS | None:
@@ -188,13 +183,13 @@ def _read_envi(path: str, lines: Sequence[str], reference_name: str, target_name
     enabled = np.ones(len(rows), bool)
     if "map" in halves:
         image = halves["image"] if "image" in halves else halves["warp"]
-        return PointFile("ENVI .pts", halves["map"], image - _ENVI_ORIGIN_PX, enabled, "map", "px")
+        return PointFile(halves["map"], image - _ENVI_ORIGIN_PX, enabled, "map", "px")
     base, warp = halves["base"] - _ENVI_ORIGIN_PX, halves["warp"] - _ENVI_ORIGIN_PX
     files = {which.lower(): _name(name) for line in comments for which, name in _ENVI_FILE.findall(line)}
     ours = _name(reference_name), _name(target_name)
     if ours[0] != ours[1] and (files.get("warp"), files.get("base")) == ours:
         base, warp = warp, base
-    return PointFile("ENVI .pts", base, warp, enabled, "px", "px")
+    return PointFile(base, warp, enabled, "px", "px")
 
 
 def _envi_rows(path: str, lines: Sequence[str], width: int) -> Iterator[list[float]]:
@@ -222,7 +217,6 @@ def _read_gcps(path: str) -> PointFile:
     if not gcps:
         raise InputError(f"{path} is a raster without ground control points: give one that has some")
     return PointFile(
-        "raster with ground control points",
         np.array([[gcp.x, gcp.y] for gcp in gcps], dtype=np.float64),
         np.array([[gcp.col, gcp.row] for gcp in gcps], dtype=np.float64),
         np.ones(len(gcps), bool),

@@ -15,7 +15,7 @@ from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.masks import valid_in_file, valid_in_mask_file
 from pcwlad_geo.raster.resample import block_mean, box_average, cell_means, sample_positions, spline_samples
 from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled, positions_on
-from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
+from pcwlad_geo.raster.source import RasterInfo, open_raster
 from pcwlad_geo.raster.windows import Window
 
 Array = NDArray[np.float64]
@@ -89,7 +89,7 @@ class View:
         if shape != self.grid.shape:
             resampling: Resampling = "cubic" if self.resampling == "cubic" else "average"
             coarse = View(self.info, self.grid.scaled(shape), resampling)
-            overview = _overview_for(self.info, _file_px_per_px(coarse).min())
+            overview = _overview_for(self.info, file_px_per_px(coarse).min())
         try:
             values, valid = _read(coarse, Window.whole(shape), overview)
         except InputError:
@@ -112,7 +112,7 @@ def _read(view: View, window: Window, overview: int | None) -> tuple[NDArray[np.
     if view.resampling in ("none", "nearest"):
         return _read_own(view, window)
     source = _at_overview(view, overview)
-    step = _file_px_per_px(source)
+    step = file_px_per_px(source)
     if window.rows * window.cols * np.prod(step + 1) > _MOST_PX_AT_ONCE and max(window.shape) > 1:
         return _joined([_read(view, half, overview) for half in window.halves()], window)
     if view.resampling == "average":
@@ -236,13 +236,13 @@ def _read_file(
     return values, valid
 
 
-def _overview_for(info: RasterInfo, file_px_per_px: float) -> int | None:
+def _overview_for(info: RasterInfo, step_px: float) -> int | None:
     """Choose the coarsest overview that is at least twice as fine as what is wanted."""
-    if info.mask_uri is not None and not (info.georeferenced and describe(info.mask_uri).georeferenced):
+    if info.mask_grid is not None and not (info.georeferenced and info.mask_grid.crs is not None):
         return None  # a mask without a place of its own has the original's pixels
     with open_raster(info.uri) as dataset:
         factors = dataset.overviews(info.band)
-    fine_enough = [level for level, factor in enumerate(factors) if factor <= file_px_per_px / 2]
+    fine_enough = [level for level, factor in enumerate(factors) if factor <= step_px / 2]
     return max(fine_enough, default=None, key=lambda level: factors[level])
 
 
@@ -255,7 +255,7 @@ def _at_overview(view: View, overview: int | None) -> View:
     return replace(view, info=replace(view.info, grid=view.info.grid.scaled(shape)))
 
 
-def _file_px_per_px(view: View) -> Array:
+def file_px_per_px(view: View) -> Array:
     """(2,): how far a step of one view pixel along columns and rows goes in the file, file px."""
     rows, cols = view.grid.shape
     matrix = jacobian(np.array([[cols / 2, rows / 2]]), view.grid, levelled(view.info.grid))[0]

@@ -40,6 +40,8 @@ ProgressCallback = Callable[[int, int], None]
 # GDAL interpolates the transformation along scan lines to this error, and each block does so anew: blocks fit
 # to twice as much. Its default is 0.125 px; this costs no more.
 _TOLERANCE_PX = 0.001
+# Kernels are widened where an output pixel is larger than the source's by more than this.
+_COARSER = 0.95
 _BLOCK_PX = 1024
 _BLOCK_BYTES = 2**24
 # The same of corrections that are evaluated on a lattice.
@@ -79,7 +81,7 @@ def warp(
     out_path: Path,
     correction: Correction,
     grid: Grid,
-    resampling: str = "cubic",
+    resampling: str = "lanczos",
     *,
     target_grid: Grid | None = None,
     progress: ProgressCallback | None = None,
@@ -317,10 +319,9 @@ def _warp_options(
         "transform": grid.transform,
         "height": grid.shape[0],
         "width": grid.shape[1],
-        "resampling": method,
         "tolerance": _TOLERANCE_PX,
         "dtype": np.result_type(*source.dtypes).name,
-        **_kernel_scale(step),
+        **kernel(method, step),
     }
 
 
@@ -337,14 +338,17 @@ def _fill(values: NDArray[Any], valid: NDArray[np.bool_], nodata: float) -> None
     values[~valid] = nodata
 
 
-def _kernel_scale(step: Array) -> dict[str, float]:
-    """Return GDAL's XSCALE, YSCALE: below 1 the kernel is widened against aliasing.
+def kernel(method: Resampling, step: Array) -> dict[str, object]:
+    """Return the resampling with GDAL's XSCALE, YSCALE: below 1 the kernel is widened against aliasing.
 
-    Left to itself GDAL derives them per block, with seams, and from bounding boxes, which blurs
-    rotated grids. `step` is (2, 2): source (col, row) by output (col, row).
+    Lanczos becomes cubic there: GDAL's aliases however wide. Left to itself GDAL derives scales per block,
+    with seams, and from bounding boxes, which blurs rotated grids. `step` is (2, 2): source (col, row) by
+    output (col, row), NaN where unknown.
     """
-    x, y = (1.0 / max(1.0, float(np.hypot(*row))) for row in step)
-    return {"XSCALE": x if x < 0.95 else 1.0, "YSCALE": y if y < 0.95 else 1.0}
+    x, y = (1.0 / np.fmax(1.0, np.hypot(*row)) for row in step)
+    x, y = (scale if scale < _COARSER else 1.0 for scale in (x, y))
+    coarser = method == Resampling.lanczos and min(x, y) < 1
+    return {"resampling": Resampling.cubic if coarser else method, "XSCALE": x, "YSCALE": y}
 
 
 def _blocks(shape: tuple[int, int], bytes_per_px: int) -> Iterator[Window]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import struct
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, ThreadPoolExecutor
@@ -24,6 +25,8 @@ CALLS_PER_THREAD: Final = 2
 """One that runs and one that waits, so that a worker need not wait for the next."""
 NUMERIC: Final = ("numpy", "scipy", "numba", "cv2", "rasterio")
 """Packages whose versions decide about the last bits of the tie points."""
+_OTHER_LANGUAGES: Final = (MemoryError, ValueError, TypeError, LookupError, struct.error)
+"""What a server's answers give that is no scheduler: a length of exabytes, a header of noise."""
 _LOGGERS: Final = ("distributed", "distributed.client", "tornado", "tornado.application")
 
 
@@ -64,17 +67,20 @@ def connected(address: str, on_event: EventCallback) -> Iterator[OnExecutor]:
 @contextmanager
 def _connect(address: str) -> Iterator[Client]:
     from distributed import Client
+    from distributed.comm import get_address_host_port
 
+    try:
+        get_address_host_port(address, strict=True)
+    except (ValueError, TypeError) as error:
+        message = f"{address} is no address of a scheduler ({error}): give one such as tcp://host:8786"
+        raise ExecutionError(message) from error
     try:
         with ThreadPoolExecutor(1) as thread:  # the caller's may have an event loop, as notebooks do
             thread.submit(asyncio.run, _probe(address)).result()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of version mismatches: `_check_versions` tells what matters
             client = Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (ValueError, TypeError) as error:
-        message = f"{address} is no address of a scheduler ({error}): give one such as tcp://host:8786"
-        raise ExecutionError(message) from error
-    except (OSError, asyncio.TimeoutError) as error:
+    except (OSError, asyncio.TimeoutError, *_OTHER_LANGUAGES) as error:
         raise ExecutionError(
             f"the scheduler {address} cannot be reached within {CONNECT_S:.0f} s: check the address, "
             "and that a dask scheduler runs there"

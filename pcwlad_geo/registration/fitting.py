@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from pcwlad_geo.correction.accuracy import Accuracy
 from pcwlad_geo.correction.check_points import hold_out
-from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.selection import Selection, choose
 from pcwlad_geo.correction.thinning import thin
@@ -49,7 +49,7 @@ def fit_correction(
     footprint_px: float,
     px_m: tuple[float, float] | None,
     shape: tuple[int, int] | None = None,
-    candidates: tuple[str, ...] = tuple(FITS),
+    candidates: tuple[str, ...] = CANDIDATES,
 ) -> Fitted:
     """Fit a correction to the matched points of a table.
 

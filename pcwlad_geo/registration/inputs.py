@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.product import ProductBand
+from pcwlad_geo.raster.product import Product, ProductBand
 from pcwlad_geo.raster.products import find_product
 from pcwlad_geo.registration.settings import Settings
 
@@ -50,7 +50,7 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
     ref = _side(reference, "ref", settings)
     tgt = _side(target, "tgt", settings)
     notes = ref.notes + tgt.notes
-    product = find_product(target) if all_bands else None
+    product = tgt.product if all_bands else None
     found = product.others(product.band(settings.tgt_band)) if product else ()
     others = tuple(band for band in found if band.uri != ref.file)
     if len(others) < len(found):
@@ -75,6 +75,7 @@ class _Side:
     """The band's file."""
     changes: dict[str, Any]
     notes: tuple[str, ...] = ()
+    product: Product | None = None
 
 
 def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
@@ -95,4 +96,4 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
     if product.path.lower().endswith("gz"):
         notes += (f"{product.path} is compressed as a whole, and reading parts of it is slow: unpack it",)
     mask = given or product.mask
-    return _Side(band.opened_as(), band.uri, {f"{side}_band": 1, f"{side}_mask": mask}, notes)
+    return _Side(band.opened_as(), band.uri, {f"{side}_band": 1, f"{side}_mask": mask}, notes, product)

@@ -20,7 +20,7 @@ from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Prealignment
 from pcwlad_geo.registration.settings import Settings
 
-MODELS: Final = ("shift", "affine")
+MODELS: Final = ("shift", "drift", "affine")
 """Corrections in image space that an RPC can take, the simplest first."""
 MOST_BIAS_M: Final = 500.0
 """No sensor with RPCs errs by as much: what is found beyond is the RPC of another image."""
@@ -85,7 +85,7 @@ def place_target(
         )
     if settings.model not in ("auto", "rpc", *MODELS):
         raise SettingsError(
-            f"model = {settings.model!r}: an RPC takes a shift or an affine correction; give --model auto"
+            f"model = {settings.model!r}: an RPC takes a shift, a drift or an affine; give --model auto"
         )
     dem = None if settings.dem is None else str(settings.dem)
     placed = place_by_rpc(target, source, dem, settings.dem_vertical)

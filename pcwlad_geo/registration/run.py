@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
-from pcwlad_geo.raster.grid import jacobian
 from pcwlad_geo.raster.locate import locate
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.rpc_grid import levelled
 from pcwlad_geo.raster.rpc_view import Placed, plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.fitting import Fitted, fit_correction, shared_residual_px
 from pcwlad_geo.registration.given_points import footprint_px, points_of_file
 from pcwlad_geo.registration.inputs import resolve
@@ -102,10 +102,10 @@ def run(
     if found.verdict.accepted and not match_only:
         with log.stage("fitting"):
             on_event(Progress("fitting", 0, 1))
-            footprint = settings.window * _target_px_per_view_px(pair)
+            footprint = settings.window * float(file_px_per_px(pair.target)[0])
             if settings.tie_points:
                 footprint = footprint_px(table, footprint)
-            candidates = MODELS if placed else tuple(FITS)
+            candidates = MODELS if placed else CANDIDATES
             fitted = fit_correction(table, settings, footprint, px_m, tgt.grid.shape, candidates)
             _warn_of_parallax(fitted, log)
             on_event(Progress("fitting", 1, 1))
@@ -262,10 +262,3 @@ def _control_point_notes(reference: RasterInfo, target: RasterInfo) -> list[str]
         f"{target.uri} is georeferenced by ground control points: displacements count from the geotransform "
         f"that fits them best, which is off by up to {off_px:.1f} px; if that is much, raise --search-radius"
     ]
-
-
-def _target_px_per_view_px(pair: ViewPair) -> float:
-    rows, cols = pair.target.grid.shape
-    middle = np.array([[cols / 2, rows / 2]])
-    matrix = jacobian(middle, pair.target.grid, levelled(pair.target.info.grid))[0]
-    return float(np.hypot(*matrix[:, 0]))

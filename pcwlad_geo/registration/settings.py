@@ -67,8 +67,9 @@ class Settings:
     counts, also beside a geotransform, and is corrected."""
     grid: OutputGrid = "reference"
     """Registered raster: the reference's CRS and alignment (target's pixel size), or the target's grid."""
-    resampling: Resampling = "cubic"
-    """Resampling of the registered raster."""
+    resampling: Resampling = "lanczos"
+    """Resampling of the registered raster. Cubic convolution moves fine detail towards the nearest pixel,
+    Lanczos does not; cubic replaces it where the output's pixels are coarser."""
     write_sigma: bool = False
     """Write the predicted sigma of the correction as a raster too."""
     tile_size: int = 1024

@@ -89,7 +89,7 @@ def render(
 def warp_line(gcps_vrt: str) -> str:
     """Return the shell command that warps the target by a thin-plate spline through its tie points."""
     stem = gcps_vrt.removesuffix("_gcps.vrt")
-    return shlex.join(["gdalwarp", "-tps", "-r", "cubic", gcps_vrt, f"{stem}_tps.tif"])
+    return shlex.join(["gdalwarp", "-tps", "-r", "lanczos", gcps_vrt, f"{stem}_tps.tif"])
 
 
 def _environment() -> Environment:

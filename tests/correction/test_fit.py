@@ -195,18 +195,45 @@ def test_the_order_of_the_points_does_not_matter(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "n"),
-    [("shift", 2), ("affine", 4), ("shift", 0), ("projective", 5), ("polynomial2", 7), ("tps", 11)],
+    [
+        ("shift", 2),
+        ("drift", 3),
+        ("affine", 4),
+        ("shift", 0),
+        ("projective", 5),
+        ("polynomial2", 7),
+        ("tps", 11),
+    ],
 )
 def test_too_few_points(name: str, n: int) -> None:
     with pytest.raises(InputError, match=f"{n} tie points for the {name} model"):
         FITS[name](scattered(0, n), scattered(0, n), isotropic(n, 0.1))
 
 
-@pytest.mark.parametrize("name", sorted(set(FITS) - {"shift"}))
+@pytest.mark.parametrize("name", sorted(set(FITS) - {"shift", "drift"}))
 def test_points_on_a_line_determine_nothing_but_a_shift(name: str) -> None:
     predicted = np.column_stack([np.arange(20.0), 3 * np.arange(20.0) + 1])
     with pytest.raises(InputError, match="on a line"):
         FITS[name](predicted, predicted + 1, isotropic(20, 0.1))
+
+
+def test_a_drift_is_found_and_nothing_along_the_lines() -> None:
+    predicted = scattered(3, 300)
+    truth = np.array([[1.0, 0.0004, 1.2], [0.0, 0.9991, -0.7]])
+    observed = predicted @ truth[:, :2].T + truth[:, 2] + noise(3, 300, 0.1)
+    fit = FITS["drift"](predicted, observed, isotropic(300, 0.1))
+    assert fit.freedom == 4
+    np.testing.assert_array_equal(fit.correction.matrix[:, 0], [1.0, 0.0])
+    sigma = predicted_sigma(fit, CORNERS_PX)
+    missed = fit.correction.forward(CORNERS_PX) - (CORNERS_PX @ truth[:, :2].T + truth[:, 2])
+    assert (np.abs(missed) < 4 * sigma).all()
+    assert sigma.max() < 0.02
+
+
+def test_points_on_one_row_determine_no_drift() -> None:
+    predicted = np.column_stack([np.arange(20.0), np.full(20, 7.0)])
+    with pytest.raises(InputError):
+        FITS["drift"](predicted, predicted + 1, isotropic(20, 0.1))
 
 
 def test_points_on_two_lines_do_not_determine_a_polynomial() -> None:

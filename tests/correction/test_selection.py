@@ -145,6 +145,23 @@ def test_the_model_follows_the_field_and_is_never_worse_than_a_simpler_one(kind:
     assert np.sqrt((chosen**2).mean()) < 0.08
 
 
+@pytest.mark.parametrize("expected", ["shift", "drift", "affine"])
+def test_an_rpc_takes_the_simplest_correction_of_its_image(expected: str) -> None:
+    slopes = {
+        "shift": np.zeros((2, 2)),
+        "drift": [[0, 8e-4], [0, -5e-4]],
+        "affine": [[9e-4, 3e-4], [-6e-4, 4e-4]],
+    }
+    right = 0
+    for seed in range(10):
+        points = scattered(seed, 300, 1024)
+        error = 0.07 * (window_noise(seed, points, 1024, 81) + noise(seed, 300, 1.0))
+        observed = points + (points - 512) @ np.transpose(slopes[expected]) + (0.8, -1.1) + error
+        selection = choose(points, observed, isotropic(300, 0.1), 81, ("shift", "drift", "affine"))
+        right += selection.name == expected
+    assert right >= 9
+
+
 def test_ten_percent_outliers_change_nothing() -> None:
     points, places = scattered(20, 600, 1024), inside(1024)
     for size in (0.0, 2.0):

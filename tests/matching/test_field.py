@@ -68,7 +68,7 @@ def test_a_wavy_field_takes_a_small_neighbourhood() -> None:
     xy = scattered(900)
     wavy = 1.5 * np.sin(2 * np.pi * xy[:, ::-1] / 400)
     choice = choose_surface(xy, wavy + noise(900, 0.05), 21)
-    assert choice.surface in (Surface(192, 2), Surface(48, 1))
+    assert choice.surface.count <= 192
     assert np.nanmedian(np.abs(choice.residual_px)) < 0.25
 
 

@@ -153,3 +153,10 @@ def test_an_undulation_between_nodes_is_bilinear() -> None:
     undulation = Undulation.sampled(lambda at: at @ [3.0, -2.0], (10.0, 40.0, 10.4, 40.3), 0.1)
     at = np.array([[10.13, 40.22], [10.4, 40.3], [10.0, 40.0]])
     np.testing.assert_allclose(undulation.at(at), at @ [3.0, -2.0], rtol=0, atol=1e-9)
+
+
+def test_an_undulation_of_nowhere_is_unknown() -> None:
+    undulation = Undulation.sampled(lambda at: at @ [3.0, -2.0], (10.0, 40.0, 10.4, 40.3), 0.1)
+    found = undulation.at(np.array([[np.nan, np.nan], [10.2, 40.1]]))
+    assert np.isnan(found[0])
+    assert found[1] == pytest.approx(10.2 * 3.0 - 40.1 * 2.0, abs=1e-9)

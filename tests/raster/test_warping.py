@@ -314,6 +314,22 @@ def test_nodata_edges_neither_bleed_nor_grow(tmp_path: Path) -> None:
     assert np.array_equal(result, np.where(valid, 1000, 0))
 
 
+@pytest.mark.parametrize(("options", "least_px", "most_px"), [((), 0.0, 0.01), (("cubic",), 0.04, 0.05)])
+def test_fine_detail_stays_in_its_place(
+    tmp_path: Path, options: tuple[str, ...], least_px: float, most_px: float
+) -> None:
+    """A wave of 4 px, moved by a quarter of a pixel, comes back by the default, not by cubic convolution."""
+    correction, turn = shift(0.25, 0.0), 2 * np.pi / 4
+    predicted_px = correction.inverse(pixel_centres(GRID.shape))
+    wave = 100 + 50 * np.sin(turn * predicted_px[:, 0]).reshape(GRID.shape).astype(np.float32)
+    warp(write(tmp_path / "a.tif", wave, GRID), tmp_path / "out.tif", correction, GRID, *options)
+    with rasterio.open(tmp_path / "out.tif") as out:
+        result = out.read(1)[:, 20:300]
+    col = np.arange(20, 300) + 0.5
+    phase = np.angle(1j * ((result - 100) * np.exp(-1j * turn * col)).mean())
+    assert least_px <= abs(phase) / turn <= most_px
+
+
 @pytest.mark.parametrize("resampling", ["nearest", "cubic", "lanczos"])
 @pytest.mark.parametrize(
     ("dtype", "nodata"),

@@ -177,7 +177,7 @@ def test_gdalwarp_makes_the_same_of_the_corrected_rpc(
         "-et",
         "0",
         "-r",
-        "cubic",
+        "lanczos",
         "-t_srs",
         crs.to_string(),
     ]

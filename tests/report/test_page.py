@@ -72,7 +72,7 @@ def test_says_verdict_accuracy_and_points(registration: Make) -> None:
     assert f"{check.ce90:.3f} px" in page.text
     assert f"{made.accuracy['check_m'].ce90:.2f} m" in page.text
     assert "84 fit, 24 check" in page.text
-    assert "gdalwarp -tps -r cubic b10_gcps.vrt b10_tps.tif" in page.text
+    assert "gdalwarp -tps -r lanczos b10_gcps.vrt b10_tps.tif" in page.text
 
 
 def test_is_self_contained_and_escaped(registration: Make) -> None:

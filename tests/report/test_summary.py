@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.models import from_json
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration.result import Registration
@@ -69,7 +69,7 @@ def test_model_tells_what_it_was_chosen_from(registration: Make) -> None:
     np.testing.assert_allclose(
         from_json(model).forward(points.predicted_px), selection.fit.correction.forward(points.predicted_px)
     )
-    assert [entry["name"] for entry in model["candidates"]] == list(FITS)
+    assert [entry["name"] for entry in model["candidates"]] == list(CANDIDATES)
     shift = model["candidates"][0]
     assert shift["chosen"]
     assert set(shift) == {"name", "parameters", "rmse_px", "rmse_standard_error_px", "chosen", "note"}

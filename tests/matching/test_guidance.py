@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pcwlad_geo.matching.guidance import guide_by_field
+from pcwlad_geo.matching.settings import MatchSettings
+from pcwlad_geo.matching.tie_points import TiePoints
+
+SIDE = 1000.0
+SETTINGS = MatchSettings()
+
+
+def points(displacement: NDArray, xy: NDArray) -> TiePoints:
+    n = len(xy)
+    return TiePoints(xy, xy + displacement, np.tile(1e-4 * np.eye(2), (n, 1, 1)), np.ones(n))
+
+
+def scattered(n: int = 900) -> NDArray:
+    return np.random.default_rng(0).uniform(0, SIDE, (n, 2))
+
+
+def noise(n: int, sigma_px: float) -> NDArray:
+    return np.random.default_rng(1).normal(0, sigma_px, (n, 2))
+
+
+def test_points_of_a_shifted_image_take_the_structure_where_their_neighbours_are() -> None:
+    xy = scattered()
+    guide = guide_by_field(points(np.array([2.0, -1.0]) + noise(len(xy), 0.05), xy), SETTINGS)
+    assert not guide.deforms
+    np.testing.assert_allclose(guide.structure_xy_px, np.tile([2.0, -1.0], (len(xy), 1)), atol=0.02)
+
+
+def test_points_of_a_bent_field_keep_their_own_structure_and_deform_by_its_slopes() -> None:
+    xy = scattered()
+    turn = 2 * np.pi / SIDE
+    waves = 2.0 * np.sin(turn * xy[:, ::-1])
+    slopes = 2.0 * turn * np.cos(turn * xy[:, ::-1])
+    guide = guide_by_field(points(waves + noise(len(xy), 0.05), xy), SETTINGS)
+    assert np.isnan(guide.structure_xy_px).all()
+    inner = ((xy > 100) & (xy < SIDE - 100)).all(axis=1)
+    across = np.stack([guide.linear[:, 0, 1], guide.linear[:, 1, 0]], axis=1)
+    along = np.stack([guide.linear[:, 0, 0], guide.linear[:, 1, 1]], axis=1)
+    assert np.sqrt(((across - slopes)[inner] ** 2).mean()) < 0.2 * np.sqrt((slopes**2).mean())
+    assert np.sqrt((along[inner] ** 2).mean()) < 0.2 * np.sqrt((slopes**2).mean())
+
+
+def test_a_rotated_image_deforms_all_windows_alike() -> None:
+    xy = scattered()
+    linear = np.array([[0.0, -0.004], [0.004, 0.0]])
+    guide = guide_by_field(points(xy @ linear.T + noise(len(xy), 0.05), xy), SETTINGS)
+    np.testing.assert_array_equal(guide.linear, np.tile(guide.linear[0], (len(xy), 1, 1)))
+    np.testing.assert_allclose(guide.linear[0], linear, atol=1e-4)
+    assert np.isfinite(guide.structure_xy_px).all()
+
+
+@pytest.mark.parametrize("count", [4, 20])
+def test_few_points_guide_nothing(count: int) -> None:
+    xy = scattered(count)
+    guide = guide_by_field(points(np.tile([2.0, -1.0], (count, 1)), xy), SETTINGS)
+    assert not guide.deforms
+    assert np.isnan(guide.structure_xy_px).all()
+    assert guide.surface is None
