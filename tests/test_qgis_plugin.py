@@ -10,10 +10,12 @@ import string
 import sys
 import zipfile
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import pcwlad_geo
+from pcwlad_geo.registration import settings
 
 FOLDER = Path(__file__).parents[1] / "qgis_plugin"
 PLUGIN = FOLDER / "pcwlad_geo_qgis"
@@ -45,6 +47,18 @@ def test_modules_are_python_39_and_import_qgis_and_the_standard_library_only(pat
             imported.add((node.module or "").split(".")[0])
     # processing is a plugin that QGIS brings
     assert imported <= {"qgis", "processing", *sys.stdlib_module_names}
+
+
+def test_the_choices_are_those_of_the_engine() -> None:
+    tree = ast.parse((PLUGIN / "algorithms" / "base.py").read_text(encoding="utf-8"))
+    lists = {
+        node.targets[0].id: ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and isinstance(node.value, ast.List)
+    }
+    assert lists == {"METHODS": list(get_args(settings.Method)), "MODELS": list(get_args(settings.Model))}
 
 
 def test_every_text_is_in_the_translation_with_its_placeholders() -> None:

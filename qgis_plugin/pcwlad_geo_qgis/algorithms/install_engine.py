@@ -21,7 +21,7 @@ from .base import Context, Feedback, Values, temporary_folder
 from .check_engine import CheckEngine
 
 NEEDED_PYTHON = (3, 10)
-PACKAGES = 20
+PACKAGES = 40
 """About how many packages are installed, for the progress."""
 
 
