@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from pcwlad_geo.errors import InputError, OutputError
+from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.outputs import warp_band
 from pcwlad_geo.raster import warping
 from pcwlad_geo.raster.source import describe
@@ -23,6 +23,7 @@ def warp(
     rasters: Sequence[PathLike],
     *,
     out_dir: PathLike | None = None,
+    output_raster: PathLike | None = None,
     grid: OutputGrid | None = None,
     resampling: Resampling | None = None,
     overwrite: bool = False,
@@ -41,6 +42,8 @@ def warp(
         Rasters of the target's geometry: in its CRS, or without georeferencing and of its size.
     out_dir : path, optional
         Where ``<raster stem>_registered.tif`` is written; the working folder by default.
+    output_raster : path, optional
+        Write the one raster there instead.
     grid : {"reference", "target"}, optional
         Output grid: the reference's CRS and alignment with the raster's own pixel size, or the raster's own
         grid. By default as in the registration.
@@ -65,9 +68,9 @@ def warp(
     """
     finished = read_registration(registration)
     sources = [os.fspath(raster) for raster in rasters]
-    places = warped_paths(sources, out_dir)
+    places = warped_paths(sources, out_dir, output_raster)
     _check(sources, places, finished, overwrite)
-    with stage_inside(out_dir or ".") as stage:
+    with stage_inside(places[0].parent) as stage:
         for number, (source, place) in enumerate(zip(sources, places, strict=True)):
             on_event(Progress("rasters", number, len(sources)))
             staged = stage / place.name
@@ -85,9 +88,23 @@ def warp(
     return places
 
 
-def warped_paths(rasters: Sequence[PathLike], out_dir: PathLike | None) -> tuple[Path, ...]:
-    """Return where the warped rasters go, in order."""
-    return tuple(Path(out_dir or ".") / f"{Path(raster).stem}_registered.tif" for raster in rasters)
+def warped_paths(
+    rasters: Sequence[PathLike], out_dir: PathLike | None, output_raster: PathLike | None = None
+) -> tuple[Path, ...]:
+    """Return where the warped rasters go, in order.
+
+    Raises
+    ------
+    SettingsError
+        If several rasters would go to the one `output_raster`.
+    """
+    if output_raster is None:
+        return tuple(Path(out_dir or ".") / f"{Path(raster).stem}_registered.tif" for raster in rasters)
+    if len(rasters) > 1:
+        raise SettingsError(
+            f"--output-raster names one file, and there are {len(rasters)} rasters: give --out-dir"
+        )
+    return (Path(output_raster),)
 
 
 def _check(

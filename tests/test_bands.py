@@ -14,6 +14,7 @@ import rasterio
 from affine import Affine
 
 from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, warp, workflow
+from pcwlad_geo.cli.app import run
 from pcwlad_geo.correction.models import Correction, SplineCorrection
 from pcwlad_geo.correction.spline import SplineGrid
 from pcwlad_geo.registration.progress import Event
@@ -34,11 +35,11 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
     write_pair(tmp_path)
 
     def make_it(status: str = "registered", correction: Correction | None = None, **options: object) -> Path:
-        def run(reference: Path, target: Path, settings: Settings, **_: object) -> Registration:
+        def finish(reference: Path, target: Path, settings: Settings, **_: object) -> Registration:
             made = of_files(make_registration(status), Path(reference), Path(target))
             return replace(made, settings=settings, correction=correction or made.correction)
 
-        monkeypatch.setattr("pcwlad_geo.registration.run.run", run)
+        monkeypatch.setattr("pcwlad_geo.registration.run.run", finish)
         job = workflow.match if status == "matched" else workflow.register
         job("b4.tif", "b10.tif", out_dir="done", **options)  # type: ignore[operator]
         return Path("done")
@@ -178,3 +179,36 @@ def test_a_run_that_ends_early_leaves_nothing(make: Make) -> None:
     with pytest.raises(KeyboardInterrupt):
         warp(folder, ["b10.tif"], out_dir="new/warped", on_event=stop)
     assert not Path("new").exists()
+
+
+def test_one_raster_goes_where_it_is_wanted(make: Make, tmp_path: Path) -> None:
+    done = make()
+    (before,) = warp(done, ["b10.tif"])
+    place = tmp_path / "elsewhere" / "here.tif"
+    assert warp(done, ["b10.tif"], output_raster=place) == (place,)
+    assert place.read_bytes() == before.read_bytes()
+    assert [path.name for path in place.parent.iterdir()] == ["here.tif"]
+    with pytest.raises(OutputError, match="exists"):
+        warp(done, ["b10.tif"], output_raster=place)
+    warp(done, ["b10.tif"], output_raster=place, overwrite=True)
+
+
+def test_several_rasters_do_not_go_to_one_file(make: Make, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="names one file, and there are 2 rasters: give --out-dir"):
+        warp(make(), ["b10.tif", "b4.tif"], output_raster=tmp_path / "here.tif")
+    assert not (tmp_path / "here.tif").exists()
+
+
+def test_a_raster_is_not_warped_onto_itself(make: Make) -> None:
+    done = make()
+    with pytest.raises(OutputError, match="is an input too"):
+        warp(done, ["b10.tif"], output_raster="b10.tif", overwrite=True)
+
+
+def test_the_command_takes_the_place_of_its_raster(
+    make: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = tmp_path / "out" / "here.tif"
+    assert run(["warp", str(make()), "b10.tif", "--output-raster", str(place)]) == 0
+    assert capsys.readouterr().out == f"{place}\n"
+    assert [path.name for path in place.parent.iterdir()] == ["here.tif"]

@@ -40,6 +40,10 @@ Place = Annotated[
         show_default=False,
     ),
 ]
+WarpedRaster = Annotated[
+    Path | None,
+    typer.Option("--output-raster", metavar="FILE", help="The warped raster, of one RASTER, here instead."),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace rasters that exist.")]
 
 
@@ -53,6 +57,7 @@ def warp(
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
     overwrite: Overwrite = False,
+    output_raster: WarpedRaster = None,
     debug: o.Debug = False,
 ) -> None:
     """Apply the correction of REGISTRATION to other bands of its target."""
@@ -64,6 +69,7 @@ def warp(
             registration,
             rasters,
             out_dir=out_dir,
+            output_raster=output_raster,
             grid=grid,
             resampling=resampling,
             overwrite=overwrite,
@@ -75,6 +81,6 @@ def warp(
     def abandon() -> None:
         from pcwlad_geo import staging
 
-        staging.abandon(out_dir or ".")
+        staging.abandon(output_raster.parent if output_raster else out_dir or ".")
 
     run_guarded(context.params, work, abandon)

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 # The same points make the same file: its time stamps are this one.
 _TIMESTAMP = "2000-01-01T00:00:00.000Z"
+# GDAL's own choice, 1.4, makes the GDAL of older QGIS warn; nothing of 1.4 is used.
+_VERSION = "1.2"
 # GDAL maps this name to GeoPackage's CRS -1, a plane without a CRS.
 _UNDEFINED_PLANE = 'LOCAL_CS["Undefined Cartesian SRS"]'
 
@@ -64,6 +66,7 @@ def write(table: TiePointTable, path: Path) -> None:
                 fields=list(columns),
                 layer=name,
                 driver="GPKG",
+                dataset_options={"VERSION": _VERSION},
                 geometry_type=geometry_type,
                 crs=_UNDEFINED_PLANE if table.crs is None else table.crs.to_wkt(version="WKT2_2019"),
             )

@@ -121,6 +121,13 @@ def test_the_same_points_make_the_same_file(tmp_path: Path) -> None:
     assert (tmp_path / "a.gpkg").read_bytes() == (tmp_path / "b.gpkg").read_bytes()
 
 
+def test_older_programs_know_its_version(tmp_path: Path) -> None:
+    path = tmp_path / "tiepoints.gpkg"
+    geopackage.write(UTM_TABLE, path)
+    with closing(sqlite3.connect(path)) as database:
+        assert database.execute("PRAGMA user_version").fetchone() == (10200,)
+
+
 def test_no_points_and_no_folder(tmp_path: Path) -> None:
     geopackage.write(UTM_TABLE[:0], tmp_path / "empty.gpkg")
     assert pyogrio.read_info(tmp_path / "empty.gpkg", layer="displacements")["features"] == 0

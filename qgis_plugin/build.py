@@ -1,0 +1,61 @@
+"""Builds the zip of the plugin that QGIS installs: ``python3 qgis_plugin/build.py [ZIP]``."""
+
+from __future__ import annotations
+
+import configparser
+import shutil
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+PLUGIN = HERE / "pcwlad_geo_qgis"
+SUFFIXES = {".py", ".txt", ".svg", ".ts", ".qm", ""}
+"""Of the files that belong to the plugin; the licence has none."""
+
+
+def build(place: Path) -> list[str]:
+    """Write the zip and return the names in it; translations are compiled where lrelease is installed."""
+    files = {
+        str(path.relative_to(HERE)): path
+        for path in sorted(PLUGIN.rglob("*"))
+        if path.is_file() and path.suffix in SUFFIXES and "__pycache__" not in path.parts
+    }
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
+        for name, path in files.items():
+            archive.write(path, name)
+            if path.suffix == ".ts" and (compiled := _compile(path, Path(folder))):
+                archive.write(compiled, str(Path(name).with_suffix(".qm")))
+        return archive.namelist()
+
+
+def _compile(translation: Path, folder: Path) -> Path | None:
+    lrelease = shutil.which("lrelease") or shutil.which("lrelease-qt5") or shutil.which("lrelease6")
+    if lrelease is None:
+        return None
+    compiled = folder / translation.with_suffix(".qm").name
+    run = subprocess.run(
+        [lrelease, str(translation), "-qm", str(compiled)], capture_output=True, check=False, text=True
+    )
+    return compiled if run.returncode == 0 else None
+
+
+def main() -> None:
+    """Build the zip where the command line says, in dist/ by default."""
+    metadata = configparser.ConfigParser(interpolation=None)
+    metadata.read(PLUGIN / "metadata.txt", encoding="utf-8")
+    default = HERE.parent / "dist" / f"pcwlad_geo_qgis-{metadata['general']['version']}.zip"
+    place = Path(sys.argv[1]) if len(sys.argv) > 1 else default
+    names = build(place)
+    translated = sorted(Path(name).stem for name in names if name.endswith(".qm"))
+    print(f"{place}: {len(names)} files; translations: {', '.join(translated) or 'none (no lrelease)'}")
+
+
+if __name__ == "__main__":
+    main()

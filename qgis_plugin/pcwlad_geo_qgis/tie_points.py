@@ -1,0 +1,199 @@
+"""The layer of tie points: the engine's, with displacements and residuals on the map, and arrows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import ClassVar
+
+from qgis import core
+from qgis.PyQt import sip
+
+from .text import tr
+
+VECTORS = {"displacement": ("d_col", "d_row"), "residual": ("residual_col", "residual_row")}
+"""What is added along the map's axes, and the columns in target pixels that it is made of."""
+COLOURS = {
+    "fit": "#0072b2",
+    "matched": "#0072b2",
+    "check": "#009e73",
+    "unused": "#999999",
+    "rejected": "#d55e00",
+}
+"""Okabe and Ito's, which people with colour-blindness tell apart; the colours of the report."""
+ARROW_SPACINGS = 2.0
+"""How long the longer arrows are at most, in distances between neighbours."""
+Matrix = tuple[float, float, float, float]
+
+
+class TiePoints:
+    """Tie points of a finished job, from its GeoPackage."""
+
+    def __init__(self, geopackage: str) -> None:
+        layer = core.QgsVectorLayer(f"{geopackage}|layername=tie_points", "tie_points", "ogr")
+        if not layer.isValid():
+            raise core.QgsProcessingException(tr("The tie points in {} cannot be read.").format(geopackage))
+        self.crs, self.wkb_type = layer.crs(), layer.wkbType()
+        self._names = [field.name() for field in layer.fields() if field.name() != "fid"]
+        self._features = list(layer.getFeatures())
+        self.fields = core.QgsFields()
+        for name in self._names:
+            self.fields.append(layer.fields().field(name))
+        for vector in VECTORS:
+            for axis in "xy":
+                field = core.QgsField(layer.fields().field("d_col"))  # a number like that
+                field.setName(f"{vector}_{axis}")
+                self.fields.append(field)
+
+    def write(self, sink: core.QgsFeatureSink, feedback: core.QgsProcessingFeedback) -> None:
+        """Write the points, and with them their vectors in units of the map, y to the north."""
+        matrix = pixel_to_map(self._features)
+        if matrix is None:
+            feedback.pushWarning(tr("There are too few tie points for arrows along the axes of the map."))
+        for feature in self._features:
+            vectors = [value for pair in VECTORS.values() for value in _on_map(feature, pair, matrix)]
+            written = core.QgsFeature(self.fields)
+            written.setGeometry(feature.geometry())
+            written.setAttributes([*(feature[name] for name in self._names), *vectors])
+            if not sink.addFeature(written, core.QgsFeatureSink.FastInsert):
+                raise core.QgsProcessingException(
+                    tr("The tie points cannot be written: {}").format(sink.lastError())
+                )
+
+
+def pixel_to_map(features: Iterable[core.QgsFeature]) -> Matrix | None:
+    """Return what turns steps in target pixels into steps on the map, fitted to the points themselves.
+
+    So it holds for any georeferencing: rotated, in another CRS, by RPCs, or none.
+
+    Returns
+    -------
+    (dx/dcol, dx/drow, dy/dcol, dy/drow)
+        In units of the reference CRS a pixel; None where the points do not span an area.
+    """
+    rows = [
+        (feature["tgt_col"], feature["tgt_row"], feature["x"], feature["y"])
+        for feature in features
+        if feature["status"] != "rejected"
+    ]
+    if len(rows) < 3:
+        return None
+    means = [math.fsum(column) / len(rows) for column in zip(*rows)]  # Python 3.9 has no strict
+    centred = [[value - mean for value, mean in zip(row, means)] for row in rows]
+
+    def moment(one: int, other: int) -> float:
+        return math.fsum(row[one] * row[other] for row in centred)
+
+    cc, cr, rr = moment(0, 0), moment(0, 1), moment(1, 1)
+    determinant = cc * rr - cr * cr
+    if determinant <= 1e-9 * cc * rr:
+        return None
+    steps = []
+    for axis in (2, 3):
+        c, r = moment(0, axis), moment(1, axis)
+        steps += [(c * rr - r * cr) / determinant, (r * cc - c * cr) / determinant]
+    return steps[0], steps[1], steps[2], steps[3]
+
+
+def _on_map(feature: core.QgsFeature, columns: tuple[str, str], matrix: Matrix | None) -> list[object]:
+    col, row = (feature[name] for name in columns)
+    if matrix is None or not isinstance(col, float) or not isinstance(row, float):
+        return [core.NULL, core.NULL]
+    return [matrix[0] * col + matrix[1] * row, matrix[2] * col + matrix[3] * row]
+
+
+class TiePointStyle(core.QgsProcessingLayerPostProcessorInterface):
+    """Styles the loaded layer: a colour for each status, arrows for the residuals."""
+
+    _alive: ClassVar[list[TiePointStyle]] = []
+
+    @classmethod
+    def apply_when_loaded(cls, details: core.QgsProcessingContext.LayerDetails) -> None:
+        """Have a layer styled when it is loaded.
+
+        The context deletes the object: each layer needs one of its own. But until then Python must keep it,
+        or QGIS is left with the empty method that it overrides.
+        """
+        cls._alive = [style for style in cls._alive if not sip.isdeleted(style)] + [cls()]
+        details.setPostProcessor(cls._alive[-1])
+
+    def postProcessLayer(
+        self,
+        layer: core.QgsVectorLayer,
+        context: core.QgsProcessingContext,
+        feedback: core.QgsProcessingFeedback,
+    ) -> None:
+        if not isinstance(layer, core.QgsVectorLayer):
+            return
+        layer.setRenderer(renderer_of(layer))
+        layer.triggerRepaint()
+
+
+def renderer_of(layer: core.QgsVectorLayer) -> core.QgsCategorizedSymbolRenderer:
+    """Return a renderer with arrows for the residuals, for the displacements where there are none.
+
+    The arrows are on the map, exaggerated so that the longer ones reach beyond the next point.
+    """
+    points = [feature for feature in layer.getFeatures() if feature["status"] != "rejected"]
+    vector, lengths = "residual", _lengths(points, "residual")
+    if not lengths:
+        vector, lengths = "displacement", _lengths(points, "displacement")
+    extent = layer.extent()
+    spacing = math.sqrt(extent.width() * extent.height() / len(points)) if points else 0.0
+    long = sorted(lengths)[int(0.9 * (len(lengths) - 1))] if lengths else 0.0
+    factor = _round_down(ARROW_SPACINGS * spacing / long) if long else 0.0
+    legend = {"residual": tr("{}: residual × {:g}"), "displacement": tr("{}: displacement × {:g}")}[vector]
+    found = {feature["status"] for feature in layer.getFeatures()}
+    categories = []
+    for status, colour in COLOURS.items():
+        if status in found:
+            arrows = bool(factor) and status != "rejected"
+            label = legend.format(_status_text(status), factor) if arrows else _status_text(status)
+            symbol = _symbol(colour, vector, factor if arrows else 0.0)
+            categories.append(core.QgsRendererCategory(status, symbol, label))
+    return core.QgsCategorizedSymbolRenderer("status", categories)
+
+
+def _symbol(colour: str, vector: str, factor: float) -> core.QgsMarkerSymbol:
+    symbol = core.QgsMarkerSymbol.createSimple(
+        {"name": "circle", "color": colour, "outline_color": "white", "outline_width": "0.2", "size": "1.3"}
+    )
+    if not factor:
+        return symbol
+    sizes = {"arrow_width": "0.4", "arrow_start_width": "0.4", "head_length": "1.2", "head_thickness": "0.8"}
+    arrow = core.QgsArrowSymbolLayer.create({**sizes, "is_curved": "0"})
+    arrow.setSubSymbol(core.QgsFillSymbol.createSimple({"color": colour, "outline_style": "no"}))
+    line = core.QgsLineSymbol.createSimple({})
+    line.changeSymbolLayer(0, arrow)  # hands the arrow over, which a list in the constructor does not
+    # A generator and not a vector field: that one makes the legend wider than the panel.
+    head = f'translate($geometry, {factor!r} * "{vector}_x", {factor!r} * "{vector}_y")'
+    arrows = core.QgsGeometryGeneratorSymbolLayer.create(
+        {"SymbolType": "Line", "geometryModifier": f"make_line($geometry, {head})"}
+    )
+    arrows.setSubSymbol(line)
+    symbol.appendSymbolLayer(arrows)
+    return symbol
+
+
+def _lengths(features: Sequence[core.QgsFeature], vector: str) -> list[float]:
+    pairs = [[feature[f"{vector}_{axis}"] for axis in "xy"] for feature in features]
+    return [math.hypot(*pair) for pair in pairs if all(isinstance(value, float) for value in pair)]
+
+
+def _round_down(value: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above a value."""
+    if value <= 0:
+        return 0.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-12) or step == 1.0)
+
+
+def _status_text(status: str) -> str:
+    texts = {
+        "fit": tr("fit"),
+        "matched": tr("matched"),
+        "check": tr("check"),
+        "unused": tr("unused"),
+        "rejected": tr("rejected"),
+    }
+    return texts[status]

@@ -1,0 +1,87 @@
+"""What can be told of the QGIS plugin without a QGIS; the rest is in tests_qgis, which runs apart."""
+
+from __future__ import annotations
+
+import ast
+import configparser
+import re
+import runpy
+import string
+import sys
+import zipfile
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+import pcwlad_geo
+from pcwlad_geo.registration import settings
+
+FOLDER = Path(__file__).parents[1] / "qgis_plugin"
+PLUGIN = FOLDER / "pcwlad_geo_qgis"
+MODULES = sorted(PLUGIN.rglob("*.py"))
+
+
+def test_the_plugin_in_qgis() -> None:
+    pytest.skip("the QGIS plugin was not tested here: `tests_qgis/run PYTHON` does it, where there is a QGIS")
+
+
+def test_plugin_and_engine_have_one_version() -> None:
+    metadata = configparser.ConfigParser(interpolation=None)
+    metadata.read(PLUGIN / "metadata.txt", encoding="utf-8")
+    general = metadata["general"]
+    assert general["version"] == pcwlad_geo.__version__
+    assert (general["qgisMinimumVersion"], general["hasProcessingProvider"]) == ("3.22", "yes")
+    assert (PLUGIN / general["icon"]).is_file()
+    assert (PLUGIN / "LICENSE").read_bytes() == (FOLDER.parent / "LICENSE").read_bytes()
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.stem)
+def test_modules_are_python_39_and_import_qgis_and_the_standard_library_only(path: Path) -> None:
+    tree = ast.parse(path.read_text(encoding="utf-8"), feature_version=(3, 9))
+    imported = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            imported.add((node.module or "").split(".")[0])
+    # processing is a plugin that QGIS brings
+    assert imported <= {"qgis", "processing", *sys.stdlib_module_names}
+
+
+def test_the_choices_are_those_of_the_engine() -> None:
+    tree = ast.parse((PLUGIN / "algorithms" / "base.py").read_text(encoding="utf-8"))
+    lists = {
+        node.targets[0].id: ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and isinstance(node.value, ast.List)
+    }
+    assert lists == {"METHODS": list(get_args(settings.Method)), "MODELS": list(get_args(settings.Model))}
+
+
+def test_every_text_is_in_the_translation_with_its_placeholders() -> None:
+    tool = runpy.run_path(str(FOLDER / "translations.py"))
+    texts, translated = tool["texts"](), tool["translated"](PLUGIN / "i18n" / "pcwlad_geo_de.ts")
+    assert set(translated) == set(texts), "run python3 qgis_plugin/translations.py"
+    assert sum(bool(text) for text in translated.values()) > 90
+    for text, translation in translated.items():
+        if translation:
+            assert placeholders(translation) == placeholders(text), text
+
+
+def placeholders(text: str) -> list[tuple[str | None, str | None]]:
+    """Return the fields of a format string, in order, but for text that is not one."""
+    try:
+        return [(name, spec) for _, name, spec, _ in string.Formatter().parse(text) if name is not None]
+    except ValueError:
+        return []
+
+
+def test_the_zip_has_one_folder(tmp_path: Path) -> None:
+    names = runpy.run_path(str(FOLDER / "build.py"))["build"](tmp_path / "dist" / "plugin.zip")
+    with zipfile.ZipFile(tmp_path / "dist" / "plugin.zip") as archive:
+        assert archive.namelist() == names
+    assert all(re.match(r"pcwlad_geo_qgis/[\w/]+(\.\w+)?$", name) for name in names)
+    assert {f"pcwlad_geo_qgis/{path.relative_to(PLUGIN)}" for path in MODULES} <= set(names)

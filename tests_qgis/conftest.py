@@ -1,0 +1,191 @@
+"""The plugin in a QGIS without a window, and an engine for it.
+
+Run by `tests_qgis/run`, in a Python that has QGIS; PCWLAD_GEO_PYTHON names the engine's Python.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from osgeo import gdal
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+SAMPLE = REPOSITORY / "sample_data"
+sys.path[:0] = [str(REPOSITORY / "qgis_plugin"), "/usr/share/qgis/python/plugins"]
+
+from qgis.core import (  # noqa: E402
+    QgsApplication,
+    QgsProcessingContext,
+    QgsProcessingException,
+    QgsProcessingFeedback,
+    QgsProcessingOutputLayerDefinition,
+    QgsProject,
+)
+
+_exit_status = 0
+_kept: list[object] = []
+"""QGIS may crash when Python takes it down: it never is."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def qgis(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Start QGIS with a profile of its own and the provider in it."""
+    profile = tmp_path_factory.mktemp("profile")
+    application = QgsApplication([b"tests"], False, str(profile))
+    application.initQgis()
+    from processing.core.Processing import Processing
+
+    Processing.initialize()
+    from pcwlad_geo_qgis.provider import PcwladGeoProvider
+
+    provider = PcwladGeoProvider()
+    QgsApplication.processingRegistry().addProvider(provider)
+    _kept.extend([application, provider])
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Remember the status."""
+    global _exit_status
+    _exit_status = int(exitstatus)
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """End at once: QGIS may crash when Python takes it down."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(_exit_status)
+
+
+class Feedback(QgsProcessingFeedback):
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        super().__init__(False)
+        self.lines: list[str] = []
+        self.warnings: list[str] = []
+        self.percent: list[float] = []
+        self.on_console: Callable[[str], None] = lambda line: None
+        self.progressChanged.connect(self.percent.append)
+
+    def pushInfo(self, text: str) -> None:  # noqa: N802
+        self.lines.append(text)
+
+    pushCommandInfo = pushDebugInfo = setProgressText = pushInfo  # noqa: N815
+
+    def pushConsoleInfo(self, text: str) -> None:  # noqa: N802
+        self.lines.append(text)
+        self.on_console(text)
+
+    def pushWarning(self, text: str) -> None:  # noqa: N802
+        self.warnings.append(text)
+
+    def reportError(self, text: str, fatalError: bool = False) -> None:  # noqa: N802, N803
+        self.warnings.append(text)
+
+
+@dataclass
+class Run:
+    """An algorithm that has run, and what it left."""
+
+    results: dict[str, Any]
+    feedback: Feedback
+    context: QgsProcessingContext = field(repr=False)
+
+
+def run_algorithm(name: str, parameters: dict[str, Any], feedback: Feedback | None = None) -> Run:
+    """Run an algorithm of the plugin as the toolbox does: check, prepare, process; raise what it raises."""
+    algorithm = QgsApplication.processingRegistry().createAlgorithmById(f"pcwlad_geo:{name}")
+    context, feedback = QgsProcessingContext(), feedback or Feedback()
+    context.setFeedback(feedback)
+    context.setProject(QgsProject.instance())
+    accepted, message = algorithm.checkParameterValues(parameters, context)
+    assert accepted, message
+    results, done = algorithm.run(parameters, context, feedback, {}, False)
+    if not done:  # QGIS reports what prepareAlgorithm raises
+        raise QgsProcessingException("\n".join(feedback.warnings))
+    return Run(results, feedback, context)
+
+
+def loaded(place: str) -> QgsProcessingOutputLayerDefinition:
+    """Return the value of an output that is loaded into the project."""
+    return QgsProcessingOutputLayerDefinition(place, QgsProject.instance())
+
+
+def engine_python() -> str:
+    """Return the engine's Python."""
+    return os.environ["PCWLAD_GEO_PYTHON"]
+
+
+def run_cli(*arguments: str | Path) -> dict[str, Any]:
+    """Run the command line and return its result event."""
+    from pcwlad_geo_qgis.child import child_environment
+
+    done = subprocess.run(
+        [engine_python(), "-m", "pcwlad_geo", *map(str, arguments), "--progress", "json"],
+        env=child_environment(),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture(scope="session")
+def sample(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The sample pair in a folder whose name is not plain."""
+    folder = tmp_path_factory.mktemp("data") / "Straße & Höhe (日本)"
+    folder.mkdir()
+    for name in ("landsat_b4.tif", "landsat_b10.tif"):
+        shutil.copy(SAMPLE / name, folder / name)
+    return folder / "landsat_b4.tif", folder / "landsat_b10.tif"
+
+
+@pytest.fixture(scope="session")
+def large(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The sample pair on so many pixels that it is done in tiles, by workers."""
+    folder = tmp_path_factory.mktemp("large")
+    for path in sample:
+        place = str(folder / path.name)
+        gdal.Translate(place, str(path), widthPct=450, heightPct=450, resampleAlg="cubic")
+    return folder / sample[0].name, folder / sample[1].name
+
+
+@dataclass(frozen=True)
+class Finished:
+    """The same job by the command line and by the plugin."""
+
+    outcome: dict[str, Any]
+    """The result event of the command line."""
+    plugin: Run
+    folder: Path
+    """Where the plugin wrote."""
+
+
+@pytest.fixture(scope="session")
+def finished(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """The sample pair, registered by both."""
+    reference, target = sample
+    outcome = run_cli("register", reference, target, "-o", tmp_path_factory.mktemp("cli") / "done")
+    folder = tmp_path_factory.mktemp("out") / "Ausgabe für alle"
+    folder.mkdir()
+    parameters = {
+        "REFERENCE": str(reference),
+        "INPUT": str(target),
+        "OUTPUT": loaded(str(folder / "registriert é.tif")),
+        "OUTPUT_TIEPOINTS": loaded(str(folder / "Passpunkte.gpkg")),
+        "OUTPUT_HTML": str(folder / "Bericht.html"),
+        "OUTPUT_POINTS": str(folder / "b10.points"),
+        "OUTPUT_FOLDER": str(folder / "alles"),
+    }
+    return Finished(outcome, run_algorithm("register", parameters), folder)

@@ -1,0 +1,188 @@
+"""The child process and the protocol, with stand-ins for the engine."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import textwrap
+import threading
+import time
+import uuid
+from pathlib import Path
+
+import pytest
+from conftest import Feedback
+from pcwlad_geo_qgis import child
+from pcwlad_geo_qgis.engine import Engine
+from pcwlad_geo_qgis.protocol import run_engine
+from qgis.core import QgsProcessingException
+
+SHARES = {"matching": (10.0, 60.0)}
+
+
+def stand_in(tmp_path: Path, source: str) -> Engine:
+    """Return an engine that is a Python script."""
+    script = tmp_path / "engine.py"
+    script.write_text("import json, os, subprocess, sys, time\n" + textwrap.dedent(source), encoding="utf-8")
+    return Engine((sys.executable, str(script)), "test")
+
+
+def processes(mark: str) -> list[int]:
+    """Return the processes, zombies aside, that have a mark in their environment."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        try:
+            if folder.name.isdigit() and mark.encode() in (folder / "environ").read_bytes():
+                found.append(int(folder.name))
+        except OSError:
+            pass
+    return found
+
+
+def count_until(mark: str, wanted: int, limit_s: float = 10.0) -> int:
+    """Wait until there are so many processes with a mark, and return how many there are."""
+    end = time.monotonic() + limit_s
+    while len(processes(mark)) != wanted and time.monotonic() < end:
+        time.sleep(0.02)
+    return len(processes(mark))
+
+
+@pytest.fixture
+def mark(monkeypatch: pytest.MonkeyPatch) -> str:
+    """Mark the environment of the processes that a test starts."""
+    value = uuid.uuid4().hex
+    monkeypatch.setenv("TEST_MARK", value)
+    return value
+
+
+def test_the_environment_of_qgis_stays_with_qgis(monkeypatch: pytest.MonkeyPatch) -> None:
+    dropped = [
+        "PYTHONHOME",
+        "PYTHONPATH",
+        "GDAL_DATA",
+        "PROJ_LIB",
+        "PROJ_DATA",
+        "QT_PLUGIN_PATH",
+        "QGIS_PREFIX_PATH",
+    ]
+    dropped += ["CONDA_PREFIX", "LD_LIBRARY_PATH", "LD_PRELOAD", "DYLD_LIBRARY_PATH", "VIRTUAL_ENV"]
+    for name in dropped:
+        monkeypatch.setenv(name, "from QGIS")
+    monkeypatch.setenv("KEPT", "kept")
+    environment = child.child_environment()
+    assert not set(dropped) & set(environment)
+    assert "from QGIS" not in environment.values()
+    assert environment["KEPT"] == "kept"
+    assert environment["PYTHONNOUSERSITE"] == environment["PYTHONUNBUFFERED"] == "1"
+
+
+def test_events_become_progress_warnings_and_the_result(tmp_path: Path) -> None:
+    engine = stand_in(
+        tmp_path,
+        """
+        print(json.dumps({"event": "progress", "stage": "matching", "done": 1, "total": 2}))
+        print("a stray line")
+        print(json.dumps({"event": "progress", "stage": "another", "done": 1, "total": 2}))
+        print(json.dumps({"event": "warning", "message": "Überlappung"}))
+        print("auf stderr: ü", file=sys.stderr)
+        print(json.dumps({"event": "result", "arguments": sys.argv[1:], "stdin": sys.stdin.fileno()}))
+        """,
+    )
+    feedback = Feedback()
+    result = run_engine(engine, ["register", "ä b.tif"], feedback, tmp_path, SHARES)
+    assert result["arguments"] == ["register", "ä b.tif", "--progress", "json", "--watch-stdin"]
+    assert feedback.percent == [35.0]
+    assert feedback.warnings == ["Überlappung"]
+    assert {"a stray line", "auf stderr: ü", "another"} <= set(feedback.lines)
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ('print(json.dumps({"event": "error", "message": "no overlap", "exit_status": 2}))', "^no overlap$"),
+        (
+            'print(json.dumps({"event": "error", "message": "12 points agree", "exit_status": 3}))',
+            "refused, and nothing was corrected: 12 points agree",
+        ),
+        (
+            '[print(f"line {i}", file=sys.stderr) for i in range(30)]; sys.exit(7)',
+            r"status 7 and without a result\.\nIts last lines:\nline 10\n(line \d+\n){18}line 29$",
+        ),
+        (
+            'print("Traceback", file=sys.stderr)\n'
+            'print(json.dumps({"event": "error", "message": "unexpected KeyError", "exit_status": 1}))',
+            "^unexpected KeyError\nIts last lines:\nTraceback$",
+        ),
+    ],
+)
+def test_errors_say_what_the_engine_said(tmp_path: Path, source: str, said: str) -> None:
+    with pytest.raises(QgsProcessingException, match=said):
+        run_engine(stand_in(tmp_path, source), [], Feedback(), tmp_path, SHARES)
+
+
+def test_an_engine_that_does_not_start_is_told(tmp_path: Path) -> None:
+    with pytest.raises(QgsProcessingException, match="does not start"):
+        run_engine(Engine((str(tmp_path / "none"),), "test"), [], Feedback(), tmp_path, SHARES)
+
+
+def test_cancelling_closes_standard_input(tmp_path: Path, mark: str) -> None:
+    engine = stand_in(
+        tmp_path,
+        """
+        print("ready", file=sys.stderr, flush=True)
+        sys.stdin.read()
+        print(json.dumps({"event": "cancelled"}))
+        """,
+    )
+    feedback = Feedback()
+    feedback.on_console = lambda line: feedback.cancel()
+    assert run_engine(engine, [], feedback, tmp_path, SHARES) is None
+    assert processes(mark) in ([], [os.getpid()])
+
+
+def test_an_engine_that_does_not_listen_is_killed_with_its_children(
+    tmp_path: Path, mark: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = stand_in(
+        tmp_path,
+        """
+        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+        print("ready", file=sys.stderr, flush=True)
+        time.sleep(600)
+        """,
+    )
+    feedback = Feedback()
+    seen: list[int] = []
+
+    def cancel(line: str) -> None:
+        seen.append(len(processes(mark)))
+        feedback.cancel()
+
+    feedback.on_console = cancel
+    shorter = lambda *arguments: child.follow(*arguments, grace_s=0.3)  # noqa: E731
+    monkeypatch.setattr("pcwlad_geo_qgis.protocol.follow", shorter)
+    assert run_engine(engine, [], feedback, tmp_path, SHARES) is None
+    assert seen == [2]
+    assert count_until(mark, 0) == 0
+
+
+def test_a_grandchild_that_keeps_the_pipes_open_does_not_hold_the_user_up(tmp_path: Path, mark: str) -> None:
+    engine = stand_in(
+        tmp_path,
+        """
+        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+        print(json.dumps({"event": "result", "status": "registered"}))
+        """,
+    )
+    result: list[object] = []
+    thread = threading.Thread(
+        target=lambda: result.append(run_engine(engine, [], Feedback(), tmp_path, SHARES)), daemon=True
+    )
+    thread.start()
+    thread.join(60)
+    left = processes(mark)
+    for process in left:
+        os.kill(process, signal.SIGKILL)
+    assert left == []
+    assert result == [{"event": "result", "status": "registered"}]
