@@ -14,7 +14,7 @@ FEWEST_POINTS = 10
 """Below this number of points none is held out."""
 ENOUGH_POINTS = 100
 """From this number of points on, all wanted check points are held out; below, a fifth of the points."""
-FIT_SHARE = 0.6
+FIT_SHARE = 0.75
 """Least share of the points that stays in the fit: the guard distance shrinks to hold it."""
 
 
@@ -28,10 +28,10 @@ def hold_out(xy_px: Array, footprint_px: float, wanted: int = 30) -> NDArray[np.
 
     1. one point in twenty (at least `wanted`) is a check point, no fit point within `footprint_px` of one;
     2. `wanted` check points with the same guard;
-    3. `wanted` check points with the widest guard that leaves 60 % of the points to the fit.
+    3. `wanted` check points with the widest guard that leaves 75 % of the points to the fit.
 
-    The first that leaves at least 60 % of the points to the fit counts. (1000 points in 512 × 512 px with
-    81 px windows: 30 check points and a guard of about 30 px.) Of fewer than 100 points one in five is a
+    The first that leaves at least 75 % of the points to the fit counts. (1000 points in 512 × 512 px with
+    81 px windows: 30 check points and a guard of about 25 px.) Of fewer than 100 points one in five is a
     check point, of fewer than 10 none. There is no randomness in it.
 
     Parameters

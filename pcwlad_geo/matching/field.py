@@ -94,13 +94,6 @@ def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, surface
     return _predict_apart(*_thinned(xy_px, displacement_px, surface), at_xy_px, 0.0)
 
 
-def reach_px(xy_px: Float64, surface: Surface) -> float:
-    """Return how far from a point the neighbours lie, typically, through which its surface is laid."""
-    sample = np.unique(np.linspace(0, len(xy_px) - 1, min(SAMPLE, len(xy_px))).astype(np.intp))
-    distance, _ = cKDTree(xy_px).query(xy_px[sample], k=[min(surface.count, len(xy_px))])
-    return float(np.median(distance))
-
-
 def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int) -> Choice:
     """Choose the simplest surface that predicts about as well as any.
 

@@ -79,17 +79,12 @@ def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
     rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
     apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
-    slopes = _local(linear, predicted, reach)
-    if slopes is not None and field.reach_px(xy, surface) > settings.window:
-        # what neighbours say about a bent field errs as much as a point does, and a spline takes errors that
-        # reach farther than a window for displacement: points keep their own structure
-        return FieldGuide(slopes, nowhere, surface, 0.0)
     shared = calibration.shared_variance(xy, choice.residual_px, settings.window, surface.count)
-    return FieldGuide(everywhere if slopes is None else slopes, structure, surface, shared)
+    return FieldGuide(_local(everywhere, predicted, reach), structure, surface, shared)
 
 
-def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Float64 | None:
-    """Return the deformation at every point by the slopes of the field there; None where these do not matter.
+def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Float64:
+    """Return the deformation at every point by the slopes of the field there, where these matter.
 
     A window that is not modelled so finds the displacement of where its structure lies, not of its middle: at
     the edge of the image, where half of it is missing, that is many pixels off.
@@ -97,7 +92,7 @@ def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Flo
     size = np.abs(predicted.slope - linear).max(axis=(1, 2)) * reach_px
     by_chance = predicted.scatter_px * np.sqrt(2 * predicted.leverage)
     if not np.nanmedian(size) > max(LEAST_DEFORMATION_PX, 5 * float(np.nanmedian(by_chance))):
-        return None
+        return linear
     known = np.isfinite(predicted.slope).all(axis=(1, 2), keepdims=True)
     return np.where(known, predicted.slope, linear)
 

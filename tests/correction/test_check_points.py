@@ -23,7 +23,7 @@ def test_numbers_of_points(n: int, footprint: int, seed: int, side: float) -> No
     status = hold_out(scattered(seed, n, side), footprint)
     check, fit = np.sum(status == "check"), np.sum(status == "fit")
     assert set(status) <= {"fit", "check", "unused"}
-    assert fit >= 0.6 * n
+    assert fit >= 0.75 * n
     if n < 10:
         assert check == 0
     elif n < 100:

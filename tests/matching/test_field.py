@@ -8,7 +8,6 @@ from pcwlad_geo.matching.field import (
     global_affine,
     independent_residual,
     predict,
-    reach_px,
 )
 
 SIDE = 600.0
@@ -77,12 +76,6 @@ def test_a_wavy_field_takes_a_small_neighbourhood() -> None:
     choice = choose_surface(xy, wavy + noise(900, 0.05), 21)
     assert choice.surface.count <= 192
     assert np.nanmedian(np.abs(choice.residual_px)) < 0.25
-
-
-def test_the_reach_is_that_of_the_neighbours() -> None:
-    lattice = np.stack(np.meshgrid(np.arange(40.0), np.arange(40.0)), axis=-1).reshape(-1, 2) * 10
-    assert reach_px(lattice, Surface(48, 1)) == pytest.approx(10 * np.sqrt(48 / np.pi), rel=0.25)
-    assert reach_px(lattice[:5], Surface(48, 1)) == pytest.approx(30.0, abs=10)
 
 
 def test_witnesses_share_no_pixels_with_the_point() -> None:
