@@ -14,6 +14,8 @@ FEWEST_POINTS = 10
 """Below this number of points none is held out."""
 ENOUGH_POINTS = 100
 """From this number of points on, all wanted check points are held out; below, a fifth of the points."""
+CHECK_SHARE = 0.4
+"""Most of the points that are check points."""
 FIT_SHARE = 0.75
 """Least share of the points that stays in the fit: the guard distance shrinks to hold it."""
 
@@ -53,8 +55,8 @@ def hold_out(xy_px: Array, footprint_px: float, wanted: int = 30) -> NDArray[np.
     if n < FEWEST_POINTS or wanted < 1:
         return np.full(n, "fit", dtype="<U6")
     count = wanted if n >= ENOUGH_POINTS else min(wanted, n // 5)
-    least_fit = int(np.ceil(FIT_SHARE * n))
-    count = min(count, n - least_fit)
+    count = min(count, int(CHECK_SHARE * n))
+    least_fit = min(int(np.ceil(FIT_SHARE * n)), n - count)
     for number in (max(n // 20, count), count):
         check = _spread(xy_px, number)
         nearest = _distance(xy_px, xy_px[check])

@@ -23,7 +23,7 @@ def test_numbers_of_points(n: int, footprint: int, seed: int, side: float) -> No
     status = hold_out(scattered(seed, n, side), footprint)
     check, fit = np.sum(status == "check"), np.sum(status == "fit")
     assert set(status) <= {"fit", "check", "unused"}
-    assert fit >= 0.75 * n
+    assert fit >= min(0.75 * n, n - check)
     if n < 10:
         assert check == 0
     elif n < 100:
@@ -36,7 +36,7 @@ def test_1000_points_of_overlapping_windows() -> None:
     points = scattered(0, 1000)
     status = hold_out(points, 81)
     assert np.sum(status == "check") == 30
-    assert np.sum(status == "fit") >= 600
+    assert np.sum(status == "fit") >= 750
     assert gap(points, status) > 20
 
 
