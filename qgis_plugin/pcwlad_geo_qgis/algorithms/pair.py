@@ -21,12 +21,14 @@ class PairAlgorithm(EngineAlgorithm):
 
     def add_inputs(self) -> None:
         """Add the rasters, their bands and masks, and the DEM."""
-        for name, title in (("REFERENCE", tr("Reference (stays)")), ("INPUT", tr("Target (moves)"))):
+        rasters = (
+            ("REFERENCE", tr("Reference (stays)"), tr("Band of the reference")),
+            ("INPUT", tr("Target (moves)"), tr("Band of the target")),
+        )
+        for name, title, band in rasters:
             self.addParameter(core.QgsProcessingParameterRasterLayer(name, title))
             # QGIS 3.22 takes the default of a band for none unless it is optional
-            self.addParameter(
-                core.QgsProcessingParameterBand(f"{name}_BAND", tr("Band"), 1, name, optional=True)
-            )
+            self.addParameter(core.QgsProcessingParameterBand(f"{name}_BAND", band, 1, name, optional=True))
         optional = {
             "REFERENCE_MASK": tr("Mask of the reference (0 = excluded; or QA_PIXEL, SCL)"),
             "INPUT_MASK": tr("Mask of the target (0 = excluded; or QA_PIXEL, SCL)"),

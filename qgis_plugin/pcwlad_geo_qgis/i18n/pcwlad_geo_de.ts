@@ -301,8 +301,12 @@ Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;
       <translation> (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)</translation>
     </message>
     <message>
-      <source>Band</source>
-      <translation>Kanal</translation>
+      <source>Band of the reference</source>
+      <translation>Kanal der Referenz</translation>
+    </message>
+    <message>
+      <source>Band of the target</source>
+      <translation>Kanal des Ziels</translation>
     </message>
     <message>
       <source>Median displacement, target pixels</source>
