@@ -159,7 +159,7 @@ def test_results_load_with_their_crs(finished: Finished) -> None:
         layer = QgsVectorLayer(f"{folder / 'tiepoints.gpkg'}|layername={name}", name, "ogr")
         assert layer.isValid()
         assert layer.dataProvider().crs().authid() == "EPSG:32633"
-        assert layer.renderer().type() == "categorizedSymbol"  # from the file itself
+        assert layer.renderer().type() == "RuleRenderer"  # from the file itself
 
 
 def test_every_context_has_a_style_of_its_own(finished: Finished) -> None:
