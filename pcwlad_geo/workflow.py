@@ -316,7 +316,8 @@ def _write(
     precision = precision_of(registration)
     summary = summarise(registration, names, precision)
     gcps = staged["gcps"].name if "gcps" in kinds else None
-    with ThreadPoolExecutor(1) as side:  # GDAL warps without Python's lock
+    side = ThreadPoolExecutor(1)  # GDAL warps without Python's lock
+    try:
         drawing = side.submit(_draw, registration, summary, gcps, precision)
         writers = outputs.writers(registration, places, on_event)
         for done, kind in enumerate(kinds, start=1):
@@ -326,6 +327,8 @@ def _write(
             outputs.write_band(registration, band, path, on_event)
             on_event(Progress("writing", done, total))
         content, seconds_drawing = drawing.result()
+    finally:
+        side.shutdown(wait=False)  # what is interrupted here must not wait for a page that nobody will see
     seconds = registration.seconds | {"writing": time.perf_counter() - since, "report": seconds_drawing}
     content["seconds"] = _rounded(seconds)
     staged["report"].write_text(_page().on_screen(content), encoding="utf-8", newline="\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -204,6 +205,32 @@ def test_events_come_in_order_and_can_end_the_job(pair: tuple[Path, Path], use: 
         workflow.match(*pair, on_event=stop)
     assert not (tmp_path / "b10_matched").exists()
     assert names(tmp_path) == {"b4.tif", "b10.tif", "b10_registered"}
+
+
+def test_an_interrupted_job_does_not_wait_for_the_page(
+    pair: tuple[Path, Path], use: Use, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use()
+    begun, released, drawn = threading.Event(), threading.Event(), threading.Event()
+
+    def draw(*_: object) -> tuple[dict[str, object], float]:
+        begun.set()
+        released.wait(20)
+        drawn.set()
+        return {}, 0.0
+
+    def interrupt(event: Event) -> None:
+        if isinstance(event, Progress) and event.stage == "warping":
+            assert begun.wait(20)
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(workflow, "_draw", draw)
+    with pytest.raises(KeyboardInterrupt):
+        workflow.register(*pair, on_event=interrupt)
+    assert not drawn.is_set()
+    assert names(tmp_path) == {"b4.tif", "b10.tif"}
+    released.set()
+    assert drawn.wait(20)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from osgeo import gdal
+from pcwlad_geo_qgis.algorithms.base import words_of
 from pcwlad_geo_qgis.rasters import path_of, problem_of, warning_of
 from qgis.core import (
     QgsApplication,
@@ -159,6 +160,20 @@ def test_a_crs_that_only_qgis_has_is_warned_of(pair: dict[str, str]) -> None:
     layer.setCrs(QgsCoordinateReferenceSystem("EPSG:32733"))
     assert "EPSG:32733" in warning_of(layer)
     assert "EPSG:32633" in warning_of(layer)
+
+
+def test_more_options_are_split_into_words(pair: dict[str, str]) -> None:
+    assert words_of('--tie-points "my points.csv" --window 41 #1') == [
+        "--tie-points",
+        "my points.csv",
+        "--window",
+        "41",
+        "#1",
+    ]
+    assert words_of(r'--dem "C:\my data\dem.tif"', windows=True) == ["--dem", r"C:\my data\dem.tif"]
+    assert words_of(r"a\ b", windows=False) == ["a b"]
+    assert "quotation mark" in said("register", **pair, EXTRA="--tie-points 'my points.csv")
+    assert "quotation mark" in said("qa", INPUTS=[*pair.values()], EXTRA='"')
 
 
 def test_install_takes_a_wheel_or_a_source_folder_of_this_project(tmp_path: Path) -> None:

@@ -37,8 +37,9 @@ def stack_text(result: QaResult) -> str:
 
 def outcome_of(result: QaResult) -> dict[str, object]:
     """Return the values of the result event."""
-    names = {"numbers": "qa.json", "table": "qa.csv", "report": "qa.html"}
-    names |= {"pdf": "qa.pdf"} if result.settings.pdf else {}
+    from pcwlad_geo.stacks.run import NAMES  # slow to load, but for who has a result
+
+    names = {kind: name for kind, name in NAMES.items() if kind != "pdf" or result.settings.pdf}
     return {
         "passed": result.passed,
         "pairs": len(result.pairs),

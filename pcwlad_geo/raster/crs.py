@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from functools import lru_cache
 
 import numpy as np
@@ -14,6 +13,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.quiet import ignoring
 
 Array = NDArray[np.float64]
 
@@ -74,8 +74,7 @@ def transformation_warnings(from_crs: CRS | None, to_crs: CRS | None) -> tuple[s
     if from_crs is None or to_crs is None or from_crs == to_crs:
         return ()
     _transformer(from_crs, to_crs)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # pyproj's own words on missing grids
+    with ignoring(UserWarning):  # pyproj's own words on missing grids
         group = TransformerGroup(to_pyproj(from_crs), to_pyproj(to_crs), always_xy=True)
     pair = f"from {name_of(from_crs)} to {name_of(to_crs)}"
     used = group.transformers[0] if group.transformers else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +17,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import name_of, to_pyproj
 from pcwlad_geo.raster.dem import Dem, Undulation
 from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.quiet import ignoring
 from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
 
 Array = NDArray[np.float64]
@@ -138,8 +138,7 @@ def _from_crs(info: RasterInfo, crs: pyproj.CRS, bounds: Bounds) -> Undulation:
     geographic = pyproj.CRS.from_epsg(4326)
     source = pyproj.crs.CompoundCRS("DEM", [geographic, crs.sub_crs_list[1]])
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # pyproj's own words on missing grids
+        with ignoring(UserWarning):  # pyproj's own words on missing grids
             group = TransformerGroup(source, ELLIPSOIDAL, always_xy=True, allow_ballpark=False)
     except ProjError as error:
         raise InputError(f"{what}: {error}; {advice}") from error

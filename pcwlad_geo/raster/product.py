@@ -75,8 +75,8 @@ class Product:
         held = ", ".join(band.name for band in self.bands) or "none"
         if not isinstance(name, str):
             raise InputError(
-                f"{self.path} is a {self.kind} product: say which band by name (--ref-band, --tgt-band); "
-                f"it holds {held}"
+                f"{self.path} is a {self.kind} product: say which band by name (--ref-band, --tgt-band; "
+                f"PRODUCT:NAME for qa); it holds {held}"
             )
         found = {band.name.upper(): band for band in self.bands} | dict(self.aliases)
         if name.upper() not in found:
@@ -107,6 +107,15 @@ class Product:
             for band in cirrus
         )
         return ground, notes
+
+    def notes(self, masked: bool) -> tuple[str, ...]:
+        """Return what to warn of where its bands are used; `masked`: the user gives a mask."""
+        found = []
+        if not masked and self.mask is None:
+            found.append(f"{self.path} ({self.kind}) has no quality raster: its clouds are not masked")
+        if self.path.lower().endswith("gz"):
+            found.append(f"{self.path} is compressed as a whole, and reading parts of it is slow: unpack it")
+        return tuple(found)
 
     def others(self, band: ProductBand) -> tuple[ProductBand, ...]:
         """Return the bands besides one.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Protocol
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster.quiet import ignoring
 
 Array = NDArray[np.float64]
 
@@ -62,8 +62,7 @@ def write(path: Path, precision: Precision, target_grid: Grid, grid: Grid) -> No
     # Without a CRS the pixel plane, y = -row.
     transform = coarse.transform if placed else Affine.scale(factor, -factor)
     options = {"compress": "deflate", "predictor": 3, "tiled": True, "nodata": np.nan}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # of the pixel plane
+    with ignoring(NotGeoreferencedWarning):  # of the pixel plane
         file = rasterio.open(path, "w", **profile, **options, crs=coarse.crs, transform=transform)
     with file:
         file.write(bands.reshape(3, *shape))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import threading
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -23,9 +21,7 @@ from pcwlad_geo.raster.crs import name_of, transformation_warnings
 from pcwlad_geo.raster.gcp_grid import geotransform_of
 from pcwlad_geo.raster.grid import Grid, linear_part
 from pcwlad_geo.raster.mask_kinds import MaskKind, kind_of
-
-# Filters of the warnings module belong to the process: two threads that open files must not swap theirs.
-_opening = threading.Lock()
+from pcwlad_geo.raster.quiet import ignoring
 
 MOST_READ_PX: Final = 2**25
 """A file without overviews that has more pixels is not read for a look at it alone."""
@@ -157,8 +153,7 @@ def open_raster(uri: str, **options: object) -> Iterator[DatasetReader]:
     """Open a raster for reading, with GDAL on one thread; errors while opening become `InputError`."""
     with rasterio.Env(GDAL_NUM_THREADS="1"):
         try:
-            with _opening, warnings.catch_warnings():
-                warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with ignoring(NotGeoreferencedWarning):
                 dataset = rasterio.open(uri, **options)
         except (RasterioError, OSError) as error:
             raise InputError(_why_not_opened(uri, error)) from error

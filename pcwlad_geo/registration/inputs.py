@@ -90,10 +90,5 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
             )
         return _Side(os.fspath(path), os.fspath(path), {})
     band = product.band(name)
-    notes: tuple[str, ...] = ()
-    if given is None and product.mask is None:
-        notes = (f"{product.path} ({product.kind}) has no quality raster: its clouds are not masked",)
-    if product.path.lower().endswith("gz"):
-        notes += (f"{product.path} is compressed as a whole, and reading parts of it is slow: unpack it",)
-    mask = given or product.mask
-    return _Side(band.opened_as(), band.uri, {f"{side}_band": 1, f"{side}_mask": mask}, notes, product)
+    changes = {f"{side}_band": 1, f"{side}_mask": given or product.mask}
+    return _Side(band.opened_as(), band.uri, changes, product.notes(given is not None), product)

@@ -15,7 +15,7 @@ def check_pdf() -> None:
     Raises
     ------
     SettingsError
-        If WeasyPrint or Pango is missing: what to install.
+        If WeasyPrint or Pango is missing, or WeasyPrint is too old: what to install.
     """
     _weasyprint()
 
@@ -31,7 +31,7 @@ def to_pdf(page: str) -> bytes:
     Raises
     ------
     SettingsError
-        If WeasyPrint or Pango is missing.
+        If WeasyPrint or Pango is missing, or WeasyPrint is too old.
     """
     weasyprint = _weasyprint()
     only_inside = weasyprint.urls.URLFetcher(allowed_protocols=["data"])
@@ -54,4 +54,9 @@ def _weasyprint() -> ModuleType:
             f"conda install pango), or leave it out ({error})"
         ) from error
     module: ModuleType = weasyprint
+    if not hasattr(module.urls, "URLFetcher"):
+        raise SettingsError(
+            f"pdf = true needs WeasyPrint 68 or newer, and {module.__version__} is installed: "
+            "pip install 'pcwlad-geo[pdf]', or leave it out"
+        )
     return module

@@ -126,9 +126,6 @@ def _of_product(product: Product, wanted: Sequence[int | str] | None, mask: Path
         bands, notes = product.ground_bands()
     else:
         bands, notes = tuple(product.band(name) for name in wanted), ()
-    if mask is None and product.mask is None:
-        notes += (f"{product.path} ({product.kind}) has no quality raster: its clouds are not masked",)
-    if product.path.lower().endswith("gz"):
-        notes += (f"{product.path} is compressed as a whole, and reading parts of it is slow: unpack it",)
+    notes += product.notes(mask is not None)
     chosen = mask or product.mask
     return [Wanted(band.opened_as(), 1, chosen, band.name, product.path, notes) for band in bands]

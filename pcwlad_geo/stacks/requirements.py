@@ -184,8 +184,8 @@ def check_applicable(
         if requirement.statistic == "closure":
             if not triangles:
                 raise SettingsError(
-                    "a limit on closure needs all pairs of three bands or more: leave out --against, "
-                    "or that requirement"
+                    "a limit on closure needs all pairs of three bands or more: give more bands, without "
+                    "--against, or leave out that requirement"
                 )
             about = list(planned)
         else:

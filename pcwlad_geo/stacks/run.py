@@ -254,9 +254,8 @@ def _match(
 
     try:
         found = run(reference.info.uri, target.info.uri, own, on_event=tell, runner=runner, match_only=True)
-    except (
-        InputError
-    ) as error:  # of this pair, such as no common ground: the others are measured all the same
+    except InputError as error:
+        # of this pair, such as no common ground: the others are measured all the same
         return PairResult(reference, target, "refused", " ".join(str(error).split()))
     result = measured(reference, target, found)
     notes = dict.fromkeys((*reference.notes, *target.notes))

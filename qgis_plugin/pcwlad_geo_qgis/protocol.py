@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -88,7 +89,7 @@ def run_engine(
         If there is no result, with the engine's own message.
     """
     command = [*engine.command, *arguments, "--progress", "json", "--watch-stdin"]
-    feedback.pushCommandInfo(" ".join(command))
+    feedback.pushCommandInfo(shlex.join(command))
     said = _Conversation(feedback, shares)
     try:
         status = follow(command, feedback, said.on_out, said.on_err, folder)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,15 @@ def test_checkerboard_alternates() -> None:
 def test_missing_weasyprint_is_told_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "weasyprint", None)
     with pytest.raises(SettingsError, match=r"pip install 'pcwlad-geo\[pdf\]'"):
+        check_pdf()
+
+
+def test_an_old_weasyprint_is_told_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    old = ModuleType("weasyprint")
+    monkeypatch.setattr(old, "__version__", "57.2", raising=False)
+    monkeypatch.setattr(old, "urls", ModuleType("weasyprint.urls"), raising=False)
+    monkeypatch.setitem(sys.modules, "weasyprint", old)
+    with pytest.raises(SettingsError, match=r"68 or newer, and 57\.2 is installed"):
         check_pdf()
 
 

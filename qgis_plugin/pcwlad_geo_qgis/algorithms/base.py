@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -118,7 +119,7 @@ class EngineAlgorithm(PlainAlgorithm):
             options += ["--points", str(wanted) if wanted else "all"]
         if parameters.get("SEARCH_RADIUS") is not None:
             options += ["--search-radius", str(self.parameterAsInt(parameters, "SEARCH_RADIUS", context))]
-        return options + shlex.split(self.parameterAsString(parameters, "EXTRA", context))
+        return options + words_of(self.parameterAsString(parameters, "EXTRA", context))
 
     def layers(self, parameters: Values, context: Context) -> list[tuple[str, core.QgsRasterLayer | None]]:
         """Return the raster layers that are given, and the parameter of each."""
@@ -144,6 +145,10 @@ class EngineAlgorithm(PlainAlgorithm):
             find_engine()
         except EngineError as error:
             return str(error)
+        try:
+            words_of(self.parameterAsString(parameters, "EXTRA", context))
+        except ValueError:
+            return tr("More options: a quotation mark is not closed. Close it, or leave it out.")
         layers = self.layers(parameters, context)
         for name, layer in layers:
             if layer is None or not layer.isValid():
@@ -214,6 +219,21 @@ def file_of(value: object) -> str:
     if not isinstance(value, str) or not value or value == "TEMPORARY_OUTPUT" or value.startswith("memory:"):
         return ""
     return value
+
+
+def words_of(line: str, windows: bool = os.name == "nt") -> list[str]:
+    """Return the words of a command line; the backslashes of Windows' paths stay.
+
+    Raises
+    ------
+    ValueError
+        If a quotation mark is not closed.
+    """
+    splitter = shlex.shlex(line, posix=True, punctuation_chars=False)
+    splitter.whitespace_split = True
+    splitter.commenters = ""
+    splitter.escape = "" if windows else splitter.escape
+    return list(splitter)
 
 
 def options_of(values: Mapping[str, str]) -> list[str]:

@@ -124,6 +124,10 @@
       <translation>Weitere Optionen der Kommandozeile, etwa --window 129</translation>
     </message>
     <message>
+      <source>More options: a quotation mark is not closed. Close it, or leave it out.</source>
+      <translation>Weitere Optionen: ein Anführungszeichen ist nicht geschlossen. Schließen Sie es, oder lassen Sie es weg.</translation>
+    </message>
+    <message>
       <source>{}: the engine writes GeoTIFF. Choose a file name that ends in .tif.</source>
       <translation>{}: Die Engine schreibt GeoTIFF. Wählen Sie einen Dateinamen, der auf .tif endet.</translation>
     </message>
@@ -277,8 +281,16 @@ Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;
       <translation>Referenz (bleibt)</translation>
     </message>
     <message>
+      <source>Band of the reference</source>
+      <translation>Kanal der Referenz</translation>
+    </message>
+    <message>
       <source>Target (moves)</source>
       <translation>Ziel (bewegt sich)</translation>
+    </message>
+    <message>
+      <source>Band of the target</source>
+      <translation>Kanal des Ziels</translation>
     </message>
     <message>
       <source>Tie points</source>
@@ -299,14 +311,6 @@ Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;
     <message>
       <source> (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)</source>
       <translation> (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)</translation>
-    </message>
-    <message>
-      <source>Band of the reference</source>
-      <translation>Kanal der Referenz</translation>
-    </message>
-    <message>
-      <source>Band of the target</source>
-      <translation>Kanal des Ziels</translation>
     </message>
     <message>
       <source>Median displacement, target pixels</source>
