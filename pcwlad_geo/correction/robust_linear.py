@@ -27,6 +27,9 @@ COLLINEAR = 1e-6
 """Smallest over largest singular value of the basis from which on the points determine the model."""
 TOLERANCE_PX = 1e-7
 ITERATIONS = 50
+LIVELY_STEPS = 10
+"""Steps after which new weights are averaged with the old ones: points at the limit would swing for ever."""
+CALM_SHARE = 0.5
 COARSE_STEPS = 10
 """Steps from the fit of a simpler model to one's own, before the mean of the residuals is trusted."""
 STARTS = 200
@@ -137,7 +140,8 @@ def reweighted(
             floor = _variance_floor(principal, variance, MEDIAN_CHI2 * left, median=True)
         else:
             floor = _variance_floor(principal[inlier], variance[inlier], 2 * left, median=False)
-        weight = _biweight(principal, variance + floor)
+        share = 1.0 if step < LIVELY_STEPS else CALM_SHARE
+        weight = (1 - share) * weight + share * _biweight(principal, variance + floor)
         if step >= coarse_steps and np.abs(fitted - before).max() < tolerance_px:
             break
     whitener = axes / np.sqrt(variance + floor)[:, :, None]

@@ -28,7 +28,7 @@ STIFF = 0.02
 FACTOR = 4.0
 """Between two stiffnesses tried: it doubles the effective number of parameters."""
 MOST_STEPS = 14
-TOLERANCE_PX = 1e-4
+TOLERANCE_PX = 1e-3
 """Largest change of the spline at a point at which its robust weights rest."""
 
 
