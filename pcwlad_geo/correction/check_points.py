@@ -30,7 +30,8 @@ def hold_out(xy_px: Array, footprint_px: float, wanted: int = 30) -> NDArray[np.
 
     1. one point in twenty (at least `wanted`) is a check point, no fit point within `footprint_px` of one;
     2. `wanted` check points with the same guard;
-    3. `wanted` check points with the widest guard that leaves 75 % of the points to the fit.
+    3. `wanted` check points with the widest guard that leaves 75 % of the points to the fit (of 100 to 119
+       points what the check points leave).
 
     The first that leaves at least 75 % of the points to the fit counts. (1000 points in 512 × 512 px with
     81 px windows: 30 check points and a guard of about 25 px.) Of fewer than 100 points one in five is a
