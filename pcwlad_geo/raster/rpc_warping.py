@@ -6,6 +6,7 @@ import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -119,7 +120,11 @@ def orthorectify(
     """
 
     def blocks_of(source: DatasetReader, method: Resampling, request: BlockRequest) -> Blocks:
-        return _blocks(source, target, grid, method, request)
+        if request.nodata is None or not request.as_alpha:
+            return _blocks(source, target, grid, method, request)
+        # By an alpha band made of nodata GDAL's warper with an RPC loses most of the pixels.
+        filled = _blocks(source, target, grid, method, replace(request, as_alpha=False))
+        return _with_alpha(filled, request.nodata)
 
     write_warped(source_path, out_path, grid, resampling, blocks_of, progress)
 
@@ -153,6 +158,14 @@ def _blocks(
                     except GDAL_ERRORS as error:
                         raise InputError(f"{source.name} cannot be read: {root_cause(error)}") from error
             yield window, block
+
+
+def _with_alpha(blocks: Blocks, nodata: float) -> Blocks:
+    """Add the band that tells what is valid to blocks that say so by their nodata value."""
+    for window, block in blocks:
+        invalid = np.isnan(block[0]) if np.isnan(nodata) else block[0] == nodata
+        alpha = np.where(invalid, 0, 255).astype(block.dtype)
+        yield window, np.concatenate([block, alpha[None]])
 
 
 def _initial(request: BlockRequest) -> float:
