@@ -94,11 +94,8 @@ class Product:
         InputError
             If the product is not complete.
         """
-        if self.missing:
-            raise InputError(
-                f"{self.path} ({self.kind}) lacks bands that its metadata list: {', '.join(self.missing)}; "
-                f"complete it, or name those to compare ({self.path}:{','.join(b.name for b in self.bands)})"
-            )
+        names = ",".join(band.name for band in self.bands)
+        self._check_complete(f"name those to compare ({self.path}:{names})")
         cirrus = tuple(band for band in self.bands if band.name in self.cirrus)
         ground = tuple(band for band in self.bands if band not in cirrus)
         notes = tuple(
@@ -125,10 +122,13 @@ class Product:
         InputError
             If the product is not complete.
         """
+        self._check_complete(f"give the file of band {band.name} itself to correct no other")
+        same = band.name.split("_")[0] if self.kind.startswith("Sentinel") else band.name
+        return tuple(other for other in self.bands if other.name != same)
+
+    def _check_complete(self, otherwise: str) -> None:
         if self.missing:
             raise InputError(
                 f"{self.path} ({self.kind}) lacks bands that its metadata list: {', '.join(self.missing)}; "
-                f"complete it, or give the file of band {band.name} itself to correct no other"
+                f"complete it, or {otherwise}"
             )
-        same = band.name.split("_")[0] if self.kind.startswith("Sentinel") else band.name
-        return tuple(other for other in self.bands if other.name != same)

@@ -132,6 +132,7 @@ def orthorectify(
 def _blocks(
     source: DatasetReader, target: RpcGrid, grid: Grid, method: Resampling, request: BlockRequest
 ) -> Blocks:
+    """Warp blocks that say what is valid by the nodata value, or by an alpha band, not by both."""
     count = source.count + request.as_alpha
     dtype = np.result_type(*source.dtypes)
     options = {
@@ -140,7 +141,7 @@ def _blocks(
         "dst_crs": grid.crs,
         "num_threads": min(os.cpu_count() or 1, MOST_THREADS),
         "src_nodata": request.nodata,
-        "dst_nodata": None if request.as_alpha else request.nodata,
+        "dst_nodata": request.nodata,
         **_alpha(source, request),
         **kernel(method, _step(target, grid)),
     }
@@ -149,7 +150,7 @@ def _blocks(
     with open_raster(ET.tostring(tree, encoding="unicode")) as seen:
         for window in request.windows:
             part = grid.part((window.col_off, window.row_off), (window.height, window.width))
-            block = np.full((count, *part.shape), _initial(request), dtype=dtype)
+            block = np.full((count, *part.shape), request.nodata or 0.0, dtype=dtype)
             with _ground_below(target, part) as heights:
                 if heights is not None:
                     try:
@@ -166,10 +167,6 @@ def _with_alpha(blocks: Blocks, nodata: float) -> Blocks:
         invalid = np.isnan(block[0]) if np.isnan(nodata) else block[0] == nodata
         alpha = np.where(invalid, 0, 255).astype(block.dtype)
         yield window, np.concatenate([block, alpha[None]])
-
-
-def _initial(request: BlockRequest) -> float:
-    return 0.0 if request.as_alpha or request.nodata is None else request.nodata
 
 
 def _alpha(source: DatasetReader, request: BlockRequest) -> dict[str, int]:

@@ -96,6 +96,20 @@ def test_nodata_does_not_bleed_and_is_kept(tmp_path: Path) -> None:
     assert np.count_nonzero(result) == pytest.approx(np.count_nonzero(values), rel=0.02)
 
 
+def test_a_hole_of_the_mask_stays_one(tmp_path: Path) -> None:
+    grid = rpc_grid(write_dem(tmp_path / "dem.tif"))
+    mask = np.full(SHAPE, 255, np.uint8)
+    mask[100:150, 120:200] = 0
+    image = write_image(tmp_path / "image.tif", np.full(SHAPE, 100, np.uint8), make_rpc())
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(image, "r+") as file:
+        file.write_mask(mask)
+    orthorectify(image, tmp_path / "ortho.tif", grid, make_grid((320, 340), offset_m=(-300, -300)))
+    with rasterio.open(tmp_path / "ortho.tif") as file:
+        valid = file.read_masks(1) != 0
+        assert set(np.unique(file.read(1)[valid])) == {100}
+    assert np.count_nonzero(valid) == pytest.approx(np.count_nonzero(mask), rel=0.02)
+
+
 def test_what_the_image_does_not_cover_is_masked(tmp_path: Path) -> None:
     grid = rpc_grid(write_dem(tmp_path / "dem.tif"))
     image = write_image(tmp_path / "image.tif", np.full(SHAPE, 100, np.uint8), make_rpc())
