@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
@@ -78,6 +79,13 @@ class Prediction:
     """(n,) robust scatter of the neighbours about their surface."""
     leverage: Float64
     """(n,) variance of the prediction over that of one neighbour, all of them independent."""
+
+    @staticmethod
+    def concatenate(parts: Sequence[Prediction]) -> Prediction:
+        """Return what was predicted at the places of all parts, in their order."""
+        return Prediction(
+            *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Prediction))
+        )
 
 
 def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, surface: Surface) -> Prediction:
@@ -207,8 +215,10 @@ def _predict_apart(
     for begin in range(0, len(at), step):
         part = slice(begin, begin + step)
         distance, index = tree.query(at[part], k=np.arange(1, reach + 1))
-        usable = distance >= apart_px
-        usable &= np.cumsum(usable, axis=1) <= count
+        usable = np.ones(index.shape, bool)
+        if apart_px:
+            usable = distance >= apart_px
+            usable &= np.cumsum(usable, axis=1) <= count
         found = (out[part], slope[part], scatter[part], leverage[part])
         fit_surfaces(xy, displacement, at[part], index.astype(np.intp), usable, surface.order, *found)
     return Prediction(out, slope, SIGMA_OF_MEDIAN_DISTANCE * scatter, leverage)

@@ -21,7 +21,7 @@ TINY: Final = 1e-12
 LEAST_SCALE_PX: Final = 1e-6
 
 
-@compiled()
+@compiled(fastmath=True)
 def fit_surfaces(
     xy_px: Float64,
     displacement_px: Float64,
@@ -48,13 +48,13 @@ def fit_surfaces(
         1: a plane, 2: a quadratic surface.
     value, slope, scale, leverage : (n, 2), (n, 2, 2), (n,), (n,) float64 arrays
         Filled: the surface at the place, its derivatives (component, by x and y), the median distance from
-        it, and the variance of the value over that of one neighbour. NaN where there are fewer than two
-        neighbours to a term.
+        it, and the variance of the value over that of one neighbour. Left alone where there are fewer than
+        two neighbours to a term.
     """
     terms = 3 if order == 1 else 6
     most = neighbours.shape[1]
-    design = np.empty((most, terms))
-    moved = np.empty((most, 2))
+    design = np.empty((terms, most))
+    moved = np.empty((2, most))
     residual = np.empty(most)
     work = np.empty(most)
     normal = np.empty((terms, terms))
@@ -69,69 +69,92 @@ def fit_surfaces(
             y = xy_px[k, 1] - at_xy_px[p, 1]
             reach = max(reach, x * x + y * y)
             if usable[p, j]:
-                design[count, 1], design[count, 2] = x, y
-                moved[count, 0], moved[count, 1] = displacement_px[k, 0], displacement_px[k, 1]
+                design[1, count], design[2, count] = x, y
+                moved[0, count], moved[1, count] = displacement_px[k, 0], displacement_px[k, 1]
                 count += 1
-        value[p] = scale[p] = leverage[p] = np.nan
-        slope[p] = np.nan
         if count < 2 * terms:
             continue
         extent = max(np.sqrt(reach), 1e-9)
-        _fill_design(design[:count], extent)
+        _fill_design(design, count, extent)
+        solution[:] = 0.0
         for axis in range(2):
-            work[:count] = moved[:count, axis]
+            for j in range(count):
+                work[j] = moved[axis, j]
             solution[0, axis] = _median(work[:count])
-            solution[1:, axis] = 0.0
-        for round_ in range(ROUNDS + 1):
-            width = np.inf  # all alike in the last round, for the leverage
-            if round_ < ROUNDS:
-                for j in range(count):
-                    residual[j] = _distance(design[j], moved[j], solution)
-                work[:count] = residual[:count]
-                scale[p] = max(_median(work[:count]), LEAST_SCALE_PX)
-                width = 2 * scale[p]
-            _normal_equations(design[:count], moved[:count], residual[:count], width, normal, right)
+        for _ in range(ROUNDS):
+            _distances(design, moved, solution, count, residual)
+            for j in range(count):
+                work[j] = residual[j]
+            scale[p] = max(_median(work[:count]), LEAST_SCALE_PX)
+            _weights(residual, 2 * scale[p], count, work)
+            _normal_equations(design, moved, work, count, normal, right)
             invert(normal)
-            if round_ < ROUNDS:
-                _multiply(normal, right, solution)
+            _multiply(normal, right, solution)
+        for j in range(count):  # all alike
+            work[j] = 1.0
+        _normal_equations(design, moved, work, count, normal, right)
+        invert(normal)
         leverage[p] = normal[0, 0]
         for axis in range(2):
             value[p, axis] = solution[0, axis]
             slope[p, axis, 0], slope[p, axis, 1] = solution[1, axis] / extent, solution[2, axis] / extent
 
 
-@compiled_part()
-def _fill_design(design: Float64, reach: float) -> None:
-    quadratic = design.shape[1] > 3
-    for j in range(len(design)):
-        x, y = design[j, 1] / reach, design[j, 2] / reach
-        design[j, 0], design[j, 1], design[j, 2] = 1.0, x, y
+@compiled_part(fastmath=True)
+def _fill_design(design: Float64, count: int, reach: float) -> None:
+    """Fill the terms of a surface, (terms, k), whose second and third are the offsets, px."""
+    quadratic = len(design) > 3
+    for j in range(count):
+        x, y = design[1, j] / reach, design[2, j] / reach
+        design[0, j], design[1, j], design[2, j] = 1.0, x, y
         if quadratic:
-            design[j, 3], design[j, 4], design[j, 5] = x * x, x * y, y * y
+            design[3, j], design[4, j], design[5, j] = x * x, x * y, y * y
 
 
-@compiled_part()
-def _normal_equations(
-    design: Float64, moved: Float64, residual: Float64, width: float, normal: Float64, right: Float64
-) -> None:
-    """Fill the weighted normal equations; an infinite width weighs all neighbours alike."""
-    terms = design.shape[1]
-    normal[:] = 0.0
-    right[:] = 0.0
-    for j in range(len(design)):
+@compiled_part(fastmath=True)
+def _distances(design: Float64, moved: Float64, solution: Float64, count: int, out: Float64) -> None:
+    if len(design) == 3:
+        for j in range(count):
+            x = moved[0, j] - solution[0, 0] - design[1, j] * solution[1, 0] - design[2, j] * solution[2, 0]
+            y = moved[1, j] - solution[0, 1] - design[1, j] * solution[1, 1] - design[2, j] * solution[2, 1]
+            out[j] = np.sqrt(x * x + y * y)
+        return
+    for j in range(count):
+        x, y = moved[0, j] - solution[0, 0], moved[1, j] - solution[0, 1]
+        for a in range(1, 6):
+            x -= design[a, j] * solution[a, 0]
+            y -= design[a, j] * solution[a, 1]
+        out[j] = np.sqrt(x * x + y * y)
+
+
+@compiled_part(fastmath=True)
+def _weights(residual: Float64, width: float, count: int, out: Float64) -> None:
+    for j in range(count):
         ratio = residual[j] / width
-        weight = 1.0 / (1.0 + ratio * ratio)
-        for a in range(terms):
-            term = weight * design[j, a]
-            right[a, 0] += term * moved[j, 0]
-            right[a, 1] += term * moved[j, 1]
-            for b in range(a, terms):
-                normal[a, b] += term * design[j, b]
-    ridge = RIDGE * normal[0, 0] + TINY
+        out[j] = 1.0 / (1.0 + ratio * ratio)
+
+
+@compiled_part(fastmath=True)
+def _normal_equations(
+    design: Float64, moved: Float64, weight: Float64, count: int, normal: Float64, right: Float64
+) -> None:
+    """Fill the weighted normal equations."""
+    terms = len(design)
     for a in range(terms):
-        normal[a, a] += ridge if a > 0 else TINY
-        for b in range(a):
-            normal[a, b] = normal[b, a]
+        for b in range(a, terms):
+            total = 0.0
+            for j in range(count):
+                total += weight[j] * design[a, j] * design[b, j]
+            normal[a, b] = normal[b, a] = total
+        x, y = 0.0, 0.0
+        for j in range(count):
+            x += weight[j] * design[a, j] * moved[0, j]
+            y += weight[j] * design[a, j] * moved[1, j]
+        right[a, 0], right[a, 1] = x, y
+    ridge = RIDGE * normal[0, 0] + TINY
+    normal[0, 0] += TINY
+    for a in range(1, terms):
+        normal[a, a] += ridge
 
 
 @compiled_part()
@@ -142,15 +165,6 @@ def _multiply(matrix: Float64, right: Float64, product: Float64) -> None:
             for b in range(len(matrix)):
                 total += matrix[a, b] * right[b, axis]
             product[a, axis] = total
-
-
-@compiled_part()
-def _distance(terms: Float64, moved: Float64, solution: Float64) -> float:
-    x, y = moved[0], moved[1]
-    for a in range(len(terms)):
-        x -= terms[a] * solution[a, 0]
-        y -= terms[a] * solution[a, 1]
-    return float(np.sqrt(x * x + y * y))
 
 
 @compiled_part()

@@ -6,6 +6,7 @@ neighbours of a point agree, and how far the formal sigmas are from the truth.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -44,6 +45,11 @@ class FieldGuide:
         """Whether windows deform."""
         return bool(self.linear.any())
 
+    @property
+    def leads(self) -> NDArray[np.bool_]:
+        """(n,) whether it tells where the structure of a point is taken."""
+        return np.asarray(np.isfinite(self.structure_xy_px).all(axis=1))
+
     def part(self, index: Index) -> FieldGuide:
         """Return the guide of some of the points."""
         return replace(self, linear=self.linear[index], structure_xy_px=self.structure_xy_px[index])
@@ -53,7 +59,13 @@ class FieldGuide:
         return replace(self, structure_xy_px=self.structure_xy_px + shift_xy_px)
 
 
-def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
+Predictor = Callable[[Float64, Float64, Float64, field.Surface], field.Prediction]
+"""`field.predict`, or what gives the same elsewhere."""
+
+
+def guide_by_field(
+    points: TiePoints, settings: MatchSettings, predict: Predictor = field.predict
+) -> FieldGuide:
     """Learn from all consistent points what the second pass needs.
 
     Parameters
@@ -61,6 +73,8 @@ def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
     points : TiePoints
         Consistent points of the first pass, of the whole scene.
     settings : MatchSettings
+    predict : callable
+        What takes most of the time.
     """
     nowhere = np.full((len(points), 2), np.nan)
     if len(points) < LEAST_FOR_FIELD:
@@ -75,7 +89,7 @@ def guide_by_field(points: TiePoints, settings: MatchSettings) -> FieldGuide:
     surface = choice.surface if choice.smooth else None
     if settings.consensus == "off" or surface is None:
         return FieldGuide(everywhere, nowhere, surface, 0.0)
-    predicted = field.predict(xy, moved, xy, surface)
+    predicted = predict(xy, moved, xy, surface)
     rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
     apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)

@@ -174,15 +174,14 @@ def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: Mat
     TiePoints
         As many, covariances formal; a point that fails here keeps its first position.
     """
-    traits = _traits(settings)
-    if not (traits.refined and traits.structure == "local"):
-        return points
     target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
-    led = np.isfinite(guide.structure_xy_px).all(axis=1)
+    again, led = matched_again(guide, settings), guide.leads
     # the two directions differ where each follows its own structure, hardly where the field says which
     both_ways = replace(settings, backward_every=1)
-    own = ~led & (guide.deforms or settings.backward_every > 1)
-    for some, structure, how in ((own, None, both_ways), (led, guide.structure_xy_px, settings)):
+    for some, structure, how in (
+        (again & ~led, None, both_ways),
+        (again & led, guide.structure_xy_px, settings),
+    ):
         index = np.flatnonzero(some)
         start = Start(
             target[index] - points.reference_xy_px[index],
@@ -194,6 +193,14 @@ def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: Mat
         target[index[good]] = points.reference_xy_px[index[good]] + refined.shift_xy_px[good]
         covariance[index[good]] = refined.covariance_px2[good]
     return replace(points, target_xy_px=target, covariance_px2=covariance)
+
+
+def matched_again(guide: FieldGuide, settings: MatchSettings) -> Bool:
+    """Tell which points the second pass matches again, (n,); for the others the guide says nothing new."""
+    traits = _traits(settings)
+    if not (traits.refined and traits.structure == "local"):
+        return np.zeros_like(guide.leads)
+    return guide.leads | (guide.deforms or settings.backward_every > 1)
 
 
 def second_pass(pair: StackPair, points: TiePoints, settings: MatchSettings) -> TiePoints:

@@ -19,6 +19,7 @@ from pcwlad_geo.matching.refinement_loop import refine_points
 from pcwlad_geo.matching.spline import spline_coefficients
 
 TOLERANCE_PX: Final = 0.004
+"""The move that would follow the last one is expected to be shorter."""
 RELAXATION_ROBUST: Final = 1.4
 """The weights follow the residual, so a plain step falls short by a third; the first is made longer."""
 RELAXATION_STRUCTURE: Final = 1.4

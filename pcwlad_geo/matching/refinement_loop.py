@@ -227,7 +227,8 @@ def _refine_point(
     # structure that is fixed takes a look at its place first
     begin = -1 if options.structure_mode == STRUCTURE_FIXED else 0
     for iteration in range(begin, options.iterations):
-        looks, near = iteration < 0, length < NEAR_PX
+        looks, before_px = iteration < 0, length
+        near = before_px < NEAR_PX
         place = starts.structure_xy[p] if looks else shift
         correlates = looks or options.structure_mode == STRUCTURE_FOLLOWS
         work.total[:] = 0.0
@@ -254,7 +255,8 @@ def _refine_point(
             > options.largest_move_px
         ):
             return DIVERGED
-        if near and length < options.tolerance_px:
+        # moves shrink faster and faster: by as much again at least in the next one, which is left out
+        if near and length * min(length / before_px, 1.0) < options.tolerance_px:
             sandwich(work.total, work.scores, results.covariance[p])
             return CONVERGED if is_determined(slopes, LEAST_SLOPE) else UNDETERMINED
         if iteration >= PATIENCE and not is_determined(slopes, LEAST_SLOPE / 2):

@@ -76,11 +76,12 @@ def refine_plain(
                 matrix, right, scores = window.equations(shift, linear, weights, robust)
                 step = np.asarray(np.linalg.solve(matrix, right), np.float64).reshape(2, -1)
                 linear += step[:, 1:] / window.half if affine else 0.0
-                near = control.length < NEAR_PX
+                before_px = control.length
                 shift += control.move(step[:, 0])
                 if np.linalg.norm(shift - start.shift_xy_px[p]) > LARGEST_MOVE_PX:
                     raise _StuckError
-                if near and control.length < TOLERANCE_PX:
+                next_px = control.length * min(control.length / before_px, 1.0)
+                if before_px < NEAR_PX and next_px < TOLERANCE_PX:
                     every = len(matrix) // 2
                     bread = np.linalg.inv(matrix)[::every, ::every]
                     result.covariance_px2[p] = bread @ (scores.T @ scores) @ bread

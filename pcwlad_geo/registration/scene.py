@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.field import Surface
+from pcwlad_geo.matching.field import Prediction, Surface, predict
 from pcwlad_geo.matching.guidance import calibrate, guide_by_field
-from pcwlad_geo.matching.matcher import consistent_points
+from pcwlad_geo.matching.matcher import consistent_points, matched_again
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.matching.tie_points import TiePoints
 from pcwlad_geo.raster.matching_grid import ViewPair
@@ -28,6 +29,7 @@ from pcwlad_geo.registration.tasks import Runner
 from pcwlad_geo.registration.tiles import Guided, TileJob, TileResult, match_tile, rematch_tile
 
 Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 LEAST_WINDOW_PX: Final = 41
@@ -35,6 +37,9 @@ WINDOWS_ACROSS: Final = 1.6
 """An overlap narrower than this many windows gets smaller ones."""
 BACKWARD_EVERY: Final = 4
 """Where a scene is covered."""
+PLACES_PER_CALL: Final = 2000
+MOST_CALLS: Final = 64
+"""Of the predictions of a field: each takes all its points along."""
 MOST_WAVES: Final = 3
 """Of small windows: the first choices, and what follows where they give too little."""
 
@@ -128,7 +133,7 @@ class _Again:
 
     points: TiePoints
     surface: Surface | None
-    shared_variance_px2: NDArray[np.float64]
+    shared_variance_px2: Float64
     """(n,)."""
     lost: Bool
     """(n,) in tiles that could not be read a second time."""
@@ -175,16 +180,17 @@ def _rematch(
 ) -> _Again:
     """Visit the tiles again, guided by the field of all consistent points."""
     index = np.flatnonzero(kept)
-    guide = guide_by_field(matches[index], matching)
-    tile_of = first.tile_of[index]
+    guide = guide_by_field(matches[index], matching, partial(_predict_on, runner))
+    again = np.flatnonzero(matched_again(guide, matching))
+    tile_of = first.tile_of[index[again]]
     tiles = np.unique(tile_of)
-    parts = [np.flatnonzero(tile_of == tile) for tile in tiles]
+    parts = [again[tile_of == tile] for tile in tiles]
     calls = [
         (first.jobs[tile], matches[index[part]], guide.part(part))
         for tile, part in zip(tiles, parts, strict=True)
     ]
     workers = [first.workers[tile] for tile in tiles]
-    results = runner.run(rematch_tile, calls, "refining", log.on_event, workers).results
+    results = runner.run(rematch_tile, calls, "refining", log.on_event, workers).results if calls else []
     _warn_of_failures(results, log)
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
     lost = np.zeros(len(matches), bool)
@@ -194,6 +200,15 @@ def _rematch(
         lost[index[part]] = result.status == "failed"
     points = replace(matches, target_xy_px=target, covariance_px2=covariance)
     return _Again(points, guide.surface, np.full(len(matches), guide.shared_variance_px2), lost)
+
+
+def _predict_on(runner: Runner, xy: Float64, moved: Float64, at: Float64, surface: Surface) -> Prediction:
+    """Do what `field.predict` does, shared out where there are many places."""
+    size = max(PLACES_PER_CALL, -(-len(at) // MOST_CALLS))
+    if len(at) <= size:
+        return predict(xy, moved, at, surface)
+    calls = [(xy, moved, at[begin : begin + size], surface) for begin in range(0, len(at), size)]
+    return Prediction.concatenate(runner.run(predict, calls, "refining").results)
 
 
 def _match_settings(

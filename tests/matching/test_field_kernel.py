@@ -19,8 +19,8 @@ def test_the_kernel_equals_its_twin(order: int, count: int) -> None:
     neighbours = np.argsort(((xy[None] - at[:, None]) ** 2).sum(axis=2), axis=1)[:, :count]
     usable = rng.random((25, count)) > 0.1
     usable[3, 5:] = False
-    value, slope = np.full((25, 2), -1.0), np.full((25, 2, 2), -1.0)
-    scale, leverage = np.full(25, -1.0), np.full(25, -1.0)
+    value, slope = np.full((25, 2), np.nan), np.full((25, 2, 2), np.nan)
+    scale, leverage = np.full(25, np.nan), np.full(25, np.nan)
     fit_surfaces(xy, moved, at, neighbours, usable, order, value, slope, scale, leverage)
     wanted = fit_surfaces_plain(xy[neighbours] - at[:, None], moved[neighbours], usable, order)
     assert np.isnan(value[3]).all()
