@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import LinearOperator, cg, splu
 
 from pcwlad_geo.correction.spline import SplineGrid, cubic_b_splines
 
@@ -26,6 +26,10 @@ CELL_PER_WINDOW = 0.75
 """A displacement averaged over a window has no detail that smaller cells would hold."""
 BATCH = 4
 """Right-hand sides solved at once: with more, BLAS threads wait for each other longer than they work."""
+MOST_STEPS = 12
+"""Of conjugate gradients, before a new factor is made."""
+REST = 1e-7
+"""Share of the right side that they may leave."""
 
 
 def grid_of(xy_px: Array, footprint_px: float) -> SplineGrid:
@@ -140,6 +144,51 @@ class Factor:
             for start in range(0, right.shape[1], BATCH)
         ]
         return np.concatenate(parts, axis=1)
+
+    def solve_one(self, right: Array) -> Array:
+        """Return the (k,) solution for one right side."""
+        return np.asarray(self.solve(right.reshape(-1, 1))[:, 0])
+
+
+class Successive:
+    """Fits both axes for one set of precisions after another, each near the one before.
+
+    A factor preconditions conjugate gradients for as long as these come to rest within few steps: a step
+    costs a thirtieth of a factor.
+
+    Parameters
+    ----------
+    plate : Plate
+    values_px : (n, 2) array
+        What the spline is fitted to, (col, row).
+    """
+
+    def __init__(self, plate: Plate, values_px: Array) -> None:
+        self._plate, self._values_px = plate, values_px
+        self._factor: Factor | None = None
+        self._found: Array | None = None
+
+    def solve(self, precision: Array, smoothing: float) -> Array:
+        """Return the (k, 2) coefficients for (n, 2, 2) precisions."""
+        design, energy = self._plate.design, self._plate.energy_of_both
+
+        def pulled(at_points: Array) -> Array:
+            weighted = np.einsum("iab,ib->ia", precision, at_points)
+            return np.asarray((design.T @ weighted).T.ravel())
+
+        def times(flat: Array) -> Array:
+            return np.asarray(pulled(design @ flat.reshape(2, -1).T) + smoothing * (energy @ flat))
+
+        right, rests = pulled(self._values_px), False
+        if self._factor is not None:
+            before = LinearOperator(energy.shape, matvec=self._factor.solve_one, dtype=np.float64)
+            system = LinearOperator(energy.shape, matvec=times, dtype=np.float64)
+            self._found, left = cg(system, right, self._found, rtol=REST, maxiter=MOST_STEPS, M=before)
+            rests = left == 0
+        if not rests:
+            self._factor = self._plate.factor(self._plate.normal(precision), smoothing)
+            self._found = self._factor.solve_one(right)
+        return np.asarray(self._found).reshape(2, -1).T
 
 
 def mean_precision(whitener: Array, weight: Array) -> Array:

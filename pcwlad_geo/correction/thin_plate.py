@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fitted import checked
 from pcwlad_geo.correction.local_surface import local_surface
-from pcwlad_geo.correction.plate import Plate, mean_precision
+from pcwlad_geo.correction.plate import Plate, Successive, mean_precision
 from pcwlad_geo.correction.robust_linear import (
     Estimate,
     Solution,
@@ -125,21 +125,15 @@ class _Task:
 
         return reweighted(stay, start_px, self.rest_px, self.covariance_px2)
 
-    def of_both_axes(self, stiffness: float, whitener: Array, weight: Array) -> Array:
-        """Solve with the full covariances."""
-        precision = weight[:, None, None] * (whitener.transpose(0, 2, 1) @ whitener)
-        smoothing = self.plate.smoothing(stiffness, mean_precision(whitener, weight))
-        factor = self.plate.factor(self.plate.normal(precision), smoothing)
-        weighted = np.einsum("iab,ib->ia", precision, self.rest_px)
-        right = (self.plate.design.T @ weighted).T.reshape(-1, 1)
-        return factor.solve(right).reshape(2, -1).T
-
     def fitted(self, stiffness: float, start_px: Array) -> Estimate:
         """Return the robust fit from a start."""
         freedom = self.plate.freedom(stiffness, self.probes)
+        successive = Successive(self.plate, self.rest_px)
 
         def solve(whitener: Array, weight: Array) -> Solution:
-            found = self.of_both_axes(stiffness, whitener, weight)
+            precision = weight[:, None, None] * (whitener.transpose(0, 2, 1) @ whitener)
+            smoothing = self.plate.smoothing(stiffness, mean_precision(whitener, weight))
+            found = successive.solve(precision, smoothing)
             return Solution(found, self.plate.design @ found, freedom)
 
         return reweighted(solve, start_px, self.rest_px, self.covariance_px2, tolerance_px=TOLERANCE_PX)

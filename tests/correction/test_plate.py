@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.plate import MOST_CELLS, Plate, bending, grid_of, mean_precision
+from pcwlad_geo.correction.plate import MOST_CELLS, Plate, Successive, bending, grid_of, mean_precision
 from pcwlad_geo.correction.spline import SplineCorrection, SplineGrid
 from pcwlad_geo.correction.windows import probes_of
 
@@ -102,3 +102,20 @@ def test_stiffness_says_how_many_parameters_there_are() -> None:
 def test_precision_of_a_point() -> None:
     whitener = np.array([[[2.0, 0.0], [0.0, 4.0]]])  # sigma 1/2 and 1/4
     np.testing.assert_allclose(mean_precision(whitener, np.array([0.5])), 0.5 * (4 + 16) / 2)
+
+
+@pytest.mark.parametrize("apart", [0.02, 3.0])
+def test_successive_fits_are_those_of_a_factor_each(apart: float) -> None:
+    """Precisions that hardly change keep the factor, those that change much do not: both must be right."""
+    rng = np.random.default_rng(5)
+    xy = scattered(5, 300)
+    values = rng.normal(0, 1, (300, 2))
+    plate = Plate.of(xy, 40.0)
+    successive = Successive(plate, values)
+    for _ in range(4):
+        precision = np.exp(rng.normal(0, apart, 300))[:, None, None] * np.array([[2.0, 0.5], [0.5, 1.0]])
+        weighted = np.einsum("iab,ib->ia", precision, values)
+        right = (plate.design.T @ weighted).T.reshape(-1, 1)
+        wanted = plate.factor(plate.normal(precision), 0.3).solve(right).reshape(2, -1).T
+        found = successive.solve(precision, 0.3)
+        np.testing.assert_allclose(plate.design @ found, plate.design @ wanted, atol=2e-6)
