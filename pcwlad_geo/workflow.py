@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Collection, Iterable, Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor
+from contextlib import suppress
 from functools import partial
+from importlib import import_module
 from pathlib import Path
-from types import ModuleType
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from threading import Thread
+from typing import TYPE_CHECKING, Literal, TypedDict
 
-from pcwlad_geo import outputs
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError
-from pcwlad_geo.raster.product import ProductBand
 from pcwlad_geo.raster.products import stem_of
 from pcwlad_geo.raster.source import file_name, plain_name
 from pcwlad_geo.registration import settings as s
+from pcwlad_geo.registration.forecast import likely_tiles
 from pcwlad_geo.registration.inputs import band_file, resolve
-from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.progress import Event, EventCallback, Progress, ignore
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
-from pcwlad_geo.report.pdf import check_pdf, to_pdf
-from pcwlad_geo.report.precision import PrecisionMap, precision_of
-from pcwlad_geo.report.summary import summarise, to_json
+from pcwlad_geo.report.pdf import check_pdf
 from pcwlad_geo.staging import OutputFolder, place_file
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from pcwlad_geo.registration.result import Registration
 
 PathLike = str | os.PathLike[str]
 Job = Literal["registered", "matched"]
@@ -148,7 +147,7 @@ def register(
         output_report=output_report,
         output_points=output_points,
     )
-    job = partial(_run, reference, target, settings, on_event, executor)
+    job = partial(_run, reference, target, settings, executor)
     return _run_and_write(job, (reference, target), settings, places, overwrite, on_event)
 
 
@@ -180,7 +179,7 @@ def match(
         output_report=output_report,
         output_points=output_points,
     )
-    job = partial(_run, reference, target, settings, on_event, executor, match_only=True)
+    job = partial(_run, reference, target, settings, executor, match_only=True)
     return _run_and_write(job, (reference, target), settings, places, overwrite, on_event)
 
 
@@ -231,20 +230,21 @@ def _run(
     reference: PathLike,
     target: PathLike,
     settings: Settings,
-    on_event: EventCallback,
     executor: Executor | Runner | None,
+    on_event: EventCallback,
     match_only: bool = False,
 ) -> Registration:
     """Run a job where its settings say, or on what the caller gives."""
     # points of a file leave workers nothing to do
     with open_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
-        from pcwlad_geo.registration.run import run  # slow to load: the workers start meanwhile
+        runner.expect(likely_tiles(reference, target, settings))
+        from pcwlad_geo.registration.run import run  # slow to load, as what the workers load meanwhile
 
         return run(reference, target, settings, on_event=on_event, runner=runner, match_only=match_only)
 
 
 def _run_and_write(
-    job: Callable[[], Registration],
+    job: Callable[[EventCallback], Registration],
     inputs: tuple[PathLike, PathLike],
     settings: Settings,
     places: Mapping[str, Path],
@@ -267,8 +267,10 @@ def _run_and_write(
             band: folder.path(plain_name(f"{Path(file_name(band.uri)).stem}_registered.tif"))
             for band in resolve(*inputs, settings, all_bands="raster" in places).other_bands
         }
-        registration = job()
-        for kind in _write(registration, staged, places, elsewhere, bands, on_event):
+        registration = job(_preloading(on_event))
+        from pcwlad_geo.writing import write  # inside: slow to load, which `_preloading` may have done
+
+        for kind in write(registration, staged, places, elsewhere, bands, on_event):
             if kind in elsewhere:
                 place_file(staged[kind], elsewhere[kind], overwrite=overwrite)
         folder.commit()
@@ -276,6 +278,21 @@ def _run_and_write(
         message = f"{registration.reason} (report: {places['report']})"
         raise RegistrationRejectedError(message, registration, out_dir)
     return registration
+
+
+def _preloading(on_event: EventCallback) -> EventCallback:
+    """Return what passes events on, and loads the libraries of the writing once the matching has begun."""
+
+    def load() -> None:
+        with suppress(ImportError):  # the writing will say it
+            import_module("pcwlad_geo.writing")
+
+    def tell(event: Event) -> None:
+        if isinstance(event, Progress) and event.stage == "matching" and event.done == 0:
+            Thread(target=load).start()
+        on_event(event)
+
+    return tell
 
 
 def _check_places(
@@ -292,70 +309,3 @@ def _check_places(
     for place in elsewhere.values():
         if place.exists() and not overwrite:
             raise OutputError(f"{place} exists: give --overwrite to replace it, or another name")
-
-
-def _write(
-    registration: Registration,
-    staged: Mapping[str, Path],
-    places: Mapping[str, Path],
-    elsewhere: Collection[str],
-    bands: Mapping[ProductBand, Path],
-    on_event: EventCallback,
-) -> list[str]:
-    """Write all files of a job, the report last, and return their kinds."""
-    since = time.perf_counter()
-    if registration.status != "registered":
-        bands = {}
-    kinds = outputs.kinds(registration)
-    total = len(kinds) + len(bands) + 1  # the report is one
-    on_event(Progress("writing", 0, total))
-    written = [*kinds, "report", *(["pdf"] if registration.settings.pdf else []), "numbers"]
-    names = sorted(
-        [*(staged[kind].name for kind in written if kind not in elsewhere), *(p.name for p in bands.values())]
-    )
-    precision = precision_of(registration)
-    summary = summarise(registration, names, precision)
-    gcps = staged["gcps"].name if "gcps" in kinds else None
-    side = ThreadPoolExecutor(1)  # GDAL warps without Python's lock
-    try:
-        drawing = side.submit(_draw, registration, summary, gcps, precision)
-        writers = outputs.writers(registration, places, on_event)
-        for done, kind in enumerate(kinds, start=1):
-            writers[kind](staged[kind])
-            on_event(Progress("writing", done, total))
-        for done, (band, path) in enumerate(bands.items(), start=len(kinds) + 1):
-            outputs.write_band(registration, band, path, on_event)
-            on_event(Progress("writing", done, total))
-        content, seconds_drawing = drawing.result()
-    finally:
-        side.shutdown(wait=False)  # what is interrupted here must not wait for a page that nobody will see
-    seconds = registration.seconds | {"writing": time.perf_counter() - since, "report": seconds_drawing}
-    content["seconds"] = _rounded(seconds)
-    staged["report"].write_text(_page().on_screen(content), encoding="utf-8", newline="\n")
-    if "pdf" in written:
-        printing = time.perf_counter()
-        staged["pdf"].write_bytes(to_pdf(_page().on_paper(content)))
-        seconds["pdf"] = time.perf_counter() - printing
-    summary["seconds"] = _rounded(seconds)
-    staged["numbers"].write_text(to_json(summary), encoding="utf-8", newline="\n")
-    on_event(Progress("writing", total, total))
-    return written
-
-
-def _draw(
-    registration: Registration, summary: Mapping[str, Any], gcps: str | None, precision: PrecisionMap | None
-) -> tuple[dict[str, object], float]:
-    """Return what the page is made from, and the seconds that this took, its libraries included."""
-    since = time.perf_counter()
-    content = _page().compose(registration, summary, gcps, precision)
-    return content, time.perf_counter() - since
-
-
-def _page() -> ModuleType:
-    from pcwlad_geo.report import page  # slow to load: the figures' library
-
-    return page
-
-
-def _rounded(seconds: Mapping[str, float]) -> dict[str, float]:
-    return {stage: round(value, 3) for stage, value in seconds.items()}

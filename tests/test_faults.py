@@ -23,6 +23,7 @@ import pcwlad_geo
 from pcwlad_geo import ExecutionError, InputError, RegistrationRejectedError
 from pcwlad_geo.raster import tie_point_csv
 from pcwlad_geo.registration.cluster import _inspection, connected
+from pcwlad_geo.registration.forks import CAN_FORK
 from pcwlad_geo.registration.progress import Event, Progress, Warned
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
@@ -196,12 +197,13 @@ def wait_for_stage(process: subprocess.Popen[str], stage: str) -> None:
     raise AssertionError(f"the job has ended before {stage}")
 
 
-def children(process: subprocess.Popen[str]) -> list[int]:
-    return [
+def descendants(process_id: int) -> list[int]:
+    children = [
         int(child)
-        for task in Path(f"/proc/{process.pid}/task").iterdir()
+        for task in Path(f"/proc/{process_id}/task").iterdir()
         for child in (task / "children").read_text().split()
     ]
+    return [each for child in children for each in (child, *descendants(child))]
 
 
 @posix
@@ -215,10 +217,14 @@ def test_a_killed_job_leaves_nothing_under_a_final_name_and_can_be_started_again
     arguments = ("register", *pair, "--config", "options.toml", "-o", "out")
     with start(work, *arguments) as process:
         wait_for_stage(process, stage)
-        workers = children(process)
+        others = descendants(process.pid)
         process.kill()
-    assert len(workers) == (2 if stage == "matching" else 0)  # they are gone before the files are written
-    wait_for_end(workers)
+    # two work, and one may have forked them; the figures' library may be asking the system for its fonts
+    if stage == "matching":
+        assert len(others) in (2 + CAN_FORK, 3 + CAN_FORK)
+    else:  # they are gone before the files are written
+        assert others == []
+    wait_for_end(others)
     assert not (work / "out").exists()
     with start(work, *arguments) as process:
         process.communicate()

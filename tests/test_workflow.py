@@ -13,7 +13,7 @@ import pytest
 import rasterio
 from affine import Affine
 
-from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, SettingsError, workflow
+from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, SettingsError, workflow, writing
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.raster import tie_point_csv
 from pcwlad_geo.raster.grid import Grid
@@ -224,7 +224,7 @@ def test_an_interrupted_job_does_not_wait_for_the_page(
             assert begun.wait(20)
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(workflow, "_draw", draw)
+    monkeypatch.setattr(writing, "_draw", draw)
     with pytest.raises(KeyboardInterrupt):
         workflow.register(*pair, on_event=interrupt)
     assert not drawn.is_set()

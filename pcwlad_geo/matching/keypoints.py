@@ -122,10 +122,23 @@ def by_cell(
     per_cell : int
         Corners of a cell, at most.
     """
+    order, rank = rank_in_cell(corners_rc, response, cell_px, origin_rc)
+    return corners_rc[order[rank < per_cell]]
+
+
+def rank_in_cell(
+    corners_rc: Index, response: NDArray[np.floating[Any]], cell_px: int, origin_rc: tuple[int, int]
+) -> tuple[Index, Index]:
+    """Return the order of corners by cell, the strongest of each first, and so ordered the rank in its cell.
+
+    Parameters
+    ----------
+    corners_rc, response, cell_px, origin_rc
+        As for `by_cell`.
+    """
     cells = (corners_rc + np.asarray(origin_rc)) // cell_px
     order = np.lexsort((corners_rc[:, 1], corners_rc[:, 0], -response, cells[:, 1], cells[:, 0]))
     ordered = cells[order]
     new_cell = np.r_[True, (np.diff(ordered, axis=0) != 0).any(axis=1)] if len(order) else np.empty(0, bool)
     starts = np.flatnonzero(new_cell)
-    rank = np.arange(len(order)) - np.repeat(starts, np.diff(np.r_[starts, len(order)]))
-    return corners_rc[order[rank < per_cell]]
+    return order, np.arange(len(order)) - np.repeat(starts, np.diff(np.r_[starts, len(order)]))

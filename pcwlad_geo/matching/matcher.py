@@ -139,22 +139,38 @@ def match_candidates(pair: PreparedPair, core: Core, settings: MatchSettings) ->
         [~compared, ~similar, coarse.at_border],
         [FATES.index(name) for name in ("not_comparable", "not_similar", "at_search_border")],
     ).astype(np.uint8)
-    candidates = Candidates(_centres(corners), fate)
-    corners, score = corners[inside], coarse.distinctness[inside]
     # the paper begins at the whole pixel; nearer to the place fewer steps are needed
-    whole = coarse.offset_rc[inside, ::-1].astype(np.float64)
-    shift = coarse.shift_xy_px[inside] if traits.structure == "local" else whole
+    whole = coarse.offset_rc[:, ::-1].astype(np.float64)
+    shift = coarse.shift_xy_px if traits.structure == "local" else whole
+    index, score = np.flatnonzero(inside), coarse.distinctness
     if not traits.refined:
-        covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(corners), 1, 1))
-        return _points(corners, shift, covariance, score), candidates
-    start = Start(shift, np.zeros((len(corners), 2, 2)))
-    refined, agree = _refine_both(pair.stacks, corners, start, settings)
-    fate[inside] = np.select(
-        [~refined.converged, ~agree],
-        [FATES.index(name) for name in ("not_converged", "directions_disagree")],
-    )
-    points = _points(corners, refined.shift_xy_px, refined.covariance_px2, score)
-    return points[refined.converged & agree], candidates
+        covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(index), 1, 1))
+        points = _points(corners[index], shift[index], covariance, score[index])
+        return points, Candidates(_centres(corners), fate)
+
+    def match(some: Index) -> TiePoints:
+        start = Start(shift[some], np.zeros((len(some), 2, 2)))
+        refined, agree = _refine_both(pair.stacks, corners[some], start, settings)
+        fate[some] = np.select(
+            [~refined.converged, ~agree],
+            [FATES.index(name) for name in ("not_converged", "directions_disagree")],
+        )
+        points = _points(corners[some], refined.shift_xy_px, refined.covariance_px2, score[some])
+        return points[refined.converged & agree]
+
+    if settings.spare == 0:
+        return match(index), Candidates(_centres(corners), fate)
+    cell_px = _cell_px(settings, float(settings.features_area_px2 or corners.size))
+    order, rank = keypoints.rank_in_cell(corners[index], score[index], cell_px, core.origin_rc)
+    wanted, cell = settings.per_cell - settings.spare, np.cumsum(rank == 0) - 1
+    first = rank < wanted
+    points = match(index[order[first]])
+    found = np.bincount(cell[first], fate[index[order[first]]] == 0)
+    second = ~first & (rank - wanted < wanted - found[cell])
+    points = TiePoints.concatenate([points, match(index[order[second]])])
+    tried = ~inside
+    tried[index[order[first | second]]] = True
+    return points, Candidates(_centres(corners[tried]), fate[tried])
 
 
 def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
@@ -314,13 +330,17 @@ def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
     area = settings.features_area_px2 or float(
         usable[core.row : core.row_stop, core.col : core.col_stop].sum()
     )
-    cell_px = keypoints.cell_side_px(settings.features, settings.per_cell, area)
+    cell_px = _cell_px(settings, area)
     chosen = keypoints.by_cell(corners, response, cell_px, core.origin_rc, settings.per_cell)
     # a cell belongs to the core that holds its first pixel, so that neighbouring tiles share no cell
     first = (chosen + np.asarray(core.origin_rc)) // cell_px * cell_px - np.asarray(core.origin_rc)
     owned = (first >= (core.row, core.col)).all(axis=1) & (first < (core.row_stop, core.col_stop)).all(axis=1)
     result: Index = chosen[owned]
     return result
+
+
+def _cell_px(settings: MatchSettings, area_px2: float) -> int:
+    return keypoints.cell_side_px(settings.features, settings.per_cell, area_px2)
 
 
 def _points(corners: Index, shift_xy: Float64, covariance: Float64, score: Float64) -> TiePoints:

@@ -20,6 +20,8 @@ class MatchSettings:
     """Candidates; by cell this sets the density over `features_area_px2`."""
     per_cell: int = 4
     """Candidates of a cell, at most."""
+    spare: int = 0
+    """So many of these are matched only where others of the cell fail; `features_area_px2` must be given."""
     keypoints: Keypoints = "cells"
     features_area_px2: float | None = None
     """Area that `features` candidates are spread over; None: the usable area of the image."""

@@ -8,11 +8,9 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-import pyogrio.raw
 import pyproj
 import shapely
 from numpy.typing import NDArray
-from pyogrio.errors import DataLayerError, DataSourceError
 
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.raster import qgis_styles, tie_point_csv
@@ -48,6 +46,10 @@ def write(table: TiePointTable, path: Path) -> None:
     OutputError
         If it cannot be written.
     """
+    # inside: GDAL's messages are kept from the terminal in the thread that loads it
+    import pyogrio.raw
+    from pyogrio.errors import DataLayerError, DataSourceError
+
     moved_xy = observed_xy(table)
     layers = {
         "tie_points": ("Point", shapely.points(table.xy)),

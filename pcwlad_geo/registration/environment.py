@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final, TypeVar
 
-import cv2
 import rasterio.env
 
 T = TypeVar("T")
@@ -38,6 +37,8 @@ def gdal_settings() -> dict[str, str]:
 
 def in_environment(settings: Mapping[str, Any], function: Callable[..., T], arguments: tuple[Any, ...]) -> T:
     """Do a task with these settings of GDAL, OpenCV on one thread."""
+    import cv2  # inside: slow to load, and workers may be started before
+
     if cv2.getNumThreads() != 1:
         cv2.setNumThreads(1)
     with rasterio.Env(**settings):
@@ -47,6 +48,8 @@ def in_environment(settings: Mapping[str, Any], function: Callable[..., T], argu
 @contextmanager
 def one_opencv_thread() -> Iterator[None]:
     """Keep OpenCV on one thread in this process for as long as the context lasts."""
+    import cv2
+
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

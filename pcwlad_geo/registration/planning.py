@@ -13,13 +13,12 @@ from pcwlad_geo.matching.keypoints import cell_side_px
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.windows import Window
+from pcwlad_geo.registration.forecast import ONE_TILE, tiles_along
 from pcwlad_geo.registration.prealign import Look
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.sites import find_sites, lattice_places, lattice_shape, small_window
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 
-ONE_TILE: Final = 1.3
-"""A scene is one tile up to this many tile sizes."""
 FEATURE_AREA_PX: Final = 1024
 """`features` candidates lie in a square of this side, or in the scene where that is smaller."""
 POINTS_OF_A_SCENE: Final = 1000
@@ -110,7 +109,7 @@ def plan(
         tiles = _cover(base, densest, settings.tile_size)
         return Plan([replace(tile, guides_itself=len(tiles) == 1) for tile in tiles])
     tiles = _cover(base, candidates / area, settings.tile_size)
-    window = small_window(base, round(candidates))
+    window = small_window(base, round(candidates), int(wanted))
     count = int(np.prod(lattice_shape(region, round(candidates))))
     if count * window.read_window.area_px2 >= sum(job.read_window.area_px2 for job in tiles):
         return Plan(tiles)
@@ -153,7 +152,7 @@ def _cover(base: TileJob, density: float, tile_size: int) -> list[TileJob]:
 
 
 def _spans(start: int, length: int, tile_size: int) -> list[tuple[int, int]]:
-    """Split a range into about equal parts of at most ONE_TILE tile sizes."""
-    count = 1 if length <= ONE_TILE * tile_size else int(np.ceil(length / tile_size))
+    """Split a range into the tiles along it."""
+    count = tiles_along(length, tile_size)
     edges = np.linspace(start, start + length, count + 1).round().astype(int)
     return [(int(a), int(b - a)) for a, b in pairwise(edges)]

@@ -12,9 +12,10 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO, Final, TypeVar, cast
+from typing import Any, BinaryIO, Final, Protocol, TypeVar, cast
 
 from pcwlad_geo.errors import ExecutionError
+from pcwlad_geo.registration.forks import CAN_FORK, Stem
 from pcwlad_geo.registration.worker import ONE_THREAD, RemoteTraceback, receive, send
 
 ATTEMPTS: Final = 3
@@ -40,26 +41,37 @@ def can_start_workers() -> bool:
     return Path(sys.executable or "").stem.lower().startswith(("python", "pypy"))
 
 
+class Process(Protocol):
+    """A worker process, as the parent sees it."""
+
+    pid: int
+    calls: BinaryIO
+    answers: BinaryIO
+
+    def kill(self) -> None:
+        """End it, also in the middle of a call."""
+
+    def wait(self) -> int | None:
+        """Wait for its end; returns its status, minus the signal that ended it, None if nobody knows."""
+
+
 class Worker:
     """A process that does one call at a time, and the thread that talks to it.
 
-    It starts at once and imports its libraries while the parent does something else. It is a fresh
-    interpreter that does not import the parent's main module, so scripts need no guard against that.
-
     Parameters
     ----------
-    preload : str
-        A module to import at the start; may be empty.
+    start : callable
+        Starts its process.
     on_loss : callable
         Is told, from another thread, when a process has died and was replaced.
     """
 
-    def __init__(self, preload: str, on_loss: Callable[[str], None]) -> None:
-        self._preload = preload
+    def __init__(self, start: Callable[[], Process], on_loss: Callable[[str], None]) -> None:
+        self._start = start
         self._on_loss = on_loss
         self._closed = False
         self._starting = threading.Lock()
-        self._process = _start(preload)
+        self._process = start()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="pcwlad-geo-worker")
 
     @property
@@ -94,7 +106,7 @@ class Worker:
             with self._starting:
                 if self._closed:
                     raise ExecutionError("the workers of this job have been stopped")
-                self._process = _start(self._preload)
+                self._process = self._start()
             if attempt + 1 < ATTEMPTS:
                 self._on_loss(f"a worker process was lost ({how}): its task is done again")
         raise ExecutionError(
@@ -104,44 +116,109 @@ class Worker:
 
     def _ask(self, message: bytes) -> bytes | None:
         """Send a call and wait for its answer; None where the process is lost."""
-        calls, answers = _pipes(self._process)
         try:
-            send(calls, message)
+            send(self._process.calls, message)
         except OSError:
             return None
-        return receive(answers)
+        return receive(self._process.answers)
 
 
-def _start(preload: str) -> subprocess.Popen[bytes]:
-    # A session of its own: an interrupt of the terminal reaches the parent only, which ends its workers.
-    try:
-        return subprocess.Popen(
-            [sys.executable, "-c", _START, preload, *map(str, sys.path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={**os.environ, **ONE_THREAD},
-            start_new_session=True,
-            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
-        )
-    except OSError as error:
-        raise ExecutionError(
-            f"cannot start a worker process ({error.strerror}): give fewer --jobs"
-        ) from error
+class Workers:
+    """Where worker processes come from: forks of one that has its libraries loaded, or fresh interpreters.
+
+    None of them imports the parent's main module, so scripts need no guard against that.
+
+    Parameters
+    ----------
+    preload : str
+        A module that workers import before their first call; may be empty.
+    on_loss : callable
+        See `Worker`.
+    """
+
+    def __init__(self, preload: str, on_loss: Callable[[str], None]) -> None:
+        self._preload, self._on_loss = preload, on_loss
+        self._stem: Stem | None = None
+        self._all: list[Worker] = []
+
+    def expect(self, count: int) -> None:
+        """Make ready for so many workers, without waiting for it: libraries load meanwhile."""
+        if not CAN_FORK:
+            self.at_least(count)
+        elif self._stem is None:
+            self._stem = Stem(self._preload)
+
+    def prepare(self, function: Callable[..., object], arguments: tuple[Any, ...]) -> None:
+        """Call a function in every worker, or before they are forked, without waiting for it."""
+        if self._stem is not None and not self._all:
+            self._stem.prepare(pickle.dumps((function, arguments), pickle.HIGHEST_PROTOCOL))
+        for worker in self._all:
+            worker.submit(function, arguments)
+
+    def at_least(self, count: int) -> list[Worker]:
+        """Return all workers, started where there were fewer."""
+        for _ in range(count - len(self._all)):
+            self._all.append(Worker(self._process, self._on_loss))
+        return self._all
+
+    def stop(self) -> None:
+        """End all processes, also in the middle of a call."""
+        for worker in self._all:  # all at once, then wait
+            worker.stop()
+        for worker in self._all:
+            worker.join()
+        self._all.clear()
+        if self._stem is not None:
+            self._stem.close()
+            self._stem = None
+
+    def _process(self) -> Process:
+        if self._stem is not None:
+            with suppress(OSError):  # the stem is gone
+                return self._stem.fork()
+        return _Fresh(self._preload)
 
 
-def _pipes(process: subprocess.Popen[bytes]) -> tuple[BinaryIO, BinaryIO]:
-    return cast(BinaryIO, process.stdin), cast(BinaryIO, process.stdout)
+class _Fresh:
+    """A fresh interpreter."""
+
+    def __init__(self, preload: str) -> None:
+        # A session of its own: an interrupt of the terminal reaches the parent only, which ends its workers.
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _START, preload, *map(str, sys.path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env={**os.environ, **ONE_THREAD},
+                start_new_session=True,
+                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+            )
+        except OSError as error:
+            raise ExecutionError(
+                f"cannot start a worker process ({error.strerror}): give fewer --jobs"
+            ) from error
+        self.pid = self._process.pid
+        self.calls = cast(BinaryIO, self._process.stdin)
+        self.answers = cast(BinaryIO, self._process.stdout)
+
+    def kill(self) -> None:
+        self._process.kill()
+
+    def wait(self) -> int:
+        return self._process.wait()
 
 
-def _reap(process: subprocess.Popen[bytes]) -> int:
+def _reap(process: Process) -> int | None:
     """Wait for the end of a process that is dead or dying and close its pipes; return its status."""
-    for pipe in _pipes(process):
+    for pipe in (process.calls, process.answers):
         with suppress(OSError):  # what could not be sent is lost
             pipe.close()
     return process.wait()
 
 
-def _how_it_ended(status: int) -> str:
+def _how_it_ended(status: int | None) -> str:
+    if status is None:
+        return "nobody knows how"
     if status < 0:
         with suppress(ValueError):
             return f"killed by {signal.Signals(-status).name}"

@@ -11,7 +11,7 @@ from typing import Any, Final, TypeVar
 
 from pcwlad_geo.errors import ExecutionError
 from pcwlad_geo.registration.environment import gdal_settings, in_environment, one_opencv_thread
-from pcwlad_geo.registration.processes import Worker, available_cores, can_start_workers
+from pcwlad_geo.registration.processes import Workers, available_cores, can_start_workers
 from pcwlad_geo.registration.progress import Event, EventCallback, Warned, ignore
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import Affinity, InThisProcess, Ran, Runner, drive
@@ -104,9 +104,9 @@ class OwnProcesses:
 
     def __init__(self, jobs: int, preload: str = TASKS_MODULE) -> None:
         self._jobs = jobs if can_start_workers() else 1
-        self._preload = preload
-        self._workers: list[Worker] = []
+        self._wanted = 0
         self._losses: SimpleQueue[str] = SimpleQueue()
+        self._workers = Workers(preload, self._losses.put)
 
     def __enter__(self) -> OwnProcesses:
         return self
@@ -114,28 +114,23 @@ class OwnProcesses:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        for worker in self._workers:  # all at once, then wait
-            worker.stop()
-        for worker in self._workers:
-            worker.join()
-        self._workers.clear()
+        self._workers.stop()
 
     @property
     def process_ids(self) -> list[int]:
-        """Of the workers that have started."""
-        return [worker.process_id for worker in self._workers]
+        """Of the workers; those that are expected start."""
+        return [worker.process_id for worker in self._workers.at_least(self._wanted)]
 
     def expect(self, calls: int) -> None:
-        """Start the workers that so many calls can use; they import their libraries meanwhile."""
+        """Make the workers ready that so many calls can use; they import their libraries meanwhile."""
         wanted = min(self._jobs, calls)
-        if wanted > 1:
-            for _ in range(wanted - len(self._workers)):
-                self._workers.append(Worker(self._preload, self._losses.put))
+        if wanted > max(1, self._wanted):
+            self._wanted = wanted
+            self._workers.expect(wanted)
 
     def prepare(self, function: Callable[..., object], arguments: tuple[Any, ...]) -> None:
-        """Call a function in every worker that has started, without waiting for it."""
-        for worker in self._workers:
-            worker.submit(in_environment, (gdal_settings(), function, arguments))
+        """Call a function in every worker that is expected, without waiting for it."""
+        self._workers.prepare(in_environment, (gdal_settings(), function, arguments))
 
     def run(
         self,
@@ -148,18 +143,18 @@ class OwnProcesses:
         """Call the function with each tuple of arguments; see `Runner`."""
         self.expect(len(calls))
         wanted = list(affinity) if affinity is not None else [None] * len(calls)
-        if not self._workers or (len(calls) == 1 and wanted[0] is None):
+        if not self._wanted or (len(calls) == 1 and wanted[0] is None):
             return InThisProcess().run(function, calls, stage, on_event)
-        settings = gdal_settings()
+        settings, crew = gdal_settings(), self._workers.at_least(self._wanted)
 
         def submit(index: int, worker: int) -> Future[T]:
-            return self._workers[worker].submit(in_environment, (settings, function, calls[index]))
+            return crew[worker].submit(in_environment, (settings, function, calls[index]))
 
         def tell(event: Event) -> None:
             self._tell_losses(on_event)
             on_event(event)
 
-        results, workers = drive(submit, wanted, len(self._workers), stage, tell)
+        results, workers = drive(submit, wanted, len(crew), stage, tell)
         return Ran(results, list(workers))
 
     def _tell_losses(self, on_event: EventCallback) -> None:

@@ -51,16 +51,27 @@ def lattice_places(region: Window, candidates: int) -> list[Window]:
     return [_place(region, shape, row, col) for row in range(shape[0]) for col in range(shape[1])]
 
 
-def small_window(base: TileJob, candidates: int) -> TileJob:
-    """Return a small window in the corner of the region: its core is made of whole cells of candidates."""
+def small_window(base: TileJob, candidates: int, wanted: int) -> TileJob:
+    """Return a small window in the corner of the region: its core is made of whole cells of candidates.
+
+    Parameters
+    ----------
+    base : TileJob
+    candidates : int
+        In all windows together.
+    wanted : int
+        Tie points of all windows: candidates beyond that stand in for those that fail.
+    """
     rows, cols = lattice_shape(base.region, candidates)
     around = replace(base, core=Window(0, 0, 0, 0)).read_window.rows
     cell = (fast_even(around + LEAST_CORE_PX) - around) // CELLS_ACROSS
-    per_cell = int(np.ceil(candidates / (rows * cols) / CELLS_ACROSS**2))
+    cells = rows * cols * CELLS_ACROSS**2
+    per_cell = int(np.ceil(candidates / cells))
     settings = replace(
         base.settings,
         features=per_cell * CELLS_ACROSS**2,
         per_cell=per_cell,
+        spare=per_cell - int(np.ceil(wanted / cells)),
         features_area_px2=float((CELLS_ACROSS * cell) ** 2),
     )
     core = Window(base.region.row, base.region.col, CELLS_ACROSS * cell, CELLS_ACROSS * cell)

@@ -14,7 +14,7 @@ import traceback
 from contextlib import suppress
 from importlib import import_module
 from queue import SimpleQueue
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, NoReturn
 
 _POOLS: Final = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "BLIS_NUM", "VECLIB_MAXIMUM", "NUMBA_NUM", "GDAL_NUM")
 ONE_THREAD: Final = dict.fromkeys((f"{pool}_THREADS" for pool in _POOLS), "1")
@@ -40,33 +40,49 @@ def send(stream: BinaryIO, message: bytes) -> None:
 
 
 def receive(stream: BinaryIO) -> bytes | None:
-    """Read a message from a pipe; None at its end, or where it ends within a message."""
-    header = stream.read(_LENGTH.size)
-    if len(header) < _LENGTH.size:
+    """Read a message from a pipe; None at its end, or where it ends or breaks within a message."""
+    try:
+        header = stream.read(_LENGTH.size)
+        if len(header) < _LENGTH.size:
+            return None
+        length: int = _LENGTH.unpack(header)[0]
+        message = stream.read(length)
+    except OSError:  # a socket whose other end was killed
         return None
-    length: int = _LENGTH.unpack(header)[0]
-    message = stream.read(length)
     return message if len(message) == length else None
 
 
 def main(preload: str) -> None:
-    """Answer calls until the parent closes the pipe or is gone.
+    """Be a worker of its own: calls come over standard input, answers go to standard output.
 
     Parameters
     ----------
     preload : str
         A module to import before the first call comes; may be empty.
     """
-    calls, answers = _take_standard_streams()
+    answer_calls(*_take_standard_streams(), preload)
+
+
+def answer_calls(calls: BinaryIO, answers: BinaryIO, preload: str = "") -> NoReturn:
+    """Answer calls until the parent closes the stream or is gone; `preload` as for `main`."""
     waiting: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_listen, args=(calls, waiting), daemon=True).start()
     with suppress(Exception):  # the first call that needs it says what is wrong
         if preload:
             import_module(preload)
     while True:
-        answer = _answer(waiting.get())
+        message = answer(waiting.get())
         with suppress(OSError):  # the parent is gone: so will this process be, at once
-            send(answers, answer)
+            send(answers, message)
+
+
+def answer(call: bytes) -> bytes:
+    """Do a pickled call; return (True, result) or (False, error, its traceback), pickled."""
+    try:
+        function, arguments = pickle.loads(call)
+        return pickle.dumps((True, function(*arguments)), pickle.HIGHEST_PROTOCOL)
+    except Exception as error:
+        return _failure(error, "".join(traceback.format_exception(error)))
 
 
 def _take_standard_streams() -> tuple[BinaryIO, BinaryIO]:
@@ -84,15 +100,6 @@ def _listen(calls: BinaryIO, waiting: SimpleQueue[bytes]) -> None:
     while (call := receive(calls)) is not None:
         waiting.put(call)
     os._exit(0)
-
-
-def _answer(call: bytes) -> bytes:
-    """Do a call; return (True, result) or (False, error, its traceback), pickled."""
-    try:
-        function, arguments = pickle.loads(call)
-        return pickle.dumps((True, function(*arguments)), pickle.HIGHEST_PROTOCOL)
-    except Exception as error:
-        return _failure(error, "".join(traceback.format_exception(error)))
 
 
 def _failure(error: Exception, text: str) -> bytes:

@@ -3,6 +3,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.field import (
+    Prediction,
     Surface,
     choose_surface,
     global_affine,
@@ -151,3 +152,14 @@ def test_the_field_is_smooth_where_its_neighbours_predict_to_the_noise() -> None
     wavy = flat + 0.6 * np.sin(2 * np.pi * xy[:, ::-1] / 150)
     assert choose_surface(xy, flat, WINDOW).smooth
     assert not choose_surface(xy, wavy, WINDOW).smooth
+
+
+def test_predictions_may_be_shared_out() -> None:
+    rng = np.random.default_rng(8)
+    xy, at = rng.uniform(0, 900, (1500, 2)), rng.uniform(0, 900, (70, 2))
+    moved = np.sin(xy / 150) + rng.normal(0, 0.05, xy.shape)
+    for surface in (Surface(192, 2), Surface(1400, 1)):
+        whole = predict(xy, moved, at, surface)
+        parts = Prediction.concatenate([predict(xy, moved, part, surface) for part in (at[:30], at[30:])])
+        for name in ("displacement_px", "slope", "scatter_px", "leverage"):
+            np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))

@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.guidance import guide_by_field
+from pcwlad_geo.matching.matcher import matched_again
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.matching.tie_points import TiePoints
 
@@ -60,3 +63,16 @@ def test_few_points_guide_nothing(count: int) -> None:
     assert not guide.deforms
     assert np.isnan(guide.structure_xy_px).all()
     assert guide.surface is None
+
+
+def test_only_what_the_guide_says_something_new_about_is_matched_again() -> None:
+    xy = scattered()
+    smooth = guide_by_field(points(np.array([2.0, -1.0]) + noise(len(xy), 0.05), xy), SETTINGS)
+    assert matched_again(smooth, SETTINGS).all()
+    rough = guide_by_field(
+        points(noise(len(xy), 1.0) * np.sin(xy / 7), xy), replace(SETTINGS, consensus="off")
+    )
+    assert not rough.deforms
+    assert not matched_again(rough, SETTINGS).any()
+    assert matched_again(rough, replace(SETTINGS, backward_every=4)).all()
+    assert not matched_again(smooth, replace(SETTINGS, method="pcwlad")).any()

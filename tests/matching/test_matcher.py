@@ -1,3 +1,4 @@
+from collections import Counter
 from dataclasses import replace
 from functools import cache
 
@@ -8,7 +9,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.matcher import match_arrays, to_index
+from pcwlad_geo.matching.matcher import Core, match_arrays, match_candidates, to_index
+from pcwlad_geo.matching.phase_congruency import scene_epsilon
+from pcwlad_geo.matching.prepare import Image, prepare
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.matching.tie_points import TiePoints
 from tests.matching.landscape import Landscape, constant
@@ -234,3 +237,39 @@ def test_a_small_image_against_a_large_one_is_an_error() -> None:
 def test_a_mask_of_another_shape_is_an_error() -> None:
     with pytest.raises(InputError, match="mask"):
         match_arrays(image(0), image(1), reference_valid=np.ones((4, 4), bool), settings=SMALL)
+
+
+def test_spare_candidates_stand_in_for_those_that_fail() -> None:
+    """A cell gives as many points as are wanted of it, if all of its candidates together give as many."""
+    rng = np.random.default_rng(4)
+    target = image(0, SHIFT_XY) + 0
+    rubble = rng.random((SIDE // 10, SIDE // 10)) < 0.5
+    where = np.kron(rubble, np.ones((10, 10), bool))
+    target[where] = rng.permutation(target[where])
+    both = [Image(band, np.ones(band.shape, bool), scene_epsilon(band)) for band in (image(0), target)]
+    pair = prepare(*both, channels="gradients")
+    settings = MatchSettings(
+        method="gradient",
+        features=80,
+        per_cell=4,
+        features_area_px2=120.0**2,
+        template=41,
+        window=25,
+        search_radius=6,
+    )
+    core = Core(0, 0, SIDE, SIDE, (0, 0))
+    every, _ = match_candidates(pair, core, settings)
+    fewer, candidates = match_candidates(pair, core, replace(settings, spare=2))
+    cell_px = round(np.sqrt(4 * 120**2 / 80))
+    counts = [
+        Counter(map(tuple, (points.reference_xy_px // cell_px).astype(int))) for points in (every, fewer)
+    ]
+    assert counts[1] == {cell: min(count, 2) for cell, count in counts[0].items()}
+    assert len(fewer) < len(every)
+    assert candidates.counts["candidates"] == len(candidates) < len(fewer) + len(candidates.lost) + 1
+    assert len(candidates.lost) > 0
+    there = {
+        tuple(xy): xy_there for xy, xy_there in zip(every.reference_xy_px, every.target_xy_px, strict=True)
+    }
+    for xy, xy_there in zip(fewer.reference_xy_px, fewer.target_xy_px, strict=True):
+        np.testing.assert_array_equal(there[tuple(xy)], xy_there)

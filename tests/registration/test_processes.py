@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 import rasterio
 
 from pcwlad_geo.errors import ExecutionError
+from pcwlad_geo.registration import processes
 from pcwlad_geo.registration.environment import gdal_settings
 from pcwlad_geo.registration.processes import ATTEMPTS, available_cores
 from pcwlad_geo.registration.progress import Event, Progress, Warned
@@ -22,6 +24,8 @@ from tests.registration.calls import (
     die,
     die_once,
     fail_oddly,
+    note,
+    parent_of,
     print_something,
     process_of,
     remember,
@@ -34,6 +38,20 @@ from tests.registration.calls import (
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 CALLS = [(value,) for value in range(8)]
+
+
+@pytest.fixture(
+    autouse=True,
+    params=[
+        pytest.param("forks", marks=pytest.mark.skipif(not processes.CAN_FORK, reason="no forks here")),
+        "fresh",
+    ],
+)
+def source(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Where the processes come from."""
+    if request.param == "fresh":
+        monkeypatch.setattr(processes, "CAN_FORK", False)
+    return str(request.param)
 
 
 def test_jobs_are_other_processes_and_the_same_in_every_stage() -> None:
@@ -78,17 +96,20 @@ def test_the_default_is_a_process_a_core() -> None:
 def test_no_worker_outlives_its_runner() -> None:
     with OwnProcesses(2, preload="") as runner:
         runner.expect(2)
-        processes = runner.process_ids
+        process_ids = runner.process_ids
 
         def stop(event: Event) -> None:
             raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
             runner.run(sleep, [(0.0,), (3600.0,)], "sleep", stop)
-    wait_for_end(processes)
+    wait_for_end(process_ids)
 
 
 ORPHANS = """
+import sys
+from pcwlad_geo.registration import processes
+processes.CAN_FORK &= sys.argv[1] == "forks"
 from pcwlad_geo.registration.runners import OwnProcesses
 from tests.registration.calls import sleep
 with OwnProcesses(2, preload="") as runner:
@@ -99,15 +120,16 @@ with OwnProcesses(2, preload="") as runner:
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="asks /proc")
-def test_no_worker_outlives_a_parent_that_is_killed() -> None:
+def test_no_worker_outlives_a_parent_that_is_killed(source: str) -> None:
     """A script without a guard for its main module, too: workers do not import it."""
-    script = [sys.executable, "-c", ORPHANS]
+    script = [sys.executable, "-c", ORPHANS, source]
     with subprocess.Popen(script, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
-        processes = [int(process) for process in parent.stdout.readline().split()]
+        process_ids = [int(process) for process in parent.stdout.readline().split()]
+        process_ids += [parent_of(process) for process in process_ids if parent_of(process) != parent.pid]
         parent.kill()
-    assert len(processes) == 2
-    wait_for_end(processes)
+    assert len(process_ids) >= 2
+    wait_for_end(process_ids)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL")
@@ -201,3 +223,28 @@ def test_the_callers_own_opencv_keeps_its_threads(threads: bool) -> None:
         assert cv2.getNumThreads() == 3
     finally:
         cv2.setNumThreads(before)
+
+
+@pytest.mark.skipif(not processes.CAN_FORK, reason="no forks here")
+def test_workers_go_on_and_are_replaced_without_the_process_that_forked_them(
+    source: str, tmp_path: Path
+) -> None:
+    if source == "fresh":
+        pytest.skip("nothing is forked")
+    with OwnProcesses(2, preload="") as runner:
+        runner.expect(2)
+        (stem,) = {parent_of(process) for process in runner.process_ids}
+        os.kill(stem, signal.SIGKILL)
+        calls = [(tmp_path / "killed", value) for value in range(8)]
+        assert runner.run(die_once, calls, "calls").results == list(range(8))
+        everyone = runner.process_ids
+    wait_for_end(everyone)
+
+
+@pytest.mark.skipif(not processes.CAN_FORK, reason="no forks here")
+def test_what_is_prepared_first_is_done_once(source: str, tmp_path: Path) -> None:
+    with OwnProcesses(3, preload="") as runner:
+        runner.expect(3)
+        runner.prepare(note, (tmp_path,))
+        runner.run(process_of, CALLS, "calls")
+    assert len(list(tmp_path.iterdir())) == (1 if source == "forks" else 3)

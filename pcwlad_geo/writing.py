@@ -1,0 +1,93 @@
+"""All files of a job: the report and its page, tie points, corrections, warped rasters."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from pcwlad_geo import outputs
+from pcwlad_geo.raster.product import ProductBand
+from pcwlad_geo.registration.progress import EventCallback, Progress
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report import page
+from pcwlad_geo.report.pdf import to_pdf
+from pcwlad_geo.report.precision import PrecisionMap, precision_of
+from pcwlad_geo.report.summary import summarise, to_json
+
+
+def write(
+    registration: Registration,
+    staged: Mapping[str, Path],
+    places: Mapping[str, Path],
+    elsewhere: Collection[str],
+    bands: Mapping[ProductBand, Path],
+    on_event: EventCallback,
+) -> list[str]:
+    """Write all files of a job, the report last, and return their kinds.
+
+    Parameters
+    ----------
+    registration : Registration
+    staged : mapping
+        Where each kind of file is written.
+    places : mapping
+        Where each will be in the end: what the files say of one another.
+    elsewhere : collection
+        Kinds that will not be in the output folder.
+    bands : mapping
+        Where the other bands of a product are written.
+    on_event : callable
+    """
+    since = time.perf_counter()
+    if registration.status != "registered":
+        bands = {}
+    kinds = outputs.kinds(registration)
+    total = len(kinds) + len(bands) + 1  # the report is one
+    on_event(Progress("writing", 0, total))
+    written = [*kinds, "report", *(["pdf"] if registration.settings.pdf else []), "numbers"]
+    names = sorted(
+        [*(staged[kind].name for kind in written if kind not in elsewhere), *(p.name for p in bands.values())]
+    )
+    precision = precision_of(registration)
+    summary = summarise(registration, names, precision)
+    gcps = staged["gcps"].name if "gcps" in kinds else None
+    side = ThreadPoolExecutor(1)  # GDAL warps without Python's lock
+    try:
+        drawing = side.submit(_draw, registration, summary, gcps, precision)
+        writers = outputs.writers(registration, places, on_event)
+        for done, kind in enumerate(kinds, start=1):
+            writers[kind](staged[kind])
+            on_event(Progress("writing", done, total))
+        for done, (band, path) in enumerate(bands.items(), start=len(kinds) + 1):
+            outputs.write_band(registration, band, path, on_event)
+            on_event(Progress("writing", done, total))
+        content, seconds_drawing = drawing.result()
+    finally:
+        side.shutdown(wait=False)  # what is interrupted here must not wait for a page that nobody will see
+    seconds = registration.seconds | {"writing": time.perf_counter() - since, "report": seconds_drawing}
+    content["seconds"] = _rounded(seconds)
+    staged["report"].write_text(page.on_screen(content), encoding="utf-8", newline="\n")
+    if "pdf" in written:
+        printing = time.perf_counter()
+        staged["pdf"].write_bytes(to_pdf(page.on_paper(content)))
+        seconds["pdf"] = time.perf_counter() - printing
+    summary["seconds"] = _rounded(seconds)
+    staged["numbers"].write_text(to_json(summary), encoding="utf-8", newline="\n")
+    on_event(Progress("writing", total, total))
+    return written
+
+
+def _draw(
+    registration: Registration, summary: Mapping[str, Any], gcps: str | None, precision: PrecisionMap | None
+) -> tuple[dict[str, object], float]:
+    """Return what the page is made from, and the seconds that this took, its libraries included."""
+    since = time.perf_counter()
+    content = page.compose(registration, summary, gcps, precision)
+    return content, time.perf_counter() - since
+
+
+def _rounded(seconds: Mapping[str, float]) -> dict[str, float]:
+    return {stage: round(value, 3) for stage, value in seconds.items()}
