@@ -281,9 +281,12 @@ def _run_and_write(
 
 
 def _preloading(on_event: EventCallback) -> EventCallback:
-    """Return what passes events on, and loads the libraries of the writing once the matching has begun."""
+    """Return what passes events on, and loads what comes after the matching once that has begun."""
 
     def load() -> None:
+        from pcwlad_geo.registration.kernels import load_own_kernel
+
+        load_own_kernel()
         with suppress(ImportError):  # the writing will say it
             import_module("pcwlad_geo.writing")
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+
+from pcwlad_geo.matching.field import Surface, predict
 from pcwlad_geo.matching.first_start import compile_kernels, kernels_are_kept
 from pcwlad_geo.matching.settings import Method
 from pcwlad_geo.registration.progress import EventCallback, Warned
@@ -29,6 +32,12 @@ def load_kernels(method: Method, runner: Runner, on_event: EventCallback) -> Non
     if not kernels_are_kept(method):
         compile_kernels(method, lambda kept: on_event(Warned(KEPT if kept else NOT_KEPT)))
     runner.prepare(compile_kernels, (method, _say_nothing))
+
+
+def load_own_kernel() -> None:
+    """Load the kernel that this process calls itself, between the passes, while the workers match."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [2.0, 0.0], [0.0, 2.0]])
+    predict(corners, corners, corners[:1], Surface(6, 1))
 
 
 def _say_nothing(kept: bool) -> None:
