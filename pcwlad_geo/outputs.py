@@ -22,7 +22,7 @@ from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_grid import output_grid
 from pcwlad_geo.raster.product import ProductBand
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.progress import EventCallback, Progress
+from pcwlad_geo.registration.progress import EventCallback, Progress, Warned
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.settings import OutputGrid
 
@@ -73,9 +73,14 @@ def writers(
         resampling = registration.settings.resampling
         if registration.rpc is not None:
             corrected = registration.rpc.corrected_grid
-            rpc_warping.orthorectify(target.uri, path, corrected, grid(), resampling, progress=progress)
-            return
-        warping.warp(target.uri, path, _correction(registration), grid(), resampling, progress=progress)
+            warning = rpc_warping.orthorectify(
+                target.uri, path, corrected, grid(), resampling, progress=progress
+            )
+        else:
+            correction = _correction(registration)
+            warning = warping.warp(target.uri, path, correction, grid(), resampling, progress=progress)
+        if warning is not None:
+            on_event(Warned(warning))
 
     def write_sigma(path: Path) -> None:
         if registration.selection is None:
@@ -131,11 +136,11 @@ def warp_band(
     mode, resampling
         As `register` takes `grid` and `resampling`.
     on_event : callable
-        Receives `Progress` events.
+        Receives `Progress` events, and a warning where parts of the raster cannot be read.
     """
     reference, target = grids
     grid = output_grid(reference, target, correction, mode, own_grid=describe(source).grid)
-    warping.warp(
+    warning = warping.warp(
         source,
         path,
         correction,
@@ -144,6 +149,8 @@ def warp_band(
         target_grid=target,
         progress=lambda done, total: on_event(Progress("warping", done, total)),
     )
+    if warning is not None:
+        on_event(Warned(warning))
 
 
 def _corrected_rpc(registration: Registration) -> RpcModel:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -270,7 +271,9 @@ def _run_and_write(
         registration = job(_preloading(on_event))
         from pcwlad_geo.writing import write  # inside: slow to load, which `_preloading` may have done
 
-        for kind in write(registration, staged, places, elsewhere, bands, on_event):
+        written = write(registration, staged, places, elsewhere, bands, on_event)
+        registration = replace(registration, warnings=registration.warnings + written.warnings)
+        for kind in written.kinds:
             if kind in elsewhere:
                 place_file(staged[kind], elsewhere[kind], overwrite=overwrite)
         folder.commit()

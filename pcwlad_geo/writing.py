@@ -6,16 +6,24 @@ import time
 from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pcwlad_geo import outputs
 from pcwlad_geo.raster.product import ProductBand
-from pcwlad_geo.registration.progress import EventCallback, Progress
+from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report import page
 from pcwlad_geo.report.pdf import to_pdf
 from pcwlad_geo.report.precision import PrecisionMap, precision_of
 from pcwlad_geo.report.summary import summarise, to_json
+
+
+class Written(NamedTuple):
+    """What was written."""
+
+    kinds: list[str]
+    warnings: tuple[str, ...]
+    """What was found on the way; the report has them too."""
 
 
 def write(
@@ -25,8 +33,8 @@ def write(
     elsewhere: Collection[str],
     bands: Mapping[ProductBand, Path],
     on_event: EventCallback,
-) -> list[str]:
-    """Write all files of a job, the report last, and return their kinds.
+) -> Written:
+    """Write all files of a job, the report last.
 
     Parameters
     ----------
@@ -42,6 +50,13 @@ def write(
     on_event : callable
     """
     since = time.perf_counter()
+    told: list[str] = []
+
+    def tell(event: Event) -> None:
+        if isinstance(event, Warned):
+            told.append(event.message)
+        on_event(event)
+
     if registration.status != "registered":
         bands = {}
     kinds = outputs.kinds(registration)
@@ -57,18 +72,19 @@ def write(
     side = ThreadPoolExecutor(1)  # GDAL warps without Python's lock
     try:
         drawing = side.submit(_draw, registration, summary, gcps, precision)
-        writers = outputs.writers(registration, places, on_event)
+        writers = outputs.writers(registration, places, tell)
         for done, kind in enumerate(kinds, start=1):
             writers[kind](staged[kind])
             on_event(Progress("writing", done, total))
         for done, (band, path) in enumerate(bands.items(), start=len(kinds) + 1):
-            outputs.write_band(registration, band, path, on_event)
+            outputs.write_band(registration, band, path, tell)
             on_event(Progress("writing", done, total))
         content, seconds_drawing = drawing.result()
     finally:
         side.shutdown(wait=False)  # what is interrupted here must not wait for a page that nobody will see
     seconds = registration.seconds | {"writing": time.perf_counter() - since, "report": seconds_drawing}
-    content["seconds"] = _rounded(seconds)
+    summary["warnings"] = [*registration.warnings, *told]
+    content |= page.words(registration.status, summary) | {"seconds": _rounded(seconds)}
     staged["report"].write_text(page.on_screen(content), encoding="utf-8", newline="\n")
     if "pdf" in written:
         printing = time.perf_counter()
@@ -77,7 +93,7 @@ def write(
     summary["seconds"] = _rounded(seconds)
     staged["numbers"].write_text(to_json(summary), encoding="utf-8", newline="\n")
     on_event(Progress("writing", total, total))
-    return written
+    return Written(written, tuple(told))
 
 
 def _draw(

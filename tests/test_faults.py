@@ -116,6 +116,23 @@ def test_a_tile_that_cannot_be_read_is_left_out_and_told(copy: tuple[Path, Path]
     assert not (points.reference_px > 220).all(axis=1).any()  # nothing from the lost corner
 
 
+def test_what_cannot_be_warped_is_left_empty_and_told(copy: tuple[Path, Path], tmp_path: Path) -> None:
+    damage(copy[1], (LAST, LAST))
+    events: list[Event] = []
+    found = pcwlad_geo.register(
+        *copy, out_dir=tmp_path / "out", jobs=1, model="shift", on_event=events.append, **TILES
+    )
+    (told,) = [warning for warning in found.warnings if "is empty" in warning]
+    assert "b10.tif cannot be read there" in told
+    assert told in [event.message for event in events if isinstance(event, Warned)]
+    assert told in json.loads((tmp_path / "out" / "report.json").read_text())["warnings"]
+    assert "is empty" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    with rasterio.open(tmp_path / "out" / "b10_registered.tif") as file:
+        valid = file.dataset_mask() > 0
+    assert valid[10:230, 10:-10].all()
+    assert not valid[308:, 308:].any()
+
+
 def stop_reading(path: Path, *blocks_xy: tuple[int, int]) -> Any:
     """Damage a file between the passes."""
 

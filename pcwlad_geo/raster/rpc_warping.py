@@ -18,18 +18,19 @@ from rasterio.enums import ColorInterp, Resampling
 from rasterio.io import DatasetReader
 from rasterio.rpc import RPC
 from rasterio.warp import reproject
+from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.raster.dem import WGS84, ConstantHeight, Dem
-from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.metadata import has_alpha
 from pcwlad_geo.raster.output_grid import snapped_size
 from pcwlad_geo.raster.rpc_files import to_gdal
 from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled
 from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.raster.unread import Block, filled
 from pcwlad_geo.raster.warped_blocks import MOST_THREADS
 from pcwlad_geo.raster.warping import BlockRequest, Blocks, ProgressCallback, kernel, write_warped
 from pcwlad_geo.raster.windows import Window
@@ -91,7 +92,7 @@ def orthorectify(
     resampling: str = "lanczos",
     *,
     progress: ProgressCallback | None = None,
-) -> None:
+) -> str | None:
     """Resample all bands of a raster once, through its RPC and the ground's heights, and write a COG.
 
     GDAL takes RPC and height at every pixel. Where no height is known,
@@ -111,10 +112,15 @@ def orthorectify(
     progress : callable, optional
         Receives done, total after each block; what it raises ends the work.
 
+    Returns
+    -------
+    str or None
+        A warning where parts of the raster could not be read.
+
     Raises
     ------
     InputError
-        If the raster or the DEM cannot be read.
+        If the DEM, the raster, or half of it, cannot be read.
     OutputError
         If the result cannot be written.
     """
@@ -126,7 +132,7 @@ def orthorectify(
         filled = _blocks(source, target, grid, method, replace(request, as_alpha=False))
         return _with_alpha(filled, request.nodata)
 
-    write_warped(source_path, out_path, grid, resampling, blocks_of, progress)
+    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress)
 
 
 def _blocks(
@@ -148,17 +154,19 @@ def _blocks(
     # GDAL takes the RPC from the metadata of what it reads, whatever it is told
     tree = vrt.with_rpc(source, to_gdal(target.rpc), mask_as_alpha=request.as_alpha)
     with open_raster(ET.tostring(tree, encoding="unicode")) as seen:
-        for window in request.windows:
+        bands = rasterio.band(seen, list(range(1, count + 1)))
+        nothing = filled([request.nodata or 0.0] * count, np.dtype(dtype))
+
+        def warped(window: FileWindow) -> Block:
             part = grid.part((window.col_off, window.row_off), (window.height, window.width))
-            block = np.full((count, *part.shape), request.nodata or 0.0, dtype=dtype)
+            block = nothing(window)
             with _ground_below(target, part) as heights:
                 if heights is not None:
-                    try:
-                        bands = rasterio.band(seen, list(range(1, count + 1)))
-                        reproject(bands, block, dst_transform=part.transform, **options, **heights)
-                    except GDAL_ERRORS as error:
-                        raise InputError(f"{source.name} cannot be read: {root_cause(error)}") from error
-            yield window, block
+                    reproject(bands, block, dst_transform=part.transform, **options, **heights)
+            return block
+
+        for window in request.windows:
+            yield window, request.gaps.read(warped, window, nothing)
 
 
 def _with_alpha(blocks: Blocks, nodata: float) -> Blocks:

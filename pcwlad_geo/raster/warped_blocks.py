@@ -11,21 +11,20 @@ from itertools import groupby
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from rasterio.enums import ColorInterp
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
+from pcwlad_geo.raster.unread import Block, Gaps, filled
 
 MOST_THREADS: Final = 4
 """More would wait for the one that writes."""
 
-Block = NDArray[np.generic]
-
 
 def warped_blocks(
-    uri: str, view: Callable[[], AbstractContextManager[DatasetReader]], windows: Sequence[Window]
+    gaps: Gaps, view: Callable[[], AbstractContextManager[DatasetReader]], windows: Sequence[Window]
 ) -> Generator[tuple[Window, Block], None, None]:
     """Yield the windows of a warped raster, each row of windows read by one thread from left to right.
 
@@ -34,8 +33,8 @@ def warped_blocks(
 
     Parameters
     ----------
-    uri : str
-        The raster to warp, for messages.
+    gaps : Gaps
+        Takes note of what cannot be read.
     view : callable
         Opens the warped raster.
     windows : sequence of Window
@@ -50,7 +49,7 @@ def warped_blocks(
     Raises
     ------
     InputError
-        If the raster cannot be read.
+        If the raster cannot be opened, or too much of it cannot be read.
     """
     rows = [list(row) for _, row in groupby(windows, key=lambda window: window.row_off)]
     count = min(os.cpu_count() or 1, MOST_THREADS, len(rows))
@@ -60,12 +59,13 @@ def warped_blocks(
     def read(own: Sequence[Window]) -> None:
         try:
             with view() as warped:
+                nothing = filled(_values_of_nothing(warped), np.dtype(np.result_type(*warped.dtypes)))
                 for window in own:
-                    done.put((window, warped.read(window=window)))
+                    done.put((window, gaps.read(lambda part: warped.read(window=part), window, nothing)))
                     if stop.is_set():
                         return
         except GDAL_ERRORS as error:
-            done.put(InputError(f"{uri} cannot be read: {root_cause(error)}"))
+            done.put(InputError(f"{gaps.name} cannot be read: {root_cause(error)}"))
         except BaseException as error:  # for the thread that takes the blocks
             done.put(error)
 
@@ -79,6 +79,14 @@ def warped_blocks(
     finally:
         stop.set()
         _drain(done, threads)
+
+
+def _values_of_nothing(warped: DatasetReader) -> list[float]:
+    """Return for each band what stands where nothing is known."""
+    return [
+        0.0 if kind == ColorInterp.alpha or nodata is None else nodata
+        for kind, nodata in zip(warped.colorinterp, warped.nodatavals, strict=True)
+    ]
 
 
 def _checked(item: tuple[Window, Block] | BaseException) -> tuple[Window, Block]:

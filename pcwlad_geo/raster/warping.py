@@ -33,7 +33,8 @@ from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.metadata import has_alpha, has_mask_band, is_paletted, usable_nodata
 from pcwlad_geo.raster.output_grid import original_pixels
 from pcwlad_geo.raster.source import describe, open_raster
-from pcwlad_geo.raster.warped_blocks import Block, warped_blocks
+from pcwlad_geo.raster.unread import Block, Gaps
+from pcwlad_geo.raster.warped_blocks import warped_blocks
 
 Array = NDArray[np.float64]
 ProgressCallback = Callable[[int, int], None]
@@ -63,6 +64,8 @@ class BlockRequest:
     """By an additional alpha band, or else by the nodata value where nothing is known."""
     scratch: Path
     """Folder for files that are needed until the last block."""
+    gaps: Gaps
+    """Takes note of what cannot be read."""
 
     def options(self) -> dict[str, object]:
         """Return what is valid as options of `rasterio.vrt.WarpedVRT`."""
@@ -85,7 +88,7 @@ def warp(
     *,
     target_grid: Grid | None = None,
     progress: ProgressCallback | None = None,
-) -> None:
+) -> str | None:
     """Resample all bands of a raster once onto the output grid and write a COG.
 
     The inverse of georeferencing ∘ correction: output pixel → predicted target pixel → observed
@@ -94,7 +97,7 @@ def warp(
     a nodata value, transparent where it has an alpha band, NaN in floating-point bands, and
     masked by an internal mask otherwise: no nodata value is invented. Bands with a colour table
     are resampled nearest neighbour. Blocks are read and warped in a few threads; memory does not
-    grow with the raster.
+    grow with the raster. Parts of a damaged file that cannot be read are left empty.
 
     Parameters
     ----------
@@ -113,10 +116,15 @@ def warp(
     progress : callable, optional
         Receives done, total after each block; what it raises ends the work.
 
+    Returns
+    -------
+    str or None
+        A warning where parts of the source could not be read.
+
     Raises
     ------
     InputError
-        If the source cannot be read, or lies in another CRS than target_grid.
+        If the source, or half of it, cannot be read, or lies in another CRS than target_grid.
     OutputError
         If the result cannot be written.
     """
@@ -127,9 +135,9 @@ def warp(
 
     def blocks_of(source: DatasetReader, method: Resampling, request: BlockRequest) -> Blocks:
         view = _view(source, grids, correction, method, request)
-        return warped_blocks(source.name, view, request.windows)
+        return warped_blocks(request.gaps, view, request.windows)
 
-    write_warped(source_path, out_path, grid, resampling, blocks_of, progress)
+    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress)
 
 
 def write_warped(
@@ -139,7 +147,7 @@ def write_warped(
     resampling: str,
     blocks_of: BlocksOf,
     progress: ProgressCallback | None = None,
-) -> None:
+) -> str | None:
     """Write the blocks of a warped raster as a COG with all that the raster carries beside its pixels.
 
     Parameters
@@ -149,10 +157,15 @@ def write_warped(
     blocks_of : callable
         Resamples the windows of the output that it is asked for.
 
+    Returns
+    -------
+    str or None
+        A warning where parts of the source could not be read.
+
     Raises
     ------
     InputError
-        If the source cannot be read.
+        If the source, or half of it, cannot be read.
     OutputError
         If the result cannot be written.
     """
@@ -162,9 +175,11 @@ def write_warped(
         small_block_cache(),
     ):
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
-        pixels = _write_pixels(source, scratch / "pixels.tif", grid.shape, method, blocks_of, progress)
+        gaps = Gaps(source.name, grid.shape[0] * grid.shape[1])
+        pixels = _write_pixels(source, scratch / "pixels.tif", gaps, grid.shape, method, blocks_of, progress)
         interpolated = method != Resampling.nearest
         write_cog(source, scratch, pixels, grid, interpolated=interpolated).replace(out_path)
+    return gaps.warning
 
 
 def check_geometry(source_path: str | Path, own: Grid, target: Grid) -> None:
@@ -251,6 +266,7 @@ def _scratch_folder(out_path: Path) -> Iterator[Path]:
 def _write_pixels(
     source: DatasetReader,
     path: Path,
+    gaps: Gaps,
     shape: tuple[int, int],
     method: Resampling,
     blocks_of: BlocksOf,
@@ -275,7 +291,7 @@ def _write_pixels(
         "transform": Affine.scale(2.0, -2.0),
     }
     windows = list(_blocks(shape, (source.count + 1) * dtype.itemsize))
-    request = BlockRequest(windows, nodata, needs_mask or fills, path.parent)
+    request = BlockRequest(windows, nodata, needs_mask or fills, path.parent, gaps)
     with (
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
         rasterio.open(path, "w", **profile) as sink,

@@ -19,7 +19,7 @@ from PIL import Image
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.dem import Dem
 from pcwlad_geo.raster.source import file_name
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.result import Registration, Status
 from pcwlad_geo.report.figures.candidates import candidate_figure
 from pcwlad_geo.report.figures.coverage import coverage_figure, missing_kinds
 from pcwlad_geo.report.figures.displacements import displacement_figure
@@ -79,11 +79,8 @@ def compose(
     """
     image = read_backdrop(registration.reference)
     precision = precision or precision_of(registration)
-    given = answers(summary)
     return {
-        **summary,
-        "headline": headline(registration.status, given),
-        "answers": given,
+        **words(registration.status, summary),
         "target_name": file_name(registration.target.uri),
         "reference_name": file_name(registration.reference.uri),
         "figures": _figures(registration, summary, precision, image),
@@ -91,6 +88,12 @@ def compose(
         "views": pair_views(registration),
         "warp_line": warp_line(gcps_vrt) if gcps_vrt else None,
     }
+
+
+def words(status: Status, summary: Mapping[str, Any]) -> Content:
+    """Return the part of the content that follows from the summary alone."""
+    given = answers(summary)
+    return {**summary, "headline": headline(status, given), "answers": given}
 
 
 def warp_line(gcps_vrt: str) -> str:

@@ -1,0 +1,64 @@
+"""Blocks of a damaged raster, by ever smaller parts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rasterio.errors import RasterioIOError
+from rasterio.windows import Window
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.unread import LEAST_PART_PX, Block, Gaps, filled
+
+SIDE = 700
+BAD = (310, 295)
+"""Row, column of a pixel that cannot be read."""
+
+
+def pixels(window: Window) -> Block:
+    row, col = np.mgrid[: int(window.height), : int(window.width)]
+    return (1 + row + window.row_off + 1000 * (col + window.col_off))[None].astype(np.int32)
+
+
+def read(window: Window) -> Block:
+    rows, cols = window.toranges()
+    if rows[0] <= BAD[0] < rows[1] and cols[0] <= BAD[1] < cols[1]:
+        raise RasterioIOError("damaged")
+    return pixels(window)
+
+
+def test_only_a_small_part_about_the_damage_is_lost() -> None:
+    gaps = Gaps("a.tif", SIDE * SIDE)
+    whole = Window(0, 0, SIDE, SIDE)
+    block = gaps.read(read, whole, filled([-7.0], np.dtype(np.int32)))
+    lost = block[0] == -7
+    np.testing.assert_array_equal(block[0][~lost], pixels(whole)[0][~lost])
+    assert lost[BAD]
+    assert lost.sum() == gaps.lost_px2 <= LEAST_PART_PX**2
+    rows, cols = np.nonzero(lost)
+    assert max(np.ptp(rows), np.ptp(cols)) < LEAST_PART_PX
+    assert gaps.warning is not None
+    assert "a.tif cannot be read there" in gaps.warning
+    assert "damaged" in gaps.warning
+
+
+def test_nothing_is_said_of_a_sound_file() -> None:
+    gaps = Gaps("a.tif", 100)
+    window = Window(300, 0, 10, 10)
+    np.testing.assert_array_equal(gaps.read(read, window, filled([0.0], np.dtype(int))), pixels(window))
+    assert gaps.warning is None
+
+
+def test_what_is_mostly_lost_is_an_error() -> None:
+    def fail(window: Window) -> Block:
+        raise RasterioIOError("no such block")
+
+    with pytest.raises(InputError, match=r"a\.tif cannot be read: no such block"):
+        Gaps("a.tif", SIDE * SIDE).read(fail, Window(0, 0, SIDE, SIDE), filled([0.0], np.dtype(int)))
+
+
+def test_nothing_is_a_value_a_band() -> None:
+    block = filled([5.0, np.nan], np.dtype(np.float32))(Window(0, 0, 3, 2))
+    assert (block.shape, block.dtype) == ((2, 2, 3), np.float32)
+    np.testing.assert_array_equal(block[:, 0, 0], [5.0, np.nan])
+    block[0] = 1  # the caller's own
