@@ -114,7 +114,7 @@ def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int) -> 
     """
     n = len(xy_px)
     candidates = [surface for surface in SURFACES if surface.count < n] or [Surface(n, 1)]
-    residuals = [_against_neighbours(xy_px, displacement_px, window_px, surface) for surface in candidates]
+    residuals = _against_neighbours(xy_px, displacement_px, window_px, candidates)
     errors = [_typical(residual) for residual, _ in residuals]
     chosen = next((i for i, error in enumerate(errors) if error <= min(errors) + SIMPLER_WITHIN_PX), -1)
     residual, share = residuals[chosen]
@@ -140,26 +140,35 @@ def independent_residual(
         Displacement minus prediction, less what the prediction itself errs on average: as large as the
         point's own error. NaN outside the sample and where there are no such neighbours.
     """
-    residual, share = _against_neighbours(xy_px, displacement_px, window_px, surface)
+    ((residual, share),) = _against_neighbours(xy_px, displacement_px, window_px, [surface])
     return residual * share[:, None]
 
 
 def _against_neighbours(
-    xy: Float64, displacement: Float64, window_px: int, surface: Surface
-) -> tuple[Float64, Float64]:
-    """Return displacement minus prediction, (m, 2), and how much of it is the point's own error, (m,)."""
+    xy: Float64, displacement: Float64, window_px: int, surfaces: Sequence[Surface]
+) -> list[tuple[Float64, Float64]]:
+    """Return displacement minus prediction, (m, 2), and how much of it is the point's own error, (m,).
+
+    For each of the surfaces; neighbours are looked up once for all that are laid through the same points.
+    """
     sample = np.unique(np.linspace(0, len(xy) - 1, min(SAMPLE, len(xy))).astype(np.intp))
-    others = _thinned(xy, displacement, surface)
-    predicted = _predict_apart(*others, xy[sample], EXCLUSION * window_px)
-    # points whose windows share pixels err alike: together they are little more than one witness
-    in_a_window = cKDTree(others[0]).query_ball_point(
-        xy[sample], window_px / np.sqrt(np.pi), return_length=True
-    )
-    alike = ALIKE * float(np.median(in_a_window)) if len(sample) else 1.0
-    residual, share = np.full(xy.shape, np.nan), np.full(len(xy), np.nan)
-    residual[sample] = displacement[sample] - predicted.displacement_px
-    share[sample] = 1 / np.sqrt(1 + predicted.leverage * alike)
-    return residual, share
+    apart_px = EXCLUSION * window_px
+    found: list[tuple[Float64, Float64]] = []
+    search: _Search | None = None
+    for surface in surfaces:
+        others, moved, thinned = _thinned(xy, displacement, surface)
+        if search is None or len(search.xy) != len(others):
+            most = max(each.count for _, _, each in (_thinned(xy, xy, each) for each in surfaces))
+            search = _Search.of(others, xy[sample], most, apart_px)
+        predicted = search.predict(moved, thinned)
+        # points whose windows share pixels err alike: together they are little more than one witness
+        in_a_window = search.tree.query_ball_point(xy[sample], window_px / np.sqrt(np.pi), return_length=True)
+        alike = ALIKE * float(np.median(in_a_window)) if len(sample) else 1.0
+        residual, share = np.full(xy.shape, np.nan), np.full(len(xy), np.nan)
+        residual[sample] = displacement[sample] - predicted.displacement_px
+        share[sample] = 1 / np.sqrt(1 + predicted.leverage * alike)
+        found.append((residual, share))
+    return found
 
 
 def _thinned(xy: Float64, displacement: Float64, surface: Surface) -> tuple[Float64, Float64, Surface]:
@@ -202,23 +211,53 @@ def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Fl
 def _predict_apart(
     xy: Float64, displacement: Float64, surface: Surface, at: Float64, apart_px: float
 ) -> Prediction:
-    count = surface.count
-    xy, displacement, at = (np.ascontiguousarray(array, np.float64) for array in (xy, displacement, at))
-    tree = cKDTree(xy)
-    out, slope = np.full((len(at), 2), np.nan), np.full((len(at), 2, 2), np.nan)
-    scatter, leverage = np.full(len(at), np.nan), np.full(len(at), np.nan)
-    reach = min(len(xy), 2 * count if apart_px else count)
-    if apart_px and len(xy) > 1:
-        near = tree.query_ball_point(at, apart_px, return_length=True)
-        reach = int(min(len(xy), count + near.max()))
-    step = max(1, CHUNK_VALUES // max(reach, 1))
-    for begin in range(0, len(at), step):
-        part = slice(begin, begin + step)
-        distance, index = tree.query(at[part], k=np.arange(1, reach + 1))
+    step = max(1, CHUNK_VALUES // max(min(len(xy), surface.count), 1))
+    parts = [
+        _Search.of(xy, at[begin : begin + step], surface.count, apart_px).predict(displacement, surface)
+        for begin in range(0, max(len(at), 1), step)
+    ]
+    return Prediction.concatenate(parts)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """Points near each of n places, the nearest first."""
+
+    xy: Float64
+    """(m, 2) all points."""
+    tree: cKDTree
+    at: Float64
+    """(n, 2)."""
+    distance: Float64
+    index: Index
+    """(n, k)."""
+    apart_px: float
+    """Nearer points do not count."""
+    nearer: int
+    """So many of those there are, at most."""
+
+    @staticmethod
+    def of(xy: Float64, at: Float64, count: int, apart_px: float) -> _Search:
+        """Look for so many points that count."""
+        xy, at = (np.ascontiguousarray(array, np.float64) for array in (xy, at))
+        tree, nearer = cKDTree(xy), 0
+        if apart_px and len(xy) > 1 and len(at):
+            nearer = int(tree.query_ball_point(at, apart_px, return_length=True).max())
+        reach = min(len(xy), count + nearer)
+        distance, index = tree.query(at, k=np.arange(1, reach + 1))
+        return _Search(xy, tree, at, distance, index.astype(np.intp), apart_px, nearer)
+
+    def predict(self, displacement: Float64, surface: Surface) -> Prediction:
+        """Lay a surface through the nearest points that count."""
+        reach = min(len(self.xy), surface.count + self.nearer)
+        index = np.ascontiguousarray(self.index[:, :reach])
         usable = np.ones(index.shape, bool)
-        if apart_px:
-            usable = distance >= apart_px
-            usable &= np.cumsum(usable, axis=1) <= count
-        found = (out[part], slope[part], scatter[part], leverage[part])
-        fit_surfaces(xy, displacement, at[part], index.astype(np.intp), usable, surface.order, *found)
-    return Prediction(out, slope, SIGMA_OF_MEDIAN_DISTANCE * scatter, leverage)
+        if self.apart_px:
+            usable = self.distance[:, :reach] >= self.apart_px
+            usable &= np.cumsum(usable, axis=1) <= surface.count
+        n = len(self.at)
+        out, slope = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
+        scatter, leverage = np.full(n, np.nan), np.full(n, np.nan)
+        moved = np.ascontiguousarray(displacement, np.float64)
+        fit_surfaces(self.xy, moved, self.at, index, usable, surface.order, out, slope, scatter, leverage)
+        return Prediction(out, slope, SIGMA_OF_MEDIAN_DISTANCE * scatter, leverage)

@@ -84,8 +84,9 @@ def detect_corners(
     scaled = np.clip(moment * np.float32(255 / FULL_SCALE), 0, 255).astype(np.uint8)
     detector = cv2.FastFeatureDetector.create(THRESHOLD, True, cv2.FAST_FEATURE_DETECTOR_TYPE_9_16)
     found = detector.detect(scaled)
-    corners_rc = np.array([(point.pt[1], point.pt[0]) for point in found], np.intp).reshape(-1, 2)
-    response = np.array([point.response for point in found], np.float32)
+    places = np.array(cv2.KeyPoint.convert(found), np.float32).reshape(-1, 2)
+    corners_rc = np.ascontiguousarray(places[:, ::-1].astype(np.intp))
+    response = np.fromiter((point.response for point in found), np.float32, len(found))
     kept = usable[corners_rc[:, 0], corners_rc[:, 1]]
     corners_rc = corners_rc[kept]
     return corners_rc, response[kept] * weight[corners_rc[:, 0], corners_rc[:, 1]]
