@@ -285,17 +285,17 @@ def _run_and_write(
 
 def _preloading(on_event: EventCallback) -> EventCallback:
     """Return what passes events on, and loads what comes after the matching once that has begun."""
+    threads: list[Thread] = []
 
     def load() -> None:
-        from pcwlad_geo.registration.kernels import load_own_kernel
-
-        load_own_kernel()
-        with suppress(ImportError):  # the writing will say it
+        with suppress(Exception):  # whoever needs it will say it
+            import_module("pcwlad_geo.registration.kernels").load_own_kernel()
             import_module("pcwlad_geo.writing")
 
     def tell(event: Event) -> None:
-        if isinstance(event, Progress) and event.stage == "matching" and event.done == 0:
-            Thread(target=load).start()
+        if isinstance(event, Progress) and event.stage == "matching" and not threads:
+            threads.append(Thread(target=load))
+            threads[0].start()
         on_event(event)
 
     return tell

@@ -14,10 +14,25 @@ from rasterio.windows import Window
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
 
-LEAST_PART_PX: Final = 64
-"""Side of the smallest part that is tried on its own."""
+LEAST_PART: Final = (64, 64)
+"""Rows and columns of the smallest part that is tried on its own."""
 MOST_LOST: Final = 0.5
-"""Of a raster, that is a gap; beyond it the file cannot be used."""
+"""Of a raster, that is a gap; beyond it, or where less is seen than lost, the file cannot be used."""
+MOST_PARTS: Final = 2000
+"""That fail, before the file is given up."""
+REMOTE: Final = (
+    "/vsicurl",
+    "/vsis3",
+    "/vsigs",
+    "/vsiaz",
+    "/vsiadls",
+    "/vsioss",
+    "/vsiswift",
+    "http:",
+    "https:",
+)
+"""What cannot be read from there may be readable in a minute: no reason for a gap."""
+_STRIDE: Final = 8
 
 Block = NDArray[np.generic]
 ReadBlock = Callable[[Window], Block]
@@ -32,43 +47,85 @@ class Gaps:
     area_px2: int
     """Of all that is to be read."""
     lost_px2: int = 0
+    seen_px2: int = 0
+    """About so many pixels show something."""
+    _parts: int = 0
     _reason: str = ""
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    @property
     def warning(self) -> str | None:
-        """What people should know; None where all could be read."""
-        if self.lost_px2 == 0:
-            return None
-        share = 100 * self.lost_px2 / self.area_px2
-        return (
-            f"{share:.2g} % of the warped raster is empty, as {self.name} cannot be read there: it may be "
-            f"damaged ({self._reason})"
-        )
-
-    def read(self, read: ReadBlock, window: Window, nothing: ReadBlock) -> Block:
-        """Return a block; parts of it that cannot be read are as `nothing` makes them.
+        """Return what people should know, when all is read; None where all could be.
 
         Raises
         ------
         InputError
-            If too much of the raster is lost.
+            If less is seen than lost.
+        """
+        if self.lost_px2 == 0:
+            return None
+        if self.lost_px2 > self.seen_px2:
+            raise self._error()
+        share = 100 * self.lost_px2 / (self.lost_px2 + self.seen_px2)
+        return (
+            f"about {share:.2g} % of the warped raster is empty, as {self.name} cannot be read there: it may "
+            f"be damaged ({self._reason})"
+        )
+
+    def read(
+        self, read: ReadBlock, window: Window, nothing: ReadBlock, least: tuple[int, int] = LEAST_PART
+    ) -> Block:
+        """Return a block; parts of it that cannot be read are as `nothing` makes them.
+
+        Parameters
+        ----------
+        read : callable
+            Reads a block, or raises one of `GDAL_ERRORS`.
+        window : rasterio.windows.Window
+        nothing : callable
+            Makes a block that shows nothing.
+        least : (int, int)
+            Rows and columns of parts that are not divided any further.
+
+        Raises
+        ------
+        InputError
+            If too much of the raster is lost, or it is on another machine.
         """
         try:
-            return read(window)
+            block = read(window)
         except GDAL_ERRORS as error:
-            if max(window.width, window.height) <= LEAST_PART_PX:
-                self._lose(window, root_cause(error))
+            self._fail(root_cause(error))
+            if window.height <= least[0] and window.width <= least[1]:
+                self._lose(window)
                 return nothing(window)
-        axis = 1 if window.height >= window.width else 2
-        return np.concatenate([self.read(read, half, nothing) for half in _halves(window)], axis)
+        else:
+            self._see(block, nothing(Window(0, 0, 1, 1)))
+            return block
+        down = window.height > least[0]
+        halves = _halves(window, down=down)
+        return np.concatenate([self.read(read, half, nothing, least) for half in halves], 1 if down else 2)
 
-    def _lose(self, window: Window, reason: str) -> None:
+    def _see(self, block: Block, nothing: Block) -> None:
+        some = block[:, ::_STRIDE, ::_STRIDE]
+        same = (some == nothing) | ((some != some) & (nothing != nothing))  # NaN is as good as NaN
+        with self._lock:
+            self.seen_px2 += int((~same.all(axis=0)).sum()) * _STRIDE**2
+
+    def _fail(self, reason: str) -> None:
+        with self._lock:
+            self._reason = self._reason or reason
+            self._parts += 1
+        if self._parts > MOST_PARTS or self.name.startswith(REMOTE):
+            raise self._error()
+
+    def _lose(self, window: Window) -> None:
         with self._lock:
             self.lost_px2 += int(window.width * window.height)
-            self._reason = self._reason or reason
-            if self.lost_px2 > MOST_LOST * self.area_px2:
-                raise InputError(f"{self.name} cannot be read: {reason}")
+        if self.lost_px2 > MOST_LOST * self.area_px2:
+            raise self._error()
+
+    def _error(self) -> InputError:
+        return InputError(f"{self.name} cannot be read: {self._reason}")
 
 
 def filled(values: list[float], dtype: np.dtype[Any]) -> ReadBlock:
@@ -81,9 +138,9 @@ def filled(values: list[float], dtype: np.dtype[Any]) -> ReadBlock:
     return nothing
 
 
-def _halves(window: Window) -> list[Window]:
+def _halves(window: Window, *, down: bool) -> list[Window]:
     col, row, width, height = (int(each) for each in window.flatten())
-    if height >= width:
+    if down:
         upper = height // 2
         return [Window(col, row, width, upper), Window(col, row + upper, width, height - upper)]
     left = width // 2

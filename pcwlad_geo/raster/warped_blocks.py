@@ -60,8 +60,13 @@ def warped_blocks(
         try:
             with view() as warped:
                 nothing = filled(_values_of_nothing(warped), np.dtype(np.result_type(*warped.dtypes)))
+                least = warped.block_shapes[0]  # GDAL warps whole blocks: smaller parts would fail alike
+
+                def part(window: Window) -> Block:
+                    return np.asarray(warped.read(window=window))
+
                 for window in own:
-                    done.put((window, gaps.read(lambda part: warped.read(window=part), window, nothing)))
+                    done.put((window, gaps.read(part, window, nothing, least)))
                     if stop.is_set():
                         return
         except GDAL_ERRORS as error:

@@ -177,9 +177,10 @@ def write_warped(
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
         gaps = Gaps(source.name, grid.shape[0] * grid.shape[1])
         pixels = _write_pixels(source, scratch / "pixels.tif", gaps, grid.shape, method, blocks_of, progress)
+        warning = gaps.warning()
         interpolated = method != Resampling.nearest
         write_cog(source, scratch, pixels, grid, interpolated=interpolated).replace(out_path)
-    return gaps.warning
+    return warning
 
 
 def check_geometry(source_path: str | Path, own: Grid, target: Grid) -> None:

@@ -81,8 +81,14 @@ class Stem:
         """
         ours, theirs = socket.socketpair()
         with ours, theirs, self._lock:
-            socket.send_fds(self._control, [_FORK], [theirs.fileno()])
-            return ForkedProcess(_receive_number(self._control), ours, self)
+            try:
+                socket.send_fds(self._control, [_FORK], [theirs.fileno()])
+                return ForkedProcess(_receive_number(self._control), ours, self)
+            except (
+                BaseException
+            ):  # an answer that nobody has read would be taken for that to the next question
+                self._control.close()
+                raise
 
     def wait(self, process_id: int) -> int | None:
         """Wait for the end of a worker and return its status; None where nobody knows."""
@@ -95,8 +101,8 @@ class Stem:
 
     def close(self) -> None:
         """End the stem."""
+        self._process.kill()  # first: it may be busy, and somebody may be waiting for its answer
         self._control.close()
-        self._process.kill()
         self._process.wait()
 
 

@@ -165,12 +165,12 @@ class Workers:
         """End all processes, also in the middle of a call."""
         for worker in self._all:  # all at once, then wait
             worker.stop()
-        for worker in self._all:
-            worker.join()
-        self._all.clear()
         if self._stem is not None:
             self._stem.close()
             self._stem = None
+        for worker in self._all:
+            worker.join()
+        self._all.clear()
 
     def _process(self) -> Process:
         if self._stem is not None:

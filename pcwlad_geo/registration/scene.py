@@ -23,6 +23,7 @@ from pcwlad_geo.registration.judge import Verdict, judge
 from pcwlad_geo.registration.match_record import MatchRecord, record_matching
 from pcwlad_geo.registration.planning import Plan, common_region, plan
 from pcwlad_geo.registration.prealign import Look, target_offset_px
+from pcwlad_geo.registration.progress import Event, EventCallback, Warned
 from pcwlad_geo.registration.result import Prealignment
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import Runner
@@ -180,7 +181,7 @@ def _rematch(
 ) -> _Again:
     """Visit the tiles again, guided by the field of all consistent points."""
     index = np.flatnonzero(kept)
-    guide = guide_by_field(matches[index], matching, partial(_predict_on, runner))
+    guide = guide_by_field(matches[index], matching, partial(_predict_on, runner, log.on_event))
     again = np.flatnonzero(matched_again(guide, matching))
     tile_of = first.tile_of[index[again]]
     tiles = np.unique(tile_of)
@@ -202,13 +203,20 @@ def _rematch(
     return _Again(points, guide.surface, np.full(len(matches), guide.shared_variance_px2), lost)
 
 
-def _predict_on(runner: Runner, xy: Float64, moved: Float64, at: Float64, surface: Surface) -> Prediction:
+def _predict_on(
+    runner: Runner, on_event: EventCallback, xy: Float64, moved: Float64, at: Float64, surface: Surface
+) -> Prediction:
     """Do what `field.predict` does, shared out where there are many places."""
+
+    def warn(event: Event) -> None:  # of lost workers; the progress is no stage's own
+        if isinstance(event, Warned):
+            on_event(event)
+
     size = max(PLACES_PER_CALL, -(-len(at) // MOST_CALLS))
     if len(at) <= size:
         return predict(xy, moved, at, surface)
     calls = [(xy, moved, at[begin : begin + size], surface) for begin in range(0, len(at), size)]
-    return Prediction.concatenate(runner.run(predict, calls, "refining").results)
+    return Prediction.concatenate(runner.run(predict, calls, "refining", warn).results)
 
 
 def _match_settings(

@@ -71,7 +71,7 @@ def small_window(base: TileJob, candidates: int, wanted: int) -> TileJob:
         base.settings,
         features=per_cell * CELLS_ACROSS**2,
         per_cell=per_cell,
-        spare=per_cell - int(np.ceil(wanted / cells)),
+        spare=max(0, per_cell - int(np.ceil(wanted / cells))),
         features_area_px2=float((CELLS_ACROSS * cell) ** 2),
     )
     core = Window(base.region.row, base.region.col, CELLS_ACROSS * cell, CELLS_ACROSS * cell)

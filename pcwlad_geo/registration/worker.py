@@ -97,9 +97,11 @@ def _take_standard_streams() -> tuple[BinaryIO, BinaryIO]:
 
 def _listen(calls: BinaryIO, waiting: SimpleQueue[bytes]) -> None:
     """Queue what comes in; the end of the pipe is the end of the process, in the middle of a call too."""
-    while (call := receive(calls)) is not None:
-        waiting.put(call)
-    os._exit(0)
+    try:
+        while (call := receive(calls)) is not None:
+            waiting.put(call)
+    finally:  # whatever ended it
+        os._exit(0)
 
 
 def _failure(error: Exception, text: str) -> bytes:

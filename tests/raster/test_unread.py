@@ -8,7 +8,7 @@ from rasterio.errors import RasterioIOError
 from rasterio.windows import Window
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.unread import LEAST_PART_PX, Block, Gaps, filled
+from pcwlad_geo.raster.unread import LEAST_PART, Block, Gaps, filled
 
 SIDE = 700
 BAD = (310, 295)
@@ -34,19 +34,20 @@ def test_only_a_small_part_about_the_damage_is_lost() -> None:
     lost = block[0] == -7
     np.testing.assert_array_equal(block[0][~lost], pixels(whole)[0][~lost])
     assert lost[BAD]
-    assert lost.sum() == gaps.lost_px2 <= LEAST_PART_PX**2
+    assert lost.sum() == gaps.lost_px2 <= LEAST_PART[0] * LEAST_PART[1]
     rows, cols = np.nonzero(lost)
-    assert max(np.ptp(rows), np.ptp(cols)) < LEAST_PART_PX
-    assert gaps.warning is not None
-    assert "a.tif cannot be read there" in gaps.warning
-    assert "damaged" in gaps.warning
+    assert max(np.ptp(rows), np.ptp(cols)) < LEAST_PART[0]
+    warning = gaps.warning()
+    assert warning is not None
+    assert "a.tif cannot be read there" in warning
+    assert "damaged" in warning
 
 
 def test_nothing_is_said_of_a_sound_file() -> None:
     gaps = Gaps("a.tif", 100)
     window = Window(300, 0, 10, 10)
     np.testing.assert_array_equal(gaps.read(read, window, filled([0.0], np.dtype(int))), pixels(window))
-    assert gaps.warning is None
+    assert gaps.warning() is None
 
 
 def test_what_is_mostly_lost_is_an_error() -> None:
@@ -55,6 +56,42 @@ def test_what_is_mostly_lost_is_an_error() -> None:
 
     with pytest.raises(InputError, match=r"a\.tif cannot be read: no such block"):
         Gaps("a.tif", SIDE * SIDE).read(fail, Window(0, 0, SIDE, SIDE), filled([0.0], np.dtype(int)))
+
+
+@pytest.mark.parametrize("nodata", [0.0, np.nan])
+def test_what_is_lost_without_anything_seen_is_an_error(nodata: float) -> None:
+    """The raster is a small part of the grid: its edge is empty, all of it cannot be read."""
+    nothing = filled([nodata], np.dtype(np.float32))
+
+    def edge_only(window: Window) -> Block:
+        rows, cols = window.toranges()
+        if rows[0] < 90 and cols[0] < 90:
+            raise RasterioIOError("no such block")
+        return nothing(window)
+
+    gaps = Gaps("a.tif", SIDE * SIDE)
+    gaps.read(edge_only, Window(0, 0, SIDE, SIDE), nothing)
+    assert 0 < gaps.lost_px2 < 0.1 * SIDE**2
+    with pytest.raises(InputError, match=r"a\.tif cannot be read: no such block"):
+        gaps.warning()
+
+
+def test_a_file_elsewhere_has_no_gaps() -> None:
+    gaps = Gaps("/vsicurl/https://example.com/a.tif", SIDE * SIDE)
+    with pytest.raises(InputError, match="damaged"):
+        gaps.read(read, Window(0, 0, SIDE, SIDE), filled([0.0], np.dtype(int)))
+
+
+def test_hopeless_files_are_given_up() -> None:
+    tried = []
+
+    def fail(window: Window) -> Block:
+        tried.append(window)
+        raise RasterioIOError("no such block")
+
+    with pytest.raises(InputError):
+        Gaps("a.tif", 10**9).read(fail, Window(0, 0, 30000, 30000), filled([0.0], np.dtype(np.uint8)))
+    assert len(tried) < 2100
 
 
 def test_nothing_is_a_value_a_band() -> None:
