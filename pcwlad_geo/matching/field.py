@@ -99,7 +99,14 @@ def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, surface
         Where to predict.
     surface : Surface
     """
-    return _predict_apart(*_thinned(xy_px, displacement_px, surface), at_xy_px, 0.0)
+    others, moved, thinned = _thinned(xy_px, displacement_px, surface)
+    tree = cKDTree(others)
+    step = max(1, CHUNK_VALUES // max(min(len(others), thinned.count), 1))
+    parts = [
+        _Search.of(tree, at_xy_px[begin : begin + step], thinned.count).predict(moved, thinned)
+        for begin in range(0, max(len(at_xy_px), 1), step)
+    ]
+    return Prediction.concatenate(parts)
 
 
 def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int) -> Choice:
@@ -152,29 +159,40 @@ def _against_neighbours(
     For each of the surfaces; neighbours are looked up once for all that are laid through the same points.
     """
     sample = np.unique(np.linspace(0, len(xy) - 1, min(SAMPLE, len(xy))).astype(np.intp))
-    apart_px = EXCLUSION * window_px
+    steps = {_step(surface) for surface in surfaces}
+    searches = {
+        step: _Search.of(
+            cKDTree(xy[::step]),
+            xy[sample],
+            max(surface.count // step for surface in surfaces if _step(surface) == step),
+            EXCLUSION * window_px,
+        )
+        for step in steps
+    }
+    # points whose windows share pixels err alike: together they are little more than one witness
+    alike = {
+        step: ALIKE * search.typical_count(window_px / np.sqrt(np.pi)) for step, search in searches.items()
+    }
     found: list[tuple[Float64, Float64]] = []
-    search: _Search | None = None
     for surface in surfaces:
-        others, moved, thinned = _thinned(xy, displacement, surface)
-        if search is None or len(search.xy) != len(others):
-            most = max(each.count for _, _, each in (_thinned(xy, xy, each) for each in surfaces))
-            search = _Search.of(others, xy[sample], most, apart_px)
-        predicted = search.predict(moved, thinned)
-        # points whose windows share pixels err alike: together they are little more than one witness
-        in_a_window = search.tree.query_ball_point(xy[sample], window_px / np.sqrt(np.pi), return_length=True)
-        alike = ALIKE * float(np.median(in_a_window)) if len(sample) else 1.0
+        _, moved, thinned = _thinned(xy, displacement, surface)
+        predicted = searches[_step(surface)].predict(moved, thinned)
         residual, share = np.full(xy.shape, np.nan), np.full(len(xy), np.nan)
         residual[sample] = displacement[sample] - predicted.displacement_px
-        share[sample] = 1 / np.sqrt(1 + predicted.leverage * alike)
+        share[sample] = 1 / np.sqrt(1 + predicted.leverage * alike[_step(surface)])
         found.append((residual, share))
     return found
 
 
 def _thinned(xy: Float64, displacement: Float64, surface: Surface) -> tuple[Float64, Float64, Surface]:
     """Return so many of the points that the surface's neighbours are not more than needed."""
-    step = -(-surface.count // MOST_NEIGHBOURS)
+    step = _step(surface)
     return xy[::step], displacement[::step], Surface(surface.count // step, surface.order)
+
+
+def _step(surface: Surface) -> int:
+    """Return every how many points one is a neighbour."""
+    return -(-surface.count // MOST_NEIGHBOURS)
 
 
 def _typical(residual: Float64) -> float:
@@ -208,24 +226,12 @@ def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Fl
     return solution[1:].T.copy(), np.sqrt(np.outer(variance, np.diagonal(inverse)[1:]))
 
 
-def _predict_apart(
-    xy: Float64, displacement: Float64, surface: Surface, at: Float64, apart_px: float
-) -> Prediction:
-    step = max(1, CHUNK_VALUES // max(min(len(xy), surface.count), 1))
-    parts = [
-        _Search.of(xy, at[begin : begin + step], surface.count, apart_px).predict(displacement, surface)
-        for begin in range(0, max(len(at), 1), step)
-    ]
-    return Prediction.concatenate(parts)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
     """Points near each of n places, the nearest first."""
 
-    xy: Float64
-    """(m, 2) all points."""
     tree: cKDTree
+    """Of all points."""
     at: Float64
     """(n, 2)."""
     distance: Float64
@@ -237,19 +243,22 @@ class _Search:
     """So many of those there are, at most."""
 
     @staticmethod
-    def of(xy: Float64, at: Float64, count: int, apart_px: float) -> _Search:
+    def of(tree: cKDTree, at: Float64, count: int, apart_px: float = 0.0) -> _Search:
         """Look for so many points that count."""
-        xy, at = (np.ascontiguousarray(array, np.float64) for array in (xy, at))
-        tree, nearer = cKDTree(xy), 0
-        if apart_px and len(xy) > 1 and len(at):
+        at, nearer = np.ascontiguousarray(at, np.float64), 0
+        if apart_px and tree.n > 1 and len(at):
             nearer = int(tree.query_ball_point(at, apart_px, return_length=True).max())
-        reach = min(len(xy), count + nearer)
-        distance, index = tree.query(at, k=np.arange(1, reach + 1))
-        return _Search(xy, tree, at, distance, index.astype(np.intp), apart_px, nearer)
+        distance, index = tree.query(at, k=np.arange(1, min(tree.n, count + nearer) + 1))
+        return _Search(tree, at, distance, index.astype(np.intp), apart_px, nearer)
+
+    def typical_count(self, radius_px: float) -> float:
+        """Return how many points typically lie within a radius; 1 where there is no place."""
+        counts = self.tree.query_ball_point(self.at, radius_px, return_length=True)
+        return float(np.median(counts)) if len(counts) else 1.0
 
     def predict(self, displacement: Float64, surface: Surface) -> Prediction:
         """Lay a surface through the nearest points that count."""
-        reach = min(len(self.xy), surface.count + self.nearer)
+        reach = min(self.tree.n, surface.count + self.nearer)
         index = np.ascontiguousarray(self.index[:, :reach])
         usable = np.ones(index.shape, bool)
         if self.apart_px:
@@ -259,5 +268,6 @@ class _Search:
         out, slope = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
         scatter, leverage = np.full(n, np.nan), np.full(n, np.nan)
         moved = np.ascontiguousarray(displacement, np.float64)
-        fit_surfaces(self.xy, moved, self.at, index, usable, surface.order, out, slope, scatter, leverage)
+        found = (out, slope, scatter, leverage)
+        fit_surfaces(self.tree.data, moved, self.at, index, usable, surface.order, *found)
         return Prediction(out, slope, SIGMA_OF_MEDIAN_DISTANCE * scatter, leverage)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -148,7 +149,7 @@ def match_candidates(pair: PreparedPair, core: Core, settings: MatchSettings) ->
         points = _points(corners[index], shift[index], covariance, score[index])
         return points, Candidates(_centres(corners), fate)
 
-    def match(some: Index) -> TiePoints:
+    def match(some: Index) -> tuple[TiePoints, Bool]:
         start = Start(shift[some], np.zeros((len(some), 2, 2)))
         refined, agree = _refine_both(pair.stacks, corners[some], start, settings)
         fate[some] = np.select(
@@ -156,21 +157,44 @@ def match_candidates(pair: PreparedPair, core: Core, settings: MatchSettings) ->
             [FATES.index(name) for name in ("not_converged", "directions_disagree")],
         )
         points = _points(corners[some], refined.shift_xy_px, refined.covariance_px2, score[some])
-        return points[refined.converged & agree]
+        found = refined.converged & agree
+        return points[found], found
 
-    if settings.spare == 0:
-        return match(index), Candidates(_centres(corners), fate)
-    cell_px = _cell_px(settings, float(settings.features_area_px2 or corners.size))
+    if settings.spare == 0 or settings.features_area_px2 is None:
+        return match(index)[0], Candidates(_centres(corners), fate)
+    cell_px = keypoints.cell_side_px(settings.features, settings.per_cell, settings.features_area_px2)
     order, rank = keypoints.rank_in_cell(corners[index], score[index], cell_px, core.origin_rc)
-    wanted, cell = settings.per_cell - settings.spare, np.cumsum(rank == 0) - 1
-    first = rank < wanted
-    points = match(index[order[first]])
-    found = np.bincount(cell[first], fate[index[order[first]]] == 0)
-    second = ~first & (rank - wanted < wanted - found[cell])
-    points = TiePoints.concatenate([points, match(index[order[second]])])
-    tried = ~inside
-    tried[index[order[first | second]]] = True
+    points, unneeded = _match_in_turns(match, index[order], rank, settings.per_cell - settings.spare)
+    tried = np.delete(np.arange(len(corners)), unneeded)
     return points, Candidates(_centres(corners[tried]), fate[tried])
+
+
+def _match_in_turns(
+    match: Callable[[Index], tuple[TiePoints, Bool]], candidates: Index, rank: Index, wanted: int
+) -> tuple[TiePoints, Index]:
+    """Match the best candidates of every cell, then one more for each of these that fails, if there is one.
+
+    Parameters
+    ----------
+    match : callable
+        Matches some candidates; returns the points found, and for which candidates.
+    candidates, rank : (n,) intp arrays
+        By cell, the best of each first, and the rank in the cell.
+    wanted : int
+        Matches of a cell.
+
+    Returns
+    -------
+    points : TiePoints
+    unneeded : (m,) intp array
+        Candidates that were not tried.
+    """
+    first, cell = rank < wanted, np.cumsum(rank == 0) - 1
+    points, found = match(candidates[first])
+    missing = wanted - np.bincount(cell[first], found)
+    second = ~first & (rank - wanted < missing[cell])
+    more, _ = match(candidates[second])
+    return TiePoints.concatenate([points, more]), candidates[~first & ~second]
 
 
 def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
@@ -330,17 +354,13 @@ def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
     area = settings.features_area_px2 or float(
         usable[core.row : core.row_stop, core.col : core.col_stop].sum()
     )
-    cell_px = _cell_px(settings, area)
+    cell_px = keypoints.cell_side_px(settings.features, settings.per_cell, area)
     chosen = keypoints.by_cell(corners, response, cell_px, core.origin_rc, settings.per_cell)
     # a cell belongs to the core that holds its first pixel, so that neighbouring tiles share no cell
     first = (chosen + np.asarray(core.origin_rc)) // cell_px * cell_px - np.asarray(core.origin_rc)
     owned = (first >= (core.row, core.col)).all(axis=1) & (first < (core.row_stop, core.col_stop)).all(axis=1)
     result: Index = chosen[owned]
     return result
-
-
-def _cell_px(settings: MatchSettings, area_px2: float) -> int:
-    return keypoints.cell_side_px(settings.features, settings.per_cell, area_px2)
 
 
 def _points(corners: Index, shift_xy: Float64, covariance: Float64, score: Float64) -> TiePoints:

@@ -21,7 +21,7 @@ class MatchSettings:
     per_cell: int = 4
     """Candidates of a cell, at most."""
     spare: int = 0
-    """So many of these are matched only where others of the cell fail; `features_area_px2` must be given."""
+    """So many of these are matched only where others of the cell fail; it counts with `features_area_px2`."""
     keypoints: Keypoints = "cells"
     features_area_px2: float | None = None
     """Area that `features` candidates are spread over; None: the usable area of the image."""

@@ -129,8 +129,8 @@ def orthorectify(
         if request.nodata is None or not request.as_alpha:
             return _blocks(source, target, grid, method, request)
         # By an alpha band made of nodata GDAL's warper with an RPC loses most of the pixels.
-        filled = _blocks(source, target, grid, method, replace(request, as_alpha=False))
-        return _with_alpha(filled, request.nodata)
+        by_nodata = _blocks(source, target, grid, method, replace(request, as_alpha=False))
+        return _with_alpha(by_nodata, request.nodata)
 
     return write_warped(source_path, out_path, grid, resampling, blocks_of, progress)
 

@@ -9,10 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.windows import Window
+from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
+from pcwlad_geo.raster.windows import Window
 
 LEAST_PART: Final = (64, 64)
 """Rows and columns of the smallest part that is tried on its own."""
@@ -21,21 +22,14 @@ MOST_LOST: Final = 0.5
 MOST_PARTS: Final = 2000
 """That fail, before the file is given up."""
 REMOTE: Final = (
-    "/vsicurl",
-    "/vsis3",
-    "/vsigs",
-    "/vsiaz",
-    "/vsiadls",
-    "/vsioss",
-    "/vsiswift",
-    "http:",
-    "https:",
+    *(f"/vsi{kind}" for kind in ("curl", "s3", "gs", "az", "adls", "oss", "swift")),
+    *("http:", "https:"),
 )
 """What cannot be read from there may be readable in a minute: no reason for a gap."""
 _STRIDE: Final = 8
 
 Block = NDArray[np.generic]
-ReadBlock = Callable[[Window], Block]
+ReadBlock = Callable[[FileWindow], Block]
 
 
 @dataclass(slots=True)
@@ -72,7 +66,7 @@ class Gaps:
         )
 
     def read(
-        self, read: ReadBlock, window: Window, nothing: ReadBlock, least: tuple[int, int] = LEAST_PART
+        self, read: ReadBlock, window: FileWindow, nothing: ReadBlock, least: tuple[int, int] = LEAST_PART
     ) -> Block:
         """Return a block; parts of it that cannot be read are as `nothing` makes them.
 
@@ -99,11 +93,15 @@ class Gaps:
                 self._lose(window)
                 return nothing(window)
         else:
-            self._see(block, nothing(Window(0, 0, 1, 1)))
+            self._see(block, nothing(FileWindow(0, 0, 1, 1)))
             return block
-        down = window.height > least[0]
-        halves = _halves(window, down=down)
-        return np.concatenate([self.read(read, half, nothing, least) for half in halves], 1 if down else 2)
+        col, row, cols, rows = (int(each) for each in window.flatten())
+        halves = [
+            FileWindow(half.col, half.row, half.cols, half.rows)
+            for half in Window(row, col, rows, cols).halves()
+        ]
+        parts = [self.read(read, half, nothing, least) for half in halves]
+        return np.concatenate(parts, 1 if rows >= cols else 2)
 
     def _see(self, block: Block, nothing: Block) -> None:
         some = block[:, ::_STRIDE, ::_STRIDE]
@@ -118,7 +116,7 @@ class Gaps:
         if self._parts > MOST_PARTS or self.name.startswith(REMOTE):
             raise self._error()
 
-    def _lose(self, window: Window) -> None:
+    def _lose(self, window: FileWindow) -> None:
         with self._lock:
             self.lost_px2 += int(window.width * window.height)
         if self.lost_px2 > MOST_LOST * self.area_px2:
@@ -131,17 +129,8 @@ class Gaps:
 def filled(values: list[float], dtype: np.dtype[Any]) -> ReadBlock:
     """Return what makes blocks that hold one value a band."""
 
-    def nothing(window: Window) -> Block:
+    def nothing(window: FileWindow) -> Block:
         column = np.array(values).astype(dtype)[:, None, None]
         return np.broadcast_to(column, (len(values), int(window.height), int(window.width))).copy()
 
     return nothing
-
-
-def _halves(window: Window, *, down: bool) -> list[Window]:
-    col, row, width, height = (int(each) for each in window.flatten())
-    if down:
-        upper = height // 2
-        return [Window(col, row, width, upper), Window(col, row + upper, width, height - upper)]
-    left = width // 2
-    return [Window(col, row, left, height), Window(col + left, row, width - left, height)]

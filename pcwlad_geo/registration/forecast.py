@@ -41,6 +41,6 @@ def likely_tiles(
         for path in (reference, target):
             with rasterio.open(path) as dataset:
                 shapes.append(dataset.shape)
-        rows, cols = map(min, zip(*shapes, strict=True))
-        return tiles_along(rows, settings.tile_size) * tiles_along(cols, settings.tile_size)
+        least = map(min, zip(*shapes, strict=True))
+        return math.prod(tiles_along(length, settings.tile_size) for length in least)
     return 0

@@ -14,21 +14,18 @@ import struct
 import subprocess
 import sys
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from importlib import import_module
 from typing import BinaryIO, Final, cast
 
-from pcwlad_geo.errors import ExecutionError
-from pcwlad_geo.registration.worker import ONE_THREAD, answer, answer_calls
+from pcwlad_geo.registration.interpreters import start_interpreter
+from pcwlad_geo.registration.worker import answer, answer_calls
 
 CAN_FORK: Final = sys.platform == "linux" and hasattr(socket, "send_fds")
 
 _FORK, _PREPARE, _WAIT = b"F", b"P", b"W"
 _NUMBER: Final = struct.Struct("<q")
-_START: Final = (
-    "import sys; sys.path[:] = sys.argv[3:]; "
-    "from pcwlad_geo.registration.forks import be_stem; be_stem(sys.argv[1], int(sys.argv[2]))"
-)
+_START: Final = "from pcwlad_geo.registration.forks import be_stem; be_stem(sys.argv[1], int(sys.argv[2]))"
 
 
 class Stem:
@@ -47,23 +44,13 @@ class Stem:
 
     def __init__(self, preload: str) -> None:
         ours, theirs = socket.socketpair()
-        command = [sys.executable, "-c", _START, preload, str(theirs.fileno()), *map(str, sys.path)]
-        try:
-            # A session of its own: an interrupt of the terminal reaches the parent only.
-            self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                env={**os.environ, **ONE_THREAD},
-                pass_fds=[theirs.fileno()],
-                start_new_session=True,
+        with theirs, ExitStack() as on_error:
+            on_error.push(ours)
+            number = theirs.fileno()
+            self._process = start_interpreter(
+                _START, [preload, str(number)], stdin=subprocess.DEVNULL, pass_fds=[number]
             )
-        except OSError as error:
-            ours.close()
-            raise ExecutionError(
-                f"cannot start a worker process ({error.strerror}): give fewer --jobs"
-            ) from error
-        finally:
-            theirs.close()
+            on_error.pop_all()
         self._control, self._lock = ours, threading.Lock()
 
     def prepare(self, call: bytes) -> None:
@@ -84,10 +71,8 @@ class Stem:
             try:
                 socket.send_fds(self._control, [_FORK], [theirs.fileno()])
                 return ForkedProcess(_receive_number(self._control), ours, self)
-            except (
-                BaseException
-            ):  # an answer that nobody has read would be taken for that to the next question
-                self._control.close()
+            except BaseException:
+                self._control.close()  # an answer left unread would be taken for that to the next question
                 raise
 
     def wait(self, process_id: int) -> int | None:
@@ -144,8 +129,8 @@ def be_stem(preload: str, control_fd: int) -> None:
         if preload:
             import_module(preload)
     with suppress(OSError):  # the parent is gone
-        while request := socket.recv_fds(control, 1, 1):
-            kind, fds, *_ = request
+        while True:
+            kind, fds, *_ = socket.recv_fds(control, 1, 1)
             if kind == _PREPARE:
                 answer(_receive(control, _receive_number(control)))
             elif kind == _WAIT:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -13,7 +14,7 @@ from pcwlad_geo.matching.keypoints import cell_side_px
 from pcwlad_geo.matching.settings import MatchSettings
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.windows import Window
-from pcwlad_geo.registration.forecast import ONE_TILE, tiles_along
+from pcwlad_geo.registration.forecast import tiles_along
 from pcwlad_geo.registration.prealign import Look
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.sites import find_sites, lattice_places, lattice_shape, small_window
@@ -104,7 +105,7 @@ def plan(
     wanted = POINTS_OF_A_SCENE if settings.points is None else settings.points
     candidates = np.inf if wanted == "all" else CANDIDATES_PER_POINT * wanted
     densest = settings.features / min(area, FEATURE_AREA_PX**2)
-    one_tile = max(region.shape) <= ONE_TILE * settings.tile_size
+    one_tile = tiles_along(max(region.shape), settings.tile_size) == 1
     if one_tile or candidates >= densest * area:
         tiles = _cover(base, densest, settings.tile_size)
         return Plan([replace(tile, guides_itself=len(tiles) == 1) for tile in tiles])
@@ -122,8 +123,7 @@ def plan(
 def count_tiles(pair: ViewPair, settings: Settings) -> int:
     """Return about how many tiles a pair makes at least, before it is known where to start."""
     region = common_region(pair, (round(pair.offset_px[0]), round(pair.offset_px[1])))
-    tiles = [len(_spans(0, length, settings.tile_size)) for length in region.shape]
-    return tiles[0] * tiles[1]
+    return math.prod(tiles_along(length, settings.tile_size) for length in region.shape)
 
 
 def common_region(pair: ViewPair, target_offset_px: tuple[int, int]) -> Window:

@@ -16,15 +16,13 @@ from typing import Any, BinaryIO, Final, Protocol, TypeVar, cast
 
 from pcwlad_geo.errors import ExecutionError
 from pcwlad_geo.registration.forks import CAN_FORK, Stem
-from pcwlad_geo.registration.worker import ONE_THREAD, RemoteTraceback, receive, send
+from pcwlad_geo.registration.interpreters import start_interpreter
+from pcwlad_geo.registration.worker import RemoteTraceback, receive, send
 
 ATTEMPTS: Final = 3
 """How many processes may die on one call."""
 
-_START: Final = (
-    "import sys; sys.path[:] = sys.argv[2:]; "
-    "from pcwlad_geo.registration.worker import main; main(sys.argv[1])"
-)
+_START: Final = "from pcwlad_geo.registration.worker import main; main(sys.argv[1])"
 
 T = TypeVar("T")
 
@@ -183,20 +181,7 @@ class _Fresh:
     """A fresh interpreter."""
 
     def __init__(self, preload: str) -> None:
-        # A session of its own: an interrupt of the terminal reaches the parent only, which ends its workers.
-        try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", _START, preload, *map(str, sys.path)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                env={**os.environ, **ONE_THREAD},
-                start_new_session=True,
-                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
-            )
-        except OSError as error:
-            raise ExecutionError(
-                f"cannot start a worker process ({error.strerror}): give fewer --jobs"
-            ) from error
+        self._process = start_interpreter(_START, [preload], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self.pid = self._process.pid
         self.calls = cast(BinaryIO, self._process.stdin)
         self.answers = cast(BinaryIO, self._process.stdout)
