@@ -227,6 +227,7 @@ def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: Mat
             target[index] - points.reference_xy_px[index],
             guide.linear[index],
             None if structure is None else structure[index],
+            is_match=True,
         )
         refined, agree = _refine_both(pair, to_index(points[index]), start, how)
         good = refined.converged & agree
@@ -300,6 +301,7 @@ def _refine_back(
         -(shift_xy + deformation),
         np.linalg.inv(np.eye(2) + linear) - np.eye(2),
         None if structure_xy is None else -(structure_xy + deformation),
+        is_match=True,
     )
     backward = _refine_one_way(pair.turned, landed, start, settings)
     return -backward.shift_xy_px - deformation, backward

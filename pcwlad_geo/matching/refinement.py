@@ -20,6 +20,8 @@ from pcwlad_geo.matching.spline import spline_coefficients
 
 TOLERANCE_PX: Final = 0.004
 """The move that would follow the last one is expected to be shorter."""
+REACHED_BY_PX: Final = 0.05
+"""A start that is a match already counts as reached by a move of this length."""
 RELAXATION_ROBUST: Final = 1.4
 """The weights follow the residual, so a plain step falls short by a third; the first is made longer."""
 RELAXATION_STRUCTURE: Final = 1.4
@@ -80,6 +82,13 @@ class Start:
     """(n, 2) shift at which the mutual structure is taken; None: wherever the iteration is."""
     structure: Float32 | None = None
     """(n, window, window) mutual structure given from outside."""
+    is_match: bool = False
+    """The shifts were refined before, from nearly the same pixels: one short move confirms them."""
+
+    @property
+    def reached_by_px(self) -> float:
+        """Return the length of the move that has led here."""
+        return REACHED_BY_PX if self.is_match else np.inf
 
 
 def refine(
@@ -133,6 +142,7 @@ def refine(
         robust=robust,
         affine=affine,
         iterations=iterations,
+        reached_by_px=start.reached_by_px,
         tolerance_px=TOLERANCE_PX,
         relaxation=first_relaxation(robust, structure_mode == state.STRUCTURE_FOLLOWS),
         least_valid=float(least_valid),

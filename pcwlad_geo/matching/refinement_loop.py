@@ -25,6 +25,7 @@ from pcwlad_geo.matching.refinement_sampling import (
     load_window,
     sample_deformed,
     sample_shift,
+    sample_values,
 )
 from pcwlad_geo.matching.refinement_state import (
     CONVERGED,
@@ -54,7 +55,7 @@ from pcwlad_geo.matching.refinement_steps import (
 )
 
 NEAR_PX: Final = 0.1
-"""The last step but one must be shorter than this: a single short step may be chance."""
+"""The last move but one must be shorter than this: a single short one may be chance."""
 
 
 @compiled()
@@ -106,14 +107,21 @@ def _load(
     shift: Float64,
     linear: Float64,
     deformed: bool,
+    first: bool,
+    looks: bool,
     options: Options,
     work: Workspace,
 ) -> bool:
-    """Copy the reference's extended window, sample the target's and its gradient; False if it sticks out."""
+    """Sample the target's extended window, and its gradient if it is not only looked at; False if it sticks out.
+
+    The reference's window, always the same, is copied the first time.
+    """
     reach = options.half + options.correlation_half
     side = 2 * reach + 1
-    reference, plane = images.reference[channel], images.coefficients[channel]
-    load_window(reference, row - reach, col - reach, side, side, options.width, work.reference)
+    plane = images.coefficients[channel]
+    if first:
+        reference = images.reference[channel]
+        load_window(reference, row - reach, col - reach, side, side, options.width, work.reference[channel])
     if deformed:
         return bool(
             sample_deformed(
@@ -127,6 +135,19 @@ def _load(
                 work.value,
                 work.slope_x,
                 work.slope_y,
+            )
+        )
+    if looks:
+        return bool(
+            sample_values(
+                plane,
+                row - reach + shift[1],
+                col - reach + shift[0],
+                side,
+                options.width,
+                work.coefficients,
+                work.along,
+                work.value,
             )
         )
     return bool(
@@ -155,10 +176,11 @@ def _correlate(channel: int, first: bool, options: Options, work: Workspace) -> 
     size = 2 * options.correlation_half + 1
     side = 2 * options.half + 1
     n = side * options.width
+    reference = work.reference[channel]
     if first:
         column_sums(
-            work.reference,
-            work.reference,
+            reference,
+            reference,
             side + size - 1,
             options.width,
             size,
@@ -171,7 +193,7 @@ def _correlate(channel: int, first: bool, options: Options, work: Workspace) -> 
         local_moments(work.sum_1, work.sum_11, n, size, work.means, mean, precision)
     column_sums(
         work.value,
-        work.reference,
+        reference,
         side + size - 1,
         options.width,
         size,
@@ -223,11 +245,11 @@ def _refine_point(
     step, before, moved, slopes = work.step, work.before, work.moved, work.slopes
     slopes[0, 0] = slopes[1, 1] = 1.0 / options.relaxation
     slopes[0, 1] = slopes[1, 0] = 0.0
-    length = np.inf
+    length = options.reached_by_px
     # structure that is fixed takes a look at its place first
     begin = -1 if options.structure_mode == STRUCTURE_FIXED else 0
     for iteration in range(begin, options.iterations):
-        looks, before_px = iteration < 0, length
+        first, looks, before_px = iteration == begin, iteration < 0, length
         near = before_px < NEAR_PX
         place = starts.structure_xy[p] if looks else shift
         correlates = looks or options.structure_mode == STRUCTURE_FOLLOWS
@@ -235,10 +257,10 @@ def _refine_point(
         work.total_right[:] = 0.0
         work.scores[:] = 0.0
         for k in range(images.reference.shape[0]):
-            if not _load(images, k, row, col, place, linear, deformed, options, work):
+            if not _load(images, k, row, col, place, linear, deformed, first, looks, options, work):
                 return DIVERGED
             if correlates:
-                _correlate(k, iteration == begin, options, work)
+                _correlate(k, first, options, work)
             if not looks:
                 _add_channel(k, near, options, work)
         if looks:
@@ -273,7 +295,7 @@ def _add_channel(channel: int, scored: bool, options: Options, work: Workspace) 
     side, width = 2 * options.half + 1, options.width
     n = side * width
     first = options.correlation_half * (width + 1)
-    value, reference = work.value[first:], work.reference[first:]
+    value, reference = work.value[first:], work.reference[channel, first:]
     slope_x, slope_y = work.slope_x[first:], work.slope_y[first:]
     h0, h1, known = fit_gain(structure, value, reference, n)
     if known <= 0.0:

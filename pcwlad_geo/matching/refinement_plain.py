@@ -70,7 +70,8 @@ def refine_plain(
                 structure = [valid] * len(reference.maps)
             elif start.structure_xy_px is not None:
                 structure = window.structure(start.structure_xy_px[p], linear, valid)
-            control = _StepControl(first_relaxation(robust, structure is None), learns=not affine)
+            relaxation = first_relaxation(robust, structure is None)
+            control = _StepControl(relaxation, start.reached_by_px, learns=not affine)
             for iteration in range(iterations):
                 weights = structure if structure is not None else window.structure(shift, linear, valid)
                 matrix, right, scores = window.equations(shift, linear, weights, robust)
@@ -98,10 +99,10 @@ def refine_plain(
 class _StepControl:
     """Makes moves longer than plain steps, by how much these have shrunk so far (Broyden's method)."""
 
-    def __init__(self, relaxation: float, *, learns: bool) -> None:
+    def __init__(self, relaxation: float, reached_by_px: float, *, learns: bool) -> None:
         self.learns = learns
         self.slopes: Float64 = np.eye(2) / relaxation
-        self.learned, self.length = False, np.inf
+        self.learned, self.length = False, reached_by_px
         self.moved: Float64 | None = None
         self.before: Float64 = np.zeros(2)
 

@@ -92,6 +92,34 @@ def sample_shift(
 
 
 @compiled_part(fastmath=True)
+def sample_values(
+    plane: Float32,
+    row: float,
+    col: float,
+    side: int,
+    width: int,
+    coefficients: Float32,
+    along: Float32,
+    value: Float32,
+) -> bool:
+    """Do what `sample_shift` does, without the gradient."""
+    row0, col0 = int(np.floor(row)), int(np.floor(col))
+    taps = side + TAPS_BEYOND
+    if row0 < 1 or col0 < 1 or row0 - 1 + taps > plane.shape[0] or col0 - 1 + taps > plane.shape[1]:
+        return False
+    load_window(plane, row0 - 1, col0 - 1, taps, taps, width, coefficients)
+    w0, w1, w2, w3 = _spline(np.float32(col - col0))
+    for i in range(taps * width):
+        a0, a1, a2, a3 = coefficients[i], coefficients[i + 1], coefficients[i + 2], coefficients[i + 3]
+        along[i] = w0 * a0 + w1 * a1 + w2 * a2 + w3 * a3
+    w0, w1, w2, w3 = _spline(np.float32(row - row0))
+    along_1, along_2, along_3 = along[width:], along[2 * width :], along[3 * width :]
+    for i in range(side * width):
+        value[i] = w0 * along[i] + w1 * along_1[i] + w2 * along_2[i] + w3 * along_3[i]
+    return True
+
+
+@compiled_part(fastmath=True)
 def _across(coefficients: Float32, t: np.float32, n: int, along: Float32, along_slope: Float32) -> None:
     """Interpolate along the rows: value and derivative."""
     w0, w1, w2, w3 = _spline(t)

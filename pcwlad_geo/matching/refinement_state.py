@@ -58,6 +58,8 @@ class Options(NamedTuple):
     robust: bool
     affine: bool
     iterations: int
+    reached_by_px: float
+    """Length of the move that has led to the start."""
     tolerance_px: float
     relaxation: float
     least_valid: float
@@ -134,7 +136,7 @@ def make_workspace(channels: int, options: Options) -> Workspace:
         value=flat(extended),
         slope_x=flat(extended),
         slope_y=flat(extended),
-        reference=flat(extended),
+        reference=np.zeros((channels, (extended + 2) * options.width), np.float32),
         sum_1=flat(side),
         sum_11=flat(side),
         sum_12=flat(side),
