@@ -112,7 +112,7 @@ def _load(
     options: Options,
     work: Workspace,
 ) -> bool:
-    """Sample the target's extended window, and its gradient if it is not only looked at; False if it sticks out.
+    """Sample the target's extended window, with its gradient unless it only looks; False if it sticks out.
 
     The reference's window, always the same, is copied the first time.
     """

@@ -21,10 +21,11 @@ STRUCTURE_EXPONENT: Final = 1.3
 C_LUMINANCE: Final = 0.01**2
 C_CONTRAST: Final = 0.03**2
 PEAK_CLEARANCE_PX: Final = 3
+CHUNK: Final = 16
+"""Corners whose surfaces are worked out at once: these stay in the processor's cache."""
 
 Float32 = NDArray[np.float32]
 Index = NDArray[np.intp]
-Statistic = NDArray[np.floating[Any]] | np.floating[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,26 +78,33 @@ def match_coarsely(
     least_valid : float
         Share of the template that must be valid in both maps.
     """
-    side = 2 * radius_px + 1
     n = len(corners_rc)
     found = CoarseMatches(
         np.zeros((n, 2), np.intp), np.full(n, -1.0), np.zeros(n), np.zeros(n, bool), np.zeros((n, 2))
     )
     search = _Search(reference, target, template_px, radius_px, least_valid)
-    for index, (row, col) in enumerate(corners_rc):
-        surface = search.surface(int(row), int(col))
-        if surface is None:
-            continue
-        r, c = divmod(int(surface.argmax()), side)
-        found.offset_rc[index] = r - radius_px, c - radius_px
-        found.ssim[index] = surface[r, c]
-        found.distinctness[index] = peak_distinctness(surface, r, c)
-        found.at_border[index] = min(r, c, side - 1 - r, side - 1 - c) == 0
-        found.shift_xy_px[index] = c - radius_px, r - radius_px
-        if not found.at_border[index]:
-            across, down = surface[r, c - 1 : c + 2], surface[r - 1 : r + 2, c]
-            found.shift_xy_px[index] += parabola_top(across), parabola_top(down)
+    for begin in range(0, n, CHUNK):
+        some = np.arange(begin, min(begin + CHUNK, n))
+        surfaces = search.surfaces(corners_rc[some])
+        compared = surfaces.max(axis=(1, 2)) > -1.0
+        if compared.any():
+            _fill_peaks(surfaces[compared], some[compared], found)
     return found
+
+
+def _fill_peaks(surfaces: Float32, index: Index, found: CoarseMatches) -> None:
+    """Fill in the peaks of (n, side, side) surfaces at the indices of their corners."""
+    side = surfaces.shape[1]
+    row, col = np.divmod(surfaces.reshape(len(surfaces), -1).argmax(axis=1), side)
+    found.offset_rc[index] = np.stack([row, col], axis=1) - side // 2
+    found.shift_xy_px[index] = found.offset_rc[index, ::-1]
+    found.ssim[index] = surfaces[np.arange(len(surfaces)), row, col]
+    found.at_border[index] = np.minimum.reduce([row, col, side - 1 - row, side - 1 - col]) == 0
+    for place, surface, r, c in zip(index, surfaces, row, col, strict=True):
+        if not found.at_border[place]:
+            across, down = surface[r, c - 1 : c + 2], surface[r - 1 : r + 2, c]
+            found.shift_xy_px[place] += parabola_top(across), parabola_top(down)
+    found.distinctness[index] = peak_distinctness(surfaces, row, col)
 
 
 def parabola_top(values: NDArray[np.floating[Any]]) -> float:
@@ -108,20 +116,26 @@ def parabola_top(values: NDArray[np.floating[Any]]) -> float:
     return (before - after) / (2.0 * curvature) if curvature < 0.0 else 0.0
 
 
-def peak_distinctness(surface: Float32, row: int, col: int) -> float:
-    """Return (peak - second) / (peak - median), the second peak taken outside a small clearance."""
-    peak = float(surface[row, col])
+def peak_distinctness(surfaces: Float32, row: Index, col: Index) -> NDArray[np.float64]:
+    """Return (peak - second) / (peak - median), the second peak taken outside a small clearance.
+
+    Of (n, side, side) surfaces with their peaks at `row`, `col`; (n,).
+    """
+    n, size = len(surfaces), surfaces[0].size
+    peak = surfaces[np.arange(n), row, col].astype(np.float64)
     # of an odd number of values, as a search window has; np.median takes six times as long
-    median = float(np.partition(surface, surface.size // 2, axis=None)[surface.size // 2])
-    others = surface.copy()
+    median = np.partition(surfaces.reshape(n, size), size // 2, axis=1)[:, size // 2].astype(np.float64)
+    others = surfaces.copy()
     k = PEAK_CLEARANCE_PX
-    others[max(row - k, 0) : row + k + 1, max(col - k, 0) : col + k + 1] = -np.inf
-    second = max(float(others.max()), median)
-    return (peak - second) / (peak - median) if peak > median else 0.0
+    for plane, r, c in zip(others, row, col, strict=True):
+        plane[max(r - k, 0) : r + k + 1, max(c - k, 0) : c + k + 1] = -np.inf
+    second = np.maximum(others.max(axis=(1, 2)), median)
+    height = peak - median
+    return np.where(height > 0, (peak - second) / np.where(height > 0, height, 1.0), 0.0)
 
 
 class _Search:
-    """Compares the template of one corner after the other with all its offsets; keeps the memory for it."""
+    """Compares the templates of corners with all their offsets; keeps the memory for it."""
 
     def __init__(
         self, reference: MaskedMap, target: MaskedMap, template_px: int, radius_px: int, least_valid: float
@@ -134,51 +148,53 @@ class _Search:
         side = cv2.getOptimalDFTSize(-(-search_px // 16) * 16)
         self.padded = np.zeros((2, side, side), np.float32)
 
-    def surface(self, row: int, col: int) -> Float32 | None:
-        """Return SSIM at every offset, (2·radius+1)², -1 where too little is valid; None if nowhere."""
+    def surfaces(self, corners_rc: Index) -> Float32:
+        """Return SSIM at every offset, (n, 2·radius+1, 2·radius+1), -1 where too little is valid."""
+        side = 2 * self.radius + 1
+        sums = np.zeros((len(corners_rc), 6, side, side))
+        for (row, col), out in zip(corners_rc.tolist(), sums, strict=True):
+            self._fill_sums(row, col, out)
+        comparable = sums[:, 0] >= max(self.least, 1.0)
+        return np.where(comparable, self._ssim(sums), -1.0).astype(np.float32)
+
+    def _ssim(self, sums: NDArray[np.float64]) -> NDArray[np.float64]:
+        n = np.maximum(sums[:, 0], 1.0)
+        to_t, to_s = n * self.reference.scale, n * self.target.scale
+        mean_t, mean_s = sums[:, 1] / to_t, sums[:, 3] / to_s
+        var_t = np.maximum(sums[:, 2] / (to_t * self.reference.scale) - mean_t**2, 0)
+        var_s = np.maximum(sums[:, 4] / (to_s * self.target.scale) - mean_s**2, 0)
+        covariance = sums[:, 5] / (to_t * self.target.scale) - mean_t * mean_s
+        return _combine(mean_t, mean_s, var_t, var_s, covariance)
+
+    def _fill_sums(self, row: int, col: int, out: NDArray[np.float64]) -> None:
+        """Fill the number of pixels valid in both and their sums of t, t², s, s² and t·s at every offset.
+
+        Sums over a template or a search window that is valid throughout need no correlation with the mask.
+        """
         inner, outer = self._window(row, col, self.half), self._window(row, col, self.half + self.radius)
         template, template_valid = self.reference.values[inner], self.reference.valid[inner]
         search, search_valid = self.target.values[outer], self.target.valid[outer]
-        if cv2.countNonZero(template_valid) < self.least:
-            return None
-        whole = cv2.countNonZero(template_valid) == template.size
-        if whole and cv2.countNonZero(search_valid) == search.size:
-            count, sums = self._sums(search, template)
+        good = cv2.countNonZero(template_valid)
+        if good < self.least:
+            return
+        of_search, of_template = self._spectrum(search, 0), self._spectrum(template, 1)
+        out[5] = self._cross(of_search, of_template)
+        whole_template = good == template.size
+        whole_search = cv2.countNonZero(search_valid) == search.size
+        if not whole_search:
+            mask = self._spectrum(search_valid, 0)
+            out[1] = self._cross(mask, of_template)
+            out[2] = self._cross(mask, self._spectrum(template**2, 1))
         else:
-            count, sums = self._masked_sums(search, search_valid, template, template_valid)
-        surface = self._ssim(count, sums)
-        comparable = count >= self.least
-        if not comparable.any():
-            return None
-        result: Float32 = np.where(comparable, surface, -1).astype(np.float32)
-        return result
-
-    def _ssim(self, count: Statistic, sums: tuple[Statistic, ...]) -> Statistic:
-        n = np.maximum(count, 1.0)
-        to_t, to_s = n * self.reference.scale, n * self.target.scale
-        mean_t, mean_s = sums[0] / to_t, sums[2] / to_s
-        var_t = np.maximum(sums[1] / (to_t * self.reference.scale) - mean_t**2, 0)
-        var_s = np.maximum(sums[3] / (to_s * self.target.scale) - mean_s**2, 0)
-        covariance = sums[4] / (to_t * self.target.scale) - mean_t * mean_s
-        return _combine(mean_t, mean_s, var_t, var_s, covariance)
-
-    def _sums(self, search: Float32, template: Float32) -> tuple[Statistic, tuple[Statistic, ...]]:
-        """Return the number of pixels and the sums of t, t², s, s² and t·s at every offset."""
-        template_sum = np.float64(cv2.sumElems(template)[0])
-        template_square = np.float64(cv2.norm(template, cv2.NORM_L2SQR))
-        cross = self._cross(self._spectrum(search, 0), self._spectrum(template, 1))
-        search_sums = _box_sums(search, template.shape[0])
-        return np.float64(template.size), (template_sum, template_square, *search_sums, cross)
-
-    def _masked_sums(
-        self, search: Float32, search_valid: Float32, template: Float32, template_valid: Float32
-    ) -> tuple[Statistic, tuple[Statistic, ...]]:
-        """Return the same over the pixels that are valid in both."""
-        of_search = [self._spectrum(a, 0) for a in (search_valid, search, search**2)]
-        of_template = [self._spectrum(a, 1) for a in (template_valid, template, template**2)]
-        pairs = ((0, 0), (0, 1), (0, 2), (1, 0), (2, 0), (1, 1))
-        count, *sums = (self._cross(of_search[s], of_template[t]) for s, t in pairs)
-        return np.round(count), tuple(sums)
+            out[1], out[2] = cv2.sumElems(template)[0], cv2.norm(template, cv2.NORM_L2SQR)
+        if not whole_template:
+            template_mask = self._spectrum(template_valid, 1)
+            out[0] = good if whole_search else np.round(self._cross(mask, template_mask))
+            out[3] = self._cross(of_search, template_mask)
+            out[4] = self._cross(self._spectrum(search**2, 0), template_mask)
+        else:
+            out[0] = good if whole_search else _box_sums(search_valid, template.shape[0])[0]
+            out[3], out[4] = _box_sums(search, template.shape[0])
 
     def _spectrum(self, window: Float32, which: int) -> Float32:
         """Return the packed Fourier transform of a padded window; `which` of the two sizes it has."""
@@ -220,7 +236,11 @@ def ssim(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.
 
 
 def _combine(
-    mean_f: Statistic, mean_s: Statistic, var_f: Statistic, var_s: Statistic, covariance: Statistic
+    mean_f: NDArray[np.float64],
+    mean_s: NDArray[np.float64],
+    var_f: NDArray[np.float64],
+    var_s: NDArray[np.float64],
+    covariance: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return luminance^α · contrast^β · structure^γ, the sign of the structure kept."""
     deviation = np.sqrt(var_f * var_s)
