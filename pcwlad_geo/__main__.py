@@ -12,6 +12,8 @@ def main() -> None:
     """Run the command line and exit with its status."""
     # before numpy loads: what a job solves is small, and threads that wait for it hinder its processes
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # a search for cycles among all that the libraries leave takes a fifth of a second: once in many jobs
+    gc.set_threshold(50_000, 10, 10)
     try:
         from pcwlad_geo.cli.app import run  # inside: an interrupt during the import ends quietly too
 

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from pcwlad_geo.registration.forks import IDLE
+
 GRACE_S = 1.0
 """How long the main thread may take to clean up by itself before the run is ended from outside."""
 CLEANING_S = 0.5
@@ -39,10 +41,11 @@ def cancellable(forced_end: Callable[[], None], *, watch_stdin: bool = False) ->
     writer.setblocking(False)
     previous = {number: signal.signal(number, _interrupt) for number in SIGNALS}
     wakeup = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
-    watcher = threading.Thread(target=_watch_signals, args=(reader, finished, forced_end), daemon=True)
+    watched = (reader, finished, forced_end)
+    watcher = threading.Thread(target=_watch_signals, args=watched, name=IDLE, daemon=True)
     watcher.start()
     if watch_stdin:
-        threading.Thread(target=_watch_stdin, args=(finished,), daemon=True).start()
+        threading.Thread(target=_watch_stdin, args=(finished,), name=IDLE, daemon=True).start()
     try:
         yield
     finally:

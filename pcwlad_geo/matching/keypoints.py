@@ -86,10 +86,10 @@ def detect_corners(
     found = detector.detect(scaled)
     places = np.array(cv2.KeyPoint.convert(found), np.float32).reshape(-1, 2)
     corners_rc = np.ascontiguousarray(places[:, ::-1].astype(np.intp))
-    response = np.fromiter((point.response for point in found), np.float32, len(found))
-    kept = usable[corners_rc[:, 0], corners_rc[:, 1]]
+    kept = np.flatnonzero(usable[corners_rc[:, 0], corners_rc[:, 1]])
     corners_rc = corners_rc[kept]
-    return corners_rc, response[kept] * weight[corners_rc[:, 0], corners_rc[:, 1]]
+    response = np.fromiter((found[index].response for index in kept.tolist()), np.float32, len(kept))
+    return corners_rc, response * weight[corners_rc[:, 0], corners_rc[:, 1]]
 
 
 def strongest(corners_rc: Index, response: NDArray[np.float32], count: int) -> Index:

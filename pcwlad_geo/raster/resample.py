@@ -46,6 +46,10 @@ def box_average(values: Array, valid: Bool, row_edges: Array, col_edges: Array) 
     def total(data: Array) -> Array:
         return np.asarray((col_weights @ (row_weights @ data).T).T)
 
+    if valid.all():  # the usual case, at half the cost
+        ones = row_weights.sum(axis=1), col_weights.sum(axis=1)
+        fraction = np.outer(*ones)
+        return _divided(total(values), fraction), fraction
     fraction = total(valid.astype(np.float64))
     return _divided(total(np.where(valid, values, 0.0)), fraction), fraction
 

@@ -1,7 +1,8 @@
 """Processes forked from one that has the libraries loaded: a start costs milliseconds, memory is shared.
 
-The parent cannot fork itself, as it may have threads. So it starts a fresh interpreter, the stem, which loads
-what workers need and has one thread; that one forks them. Linux only: elsewhere libraries do not survive it.
+That one, the stem, has one thread: threads do not survive a fork, the locks that they hold do. It is itself a
+fork of the parent where nothing in there can hold a lock, as in the command line; elsewhere it is a fresh
+interpreter, which loads the libraries anew. Linux only: on other systems libraries do not survive a fork.
 """
 
 from __future__ import annotations
@@ -10,18 +11,23 @@ import gc
 import os
 import signal
 import socket
+import stat
 import struct
 import subprocess
 import sys
 import threading
+import warnings
 from contextlib import ExitStack, suppress
 from importlib import import_module
+from pathlib import Path
 from typing import BinaryIO, Final, cast
 
 from pcwlad_geo.registration.interpreters import start_interpreter
-from pcwlad_geo.registration.worker import answer, answer_calls
+from pcwlad_geo.registration.worker import ONE_THREAD, answer, answer_calls
 
 CAN_FORK: Final = sys.platform == "linux" and hasattr(socket, "send_fds")
+IDLE: Final = "pcwlad-geo-idle"
+"""Name of threads that wait for the system and hold no lock meanwhile: a process that has them may fork."""
 
 _FORK, _PREPARE, _WAIT = b"F", b"P", b"W"
 _NUMBER: Final = struct.Struct("<q")
@@ -34,7 +40,7 @@ class Stem:
     Parameters
     ----------
     preload : str
-        A module that it imports at its start; may be empty.
+        A module that it imports at its start, or its parent where that forks itself; may be empty.
 
     Raises
     ------
@@ -46,10 +52,7 @@ class Stem:
         ours, theirs = socket.socketpair()
         with theirs, ExitStack() as on_error:
             on_error.push(ours)
-            number = theirs.fileno()
-            self._process = start_interpreter(
-                _START, [preload, str(number)], stdin=subprocess.DEVNULL, pass_fds=[number]
-            )
+            self._process = _fork_self(preload, theirs) if _may_fork() else _start_anew(preload, theirs)
             on_error.pop_all()
         self._control, self._lock = ours, threading.Lock()
 
@@ -111,6 +114,80 @@ class ForkedProcess:
         if not self._ended:
             self._status, self._ended = self._stem.wait(self.pid), True
         return self._status
+
+
+class _Child:
+    """A fork of this process."""
+
+    def __init__(self, process_id: int) -> None:
+        self.pid = process_id
+
+    def kill(self) -> None:
+        with suppress(ProcessLookupError):
+            os.kill(self.pid, signal.SIGKILL)
+
+    def wait(self) -> None:
+        with suppress(ChildProcessError):  # somebody else waits for all children
+            os.waitpid(self.pid, 0)
+
+
+def _start_anew(preload: str, control: socket.socket) -> subprocess.Popen[bytes]:
+    number = control.fileno()
+    return start_interpreter(_START, [preload, str(number)], stdin=subprocess.DEVNULL, pass_fds=[number])
+
+
+def _may_fork() -> bool:
+    """Tell whether no other thread of this process, of Python's or of a library's, can hold a lock."""
+    others = [thread for thread in threading.enumerate() if thread is not threading.current_thread()]
+    if any(thread.name != IDLE for thread in others):
+        return False
+    with suppress(OSError):
+        return len(list(Path("/proc/self/task").iterdir())) == len(others) + 1
+    return False
+
+
+def _fork_self(preload: str, control: socket.socket) -> _Child:
+    """Fork this process after it has imported a module, which it needs itself; the fork is a stem."""
+    if preload:
+        import_module(preload)
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError, AttributeError):  # closed, or none at all
+            stream.flush()  # or the fork writes it again
+    # the fork must not run the parent's handlers, nor wake those that wait for its signals
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of threads: see `_may_fork`
+            process_id = os.fork()
+        if process_id == 0:
+            try:
+                _leave_parent(control.fileno())
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+                be_stem("", control.fileno())
+            finally:
+                os._exit(1)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return _Child(process_id)
+
+
+def _leave_parent(control_fd: int) -> None:
+    """Let go of what a fork shares with its parent: terminal, signals, pipes and sockets."""
+    os.setsid()
+    os.environ.update(ONE_THREAD)
+    signal.set_wakeup_fd(-1)
+    for number in signal.valid_signals():
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_DFL)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
+    # who waits for the end of one of them must not wait for the fork; files stay, as libraries read from them
+    for descriptor in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
+        with suppress(OSError):
+            mode = os.fstat(descriptor).st_mode
+            if descriptor > 2 and descriptor != control_fd and (stat.S_ISSOCK(mode) or stat.S_ISFIFO(mode)):
+                os.close(descriptor)
 
 
 def be_stem(preload: str, control_fd: int) -> None:
