@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching import calibration, field
-from pcwlad_geo.matching.settings import MatchSettings
+from pcwlad_geo.matching.settings import TRAITS, MatchSettings
 from pcwlad_geo.matching.tie_points import TiePoints
 
 Float64 = NDArray[np.float64]
@@ -23,6 +23,8 @@ Index = NDArray[np.intp]
 LEAST_DEFORMATION_PX: Final = 0.05
 """Deformations are modelled where they move the corner of a window by more than this."""
 LEAST_FOR_FIELD: Final = 24
+DISAGREEMENT_PX: Final = 0.5
+"""Largest difference between the forward and the backward match."""
 LARGEST_PULL_PX: Final = 1.0
 """A point further than this from what its neighbours say keeps its own structure."""
 
@@ -39,6 +41,8 @@ class FieldGuide:
     """What predicts a displacement; None where there are too few points, or the field is too rough."""
     shared_variance_px2: float
     """Variance, per axis, of the error that points guided by the same neighbours share."""
+    one_way: bool
+    """Whether the way back from target to reference can be left out: it ends where it began."""
 
     @property
     def deforms(self) -> bool:
@@ -78,23 +82,32 @@ def guide_by_field(
     """
     nowhere = np.full((len(points), 2), np.nan)
     if len(points) < LEAST_FOR_FIELD:
-        return FieldGuide(np.zeros((len(points), 2, 2)), nowhere, None, 0.0)
+        return FieldGuide(np.zeros((len(points), 2, 2)), nowhere, None, 0.0, one_way=False)
     xy, moved = points.reference_xy_px, points.displacement_px
     linear, linear_sigma = field.global_affine(xy, moved)
     reach = settings.window / 2 * np.sqrt(2)
     if np.abs(linear).max() * reach < LEAST_DEFORMATION_PX or (np.abs(linear) < 3 * linear_sigma).all():
         linear = np.zeros((2, 2))
     everywhere = np.tile(linear, (len(points), 1, 1))
+    one_way = one_way_is_enough(points.way_back_px, settings)
     choice = field.choose_surface(xy, moved, settings.window)
     surface = choice.surface if choice.smooth else None
     if settings.consensus == "off" or surface is None:
-        return FieldGuide(everywhere, nowhere, surface, 0.0)
+        return FieldGuide(everywhere, nowhere, surface, 0.0, one_way)
     predicted = predict(xy, moved, xy, surface)
     rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
     apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
     shared = calibration.shared_variance(xy, choice.residual_px, settings.window, surface.count)
-    return FieldGuide(_local(everywhere, predicted, reach), structure, surface, shared)
+    return FieldGuide(_local(everywhere, predicted, reach), structure, surface, shared, one_way)
+
+
+def one_way_is_enough(way_back_px: Float64, settings: MatchSettings) -> bool:
+    """Tell whether points, (n,), of which NaN have not been matched back, come back to where they began."""
+    walked = way_back_px[~np.isnan(way_back_px)]
+    if len(walked) == 0 or walked.max() > DISAGREEMENT_PX:
+        return False
+    return bool(np.sqrt(np.mean(walked**2)) <= TRAITS[settings.method].one_way_px)
 
 
 def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Float64:

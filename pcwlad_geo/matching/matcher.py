@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.candidates import FATES, Candidates
-from pcwlad_geo.matching.guidance import FieldGuide, calibrate, guide_by_field
+from pcwlad_geo.matching.guidance import (
+    DISAGREEMENT_PX,
+    FieldGuide,
+    calibrate,
+    guide_by_field,
+    one_way_is_enough,
+)
 from pcwlad_geo.matching.noise import measure_noise
 from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.matching.phase_congruency import scene_epsilon
@@ -28,9 +34,13 @@ Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 Bool = NDArray[np.bool_]
 
-DISAGREEMENT_PX: Final = 0.5
-"""Largest difference between the forward and the backward match."""
 COARSE_SIGMA_PX: Final = 0.35
+SAMPLED: Final = 4
+"""One of so many points is of the sample that is matched back, from target to reference;"""
+LEAST_TO_SAMPLE: Final = 16
+"""all are where they are fewer, unless a sample was asked for."""
+
+Back = Literal["never", "sample", "as needed", "always"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,17 +156,20 @@ def match_candidates(pair: PreparedPair, core: Core, settings: MatchSettings) ->
     index, score = np.flatnonzero(inside), coarse.distinctness
     if not traits.refined:
         covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(index), 1, 1))
-        points = _points(corners[index], shift[index], covariance, score[index])
+        way_back = np.full(len(index), np.nan)
+        points = _points(corners[index], shift[index], covariance, score[index], way_back)
         return points, Candidates(_centres(corners), fate)
 
     def match(some: Index) -> tuple[TiePoints, Bool]:
         start = Start(shift[some], np.zeros((len(some), 2, 2)))
-        refined, agree = _refine_both(pair.stacks, corners[some], start, settings)
+        refined, agree, way_back = _refine_both(
+            pair.stacks, corners[some], start, settings, settings.backward
+        )
         fate[some] = np.select(
             [~refined.converged, ~agree],
             [FATES.index(name) for name in ("not_converged", "directions_disagree")],
         )
-        points = _points(corners[some], refined.shift_xy_px, refined.covariance_px2, score[some])
+        points = _points(corners[some], refined.shift_xy_px, refined.covariance_px2, score[some], way_back)
         found = refined.converged & agree
         return points[found], found
 
@@ -217,11 +230,9 @@ def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: Mat
     target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
     again, led = matched_again(guide, settings), guide.leads
     # the two directions differ where each follows its own structure, hardly where the field says which
-    both_ways = replace(settings, backward_every=1)
-    for some, structure, how in (
-        (again & ~led, None, both_ways),
-        (again & led, guide.structure_xy_px, settings),
-    ):
+    own: Back = "never" if guide.one_way else "always"
+    given: Back = "sample" if settings.backward == "sample" and not guide.one_way else own
+    for some, structure, back in ((again & ~led, None, own), (again & led, guide.structure_xy_px, given)):
         index = np.flatnonzero(some)
         start = Start(
             target[index] - points.reference_xy_px[index],
@@ -229,7 +240,7 @@ def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: Mat
             None if structure is None else structure[index],
             is_match=True,
         )
-        refined, agree = _refine_both(pair, to_index(points[index]), start, how)
+        refined, agree, _ = _refine_both(pair, to_index(points[index]), start, settings, back)
         good = refined.converged & agree
         target[index[good]] = points.reference_xy_px[index[good]] + refined.shift_xy_px[good]
         covariance[index[good]] = refined.covariance_px2[good]
@@ -241,7 +252,7 @@ def matched_again(guide: FieldGuide, settings: MatchSettings) -> Bool:
     traits = _traits(settings)
     if not (traits.refined and traits.structure == "local"):
         return np.zeros_like(guide.leads)
-    return guide.leads | (guide.deforms or settings.backward_every > 1)
+    return guide.leads | (guide.deforms or (settings.backward == "sample" and not guide.one_way))
 
 
 def second_pass(pair: StackPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
@@ -259,28 +270,45 @@ def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
 
 
 def _refine_both(
-    pair: StackPair, corners: Index, start: Start, settings: MatchSettings
-) -> tuple[Refined, Bool]:
-    """Refine forward and, where the method asks for it, backward; the mean and whether the two agree."""
+    pair: StackPair, corners: Index, start: Start, settings: MatchSettings, back: Back
+) -> tuple[Refined, Bool, Float64]:
+    """Refine forward and, where the method asks for it, backward.
+
+    Returns
+    -------
+    refined : Refined
+        The mean of both directions where there are two.
+    agree : (n,) bool array
+        Whether the two agree.
+    way_back_px : (n,) array
+        By how much they differ; infinite where only one was found, NaN where only one was looked for.
+    """
     forward = _refine_one_way(pair, corners, start, settings)
+    way_back = np.full(len(corners), np.nan)
     if not _traits(settings).backward:
         ok = np.ones(len(corners), bool)
         if settings.method == "pcwlad":
             ok = passes_paper(pair, corners, start, forward, settings.window, settings.ssim_min)
-        return forward, ok
-    mean, agree = forward.shift_xy_px.copy(), np.ones(len(corners), bool)
-    covariance, converged = forward.covariance_px2.copy(), forward.converged.copy()
+        return forward, ok, way_back
+    mean, covariance = forward.shift_xy_px.copy(), forward.covariance_px2.copy()
+
+    def walk_back(some: Index) -> None:
+        there, moved = forward.shift_xy_px[some], forward.linear[some]
+        structure = None if start.structure_xy_px is None else start.structure_xy_px[some]
+        returned, backward = _refine_back(pair, corners[some], there, moved, structure, settings)
+        mean[some] = (there + returned) / 2
+        covariance[some] = (covariance[some] + backward.covariance_px2) / 2
+        way_back[some] = np.where(backward.converged, np.linalg.norm(there - returned, axis=1), np.inf)
+
     # what did not converge on its way there needs no way back
-    there = np.flatnonzero(forward.converged)[:: settings.backward_every]
-    structure = None if start.structure_xy_px is None else start.structure_xy_px[there]
-    returned, backward = _refine_back(
-        pair, corners[there], forward.shift_xy_px[there], forward.linear[there], structure, settings
-    )
-    agree[there] = np.linalg.norm(mean[there] - returned, axis=1) < DISAGREEMENT_PX
-    mean[there] = (mean[there] + returned) / 2
-    covariance[there] = (covariance[there] + backward.covariance_px2) / 2
-    converged[there] = backward.converged
-    return Refined(mean, forward.linear, covariance, converged), agree
+    arrived = np.flatnonzero(forward.converged)
+    all_of_them = back == "always" or (back == "as needed" and len(arrived) < LEAST_TO_SAMPLE)
+    if back != "never":
+        walk_back(arrived[:: 1 if all_of_them else SAMPLED])
+    if back == "as needed" and not one_way_is_enough(way_back, settings):
+        walk_back(arrived[np.isnan(way_back[arrived])])
+    converged = forward.converged & ~np.isinf(way_back)
+    return Refined(mean, forward.linear, covariance, converged), ~(way_back >= DISAGREEMENT_PX), way_back
 
 
 def _refine_back(
@@ -365,9 +393,11 @@ def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
     return result
 
 
-def _points(corners: Index, shift_xy: Float64, covariance: Float64, score: Float64) -> TiePoints:
+def _points(
+    corners: Index, shift_xy: Float64, covariance: Float64, score: Float64, way_back_px: Float64
+) -> TiePoints:
     centre = _centres(corners)
-    return TiePoints(centre, centre + shift_xy, covariance, score)
+    return TiePoints(centre, centre + shift_xy, covariance, score, way_back_px)
 
 
 def _centres(corners: Index) -> Float64:

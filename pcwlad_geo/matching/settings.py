@@ -8,6 +8,7 @@ from typing import Literal
 Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 Keypoints = Literal["cells", "strongest"]
 Consensus = Literal["auto", "off"]
+Backward = Literal["as needed", "sample"]
 Channels = Literal["orientations", "gradients", "moment"]
 
 
@@ -35,8 +36,8 @@ class MatchSettings:
     """Least SSIM of a coarse match; the paper's gate is 0.4."""
     iterations: int = 20
     consensus: Consensus = "auto"
-    backward_every: int = 1
-    """Points go back from target to reference, or one of so many where there are plenty."""
+    backward: Backward = "as needed"
+    """A sample of the points is matched back to the reference; as needed: all if that shows a difference."""
     least_valid: float = 0.6
     """Share of a window that must be valid in both images."""
 
@@ -54,15 +55,21 @@ class MethodTraits:
     affine: bool = False
     """The window deforms freely; else as the displacement field says."""
     backward: bool = False
-    """Also matched from target to reference, compared and averaged; see `MatchSettings.backward_every`."""
+    """Also matched from target to reference, compared and averaged; see `MatchSettings.backward`."""
+    one_way_px: float = 0.0
+    """RMS of the way back below which it says nothing that the way there has not said."""
     refined: bool = True
     halo_px: int = 64
     """Context that the maps need around a window: beyond it they change by less than 4e-4."""
 
 
 TRAITS: dict[str, MethodTraits] = {
-    "oriented": MethodTraits(channels="orientations", structure="local", robust=True, backward=True),
-    "gradient": MethodTraits(channels="gradients", structure="local", robust=True, backward=True, halo_px=16),
+    "oriented": MethodTraits(
+        channels="orientations", structure="local", robust=True, backward=True, one_way_px=0.02
+    ),
+    "gradient": MethodTraits(
+        channels="gradients", structure="local", robust=True, backward=True, one_way_px=0.05, halo_px=16
+    ),
     "pcwlad": MethodTraits(structure="filter", robust=True, affine=True),
     "pclad": MethodTraits(robust=True, affine=True),
     "pclsm": MethodTraits(affine=True),

@@ -26,6 +26,8 @@ class TiePoints:
     """(n, 2, 2) calibrated covariance of the observed target position, px²."""
     score: Array
     """(n,) match quality, higher is better: how far the coarse peak stands out, 0 to 1."""
+    way_back_px: Array
+    """(n,) how far from the reference position the match back from the target ends; NaN if not done."""
 
     def __len__(self) -> int:
         return len(self.score)
@@ -54,7 +56,7 @@ class TiePoints:
     @staticmethod
     def empty() -> TiePoints:
         """Return zero tie points."""
-        return TiePoints(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0))
+        return TiePoints(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0))
 
     @staticmethod
     def concatenate(parts: list[TiePoints]) -> TiePoints:

@@ -36,8 +36,6 @@ Index = NDArray[np.intp]
 LEAST_WINDOW_PX: Final = 41
 WINDOWS_ACROSS: Final = 1.6
 """An overlap narrower than this many windows gets smaller ones."""
-BACKWARD_EVERY: Final = 4
-"""Where a scene is covered."""
 PLACES_PER_CALL: Final = 2000
 MOST_CALLS: Final = 64
 """Of the predictions of a field: each takes all its points along."""
@@ -252,7 +250,7 @@ def _match_settings(
         ssim_min=settings.ssim_min,
         iterations=settings.iterations,
         consensus=settings.consensus,
-        backward_every=BACKWARD_EVERY if settings.points == "all" else 1,
+        backward="sample" if settings.points == "all" else "as needed",
     )
 
 

@@ -15,7 +15,9 @@ SETTINGS = MatchSettings()
 
 def points(displacement: NDArray, xy: NDArray) -> TiePoints:
     n = len(xy)
-    return TiePoints(xy, xy + displacement, np.tile(1e-4 * np.eye(2), (n, 1, 1)), np.ones(n))
+    return TiePoints(
+        xy, xy + displacement, np.tile(1e-4 * np.eye(2), (n, 1, 1)), np.ones(n), np.full(n, np.nan)
+    )
 
 
 def scattered(n: int = 900) -> NDArray:
@@ -74,5 +76,7 @@ def test_only_what_the_guide_says_something_new_about_is_matched_again() -> None
     )
     assert not rough.deforms
     assert not matched_again(rough, SETTINGS).any()
-    assert matched_again(rough, replace(SETTINGS, backward_every=4)).all()
+    assert matched_again(rough, replace(SETTINGS, backward="sample")).all()
+    back = replace(rough, one_way=True)
+    assert not matched_again(back, replace(SETTINGS, backward="sample")).any()
     assert not matched_again(smooth, replace(SETTINGS, method="pcwlad")).any()

@@ -162,7 +162,7 @@ def test_masked_and_missing_pixels_have_no_say() -> None:
 
 def test_points_that_do_not_go_back_are_where_those_are_that_do() -> None:
     both = cross_modal_points()
-    sampled = match_arrays(image(0), image(1, SHIFT_XY), settings=replace(SMALL, backward_every=4))
+    sampled = match_arrays(image(0), image(1, SHIFT_XY), settings=replace(SMALL, backward="sample"))
     place = {tuple(xy): index for index, xy in enumerate(both.reference_xy_px)}
     common = [i for i, xy in enumerate(sampled.reference_xy_px) if tuple(xy) in place]
     assert len(common) > 0.9 * len(both)

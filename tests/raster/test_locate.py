@@ -49,6 +49,7 @@ def as_matched(pair: ViewPair, target_px: Array, sigma_px: float = 0.1) -> TiePo
         pair.target.from_file_px(target_px),
         np.broadcast_to(np.diag([sigma_px, 2 * sigma_px]) ** 2, (count, 2, 2)),
         np.linspace(0.5, 1, count),
+        np.zeros(count),
     )
 
 
@@ -103,6 +104,7 @@ def test_displacement_of_a_geographic_reference_is_metric() -> None:
         pair.target.from_file_px(REFERENCE_PX + np.array([1.0, 0.0])),
         np.zeros((3, 2, 2)),
         np.ones(3),
+        np.zeros(3),
     )
     table = locate(points, pair)
     # On UTM's central meridian the scale is 0.9996, and the axes are turned by less than 0.1 degrees.

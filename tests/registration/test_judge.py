@@ -1,6 +1,7 @@
 """When a pair counts as registered."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ def matches(n: int, side_px: float, *, right: float, seed: int = 0) -> tuple[Tie
     kept = np.arange(n) < round(right * n)
     moved[kept] = rng.normal((3, -2), 0.1, (int(kept.sum()), 2))
     covariance = np.tile(0.01 * np.eye(2), (n, 1, 1))
-    return TiePoints(xy, xy + moved, covariance, np.full(n, 0.5)), kept
+    return TiePoints(xy, xy + moved, covariance, np.full(n, 0.5), np.zeros(n)), kept
 
 
 def verdict(points: tuple[TiePoints, NDArray[np.bool_]], **counts: int) -> Verdict:
@@ -60,7 +61,7 @@ def test_too_few_points_are_refused_however_well_they_agree() -> None:
 def test_an_affine_field_counts_as_agreement() -> None:
     points, kept = matches(200, 400, right=1.0)
     tilted = points.reference_xy_px @ np.array([[1.02, 0.01], [-0.015, 0.98]]).T + [3, -2]
-    stretched = TiePoints(points.reference_xy_px, tilted, points.covariance_px2, points.score)
+    stretched = replace(points, target_xy_px=tilted)
     assert verdict((stretched, kept)).accepted
 
 

@@ -47,7 +47,7 @@ def planned(pair: ViewPair, **options: object) -> Plan:
 def result(job: TileJob, count: int) -> TileResult:
     """Return what a window gives in which so many points move alike."""
     xy = np.random.default_rng(job.id).uniform(0, 50, (count, 2))
-    points = TiePoints(xy, xy + 1.0, np.tile(np.eye(2), (count, 1, 1)), np.ones(count))
+    points = TiePoints(xy, xy + 1.0, np.tile(np.eye(2), (count, 1, 1)), np.ones(count), np.zeros(count))
     return TileResult(job.id, "matched" if count else "empty", points, {"candidates": count}, None, 0.0)
 
 
