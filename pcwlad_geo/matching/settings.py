@@ -68,7 +68,7 @@ TRAITS: dict[str, MethodTraits] = {
         channels="orientations", structure="local", robust=True, backward=True, one_way_px=0.02
     ),
     "gradient": MethodTraits(
-        channels="gradients", structure="local", robust=True, backward=True, one_way_px=0.05, halo_px=16
+        channels="gradients", structure="local", robust=True, backward=True, one_way_px=0.035, halo_px=16
     ),
     "pcwlad": MethodTraits(structure="filter", robust=True, affine=True),
     "pclad": MethodTraits(robust=True, affine=True),

@@ -7,7 +7,7 @@ import hashlib
 import io
 import shlex
 from collections.abc import Mapping
-from functools import partial
+from functools import cache, partial
 from typing import Any, Final
 
 import numpy as np
@@ -102,6 +102,7 @@ def warp_line(gcps_vrt: str) -> str:
     return shlex.join(["gdalwarp", "-tps", "-r", "lanczos", gcps_vrt, f"{stem}_tps.tif"])
 
 
+@cache  # a batch compiles its templates once
 def _environment() -> Environment:
     environment = templates_of("pcwlad_geo.report")
     environment.filters["figure"] = _figure
