@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pcwlad_geo.report.figures.canvas import COL_COLOUR, new_figure, to_png
+from pcwlad_geo.report.figures.canvas import COL_COLOUR, MOST_TICKS, new_figure, to_png
 
 
 def candidate_figure(candidates: Sequence[Mapping[str, Any]]) -> bytes:
@@ -26,7 +26,7 @@ def candidate_figure(candidates: Sequence[Mapping[str, Any]]) -> bytes:
     shown = list(candidates)
     height_in = 0.75 + 0.26 * len(shown)
     figure = new_figure(height_in)
-    axes = figure.add_axes((0.16, 0.5 / height_in, 0.8, 1 - 0.6 / height_in))
+    axes = figure.add_axes((0.2, 0.5 / height_in, 0.76, 1 - 0.6 / height_in))
     rmse = np.array([each["rmse_px"] for each in shown], dtype=float)
     error = np.array([each["rmse_standard_error_px"] or 0.0 for each in shown], dtype=float)
     rows = np.arange(len(shown))
@@ -37,6 +37,7 @@ def candidate_figure(candidates: Sequence[Mapping[str, Any]]) -> bytes:
     axes.set_yticks(rows, names, fontsize=9)
     axes.set(ylim=(len(shown) - 0.5, -0.5), xlim=(0, None))
     axes.tick_params(axis="x", labelsize=8)
+    axes.locator_params(axis="x", nbins=MOST_TICKS)
     axes.grid(axis="x", color="0.9")
     axes.set_axisbelow(True)
     axes.set_xlabel("cross-validated RMSE, target px", fontsize=9)

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -19,6 +20,8 @@ COL_COLOUR, ROW_COLOUR, CHECK_COLOUR = "#0072b2", "#d55e00", "#cc79a7"
 """Of the axes and of check points: colour-blind readers tell them apart (Okabe and Ito 2008)."""
 ARROW_COLOUR = "#003355"
 """Dark enough on a pale image."""
+MOST_TICKS: Final = 4
+"""Intervals between them, of one axis."""
 COLOURS: Final = 256
 """Of a figure's PNG: a quarter of the size of all colours, and none is missed."""
 
@@ -59,9 +62,14 @@ def frame_figure(shape: tuple[int, int], panels: int = 1, bar: bool = False) -> 
         for each in range(panels)
     ]
     for each in axes:
-        each.tick_params(labelsize=8)
-        each.locator_params(nbins=6)
+        few_ticks(each)
     return figure, axes
+
+
+def few_ticks(axes: Axes) -> None:
+    """Let both axes have few ticks with small numbers: a tick takes as long to draw as a thousand points."""
+    axes.tick_params(labelsize=8)
+    axes.locator_params(nbins=MOST_TICKS)
 
 
 def draw_backdrop(axes: Axes, image: NDArray[np.uint8] | None, shape: tuple[int, int]) -> None:
@@ -81,7 +89,7 @@ def add_bar(axes: Axes, shown: ScalarMappable, label: str, extend: str = "neithe
     if figure is None:
         raise TypeError("the panel is of no figure")
     bar = figure.add_axes((box.x1 + 0.015, box.y0, 0.018, box.height))
-    figure.colorbar(shown, cax=bar, extend=extend).set_label(label, fontsize=9)
+    figure.colorbar(shown, cax=bar, extend=extend, ticks=MaxNLocator(MOST_TICKS)).set_label(label, fontsize=9)
     bar.tick_params(labelsize=8)
 
 

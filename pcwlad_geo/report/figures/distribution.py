@@ -8,7 +8,14 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from pcwlad_geo.raster.tie_point_table import TiePointTable
-from pcwlad_geo.report.figures.canvas import CHECK_COLOUR, COL_COLOUR, ROW_COLOUR, new_figure, to_png
+from pcwlad_geo.report.figures.canvas import (
+    CHECK_COLOUR,
+    COL_COLOUR,
+    ROW_COLOUR,
+    few_ticks,
+    new_figure,
+    to_png,
+)
 from pcwlad_geo.report.figures.displacements import thin
 
 BINS = 31
@@ -48,8 +55,7 @@ def distribution_figure(table: TiePointTable, ce90_px: float) -> bytes:
     panels[0].set_ylabel("points", fontsize=9)
     _circle(panels[2], table, ce90_px, limit)
     for axes in panels:
-        axes.tick_params(labelsize=8)
-        axes.locator_params(axis="x", nbins=5)
+        few_ticks(axes)
     return to_png(figure)
 
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from pcwlad_geo.raster.tie_point_table import TiePointTable
-from pcwlad_geo.report.figures.canvas import COL_COLOUR, ROW_COLOUR, new_figure, to_png
+from pcwlad_geo.report.figures.canvas import COL_COLOUR, ROW_COLOUR, few_ticks, new_figure, to_png
 
 BINS = 12
 LEAST_IN_BIN = 5
@@ -49,7 +49,7 @@ def trend_figure(
             axes = grid[down, across]
             _draw(axes, places, table.residual_px[:, down], span, colour)
             axes.set(xlim=span, ylim=(-limit, limit))
-            axes.tick_params(labelsize=8)
+            few_ticks(axes)
         grid[1, across].set_xlabel(name, fontsize=9)
     for down, name in enumerate(("in column, px", "in row, px")):
         grid[down, 0].set_ylabel(name, fontsize=9)
