@@ -24,7 +24,7 @@ ALIKE: Final = 0.6
 ROUGH: Final = 3.0
 """Independent neighbours that predict worse than so many times the scatter of the nearest do not know."""
 ROUGH_FROM_PX: Final = 0.15
-MOST_NEIGHBOURS: Final = 768
+MOST_NEIGHBOURS: Final = 384
 """Of more neighbours one of several is asked: the windows of those between share their pixels with it."""
 NEAREST: Final = 12
 SAMPLE: Final = 400

@@ -148,8 +148,7 @@ def _may_fork() -> bool:
 
 def _fork_self(preload: str, control: socket.socket) -> _Child:
     """Fork this process after it has imported a module, which it needs itself; the fork is a stem."""
-    if preload:
-        import_module(preload)
+    _import(preload)
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):  # closed, or none at all
             stream.flush()  # or the fork writes it again
@@ -182,6 +181,9 @@ def _leave_parent(control_fd: int) -> None:
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.close(nothing)
+    # the parent's may be other files by now, and hold what it has not written yet
+    sys.stdin, sys.stdout = os.fdopen(0, closefd=False), os.fdopen(2, "w", buffering=1, closefd=False)
+    sys.stderr = sys.stdout
     # who waits for the end of one of them must not wait for the fork; files stay, as libraries read from them
     for descriptor in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
         with suppress(OSError):
@@ -202,9 +204,7 @@ def be_stem(preload: str, control_fd: int) -> None:
     """
     os.dup2(2, 1)  # stray prints go to standard error
     control = socket.socket(fileno=control_fd)
-    with suppress(Exception):  # the first call that needs it says what is wrong
-        if preload:
-            import_module(preload)
+    _import(preload)
     with suppress(OSError):  # the parent is gone
         while True:
             kind, fds, *_ = socket.recv_fds(control, 1, 1)
@@ -225,6 +225,12 @@ def be_stem(preload: str, control_fd: int) -> None:
             else:
                 break
     os._exit(0)
+
+
+def _import(name: str) -> None:
+    with suppress(Exception):  # the first call that needs it says what is wrong
+        if name:
+            import_module(name)
 
 
 def _receive(stream: socket.socket, count: int) -> bytes:

@@ -160,6 +160,17 @@ def test_masked_and_missing_pixels_have_no_say() -> None:
     assert_same_points(untouched, points, 1e-6)
 
 
+def test_all_points_go_back_where_a_sample_does_not_come_back_to_where_it_began() -> None:
+    alike = match_arrays(image(0), image(0, SHIFT_XY), settings=SMALL)
+    share = np.isfinite(alike.way_back_px).mean()
+    assert 0.2 < share < 0.3
+    assert np.nanmax(alike.way_back_px) < 0.02
+    noisy = image(1, SHIFT_XY) + np.random.default_rng(5).normal(0, 0.6 * np.std(image(1)), (SIDE, SIDE))
+    different = match_arrays(image(0), noisy, settings=SMALL)
+    assert np.isfinite(different.way_back_px).all()
+    assert np.sqrt((different.way_back_px**2).mean()) > 0.02
+
+
 def test_points_that_do_not_go_back_are_where_those_are_that_do() -> None:
     both = cross_modal_points()
     sampled = match_arrays(image(0), image(1, SHIFT_XY), settings=replace(SMALL, backward="sample"))

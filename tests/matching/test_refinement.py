@@ -59,7 +59,7 @@ CORNERS = np.array([[80, 95], [112, 90], [100, 118], [40, 100], [100, 30]])
 @pytest.mark.parametrize(("oriented", "with_holes"), [(True, False), (False, True)])
 @pytest.mark.parametrize("affine", [False, True])
 @pytest.mark.parametrize("robust", [False, True])
-@pytest.mark.parametrize("structure", ["follows", "fixed", "given", "none", "deformed"])
+@pytest.mark.parametrize("structure", ["follows", "fixed", "given", "none", "deformed", "a match"])
 def test_the_compiled_loop_equals_its_plain_twin(
     structure: str, robust: bool, affine: bool, oriented: bool, with_holes: bool
 ) -> None:
@@ -74,6 +74,9 @@ def test_the_compiled_loop_equals_its_plain_twin(
         linear = np.tile([[0.01, 0.004], [-0.006, 0.008]], (n, 1, 1))
         start = Start(start.shift_xy_px, linear)
     options = {"window_px": 61, "robust": robust, "affine": affine, "use_structure": structure != "none"}
+    if structure == "a match":
+        found = refine(pair.reference, pair.target, CORNERS, start, **options)
+        start = Start(found.shift_xy_px + np.array([0.012, -0.004]), found.linear, is_match=True)
     fast = refine(pair.reference, pair.target, CORNERS, start, **options)
     plain = refine_plain(pair.reference, pair.target, CORNERS, start, **options)
     np.testing.assert_array_equal(fast.converged, plain.converged)
