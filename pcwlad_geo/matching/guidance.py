@@ -23,8 +23,8 @@ Index = NDArray[np.intp]
 LEAST_DEFORMATION_PX: Final = 0.05
 """Deformations are modelled where they move the corner of a window by more than this."""
 LEAST_FOR_FIELD: Final = 24
-DISAGREEMENT_PX: Final = 0.5
-"""Largest difference between the forward and the backward match."""
+OUTLYING: Final = 5.0
+"""A way back so many times its limit is no chance: where there is one, there are others."""
 LARGEST_PULL_PX: Final = 1.0
 """A point further than this from what its neighbours say keeps its own structure."""
 
@@ -104,10 +104,10 @@ def guide_by_field(
 
 def one_way_is_enough(way_back_px: Float64, settings: MatchSettings) -> bool:
     """Tell whether points, (n,), of which NaN have not been matched back, come back to where they began."""
-    walked = way_back_px[~np.isnan(way_back_px)]
-    if len(walked) == 0 or walked.max() > DISAGREEMENT_PX:
+    walked, limit_px = way_back_px[~np.isnan(way_back_px)], TRAITS[settings.method].one_way_px
+    if len(walked) == 0 or walked.max() > OUTLYING * limit_px:
         return False
-    return bool(np.sqrt(np.mean(walked**2)) <= TRAITS[settings.method].one_way_px)
+    return bool(np.sqrt(np.mean(walked**2)) <= limit_px)
 
 
 def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Float64:

@@ -14,7 +14,6 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.candidates import FATES, Candidates
 from pcwlad_geo.matching.guidance import (
-    DISAGREEMENT_PX,
     FieldGuide,
     calibrate,
     guide_by_field,
@@ -34,6 +33,8 @@ Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 Bool = NDArray[np.bool_]
 
+DISAGREEMENT_PX: Final = 0.5
+"""Largest difference between the forward and the backward match."""
 COARSE_SIGMA_PX: Final = 0.35
 SAMPLED: Final = 4
 """One of so many points is of the sample that is matched back, from target to reference;"""
