@@ -239,7 +239,7 @@ def _run(
     # points of a file leave workers nothing to do
     with open_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
         runner.expect(likely_tiles(reference, target, settings))
-        from pcwlad_geo.registration.run import run  # slow to load, as what the workers load meanwhile
+        from pcwlad_geo.registration.run import run  # slow to load; workers may be loading it too
 
         return run(reference, target, settings, on_event=on_event, runner=runner, match_only=match_only)
 

@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol, TextIO
 
 from pcwlad_geo.cli.options import ProgressStyle
@@ -71,7 +71,7 @@ class Quiet:
 
 
 class Bar(Quiet):
-    """A progress bar a stage, on standard error."""
+    """A progress bar a stage, on standard error; nothing is drawn, by no thread, before the first event."""
 
     def __init__(self, bars: rich.progress.Progress) -> None:
         self._bars = bars
@@ -79,6 +79,7 @@ class Bar(Quiet):
 
     def event(self, event: Event) -> None:
         """Move the bar of a stage, or show a warning above the bars."""
+        self._bars.start()
         if isinstance(event, Warned):
             text = f"warning: {one_line(event.message)}"
             self._bars.console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -155,8 +156,11 @@ def reporter(style: ProgressStyle) -> Iterator[Reporter]:
         with _protocol_stream() as stream:
             yield JsonLines(stream)
     elif style == "bar" or (style == "auto" and sys.stderr.isatty()):
-        with _bars() as bars:
+        bars = _bars()
+        try:
             yield Bar(bars)
+        finally:
+            bars.stop()
     else:
         yield Quiet()
 
@@ -181,7 +185,7 @@ def _protocol_stream() -> Iterator[TextIO]:
         os.close(kept)
 
 
-def _bars() -> AbstractContextManager[rich.progress.Progress]:
+def _bars() -> rich.progress.Progress:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars

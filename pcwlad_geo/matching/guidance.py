@@ -24,7 +24,9 @@ LEAST_DEFORMATION_PX: Final = 0.05
 """Deformations are modelled where they move the corner of a window by more than this."""
 LEAST_FOR_FIELD: Final = 24
 OUTLYING: Final = 5.0
-"""A way back so many times its limit is no chance: where there is one, there are others."""
+"""A way back so many times its limit is no chance;"""
+MOST_OUTLYING: Final = 0.005
+"""where there is a larger share of them in the sample, there are others outside."""
 LARGEST_PULL_PX: Final = 1.0
 """A point further than this from what its neighbours say keeps its own structure."""
 
@@ -105,7 +107,7 @@ def guide_by_field(
 def one_way_is_enough(way_back_px: Float64, settings: MatchSettings) -> bool:
     """Tell whether points, (n,), of which NaN have not been matched back, come back to where they began."""
     walked, limit_px = way_back_px[~np.isnan(way_back_px)], TRAITS[settings.method].one_way_px
-    if len(walked) == 0 or walked.max() > OUTLYING * limit_px:
+    if len(walked) == 0 or (walked > OUTLYING * limit_px).mean() > MOST_OUTLYING:
         return False
     return bool(np.sqrt(np.mean(walked**2)) <= limit_px)
 

@@ -36,8 +36,9 @@ Bool = NDArray[np.bool_]
 DISAGREEMENT_PX: Final = 0.5
 """Largest difference between the forward and the backward match."""
 COARSE_SIGMA_PX: Final = 0.35
-SAMPLED: Final = 4
-"""One of so many points is of the sample that is matched back, from target to reference;"""
+SAMPLED: Final = 5
+"""One of so many points is of the sample that is matched back, from target to reference (they are ordered by
+cell and rank: a divisor of a cell's points would sample one rank only);"""
 LEAST_TO_SAMPLE: Final = 16
 """all are where they are fewer, unless a sample was asked for."""
 
@@ -239,7 +240,7 @@ def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: Mat
             target[index] - points.reference_xy_px[index],
             guide.linear[index],
             None if structure is None else structure[index],
-            is_match=True,
+            is_match=structure is not None,
         )
         refined, agree, _ = _refine_both(pair, to_index(points[index]), start, settings, back)
         good = refined.converged & agree
@@ -330,7 +331,7 @@ def _refine_back(
         -(shift_xy + deformation),
         np.linalg.inv(np.eye(2) + linear) - np.eye(2),
         None if structure_xy is None else -(structure_xy + deformation),
-        is_match=True,
+        is_match=structure_xy is not None,
     )
     backward = _refine_one_way(pair.turned, landed, start, settings)
     return -backward.shift_xy_px - deformation, backward

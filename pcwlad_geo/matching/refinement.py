@@ -83,7 +83,10 @@ class Start:
     structure: Float32 | None = None
     """(n, window, window) mutual structure given from outside."""
     is_match: bool = False
-    """The shifts were refined before, from nearly the same pixels: one short move confirms them."""
+    """The shifts were refined before, from nearly the same pixels: one short move confirms them.
+
+    Not where the structure follows the position: there a short move may be the first of many.
+    """
 
     @property
     def reached_by_px(self) -> float:

@@ -21,8 +21,10 @@ STRUCTURE_EXPONENT: Final = 1.3
 C_LUMINANCE: Final = 0.01**2
 C_CONTRAST: Final = 0.03**2
 PEAK_CLEARANCE_PX: Final = 3
-CHUNK: Final = 16
-"""Corners whose surfaces are worked out at once: these stay in the processor's cache."""
+MOST_AT_ONCE: Final = 16
+"""Corners whose surfaces are worked out at once, fewer where these are large:"""
+VALUES_AT_ONCE: Final = 10_000
+"""they should stay in the processor's cache."""
 
 Float32 = NDArray[np.float32]
 Index = NDArray[np.intp]
@@ -83,8 +85,9 @@ def match_coarsely(
         np.zeros((n, 2), np.intp), np.full(n, -1.0), np.zeros(n), np.zeros(n, bool), np.zeros((n, 2))
     )
     search = _Search(reference, target, template_px, radius_px, least_valid)
-    for begin in range(0, n, CHUNK):
-        some = np.arange(begin, min(begin + CHUNK, n))
+    at_once = max(1, min(MOST_AT_ONCE, VALUES_AT_ONCE // (2 * radius_px + 1) ** 2))
+    for begin in range(0, n, at_once):
+        some = np.arange(begin, min(begin + at_once, n))
         surfaces = search.surfaces(corners_rc[some])
         compared = surfaces.max(axis=(1, 2)) > -1.0
         if compared.any():

@@ -27,7 +27,7 @@ class TiePoints:
     score: Array
     """(n,) match quality, higher is better: how far the coarse peak stands out, 0 to 1."""
     way_back_px: Array
-    """(n,) how far from the reference position the match back from the target ends; NaN if not done."""
+    """(n,) how far off the match back from the target ends in the first pass; NaN if not done."""
 
     def __len__(self) -> int:
         return len(self.score)

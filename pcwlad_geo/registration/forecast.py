@@ -1,6 +1,6 @@
 """About how many tiles a job will have, known before the libraries are loaded that plan them.
 
-Workers that start now have theirs loaded by the time that the tiles are planned.
+Workers are made ready then: they have their libraries by the time that the tiles are planned.
 """
 
 from __future__ import annotations

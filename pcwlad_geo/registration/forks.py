@@ -16,11 +16,12 @@ import struct
 import subprocess
 import sys
 import threading
+import traceback
 import warnings
 from contextlib import ExitStack, suppress
 from importlib import import_module
 from pathlib import Path
-from typing import BinaryIO, Final, cast
+from typing import BinaryIO, Final, NoReturn, cast
 
 from pcwlad_geo.registration.interpreters import start_interpreter
 from pcwlad_geo.registration.worker import ONE_THREAD, answer, answer_calls
@@ -31,7 +32,7 @@ IDLE: Final = "pcwlad-geo-idle"
 
 _FORK, _PREPARE, _WAIT = b"F", b"P", b"W"
 _NUMBER: Final = struct.Struct("<q")
-_START: Final = "from pcwlad_geo.registration.forks import be_stem; be_stem(sys.argv[1], int(sys.argv[2]))"
+_BE_STEM: Final = "from pcwlad_geo.registration.forks import be_stem; be_stem(sys.argv[1], int(sys.argv[2]))"
 
 
 class Stem:
@@ -52,7 +53,7 @@ class Stem:
         ours, theirs = socket.socketpair()
         with theirs, ExitStack() as on_error:
             on_error.push(ours)
-            self._process = _fork_self(preload, theirs) if _may_fork() else _start_anew(preload, theirs)
+            self._process = _start(preload, theirs)
             on_error.pop_all()
         self._control, self._lock = ours, threading.Lock()
 
@@ -131,9 +132,15 @@ class _Child:
             os.waitpid(self.pid, 0)
 
 
-def _start_anew(preload: str, control: socket.socket) -> subprocess.Popen[bytes]:
+def _start(preload: str, control: socket.socket) -> _Child | subprocess.Popen[bytes]:
+    """Start a stem: a fork of this process where that is safe, else a fresh interpreter."""
+    if _may_fork():
+        _import(preload)  # which this process needs itself
+        if _may_fork():  # still: libraries may have started threads
+            with suppress(OSError):  # too little memory for a second one of this size
+                return _fork_self(control)
     number = control.fileno()
-    return start_interpreter(_START, [preload, str(number)], stdin=subprocess.DEVNULL, pass_fds=[number])
+    return start_interpreter(_BE_STEM, [preload, str(number)], stdin=subprocess.DEVNULL, pass_fds=[number])
 
 
 def _may_fork() -> bool:
@@ -142,54 +149,80 @@ def _may_fork() -> bool:
     if any(thread.name != IDLE for thread in others):
         return False
     with suppress(OSError):
+        for standard in range(3):
+            os.fstat(standard)  # a closed one: its number may be that of anything
         return len(list(Path("/proc/self/task").iterdir())) == len(others) + 1
     return False
 
 
-def _fork_self(preload: str, control: socket.socket) -> _Child:
-    """Fork this process after it has imported a module, which it needs itself; the fork is a stem."""
-    _import(preload)
+def _fork_self(control: socket.socket) -> _Child:
+    """Fork this process; the fork is a stem.
+
+    Raises
+    ------
+    OSError
+        If it cannot be forked.
+    """
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):  # closed, or none at all
             stream.flush()  # or the fork writes it again
-    # the fork must not run the parent's handlers, nor wake those that wait for its signals
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    child: _Child | None = None
     try:
+        # the fork must not run the parent's handlers, nor wake those that wait for its signals
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of threads: see `_may_fork`
             process_id = os.fork()
         if process_id == 0:
-            try:
-                _leave_parent(control.fileno())
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
-                be_stem("", control.fileno())
-            finally:
-                os._exit(1)
-    finally:
+            _live_on(control.fileno(), before)
+        child = _Child(process_id)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    return _Child(process_id)
+    except BaseException:  # an interrupt: handlers run where the mask changes
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if child is not None:
+            child.kill()
+            child.wait()
+        raise
+    return child
+
+
+def _live_on(control_fd: int, signals: set[int]) -> NoReturn:
+    """Be a stem in a fork, which must not return to what its parent was doing."""
+    try:
+        _leave_parent(control_fd)
+        signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+        be_stem("", control_fd)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        os._exit(1)
 
 
 def _leave_parent(control_fd: int) -> None:
-    """Let go of what a fork shares with its parent: terminal, signals, pipes and sockets."""
+    """Let go of what a fork shares with its parent: terminal, signals, pipes, sockets, files written to."""
+    import fcntl  # inside: not on every system
+
+    gc.freeze()  # what is collected here must not run the parent's finalizers
     os.setsid()
     os.environ.update(ONE_THREAD)
     signal.set_wakeup_fd(-1)
     for number in signal.valid_signals():
         if callable(signal.getsignal(number)):
             signal.signal(number, signal.SIG_DFL)
-    nothing = os.open(os.devnull, os.O_RDONLY)
+    nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
-    os.close(nothing)
+    # Who waits for the end of a pipe, or for a lock, must not wait for the fork. The numbers stay taken, as
+    # libraries may hold them; files that are only read stay open, as libraries read from them.
+    for descriptor in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
+        with suppress(OSError):
+            mode, flags = os.fstat(descriptor).st_mode, fcntl.fcntl(descriptor, fcntl.F_GETFL)
+            shared = stat.S_ISSOCK(mode) or stat.S_ISFIFO(mode) or flags & os.O_ACCMODE != os.O_RDONLY
+            if descriptor > 2 and descriptor not in (control_fd, nothing) and shared:
+                os.dup2(nothing, descriptor)
     # the parent's may be other files by now, and hold what it has not written yet
     sys.stdin, sys.stdout = os.fdopen(0, closefd=False), os.fdopen(2, "w", buffering=1, closefd=False)
     sys.stderr = sys.stdout
-    # who waits for the end of one of them must not wait for the fork; files stay, as libraries read from them
-    for descriptor in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
-        with suppress(OSError):
-            mode = os.fstat(descriptor).st_mode
-            if descriptor > 2 and descriptor != control_fd and (stat.S_ISSOCK(mode) or stat.S_ISFIFO(mode)):
-                os.close(descriptor)
 
 
 def be_stem(preload: str, control_fd: int) -> None:

@@ -140,7 +140,7 @@ class Workers:
         self._all: list[Worker] = []
 
     def expect(self, count: int) -> None:
-        """Make ready for so many workers, without waiting for it: libraries load meanwhile."""
+        """Make ready for so many workers: what they need is loaded, here or in another process."""
         if not CAN_FORK:
             self.at_least(count)
         elif self._stem is None:

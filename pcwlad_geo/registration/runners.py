@@ -19,7 +19,7 @@ from pcwlad_geo.registration.tasks import Affinity, InThisProcess, Ran, Runner, 
 IN_FLIGHT: Final = 64
 """Calls that an executor of unknown size holds at a time."""
 TASKS_MODULE: Final = "pcwlad_geo.registration.tiles"
-"""Workers import it while they wait for their first call."""
+"""Workers import it before their first call, or what they are forked from does."""
 
 T = TypeVar("T")
 
@@ -122,7 +122,7 @@ class OwnProcesses:
         return [worker.process_id for worker in self._workers.at_least(self._wanted)]
 
     def expect(self, calls: int) -> None:
-        """Make the workers ready that so many calls can use; they import their libraries meanwhile."""
+        """Make the workers ready that so many calls can use."""
         wanted = min(self._jobs, calls)
         if wanted > max(1, self._wanted):
             self._wanted = wanted

@@ -1,6 +1,7 @@
 from collections import Counter
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching import matcher
 from pcwlad_geo.matching.matcher import Core, match_arrays, match_candidates, to_index
 from pcwlad_geo.matching.phase_congruency import scene_epsilon
 from pcwlad_geo.matching.prepare import Image, prepare
@@ -169,6 +171,25 @@ def test_all_points_go_back_where_a_sample_does_not_come_back_to_where_it_began(
     different = match_arrays(image(0), noisy, settings=SMALL)
     assert np.isfinite(different.way_back_px).all()
     assert np.sqrt((different.way_back_px**2).mean()) > 0.02
+
+
+def test_the_second_pass_goes_back_where_the_first_one_did_not_come_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ways: list[str] = []
+    refine_both = matcher._refine_both
+
+    def note(*arguments: Any) -> Any:
+        ways.append(arguments[-1])
+        return refine_both(*arguments)
+
+    monkeypatch.setattr(matcher, "_refine_both", note)
+    match_arrays(image(0), image(0, SHIFT_XY), settings=SMALL)
+    assert set(ways) == {"as needed", "never"}
+    ways.clear()
+    noisy = image(1, SHIFT_XY) + np.random.default_rng(5).normal(0, 0.6 * np.std(image(1)), (SIDE, SIDE))
+    match_arrays(image(0), noisy, settings=SMALL)
+    assert set(ways) == {"as needed", "always"}
 
 
 def test_points_that_do_not_go_back_are_where_those_are_that_do() -> None:

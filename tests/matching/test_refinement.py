@@ -1,3 +1,4 @@
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -88,6 +89,23 @@ def test_the_compiled_loop_equals_its_plain_twin(
     assert not ok[-1], "the last window leaves the image"
     if structure == "follows" and not affine:
         assert ok[:3].sum() >= 2
+
+
+def test_one_short_move_confirms_a_match_and_nothing_else() -> None:
+    pair, n = cross_modal(True, False), len(CORNERS)
+    structure = np.tile([0.7, -0.6], (n, 1))
+    start = start_at((1.0, -1.0), n, structure_xy_px=structure)
+    options = {"window_px": 61, "iterations": 1}
+    found = refine(pair.reference, pair.target, CORNERS, start, window_px=61)
+    near = Start(found.shift_xy_px, found.linear, structure)
+    assert not refine(pair.reference, pair.target, CORNERS, near, **options).converged.any()
+    again = refine(pair.reference, pair.target, CORNERS, replace(near, is_match=True), **options)
+    np.testing.assert_array_equal(again.converged, found.converged)
+    ok = found.converged
+    np.testing.assert_allclose(again.shift_xy_px[ok], found.shift_xy_px[ok], atol=0.004)
+    np.testing.assert_allclose(again.covariance_px2[ok], found.covariance_px2[ok], rtol=0.2)
+    far = replace(start, is_match=True)
+    assert not refine(pair.reference, pair.target, CORNERS, far, **options).converged.any()
 
 
 @pytest.mark.parametrize("window_px", [41, 81, 101, 129])

@@ -13,13 +13,14 @@ import cv2
 import pytest
 import rasterio
 
-from pcwlad_geo.errors import ExecutionError
+from pcwlad_geo.errors import ExecutionError, OutputError
 from pcwlad_geo.registration import forks, processes
 from pcwlad_geo.registration.environment import gdal_settings
 from pcwlad_geo.registration.processes import ATTEMPTS, available_cores
 from pcwlad_geo.registration.progress import Event, Progress, Warned
 from pcwlad_geo.registration.runners import OnExecutor, OwnProcesses
 from pcwlad_geo.registration.tasks import InThisProcess
+from pcwlad_geo.staging import OutputFolder
 from tests.registration.calls import (
     Shuffled,
     die,
@@ -259,12 +260,56 @@ def test_a_fork_keeps_no_pipe_of_its_parent_open() -> None:
     os.close(end)
 
 
+LOCKED = """
+import sys
+from pcwlad_geo.registration import forks
+from pcwlad_geo.registration.runners import OwnProcesses
+from pcwlad_geo.staging import OutputFolder
+from pathlib import Path
+from tests.registration.calls import sleep
+forks._may_fork = lambda: True
+with OutputFolder(Path(sys.argv[1]), overwrite=True), OwnProcesses(2, preload="") as runner:
+    runner.expect(2)
+    runner.prepare(sleep, (8.0,))
+    print("busy", flush=True)
+    input()
+"""
+
+
+@NO_FORKS
+def test_a_busy_fork_does_not_hold_the_output_folder_of_a_killed_parent(tmp_path: Path) -> None:
+    script = [sys.executable, "-c", LOCKED, str(tmp_path / "out")]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(script, cwd=REPOSITORY, **pipes) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == b"busy\n"
+        with pytest.raises(OutputError), OutputFolder(tmp_path / "out", overwrite=True):
+            pass
+        parent.kill()
+        parent.wait()
+        with OutputFolder(tmp_path / "out", overwrite=True):
+            pass
+
+
+@NO_FORKS
+def test_what_cannot_be_forked_is_started_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> int:
+        raise BlockingIOError
+
+    monkeypatch.setattr(os, "fork", fail)
+    with OwnProcesses(2, preload="") as runner:
+        runner.expect(2)
+        assert len({*runner.process_ids, os.getpid()}) == 3
+        assert set(runner.run(process_of, CALLS, "processes").results) <= set(runner.process_ids)
+
+
 ALONE = """
 import sys
 from threading import Event, Thread
 from pcwlad_geo.cli.interrupt import cancellable
 from pcwlad_geo.registration.forks import _may_fork
-with cancellable(lambda: None):
+from pcwlad_geo.cli.progress import reporter
+with reporter(sys.argv[1]), cancellable(lambda: None):
     import pcwlad_geo.registration.tiles
     print(_may_fork())
     Thread(target=Event().wait, daemon=True).start()
@@ -273,11 +318,13 @@ with cancellable(lambda: None):
 
 
 @NO_FORKS
-def test_the_command_line_forks_itself_and_nothing_that_has_other_threads_does() -> None:
+@pytest.mark.parametrize("progress", ["bar", "json", "none"])
+def test_the_command_line_forks_itself_and_nothing_that_has_other_threads_does(progress: str) -> None:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-c", ALONE]
+    command = [sys.executable, "-c", ALONE, progress]
     done = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, check=True)
-    assert done.stdout.split() == [b"True", b"False"]
+    said = done.stderr if progress == "json" else done.stdout
+    assert said.split() == [b"True", b"False"]
 
 
 @NO_FORKS
