@@ -42,19 +42,38 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 CALLS = [(value,) for value in range(8)]
 
 
+OWN_FORK = "PCWLAD_GEO_TEST_OWN_FORK"
+ALONE_HERE = OWN_FORK in os.environ
 NO_FORKS = pytest.mark.skipif(not processes.CAN_FORK, reason="no forks here")
 
 
 @pytest.fixture(
     autouse=True,
-    params=[pytest.param("own fork", marks=NO_FORKS), pytest.param("forks", marks=NO_FORKS), "fresh"],
+    params=["own fork"] if ALONE_HERE else [pytest.param("forks", marks=NO_FORKS), "fresh"],
 )
 def source(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Where the processes come from: a fork of this one forks them, a fresh one does, or all are fresh."""
     if request.param == "fresh":
         monkeypatch.setattr(processes, "CAN_FORK", False)
-    monkeypatch.setattr(forks, "_may_fork", lambda: request.param == "own fork")
+    if request.param != "own fork":
+        monkeypatch.setattr(forks, "_may_fork", lambda: False)
     return str(request.param)
+
+
+@NO_FORKS
+def test_all_of_this_holds_for_forks_of_the_process_itself(source: str) -> None:
+    """In a process of its own: in this one, libraries of other tests have threads that a fork would miss."""
+    if source == "own fork":
+        assert forks._may_fork()
+        return
+    if source == "fresh":
+        pytest.skip("once is enough")
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", OWN_FORK: "1"}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__]
+    done = subprocess.run(
+        command, cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 0, done.stdout
 
 
 def test_jobs_are_other_processes_and_the_same_in_every_stage() -> None:
