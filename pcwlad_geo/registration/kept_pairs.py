@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.matching.prepare import StackPair
 from pcwlad_geo.matching.refinement import ChannelStack
 
-MOST_BYTES: Final = 176 << 20
+MOST_BYTES: Final = 240 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
