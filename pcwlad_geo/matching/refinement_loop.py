@@ -137,34 +137,12 @@ def _load(
                 work.slope_y,
             )
         )
+    top, left = row - reach + shift[1], col - reach + shift[0]
+    coefficients, along = work.coefficients, work.along
     if looks:
-        return bool(
-            sample_values(
-                plane,
-                row - reach + shift[1],
-                col - reach + shift[0],
-                side,
-                options.width,
-                work.coefficients,
-                work.along,
-                work.value,
-            )
-        )
-    return bool(
-        sample_shift(
-            plane,
-            row - reach + shift[1],
-            col - reach + shift[0],
-            side,
-            options.width,
-            work.coefficients,
-            work.along,
-            work.along_slope,
-            work.value,
-            work.slope_x,
-            work.slope_y,
-        )
-    )
+        return bool(sample_values(plane, top, left, side, options.width, coefficients, along, work.value))
+    sampled = (work.along_slope, work.value, work.slope_x, work.slope_y)
+    return bool(sample_shift(plane, top, left, side, options.width, coefficients, along, *sampled))
 
 
 @compiled_part(inline=True)

@@ -66,6 +66,24 @@ def load_window(plane: Float32, row: int, col: int, rows: int, cols: int, width:
             out[np.uintp(r * width + c)] = plane[np.uintp(row + r), np.uintp(col + c)]
 
 
+@compiled_part(fastmath=True, inline=True)
+def _fraction(position: float) -> np.float32:
+    return np.float32(position - np.floor(position))
+
+
+@compiled_part(fastmath=True)
+def _load_coefficients(
+    plane: Float32, row: float, col: float, side: int, width: int, coefficients: Float32
+) -> bool:
+    """Copy what a window whose first pixel is at row, col is interpolated from; False if it sticks out."""
+    top, left = int(np.floor(row)) - 1, int(np.floor(col)) - 1
+    taps = side + TAPS_BEYOND
+    if top < 0 or left < 0 or top + taps > plane.shape[0] or left + taps > plane.shape[1]:
+        return False
+    load_window(plane, top, left, taps, taps, width, coefficients)
+    return True
+
+
 @compiled_part(fastmath=True)
 def sample_shift(
     plane: Float32,
@@ -81,13 +99,11 @@ def sample_shift(
     slope_y: Float32,
 ) -> bool:
     """Sample a plane of coefficients on a window whose first pixel is at row, col; False if it sticks out."""
-    row0, col0 = int(np.floor(row)), int(np.floor(col))
-    taps = side + TAPS_BEYOND
-    if row0 < 1 or col0 < 1 or row0 - 1 + taps > plane.shape[0] or col0 - 1 + taps > plane.shape[1]:
+    if not _load_coefficients(plane, row, col, side, width, coefficients):
         return False
-    load_window(plane, row0 - 1, col0 - 1, taps, taps, width, coefficients)
-    _across(coefficients, np.float32(col - col0), taps * width, along, along_slope)
-    _down(along, along_slope, np.float32(row - row0), width, side * width, value, slope_x, slope_y)
+    n = (side + TAPS_BEYOND) * width
+    _across(coefficients, _fraction(col), n, along, along_slope)
+    _down(along, along_slope, _fraction(row), width, side * width, value, slope_x, slope_y)
     return True
 
 
@@ -103,16 +119,13 @@ def sample_values(
     value: Float32,
 ) -> bool:
     """Do what `sample_shift` does, without the gradient."""
-    row0, col0 = int(np.floor(row)), int(np.floor(col))
-    taps = side + TAPS_BEYOND
-    if row0 < 1 or col0 < 1 or row0 - 1 + taps > plane.shape[0] or col0 - 1 + taps > plane.shape[1]:
+    if not _load_coefficients(plane, row, col, side, width, coefficients):
         return False
-    load_window(plane, row0 - 1, col0 - 1, taps, taps, width, coefficients)
-    w0, w1, w2, w3 = _spline(np.float32(col - col0))
-    for i in range(taps * width):
+    w0, w1, w2, w3 = _spline(_fraction(col))
+    for i in range((side + TAPS_BEYOND) * width):
         a0, a1, a2, a3 = coefficients[i], coefficients[i + 1], coefficients[i + 2], coefficients[i + 3]
         along[i] = w0 * a0 + w1 * a1 + w2 * a2 + w3 * a3
-    w0, w1, w2, w3 = _spline(np.float32(row - row0))
+    w0, w1, w2, w3 = _spline(_fraction(row))
     along_1, along_2, along_3 = along[width:], along[2 * width :], along[3 * width :]
     for i in range(side * width):
         value[i] = w0 * along[i] + w1 * along_1[i] + w2 * along_2[i] + w3 * along_3[i]

@@ -46,12 +46,13 @@ def box_average(values: Array, valid: Bool, row_edges: Array, col_edges: Array) 
     def total(data: Array) -> Array:
         return np.asarray((col_weights @ (row_weights @ data).T).T)
 
-    if valid.all():  # the usual case, at half the cost
-        ones = row_weights.sum(axis=1), col_weights.sum(axis=1)
-        fraction = np.outer(*ones)
-        return _divided(total(values), fraction), fraction
-    fraction = total(valid.astype(np.float64))
-    return _divided(total(np.where(valid, values, 0.0)), fraction), fraction
+    whole = bool(valid.all())  # the usual case, at half the cost
+    fraction = (
+        np.outer(row_weights.sum(axis=1), col_weights.sum(axis=1))
+        if whole
+        else total(valid.astype(np.float64))
+    )
+    return _divided(total(values if whole else np.where(valid, values, 0.0)), fraction), fraction
 
 
 def block_mean(values: Array, valid: Bool, factor: int) -> tuple[Array, Array]:
