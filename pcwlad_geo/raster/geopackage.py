@@ -8,13 +8,12 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-import pyproj
 import shapely
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.raster import qgis_styles, tie_point_csv
-from pcwlad_geo.raster.crs import to_pyproj
+from pcwlad_geo.raster.geodesy import moved_xy
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 
 Array = NDArray[np.float64]
@@ -50,13 +49,13 @@ def write(table: TiePointTable, path: Path) -> None:
     import pyogrio.raw
     from pyogrio.errors import DataLayerError, DataSourceError
 
-    moved_xy = observed_xy(table)
+    seen_xy = observed_xy(table)
     layers = {
         "tie_points": ("Point", shapely.points(table.xy)),
-        "displacements": ("LineString", shapely.linestrings(np.stack([table.xy, moved_xy], axis=1))),
+        "displacements": ("LineString", shapely.linestrings(np.stack([table.xy, seen_xy], axis=1))),
     }
     kept = table.status != "rejected"
-    arrows = qgis_styles.arrows_style(qgis_styles.enlargement(table.xy[kept], moved_xy[kept]))
+    arrows = qgis_styles.arrows_style(qgis_styles.enlargement(table.xy[kept], seen_xy[kept]))
     styles = {"tie_points": qgis_styles.points_style(), "displacements": arrows}
     columns = tie_point_csv.columns_of(table)
     try:
@@ -83,19 +82,7 @@ def observed_xy(table: TiePointTable) -> Array:
     if table.crs is None:
         plane_xy: Array = table.xy + table.displacement_px * np.array([1.0, -1.0])
         return plane_xy
-    if not table.crs.is_geographic:
-        return table.xy + table.displacement_m / float(table.crs.linear_units_factor[1])
-    crs = to_pyproj(table.crs)
-    geod = crs.get_geod() or pyproj.Geod(ellps="WGS84")
-    degrees_per_unit = float(np.degrees(crs.axis_info[0].unit_conversion_factor))
-    lon, lat = (table.xy * degrees_per_unit).T
-    east_m, north_m = table.displacement_m.T
-    azimuth = np.degrees(np.arctan2(east_m, north_m))
-    moved_lon, moved_lat, _ = geod.fwd(lon, lat, azimuth, np.hypot(east_m, north_m))
-    # Steps, not positions: longitudes from 0 to 360 must stay so.
-    step = np.column_stack([(moved_lon - lon + 180.0) % 360.0 - 180.0, moved_lat - lat])
-    moved_xy: Array = table.xy + step / degrees_per_unit
-    return moved_xy
+    return moved_xy(table.xy, table.displacement_m, table.crs)
 
 
 def _field(values: NDArray[np.generic]) -> NDArray[np.generic]:

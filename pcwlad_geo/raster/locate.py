@@ -89,6 +89,17 @@ def predict_target_px(reference_px: Array, pair: ViewPair) -> Array:
     return map_px(reference_px, pair.reference.info.grid, pair.target.info.grid)
 
 
+def overlap_middle_px(pair: ViewPair, target: RasterInfo) -> Array:
+    """Return the target file px (2,) in the middle of what both rasters cover by their georeferencing.
+
+    The middle of the target where that place has no position in it.
+    """
+    box, (rows, cols) = pair.overlap, target.grid.shape
+    middle_px = np.array([[box.col + box.cols / 2, box.row + box.rows / 2]])
+    found_px = predict_target_px(pair.reference.to_file_px(middle_px), pair)[0]
+    return found_px if np.isfinite(found_px).all() else np.array([cols / 2, rows / 2])
+
+
 def ground_xy(reference_px: Array, pair: ViewPair) -> Array:
     """Map (n, 2) reference file px to the reference CRS; to (col, -row) without one."""
     grid = pair.reference.info.grid

@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 _LANDSAT: Final = re.compile(r"^L([COTEM])0([1-9])_\w{4}_\d{6}_.*?_(?:(?:SR|ST)_)?B(\d+)$", re.IGNORECASE)
 _SENTINEL2: Final = re.compile(
     r"^(?:L2A_)?(?:T\d{2}[A-Z]{3}_\d{8}T\d{6}|S2[A-D]_.*)_B(\d{1,2}|8A)(?:_\d+m)?$", re.IGNORECASE
@@ -19,6 +22,29 @@ _SENTINEL2_M: Final = {
 }
 TIRS_M: Final = 100.0
 """Native pixel of the thermal bands of Landsat 8 and 9, which are delivered at 30 m."""
+
+
+_NOMINAL: Final = 0.002
+"""Products state pixel sizes on their map grids: those of UTM are the length on the ground within 0.1 %."""
+
+
+def native_per_px(px_m: tuple[float, float], native_m: float | tuple[float, float]) -> NDArray[np.float64]:
+    """Return how many native pixels a pixel is long along (col, row).
+
+    Parameters
+    ----------
+    px_m : (float, float)
+        Size of the pixel on the ground, metres.
+    native_m : float or (float, float)
+        Size of the native one, nominally.
+
+    Returns
+    -------
+    (2,) array
+        1 where the two differ by no more than nominal sizes do.
+    """
+    ratio = np.array(px_m) / native_m
+    return np.where(np.abs(ratio - 1.0) <= _NOMINAL, 1.0, ratio)
 
 
 def native_px_m(stem: str, description: str | None) -> float | None:

@@ -47,7 +47,7 @@ def fit_correction(
     table: TiePointTable,
     settings: Settings,
     footprint_px: float,
-    px_m: tuple[float, float] | None,
+    sizes_m: Float64 | None,
     shape: tuple[int, int] | None = None,
     candidates: tuple[str, ...] = CANDIDATES,
 ) -> Fitted:
@@ -60,8 +60,8 @@ def fit_correction(
     settings : Settings
     footprint_px : float
         Side of the matching window in target px.
-    px_m : (float, float), optional
-        Size of a target pixel (col, row) in metres.
+    sizes_m : (n, 2) array, optional
+        Size of a target pixel (col, row) on the ground at each point, metres.
     shape : (int, int), optional
         Rows and columns of the target: no model may fold it. By default the box of the fit points counts.
     candidates : tuple of str
@@ -87,7 +87,7 @@ def fit_correction(
     )
     residual = table.target_px - selection.fit.correction.forward(table.predicted_px)
     done = replace(table, status=status, residual_px=residual)
-    return Fitted(done, selection, _accuracy(done, px_m))
+    return Fitted(done, selection, _accuracy(done, sizes_m))
 
 
 def shared_residual_px(table: TiePointTable) -> float:
@@ -110,11 +110,11 @@ def shared_residual_px(table: TiePointTable) -> float:
     return float(size) if noise < NOISE_SHARE * size else 0.0
 
 
-def _accuracy(table: TiePointTable, px_m: tuple[float, float] | None) -> dict[str, Accuracy]:
-    scale = np.array(px_m if px_m is not None else (np.nan, np.nan))
+def _accuracy(table: TiePointTable, sizes_m: Float64 | None) -> dict[str, Accuracy]:
+    residual_m = table.residual_px * (np.nan if sizes_m is None else sizes_m)
     result = {}
     for status in ("fit", "check"):
-        residual = table.select(status).residual_px
-        result[f"{status}_px"] = Accuracy.of(residual)
-        result[f"{status}_m"] = Accuracy.of(residual * scale)
+        chosen = table.status == status
+        result[f"{status}_px"] = Accuracy.of(table.residual_px[chosen])
+        result[f"{status}_m"] = Accuracy.of(residual_m[chosen])
     return result

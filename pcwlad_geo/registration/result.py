@@ -44,7 +44,8 @@ class Registration:
     target: RasterInfo
     matching_grid: Grid
     px_m: tuple[float, float] | None
-    """Size of a target pixel (col, row) in metres; None without a CRS."""
+    """Size of a target pixel (col, row) on the ground in the middle of the overlap, metres;
+    None without a CRS."""
     prealignment: Prealignment
     tie_points: TiePointTable
     correction: Correction | None

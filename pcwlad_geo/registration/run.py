@@ -11,8 +11,8 @@ import numpy as np
 
 from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.geodesy import middle_pixel_size_m
-from pcwlad_geo.raster.locate import locate
+from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
+from pcwlad_geo.raster.locate import locate, overlap_middle_px
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.rpc_grid import levelled
 from pcwlad_geo.raster.rpc_view import Placed, plan_rpc_views
@@ -98,7 +98,7 @@ def run(
         else _by_matching(pair, placed, settings, log, runner)
     )
     table = found.table
-    px_m = middle_pixel_size_m(levelled(tgt.grid))
+    px_m = pixel_size_m(levelled(tgt.grid), overlap_middle_px(pair, tgt))
     fitted: Fitted | None = None
     if found.verdict.accepted and not match_only:
         with log.stage("fitting"):
@@ -107,7 +107,8 @@ def run(
             if settings.tie_points:
                 footprint = footprint_px(table, footprint)
             candidates = MODELS if placed else CANDIDATES
-            fitted = fit_correction(table, settings, footprint, px_m, tgt.grid.shape, candidates)
+            sizes_m = pixel_sizes_m(levelled(tgt.grid), table.predicted_px)
+            fitted = fit_correction(table, settings, footprint, sizes_m, tgt.grid.shape, candidates)
             _warn_of_parallax(fitted, log)
             on_event(Progress("fitting", 1, 1))
     status = "rejected" if not found.verdict.accepted else "matched" if match_only else "registered"

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.error_statistics import in_units
-from pcwlad_geo.raster.native_pixels import native_px_m
+from pcwlad_geo.raster.geodesy import pixel_sizes_m
+from pcwlad_geo.raster.native_pixels import native_per_px, native_px_m
+from pcwlad_geo.raster.rpc_grid import levelled
 from pcwlad_geo.raster.source import RasterInfo, file_name
 from pcwlad_geo.registration.result import Registration
 
@@ -32,20 +34,20 @@ def error_statistics(registration: Registration) -> dict[str, object]:
     dict
         `before` and `after`, each with the groups `all`, `fit`, `check`: None, or `n` and, by unit (`px` of
         the target, `native_px`, `m`), `col`, `row`, `radial` and `net` (without the matching noise) as
-        `ErrorStatistics` has them. Metres are target px times px_m, along its columns and rows; a unit that
-        is not known is None. `native_px_m` is the coarser native pixel of the two, None where none is known.
+        `ErrorStatistics` has them. Metres are target px times the size of the pixel on the ground at each
+        point, along its columns and rows; a unit that is not known is None. `native_px_m` is the coarser
+        native pixel of the two, None where none is known.
     """
     native = native_size_m(registration.reference, registration.target)
-    factors = _factors(registration.px_m, native)
-    table = registration.tie_points
-    groups = {name: table.select(*statuses) for name, statuses in GROUPS.items()}
-    return {
-        "native_px_m": native,
-        "before": {
-            name: _of(points.displacement_px, points.sigma_px, factors) for name, points in groups.items()
-        },
-        "after": {name: _of(points.residual_px, points.sigma_px, factors) for name, points in groups.items()},
-    }
+    before: dict[str, object] = {}
+    after: dict[str, object] = {}
+    for name, statuses in GROUPS.items():
+        points = registration.tie_points.select(*statuses)
+        sizes_m = pixel_sizes_m(levelled(registration.target.grid), points.predicted_px)
+        factors = _factors(registration.px_m, sizes_m, native)
+        before[name] = _of(points.displacement_px, points.sigma_px, factors)
+        after[name] = _of(points.residual_px, points.sigma_px, factors)
+    return {"native_px_m": native, "before": before, "after": after}
 
 
 def native_size_m(*rasters: RasterInfo) -> float | None:
@@ -54,10 +56,11 @@ def native_size_m(*rasters: RasterInfo) -> float | None:
     return max((size for size in sizes if size is not None), default=None)
 
 
-def _factors(px_m: tuple[float, float] | None, native_m: float | None) -> dict[str, Array | None]:
-    metres = None if px_m is None else np.array(px_m)
-    native = None if metres is None or native_m is None else metres / native_m
-    return {"px": np.ones(2), "native_px": native, "m": metres}
+def _factors(
+    px_m: tuple[float, float] | None, sizes_m: Array | None, native_m: float | None
+) -> dict[str, Array | None]:
+    native = None if px_m is None or native_m is None else native_per_px(px_m, native_m)
+    return {"px": np.ones(2), "native_px": native, "m": sizes_m}
 
 
 def _of(errors_px: Array, sigma_px: Array, factors: Mapping[str, Array | None]) -> dict[str, object] | None:

@@ -17,6 +17,8 @@ from pcwlad_geo.stacks.inputs import PathLike, Wanted, expand
 
 LONGEST_NAME: Final = 24
 """Descriptions that are longer are no names."""
+_ONE_SIZE: Final = 1.05
+"""Pixels whose areas differ by less than this factor are of one size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +82,7 @@ def list_bands(
         )
     names = _names(found)
     named = [replace(band, name=name) for band, name in zip(found, names, strict=True)]
-    return sorted(named, key=lambda band: 0.0 if band.px_m is None else round(band.px_m[0] * band.px_m[1], 6))
+    return _finest_first(named)
 
 
 def find_band(bands: Sequence[Band], name: str) -> Band:
@@ -132,6 +134,19 @@ def with_native_px(bands: Sequence[Band], told: Sequence[str]) -> list[Band]:
         for band in [find_band(bands, name)] if name else bands:
             result[band.name] = replace(result[band.name], native_m=(metres, metres), native_told=True)
     return list(result.values())
+
+
+def _finest_first(bands: Sequence[Band]) -> list[Band]:
+    """Return the bands by the size of their pixels; those of one size stay in their order.
+
+    On the ground pixels of one size are not quite of one size, as the scale of a map changes with the place.
+    """
+    areas = [0.0 if band.px_m is None else band.px_m[0] * band.px_m[1] for band in bands]
+    size, sizes = 0.0, {}
+    for area in sorted(set(areas)):
+        size = area if area > size * _ONE_SIZE else size
+        sizes[area] = size
+    return [band for _, band in sorted(zip(areas, bands, strict=True), key=lambda pair: sizes[pair[0]])]
 
 
 def _described(wanted: Wanted) -> Band:

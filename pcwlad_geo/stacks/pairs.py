@@ -10,6 +10,8 @@ from typing import Literal
 import numpy as np
 
 from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
+from pcwlad_geo.raster.geodesy import pixel_sizes_m
+from pcwlad_geo.raster.native_pixels import native_per_px
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.stacks.bands import Band
@@ -89,12 +91,12 @@ def measured(reference: Band, target: Band, found: Registration) -> PairResult:
 def statistics_by_unit(
     points: TiePointTable, reference: Band, target: Band
 ) -> dict[str, ErrorStatistics | None]:
-    """Return the statistics of the displacements in target px, native px and metres."""
+    """Return the statistics of the displacements in target px, native px and metres on the ground."""
     one, native = np.ones(2), native_m(reference, target)
-    px_m = None if target.px_m is None else np.array(target.px_m)
-    factors = {"px": one, "native px": one, "m": px_m}
-    if px_m is not None and native is not None:
-        factors["native px"] = px_m / native
+    sizes_m = pixel_sizes_m(target.info.grid, points.predicted_px)
+    factors = {"px": one, "native px": one, "m": sizes_m}
+    if target.px_m is not None and native is not None:
+        factors["native px"] = native_per_px(target.px_m, native)
     return in_units(points.displacement_px, points.sigma_px, factors)
 
 

@@ -18,6 +18,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.raster import geopackage, tie_point_csv
+from pcwlad_geo.raster.geodesy import displacement_m
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 
 
@@ -68,7 +69,9 @@ def test_points_lines_and_attributes(tmp_path: Path) -> None:
     with closing(sqlite3.connect(path)) as database:
         assert database.execute("SELECT residual_col FROM tie_points").fetchall() == [(None,)] * 3
     assert lines(path)[:, 0] == pytest.approx(UTM_TABLE.xy)
-    assert lines(path)[:, 1] - lines(path)[:, 0] == pytest.approx(UTM_TABLE.displacement_m)
+    assert displacement_m(*lines(path).transpose(1, 0, 2), UTM_TABLE.crs) == pytest.approx(
+        UTM_TABLE.displacement_m, abs=1e-6
+    )
 
 
 def test_feet_and_degrees(tmp_path: Path) -> None:
