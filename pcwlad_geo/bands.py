@@ -9,6 +9,7 @@ from pathlib import Path
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.outputs import warp_band
 from pcwlad_geo.raster import warping
+from pcwlad_geo.raster.output_grid import GridRequest, output_grids
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.settings import OutputGrid, Resampling
@@ -46,7 +47,8 @@ def warp(
         Write the one raster there instead.
     grid : {"reference", "target"}, optional
         Output grid: the reference's CRS and alignment with the raster's own pixel size, or the raster's own
-        grid. By default as in the registration.
+        grid. By default as in the registration. On the reference's alignment all rasters share the extent of
+        the corrected target, in whole pixels of the coarsest of them and the target.
     resampling : str, optional
         By default as in the registration.
     overwrite : bool
@@ -70,6 +72,13 @@ def warp(
     sources = [os.fspath(raster) for raster in rasters]
     places = warped_paths(sources, out_dir, output_raster)
     _check(sources, places, finished, overwrite)
+    grids = output_grids(
+        finished.reference_grid,
+        finished.target_grid,
+        finished.correction,
+        GridRequest(grid or finished.grid),
+        [describe(source).grid for source in sources],
+    )
     with stage_inside(places[0].parent) as stage:
         for number, (source, place) in enumerate(zip(sources, places, strict=True)):
             on_event(Progress("rasters", number, len(sources)))
@@ -78,8 +87,8 @@ def warp(
                 source,
                 staged,
                 finished.correction,
-                (finished.reference_grid, finished.target_grid),
-                grid or finished.grid,
+                finished.target_grid,
+                grids[number],
                 resampling or finished.resampling,
                 on_event,
             )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from pcwlad_geo.correction.models import AffineCorrection, Correction
@@ -19,12 +18,11 @@ from pcwlad_geo.raster import (
     warping,
 )
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.output_grid import output_grid
+from pcwlad_geo.raster.output_grid import GridRequest, output_grids
 from pcwlad_geo.raster.product import ProductBand
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.settings import OutputGrid
 
 
 def kinds(registration: Registration) -> list[str]:
@@ -44,12 +42,23 @@ def kinds(registration: Registration) -> list[str]:
     return [*found, "raster", *(["sigma"] if registration.settings.write_sigma else [])]
 
 
+def output_grids_of(registration: Registration, bands: Sequence[ProductBand]) -> list[Grid]:
+    """Return the grids of the registered raster and of other bands of its product, which share an extent."""
+    reference, target = registration.reference.grid, registration.target.grid
+    if registration.rpc is not None:
+        return [rpc_warping.ortho_grid(reference, registration.rpc.corrected_grid)]
+    request = GridRequest(registration.settings.grid)
+    rasters = [target, *(describe(band.opened_as()).grid for band in bands)]
+    return output_grids(reference, target, _correction(registration), request, rasters)
+
+
 def writers(
-    registration: Registration, places: Mapping[str, Path], on_event: EventCallback
+    registration: Registration, places: Mapping[str, Path], grid: Grid | None, on_event: EventCallback
 ) -> dict[str, Callable[[Path], None]]:
     """Return what writes each kind of output to a path.
 
-    `places` says where the files will live in the end: what they point to is relative to that.
+    `places` says where the files will live in the end: what they point to is relative to that. `grid` is that
+    of the registered raster, None where there is none.
     """
     table, target, reference = registration.tie_points, registration.target, registration.reference
     on_ground = target.georeferenced and registration.rpc is None
@@ -60,13 +69,10 @@ def writers(
             raise TypeError(f"{correction.name} corrections have no geotransform")
         vrt.write_corrected_vrt(path, target.uri, correction, target.grid, final_path=places["corrected"])
 
-    @cache
-    def grid() -> Grid:
-        if registration.rpc is not None:
-            return rpc_warping.ortho_grid(reference.grid, registration.rpc.corrected_grid)
-        return output_grid(reference.grid, target.grid, _correction(registration), registration.settings.grid)
-
     def write_raster(path: Path) -> None:
+        if grid is None:
+            raise TypeError(f"a pair that is {registration.status} has no registered raster")
+
         def progress(done: int, total: int) -> None:
             on_event(Progress("warping", done, total))
 
@@ -74,18 +80,18 @@ def writers(
         if registration.rpc is not None:
             corrected = registration.rpc.corrected_grid
             warning = rpc_warping.orthorectify(
-                target.uri, path, corrected, grid(), resampling, progress=progress
+                target.uri, path, corrected, grid, resampling, progress=progress
             )
         else:
             correction = _correction(registration)
-            warning = warping.warp(target.uri, path, correction, grid(), resampling, progress=progress)
+            warning = warping.warp(target.uri, path, correction, grid, resampling, progress=progress)
         if warning is not None:
             on_event(Warned(warning))
 
     def write_sigma(path: Path) -> None:
-        if registration.selection is None:
+        if registration.selection is None or grid is None:
             raise TypeError("a registration without a fit has no sigma")
-        sigma_raster.write(path, registration.selection, target.grid, grid())
+        sigma_raster.write(path, registration.selection, target.grid, grid)
 
     return {
         "tiepoints": lambda path: tie_point_csv.write(table, path),
@@ -105,20 +111,20 @@ def writers(
     }
 
 
-def write_band(registration: Registration, band: ProductBand, path: Path, on_event: EventCallback) -> None:
+def write_band(
+    registration: Registration, band: ProductBand, path: Path, grid: Grid, on_event: EventCallback
+) -> None:
     """Write another band of the target's product, corrected as the target is."""
-    settings = registration.settings
-    grids = registration.reference.grid, registration.target.grid
-    correction = _correction(registration)
-    warp_band(band.opened_as(), path, correction, grids, settings.grid, settings.resampling, on_event)
+    target, resampling = registration.target.grid, registration.settings.resampling
+    warp_band(band.opened_as(), path, _correction(registration), target, grid, resampling, on_event)
 
 
 def warp_band(
     source: str,
     path: Path,
     correction: Correction,
-    grids: tuple[Grid, Grid],
-    mode: OutputGrid,
+    target_grid: Grid,
+    grid: Grid,
     resampling: str,
     on_event: EventCallback,
 ) -> None:
@@ -131,22 +137,21 @@ def warp_band(
     path : pathlib.Path
         The GeoTIFF to write.
     correction : Correction
-    grids : (Grid, Grid)
-        Of the registered pair: reference, target.
-    mode, resampling
-        As `register` takes `grid` and `resampling`.
+    target_grid : Grid
+        Of the registered target.
+    grid : Grid
+        The output grid.
+    resampling : str
     on_event : callable
         Receives `Progress` events, and a warning where parts of the raster cannot be read.
     """
-    reference, target = grids
-    grid = output_grid(reference, target, correction, mode, own_grid=describe(source).grid)
     warning = warping.warp(
         source,
         path,
         correction,
         grid,
         resampling,
-        target_grid=target,
+        target_grid=target_grid,
         progress=lambda done, total: on_event(Progress("warping", done, total)),
     )
     if warning is not None:

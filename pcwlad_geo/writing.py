@@ -59,6 +59,7 @@ def write(
 
     if registration.status != "registered":
         bands = {}
+    grids = outputs.output_grids_of(registration, list(bands)) if registration.status == "registered" else []
     kinds = outputs.kinds(registration)
     total = len(kinds) + len(bands) + 1  # the report is one
     on_event(Progress("writing", 0, total))
@@ -72,12 +73,12 @@ def write(
     side = ThreadPoolExecutor(1)  # GDAL warps without Python's lock
     try:
         drawing = side.submit(_draw, registration, summary, gcps, precision)
-        writers = outputs.writers(registration, places, tell)
+        writers = outputs.writers(registration, places, grids[0] if grids else None, tell)
         for done, kind in enumerate(kinds, start=1):
             writers[kind](staged[kind])
             on_event(Progress("writing", done, total))
         for done, (band, path) in enumerate(bands.items(), start=len(kinds) + 1):
-            outputs.write_band(registration, band, path, tell)
+            outputs.write_band(registration, band, path, grids[done - len(kinds)], tell)
             on_event(Progress("writing", done, total))
         content, seconds_drawing = drawing.result()
     finally:

@@ -103,6 +103,27 @@ def test_on_the_references_lattice_larger_pixels_share_its_corners(make: Make) -
     assert [value % 60 for value in offset] == [0.0, 0.0]
 
 
+def test_bands_of_two_pixel_sizes_stack(make: Make) -> None:
+    """As of Landsat: the corner of the 15 m band lies 7.5 m inside of that of the others."""
+    folder = make()
+    with rasterio.open("b10.tif") as file:
+        profile = file.profile | {"height": 799, "width": 1199}
+        profile |= {"transform": Affine(15, 0, 500007.5, 0, -15, 4599992.5)}
+    with rasterio.open("b8.tif", "w", **profile) as file:
+        file.write(np.full((1, 799, 1199), 7, np.uint16))
+    with_pixels("b10.tif", "b10_120m.tif", 4)
+    corners = set()
+    for rasters, out_dir in ((["b8.tif"], "one"), (["b8.tif", "b10.tif", "b10_120m.tif"], "all")):
+        for path in warp(folder, rasters, out_dir=out_dir):
+            with rasterio.open(path) as made:
+                assert made.transform.a in (15.0, 30.0, 120.0)
+                assert made.transform.e == -made.transform.a
+                corners.add((out_dir, *made.bounds))
+    with rasterio.open(folder / "b10_registered.tif") as first:
+        corners.add(("one", *first.bounds))
+    assert len(corners) == 2
+
+
 def test_folders_without_a_correction_are_told(make: Make, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="absent"):
         warp("absent", ["b10.tif"])

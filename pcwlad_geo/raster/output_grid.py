@@ -2,34 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
+import shapely
+from affine import Affine
 from numpy.typing import NDArray
+from rasterio.crs import CRS
 
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import name_of
-from pcwlad_geo.raster.grid import Grid, jacobian, map_px
+from pcwlad_geo.raster.grid import Grid, linear_part, map_px
+from pcwlad_geo.raster.output_size import pixel_sizes
 
 Array = NDArray[np.float64]
-# Slivers of the footprint thinner than this get no pixel of their own.
-_SLIVER_PX = 1e-3
-# Pixel sizes this close to a multiple or a fraction of the reference's are taken as such across CRSs.
-_SAME_SIZE_ACROSS_CRS = 0.02
-_SAME_SIZE = 1e-6
+Box = tuple[Array, Array]
+"""Lowest and highest (x, y) of a lattice."""
+
+_SLIVER_PX: Final = 1e-3
+"""Slivers of the footprint thinner than this get no pixel of their own."""
+_WHOLE: Final = 1e-6
+"""Ratios of pixel sizes this close to a whole number are one."""
+_MOST_PX: Final = 2**31 - 1
+"""Along a side of a raster: GDAL's limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class GridRequest:
+    """What the user says of the output grid; by default the reference's alignment, the raster's pixels."""
+
+    mode: Literal["reference", "reference-exact", "target"] = "reference"
+    like: Grid | None = None
+    """Exactly this grid."""
+    pixel_size: tuple[float, float] | None = None
+    """Along x and y, units of the output's CRS."""
+    extent: tuple[float, float, float, float] | None = None
+    """x_min, y_min, x_max, y_max in the output's CRS."""
+    crs: CRS | None = None
+    """The reference's by default."""
+
+    @property
+    def needs_ground(self) -> bool:
+        """Whether it speaks of map coordinates."""
+        return any(wish is not None for wish in (self.like, self.pixel_size, self.extent, self.crs))
+
+    def fixed(self, reference: Grid) -> Grid | None:
+        """Return the grid where it does not depend on the raster."""
+        return reference if self.mode == "reference-exact" else self.like
 
 
 def output_grid(
+    reference_grid: Grid, target_grid: Grid, correction: Correction, request: GridRequest | None = None
+) -> Grid:
+    """Return the grid of the registered target, see `output_grids`."""
+    return output_grids(reference_grid, target_grid, correction, request, (target_grid,))[0]
+
+
+def output_grids(
     reference_grid: Grid,
     target_grid: Grid,
     correction: Correction,
-    mode: Literal["reference", "target"] = "reference",
-    *,
-    own_grid: Grid | None = None,
-) -> Grid:
-    """Return the grid of the registered raster.
+    request: GridRequest | None,
+    rasters: Sequence[Grid],
+) -> list[Grid]:
+    """Return the grids of the registered target's bands: one extent for all, whatever their pixel sizes.
+
+    By default they have CRS, axes and corners of the reference and the pixel sizes of `pixel_sizes`, and
+    cover the corrected footprint of the target, rounded outwards to whole pixels of the coarsest of them and
+    the target. A raster that reaches beyond that by more than such a pixel enlarges it. Where either has no
+    CRS: the reference's pixels.
 
     Parameters
     ----------
@@ -37,43 +81,116 @@ def output_grid(
         The original grids.
     correction : Correction
         Maps predicted to observed target pixels.
-    mode : {"reference", "target"}
-        ``target``: the raster's own grid. ``reference``: CRS, axes and pixel corners of the
-        reference with the raster's pixel size, over the whole corrected footprint of the
-        raster; with equal pixel sizes that is the reference's own pixel lattice. Across CRSs a
-        pixel size within 2 % of a multiple or fraction of the reference's becomes that.
-        Where either has no CRS: the reference's pixels.
-    own_grid : Grid, optional
-        Of another raster of the target's geometry; the target's by default.
+    request : GridRequest, optional
+    rasters : sequence of Grid
+        Of the target itself, or of other rasters of its geometry.
 
     Raises
     ------
     InputError
-        If the footprint cannot be transformed to the reference CRS, or the correction has no place for it.
+        If a footprint cannot be transformed to the CRS of the output, or the correction has no place for it,
+        or the grid that is asked for has no pixel, or too many.
     """
-    own = own_grid or target_grid
-    if mode == "target":
-        return own
+    request = request or GridRequest()
+    fixed = request.fixed(reference_grid)
+    if fixed is not None:
+        return [fixed] * len(rasters)
+    if request.mode == "target":
+        return list(rasters)
     if reference_grid.crs is None or target_grid.crs is None:
-        return reference_grid
-    observed_px = map_px(own.boundary_px(), own, target_grid)
-    boundary_px = map_px(correction.inverse(observed_px), target_grid, reference_grid)
-    centre_px = np.array([[own.shape[1] / 2, own.shape[0] / 2]])
-    inverse = jacobian(map_px(centre_px, own, reference_grid), reference_grid, own)[0]
-    if not (np.isfinite(boundary_px).all() and np.isfinite(inverse).all()):
-        raise InputError(
-            f"the target's footprint cannot be transformed from {name_of(target_grid.crs)} to "
-            f"{name_of(reference_grid.crs)}: crop it to where that CRS is valid, or use --grid target"
-        )
-    tolerance = _SAME_SIZE if reference_grid.crs == own.crs else _SAME_SIZE_ACROSS_CRS
-    # A step along an axis of the reference that crosses one pixel of the raster, in reference pixels.
-    size = np.array([snapped_size(1.0 / float(np.hypot(*column)), tolerance) for column in inverse.T])
-    low = np.floor(boundary_px.min(axis=0) / size + _SLIVER_PX).astype(int)
-    high = np.ceil(boundary_px.max(axis=0) / size - _SLIVER_PX).astype(int)
-    cols, rows = (high - low).tolist()
-    linear = ((float(size[0]), 0.0), (0.0, float(size[1])))
-    origin_px = (float(low[0] * size[0]), float(low[1] * size[1]))
-    return reference_grid.remade(linear, origin_px, (rows, cols))
+        return [reference_grid] * len(rasters)
+    lattice = output_lattice(reference_grid, request)
+    boxes = [_footprint(own, target_grid, correction, lattice) for own in (target_grid, *rasters)]
+    sizes = pixel_sizes(lattice, reference_grid, target_grid, rasters)
+    return lay_out(lattice, request, boxes, sizes)
+
+
+def output_lattice(reference: Grid, request: GridRequest) -> Grid:
+    """Return the lattice that the pixels of an output are laid on: one map unit a pixel.
+
+    Its corner and axes are the reference's; north up with a pixel size or an extent given, as for gdalwarp;
+    the origin of the CRS in another one than the reference's.
+    """
+    crs, place = request.crs or reference.crs, reference.transform
+    if crs != reference.crs:
+        return Grid(reference.shape, Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0), crs)
+    if request.pixel_size is not None or request.extent is not None:
+        return Grid(reference.shape, Affine(1.0, 0.0, place.c, 0.0, -1.0, place.f), crs)
+    (a, b), (d, e) = (linear_part(place) / np.hypot(*linear_part(place))).tolist()
+    return Grid(reference.shape, Affine(a, b, place.c, d, e, place.f), crs)
+
+
+def lay_out(lattice: Grid, request: GridRequest, boxes: Sequence[Box], sizes: Sequence[Array]) -> list[Grid]:
+    """Return the grids of rasters that share an extent.
+
+    Parameters
+    ----------
+    lattice : Grid
+        See `output_lattice`.
+    request : GridRequest
+        Its pixel size and extent count.
+    boxes : sequence of (2,), (2,) arrays
+        What the target and then each raster covers, lattice px.
+    sizes : sequence of (2,) arrays
+        Pixel sizes of the same, lattice px.
+
+    Raises
+    ------
+    InputError
+        If a grid has no pixel, or too many.
+    """
+    if request.pixel_size is not None:
+        sizes = [np.array(request.pixel_size)] * len(sizes)
+    step = np.max(sizes, axis=0)
+    if request.extent is not None:
+        return [_within(lattice, request, size, step) for size in sizes[1:]]
+    low, high = boxes[0]
+    for other_low, other_high in boxes[1:]:
+        low = np.where(other_low < low - step, other_low, low)
+        high = np.where(other_high > high + step, other_high, high)
+    first = np.floor(low / step + _SLIVER_PX)
+    steps = np.maximum(np.ceil(high / step - _SLIVER_PX) - first, 1)
+    return [_laid(lattice, first * step, size, _count(steps, step, size)) for size in sizes[1:]]
+
+
+def check_covered(grid: Grid, footprint_xy: Array, footprint_crs: CRS | None, *, beyond: float = 0.0) -> None:
+    """Raise where an output grid shows nothing of a raster.
+
+    Parameters
+    ----------
+    grid : Grid
+    footprint_xy : (n, 2) array
+        Around the raster, map coordinates.
+    footprint_crs : CRS or None
+        Theirs; without one, or where the outline cannot be placed, nothing is checked.
+    beyond : float
+        How far the raster may lie from there, as a share of its larger side.
+
+    Raises
+    ------
+    InputError
+        Then.
+    """
+    if footprint_crs is None or grid.crs is None or not len(footprint_xy):
+        return
+    plain = Grid(grid.shape, Affine.identity(), footprint_crs)
+    outline_px = map_px(footprint_xy, plain, grid)
+    if not np.isfinite(outline_px).all():
+        return
+    low, high = outline_px.min(axis=0), outline_px.max(axis=0)
+    around = shapely.Polygon(outline_px).buffer(beyond * float((high - low).max()))
+    rows, cols = grid.shape
+    if around.intersection(shapely.box(0, 0, cols, rows)).area > 0:
+        return
+    (left, top), (right, bottom) = grid.to_xy(np.array([[0.0, 0.0], [cols, rows]])).tolist()
+    place = Grid((1, 1), Affine.identity(), grid.crs)
+    xy = map_px(footprint_xy, plain, place)
+    (x_min, y_min), (x_max, y_max) = xy.min(axis=0), xy.max(axis=0)
+    raise InputError(
+        f"the output grid shows nothing of the target: in {name_of(grid.crs)} it covers x {left:.10g} to "
+        f"{right:.10g}, y {bottom:.10g} to {top:.10g}, and the target x {x_min:.10g} to {x_max:.10g}, "
+        f"y {y_min:.10g} to {y_max:.10g}: change --te, --t-srs or --like"
+    )
 
 
 def original_pixels(
@@ -103,8 +220,53 @@ def original_pixels(
     return mapping
 
 
-def snapped_size(size: float, tolerance: float = _SAME_SIZE_ACROSS_CRS) -> float:
-    """Return the whole multiple or fraction of 1 that a size agrees with, or the size itself."""
-    whole = max(1, round(max(size, 1.0 / size)))
-    nearest = float(whole) if size >= 1.0 else 1.0 / whole
-    return nearest if abs(size / nearest - 1.0) <= tolerance else size
+def corrected_outline(target: Grid, correction: Correction) -> Array:
+    """Return (n, 2): map coordinates around the ground that a target shows, in its CRS."""
+    return target.to_xy(correction.inverse(target.boundary_px()))
+
+
+def _footprint(own: Grid, target: Grid, correction: Correction, lattice: Grid) -> Box:
+    """Return what a raster covers once corrected, lattice px."""
+    observed_px = map_px(own.boundary_px(), own, target)
+    around = map_px(correction.inverse(observed_px), target, lattice)
+    if not np.isfinite(around).all():
+        raise InputError(
+            f"the target's footprint cannot be transformed from {name_of(target.crs)} to "
+            f"{name_of(lattice.crs)}: crop it to where that CRS is valid, or use --grid target"
+        )
+    return around.min(axis=0), around.max(axis=0)
+
+
+def _count(steps: Array, step: Array, size: Array) -> Array:
+    """Return how many pixels of a size so many of the coarsest ones are."""
+    ratio = step / size
+    whole = np.rint(ratio)
+    exact = np.abs(ratio / whole - 1.0) <= _WHOLE
+    return np.where(exact, steps * whole, np.ceil(steps * ratio - _SLIVER_PX))
+
+
+def _within(lattice: Grid, request: GridRequest, size: Array, step: Array) -> Grid:
+    """Return the grid of an extent that the user gives, as gdalwarp does: -te, with -tr or without."""
+    if request.extent is None:
+        raise TypeError("there is no extent")
+    x_min, y_min, x_max, y_max = request.extent
+    sides = np.array([x_max - x_min, y_max - y_min])
+    if request.pixel_size is not None:
+        counts = np.floor(sides / size + 0.5)
+        corner = Grid(lattice.shape, Affine(1.0, 0.0, x_min, 0.0, -1.0, y_max), lattice.crs)
+        return _laid(corner, np.zeros(2), size, counts)
+    counts = _count(np.maximum(np.floor(sides / step + 0.5), 1), step, size)
+    corner = Grid(lattice.shape, Affine(1.0, 0.0, x_min, 0.0, -1.0, y_max), lattice.crs)
+    return _laid(corner, np.zeros(2), sides / counts, counts)
+
+
+def _laid(lattice: Grid, origin_px: Array, size: Array, counts: Array) -> Grid:
+    """Return so many pixels of a size from a place of the lattice on."""
+    if not (counts >= 1).all() or (counts > _MOST_PX).any():
+        raise InputError(
+            f"the output grid would have {counts[0]:.0f} x {counts[1]:.0f} pixels of {size[0]:.10g} x "
+            f"{size[1]:.10g}: check --te and --tr, which are in units of {name_of(lattice.crs)}"
+        )
+    linear = ((float(size[0]), 0.0), (0.0, float(size[1])))
+    cols, rows = counts.astype(int).tolist()
+    return lattice.remade(linear, (float(origin_px[0]), float(origin_px[1])), (rows, cols))

@@ -26,7 +26,7 @@ from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.raster.dem import WGS84, ConstantHeight, Dem
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.metadata import has_alpha
-from pcwlad_geo.raster.output_grid import snapped_size
+from pcwlad_geo.raster.output_size import snapped_size
 from pcwlad_geo.raster.rpc_files import to_gdal
 from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled
 from pcwlad_geo.raster.source import open_raster

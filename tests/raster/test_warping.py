@@ -24,7 +24,7 @@ from pcwlad_geo.correction.spline import SplineGrid
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.output_grid import output_grid
+from pcwlad_geo.raster.output_grid import GridRequest, output_grid
 from pcwlad_geo.raster.vrt import compose
 from pcwlad_geo.raster.warping import warp
 
@@ -482,7 +482,7 @@ def test_output_grid_is_the_references_lattice_over_the_whole_footprint() -> Non
     grown = output_grid(GRID, target, shift(0.3, -0.4))
     assert grown.shape == (101, 121)
     assert GRID.to_px(np.array([[grown.transform.c, grown.transform.f]]))[0] == pytest.approx([9, 20])
-    assert output_grid(GRID, target, shift(0.3, -0.4), "target") == target
+    assert output_grid(GRID, target, shift(0.3, -0.4), GridRequest("target")) == target
     assert output_grid(GRID, target, shift(-0.3, 0.4)).transform == compose(
         ORIGIN, Affine.translation(10, 19)
     )
