@@ -6,15 +6,19 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
-from pcwlad_geo.outputs import warp_band
+from pcwlad_geo.outputs import BandOutput, warp_band
 from pcwlad_geo.raster import warping
-from pcwlad_geo.raster.output_grid import GridRequest, output_grids
+from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster.output_format import OutputFormat, check_format
+from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_grids
 from pcwlad_geo.raster.source import describe
+from pcwlad_geo.registration.output_wishes import requested_grid
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
-from pcwlad_geo.registration.settings import OutputGrid, Resampling
+from pcwlad_geo.registration.settings import OutputGrid, Resampling, Settings
 from pcwlad_geo.report.finished import FinishedRegistration, read_registration
-from pcwlad_geo.staging import place_file, stage_inside
+from pcwlad_geo.staging import place_with_files, stage_inside
 
 PathLike = str | os.PathLike[str]
 
@@ -26,6 +30,12 @@ def warp(
     out_dir: PathLike | None = None,
     output_raster: PathLike | None = None,
     grid: OutputGrid | None = None,
+    like: PathLike | None = None,
+    tr: tuple[float, float] | None = None,
+    te: tuple[float, float, float, float] | None = None,
+    t_srs: str | None = None,
+    of: str | None = None,
+    co: Sequence[str] | None = None,
     resampling: Resampling | None = None,
     overwrite: bool = False,
     on_event: EventCallback = ignore,
@@ -45,10 +55,15 @@ def warp(
         Where ``<raster stem>_registered.tif`` is written; the working folder by default.
     output_raster : path, optional
         Write the one raster there instead.
-    grid : {"reference", "target"}, optional
-        Output grid: the reference's CRS and alignment with the raster's own pixel size, or the raster's own
-        grid. By default as in the registration. On the reference's alignment all rasters share the extent of
+    grid : {"reference", "reference-exact", "target"}, optional
+        Output grid: the reference's CRS and alignment with the raster's own pixel size, exactly the
+        reference's grid, or the raster's own. On the reference's alignment all rasters share the extent of
         the corrected target, in whole pixels of the coarsest of them and the target.
+    like, tr, te, t_srs : optional
+        As `register` takes them. Where neither these nor `grid` are given, the output grid is as in the
+        registration.
+    of, co : optional
+        Format and creation options, as `register` takes them; by default as in the registration.
     resampling : str, optional
         By default as in the registration.
     overwrite : bool
@@ -70,15 +85,10 @@ def warp(
     """
     finished = read_registration(registration)
     sources = [os.fspath(raster) for raster in rasters]
-    places = warped_paths(sources, out_dir, output_raster)
+    request, made = _wishes(finished, grid, like, tr, te, t_srs, of, co)
+    places = warped_paths(sources, out_dir, output_raster, made.extension)
     _check(sources, places, finished, overwrite)
-    grids = output_grids(
-        finished.reference_grid,
-        finished.target_grid,
-        finished.correction,
-        GridRequest(grid or finished.grid),
-        [describe(source).grid for source in sources],
-    )
+    grids = _grids(sources, finished, request, made)
     with stage_inside(places[0].parent) as stage:
         for number, (source, place) in enumerate(zip(sources, places, strict=True)):
             on_event(Progress("rasters", number, len(sources)))
@@ -88,17 +98,19 @@ def warp(
                 staged,
                 finished.correction,
                 finished.target_grid,
-                grids[number],
-                resampling or finished.resampling,
+                BandOutput(grids[number], resampling or finished.resampling, made, place),
                 on_event,
             )
-            place_file(staged, place, overwrite=overwrite)
+            place_with_files(staged, place, overwrite=overwrite)
     on_event(Progress("rasters", len(sources), len(sources)))
     return places
 
 
 def warped_paths(
-    rasters: Sequence[PathLike], out_dir: PathLike | None, output_raster: PathLike | None = None
+    rasters: Sequence[PathLike],
+    out_dir: PathLike | None,
+    output_raster: PathLike | None = None,
+    extension: str = "tif",
 ) -> tuple[Path, ...]:
     """Return where the warped rasters go, in order.
 
@@ -108,12 +120,59 @@ def warped_paths(
         If several rasters would go to the one `output_raster`.
     """
     if output_raster is None:
-        return tuple(Path(out_dir or ".") / f"{Path(raster).stem}_registered.tif" for raster in rasters)
+        return tuple(
+            Path(out_dir or ".") / f"{Path(raster).stem}_registered.{extension}" for raster in rasters
+        )
     if len(rasters) > 1:
         raise SettingsError(
             f"--output-raster names one file, and there are {len(rasters)} rasters: give --out-dir"
         )
     return (Path(output_raster),)
+
+
+def _wishes(
+    finished: FinishedRegistration,
+    grid: OutputGrid | None,
+    like: PathLike | None,
+    tr: tuple[float, float] | None,
+    te: tuple[float, float, float, float] | None,
+    t_srs: str | None,
+    of: str | None,
+    co: Sequence[str] | None,
+) -> tuple[GridRequest, OutputFormat]:
+    """Return the output grid and the format that are asked for, else those of the registration."""
+    given = {"grid": grid, "like": like and os.fspath(like), "tr": tr, "te": te, "t_srs": t_srs, "of": of}
+    options = {name: value for name, value in given.items() if value is not None}
+    settings = Settings.from_options(options | ({} if co is None else {"co": tuple(co)}))
+    request = requested_grid(settings) if set(options) - {"of"} else finished.request
+    if of is None:
+        return request, finished.made if co is None else OutputFormat.of(finished.made.driver, settings.co)
+    return request, OutputFormat.of(of, settings.co)
+
+
+def _grids(
+    sources: Sequence[str], finished: FinishedRegistration, request: GridRequest, made: OutputFormat
+) -> list[Grid]:
+    """Return the output grids of the rasters; raise where one shows nothing, or cannot be written."""
+    correction, target = finished.correction, finished.target_grid
+    if made.is_vrt and not isinstance(correction, AffineCorrection):
+        raise SettingsError(
+            f"of = 'VRT': a VRT cannot hold the {correction.name} correction of this registration; give --of "
+            "COG or GTiff"
+        )
+    own = [describe(source).grid for source in sources]
+    if request.needs_ground and None in (finished.reference_grid.crs, target.crs):
+        raise InputError(
+            "like, tr, te and t_srs need a georeferenced pair, and this registration is of one that is not: "
+            "leave them out"
+        )
+    grids = output_grids(finished.reference_grid, target, correction, request, own)
+    for source, raster, grid in zip(sources, own, grids, strict=True):
+        if request.needs_ground or request.fixed(finished.reference_grid):
+            observed_px = map_px(raster.boundary_px(), raster, target)
+            check_covered(grid, target.to_xy(correction.inverse(observed_px)), target.crs)
+        check_format(made, source, grid)
+    return grids
 
 
 def _check(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from pcwlad_geo.correction.models import AffineCorrection, Correction
@@ -18,9 +19,11 @@ from pcwlad_geo.raster import (
     warping,
 )
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.output_grid import GridRequest, output_grids
+from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.raster.output_grid import check_covered, corrected_outline, output_grids
 from pcwlad_geo.raster.product import ProductBand
 from pcwlad_geo.raster.source import describe
+from pcwlad_geo.registration.output_wishes import requested_grid
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned
 from pcwlad_geo.registration.result import Registration
 
@@ -43,13 +46,27 @@ def kinds(registration: Registration) -> list[str]:
 
 
 def output_grids_of(registration: Registration, bands: Sequence[ProductBand]) -> list[Grid]:
-    """Return the grids of the registered raster and of other bands of its product, which share an extent."""
+    """Return the grids of the registered raster and of other bands of its product, which share an extent.
+
+    Raises
+    ------
+    InputError
+        If the grid that the user asks for shows nothing of the corrected target.
+    """
     reference, target = registration.reference.grid, registration.target.grid
+    request = requested_grid(registration.settings)
     if registration.rpc is not None:
-        return [rpc_warping.ortho_grid(reference, registration.rpc.corrected_grid)]
-    request = GridRequest(registration.settings.grid)
-    rasters = [target, *(describe(band.opened_as()).grid for band in bands)]
-    return output_grids(reference, target, _correction(registration), request, rasters)
+        corrected = registration.rpc.corrected_grid
+        grids = [rpc_warping.requested_ortho_grid(reference, corrected, request)]
+        outline_xy = corrected.to_xy(corrected.boundary_px())
+    else:
+        correction = _correction(registration)
+        rasters = [target, *(describe(band.opened_as()).grid for band in bands)]
+        grids = output_grids(reference, target, correction, request, rasters)
+        outline_xy = corrected_outline(target, correction)
+    for grid in grids if request.needs_ground or request.fixed(reference) else ():
+        check_covered(grid, outline_xy, target.crs)
+    return grids
 
 
 def writers(
@@ -76,15 +93,25 @@ def writers(
         def progress(done: int, total: int) -> None:
             on_event(Progress("warping", done, total))
 
-        resampling = registration.settings.resampling
+        settings = registration.settings
+        resampling, made = settings.resampling, OutputFormat.of(settings.of, settings.co)
         if registration.rpc is not None:
             corrected = registration.rpc.corrected_grid
             warning = rpc_warping.orthorectify(
-                target.uri, path, corrected, grid, resampling, progress=progress
+                target.uri, path, corrected, grid, resampling, made=made, progress=progress
             )
         else:
             correction = _correction(registration)
-            warning = warping.warp(target.uri, path, correction, grid, resampling, progress=progress)
+            warning = warping.warp(
+                target.uri,
+                path,
+                correction,
+                grid,
+                resampling,
+                made=made,
+                final_path=places["raster"],
+                progress=progress,
+            )
         if warning is not None:
             on_event(Warned(warning))
 
@@ -112,11 +139,29 @@ def writers(
 
 
 def write_band(
-    registration: Registration, band: ProductBand, path: Path, grid: Grid, on_event: EventCallback
+    registration: Registration,
+    band: ProductBand,
+    path: Path,
+    grid: Grid,
+    final_path: Path,
+    on_event: EventCallback,
 ) -> None:
     """Write another band of the target's product, corrected as the target is."""
-    target, resampling = registration.target.grid, registration.settings.resampling
-    warp_band(band.opened_as(), path, _correction(registration), target, grid, resampling, on_event)
+    settings, target = registration.settings, registration.target.grid
+    made = OutputFormat.of(settings.of, settings.co)
+    how = BandOutput(grid, settings.resampling, made, final_path)
+    warp_band(band.opened_as(), path, _correction(registration), target, how, on_event)
+
+
+@dataclass(frozen=True, slots=True)
+class BandOutput:
+    """How a band is written."""
+
+    grid: Grid
+    resampling: str
+    made: OutputFormat
+    final_path: Path
+    """Where it will live."""
 
 
 def warp_band(
@@ -124,8 +169,7 @@ def warp_band(
     path: Path,
     correction: Correction,
     target_grid: Grid,
-    grid: Grid,
-    resampling: str,
+    how: BandOutput,
     on_event: EventCallback,
 ) -> None:
     """Warp a raster of the target's geometry by the correction of the target.
@@ -135,13 +179,11 @@ def warp_band(
     source : str
         Path or GDAL URI.
     path : pathlib.Path
-        The GeoTIFF to write.
+        The file to write.
     correction : Correction
     target_grid : Grid
         Of the registered target.
-    grid : Grid
-        The output grid.
-    resampling : str
+    how : BandOutput
     on_event : callable
         Receives `Progress` events, and a warning where parts of the raster cannot be read.
     """
@@ -149,9 +191,11 @@ def warp_band(
         source,
         path,
         correction,
-        grid,
-        resampling,
+        how.grid,
+        how.resampling,
         target_grid=target_grid,
+        made=how.made,
+        final_path=how.final_path,
         progress=lambda done, total: on_event(Progress("warping", done, total)),
     )
     if warning is not None:

@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import IO
 
 from pcwlad_geo.errors import OutputError
+from pcwlad_geo.raster.output_format import files_of
 from pcwlad_geo.raster.verification import verify_output
 
 RESULTS = "report.json"
@@ -97,6 +98,20 @@ def place_file(staged: Path, final: str | os.PathLike[str], *, overwrite: bool =
             beside.replace(place)
         finally:
             beside.unlink(missing_ok=True)
+
+
+def place_with_files(staged: Path, final: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Move a finished raster to a place of its own, after the files that belong to it (headers, masks).
+
+    Parameters and errors are those of `place_file`.
+    """
+    place = _absolute(final)
+    for file in files_of(staged)[1:]:
+        # X.hdr belongs to X.dat by its stem, X.dat.aux.xml by its name
+        whole = file.name.startswith(staged.name)
+        ending = file.name[len(staged.name if whole else staged.stem) :]
+        place_file(file, place.with_name((place.name if whole else place.stem) + ending), overwrite=overwrite)
+    place_file(staged, place, overwrite=overwrite)
 
 
 @contextmanager

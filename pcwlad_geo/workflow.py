@@ -14,17 +14,19 @@ from threading import Thread
 from typing import TYPE_CHECKING, Literal, TypedDict
 
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError
+from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.products import stem_of
 from pcwlad_geo.raster.source import file_name, plain_name
 from pcwlad_geo.registration import settings as s
 from pcwlad_geo.registration.forecast import likely_tiles
 from pcwlad_geo.registration.inputs import band_file, resolve
+from pcwlad_geo.registration.output_wishes import check_output
 from pcwlad_geo.registration.progress import Event, EventCallback, Progress, ignore
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
 from pcwlad_geo.report.pdf import check_pdf
-from pcwlad_geo.staging import OutputFolder, place_file
+from pcwlad_geo.staging import OutputFolder, place_file, place_with_files
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -46,10 +48,10 @@ NAMES = {
     "corrected": "{stem}_corrected.vrt",
     "rpc": "{stem}_rpc.vrt",
     "rpc_text": "{stem}_rpc_RPC.TXT",
-    "raster": "{stem}_registered.tif",
+    "raster": "{stem}_registered.{ending}",
     "sigma": "{stem}_sigma.tif",
 }
-"""File names of the outputs in OUT_DIR; name and stem are the target's."""
+"""File names of the outputs in OUT_DIR; name and stem are the target's, the ending is of its format."""
 CORRECTED = ("corrected", "rpc", "rpc_text", "raster", "sigma")
 """Those that need a correction."""
 
@@ -77,6 +79,12 @@ class Options(TypedDict, total=False):
     prealign: s.Prealign
     model: s.Model
     grid: s.OutputGrid
+    like: Path | str | None
+    tr: tuple[float, float] | None
+    te: tuple[float, float, float, float] | None
+    t_srs: str | None
+    of: str
+    co: tuple[str, ...]
     resampling: s.Resampling
     write_sigma: bool
     pdf: bool
@@ -142,6 +150,7 @@ def register(
         target,
         "registered",
         tgt_band=settings.tgt_band,
+        of=settings.of,
         out_dir=out_dir,
         output_raster=output_raster,
         output_tiepoints=output_tiepoints,
@@ -189,6 +198,7 @@ def output_paths(
     job: Job,
     *,
     tgt_band: int | str = 1,
+    of: str = "COG",
     out_dir: PathLike | None = None,
     output_raster: PathLike | None = None,
     output_tiepoints: PathLike | None = None,
@@ -205,6 +215,8 @@ def output_paths(
         Ending of the default output folder.
     tgt_band : int or str
         Band of the target: the files are named after that of a product.
+    of : str
+        Format of the registered raster.
     out_dir, output_raster, output_tiepoints, output_report, output_points : path, optional
         As `register` takes them.
     """
@@ -212,7 +224,8 @@ def output_paths(
     stem = Path(name).stem
     folder = Path(out_dir) if out_dir else output_folder(target, job)
     kinds = [kind for kind in NAMES if job == "registered" or kind not in CORRECTED]
-    paths = {kind: folder / NAMES[kind].format(name=name, stem=stem) for kind in kinds}
+    ending = OutputFormat(of).extension
+    paths = {kind: folder / NAMES[kind].format(name=name, stem=stem, ending=ending) for kind in kinds}
     elsewhere = {
         "raster": output_raster,
         "tiepoints": output_tiepoints,
@@ -256,16 +269,21 @@ def _run_and_write(
     if settings.pdf:
         check_pdf()
     out_dir = places["numbers"].parent
-    inside = output_paths(inputs[1], "registered", tgt_band=settings.tgt_band, out_dir=out_dir)
+    inside = output_paths(
+        inputs[1], "registered", tgt_band=settings.tgt_band, of=settings.of, out_dir=out_dir
+    )
     elsewhere = {kind: path for kind, path in places.items() if path != inside[kind]}
     _check_places(places, elsewhere, [*inputs, *settings.files], overwrite)
+    made = OutputFormat.of(settings.of, settings.co)
+    if "raster" in places:
+        check_output(*inputs, settings)
     with OutputFolder(out_dir, overwrite=overwrite) as folder:
         staged = {
             kind: folder.stage / inside[kind].name if kind in elsewhere else folder.path(inside[kind].name)
             for kind in places
         }
         bands = {
-            band: folder.path(plain_name(f"{Path(file_name(band.uri)).stem}_registered.tif"))
+            band: folder.path(plain_name(f"{Path(file_name(band.uri)).stem}_registered.{made.extension}"))
             for band in resolve(*inputs, settings, all_bands="raster" in places).other_bands
         }
         registration = job(_preloading(on_event))
@@ -275,7 +293,8 @@ def _run_and_write(
         registration = replace(registration, warnings=registration.warnings + written.warnings)
         for kind in written.kinds:
             if kind in elsewhere:
-                place_file(staged[kind], elsewhere[kind], overwrite=overwrite)
+                put = place_with_files if kind == "raster" else place_file
+                put(staged[kind], elsewhere[kind], overwrite=overwrite)
         folder.commit()
     if registration.status == "rejected":
         message = f"{registration.reason} (report: {places['report']})"

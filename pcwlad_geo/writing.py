@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pcwlad_geo import outputs
+from pcwlad_geo.raster.output_format import files_of
 from pcwlad_geo.raster.product import ProductBand
 from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned
 from pcwlad_geo.registration.result import Registration
@@ -64,11 +65,12 @@ def write(
     total = len(kinds) + len(bands) + 1  # the report is one
     on_event(Progress("writing", 0, total))
     written = [*kinds, "report", *(["pdf"] if registration.settings.pdf else []), "numbers"]
-    names = sorted(
-        [*(staged[kind].name for kind in written if kind not in elsewhere), *(p.name for p in bands.values())]
-    )
+    names = [
+        *(staged[kind].name for kind in written if kind not in elsewhere),
+        *(p.name for p in bands.values()),
+    ]
     precision = precision_of(registration)
-    summary = summarise(registration, names, precision)
+    summary = summarise(registration, sorted(names), precision, grids[0] if grids else None)
     gcps = staged["gcps"].name if "gcps" in kinds else None
     side = ThreadPoolExecutor(1)  # GDAL warps without Python's lock
     try:
@@ -78,13 +80,17 @@ def write(
             writers[kind](staged[kind])
             on_event(Progress("writing", done, total))
         for done, (band, path) in enumerate(bands.items(), start=len(kinds) + 1):
-            outputs.write_band(registration, band, path, grids[done - len(kinds)], tell)
+            final_path = places["numbers"].with_name(path.name)
+            outputs.write_band(registration, band, path, grids[done - len(kinds)], final_path, tell)
             on_event(Progress("writing", done, total))
         content, seconds_drawing = drawing.result()
     finally:
         side.shutdown(wait=False)  # what is interrupted here must not wait for a page that nobody will see
     seconds = registration.seconds | {"writing": time.perf_counter() - since, "report": seconds_drawing}
     summary["warnings"] = [*registration.warnings, *told]
+    rasters = [staged["raster"]] if "raster" in kinds and "raster" not in elsewhere else []
+    beside = [file.name for raster in (*rasters, *bands.values()) for file in files_of(raster)[1:]]
+    summary["outputs"] = sorted([*names, *beside])
     content |= page.words(registration.status, summary) | {"seconds": _rounded(seconds)}
     staged["report"].write_text(page.on_screen(content), encoding="utf-8", newline="\n")
     if "pdf" in written:

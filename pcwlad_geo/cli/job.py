@@ -155,8 +155,8 @@ def _paths(command: Command, params: Mapping[str, Any], settings: Mapping[str, A
     """Return where the outputs go, by kind."""
     from pcwlad_geo.workflow import output_paths
 
-    band = settings.get("tgt_band", 1)
-    return output_paths(params["target"], _job(command), tgt_band=band, **_places(params))
+    named = {name: settings[name] for name in ("tgt_band", "of") if name in settings}
+    return output_paths(params["target"], _job(command), **named, **_places(params))
 
 
 def _job(command: Command) -> Literal["registered", "matched"]:

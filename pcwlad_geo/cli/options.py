@@ -23,7 +23,7 @@ def _setting(name: str, help_text: str, **more: Any) -> Any:  # noqa: ANN401  # 
     """Return the option of a field of `Settings`, its default shown in the help."""
     default = _DEFAULTS[name]
     shown = WORDS.get(name) if default is None else default
-    if shown is not None:
+    if shown not in (None, ()):
         help_text += f"  [default: {shown}]"
     return typer.Option("--" + name.replace("_", "-"), help=help_text, show_default=False, **more)
 
@@ -91,7 +91,34 @@ Prealign = Annotated[s.Prealign | None, _setting("prealign", "Rough alignment be
 Model = Annotated[s.Model | None, _setting("model", "Correction model.")]
 Grid = Annotated[
     s.OutputGrid | None,
-    _setting("grid", "Grid of the registered raster, the reference's or the target's."),
+    _setting(
+        "grid",
+        "Grid of the registered raster: the reference's CRS and alignment, exactly the reference's grid, or "
+        "the target's own.",
+    ),
+]
+Like = Annotated[
+    str | None,
+    _setting("like", "Write exactly the CRS, geotransform and size of this raster.", metavar="FILE"),
+]
+Tr = Annotated[
+    tuple[float, float] | None,
+    _setting("tr", "Pixel size of the registered raster, units of its CRS.", metavar="XRES YRES"),
+]
+Te = Annotated[
+    tuple[float, float, float, float] | None,
+    _setting("te", "Extent of the registered raster, in its CRS.", metavar="XMIN YMIN XMAX YMAX"),
+]
+TSrs = Annotated[
+    str | None,
+    _setting("t_srs", "CRS of the registered raster instead of the reference's.", metavar="SRS"),
+]
+Of = Annotated[
+    str | None, _setting("of", "Format of the registered raster, a GDAL driver.", metavar="DRIVER")
+]
+Co = Annotated[
+    list[str] | None,
+    _setting("co", "Creation option of that format; may be given again.", metavar="KEY=VALUE"),
 ]
 Resampling = Annotated[s.Resampling | None, _setting("resampling", "Resampling of the registered raster.")]
 WriteSigma = Annotated[

@@ -26,6 +26,10 @@ WarpGrid = Annotated[
     OutputGrid | None,
     typer.Option("--grid", help="Output grid; the registration's by default.", show_default=False),
 ]
+WarpFormat = Annotated[
+    str | None,
+    typer.Option("--of", metavar="DRIVER", help="Format, a GDAL driver; the registration's by default."),
+]
 WarpResampling = Annotated[
     Resampling | None,
     typer.Option("--resampling", help="Resampling; the registration's by default.", show_default=False),
@@ -53,6 +57,12 @@ def warp(
     rasters: Rasters,
     out_dir: Place = None,
     grid: WarpGrid = None,
+    like: o.Like = None,
+    tr: o.Tr = None,
+    te: o.Te = None,
+    t_srs: o.TSrs = None,
+    of: WarpFormat = None,
+    co: o.Co = None,
     resampling: WarpResampling = None,
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
@@ -71,6 +81,12 @@ def warp(
             out_dir=out_dir,
             output_raster=output_raster,
             grid=grid,
+            like=like,
+            tr=tr,
+            te=te,
+            t_srs=t_srs,
+            of=of,
+            co=co,
             resampling=resampling,
             overwrite=overwrite,
             on_event=on_event,

@@ -24,15 +24,17 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.raster.dem import WGS84, ConstantHeight, Dem
-from pcwlad_geo.raster.grid import Grid, jacobian, map_px
+from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.metadata import has_alpha
+from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.raster.output_grid import GridRequest, lay_out, output_lattice
 from pcwlad_geo.raster.output_size import snapped_size
 from pcwlad_geo.raster.rpc_files import to_gdal
 from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled
 from pcwlad_geo.raster.source import open_raster
 from pcwlad_geo.raster.unread import Block, filled
 from pcwlad_geo.raster.warped_blocks import MOST_THREADS
-from pcwlad_geo.raster.warping import BlockRequest, Blocks, ProgressCallback, kernel, write_warped
+from pcwlad_geo.raster.warping import COG, BlockRequest, Blocks, ProgressCallback, kernel, write_warped
 from pcwlad_geo.raster.windows import Window
 
 Array = NDArray[np.float64]
@@ -84,6 +86,27 @@ def ortho_grid(reference: Grid, target: RpcGrid) -> Grid:
     return reference.remade(((side, 0.0), (0.0, side)), origin_px, (out_rows, out_cols))
 
 
+def requested_ortho_grid(reference: Grid, target: RpcGrid, request: GridRequest) -> Grid:
+    """Return the grid of the orthorectified target that the user asks for, see `ortho_grid`.
+
+    Raises
+    ------
+    InputError
+        As `ortho_grid` does, or if the grid has no pixel, or too many.
+    """
+    fixed = request.fixed(reference)
+    if fixed is not None:
+        return fixed
+    lattice = output_lattice(reference, request)
+    own = ortho_grid(reference if lattice.crs == reference.crs else lattice, target)
+    if request.pixel_size is None and request.extent is None:
+        return own
+    outline = map_px(own.boundary_px(), own, lattice)
+    size = np.hypot(*linear_part(own.transform))
+    box = (outline.min(axis=0), outline.max(axis=0))
+    return lay_out(lattice, request, [box, box], [size, size])[0]
+
+
 def orthorectify(
     source_path: str | Path,
     out_path: Path,
@@ -91,9 +114,10 @@ def orthorectify(
     grid: Grid,
     resampling: str = "lanczos",
     *,
+    made: OutputFormat = COG,
     progress: ProgressCallback | None = None,
 ) -> str | None:
-    """Resample all bands of a raster once, through its RPC and the ground's heights, and write a COG.
+    """Resample all bands of a raster once, through its RPC and the ground's heights, and write it.
 
     GDAL takes RPC and height at every pixel. Where no height is known,
     nothing is written. All else is as for `warping.warp`.
@@ -102,13 +126,15 @@ def orthorectify(
     ----------
     source_path : str or pathlib.Path
     out_path : pathlib.Path
-        The GeoTIFF to write; scratch files are made beside it.
+        The file to write; scratch files are made beside it.
     target : RpcGrid
         The raster's grid, with the corrected RPC.
     grid : Grid
         The output grid.
     resampling : str
         A name of `rasterio.enums.Resampling`.
+    made : OutputFormat
+        A COG by default; not a VRT.
     progress : callable, optional
         Receives done, total after each block; what it raises ends the work.
 
@@ -132,7 +158,7 @@ def orthorectify(
         by_nodata = _blocks(source, target, grid, method, replace(request, as_alpha=False))
         return _with_alpha(by_nodata, request.nodata)
 
-    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress)
+    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress, made=made)
 
 
 def _blocks(

@@ -21,7 +21,7 @@ def verify_output(path: Path) -> None:
     """Reopen a file that was written, and raise where it is not whole.
 
     Rasters: the last block of every band; VRT and JSON: parsed; GeoPackage: SQLite's integrity
-    check; PDF: its end; the rest: not empty, UTF-8.
+    check; PDF: its end; the rest: not empty, UTF-8, or a raster as above.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def verify_output(path: Path) -> None:
     try:
         if path.stat().st_size == 0:
             raise ValueError("it is empty")
-        checks.get(path.suffix.lower(), _verify_text)(path)
+        checks.get(path.suffix.lower(), _verify_other)(path)
     except (OSError, ValueError, SyntaxError, sqlite3.Error, RasterioError, InputError) as error:
         reason = " ".join(str(error).split())
         raise OutputError(f"{path.name} was not written whole ({reason}): is the disk full?") from error
@@ -75,7 +75,11 @@ def _verify_pdf(path: Path) -> None:
         raise ValueError("it has no end")
 
 
-def _verify_text(path: Path) -> None:
-    with path.open(encoding="utf-8") as file:
-        for _ in file:
-            pass
+def _verify_other(path: Path) -> None:
+    """Read a text to its end; what is none is a raster of another format than GeoTIFF."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            for _ in file:
+                pass
+    except UnicodeDecodeError:
+        _verify_raster(path)

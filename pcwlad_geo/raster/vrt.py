@@ -107,7 +107,7 @@ def write_corrected_vrt(
     if target_grid.crs is None and target_grid.transform == Affine.identity():
         transform = compose(_PIXEL_PLANE, transform)
     with open_raster(os.fspath(target_path)) as target:
-        tree = describe_pixels(target, _reference_to(target, final_path), target.shape)
+        tree = describe_pixels(target, reference_to(target, final_path), target.shape)
     add_georeferencing(tree, transform, target_grid.crs)
     write(tree, path)
 
@@ -127,7 +127,7 @@ def write_rpc_vrt(path: Path, target_path: str | Path, rpc: Mapping[str, str], *
         Where the file will live: the path to the target is relative to its folder.
     """
     with open_raster(os.fspath(target_path)) as target:
-        tree = describe_pixels(target, _reference_to(target, final_path), target.shape)
+        tree = describe_pixels(target, reference_to(target, final_path), target.shape)
     _add_tags(tree, {"RPC": dict(rpc)})
     write(tree, path)
 
@@ -151,7 +151,7 @@ def write_gcps_vrt(
         Where the file will live: the path to the target is relative to its folder.
     """
     with open_raster(os.fspath(target_path)) as target:
-        tree = describe_pixels(target, _reference_to(target, final_path), target.shape)
+        tree = describe_pixels(target, reference_to(target, final_path), target.shape)
     # Copies of a file with GCPs and AREA_OR_POINT=Point would be moved by a pixel.
     for item in tree.iter("MDI"):
         if item.get("key") == "AREA_OR_POINT":
@@ -297,7 +297,7 @@ def add_georeferencing(tree: ET.Element, transform: Affine, crs: CRS | None) -> 
         tree.insert(0, srs)
 
 
-def _reference_to(source: DatasetReader, final_path: Path) -> PixelFile:
+def reference_to(source: DatasetReader, final_path: Path) -> PixelFile:
     """Return how a VRT at final_path refers to a raster: relatively below a common parent."""
     nodata = tuple(usable_nodata(source, band) for band in source.indexes)
     mask = has_mask_band(source)

@@ -25,19 +25,22 @@ from pcwlad_geo.correction.dense import dense_mapping
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster import vrt
-from pcwlad_geo.raster.cog import write_cog
 from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.raster.dense_view import write_dense_view
+from pcwlad_geo.raster.described_copy import write_described
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause, small_block_cache
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.metadata import has_alpha, has_mask_band, is_paletted, usable_nodata
+from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import original_pixels
 from pcwlad_geo.raster.source import describe, open_raster
 from pcwlad_geo.raster.unread import Block, Gaps
 from pcwlad_geo.raster.warped_blocks import warped_blocks
+from pcwlad_geo.raster.warped_vrt import write_warped_vrt
 
 Array = NDArray[np.float64]
 ProgressCallback = Callable[[int, int], None]
+COG = OutputFormat()
 # GDAL interpolates the transformation along scan lines to this error, and each block does so anew: blocks fit
 # to twice as much. Its default is 0.125 px; this costs no more.
 _TOLERANCE_PX = 0.001
@@ -87,9 +90,11 @@ def warp(
     resampling: str = "lanczos",
     *,
     target_grid: Grid | None = None,
+    made: OutputFormat = COG,
+    final_path: Path | None = None,
     progress: ProgressCallback | None = None,
 ) -> str | None:
-    """Resample all bands of a raster once onto the output grid and write a COG.
+    """Resample all bands of a raster once onto the output grid and write it, as a COG by default.
 
     The inverse of georeferencing ∘ correction: output pixel → predicted target pixel → observed
     target pixel → sample, exact to 0.001 px. Data type, nodata, alpha, mask, scales, units,
@@ -104,7 +109,7 @@ def warp(
     source_path : str or pathlib.Path
         The original target, or another raster of the same sensor geometry.
     out_path : pathlib.Path
-        The GeoTIFF to write; scratch files of the same size are made beside it.
+        The file to write; scratch files of the same size are made beside it.
     correction : Correction
         Maps predicted to observed target pixels.
     grid : Grid
@@ -113,6 +118,10 @@ def warp(
         A name of `rasterio.enums.Resampling`.
     target_grid : Grid, optional
         The grid whose pixels the correction speaks of; that of source_path by default.
+    made : OutputFormat
+        A VRT holds no pixels, but how to warp those of the source by a shift or an affine.
+    final_path : pathlib.Path, optional
+        Where the file will live, if not where it is written: a VRT's path to the source is relative to that.
     progress : callable, optional
         Receives done, total after each block; what it raises ends the work.
 
@@ -124,7 +133,8 @@ def warp(
     Raises
     ------
     InputError
-        If the source, or half of it, cannot be read, or lies in another CRS than target_grid.
+        If the source, or half of it, cannot be read, or lies in another CRS than target_grid, or the
+        correction is too much for a VRT.
     OutputError
         If the result cannot be written.
     """
@@ -132,12 +142,15 @@ def warp(
     target_grid = target_grid or own_grid
     check_geometry(source_path, own_grid, target_grid)
     grids = (own_grid, target_grid, grid)
+    if made.is_vrt:
+        _write_vrt(source_path, out_path, grids, correction, resampling, final_path or out_path)
+        return None
 
     def blocks_of(source: DatasetReader, method: Resampling, request: BlockRequest) -> Blocks:
         view = _view(source, grids, correction, method, request)
         return warped_blocks(request.gaps, view, request.windows)
 
-    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress)
+    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress, made=made)
 
 
 def write_warped(
@@ -147,13 +160,15 @@ def write_warped(
     resampling: str,
     blocks_of: BlocksOf,
     progress: ProgressCallback | None = None,
+    *,
+    made: OutputFormat = COG,
 ) -> str | None:
-    """Write the blocks of a warped raster as a COG with all that the raster carries beside its pixels.
+    """Write the blocks of a warped raster with all that the raster carries beside its pixels.
 
     Parameters
     ----------
-    source_path, out_path, grid, resampling, progress
-        As for `warp`.
+    source_path, out_path, grid, resampling, progress, made
+        As for `warp`; not a VRT.
     blocks_of : callable
         Resamples the windows of the output that it is asked for.
 
@@ -179,7 +194,9 @@ def write_warped(
         pixels = _write_pixels(source, scratch / "pixels.tif", gaps, grid.shape, method, blocks_of, progress)
         warning = gaps.warning()
         interpolated = method != Resampling.nearest
-        write_cog(source, scratch, pixels, grid, interpolated=interpolated).replace(out_path)
+        files = write_described(source, pixels, grid, made, scratch, out_path.name, interpolated=interpolated)
+        for file in reversed(files):  # the raster itself last
+            file.replace(out_path.with_name(file.name))
     return warning
 
 
@@ -211,15 +228,12 @@ def _view(
     request: BlockRequest,
 ) -> View:
     """Return how to open the warped raster; the grids are the source's own, the target's, the output's."""
-    own, target, out = grids
     uri = source.name
     if isinstance(correction, AffineCorrection):
-        placed = _corrected_grid(own, target, correction, out)
-        centre_px = np.array([[own.shape[1] / 2, own.shape[0] / 2]])
-        step = jacobian(map_px(centre_px, placed, out), out, placed)[0]
-        options = _warp_options(source, placed, out, method, step) | request.options()
+        options = _affine_options(source, grids, correction, method) | request.options()
         return lambda: _warped(uri, options)
-    mapping = original_pixels(*grids[:2], correction, out)
+    own, target, out = grids
+    mapping = original_pixels(own, target, correction, out)
     rows, cols = out.shape
     ends = np.array([cols, rows]) / 2 + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     moved = mapping(ends)
@@ -229,6 +243,37 @@ def _view(
     dense = dense_mapping(mapping, (0.0, 0.0), (cols, rows), tolerance_px=_DENSE_TOLERANCE_PX)
     path = os.fspath(write_dense_view(source, request.scratch, dense, options))
     return lambda: open_raster(path)
+
+
+def _affine_options(
+    source: DatasetReader, grids: tuple[Grid, Grid, Grid], correction: AffineCorrection, method: Resampling
+) -> dict[str, object]:
+    """Return how GDAL's warper applies a correction that a geotransform holds."""
+    own, target, out = grids
+    placed = _corrected_grid(own, target, correction, out)
+    centre_px = np.array([[own.shape[1] / 2, own.shape[0] / 2]])
+    step = jacobian(map_px(centre_px, placed, out), out, placed)[0]
+    return _warp_options(source, placed, out, method, step)
+
+
+def _write_vrt(
+    source_path: str | Path,
+    path: Path,
+    grids: tuple[Grid, Grid, Grid],
+    correction: Correction,
+    resampling: str,
+    final_path: Path,
+) -> None:
+    if not isinstance(correction, AffineCorrection):
+        raise InputError(
+            f"a VRT cannot hold a {correction.name} correction: give --model affine, or --of COG or GTiff"
+        )
+    with open_raster(os.fspath(source_path)) as source:
+        method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
+        nodata, _, needs_mask = _validity(source)
+        request = BlockRequest((), nodata, needs_mask, path.parent, Gaps(source.name, 1))
+        options = _affine_options(source, grids, correction, method) | request.options()
+        write_warped_vrt(path, source, options, final_path=final_path)
 
 
 @contextmanager

@@ -29,6 +29,8 @@ def to_setting(name: str, value: object) -> object:
         return None
     hint = get_type_hints(Settings)[name]
     kinds = set(get_args(hint)) | {hint}
+    if any(get_origin(kind) is tuple for kind in kinds):
+        return _several(name, value)
     words = [word for kind in kinds - {hint} if get_origin(kind) is Literal for word in get_args(kind)]
     if value in words:
         return value
@@ -58,6 +60,16 @@ def _number(name: str, value: object, kind: type[int] | type[float], wanted: str
     if isinstance(value, bool) or not isinstance(value, accepted):
         raise SettingsError(f"{name} = {value!r}: give {wanted}")
     return kind(value)
+
+
+def _several(name: str, value: object) -> tuple[object, ...]:
+    """Return values that are separated by blanks in text: creation options, or numbers."""
+    values = value.split() if isinstance(value, str) else value
+    if not isinstance(values, list | tuple):
+        raise SettingsError(f"{name} = {value!r}: give a list, or values separated by blanks")
+    if name == "co":
+        return tuple(_checked(name, each, str, "KEY=VALUE") for each in values)
+    return tuple(_number(name, each, float, "numbers") for each in values)
 
 
 def _truth(name: str, value: object) -> bool:

@@ -32,7 +32,7 @@ from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.result import Prealignment, Registration
 from pcwlad_geo.registration.rpc_target import MODELS, check_start, corrected_rpc, place_target, shifted
 from pcwlad_geo.registration.scene import Matched, match_scene
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.settings import VRT_MODELS, Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
 
 PARALLAX_PX = 0.5
@@ -106,7 +106,7 @@ def run(
             footprint = settings.window * float(file_px_per_px(pair.target)[0])
             if settings.tie_points:
                 footprint = footprint_px(table, footprint)
-            candidates = MODELS if placed else CANDIDATES
+            candidates = MODELS if placed else VRT_MODELS if settings.of.upper() == "VRT" else CANDIDATES
             sizes_m = pixel_sizes_m(levelled(tgt.grid), table.predicted_px)
             fitted = fit_correction(table, settings, footprint, sizes_m, tgt.grid.shape, candidates)
             _warn_of_parallax(fitted, log)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -16,8 +17,10 @@ Keypoints = Literal["cells", "strongest"]
 Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps", "rpc"]
 Prealign = Literal["auto", "georef", "search", "none"]
 Consensus = Literal["auto", "off"]
-OutputGrid = Literal["reference", "target"]
+OutputGrid = Literal["reference", "reference-exact", "target"]
 Resampling = Literal["nearest", "bilinear", "cubic", "cubic_spline", "lanczos"]
+VRT_MODELS = ("shift", "affine")
+"""Corrections that a VRT holds: those of a geotransform."""
 BAND_NAME = re.compile(r"[A-Za-z]\w*$")
 
 
@@ -66,7 +69,20 @@ class Settings:
     """Correction model; `polynomial` is of order 2 or 3, as cross-validation says; `rpc`: the target's RPC
     counts, also beside a geotransform, and is corrected."""
     grid: OutputGrid = "reference"
-    """Registered raster: the reference's CRS and alignment (target's pixel size), or the target's grid."""
+    """Registered raster: the reference's CRS and alignment (target's pixel size), exactly the reference's
+    grid, or the target's own."""
+    like: Path | str | None = None
+    """Raster whose CRS, geotransform and size the registered one gets exactly."""
+    tr: tuple[float, float] | None = None
+    """Pixel size of the registered raster along x and y, units of its CRS."""
+    te: tuple[float, float, float, float] | None = None
+    """Extent of the registered raster in its CRS: x_min, y_min, x_max, y_max."""
+    t_srs: str | None = None
+    """CRS of the registered raster, as PROJ and GDAL understand it; None = the reference's."""
+    of: str = "COG"
+    """Format of the registered raster: GDAL's short name of a driver."""
+    co: tuple[str, ...] = ()
+    """Creation options of that format, KEY=VALUE."""
     resampling: Resampling = "lanczos"
     """Resampling of the registered raster. Cubic convolution moves fine detail towards the nearest pixel,
     Lanczos does not; cubic replaces it where the output's pixels are coarser."""
@@ -109,6 +125,7 @@ class Settings:
         for name in ("write_sigma", "pdf"):
             value = getattr(self, name)
             _check(name, value, isinstance(value, bool), "true or false")
+        _check_output(self)
         if self.dem_vertical is not None and self.dem is None:
             raise SettingsError(f"dem_vertical = {self.dem_vertical!r} without a DEM: give --dem too")
         if isinstance(self.dem_vertical, Real):
@@ -122,7 +139,7 @@ class Settings:
     @property
     def files(self) -> tuple[Path | str, ...]:
         """Files and GDAL URIs that the job reads besides the two rasters."""
-        given = (self.ref_mask, self.tgt_mask, self.tie_points, self.dem, self.dem_vertical)
+        given = (self.ref_mask, self.tgt_mask, self.tie_points, self.dem, self.dem_vertical, self.like)
         return tuple(file for file in given if isinstance(file, Path | str))
 
     @classmethod
@@ -139,6 +156,52 @@ class Settings:
             if name not in known:
                 raise SettingsError(f"unknown option '{name}'; the options are {', '.join(sorted(known))}")
         return cls(**options)  # type: ignore[arg-type]  # names checked above, values in __post_init__
+
+
+def _check_output(settings: Settings) -> None:
+    """Check the options of the registered raster, and that they agree."""
+    for name, count, wanted in (
+        ("tr", 2, "two positive numbers, the pixel's size along x and y"),
+        ("te", 4, "x_min y_min x_max y_max, in the units of the output's CRS"),
+    ):
+        value = getattr(settings, name)
+        good = value is None or (
+            isinstance(value, tuple) and len(value) == count and all(map(_finite, value))
+        )
+        _check(name, value, good, wanted)
+    if settings.tr is not None:
+        _check("tr", settings.tr, min(settings.tr) > 0, "two positive numbers")
+    if settings.te is not None:
+        x_min, y_min, x_max, y_max = settings.te
+        ordered = x_min < x_max and y_min < y_max
+        _check("te", settings.te, ordered, "x_min y_min x_max y_max, the smaller ones first")
+    options = isinstance(settings.co, tuple) and all(
+        isinstance(option, str) and option.partition("=")[0] and "=" in option for option in settings.co
+    )
+    _check("co", settings.co, options, "creation options as KEY=VALUE")
+    _check("of", settings.of, isinstance(settings.of, str) and settings.of != "", "the name of a GDAL driver")
+    for name in ("tr", "te", "t_srs"):
+        if getattr(settings, name) is not None and (
+            settings.like is not None or settings.grid != "reference"
+        ):
+            whole = "like" if settings.like is not None else f"grid = {settings.grid!r}"
+            raise SettingsError(f"{name} and {whole} contradict each other, which is a whole grid: give one")
+    if settings.like is not None and settings.grid != "reference":
+        raise SettingsError(f"like and grid = {settings.grid!r} are two whole grids: give one of them")
+    if settings.of.upper() == "VRT":
+        if settings.co:
+            raise SettingsError(
+                "co: a VRT takes no creation options here; leave them out, or give --of GTiff"
+            )
+        if settings.model not in ("auto", *VRT_MODELS):
+            raise SettingsError(
+                f"of = 'VRT': a VRT cannot hold the model {settings.model}; give --model shift or affine, or "
+                "--of COG or GTiff"
+            )
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _whole(value: object) -> bool:

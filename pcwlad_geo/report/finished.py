@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from affine import Affine
 from rasterio.crs import CRS
@@ -16,6 +16,9 @@ from rasterio.errors import CRSError
 from pcwlad_geo.correction.models import Correction, from_json
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.raster.output_grid import GridRequest
+from pcwlad_geo.registration.output_wishes import grid_request
 from pcwlad_geo.report.summary import SCHEMA_VERSION
 
 NUMBERS = "report.json"
@@ -29,8 +32,10 @@ class FinishedRegistration:
     """Maps predicted to observed pixels of `target_grid`."""
     reference_grid: Grid
     target_grid: Grid
-    grid: Literal["reference", "target"]
+    request: GridRequest
     """The output grid that was asked for."""
+    made: OutputFormat
+    """The format of the registered raster."""
     resampling: str
 
 
@@ -51,7 +56,8 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
             correction=from_json(report["model"]),
             reference_grid=_grid(report["reference"]),
             target_grid=_grid(report["target"]),
-            grid="target" if settings["grid"] == "target" else "reference",
+            request=_request(report),
+            made=OutputFormat.of(settings.get("of", "COG"), settings.get("co", ())),
             resampling=str(settings["resampling"]),
         )
     except (KeyError, TypeError, ValueError, CRSError) as error:
@@ -94,6 +100,21 @@ def _report(path: Path) -> Mapping[str, Any]:
             "give them its corrected RPC (copy *_rpc_RPC.TXT to X_RPC.TXT beside X.tif) and run gdalwarp -rpc"
         )
     return report
+
+
+def _request(report: Mapping[str, Any]) -> GridRequest:
+    """Return the output grid that was asked for; where another raster gave it, that raster is not needed."""
+    settings = report["settings"]
+    if settings.get("like") is not None:
+        return GridRequest(like=_grid(report["output_grid"]))
+    size, extent = (settings.get(name) for name in ("tr", "te"))
+    return grid_request(
+        settings["grid"],
+        None,
+        None if size is None else (float(size[0]), float(size[1])),
+        None if extent is None else (float(extent[0]), float(extent[1]), float(extent[2]), float(extent[3])),
+        settings.get("t_srs"),
+    )
 
 
 def _grid(raster: Mapping[str, Any]) -> Grid:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import pcwlad_geo
 from pcwlad_geo.correction.accuracy import Accuracy
 from pcwlad_geo.raster.dem import Dem
+from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc_grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Registration
@@ -33,7 +34,10 @@ Summary = dict[str, object]
 
 
 def summarise(
-    registration: Registration, outputs: Sequence[str], precision: PrecisionMap | None = None
+    registration: Registration,
+    outputs: Sequence[str],
+    precision: PrecisionMap | None = None,
+    output_grid: Grid | None = None,
 ) -> Summary:
     """Return the content of `report.json`.
 
@@ -44,6 +48,8 @@ def summarise(
         Names of the files written into the output folder, relative to it.
     precision : PrecisionMap, optional
         The registration's, where it is known already.
+    output_grid : Grid, optional
+        Of the registered raster.
 
     Returns
     -------
@@ -60,6 +66,7 @@ def summarise(
         "reference": _raster(registration.reference),
         "target": _raster(registration.target),
         "px_m": registration.px_m,
+        "output_grid": _grid(output_grid) if output_grid else None,
         "prealignment": asdict(registration.prealignment),
         "tie_points": _tie_point_counts(registration),
         "counts": dict(registration.counts),
@@ -114,15 +121,21 @@ def plain(value: object) -> object:
     return value
 
 
+def _grid(grid: Grid) -> Summary:
+    return {
+        "shape": list(grid.shape),
+        "transform": list(grid.transform)[:6],
+        "crs": grid.crs.to_string() if grid.crs and not isinstance(grid, RpcGrid) else None,
+    }
+
+
 def _raster(info: RasterInfo) -> Summary:
     grid = info.grid
     return {
         "path": info.uri,
         "band": info.band,
         "band_count": info.band_count,
-        "shape": list(grid.shape),
-        "transform": list(grid.transform)[:6],
-        "crs": grid.crs.to_string() if grid.crs and not isinstance(grid, RpcGrid) else None,
+        **_grid(grid),
         "georeferenced": info.georeferenced and not isinstance(grid, RpcGrid),
         "dtype": info.dtype,
         "nodata": info.nodata,

@@ -568,7 +568,7 @@ def test_a_file_without_band_tags_is_not_searched_for_them(
     def fail(path: Path) -> None:
         raise AssertionError(f"{path} is searched")
 
-    monkeypatch.setattr("pcwlad_geo.raster.cog._rename_band_tags", fail)
+    monkeypatch.setattr("pcwlad_geo.raster.described_copy._rename_band_tags", fail)
     source = write(tmp_path / "a.tif", np.ones(GRID.shape, np.uint8), GRID)
     warp(source, tmp_path / "out.tif", shift(0.3, -0.3), GRID)
     assert (tmp_path / "out.tif").exists()
