@@ -101,17 +101,18 @@ def place_file(staged: Path, final: str | os.PathLike[str], *, overwrite: bool =
 
 
 def place_with_files(staged: Path, final: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Move a finished raster to a place of its own, after the files that belong to it (headers, masks).
+    """Move a finished raster to a place of its own, with the files that belong to it (headers, masks).
 
     Parameters and errors are those of `place_file`.
     """
     place = _absolute(final)
-    for file in files_of(staged)[1:]:
+    beside = files_of(staged)[1:]
+    place_file(staged, place, overwrite=overwrite)  # it can be verified as long as the others are there
+    for file in beside:
         # X.hdr belongs to X.dat by its stem, X.dat.aux.xml by its name
         whole = file.name.startswith(staged.name)
         ending = file.name[len(staged.name if whole else staged.stem) :]
         place_file(file, place.with_name((place.name if whole else place.stem) + ending), overwrite=overwrite)
-    place_file(staged, place, overwrite=overwrite)
 
 
 @contextmanager
