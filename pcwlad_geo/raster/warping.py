@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
 import tempfile
@@ -10,7 +9,6 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rasterio
@@ -30,11 +28,12 @@ from pcwlad_geo.raster.dense_view import write_dense_view
 from pcwlad_geo.raster.described_copy import write_described
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause, small_block_cache
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
-from pcwlad_geo.raster.metadata import has_alpha, has_mask_band, is_paletted, usable_nodata
+from pcwlad_geo.raster.metadata import is_paletted
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import original_pixels
 from pcwlad_geo.raster.source import describe, open_raster
 from pcwlad_geo.raster.unread import Block, Gaps
+from pcwlad_geo.raster.validity import fill, validity
 from pcwlad_geo.raster.warped_blocks import warped_blocks
 from pcwlad_geo.raster.warped_vrt import write_warped_vrt
 
@@ -270,7 +269,7 @@ def _write_vrt(
         )
     with open_raster(os.fspath(source_path)) as source:
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
-        nodata, _, needs_mask = _validity(source)
+        nodata, _, needs_mask = validity(source)
         request = BlockRequest((), nodata, needs_mask, path.parent, Gaps(source.name, 1))
         options = _affine_options(source, grids, correction, method) | request.options()
         write_warped_vrt(path, source, options, final_path=final_path)
@@ -319,7 +318,7 @@ def _write_pixels(
     progress: ProgressCallback | None,
 ) -> vrt.PixelFile:
     """Write the resampled pixels, and nothing else, block by block."""
-    nodata, fills, needs_mask = _validity(source)
+    nodata, fills, needs_mask = validity(source)
     dtype = np.result_type(*source.dtypes)
     profile = {
         "driver": "GTiff",
@@ -345,29 +344,13 @@ def _write_pixels(
     ):
         for done, (window, block) in enumerate(blocks, start=1):
             if fills and nodata is not None:
-                _fill(block[0], block[1] != 0, nodata)
+                fill(block[0], block[1] != 0, nodata)
             sink.write(block[: source.count], window=window)
             if needs_mask:
                 sink.write_mask(np.where(block[source.count] != 0, 255, 0).astype(np.uint8), window=window)
             if progress is not None:
                 progress(done, len(windows))
     return vrt.PixelFile(path.name, True, (nodata,) * source.count, needs_mask)
-
-
-def _validity(source: DatasetReader) -> tuple[float | None, bool, bool]:
-    """Return the nodata value of the output, whether it is filled in here, and whether there is a mask."""
-    nodata = _output_nodata(source)
-    # GDAL's warper is almost three times as slow where it fills in nodata itself, but knows it band by band
-    fills = nodata is not None and source.count == 1 and not has_alpha(source)
-    return nodata, fills, nodata is None and not has_alpha(source)
-
-
-def _output_nodata(source: DatasetReader) -> float | None:
-    nodata = usable_nodata(source)
-    if nodata is None and not has_alpha(source) and not has_mask_band(source):
-        floating = np.result_type(*source.dtypes).kind == "f"
-        return math.nan if floating else None
-    return nodata
 
 
 def _warp_options(
@@ -385,19 +368,6 @@ def _warp_options(
         "dtype": np.result_type(*source.dtypes).name,
         **kernel(method, step),
     }
-
-
-def _fill(values: NDArray[Any], valid: NDArray[np.bool_], nodata: float) -> None:
-    """Write the nodata value where a band is not valid, and only there; in place.
-
-    A valid pixel that happens to be as large becomes the next larger value, or smaller where there is none.
-    """
-    if values.dtype.kind == "f":
-        beside = np.nextafter(values.dtype.type(nodata), values.dtype.type(np.inf))
-    else:
-        beside = int(nodata) + (1 if nodata < np.iinfo(values.dtype).max else -1)
-    values[values == nodata] = beside
-    values[~valid] = nodata
 
 
 def kernel(method: Resampling, step: Array) -> dict[str, object]:

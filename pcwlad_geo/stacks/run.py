@@ -52,7 +52,7 @@ NOT_HERE: Final = {
 }
 """Settings that a stack decides for each pair, or that would make other displacements of it.
 
-Those of the correction (model, grid, resampling, write_sigma) change nothing, as for `match`.
+Those of the correction (model, grid, format, resampling, write_sigma) change nothing, as for `match`.
 """
 
 

@@ -4,13 +4,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.raster import warping
 from pcwlad_geo.raster.dem import ConstantHeight
 from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.raster.rpc_grid import RpcGrid, positions_on
-from pcwlad_geo.raster.rpc_warping import ortho_grid, orthorectify
+from pcwlad_geo.raster.rpc_warping import ortho_grid, orthorectify, requested_ortho_grid
 from pcwlad_geo.raster.windows import Window
 from tests.rpc_scene import SHAPE, dem_grid, dem_values, make_rpc, rpc_grid, write_dem, write_image
 from tests.scenes import CRS_OF_SCENE, make_grid
@@ -137,6 +139,37 @@ def test_no_height_no_pixel(tmp_path: Path) -> None:
     x = map_px(np.array([[0.0, 0.0]]), dem_grid(), out)[0, 0] + 2 * 105  # where the heights end
     assert valid[20:280, 20 : int(x) - 4].all()
     assert not valid[:, int(x) + 2 :].any()
+
+
+def test_the_grid_that_is_asked_for(tmp_path: Path) -> None:
+    grid = rpc_grid(write_dem(tmp_path / "dem.tif"))
+    reference = make_grid((320, 340), offset_m=(-300, -300))
+    own = ortho_grid(reference, grid)
+    assert requested_ortho_grid(reference, grid, GridRequest()) == own
+    assert requested_ortho_grid(reference, grid, GridRequest("reference-exact")) == reference
+    like = Grid((20, 30), own.transform, own.crs)
+    assert requested_ortho_grid(reference, grid, GridRequest(like=like)) == like
+
+    sized = requested_ortho_grid(reference, grid, GridRequest(pixel_size=(20.0, 25.0)))
+    assert (sized.transform.a, sized.transform.e) == (20.0, -25.0)
+    edge = map_px(own.boundary_px(), own, sized)
+    assert (edge >= -1e-3).all()
+    assert (edge <= np.array(sized.shape[::-1]) + 1e-3).all()
+
+    left, bottom, right, top = 500_300.0, 4_597_000.0, 501_200.0, 4_598_000.0
+    request = GridRequest(extent=(left, bottom, right, top))
+    cut = requested_ortho_grid(reference, grid, request)
+    assert cut.shape == (33, 30)
+    assert cut.transform.a == 30.0
+    assert cut.to_xy(np.array([[0.0, 0], [30, 33]])) == pytest.approx(
+        np.array([[left, top], [right, bottom]])
+    )
+
+    elsewhere = requested_ortho_grid(reference, grid, GridRequest(crs=CRS.from_epsg(3035)))
+    assert elsewhere.crs == CRS.from_epsg(3035)
+    edge = map_px(grid.boundary_px(), grid, elsewhere)
+    assert (edge >= -1e-3).all()
+    assert (edge <= np.array(elsewhere.shape[::-1]) + 1e-3).all()
 
 
 def test_the_output_grid_lies_on_the_references_lattice(tmp_path: Path) -> None:
