@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 
+import pcwlad_geo
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.settings import Settings
@@ -108,3 +109,12 @@ def test_closure_of_three_sensors(sensors: dict[str, Path]) -> None:
 
     closure = median_m("aerial", "s2") + median_m("s2", "l8") - median_m("aerial", "l8")
     assert np.abs(closure).max() <= 2.5
+
+
+def test_raw_frames_of_three_lenses_close(shared_data: Path, tmp_path: Path) -> None:
+    """Up to 25 px apart, rotated and bent: added displacements of the same place would miss by 0.3 px."""
+    frames = [shared_data / "rig" / "rededge" / f"IMG_0001_{lens}.tif" for lens in (1, 4, 5)]
+    result = pcwlad_geo.qa(frames, out_dir=tmp_path / "qa", features=200, method="gradient", jobs=1)
+    (triangle,) = result.triangles
+    assert triangle.cells >= 12
+    assert triangle.mean_px == pytest.approx((0.0, 0.0), abs=0.05)

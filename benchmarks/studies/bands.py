@@ -1,4 +1,7 @@
-"""Bands of one Landsat scene and of Sentinel-2: the quality report must find them where they are."""
+"""The quality report must find bands where they are, and every triangle of them must close.
+
+Bands of one Landsat scene and of Sentinel-2; the raw frames of a camera with five lenses, 5 to 25 px apart.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ CLOSES_PX = 0.05
 
 
 def bands(data: Path, scratch: Path, _runner: Runner) -> Iterator[Table]:
-    """Yield a table of the pairs and one of the triangles of ``pcwlad-geo qa``."""
+    """Yield tables of the pairs and the triangles of ``pcwlad-geo qa``, and of the triangles of a rig."""
     folder = data / "cross_sensor"
     result = pcwlad_geo.qa(
         [f"{folder / 'landsat8_byte.tif'}:2,4,5", f"{folder / 'sentinel2_b432_byte.tif'}:1"],
@@ -25,7 +28,10 @@ def bands(data: Path, scratch: Path, _runner: Runner) -> Iterator[Table]:
         jobs=1,
     )
     yield _pairs(result.pairs)
-    yield _triangles(result.triangles)
+    yield _triangles(result.triangles, "Closure of the bands, px of 30 m")
+    frames = sorted((data / "rig" / "rededge").glob("*.tif"))
+    rig = pcwlad_geo.qa(frames, out_dir=scratch / "rig", jobs=1)
+    yield _triangles(rig.triangles, "Closure of the raw frames of five lenses, px")
 
 
 def _pairs(pairs: tuple[PairResult, ...]) -> Table:
@@ -44,7 +50,7 @@ def _pairs(pairs: tuple[PairResult, ...]) -> Table:
     return Table("Bands: displacement as found, px of 30 m", header, rows, checks)
 
 
-def _triangles(triangles: tuple[Triangle, ...]) -> Table:
+def _triangles(triangles: tuple[Triangle, ...], title: str) -> Table:
     rows: list[list[Cell]] = []
     checks: list[Check] = []
     for triangle in triangles:
@@ -53,4 +59,4 @@ def _triangles(triangles: tuple[Triangle, ...]) -> Table:
         gap = max(abs(mean[0]), abs(mean[1])) if triangle.mean_px else math.nan
         checks.append(at_most(f"{triangle.name}: larger axis", gap, CLOSES_PX, "px"))
     header = ("triangle", "places", "mean col, px", "row", "standard error col", "row")
-    return Table("Closure of the bands, px of 30 m", header, rows, checks)
+    return Table(title, header, rows, checks)

@@ -80,13 +80,18 @@ def place(
 
 
 def predict_target_px(reference_px: Array, pair: ViewPair) -> Array:
-    """Map (n, 2) reference file px to the target file px that the original georeferencing predicts.
+    """Map (n, 2) reference file px to the target file px that the original georeferencing predicts."""
+    return predict_px(reference_px, pair.reference.info, pair.target.info)
 
-    The identity where either file is not georeferenced.
+
+def predict_px(reference_px: Array, reference: RasterInfo, target: RasterInfo) -> Array:
+    """Map (n, 2) px of one file to the px of another that show the same ground by georeferencing.
+
+    The identity where either file is not georeferenced; NaN where the CRSs cannot be transformed.
     """
-    if not pair.georeferenced:
+    if not (reference.georeferenced and target.georeferenced):
         return np.asarray(reference_px, dtype=np.float64)
-    return map_px(reference_px, pair.reference.info.grid, pair.target.info.grid)
+    return map_px(reference_px, reference.grid, target.grid)
 
 
 def overlap_middle_px(pair: ViewPair, target: RasterInfo) -> Array:

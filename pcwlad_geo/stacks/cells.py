@@ -1,4 +1,4 @@
-"""Mean displacements in the cells of a square net."""
+"""Means of displacements, or of positions, in the cells of a square net."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class CellMean:
     """(col, row)."""
 
 
-def cell_means(at_px: Array, moved_px: Array, side_px: float) -> dict[tuple[int, int], CellMean]:
-    """Return the mean displacement in each cell (col, row) that has enough points.
+def cell_means(at_px: Array, values_px: Array, side_px: float) -> dict[tuple[int, int], CellMean]:
+    """Return the mean of the points' values in each cell (col, row) that has enough points.
 
     Parameters
     ----------
-    at_px, moved_px : (n, 2) arrays
-        Where, and by how much, (col, row).
+    at_px, values_px : (n, 2) arrays
+        Where, and what, (col, row).
     side_px : float
         Of a cell.
     """
@@ -39,7 +39,7 @@ def cell_means(at_px: Array, moved_px: Array, side_px: float) -> dict[tuple[int,
         np.floor(at_px / side_px).astype(np.intp), axis=0, return_inverse=True, return_counts=True
     )
     of = of.ravel()
-    col_mean, row_mean = (np.bincount(of, weights=moved_px[:, axis]) / count for axis in (0, 1))
+    col_mean, row_mean = (np.bincount(of, weights=values_px[:, axis]) / count for axis in (0, 1))
     return {
         (int(col), int(row)): CellMean(int(count[index]), (float(col_mean[index]), float(row_mean[index])))
         for index, (col, row) in enumerate(cells)

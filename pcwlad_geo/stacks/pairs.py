@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal
 
@@ -28,6 +28,7 @@ class PairResult:
 
     reference: Band
     target: Band
+    """Placed as the matching had it: a band without a geotransform may have an RPC."""
     status: Status
     reason: str | None = None
     """Why it was refused."""
@@ -66,6 +67,7 @@ def measured(reference: Band, target: Band, found: Registration) -> PairResult:
     found : Registration
         Status ``matched`` or ``rejected``.
     """
+    reference, target = replace(reference, info=found.reference), replace(target, info=found.target)
     table = found.tie_points
     kept = table.select("matched")
     rejected = len(table) - len(kept)

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from affine import Affine
+from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.locate import predict_px
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.stacks.bands import Band
 from pcwlad_geo.stacks.pairs import PairResult, statistics_by_unit
+
+Array = NDArray[np.float64]
 
 UTM = CRS.from_epsg(32633)
 
@@ -62,6 +68,33 @@ def make_pair(
     )
     statistics = statistics_by_unit(points, reference, target)
     return PairResult(reference, target, "measured", points=points, rejected=3, statistics=statistics)
+
+
+def make_mapped_pair(
+    reference: Band,
+    target: Band,
+    seen_at: Callable[[Array], Array],
+    *,
+    noise_px: float = 0.0,
+    n: int = 600,
+    seed: int = 0,
+) -> PairResult:
+    """A measured pair whose tie points lie where a function puts them: reference px to target px."""
+    rng = np.random.default_rng(seed)
+    rows, cols = reference.info.grid.shape
+    reference_px = rng.uniform((0, 0), (cols, rows), (n, 2))
+    target_px = seen_at(reference_px)
+    rows, cols = target.info.grid.shape
+    inside = ((target_px >= 0) & (target_px <= (cols, rows))).all(axis=1)
+    made = make_pair(reference, target, n=int(inside.sum()))
+    assert made.points is not None
+    points = replace(
+        made.points,
+        reference_px=reference_px[inside],
+        predicted_px=predict_px(reference_px[inside], reference.info, target.info),
+        target_px=target_px[inside] + rng.normal(0, noise_px, (int(inside.sum()), 2)),
+    )
+    return replace(made, points=points)
 
 
 def refused(reference: Band, target: Band, reason: str = "only 7 of 900 agree") -> PairResult:
