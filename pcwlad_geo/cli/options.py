@@ -67,7 +67,9 @@ Method = Annotated[s.Method | None, _setting("method", "Fine matching method.")]
 Points = Annotated[
     str | None,
     _setting(
-        "points", "Tie points wanted; auto: 1000 of a scene, all of a small image.", metavar="N|all|auto"
+        "points",
+        "Most tie points to keep, spread evenly; auto: about 1000 of a scene, all of a small image.",
+        metavar="N|all|auto",
     ),
 ]
 Features = Annotated[int | None, _setting("features", "Candidates a tile.", metavar="N")]

@@ -35,7 +35,7 @@ class TiePointTable:
     residual_px: Array
     """(n, 2) observed minus model, target px; NaN before a fit."""
     status: NDArray[np.str_]
-    """(n,) fit, check, unused (thinned), rejected; from `match`: matched, rejected."""
+    """(n,) fit, check, unused (too near to a check point), rejected; from `match`: matched, rejected."""
     crs: CRS | None
     """Reference CRS."""
 

@@ -1,4 +1,4 @@
-"""Tie points to correction: thin, hold check points out, choose a model, fit, figures."""
+"""Tie points to correction: hold check points out, choose a model, fit, figures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from pcwlad_geo.correction.check_points import hold_out
 from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.selection import Selection, choose
-from pcwlad_geo.correction.thinning import thin
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.settings import Settings
 
@@ -70,10 +69,6 @@ def fit_correction(
     status = table.status.astype("<U8")
     matched = np.flatnonzero(status == "matched")
     status[matched] = hold_out(table.predicted_px[matched], footprint_px)
-    wanted = np.flatnonzero(status == "fit")
-    most = None if settings.points == "all" else settings.points
-    taken = thin(table.predicted_px[wanted], np.hypot(*table.sigma_px[wanted].T), most)
-    status[wanted[~taken]] = "unused"
     fit_points = table[status == "fit"]
     named = ORDERS.get(settings.model, (settings.model,))
     models = candidates if settings.model in ("auto", "rpc") else named

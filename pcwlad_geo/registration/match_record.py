@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import cv2
@@ -46,6 +46,8 @@ class MatchRecord:
     """(b, 4) likewise, the parts left out for want of structure."""
     lost: Candidates
     """The candidates that gave no match; positions in reference px."""
+    thinned_px: Array = field(default_factory=lambda: np.empty((0, 2)))
+    """(t, 2) tie points left out because fewer were wanted."""
 
     @property
     def searched(self) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pcwlad_geo.correction.fit import CANDIDATES
+from pcwlad_geo.correction.thinning import thin
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.locate import locate, overlap_middle_px
@@ -97,6 +98,7 @@ def run(
         if settings.tie_points
         else _by_matching(pair, placed, settings, log, runner)
     )
+    every, found = found.table, _only_wanted(found, settings)
     table = found.table
     px_m = pixel_size_m(levelled(tgt.grid), overlap_middle_px(pair, tgt))
     fitted: Fitted | None = None
@@ -105,7 +107,7 @@ def run(
             on_event(Progress("fitting", 0, 1))
             footprint = settings.window * float(file_px_per_px(pair.target)[0])
             if settings.tie_points:
-                footprint = footprint_px(table, footprint)
+                footprint = footprint_px(every, footprint)
             candidates = MODELS if placed else VRT_MODELS if settings.of.upper() == "VRT" else CANDIDATES
             sizes_m = pixel_sizes_m(levelled(tgt.grid), table.predicted_px)
             fitted = fit_correction(table, settings, footprint, sizes_m, tgt.grid.shape, candidates)
@@ -142,6 +144,26 @@ class _Found:
     counts: dict[str, int]
     prealignment: Prealignment
     record: MatchRecord | None
+
+
+def _only_wanted(found: _Found, settings: Settings) -> _Found:
+    """Keep as many tie points as the user wants, spread evenly, the most precise of each neighbourhood.
+
+    Here and nowhere else, so that what is fitted, checked, printed and written are the same points.
+    """
+    if settings.points in (None, "all") or not found.verdict.accepted:
+        return found
+    table = found.table
+    agreeing = np.flatnonzero(table.status == "matched")
+    taken = thin(table.predicted_px[agreeing], np.hypot(*table.sigma_px[agreeing].T), int(settings.points))
+    surplus = agreeing[~taken]
+    counts = {**found.counts, "thinned": len(surplus), "tie_points": int(taken.sum())}
+    record = found.record
+    if record is not None:
+        record = replace(record, thinned_px=table.reference_px[surplus])
+    kept = np.ones(len(table), dtype=bool)
+    kept[surplus] = False
+    return replace(found, table=table[kept], counts=counts, record=record)
 
 
 def _from_file(pair: ViewPair, path: Path | str, log: JobLog) -> _Found:

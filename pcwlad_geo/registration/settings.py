@@ -46,7 +46,7 @@ class Settings:
     method: Method = "oriented"
     """Fine matching method."""
     points: int | Literal["all"] | None = None
-    """Tie points wanted; None = 1000 of a scene of several tiles, all of a smaller one."""
+    """Most tie points to keep, spread evenly; None = about 1000 of a scene of several tiles, else all."""
     features: int = 1000
     """Candidates a tile."""
     keypoints: Keypoints = "cells"

@@ -65,7 +65,7 @@ def coverage_of(table: TiePointTable, shape_px: tuple[int, int], record: MatchRe
     """Count the tie points of each square, and find why there are none.
 
     The first that holds: no data in one of the two, an edge too near, no structure, a part that could not be
-    read, no window laid there, the stage that lost most of its candidates.
+    read, no window laid there or fewer points wanted, the stage that lost most of its candidates.
 
     Parameters
     ----------
@@ -84,6 +84,7 @@ def coverage_of(table: TiePointTable, shape_px: tuple[int, int], record: MatchRe
         rejected = frame.count(table.select("rejected").reference_px)
         if record.searched:
             reason = _by_matching(record, rejected, frame)
+        reason = np.where(frame.count(record.thinned_px) > 0, "not_asked", reason)
         ground = _by_ground(record.ground, frame)
         reason = np.where(ground == "", reason, ground)
     return Coverage(shape_px, points, np.where(points > 0, "", reason))
