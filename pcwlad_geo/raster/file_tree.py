@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import tarfile
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -16,6 +18,8 @@ _ZIP: Final = (".zip",)
 _TAR: Final = (".tar", ".tar.gz", ".tgz")
 DEEPEST: Final = 6
 """Levels of folders that are looked into."""
+_SUBFILE: Final = re.compile(r"/vsisubfile/\d+_\d+_(?P<name>[^/,]+),.*", re.DOTALL)
+"""A file inside an archive by its place: GDAL passes over the name, which is there for us."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +37,12 @@ class FileTree:
         """Return the path or GDAL URI of a file."""
         if not self.prefix:
             return str(self.path / name)
+        archive, place = self.path.absolute().as_posix(), _members(_Archive.of(self.path))[name].place
+        if place is not None:
+            unpacked = "" if self.path.name.lower().endswith(".tar") else "/vsigzip/"
+            return f"/vsisubfile/{place}_{name_in(name).replace(',', '_')},{unpacked}{archive}"
         # Braces keep GDAL from guessing where the archive's name ends.
-        return f"{self.prefix}/{{{self.path.absolute().as_posix()}}}/{name}"
+        return f"{self.prefix}/{{{archive}}}/{name}"
 
     def read_text(self, name: str) -> str:
         """Read a small text file.
@@ -68,7 +76,7 @@ def tree_of(path: Path) -> FileTree:
         if path.is_dir():
             return FileTree(path, tuple(sorted(_below(path, DEEPEST))))
         archive = _Archive.of(path)
-        return FileTree(path, _members(archive), "/vsizip" if archive.zipped else "/vsitar")
+        return FileTree(path, tuple(sorted(_members(archive))), "/vsizip" if archive.zipped else "/vsitar")
     except (OSError, zipfile.BadZipFile, tarfile.TarError, EOFError) as error:
         raise InputError(f"{path} cannot be read: it may be damaged ({error})") from error
 
@@ -91,14 +99,34 @@ class _Archive:
         return self.path.name.lower().endswith(_ZIP)
 
 
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """A file in an archive."""
+
+    stored: str
+    """Its name there, which may begin with ./"""
+    place: str | None = None
+    """First byte and length, joined by _, where GDAL does not find the file by its name."""
+
+
 # A job asks several times, and a .tar.gz is unpacked from its beginning each time.
 @lru_cache(maxsize=16)
-def _members(archive: _Archive) -> tuple[str, ...]:
+def _members(archive: _Archive) -> Mapping[str, _Member]:
+    """Return the files of an archive by the names that GDAL has for them."""
     if archive.zipped:
         with zipfile.ZipFile(archive.path) as file:
-            return _plain(file.namelist())
+            return {name: _Member(name) for name in file.namelist() if _counts(name)}
     with tarfile.open(archive.path) as tar:
-        return _plain([member.name for member in tar if member.isfile()])
+        return {
+            member.name.removeprefix("./"): _Member(member.name, _place(member))
+            for member in tar
+            if member.isfile() and _counts(member.name)
+        }
+
+
+def _place(member: tarfile.TarInfo) -> str | None:
+    # Python's tarfile puts names of more than 100 characters into pax headers, which GDAL does not read
+    return f"{member.offset_data}_{member.size}" if "path" in member.pax_headers else None
 
 
 @lru_cache(maxsize=16)
@@ -107,13 +135,13 @@ def _member(archive: _Archive, name: str) -> bytes:
         with zipfile.ZipFile(archive.path) as file:
             return file.read(name)
     with tarfile.open(archive.path) as tar:
-        member = tar.extractfile(name)
+        member = tar.extractfile(_members(archive)[name].stored)
         return member.read() if member else b""
 
 
-def _plain(names: list[str]) -> tuple[str, ...]:
+def _counts(name: str) -> bool:
     # macOS packs a shadow of each file: ._name
-    return tuple(sorted(name for name in names if name[-1:] != "/" and not name_in(name).startswith("._")))
+    return name[-1:] != "/" and not name_in(name).startswith("._")
 
 
 def _below(folder: Path, levels: int, above: str = "") -> list[str]:
@@ -130,3 +158,9 @@ def _below(folder: Path, levels: int, above: str = "") -> list[str]:
 def name_in(name: str) -> str:
     """Return the last part of a name."""
     return PurePosixPath(name).name
+
+
+def name_of_uri(uri: str) -> str:
+    """Return the name of the file that a path or GDAL URI leads to."""
+    inside = _SUBFILE.fullmatch(uri)
+    return inside["name"] if inside else Path(uri).name

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import PurePosixPath
 from typing import Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.file_tree import name_of_uri
 
 MaskKind = Literal["zeros", "QA_PIXEL", "SCL", "MSK_CLASSI"]
 """zeros: 0 = excluded; the others are named as their products name them."""
@@ -50,7 +50,7 @@ def kind_of(uri: str, descriptions: Sequence[str | None], dtypes: Sequence[str])
     InputError
         If the name is that of a quality raster that is not read, or of one that is and the bands are not.
     """
-    names = [PurePosixPath(uri.replace("\\", "/")).name, (descriptions[0] or "") if descriptions else ""]
+    names = [name_of_uri(uri.replace("\\", "/")), (descriptions[0] or "") if descriptions else ""]
     for name in names:
         for kind in get_args(MaskKind)[1:]:
             if re.search(_NAMES[kind], name, re.IGNORECASE):

@@ -18,6 +18,7 @@ from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
+from pcwlad_geo.raster.file_tree import name_of_uri
 from pcwlad_geo.raster.gcp_grid import geotransform_of
 from pcwlad_geo.raster.grid import Grid, linear_part
 from pcwlad_geo.raster.mask_kinds import MaskKind, kind_of
@@ -103,7 +104,7 @@ def describe(
 
 def file_name(uri: str) -> str:
     """Return the last part of a path or GDAL URI, without what a vrt:// connection adds to it."""
-    return Path(plain_uri(uri)).name
+    return name_of_uri(plain_uri(uri))
 
 
 def plain_uri(uri: str) -> str:

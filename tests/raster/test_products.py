@@ -1,15 +1,17 @@
 from __future__ import annotations
 
+import tarfile
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 import rasterio
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.product import Product
 from pcwlad_geo.raster.products import find_product, stem_of
-from pcwlad_geo.raster.source import file_name
+from pcwlad_geo.raster.source import describe, file_name
 from tests.products import LANDSAT, SAFE, packed, write_landsat, write_safe
 
 
@@ -69,6 +71,47 @@ def test_packed_products_open_in_place(ending: str, tmp_path: Path) -> None:
     assert file_name(found.mask) == f"{LANDSAT}_QA_PIXEL.TIF"
     # the way of a mask through pathlib must leave it as it is
     assert str(Path(found.mask)) == found.mask
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A SAFE folder and the folder of a Landsat scene."""
+    folder = tmp_path_factory.mktemp("folders")
+    return write_safe(folder / "s", level="L2A"), write_landsat(folder / "l", bands=("B4", "B10"))
+
+
+@pytest.mark.parametrize("ending", [".tar", ".tar.gz"])
+@pytest.mark.parametrize("prefix", ["", "./", "home/somebody/"])
+@pytest.mark.parametrize("header", [tarfile.PAX_FORMAT, tarfile.GNU_FORMAT, tarfile.USTAR_FORMAT])
+def test_products_packed_by_tarfile_open(
+    header: int, prefix: str, ending: str, folders: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """Folders are members too, and names of more than 100 characters stand where GDAL does not look."""
+    for folder, band in zip(folders, ("B04", "B10"), strict=True):
+        archive = tmp_path / f"{folder.name}{ending}"
+        with tarfile.open(archive, "w:gz" if ending == ".tar.gz" else "w", format=header) as tar:
+            tar.add(folder, f"{prefix}{folder.name}")
+        packed_up, as_it_was = product(archive), product(folder)
+        assert names(packed_up) == names(as_it_was)
+        assert packed_up.missing == ()
+        assert packed_up.mask is not None
+        assert as_it_was.mask is not None
+        for inside, outside in (
+            (packed_up.band(band).opened_as(), as_it_was.band(band).opened_as()),
+            (packed_up.mask, as_it_was.mask),
+        ):
+            assert file_name(inside) == file_name(outside)
+            with rasterio.open(inside) as file, rasterio.open(outside) as plain:
+                np.testing.assert_array_equal(file.read(), plain.read())
+                assert (file.transform, file.scales, file.nodata) == (
+                    plain.transform,
+                    plain.scales,
+                    plain.nodata,
+                )
+        assert describe(packed_up.band(band).opened_as(), mask=packed_up.mask).mask_kind in (
+            "SCL",
+            "QA_PIXEL",
+        )
 
 
 @pytest.mark.parametrize("level", ["L1C", "L2A"])
