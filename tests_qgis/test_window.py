@@ -140,6 +140,11 @@ def test_the_georeferencer_has_the_points_and_their_residuals(
     expected = affine_residuals_px(rows, str(sample[1]))
     np.testing.assert_allclose(shown[:, 5:7], expected, atol=1e-5)
     np.testing.assert_allclose(shown[:, 7], np.hypot(*expected.T), atol=1e-5)
+    # those of the file are of another model, but have the same sign
+    used = rows[:, 4] > 0
+    for axis in (5, 6):
+        assert np.corrcoef(shown[used, axis], rows[used, axis])[0, 1] > 0.3
+    np.testing.assert_allclose(rows[:, 7], np.hypot(rows[:, 5], rows[:, 6]), atol=2e-6)
 
 
 def affine_residuals_px(rows: np.ndarray, target: str) -> np.ndarray:

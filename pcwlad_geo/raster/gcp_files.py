@@ -21,7 +21,8 @@ def write_points(
     Parameters
     ----------
     table : TiePointTable
-        mapX, mapY = `xy`; dX, dY = `residual_px`, 0 where unknown.
+        mapX, mapY = `xy`; dX, dY = -`residual_px`, 0 where unknown: QGIS counts predicted minus observed,
+        in pixels, columns to the right and rows down.
     path : pathlib.Path
         `<target file name>.points`: QGIS loads it with the raster it lies beside.
     target_info_georeferenced : bool
@@ -33,10 +34,12 @@ def write_points(
         source_xy = target_grid.to_xy(table.target_px)
     else:
         source_xy = table.target_px * np.array([1.0, -1.0])
-    residual_px = np.nan_to_num(table.residual_px)
+    qgis_residual_px = -np.nan_to_num(table.residual_px)
     lines = [] if table.crs is None else [f"#CRS: {' '.join(table.crs.to_wkt(version='WKT2_2019').split())}"]
     lines.append("mapX,mapY,sourceX,sourceY,enable,dX,dY,residual")
-    for xy, source, (d_x, d_y), status in zip(table.xy, source_xy, residual_px, table.status, strict=True):
+    for xy, source, (d_x, d_y), status in zip(
+        table.xy, source_xy, qgis_residual_px, table.status, strict=True
+    ):
         numbers = [_number(value) for value in (*xy, *source)]
         residuals = [_number(round(value, 6)) for value in (d_x, d_y, np.hypot(d_x, d_y))]
         lines.append(",".join([*numbers, "0" if status == "rejected" else "1", *residuals]))

@@ -41,15 +41,16 @@ def rows(path: Path, header_lines: int) -> list[list[float]]:
 
 
 def test_points_of_a_georeferenced_target_are_in_layer_coordinates(tmp_path: Path) -> None:
+    """Residuals are predicted minus observed pixels (col, row), as the Georeferencer's table has them."""
     gcp_files.write_points(table(UTM), tmp_path / "t.points", True, TARGET)
     first, second = (tmp_path / "t.points").read_text().splitlines()[:2]
     assert first.startswith("#CRS: ")
     assert CRS.from_wkt(first.removeprefix("#CRS: ")) == UTM
     assert second == "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
     assert rows(tmp_path / "t.points", 2) == [
-        [10500, 20500, 500_337.5, 4_899_415, 1, 0.3, -0.4, pytest.approx(0.5)],
+        [10500, 20500, 500_337.5, 4_899_415, 1, -0.3, 0.4, pytest.approx(0.5)],
         [30000, 40000, 500_930, 4_898_785, 1, 0, 0, 0],
-        [50000, 60000, 502_970, 4_899_970, 0, 5, 12, 13],
+        [50000, 60000, 502_970, 4_899_970, 0, -5, -12, 13],  # switched off, and what is known of it kept
     ]
 
 
@@ -58,7 +59,7 @@ def test_points_of_a_plain_target_are_pixels_with_y_up(tmp_path: Path) -> None:
         table(None), tmp_path / "t.points", False, Grid((100, 100), Affine.identity(), None)
     )
     assert (tmp_path / "t.points").read_text().startswith("mapX,")
-    assert rows(tmp_path / "t.points", 1)[0] == [10.5, -20.5, 11.25, -19.5, 1, 0.3, -0.4, pytest.approx(0.5)]
+    assert rows(tmp_path / "t.points", 1)[0] == [10.5, -20.5, 11.25, -19.5, 1, -0.3, 0.4, pytest.approx(0.5)]
 
 
 def test_envi_counts_from_one_and_leaves_rejected_points_out(tmp_path: Path) -> None:
