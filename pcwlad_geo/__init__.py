@@ -18,6 +18,7 @@ from pcwlad_geo.errors import (
     OutputError,
     PcwladGeoError,
     RegistrationRejectedError,
+    RequirementError,
     SettingsError,
 )
 
@@ -41,6 +42,7 @@ __all__ = [
     "PcwladGeoError",
     "Registration",
     "RegistrationRejectedError",
+    "RequirementError",
     "Settings",
     "SettingsError",
     "TiePoints",

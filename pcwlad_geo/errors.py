@@ -50,6 +50,27 @@ class RegistrationRejectedError(PcwladGeoError):
         self.out_dir = out_dir
 
 
+class RequirementError(PcwladGeoError):
+    """The pair was registered (or matched), but a requirement on its figures is not met.
+
+    Parameters
+    ----------
+    message : str
+        The requirements that are not met, with the figures.
+    registration : object, optional
+        The `Registration`: its `requirements` say what became of each.
+    out_dir : pathlib.Path, optional
+        Where the report was written; the corrected files only where they were to be kept.
+    """
+
+    exit_status = 4
+
+    def __init__(self, message: str, registration: object = None, out_dir: object = None) -> None:
+        super().__init__(message)
+        self.registration = registration
+        self.out_dir = out_dir
+
+
 class CancelledError(PcwladGeoError):
     """The run was cancelled by its caller."""
 

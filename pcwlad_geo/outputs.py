@@ -31,12 +31,13 @@ from pcwlad_geo.registration.result import Registration
 def kinds(registration: Registration) -> list[str]:
     """Return the kinds of output that a job of this end has, without its report.
 
-    A target with RPC has that corrected, not a geotransform; models beyond affine have neither.
+    A target with RPC has that corrected, not a geotransform; models beyond affine have neither. Where a
+    requirement is not met, the corrected files are written on request only.
     """
     found = ["tiepoints", "geopackage"]
     if registration.status != "rejected":
         found += ["points", "envi", "gcps"]
-    if registration.status != "registered":
+    if not corrects(registration):
         return found
     if registration.rpc is not None:
         found += ["rpc", "rpc_text"]
@@ -67,6 +68,12 @@ def output_grids_of(registration: Registration, bands: Sequence[ProductBand]) ->
     for grid in grids if request.needs_ground or request.fixed(reference) else ():
         check_covered(grid, outline_xy, target.crs)
     return grids
+
+
+def corrects(registration: Registration) -> bool:
+    """Whether a job of this end has corrected files."""
+    wanted = registration.passed is not False or registration.settings.keep
+    return registration.status == "registered" and wanted
 
 
 def writers(

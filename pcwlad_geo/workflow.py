@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
@@ -13,7 +13,7 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Literal, TypedDict
 
-from pcwlad_geo.errors import OutputError, RegistrationRejectedError
+from pcwlad_geo.errors import OutputError, RegistrationRejectedError, RequirementError
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.products import stem_of
 from pcwlad_geo.raster.source import file_name, plain_name
@@ -26,6 +26,7 @@ from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
 from pcwlad_geo.report.pdf import check_pdf
+from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.staging import OutputFolder, place_file, place_with_files
 
 if TYPE_CHECKING:
@@ -88,6 +89,8 @@ class Options(TypedDict, total=False):
     resampling: s.Resampling
     write_sigma: bool
     pdf: bool
+    require: str | Sequence[str]
+    keep: bool
     tile_size: int
     jobs: int | None
     scheduler: str | None
@@ -144,6 +147,8 @@ def register(
         If what the job runs on cannot be used or is lost; nothing is written.
     RegistrationRejectedError
         If the pair cannot be registered reliably; the report is written, a registered raster is not.
+    RequirementError
+        If a requirement (`require`) is not met; the report is written, corrected files only with `keep`.
     """
     settings = Settings.from_options(options)
     places = output_paths(
@@ -158,7 +163,7 @@ def register(
         output_points=output_points,
     )
     job = partial(_run, reference, target, settings, executor)
-    return _run_and_write(job, (reference, target), settings, places, overwrite, on_event)
+    return _run_and_write(job, "register", (reference, target), settings, places, overwrite, on_event)
 
 
 def match(
@@ -190,7 +195,7 @@ def match(
         output_points=output_points,
     )
     job = partial(_run, reference, target, settings, executor, match_only=True)
-    return _run_and_write(job, (reference, target), settings, places, overwrite, on_event)
+    return _run_and_write(job, "match", (reference, target), settings, places, overwrite, on_event)
 
 
 def output_paths(
@@ -259,6 +264,7 @@ def _run(
 
 def _run_and_write(
     job: Callable[[EventCallback], Registration],
+    command: Literal["register", "match"],
     inputs: tuple[PathLike, PathLike],
     settings: Settings,
     places: Mapping[str, Path],
@@ -266,6 +272,7 @@ def _run_and_write(
     on_event: EventCallback,
 ) -> Registration:
     """Check the outputs, run the job, write its files beside their places, then put them there at once."""
+    requirements = parse_requirements(settings.require, command)
     if settings.pdf:
         check_pdf()
     out_dir = places["numbers"].parent
@@ -287,8 +294,11 @@ def _run_and_write(
             for band in resolve(*inputs, settings, all_bands="raster" in places).other_bands
         }
         registration = job(_preloading(on_event))
-        from pcwlad_geo.writing import write  # inside: slow to load, which `_preloading` may have done
+        # inside: slow to load, which `_preloading` may have done
+        from pcwlad_geo.report.requirements import judge_requirements
+        from pcwlad_geo.writing import write
 
+        registration = replace(registration, requirements=judge_requirements(registration, requirements))
         written = write(registration, staged, places, elsewhere, bands, on_event)
         registration = replace(registration, warnings=registration.warnings + written.warnings)
         for kind in written.kinds:
@@ -299,6 +309,9 @@ def _run_and_write(
     if registration.status == "rejected":
         message = f"{registration.reason} (report: {places['report']})"
         raise RegistrationRejectedError(message, registration, out_dir)
+    if registration.passed is False:
+        missed = "; ".join(each.text for each in registration.requirements if not each.met)
+        raise RequirementError(f"{missed} (report: {places['report']})", registration, out_dir)
     return registration
 
 

@@ -58,7 +58,7 @@ def write(
             told.append(event.message)
         on_event(event)
 
-    if registration.status != "registered":
+    if not outputs.corrects(registration):
         bands = {}
     grids = outputs.output_grids_of(registration, list(bands)) if registration.status == "registered" else []
     kinds = outputs.kinds(registration)

@@ -7,13 +7,22 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
 from affine import Affine
 
-from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, SettingsError, workflow, writing
+from pcwlad_geo import (
+    InputError,
+    OutputError,
+    RegistrationRejectedError,
+    RequirementError,
+    SettingsError,
+    workflow,
+    writing,
+)
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.raster import tie_point_csv
 from pcwlad_geo.raster.grid import Grid
@@ -115,6 +124,67 @@ def test_rejection_writes_the_report_and_raises(pair: tuple[Path, Path], use: Us
         workflow.register(*pair)
     assert isinstance(caught.value.registration, Registration)
     assert caught.value.out_dir == Path("b10_registered")
+    assert names(tmp_path / "b10_registered") == COMMON
+
+
+MISSED = "CE90 <= 0.01 px: not met"
+
+
+def test_a_requirement_that_is_not_met_holds_the_corrected_files_back(
+    pair: tuple[Path, Path], use: Use, tmp_path: Path
+) -> None:
+    use()
+    with pytest.raises(RequirementError, match=MISSED + r".*b10_registered") as caught:
+        workflow.register(*pair, require=["CE90<=0.01px", "points>=100"], write_sigma=True)
+    assert isinstance(caught.value.registration, Registration)
+    assert [each.met for each in caught.value.registration.requirements] == [False, True]
+    folder = tmp_path / "b10_registered"
+    assert names(folder) == COMMON | EXCHANGE
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert (report["status"], report["passed"]) == ("registered", False)
+    assert [each["met"] for each in report["requirements"]] == [False, True]
+    assert report["requirements"][0]["value"] == report["accuracy"]["check"]["px"]["ce90"]
+    assert set(report["outputs"]) == names(folder)
+
+    with pytest.raises(RequirementError, match=MISSED):
+        workflow.register(*pair, require="CE90<=0.01px", keep=True, overwrite=True)
+    assert names(folder) == COMMON | EXCHANGE | {"b10_corrected.vrt", "b10_registered.tif"}
+
+
+def test_a_requirement_that_is_met_changes_nothing(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
+    use()
+    registration = workflow.register(*pair, require="CE90<=0.5px; check RMSE<=20m; model=shift")
+    assert registration.passed is True
+    assert "b10_registered.tif" in names(tmp_path / "b10_registered")
+
+
+def test_match_has_requirements_of_its_own(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
+    use("matched")
+    with pytest.raises(RequirementError, match="displacement <= 1 px: not met"):
+        workflow.match(*pair, require="displacement<=1px; points>=100")
+    assert names(tmp_path / "b10_matched") == COMMON | EXCHANGE
+
+
+@pytest.mark.parametrize(
+    ("job", "require"), [(workflow.register, "CE90"), (workflow.match, "CE90<=1px"), (workflow.register, 3)]
+)
+def test_a_requirement_that_cannot_be_read_is_told_before_any_work(
+    job: Callable[..., Registration], require: Any, pair: tuple[Path, Path], use: Use, tmp_path: Path
+) -> None:
+    use(error=RuntimeError("the work has begun"))
+    with pytest.raises(SettingsError, match="require = "):
+        job(*pair, require=require)
+    assert names(tmp_path) == {"b4.tif", "b10.tif"}
+
+
+def test_a_refused_pair_is_refused_whatever_is_required(
+    pair: tuple[Path, Path], use: Use, tmp_path: Path
+) -> None:
+    use("rejected")
+    with pytest.raises(RegistrationRejectedError):
+        workflow.register(*pair, require="points>=1", keep=True)
+    report = json.loads((tmp_path / "b10_registered" / "report.json").read_text(encoding="utf-8"))
+    assert (report["passed"], report["requirements"][0]["reason"]) == (False, "the pair was refused")
     assert names(tmp_path / "b10_registered") == COMMON
 
 

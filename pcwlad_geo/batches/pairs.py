@@ -12,6 +12,7 @@ from typing import Any, Final
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.registration.option_values import RUNNING, SETTINGS, to_setting
 from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.workflow import output_folder
 
 PLACES: Final = ("output_raster", "output_tiepoints", "output_report", "output_points")
@@ -146,12 +147,14 @@ def _pair(
 ) -> Pair:
     own = {name: to_setting(name, value) for name, value in cells.items() if name in SETTINGS}
     own |= {name: folder / value for name, value in own.items() if isinstance(value, Path)}
+    settings = Settings.from_options({**options, **own})
+    parse_requirements(settings.require, "register")
     return Pair(
         line,
         _located(cells["reference"], folder),
         _located(cells["target"], folder),
         out_dir,
-        Settings.from_options({**options, **own}),
+        settings,
         {name: folder / cells[name] for name in PLACES if name in cells},
     )
 

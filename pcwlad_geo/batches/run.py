@@ -17,7 +17,7 @@ from pcwlad_geo.batches.summary import (
     read_report,
     write_summary,
 )
-from pcwlad_geo.errors import InputError, PcwladGeoError, RegistrationRejectedError
+from pcwlad_geo.errors import InputError, PcwladGeoError, RegistrationRejectedError, RequirementError
 from pcwlad_geo.registration.inputs import Inputs, resolve
 from pcwlad_geo.registration.option_values import RUNNING
 from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned, ignore
@@ -60,7 +60,8 @@ def batch(
 ) -> BatchResult:
     """Register the pairs of a table, one after another.
 
-    A pair that is refused or cannot be used is told in a warning and in the summary, and the rest is done.
+    A pair that is refused, cannot be used or does not meet a requirement is told in a warning and in the
+    summary, and the rest is done.
     A pair that an earlier run has finished, with the same inputs and options, is not done again.
 
     Parameters
@@ -102,7 +103,7 @@ def batch(
             outcome = (None if overwrite else _done_before(pair)) or _do(pair, overwrite, relay, runner)
             outcomes.append(outcome)
             write_summary(folder / SUMMARY, outcomes)
-            if outcome.status != "registered":
+            if outcome.reason is not None:
                 relay(Warned(f"{pair.name}: {outcome.status}: {outcome.reason}"))
     relay(Progress("pairs", len(todo), len(todo)))
     return BatchResult(tuple(outcomes), folder / SUMMARY)
@@ -147,11 +148,20 @@ def _do(pair: Pair, overwrite: bool, relay: _Relay, runner: Runner) -> PairOutco
             executor=runner,
             **options,
         )
+    except RequirementError:
+        return _registered(pair, read_report(pair.out_dir))
     except Exception as error:  # of any kind: the other pairs are done all the same
         if error is relay.raised:
             raise
         return _not_done(pair, error)
-    return PairOutcome(pair, "registered", report=read_report(pair.out_dir))
+    return _registered(pair, read_report(pair.out_dir))
+
+
+def _registered(pair: Pair, report: Mapping[str, Any], *, before: bool = False) -> PairOutcome:
+    """Return the outcome of a pair that was registered, whether or not it meets its requirements."""
+    missed = [each["message"] for each in report.get("requirements", ()) if not each["met"]]
+    reason = "; ".join(missed) or None
+    return PairOutcome(pair, "registered", reason, done_before=before, report=report)
 
 
 def _not_done(pair: Pair, error: Exception) -> PairOutcome:
@@ -180,6 +190,8 @@ def _done_before(pair: Pair) -> PairOutcome | None:
     before = {name: value for name, value in report["settings"].items() if name not in RUNNING}
     if before != plain(settings):
         return None
+    if status == "registered":
+        return _registered(pair, report, before=True)
     return PairOutcome(pair, status, report.get("reason"), done_before=True, report=report)
 
 

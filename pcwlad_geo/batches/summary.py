@@ -28,13 +28,19 @@ class PairOutcome:
     status: Status
     """`unusable`: an input, an option or the output folder; `failed`: unexpectedly."""
     reason: str | None = None
-    """Why there is no registered raster."""
+    """Why there is no registered raster, or which requirements are not met."""
     done_before: bool = False
     """An earlier run has done it."""
     report: Mapping[str, Any] = field(default_factory=dict)
     """Content of its report.json, if it has one."""
     error: Exception | None = None
     """What was raised."""
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether all requirements of a pair that is registered are met; None where nothing was required."""
+        passed: bool | None = self.report.get("passed") if self.status == "registered" else None
+        return passed
 
     def row(self) -> dict[str, object]:
         """Return its line of the summary; values that do not exist are None."""
@@ -60,6 +66,7 @@ class PairOutcome:
             "ce90_px": px.get("ce90"),
             "rmse_m": m.get("rmse"),
             "ce90_m": m.get("ce90"),
+            "passed": self.passed,
             "warnings": len(report["warnings"]) if report else None,
             "seconds": round(sum(report["seconds"].values()), 1) if report else None,
             "reason": self.reason,
@@ -104,7 +111,7 @@ def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
     """
     text = io.StringIO()
     rows = [outcome.row() for outcome in outcomes]
-    rows = [{**row, "done_before": "yes" if row["done_before"] else "no"} for row in rows]
+    rows = [{name: _word(value) for name, value in row.items()} for row in rows]
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
@@ -118,6 +125,10 @@ def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
             beside.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _word(value: object) -> object:
+    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else value
 
 
 def _accuracy(report: Mapping[str, Any]) -> tuple[str | None, Mapping[str, Any]]:

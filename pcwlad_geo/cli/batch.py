@@ -12,7 +12,7 @@ from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.config import collect
 from pcwlad_geo.cli.job import UNEXPECTED, Ending, run_guarded, show_traceback
 from pcwlad_geo.cli.table import table
-from pcwlad_geo.errors import InputError, RegistrationRejectedError
+from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError
 from pcwlad_geo.registration.progress import EventCallback
 from pcwlad_geo.registration.settings import Settings
 
@@ -23,8 +23,11 @@ STATUS_OF = {
     "failed": UNEXPECTED,
     "unusable": InputError.exit_status,
     "rejected": RegistrationRejectedError.exit_status,
+    "not_passed": RequirementError.exit_status,
 }
 """Exit status by what a pair has come to; the first that any pair has come to counts."""
+
+WORDS = {"not_passed": "of them against a requirement"}
 
 Pairs = Annotated[
     Path,
@@ -40,6 +43,8 @@ def batch(
     context: typer.Context,
     pairs: Pairs,
     out_dir: o.OutDir = None,
+    require: o.Require = None,
+    keep: o.Keep = None,
     jobs: o.Jobs = None,
     scheduler: o.Scheduler = None,
     progress: o.ProgressOption = "auto",
@@ -86,8 +91,9 @@ def _abandon(folders: Sequence[Path]) -> None:
 def _ending(result: BatchResult) -> Ending:
     rows = [outcome.row() for outcome in result.pairs]
     counts = {status: result.count(status) for status in ("registered", "rejected", "unusable", "failed")}
+    counts["not_passed"] = sum(outcome.passed is False for outcome in result.pairs)
     summary = result.summary.absolute()
     status = next((STATUS_OF[each] for each in STATUS_OF if counts[each]), 0)
     figures = {**counts, "exit_status": status, "pairs": rows, "paths": {"summary": str(summary)}}
-    told = ", ".join(f"{count} {each}" for each, count in counts.items() if count)
+    told = ", ".join(f"{count} {WORDS.get(each, each)}" for each, count in counts.items() if count)
     return Ending(figures, f"{table(rows)}\n{told}\nsummary: {summary}\n", status)

@@ -15,7 +15,7 @@ from pcwlad_geo.cli.interrupt import STATUS as INTERRUPTED
 from pcwlad_geo.cli.interrupt import cancellable
 from pcwlad_geo.cli.outcome import Outcome
 from pcwlad_geo.cli.progress import Reporter, one_line, reporter
-from pcwlad_geo.errors import CancelledError, PcwladGeoError, RegistrationRejectedError
+from pcwlad_geo.errors import CancelledError, PcwladGeoError, RegistrationRejectedError, RequirementError
 from pcwlad_geo.registration.progress import EventCallback
 from pcwlad_geo.registration.settings import Settings
 
@@ -54,9 +54,13 @@ def run_job(command: Command, params: Mapping[str, Any]) -> None:
 
     def work(on_event: EventCallback) -> Ending:
         settings = collect(params, params["config"])
-        _work(command, params, settings, on_event)
+        status = 0
+        try:
+            _work(command, params, settings, on_event)
+        except RequirementError as error:  # the result is there
+            status = error.exit_status
         outcome = Outcome.read(_paths(command, params, settings))
-        return Ending(outcome.figures(), outcome.text())
+        return Ending({**outcome.figures(), "exit_status": status}, outcome.text(), status)
 
     run_guarded(params, work, lambda: _abandon(command, params))
 

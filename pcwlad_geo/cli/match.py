@@ -31,6 +31,7 @@ def match(
     consensus: o.Consensus = None,
     prealign: o.Prealign = None,
     pdf: o.Pdf = None,
+    require: o.Require = None,
     jobs: o.Jobs = None,
     scheduler: o.Scheduler = None,
     progress: o.ProgressOption = "auto",

@@ -131,6 +131,19 @@ Pdf = Annotated[
     bool | None,
     typer.Option("--pdf", help="Write the report as PDF too; needs pip install 'pcwlad-geo[pdf]'."),
 ]
+Require = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--require",
+        metavar="EXPRESSION",
+        help="Requirement, such as 'CE90<=0.5px' or 'points>=100'; exit status 4 where it is not met; "
+        "repeatable.",
+    ),
+]
+Keep = Annotated[
+    bool | None,
+    typer.Option("--keep", help="Write the corrected files although a requirement is not met."),
+]
 Jobs = Annotated[str | None, _setting("jobs", "Processes, at most; all: one a core.", metavar="N|all")]
 Scheduler = Annotated[
     str | None,

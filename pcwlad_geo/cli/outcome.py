@@ -10,7 +10,16 @@ from typing import Any, Final
 
 from pcwlad_geo.cli.columns import columns
 
-FIGURES = ("status", "tie_points", "displacement_px", "displacement_m", "accuracy", "warnings")
+FIGURES = (
+    "status",
+    "passed",
+    "requirements",
+    "tie_points",
+    "displacement_px",
+    "displacement_m",
+    "accuracy",
+    "warnings",
+)
 """Entries of report.json that the result event repeats."""
 
 HEADER: Final = ("", "n", "mean col, row", "std col, row", "LE90 col, row", "RMSE", "CE90", "net", "CE90 m")
@@ -41,12 +50,15 @@ class Outcome:
             Where each kind of output goes, `numbers` (report.json) among them.
         """
         summary = json.loads(paths["numbers"].read_text(encoding="utf-8"))
-        return Outcome(summary, {kind: path for kind, path in paths.items() if path.is_file()})
+        written = {kind: path for kind, path in paths.items() if path.is_file()}
+        if summary.get("passed") is False and not summary["settings"]["keep"]:
+            written.pop("raster", None)  # one that is there, outside of the folder, is not of this job
+        return Outcome(summary, written)
 
     def figures(self) -> dict[str, object]:
         """Return the values of the result event."""
         return {
-            **{name: self.summary[name] for name in FIGURES},
+            **{name: self.summary.get(name) for name in FIGURES},
             "paths": {kind: str(path.absolute()) for kind, path in self.paths.items()},
         }
 
@@ -60,6 +72,7 @@ class Outcome:
             lines.append(f"median displacement: {col:+.3f} px in column, {row:+.3f} px in row")
         lines += self._accuracy()
         lines += self._table()
+        lines += self._requirements()
         lines.append(f"report: {self.paths.get('report', self.paths['numbers'])}")
         return "\n".join(lines) + "\n"
 
@@ -73,6 +86,16 @@ class Outcome:
                 )
                 return [f"accuracy at {px['n']} {group} points: RMSE {rmse}, CE90 {ce90}"]
         return []
+
+    def _requirements(self) -> list[str]:
+        """Return a line for each requirement, and the verdict."""
+        lines = [each["message"] for each in self.summary.get("requirements") or ()]
+        if not lines:
+            return []
+        if self.summary["passed"]:
+            return [*lines, "PASSED"]
+        withheld = self.summary["status"] == "registered" and "raster" not in self.paths
+        return [*lines, "FAILED: no corrected raster is written without --keep" if withheld else "FAILED"]
 
     def _table(self) -> list[str]:
         """Return the statistics before and after the correction, in columns."""

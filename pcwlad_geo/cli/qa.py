@@ -11,16 +11,13 @@ import typer
 from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.config import collect
 from pcwlad_geo.cli.job import Ending, run_guarded
-from pcwlad_geo.errors import RegistrationRejectedError, SettingsError
+from pcwlad_geo.errors import RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.registration.progress import EventCallback
 from pcwlad_geo.registration.settings import Settings
 
 if TYPE_CHECKING:
     from pcwlad_geo.stacks.run import QaResult
     from pcwlad_geo.stacks.trend import Trend
-
-REQUIREMENT_FAILED = 4
-"""Exit status where a requirement is not met."""
 
 Rasters = Annotated[
     list[str] | None,
@@ -135,7 +132,6 @@ def _stack(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
         out_dir=params["out_dir"],
         bands=params["bands"],
         against=params["against"],
-        require=params["require"] or (),
         preset=params["preset"] or (),
         native_px=params["native_px"] or (),
         mask=params["mask"],
@@ -151,7 +147,7 @@ def _ending(result: QaResult) -> Ending:
 
     status = 0
     if result.passed is False:
-        status = REQUIREMENT_FAILED
+        status = RequirementError.exit_status
     elif result.refused:
         status = RegistrationRejectedError.exit_status
     return Ending({**outcome_of(result), "exit_status": status}, stack_text(result), status)

@@ -45,7 +45,7 @@ def outcome_of(result: QaResult) -> dict[str, object]:
         "pairs": len(result.pairs),
         "refused": [pair.name for pair in result.refused],
         "requirements": [
-            {"text": each.requirement.text, "passed": each.passed, "failed": list(each.failed)}
+            {"text": each.requirement.rule.text, "passed": each.passed, "failed": list(each.failed)}
             for each in result.verdicts
         ],
         "paths": {kind: str(result.out_dir / name) for kind, name in names.items()},
@@ -80,8 +80,8 @@ def _triangle(triangle: Triangle) -> Sequence[str]:
 
 
 def _verdict(judged: Judged) -> str:
-    text = f"{judged.requirement.text}: {'met' if judged.passed else 'not met'}"
+    text = f"{judged.requirement.rule.text}: {'met' if judged.passed else 'not met'}"
     if judged.worst and not math.isnan(judged.worst[1]):
         name, value = judged.worst
-        text += f" (worst {value:.3f} {judged.requirement.unit}, {name})"
+        text += f" (worst {value:.3f} {judged.requirement.rule.unit}, {name})"
     return text

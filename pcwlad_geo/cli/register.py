@@ -42,6 +42,8 @@ def register(
     resampling: o.Resampling = None,
     write_sigma: o.WriteSigma = None,
     pdf: o.Pdf = None,
+    require: o.Require = None,
+    keep: o.Keep = None,
     jobs: o.Jobs = None,
     scheduler: o.Scheduler = None,
     progress: o.ProgressOption = "auto",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Final, Literal, get_args, get_origin, get_type_hints
@@ -34,6 +35,8 @@ def to_setting(name: str, value: object) -> object:
     words = [word for kind in kinds - {hint} if get_origin(kind) is Literal for word in get_args(kind)]
     if value in words:
         return value
+    if Sequence[str] in kinds:
+        return value  # `Settings` reads them
     if bool in kinds:
         return _truth(name, value)
     if {float, Path} <= kinds:

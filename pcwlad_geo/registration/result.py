@@ -12,6 +12,7 @@ from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.requirements import RequirementResult
 
 if TYPE_CHECKING:
     from pcwlad_geo.registration.match_record import MatchRecord
@@ -62,3 +63,10 @@ class Registration:
     """The target's RPC, where that places it."""
     record: MatchRecord | None = None
     """What the matching did where; None where that is not known."""
+    requirements: tuple[RequirementResult, ...] = ()
+    """What became of each requirement."""
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether all requirements are met; None where nothing was required."""
+        return all(each.met for each in self.requirements) if self.requirements else None

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Literal, get_args, get_origin, get_type_hints
+from typing import Literal, cast, get_args, get_origin, get_type_hints
 
 from pcwlad_geo.errors import SettingsError
 
@@ -90,6 +90,11 @@ class Settings:
     """Write the predicted sigma of the correction as a raster too."""
     pdf: bool = False
     """Write the report as PDF too."""
+    require: str | Sequence[str] = ()
+    """Requirements such as ``CE90<=0.5px`` (`pcwlad_geo.requirements`); semicolons separate several in one
+    text. Kept as a tuple of texts."""
+    keep: bool = False
+    """Write the corrected files although a requirement is not met."""
     tile_size: int = 1024
     """Core of a tile, matching-grid px (without its halo)."""
     jobs: int | None = None
@@ -122,7 +127,8 @@ class Settings:
         _check("scheduler", self.scheduler, address, "an address such as tcp://host:8786")
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
         _check("ssim_min", self.ssim_min, real, "a number from -1 to below 1")
-        for name in ("write_sigma", "pdf"):
+        object.__setattr__(self, "require", _texts("require", self.require))
+        for name in ("write_sigma", "pdf", "keep"):
             value = getattr(self, name)
             _check(name, value, isinstance(value, bool), "true or false")
         _check_output(self)
@@ -202,6 +208,15 @@ def _check_output(settings: Settings) -> None:
 
 def _finite(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _texts(name: str, value: object) -> tuple[str, ...]:
+    """Return one or several texts, each of which may hold several between semicolons."""
+    texts = [value] if isinstance(value, str) else value
+    good = isinstance(texts, Sequence) and all(isinstance(text, str) for text in texts)
+    _check(name, value, good, "a text, or several")
+    parts = (part.strip() for text in cast(Sequence[str], texts) for part in text.split(";"))
+    return tuple(part for part in parts if part)
 
 
 def _whole(value: object) -> bool:

@@ -25,6 +25,8 @@ REASONS: Final = (*GROUND[1:], "unread", "not_asked", *LOST, "unknown")
 NO_DATA: Final = ("reference_without_data", "target_without_data")
 """Reasons for which no tie point is to be expected."""
 
+SHARE_DIGITS: Final = 3
+"""Of a share in the report."""
 JOINED: Final = 0.5
 """Windows that cover a larger share of their extent are tiles."""
 TINY: Final = 1e-9

@@ -93,7 +93,7 @@ def compose(
 def words(status: Status, summary: Mapping[str, Any]) -> Content:
     """Return the part of the content that follows from the summary alone."""
     given = answers(summary)
-    return {**summary, "headline": headline(status, given), "answers": given}
+    return {**summary, "headline": headline(status, given, summary["passed"]), "answers": given}
 
 
 def warp_line(gcps_vrt: str) -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.error_statistics import in_units
+from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.native_pixels import native_per_px, native_px_m
 from pcwlad_geo.raster.rpc_grid import levelled
@@ -22,6 +22,8 @@ KEPT: Final = ("fit", "check", "unused", "matched")
 GROUPS: Final[Mapping[str, tuple[str, ...]]] = {"all": KEPT, "fit": ("fit",), "check": ("check",)}
 """Statuses of the tie points of a group, by its name."""
 DIGITS: Final = 5
+When = Literal["before", "after"]
+WHEN: Final[tuple[When, ...]] = ("before", "after")
 
 Array = NDArray[np.float64]
 
@@ -38,16 +40,19 @@ def error_statistics(registration: Registration) -> dict[str, object]:
         point, along its columns and rows; a unit that is not known is None. `native_px_m` is the coarser
         native pixel of the two, None where none is known.
     """
+    found: dict[str, object] = {
+        when: {group: _plain(statistics_of(registration, when, group)) for group in GROUPS} for when in WHEN
+    }
+    return {"native_px_m": native_size_m(registration.reference, registration.target), **found}
+
+
+def statistics_of(registration: Registration, when: When, group: str) -> dict[str, ErrorStatistics | None]:
+    """Return the statistics of one of the `GROUPS` before or after the correction, by unit."""
+    points = registration.tie_points.select(*GROUPS[group])
     native = native_size_m(registration.reference, registration.target)
-    before: dict[str, object] = {}
-    after: dict[str, object] = {}
-    for name, statuses in GROUPS.items():
-        points = registration.tie_points.select(*statuses)
-        sizes_m = pixel_sizes_m(levelled(registration.target.grid), points.predicted_px)
-        factors = _factors(registration.px_m, sizes_m, native)
-        before[name] = _of(points.displacement_px, points.sigma_px, factors)
-        after[name] = _of(points.residual_px, points.sigma_px, factors)
-    return {"native_px_m": native, "before": before, "after": after}
+    sizes_m = pixel_sizes_m(levelled(registration.target.grid), points.predicted_px)
+    errors_px = points.displacement_px if when == "before" else points.residual_px
+    return in_units(errors_px, points.sigma_px, _factors(registration.px_m, sizes_m, native))
 
 
 def native_size_m(*rasters: RasterInfo) -> float | None:
@@ -63,8 +68,7 @@ def _factors(
     return {"px": np.ones(2), "native_px": native, "m": sizes_m}
 
 
-def _of(errors_px: Array, sigma_px: Array, factors: Mapping[str, Array | None]) -> dict[str, object] | None:
-    by_unit = in_units(errors_px, sigma_px, factors)
+def _plain(by_unit: Mapping[str, ErrorStatistics | None]) -> dict[str, object] | None:
     in_px = by_unit["px"]
     if in_px is None:
         return None

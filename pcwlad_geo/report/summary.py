@@ -22,9 +22,10 @@ from pcwlad_geo.raster.rpc_grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.rpc_target import RpcRegistration
-from pcwlad_geo.report.coverage import coverage_of
+from pcwlad_geo.report.coverage import SHARE_DIGITS, coverage_of
 from pcwlad_geo.report.precision import PrecisionMap, precision_of
 from pcwlad_geo.report.statistics import KEPT, error_statistics
+from pcwlad_geo.requirements import RequirementResult
 
 SCHEMA_VERSION = 1
 LIBRARIES = ("numpy", "scipy", "cv2", "numba", "rasterio", "pyproj")
@@ -63,6 +64,8 @@ def summarise(
         "status": registration.status,
         "reason": registration.reason,
         "warnings": list(registration.warnings),
+        "passed": registration.passed,
+        "requirements": [_requirement(each) for each in registration.requirements],
         "reference": _raster(registration.reference),
         "target": _raster(registration.target),
         "px_m": registration.px_m,
@@ -126,6 +129,17 @@ def _grid(grid: Grid) -> Summary:
         "shape": list(grid.shape),
         "transform": list(grid.transform)[:6],
         "crs": grid.crs.to_string() if grid.crs and not isinstance(grid, RpcGrid) else None,
+    }
+
+
+def _requirement(result: RequirementResult) -> Summary:
+    return {
+        "text": result.requirement.text,
+        **asdict(result.requirement),
+        "value": result.value,
+        "met": result.met,
+        "reason": result.reason,
+        "message": result.text,
     }
 
 
@@ -206,7 +220,7 @@ def _coverage(registration: Registration) -> Summary:
         "points": found.points.tolist(),
         "reason": [[name or None for name in row] for row in found.reason.tolist()],
         "without_points": found.without,
-        "empty_share": round(found.empty_share, 3),
+        "empty_share": round(found.empty_share, SHARE_DIGITS),
     }
 
 

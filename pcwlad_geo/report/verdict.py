@@ -50,10 +50,15 @@ class Headline:
         return MARKS[self.state]
 
 
-def headline(status: Status, given: Sequence[Answer]) -> Headline:
-    """Return the verdict, as good as the worst of the answers to a registered pair."""
+def headline(status: Status, given: Sequence[Answer], passed: bool | None = None) -> Headline:
+    """Return the verdict, as good as the worst of the answers to a registered pair.
+
+    `passed` is whether the requirements are met, None where there are none.
+    """
     if status == "rejected":
         return Headline("Could not be registered reliably", "bad")
+    if passed is False:
+        return Headline(f"{status.capitalize()}, but a requirement is not met", "bad")
     if status == "matched":
         return Headline("Tie points matched", "good")
     state: State = max((answer.state for answer in given), key=list(MARKS).index, default="caution")

@@ -1,68 +1,39 @@
-"""Requirements on the pairs and triangles of a stack: read, preset, judged."""
+"""Requirements on the pairs and triangles of a stack: preset, applied, judged."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from pcwlad_geo.correction.error_statistics import AxisStatistics, ErrorStatistics
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.raster.native_pixels import TIRS_M
+from pcwlad_geo.requirements import Requirement, Unit, parse_requirement, value_of
 from pcwlad_geo.stacks.bands import Band
 from pcwlad_geo.stacks.closure import Triangle
 from pcwlad_geo.stacks.pairs import PairResult
 
-Unit = Literal["px", "native px", "m"]
 Scope = Literal["all", "no thermal", "one thermal", "both thermal"]
 Preset = Literal["sentinel2", "landsat-oli", "landsat-tirs"]
 
-NAMES: Final = {
-    name.casefold(): name
-    for name in ("mean", "median", "std", "RMSE", "LE90", "CE90", "CE95", "CE99.7", "closure")
-}
-"""Statistics by the name in small letters."""
-NET: Final = ("std", "RMSE", "LE90", "CE90", "CE95", "CE99.7")
-"""Those that exist with the matching noise taken out."""
-_FORM: Final = re.compile(
-    r"\s*(?P<net>net\s+)?(?P<name>[a-z]+\d*(?:\.\d+)?)\s*(?:<=|=<|<|≤)\s*(?P<limit>[0-9.eE+-]+)\s*(?P<unit>.*?)\s*",
-    re.IGNORECASE,
-)
-_UNITS: Final[dict[str, Unit]] = {
-    "px": "px", "pixel": "px", "pixels": "px",
-    "native px": "native px", "nativepx": "native px",
-    "m": "m", "metres": "m", "meters": "m",
-}  # fmt: skip
-
 
 @dataclass(frozen=True, slots=True)
-class Requirement:
-    """A limit on a statistic."""
+class BandRequirement:
+    """A requirement, and the pairs of bands that it is about."""
 
-    statistic: str
-    """One of `NAMES`."""
-    limit: float
-    unit: Unit
-    net: bool = False
-    """With the matching noise taken out."""
+    rule: Requirement
     scope: Scope = "all"
     """Which pairs it is about."""
     preset: Preset | None = None
     """Where it comes from, if not from the user."""
-
-    @property
-    def text(self) -> str:
-        """How the user would write it."""
-        return f"{'net ' if self.net else ''}{self.statistic} <= {self.limit:g} {self.unit}"
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
     """What became of a requirement."""
 
-    requirement: Requirement
+    requirement: BandRequirement
     values: dict[str, float]
     """By pair or triangle that it is about and that could be measured."""
     unmeasured: tuple[str, ...] = ()
@@ -70,9 +41,8 @@ class Judged:
     failed: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        over = [
-            name for name, value in self.values.items() if math.isnan(value) or value > self.requirement.limit
-        ]
+        rule = self.requirement.rule
+        over = [name for name, value in self.values.items() if not rule.is_met(value)]
         object.__setattr__(self, "failed", (*over, *self.unmeasured))
 
     @property
@@ -89,56 +59,27 @@ class Judged:
         return name, self.values[name]
 
 
-PRESETS: Final[dict[Preset, tuple[Requirement, ...]]] = {
-    "sentinel2": (Requirement("CE99.7", 0.3, "native px", net=True, preset="sentinel2"),),
-    "landsat-oli": (
-        Requirement("LE90", 4.5, "m", net=True, scope="no thermal", preset="landsat-oli"),
-    ),
+def _net(statistic: str, limit: float, unit: Unit, scope: Scope, preset: Preset) -> BandRequirement:
+    return BandRequirement(Requirement(statistic, limit, unit, net=True), scope, preset)
+
+
+PRESETS: Final[dict[Preset, tuple[BandRequirement, ...]]] = {
+    "sentinel2": (_net("CE99.7", 0.3, "native px", "all", "sentinel2"),),
+    "landsat-oli": (_net("LE90", 4.5, "m", "no thermal", "landsat-oli"),),
     "landsat-tirs": (
-        Requirement("LE90", 18.0, "m", net=True, scope="both thermal", preset="landsat-tirs"),
-        Requirement("LE90", 30.0, "m", net=True, scope="one thermal", preset="landsat-tirs"),
+        _net("LE90", 18.0, "m", "both thermal", "landsat-tirs"),
+        _net("LE90", 30.0, "m", "one thermal", "landsat-tirs"),
     ),
-}  # fmt: skip
+}
 """Band-to-band requirements of the missions; they are about the sensor, so the matching noise is out."""
 
 
-def parse_requirement(text: str) -> Requirement:
-    """Read a requirement such as ``CE90<=0.3px``.
-
-    Raises
-    ------
-    SettingsError
-        If it cannot be read: what is wrong, and what is possible.
-    """
-    match = _FORM.fullmatch(text)
-    if match is None:
-        raise SettingsError(f"require = {text!r}: give a statistic, <=, a limit and a unit: 'CE90<=0.3px'")
-    name = NAMES.get(match["name"].casefold())
-    if name is None:
-        raise SettingsError(
-            f"require = {text!r}: there is no statistic '{match['name']}'; "
-            f"there are {', '.join(NAMES.values())}"
-        )
-    if match["net"] and name not in NET:
-        raise SettingsError(f"require = {text!r}: there is no net {name}; net are {', '.join(NET)}")
-    unit = _UNITS.get(" ".join(match["unit"].casefold().split()))
-    if unit is None or (name == "closure" and unit == "native px"):
-        units = "px or m" if name == "closure" else "px, native px or m"
-        raise SettingsError(f"require = {text!r}: give the unit {units}")
-    return Requirement(name, _limit(text, match["limit"]), unit, net=bool(match["net"]))
+def read_requirement(text: str) -> BandRequirement:
+    """Read a requirement of the user on all pairs; see `parse_requirement`."""
+    return BandRequirement(parse_requirement(text, "qa"))
 
 
-def _limit(text: str, number: str) -> float:
-    try:
-        limit = float(number)
-    except ValueError:
-        limit = math.nan
-    if not (math.isfinite(limit) and limit > 0):
-        raise SettingsError(f"require = {text!r}: the limit {number} is no number above 0")
-    return limit
-
-
-def preset_requirements(name: str) -> tuple[Requirement, ...]:
+def preset_requirements(name: str) -> tuple[BandRequirement, ...]:
     """Return the requirements of a preset.
 
     Raises
@@ -152,24 +93,24 @@ def preset_requirements(name: str) -> tuple[Requirement, ...]:
     raise SettingsError(f"preset = {name!r}: give one of {', '.join(PRESETS)}")
 
 
-def is_about(requirement: Requirement, reference: Band, target: Band) -> bool:
+def is_about(requirement: BandRequirement, reference: Band, target: Band) -> bool:
     """Whether a pair of bands is one of those that a requirement speaks of."""
-    if requirement.statistic == "closure":
+    if requirement.rule.statistic == "closure":
         return False
     thermal = sum(band.native_m is not None and min(band.native_m) >= TIRS_M for band in (reference, target))
     return requirement.scope in ("all", ("no thermal", "one thermal", "both thermal")[thermal])
 
 
 def check_applicable(
-    requirements: Sequence[Requirement], planned: Sequence[tuple[Band, Band]], triangles: bool
-) -> list[Requirement]:
+    requirements: Sequence[BandRequirement], planned: Sequence[tuple[Band, Band]], triangles: bool
+) -> list[BandRequirement]:
     """Return the requirements that the planned pairs can be held against.
 
     Those of a preset that speak of no pair are left out where another of that preset does.
 
     Parameters
     ----------
-    requirements : sequence of Requirement
+    requirements : sequence of BandRequirement
     planned : sequence of (reference, target)
     triangles : bool
         Whether the pairs form triangles.
@@ -181,7 +122,7 @@ def check_applicable(
     """
     kept = []
     for requirement in requirements:
-        if requirement.statistic == "closure":
+        if requirement.rule.statistic == "closure":
             if not triangles:
                 raise SettingsError(
                     "a limit on closure needs all pairs of three bands or more: give more bands, without "
@@ -190,8 +131,10 @@ def check_applicable(
             about = list(planned)
         else:
             about = [pair for pair in planned if is_about(requirement, *pair)]
-        if requirement.unit == "m" and any(target.px_m is None for _, target in about):
-            raise SettingsError(f"{requirement.text}: a band has no CRS, so metres are not known: give px")
+        if requirement.rule.unit == "m" and any(target.px_m is None for _, target in about):
+            raise SettingsError(
+                f"{requirement.rule.text}: a band has no CRS, so metres are not known: give px"
+            )
         if about:
             kept.append(requirement)
     for preset in {requirement.preset for requirement in requirements if requirement.preset}:
@@ -204,44 +147,24 @@ def check_applicable(
     return kept
 
 
-def judge_pairs(requirement: Requirement, pairs: Sequence[PairResult]) -> Judged:
+def judge_pairs(requirement: BandRequirement, pairs: Sequence[PairResult]) -> Judged:
     """Hold the pairs against a requirement."""
     values, unmeasured = {}, []
     for pair in pairs:
         if not is_about(requirement, pair.reference, pair.target):
             continue
-        statistics = pair.statistics.get(requirement.unit)
+        statistics = pair.statistics.get(str(requirement.rule.unit))
         if statistics is None:
             unmeasured.append(pair.name)
         else:
-            values[pair.name] = value_of(requirement, statistics)
+            values[pair.name] = value_of(requirement.rule, statistics)
     return Judged(requirement, values, tuple(unmeasured))
 
 
-def judge_triangles(requirement: Requirement, triangles: Sequence[Triangle]) -> Judged:
+def judge_triangles(requirement: BandRequirement, triangles: Sequence[Triangle]) -> Judged:
     """Hold the triangles against a limit on the closure, the larger axis of each."""
     values = {}
     for triangle in triangles:
-        gap = triangle.mean_m if requirement.unit == "m" else triangle.mean_px
+        gap = triangle.mean_m if requirement.rule.unit == "m" else triangle.mean_px
         values[triangle.name] = math.nan if gap is None else max(abs(gap[0]), abs(gap[1]))
     return Judged(requirement, values)
-
-
-def value_of(requirement: Requirement, statistics: ErrorStatistics) -> float:
-    """Return what a requirement limits: the larger axis (std, LE90), a length (mean, median) or radial."""
-    name, net, radial = requirement.statistic, statistics.net, statistics.radial
-    axes = (statistics.col, statistics.row)
-    if name in ("mean", "median"):
-        return math.hypot(*(getattr(axis, name) for axis in axes))
-    if name == "std":
-        return max(net.std_xy) if requirement.net else _larger(axes, lambda axis: axis.std)
-    if name == "LE90":
-        return max(net.le90_xy) if requirement.net else _larger(axes, lambda axis: axis.le90)
-    field_name = {"RMSE": "rmse", "CE90": "ce90", "CE95": "ce95", "CE99.7": "ce99_7"}[name]
-    return float(getattr(net if requirement.net else radial, field_name))
-
-
-def _larger(
-    axes: tuple[AxisStatistics, AxisStatistics], component: Callable[[AxisStatistics], float]
-) -> float:
-    return max(component(axis) for axis in axes)

@@ -23,13 +23,13 @@ from pcwlad_geo.stacks.closure import Triangle, close_triangles
 from pcwlad_geo.stacks.inputs import parse_bands, split_bands
 from pcwlad_geo.stacks.pairs import PairResult, measured, plan_pairs
 from pcwlad_geo.stacks.requirements import (
+    BandRequirement,
     Judged,
-    Requirement,
     check_applicable,
     judge_pairs,
     judge_triangles,
-    parse_requirement,
     preset_requirements,
+    read_requirement,
 )
 from pcwlad_geo.staging import OutputFolder
 
@@ -52,7 +52,7 @@ NOT_HERE: Final = {
 }
 """Settings that a stack decides for each pair, or that would make other displacements of it.
 
-Those of the correction (model, grid, format, resampling, write_sigma) change nothing, as for `match`.
+Those of the correction (model, grid, format, resampling, write_sigma, keep) change nothing, as for `match`.
 """
 
 
@@ -91,7 +91,6 @@ def qa(
     out_dir: PathLike | None = None,
     bands: Sequence[int | str] | str | None = None,
     against: str | None = None,
-    require: Sequence[str] = (),
     preset: Sequence[str] = (),
     native_px: Sequence[str] = (),
     mask: PathLike | None = None,
@@ -116,8 +115,6 @@ def qa(
         Bands of the rasters and products that do not name theirs; all that show the ground by default.
     against : str, optional
         Compare every band with this one only: its name, description, or the end of it (``B4``).
-    require : sequence of str
-        Limits such as ``CE90<=0.3px``; all pairs must meet them.
     preset : sequence of str
         ``sentinel2``, ``landsat-oli``, ``landsat-tirs``: the missions' own requirements.
     native_px : sequence of str
@@ -132,7 +129,8 @@ def qa(
     executor : concurrent.futures.Executor or Runner, optional
         Runs the tiles; None = `jobs` processes, or the workers of `scheduler`.
     **options
-        The fields of `Settings` that concern matching.
+        The fields of `Settings` that concern matching, and `require`: limits such as ``CE90<=0.3px``, which
+        all pairs must meet.
 
     Returns
     -------
@@ -153,7 +151,7 @@ def qa(
     settings = _settings(options)
     if settings.pdf:
         check_pdf()
-    requirements = read_requirements(require, preset)
+    requirements = read_requirements(settings.require, preset)
     numbers = parse_bands(bands) if isinstance(bands, str) else bands
     stack = with_native_px(list_bands(rasters, numbers, mask), native_px)
     base = find_band(stack, against) if against is not None else None
@@ -163,7 +161,7 @@ def qa(
         pairs = _measure(planned, settings, on_event, executor)
         triangles = close_triangles(stack, pairs, settings.window) if base is None else []
         verdicts = [
-            judge_triangles(each, triangles) if each.statistic == "closure" else judge_pairs(each, pairs)
+            judge_triangles(each, triangles) if each.rule.statistic == "closure" else judge_pairs(each, pairs)
             for each in requirements
         ]
         result = QaResult(
@@ -181,7 +179,7 @@ def qa(
     return result
 
 
-def read_requirements(require: Sequence[str], preset: Sequence[str]) -> list[Requirement]:
+def read_requirements(require: Sequence[str], preset: Sequence[str]) -> list[BandRequirement]:
     """Return the requirements of both kinds, read.
 
     Raises
@@ -189,7 +187,7 @@ def read_requirements(require: Sequence[str], preset: Sequence[str]) -> list[Req
     SettingsError
         If one cannot be read.
     """
-    read = [parse_requirement(text) for text in require]
+    read = [read_requirement(text) for text in require]
     return read + [each for name in dict.fromkeys(preset) for each in preset_requirements(name)]
 
 

@@ -73,14 +73,14 @@ def to_csv(summary: Mapping[str, Any]) -> str:
 
 
 def _verdict(judged: Judged) -> Summary:
-    requirement = judged.requirement
+    requirement, rule = judged.requirement, judged.requirement.rule
     worst = judged.worst
     return {
-        "text": requirement.text,
-        "statistic": requirement.statistic,
-        "net": requirement.net,
-        "limit": requirement.limit,
-        "unit": requirement.unit,
+        "text": rule.text,
+        "statistic": rule.statistic,
+        "net": rule.net,
+        "limit": rule.limit,
+        "unit": rule.unit,
         "scope": requirement.scope,
         "preset": requirement.preset,
         "passed": judged.passed,

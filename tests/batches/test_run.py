@@ -20,11 +20,11 @@ from tests.registration.calls import Counting
 from tests.scenes import make_grid, render, write
 
 OPTIONS: Any = {"template": 61, "window": 41, "features": 50, "tile_size": 128}
-TABLE = """reference,target,features
-b4.tif,good.tif,
-b4.tif,other.tif,
-b4.tif,absent.tif,
-b4.tif,good.tif,60
+TABLE = """reference,target,features,require
+b4.tif,good.tif,,
+b4.tif,other.tif,,
+b4.tif,absent.tif,,
+b4.tif,good.tif,60,points>=20; points>=9999
 """
 
 
@@ -81,6 +81,9 @@ def test_a_batch_and_once_more(work: Path) -> None:
     assert float(rows[0]["rmse_px"]) < 0.3
     assert int(rows[3]["tie_points"]) > int(rows[0]["tie_points"]) > 12
     assert "does not exist" in rows[2]["reason"]
+    assert [row["passed"] for row in rows] == ["", "", "", "no"]
+    assert rows[3]["reason"].startswith("points >= 9999: not met (")
+    assert not (work / "pairs_registered/good_registered_2/good_registered.tif").exists()
     assert (work / "pairs_registered/good_registered/good_registered.tif").is_file()
     assert not (work / "pairs_registered/absent_registered").exists()
 

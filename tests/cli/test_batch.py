@@ -37,9 +37,13 @@ WORK = """
         "schema_version": 1, "settings": {}, "seconds": {"matching": 1.0}, "warnings": [],
         "status": "rejected" if name == "odd" else "registered",
         "reason": "no better" if name == "odd" else None,
+        "passed": False if name == "short" else None,
+        "requirements": [{"message": "points >= 500: not met (120)", "met": False}] * (name == "short"),
         "displacement_px": axes, "model": {"name": "shift"},
         "tie_points": {"total": 130, "fit": 80, "check": 40, "unused": 0, "rejected": 10},
         "accuracy": {"fit": {"px": None, "m": None}, "check": {"px": figures, "m": None}}}))
+    if name == "short":
+        raise errors.RequirementError("points >= 500: not met (120)")
     if name == "odd":
         raise errors.RegistrationRejectedError("no better (report: there)")
 """
@@ -54,6 +58,8 @@ def write_table(folder: Path, *targets: str) -> None:
     ("targets", "status"),
     [
         (["good"], 0),
+        (["good", "short"], 4),
+        (["short", "odd", "good"], 3),
         (["good", "odd"], 3),
         (["odd", "bad", "good"], 2),
         (["strange", "odd", "bad", "good"], 1),
@@ -65,7 +71,13 @@ def test_the_worst_pair_decides_the_status(targets: list[str], status: int, cli:
     assert result.returncode == status
     with (tmp_path / "pairs_registered" / "summary.csv").open(encoding="utf-8") as file:
         ends = [row["status"] for row in csv.DictReader(file)]
-    kinds = {"good": "registered", "odd": "rejected", "bad": "unusable", "strange": "failed"}
+    kinds = {
+        "good": "registered",
+        "short": "registered",
+        "odd": "rejected",
+        "bad": "unusable",
+        "strange": "failed",
+    }
     assert ends == [kinds[target] for target in targets]
 
 
@@ -93,6 +105,27 @@ def test_the_table_on_the_screen_is_plain_where_that_is_no_terminal(cli: Cli, tm
     assert result.stderr == (
         "warning: odd.tif (line 3): rejected: no better\nwarning: bad.tif (line 4): unusable: no such band\n"
     )
+
+
+def test_a_requirement_that_is_not_met_is_in_the_summary(cli: Cli, tmp_path: Path) -> None:
+    write_table(tmp_path, "short", "good")
+    result = cli("batch", "pairs.csv", "--require", "points>=500", work=WORK)
+    assert "2 registered, 1 of them against a requirement" in result.stdout
+    assert result.stderr == "warning: short.tif (line 2): registered: points >= 500: not met (120)\n"
+    with (tmp_path / "pairs_registered" / "summary.csv").open(encoding="utf-8") as file:
+        short, good = csv.DictReader(file)
+    assert (short["passed"], short["reason"]) == ("no", "points >= 500: not met (120)")
+    assert (good["passed"], good["reason"]) == ("", "")
+
+
+def test_a_requirement_that_cannot_be_read_names_its_line(cli: Cli, tmp_path: Path) -> None:
+    (tmp_path / "pairs.csv").write_text(
+        "reference,target,require\nb4.tif,b10.tif,CE90<=1px\nb4.tif,b11.tif,CE90\n"
+    )
+    result = cli("batch", "pairs.csv", work=WORK)
+    assert result.returncode == 2
+    assert "line 3: require = 'CE90': give a statistic" in result.stderr
+    assert not (tmp_path / "pairs_registered").exists()
 
 
 def events(text: str) -> list[dict[str, Any]]:

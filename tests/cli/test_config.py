@@ -32,6 +32,7 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
         ({"search_radius": "7"}, {"search_radius": 7}),
         ({"ssim_min": 0}, {"ssim_min": 0.0}),
         ({"dem_vertical": "-29.5"}, {"dem_vertical": -29.5}),
+        ({"require": ["CE90<=1px"]}, {"require": ["CE90<=1px"]}),
         ({"dem_vertical": 29}, {"dem_vertical": 29.0}),
         ({"dem_vertical": "egm2008.tif"}, {"dem_vertical": Path("egm2008.tif")}),
         ({"dem_vertical": "/vsicurl/https://x/g.tif"}, {"dem_vertical": "/vsicurl/https://x/g.tif"}),
@@ -40,6 +41,13 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
 )
 def test_words_and_numbers(given: dict[str, object], expected: dict[str, object]) -> None:
     assert collect(given, None) == expected
+
+
+def test_requirements_of_a_file(tmp_path: Path) -> None:
+    config = write(tmp_path, 'require = ["CE90<=0.5px", "points>=100"]\nkeep = true\n')
+    settings = Settings.from_options(collect({"require": None}, config))
+    assert (settings.require, settings.keep) == (("CE90<=0.5px", "points>=100"), True)
+    assert collect({"require": ["CE90<=1px"]}, config)["require"] == ["CE90<=1px"]
 
 
 def test_a_word_on_the_command_line_overrules_a_number_in_the_file(tmp_path: Path) -> None:

@@ -85,6 +85,30 @@ def test_success_prints_a_summary(cli: Cli) -> None:
     assert result.stderr == "warning: two lines\n"
 
 
+def test_a_requirement_that_is_not_met_is_a_result_with_status_4(cli: Cli, tmp_path: Path) -> None:
+    missed = DONE.replace(
+        '"status": "registered",',
+        """"status": "registered", "passed": False, "settings": {"keep": False},
+        "requirements": [{"met": False, "message": "CE90 <= 0.1 px: not met (0.2 px)"}],""",
+    )
+    work = f"{missed}    from pcwlad_geo.errors import RequirementError\n    raise RequirementError('')\n"
+    (tmp_path / "b_registered").mkdir()
+    work = work.replace("folder.mkdir()", "folder.mkdir(exist_ok=True)")
+    (tmp_path / "b_registered" / "absent.tif").touch()  # of an earlier job
+    result = cli(*BOTH, "--require", "CE90<=0.1px", work=work)
+    assert result.returncode == 4
+    assert "CE90 <= 0.1 px: not met (0.2 px)\nFAILED: no corrected raster is written" in result.stdout
+    *_, ended = events(cli(*BOTH, "--require", "CE90<=0.1px", "--progress", "json", work=work))
+    assert (ended["event"], ended["status"], ended["passed"], ended["exit_status"]) == (
+        "result",
+        "registered",
+        False,
+        4,
+    )
+    assert ended["requirements"][0]["met"] is False
+    assert set(ended["paths"]) == {"numbers", "report"}
+
+
 def test_bar_goes_to_standard_error(cli: Cli) -> None:
     result = cli(*BOTH, "--progress", "bar", work=DONE)
     assert result.returncode == 0

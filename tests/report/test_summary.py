@@ -20,7 +20,8 @@ def test_holds_what_the_file_promises_and_is_strict_json(registration: Make) -> 
     summary = summarise(registration(), ["report.json", "tiepoints.csv"])
     read = json.loads(to_json(summary), parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
     assert list(read) == [
-        "schema_version", "status", "reason", "warnings", "reference", "target", "px_m", "prealignment",
+        "schema_version", "status", "reason", "warnings", "passed", "requirements", "reference", "target",
+        "px_m", "prealignment",
         "tie_points", "counts", "displacement_px", "displacement_m", "rpc", "model", "accuracy", "statistics",
         "coverage", "seconds", "settings", "versions", "outputs",
     ]  # fmt: skip

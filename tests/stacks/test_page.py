@@ -16,7 +16,7 @@ from pcwlad_geo.stacks.bands import Band
 from pcwlad_geo.stacks.closure import close_triangles
 from pcwlad_geo.stacks.page import closes, crs_name, figure, render, signed
 from pcwlad_geo.stacks.pairs import PairResult
-from pcwlad_geo.stacks.requirements import judge_pairs, judge_triangles, parse_requirement
+from pcwlad_geo.stacks.requirements import judge_pairs, judge_triangles, read_requirement
 from pcwlad_geo.stacks.run import QaResult
 from pcwlad_geo.stacks.summary import summarise
 from tests.chromium import show
@@ -61,9 +61,9 @@ def make_result(
     bands: list[Band], pairs: list[PairResult], require: tuple[str, ...] = (), against: Band | None = None
 ) -> QaResult:
     triangles = close_triangles(bands, pairs, 81) if against is None else []
-    wanted = [parse_requirement(text) for text in require]
+    wanted = [read_requirement(text) for text in require]
     verdicts = [
-        judge_triangles(each, triangles) if each.statistic == "closure" else judge_pairs(each, pairs)
+        judge_triangles(each, triangles) if each.rule.statistic == "closure" else judge_pairs(each, pairs)
         for each in wanted
     ]
     return QaResult(

@@ -7,15 +7,16 @@ import math
 import pytest
 
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.requirements import Requirement
 from pcwlad_geo.stacks.closure import Triangle
 from pcwlad_geo.stacks.requirements import (
+    BandRequirement,
     Judged,
-    Requirement,
     check_applicable,
     judge_pairs,
     judge_triangles,
-    parse_requirement,
     preset_requirements,
+    read_requirement,
 )
 from tests.stacks.stack import make_band, make_pair, refused
 
@@ -36,9 +37,9 @@ THERMAL, THERMAL_2 = make_band("b10", native_m=100.0), make_band("b11", native_m
     ],
 )
 def test_reads(text: str, statistic: str, limit: float, unit: str, net: bool) -> None:
-    found = parse_requirement(text)
+    found = read_requirement(text).rule
     assert (found.statistic, found.limit, found.unit, found.net) == (statistic, limit, unit, net)
-    assert parse_requirement(found.text) == found
+    assert read_requirement(found.text).rule == found
 
 
 @pytest.mark.parametrize(
@@ -46,7 +47,7 @@ def test_reads(text: str, statistic: str, limit: float, unit: str, net: bool) ->
     [
         ("", "give a statistic"),
         ("CE90", "give a statistic"),
-        ("CE90>=0.3px", "give a statistic"),
+        ("CE90>=0.3px", "write CE90 with <="),
         ("CE80<=0.3px", "no statistic 'CE80'; there are mean, median"),
         ("CE90<=0.3", "give the unit px, native px or m"),
         ("CE90<=0.3km", "give the unit px, native px or m"),
@@ -56,11 +57,13 @@ def test_reads(text: str, statistic: str, limit: float, unit: str, net: bool) ->
         ("CE90<=1.2.3px", "no number above 0"),
         ("net mean<=1px", "no net mean"),
         ("closure<=1 native px", "give the unit px or m"),
+        ("points>=30", "qa has no points; it has mean"),
+        ("check CE90<=1px", "'check' cannot stand before CE90; before errors net can"),
     ],
 )
 def test_nonsense_is_told(text: str, said: str) -> None:
     with pytest.raises(SettingsError, match=r"require = ") as caught:
-        parse_requirement(text)
+        read_requirement(text)
     assert said in str(caught.value)
 
 
@@ -91,7 +94,7 @@ def test_each_statistic_is_the_one_of_its_name() -> None:
         "CE90<=1native px": px.radial.ce90,
     }
     for text, value in expected.items():
-        judged = judge_pairs(parse_requirement(text), [pair])
+        judged = judge_pairs(read_requirement(text), [pair])
         assert judged.values == {"red – nir": pytest.approx(value)}, text
     assert px.row.le90 > px.col.le90
     assert m.radial.ce90 == pytest.approx(30 * px.radial.ce90)
@@ -107,15 +110,15 @@ def test_native_pixels_are_the_coarser_of_the_two() -> None:
 
 
 def test_passes_up_to_the_limit_and_not_beyond() -> None:
-    value = judge_pairs(parse_requirement("CE90<=1px"), [make_pair(RED, NIR)]).values["red – nir"]
-    assert Judged(Requirement("CE90", value, "px"), {"red – nir": value}).passed
-    over = Judged(Requirement("CE90", value * 0.999, "px"), {"red – nir": value})
+    value = judge_pairs(read_requirement("CE90<=1px"), [make_pair(RED, NIR)]).values["red – nir"]
+    assert Judged(BandRequirement(Requirement("CE90", value, "px")), {"red – nir": value}).passed
+    over = Judged(BandRequirement(Requirement("CE90", value * 0.999, "px")), {"red – nir": value})
     assert not over.passed
     assert over.failed == ("red – nir",)
 
 
 def test_a_refused_pair_fails_and_nothing_measured_is_no_pass() -> None:
-    requirement = parse_requirement("CE90<=1px")
+    requirement = read_requirement("CE90<=1px")
     judged = judge_pairs(requirement, [make_pair(RED, NIR), refused(RED, THERMAL)])
     assert judged.failed == ("red – b10",)
     assert not judge_pairs(requirement, []).passed
@@ -144,9 +147,9 @@ def test_a_preset_is_judged_as_far_as_the_bands_go() -> None:
 def test_what_cannot_be_judged_is_told_before() -> None:
     bare = make_band("bare", georeferenced=False), make_band("other", georeferenced=False)
     with pytest.raises(SettingsError, match="no CRS, so metres are not known: give px"):
-        check_applicable([parse_requirement("CE90<=3m")], [bare], False)
+        check_applicable([read_requirement("CE90<=3m")], [bare], False)
     with pytest.raises(SettingsError, match="needs all pairs of three bands or more"):
-        check_applicable([parse_requirement("closure<=1px")], [(RED, NIR)], False)
+        check_applicable([read_requirement("closure<=1px")], [(RED, NIR)], False)
 
 
 def test_closure_is_judged_on_its_larger_axis() -> None:
@@ -154,11 +157,11 @@ def test_closure_is_judged_on_its_larger_axis() -> None:
         return Triangle(("a", "b", name), 9 if mean else 0, mean, None, mean, (30.0, 30.0))
 
     triangles = [triangle("c", (0.01, -0.04)), triangle("d", (-0.02, 0.01))]
-    judged = judge_triangles(parse_requirement("closure<=0.03px"), triangles)
+    judged = judge_triangles(read_requirement("closure<=0.03px"), triangles)
     assert judged.failed == ("a – b – c",)
     assert judged.worst == ("a – b – c", 0.04)
-    metres = judge_triangles(parse_requirement("closure<=1.3m"), triangles)
+    metres = judge_triangles(read_requirement("closure<=1.3m"), triangles)
     assert metres.passed
     assert metres.values["a – b – c"] == pytest.approx(1.2)
-    unknown = judge_triangles(parse_requirement("closure<=1px"), [triangle("c", None)])
+    unknown = judge_triangles(read_requirement("closure<=1px"), [triangle("c", None)])
     assert unknown.failed == ("a – b – c",)

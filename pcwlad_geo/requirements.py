@@ -1,0 +1,259 @@
+"""Requirements such as ``CE90<=0.5px``: one grammar for all commands, and what holds a figure against one."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+from pcwlad_geo.correction.error_statistics import AxisStatistics, ErrorStatistics
+from pcwlad_geo.errors import SettingsError
+
+Command = Literal["register", "match", "qa"]
+Sign = Literal["<=", ">=", "="]
+Group = Literal["check", "fit"]
+Unit = Literal["px", "native px", "m"]
+
+
+class Quantity(NamedTuple):
+    """A figure that can be required."""
+
+    name: str
+    commands: tuple[Command, ...]
+    """Those that have it."""
+    signs: tuple[Sign, ...] = ("<=",)
+    kind: Literal["error", "length", "count", "share", "word"] = "length"
+    """An error is a length that `ErrorStatistics` has; lengths have a unit."""
+    words: tuple[str, ...] = ()
+    """Of a quantity that is a word: all that it can be, the least first."""
+
+
+ERRORS: Final[tuple[Command, ...]] = ("register", "qa")
+"""Commands with statistics of errors: of residuals, or of displacements between bands."""
+MATCHING: Final[tuple[Command, ...]] = ("register", "match")
+QUANTITIES: Final = (
+    *(
+        Quantity(name, ERRORS, kind="error")
+        for name in ("mean", "median", "std", "RMSE", "LE90", "CE90", "CE95", "CE99.7")
+    ),
+    Quantity("closure", ("qa",)),
+    Quantity("displacement", MATCHING),
+    Quantity("sigma", MATCHING),
+    Quantity("points", MATCHING, (">=",), "count"),
+    Quantity("coverage", MATCHING, (">=",), "share"),
+    Quantity(
+        "model",
+        ("register",),
+        ("=", "<="),
+        "word",
+        ("shift", "drift", "affine", "projective", "polynomial", "tps"),
+    ),
+    Quantity("quality", ("register",), (">=", "="), "word", ("poor", "fair", "good")),
+)
+NET: Final = ("std", "RMSE", "LE90", "CE90", "CE95", "CE99.7")
+"""Statistics that exist with the matching noise taken out."""
+EXAMPLES: Final[dict[Command, str]] = {
+    "register": "'CE90<=0.5px', 'fit RMSE<=5m', 'points>=100', 'coverage>=0.8' or 'model=shift'",
+    "match": "'points>=100', 'coverage>=0.8', 'sigma<=0.2px' or 'displacement<=3px'",
+    "qa": "'CE90<=0.3px'",
+}
+
+_FORM: Final = re.compile(r"(?P<left>[^<>=≤≥]+)(?P<sign><=|=<|<|≤|>=|=>|>|≥|==?)(?P<right>[^<>=≤≥]+)")
+_SIGNS: Final[dict[str, Sign]] = {
+    "<=": "<=", "=<": "<=", "<": "<=", "≤": "<=",
+    ">=": ">=", "=>": ">=", ">": ">=", "≥": ">=",
+    "=": "=", "==": "=",
+}  # fmt: skip
+_NUMBER: Final = re.compile(r"(?P<number>[0-9.eE+-]+)\s*(?P<unit>.*)", re.DOTALL)
+_UNITS: Final[dict[str, Unit]] = {
+    "px": "px", "pixel": "px", "pixels": "px",
+    "native px": "native px", "nativepx": "native px",
+    "m": "m", "metres": "m", "meters": "m",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """A limit on a figure."""
+
+    statistic: str
+    """Name of one of `QUANTITIES`."""
+    limit: float | str
+    """A share is 0 to 1."""
+    unit: Unit | None
+    """Of a length."""
+    sign: Sign = "<="
+    net: bool = False
+    """With the matching noise taken out."""
+    group: Group | None = None
+    """Of the residuals of which points; None = the check points."""
+
+    @property
+    def text(self) -> str:
+        """How the user would write it."""
+        limit = self.limit if isinstance(self.limit, str) else f"{self.limit:g}"
+        words = ("net" if self.net else "", self.group, self.statistic, self.sign, limit, self.unit)
+        return " ".join(word for word in words if word)
+
+    def is_met(self, value: float | str | None) -> bool:
+        """Whether a figure is within the limit; one that is not known is not."""
+        if isinstance(self.limit, str) or isinstance(value, str):
+            words = _QUANTITIES[self.statistic.casefold()].words
+            ranks = {word: float(rank) for rank, word in enumerate(words)}
+            found, limit = (ranks.get(str(each), math.nan) for each in (value, self.limit))
+        else:
+            found, limit = (math.nan if value is None else value), self.limit
+        return {"<=": found <= limit, ">=": found >= limit, "=": found == limit}[self.sign]
+
+
+@dataclass(frozen=True, slots=True)
+class RequirementResult:
+    """What became of a requirement on a single pair."""
+
+    requirement: Requirement
+    value: float | str | None
+    """The figure, in the unit of the requirement; None where it is not known."""
+    reason: str | None = None
+    """Why it is not known."""
+
+    @property
+    def met(self) -> bool:
+        """Whether the figure is known and within the limit."""
+        return self.requirement.is_met(self.value)
+
+    @property
+    def text(self) -> str:
+        """The requirement, whether it is met, and the figure, for people."""
+        value = f"{self.value:g}" if isinstance(self.value, float) else self.value
+        found = self.reason or " ".join(str(word) for word in (value, self.requirement.unit) if word)
+        return f"{self.requirement.text}: {'met' if self.met else 'not met'} ({found})"
+
+
+_QUANTITIES: Final = {each.name.casefold(): each for each in QUANTITIES}
+
+
+def parse_requirements(texts: Sequence[str], command: Command) -> tuple[Requirement, ...]:
+    """Read the requirements of a command; see `parse_requirement`."""
+    return tuple(parse_requirement(text, command) for text in texts)
+
+
+def parse_requirement(text: str, command: Command) -> Requirement:
+    """Read a requirement such as ``net CE90<=0.3px``, ``points>=100`` or ``model=shift``.
+
+    Raises
+    ------
+    SettingsError
+        If it cannot be read, or the command has no such figure: what is wrong, and what is possible.
+    """
+    match = _FORM.fullmatch(text.strip())
+    if match is None:
+        raise _error(text, f"give a statistic, a comparison and a limit: {EXAMPLES[command]}")
+    *qualifiers, name = match["left"].split()
+    quantity = _quantity(text, name, command)
+    sign = _SIGNS[match["sign"]]
+    if sign not in quantity.signs:
+        raise _error(text, f"write {quantity.name} with {' or '.join(quantity.signs)}")
+    limit, unit = _limit(text, quantity, match["right"].strip())
+    net, group = _qualified(text, quantity, qualifiers, command)
+    return Requirement(quantity.name, limit, unit, sign, net, group)
+
+
+def value_of(requirement: Requirement, statistics: ErrorStatistics) -> float:
+    """Return what a requirement on errors limits: the larger axis (std, LE90), a length, or radial.
+
+    Parameters
+    ----------
+    requirement : Requirement
+        On a statistic of `ErrorStatistics`.
+    statistics : ErrorStatistics
+        In the unit of the requirement.
+    """
+    name, net, radial = requirement.statistic, statistics.net, statistics.radial
+    axes = (statistics.col, statistics.row)
+    if name in ("mean", "median"):
+        return math.hypot(*(getattr(axis, name) for axis in axes))
+    if name == "std":
+        return max(net.std_xy) if requirement.net else _larger(axes, lambda axis: axis.std)
+    if name == "LE90":
+        return max(net.le90_xy) if requirement.net else _larger(axes, lambda axis: axis.le90)
+    field_name = {"RMSE": "rmse", "CE90": "ce90", "CE95": "ce95", "CE99.7": "ce99_7"}[name]
+    return float(getattr(net if requirement.net else radial, field_name))
+
+
+def _quantity(text: str, name: str, command: Command) -> Quantity:
+    quantity = _QUANTITIES.get(name.casefold())
+    names = ", ".join(each.name for each in QUANTITIES if command in each.commands)
+    if quantity is None:
+        raise _error(text, f"there is no statistic '{name}'; there are {names}")
+    if command not in quantity.commands:
+        raise _error(text, f"{command} has no {quantity.name}; it has {names}")
+    return quantity
+
+
+def _qualified(
+    text: str, quantity: Quantity, qualifiers: Sequence[str], command: Command
+) -> tuple[bool, Group | None]:
+    """Return whether the noise is to be out, and which points are meant."""
+    net = False
+    group: Group | None = None
+    for word in qualifiers:
+        if word.casefold() == "net":
+            if quantity.name not in NET:
+                raise _error(text, f"there is no net {quantity.name}; net are {', '.join(NET)}")
+            net = True
+        elif command == "register" and quantity.kind == "error" and word.casefold() in ("check", "fit"):
+            group = "check" if word.casefold() == "check" else "fit"
+        else:
+            known = "net, check and fit" if command == "register" else "net"
+            raise _error(text, f"'{word}' cannot stand before {quantity.name}; before errors {known} can")
+    return net, group
+
+
+def _limit(text: str, quantity: Quantity, right: str) -> tuple[float | str, Unit | None]:
+    if quantity.kind == "word":
+        if right.casefold() not in quantity.words:
+            raise _error(text, f"{quantity.name} is one of {', '.join(quantity.words)}")
+        return right.casefold(), None
+    match = _NUMBER.fullmatch(right)
+    number, unit = (match["number"], match["unit"]) if match else (right, "")
+    unit = " ".join(unit.casefold().split())
+    limit = _number(text, number)
+    if quantity.kind in ("error", "length"):
+        return limit, _unit(text, quantity, unit)
+    if quantity.kind == "share":
+        limit = limit / 100 if unit == "%" else limit
+        if unit not in ("", "%") or limit > 1:
+            raise _error(text, f"give {quantity.name} as a share up to 1, such as 0.8, or in per cent")
+    elif unit:
+        raise _error(text, f"the limit of {quantity.name} is a number without a unit")
+    return limit, None
+
+
+def _unit(text: str, quantity: Quantity, unit: str) -> Unit:
+    found = _UNITS.get(unit)
+    if found is None or (quantity.name == "closure" and found == "native px"):
+        units = "px or m" if quantity.name == "closure" else "px, native px or m"
+        raise _error(text, f"give the unit {units}")
+    return found
+
+
+def _number(text: str, number: str) -> float:
+    try:
+        limit = float(number)
+    except ValueError:
+        limit = math.nan
+    if not (math.isfinite(limit) and limit > 0):
+        raise _error(text, f"the limit {number} is no number above 0")
+    return limit
+
+
+def _error(text: str, what: str) -> SettingsError:
+    return SettingsError(f"require = {text!r}: {what}")
+
+
+def _larger(
+    axes: tuple[AxisStatistics, AxisStatistics], component: Callable[[AxisStatistics], float]
+) -> float:
+    return max(component(axis) for axis in axes)
