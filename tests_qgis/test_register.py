@@ -260,6 +260,26 @@ def test_a_refusal_is_an_error_with_its_reason_and_its_report(
     assert (tmp_path / "report.html").is_file()
 
 
+def test_a_requirement_that_is_not_met_is_an_error_unless_the_raster_is_kept(
+    sample: tuple[Path, Path], tmp_path: Path
+) -> None:
+    parameters = {
+        "REFERENCE": str(sample[0]),
+        "INPUT": str(sample[1]),
+        "REQUIRE": "CE90<=0.001px; points>=20",
+        "EXTRA": "--features 200",
+        "OUTPUT": str(tmp_path / "out.tif"),
+        "OUTPUT_HTML": str(tmp_path / "report.html"),
+    }
+    with pytest.raises(Exception, match=r"not met, and nothing was corrected: CE90 <= 0.001 px: .*report"):
+        run_algorithm("register", parameters)
+    assert not (tmp_path / "out.tif").exists()
+    assert (tmp_path / "report.html").is_file()
+    run = run_algorithm("register", {**parameters, "KEEP": True})
+    assert run.results["PASSED"] is False
+    assert (tmp_path / "out.tif").is_file()
+
+
 def test_cancelling_ends_the_engine_and_its_workers_and_leaves_nothing(
     large: tuple[Path, Path],
     tmp_path: Path,

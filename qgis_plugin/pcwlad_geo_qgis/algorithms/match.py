@@ -30,4 +30,4 @@ class MatchOnly(PairAlgorithm):
         self.add_outputs()
 
     def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
-        return self.run_pair("match", parameters, context, feedback, {})
+        return self.run_pair(["match"], parameters, context, feedback, {})

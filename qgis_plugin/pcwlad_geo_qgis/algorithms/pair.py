@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from qgis import core
@@ -40,6 +40,8 @@ class PairAlgorithm(EngineAlgorithm):
             "DEM: what is added to its heights to count from the ellipsoid, where its CRS does not tell"
         )
         self.add_advanced(core.QgsProcessingParameterString("DEM_VERTICAL", title, optional=True))
+        title = tr("Requirements, separated by semicolons")
+        self.add_advanced(core.QgsProcessingParameterString("REQUIRE", title, optional=True))
 
     def add_outputs(self) -> None:
         """Add the outputs that both algorithms have."""
@@ -65,6 +67,7 @@ class PairAlgorithm(EngineAlgorithm):
                 "OUTPUT_FOLDER", tr("Folder of all results"), optional=True, createByDefault=False
             )
         )
+        self.addOutput(core.QgsProcessingOutputBoolean("PASSED", tr("Requirements met")))
         for name, title in {
             "POINTS": tr("Tie points"),
             "SHIFT": tr("Median displacement, target pixels"),
@@ -90,6 +93,7 @@ class PairAlgorithm(EngineAlgorithm):
             "--ref-band": str(self.parameterAsInt(parameters, "REFERENCE_BAND", context) or 1),
             "--tgt-band": str(self.parameterAsInt(parameters, "INPUT_BAND", context) or 1),
             "--dem-vertical": self.parameterAsString(parameters, "DEM_VERTICAL", context),
+            "--require": self.parameterAsString(parameters, "REQUIRE", context),
         }
         files = {"--ref-mask": "REFERENCE_MASK", "--tgt-mask": "INPUT_MASK", "--dem": "DEM"}
         values.update({option: "".join(self.paths(name)) for option, name in files.items()})
@@ -119,7 +123,7 @@ class PairAlgorithm(EngineAlgorithm):
 
     def run_pair(
         self,
-        command: str,
+        command: Sequence[str],
         parameters: Values,
         context: Context,
         feedback: Feedback,
@@ -138,14 +142,25 @@ class PairAlgorithm(EngineAlgorithm):
             "--output-points": places["OUTPUT_POINTS"],
             **more,
         }
-        arguments = [command, *self.pair_options(parameters, context), *options_of(options), "--overwrite"]
+        arguments = [*command, *self.pair_options(parameters, context), *options_of(options), "--overwrite"]
         outcome = self.run_command(arguments, feedback)
         if outcome is None:
             return {}
         feedback.pushInfo(summary(outcome))
+        judged = self.judged(outcome, feedback)
         tie_points = self.add_tie_points(parameters, context, feedback, outcome["paths"]["geopackage"])
         written = {name: place for name, place in places.items() if place}
-        return {**written, **tie_points, **figures(outcome)}
+        return {**written, **tie_points, **figures(outcome), **judged}
+
+    def judged(self, outcome: Mapping[str, Any], feedback: Feedback) -> dict[str, bool]:
+        """Tell which requirements are not met, and return whether all are; nothing where there are none."""
+        missed = [each["message"] for each in outcome.get("requirements", ()) if not each["met"]]
+        if missed and outcome["status"] == "registered" and "raster" not in outcome["paths"]:
+            text = tr("A requirement is not met, and nothing was corrected: {} (report: {})")
+            raise core.QgsProcessingException(text.format("; ".join(missed), outcome["paths"]["report"]))
+        for message in missed:
+            feedback.pushWarning(message)
+        return {} if outcome.get("passed") is None else {"PASSED": outcome["passed"]}
 
 
 def summary(outcome: Mapping[str, Any]) -> str:

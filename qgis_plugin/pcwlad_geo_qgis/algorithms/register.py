@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from qgis.core import (
     QgsProcessingOutputNumber,
+    QgsProcessingParameterBoolean,
     QgsProcessingParameterEnum,
     QgsProcessingParameterRasterDestination,
 )
@@ -34,7 +35,9 @@ class RegisterRaster(PairAlgorithm):
         "RMSE and CE90 are those of check points, which the correction has not seen, in target pixels.\n"
         "<h3>If the pair is refused</h3>A pair whose points agree no better than those of unrelated "
         "images would is refused: there is no raster then, and the message says why and what to try. A "
-        "displacement of more than 12 pixels needs a larger search radius."
+        "displacement of more than 12 pixels needs a larger search radius.\n"
+        "<h3>Requirements</h3>Limits on the figures, such as <i>CE90&lt;=0.5px; points&gt;=100</i>. Where "
+        "one is not met, the algorithm fails and there is no raster, unless it is to be kept."
     )
     OUTPUTS = ("OUTPUT", "OUTPUT_TIEPOINTS", "OUTPUT_HTML", "OUTPUT_POINTS")
 
@@ -45,6 +48,8 @@ class RegisterRaster(PairAlgorithm):
                 "MODEL", tr("Correction model"), MODELS, defaultValue="auto", usesStaticStrings=True
             )
         )
+        title = tr("Keep the registered raster although a requirement is not met")
+        self.add_advanced(QgsProcessingParameterBoolean("KEEP", title, False))
         self.add_matching()
         self.addParameter(
             QgsProcessingParameterRasterDestination("OUTPUT", tr("Registered raster"), optional=True)
@@ -64,5 +69,6 @@ class RegisterRaster(PairAlgorithm):
             "--model": self.parameterAsString(parameters, "MODEL", context),
             "--output-raster": raster,
         }
-        found = self.run_pair("register", parameters, context, feedback, more)
+        keep = ["--keep"] if self.parameterAsBool(parameters, "KEEP", context) else []
+        found = self.run_pair(["register", *keep], parameters, context, feedback, more)
         return {**found, "OUTPUT": raster} if found and raster else found

@@ -277,6 +277,10 @@ Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;
       <translation>Referenz und Ziel sind dasselbe Raster und derselbe Kanal. Wählen Sie ein anderes Ziel.</translation>
     </message>
     <message>
+      <source>A requirement is not met, and nothing was corrected: {} (report: {})</source>
+      <translation>Eine Anforderung ist nicht erfüllt, und nichts wurde korrigiert: {} (Bericht: {})</translation>
+    </message>
+    <message>
       <source>Reference (stays)</source>
       <translation>Referenz (bleibt)</translation>
     </message>
@@ -340,8 +344,13 @@ Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;
 &lt;b&gt;Points for the Georeferencer&lt;/b&gt;: loads by itself if it lies beside the target as &lt;i&gt;target.tif.points&lt;/i&gt;.
 &lt;b&gt;Folder of all results&lt;/b&gt;: needed for “Apply registration”.
 RMSE and CE90 are those of check points, which the correction has not seen, in target pixels.
-&lt;h3&gt;If the pair is refused&lt;/h3&gt;A pair whose points agree no better than those of unrelated images would is refused: there is no raster then, and the message says why and what to try. A displacement of more than 12 pixels needs a larger search radius.</source>
+&lt;h3&gt;If the pair is refused&lt;/h3&gt;A pair whose points agree no better than those of unrelated images would is refused: there is no raster then, and the message says why and what to try. A displacement of more than 12 pixels needs a larger search radius.
+&lt;h3&gt;Requirements&lt;/h3&gt;Limits on the figures, such as &lt;i&gt;CE90&amp;lt;=0.5px; points&amp;gt;=100&lt;/i&gt;. Where one is not met, the algorithm fails and there is no raster, unless it is to be kept.</source>
       <translation type="unfinished" />
+    </message>
+    <message>
+      <source>Keep the registered raster although a requirement is not met</source>
+      <translation>Das registrierte Raster behalten, obwohl eine Anforderung nicht erfüllt ist</translation>
     </message>
     <message>
       <source>Correction model</source>
