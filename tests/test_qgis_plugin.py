@@ -8,6 +8,7 @@ import re
 import runpy
 import string
 import sys
+import types
 import zipfile
 from pathlib import Path
 from typing import get_args
@@ -59,6 +60,25 @@ def test_the_choices_are_those_of_the_engine() -> None:
         and isinstance(node.value, ast.List)
     }
     assert lists == {"METHODS": list(get_args(settings.Method)), "MODELS": list(get_args(settings.Model))}
+
+
+def test_advice_names_what_the_dialog_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Untranslated:
+        @staticmethod
+        def translate(context: str, text: str) -> str:
+            return text
+
+    core = types.ModuleType("qgis.PyQt.QtCore")
+    core.QCoreApplication = Untranslated  # type: ignore[attr-defined]
+    for name in ("qgis", "qgis.PyQt"):
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    monkeypatch.setitem(sys.modules, "qgis.PyQt.QtCore", core)
+    for_dialog = runpy.run_path(str(PLUGIN / "text.py"))["for_dialog"]
+    assert for_dialog("the CRS is odd - so what") == "the CRS is odd - so what"
+    assert for_dialog("raise --search-radius, or not") == "raise “Search radius”, or not"
+    told = for_dialog("(raise --search-radius or give --prealign search)")
+    assert told.startswith("(raise “Search radius” or give --prealign search)")
+    assert told.endswith("(Options that begin with -- go into the advanced parameter “More options”.)")
 
 
 def test_every_text_is_in_the_translation_with_its_placeholders() -> None:

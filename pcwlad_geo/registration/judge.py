@@ -21,6 +21,8 @@ CELL_PER_WINDOW: Final = 0.75
 AGREE_PX: Final = 2.0
 LEAST_SIGNIFICANCE: Final = 6.0
 """-log10 of the probability that unrelated images show such agreement."""
+AT_BORDER: Final = 0.25
+"""Share of the candidates whose best match lies on the edge of the search that is many."""
 CHANCE_FACTOR: Final = 2.0
 """Matches of unrelated images are not uniform over the search window: more chance is allowed for."""
 
@@ -31,10 +33,13 @@ class Verdict:
 
     accepted: bool
     reason: str | None
+    """What was found, where that is not enough."""
     cells: int
     """Separate places with a match of any kind."""
     agreeing_cells: int
     significance: float
+    beyond: bool | None = None
+    """Whether many best matches lie on the edge of the search; None unless the points agree by chance."""
 
 
 def judge(
@@ -62,8 +67,15 @@ def judge(
     significance = max(0.0, found + float(np.log10(share)))
     enough = kept.sum() >= LEAST_POINTS and agreeing >= LEAST_CELLS
     accepted = bool(enough and significance >= LEAST_SIGNIFICANCE)
-    reason = None if accepted else _reason(int(kept.sum()), agreeing, cells, counts, radius_px)
-    return Verdict(accepted, reason, cells, agreeing, significance)
+    if accepted:
+        return Verdict(True, None, cells, agreeing, significance)
+    nothing = _nothing_to_match(counts)
+    by_chance = (
+        f"only {int(kept.sum())} of {counts.get('candidates', 0)} candidates agree with their neighbours, in "
+        f"{agreeing} of {cells} separate places, no better than chance"
+    )
+    beyond = None if nothing else _beyond(counts)
+    return Verdict(False, nothing or by_chance, cells, agreeing, significance, beyond)
 
 
 def _witnesses(matches: TiePoints, kept: NDArray[np.bool_], cell_px: float) -> tuple[int, int]:
@@ -92,7 +104,8 @@ def _common_displacement(xy: Float64, moved: Float64, kept: NDArray[np.bool_]) -
     return result
 
 
-def _reason(points: int, agreeing: int, cells: int, counts: dict[str, int], radius_px: int) -> str:
+def _nothing_to_match(counts: dict[str, int]) -> str | None:
+    """Return why hardly a candidate could be matched at all; None where they could."""
     candidates = counts.get("candidates", 0)
     if candidates == 0:
         return (
@@ -100,15 +113,8 @@ def _reason(points: int, agreeing: int, cells: int, counts: dict[str, int], radi
         )
     if counts.get("not_comparable", 0) > 0.9 * candidates:
         return "almost no window has enough valid pixels in both images; check masks, nodata and overlap"
-    border = counts.get("at_search_border", 0) / candidates
-    advice = (
-        f"many best matches lie on the edge of the search radius of {radius_px} px: raise --search-radius, "
-        "or give --prealign search, unless the two do not show the same place"
-        if border > 0.25
-        else f"the displacement may exceed the search radius of {radius_px} px (raise --search-radius "
-        "or give --prealign search), clouds may hide the ground, or the two do not show the same place"
-    )
-    return (
-        f"only {points} of {candidates} candidates agree with their neighbours, in {agreeing} of {cells} "
-        f"separate places, no better than chance: {advice}"
-    )
+    return None
+
+
+def _beyond(counts: dict[str, int]) -> bool:
+    return counts.get("at_search_border", 0) > AT_BORDER * counts["candidates"]

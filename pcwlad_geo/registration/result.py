@@ -31,6 +31,8 @@ class Prealignment:
     """(col, row) added to the predicted target pixel, matching-grid px."""
     search_radius_px: int
     """Radius of the coarse match around it, matching-grid px."""
+    searched: bool = False
+    """Whether the whole image was searched, also where that found nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,6 +20,7 @@ from pcwlad_geo.raster.rpc_view import Placed, plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.raster.view import file_px_per_px
+from pcwlad_geo.registration.advice import refusal
 from pcwlad_geo.registration.fitting import Fitted, fit_correction, shared_residual_px
 from pcwlad_geo.registration.given_points import footprint_px, points_of_file
 from pcwlad_geo.registration.inputs import resolve
@@ -198,9 +199,12 @@ def _match(pair: ViewPair, look: Look, settings: Settings, log: JobLog, runner: 
     """Match from the best start known; where that fails and the user left it open, from a search."""
     starts = _starts(pair, look, settings, log)
     result: Matched | None = None
+    searched = False
     for prealignment in starts:
+        searched |= prealignment is None or prealignment.method == "search"
         if prealignment is None:
             continue
+        prealignment = replace(prealignment, searched=searched)
         result = match_scene(pair, look, prealignment, settings, log, runner)
         if result.verdict.accepted:
             if prealignment.method == "search" and pair.georeferenced:
@@ -212,7 +216,9 @@ def _match(pair: ViewPair, look: Look, settings: Settings, log: JobLog, runner: 
             return result
     if result is None:
         raise InputError("no start for the matching: give --prealign auto")
-    return result
+    start = replace(result.prealignment, searched=searched)
+    reason = refusal(result.verdict, start)
+    return replace(result, prealignment=start, verdict=replace(result.verdict, reason=reason))
 
 
 def _starts(pair: ViewPair, look: Look, settings: Settings, log: JobLog) -> Iterator[Prealignment | None]:

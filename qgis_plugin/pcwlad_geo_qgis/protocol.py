@@ -13,7 +13,7 @@ from qgis.core import QgsProcessingException, QgsProcessingFeedback
 
 from .child import follow
 from .engine import Engine
-from .text import tr
+from .text import for_dialog, tr
 
 REJECTED = 3
 UNEXPECTED = 1
@@ -43,7 +43,7 @@ class _Conversation:
         if kind == "progress":
             self._progress(event["stage"], event["done"], event["total"])
         elif kind == "warning":
-            self._feedback.pushWarning(event["message"])
+            self._feedback.pushWarning(for_dialog(event["message"]))
         else:
             self.last = event
 
@@ -104,7 +104,7 @@ def run_engine(
 
 
 def _reason(said: _Conversation, status: int) -> str:
-    message = said.last.get("message", "")
+    message = for_dialog(said.last.get("message", ""))
     if said.last.get("exit_status") == REJECTED:
         return tr("The pair was refused, and nothing was corrected: {}").format(message)
     if message and said.last.get("exit_status") != UNEXPECTED:

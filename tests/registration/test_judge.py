@@ -76,10 +76,18 @@ def test_no_point_at_all() -> None:
     [
         ({"candidates": 0}, "no structure to match"),
         ({"not_comparable": 195}, "enough valid pixels"),
-        ({"at_search_border": 80}, "lie on the edge of the search radius of 12 px: raise --search-radius"),
-        ({}, r"may exceed the search radius of 12 px \(raise --search-radius"),
     ],
 )
 def test_the_reason_says_what_to_do(counts: dict[str, int], advice: str) -> None:
     found = verdict(matches(100, 400, right=0.0), **counts)
     assert re.search(advice, found.reason or "")
+    assert found.beyond is None
+
+
+@pytest.mark.parametrize(("at_search_border", "beyond"), [(80, True), (20, False)])
+def test_many_matches_on_the_edge_of_the_search_tell_of_what_lies_beyond(
+    at_search_border: int, beyond: bool
+) -> None:
+    found = verdict(matches(100, 400, right=0.0), at_search_border=at_search_border)
+    assert "no better than chance" in (found.reason or "")
+    assert found.beyond is beyond

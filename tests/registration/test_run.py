@@ -320,6 +320,8 @@ def test_displacement_beyond_a_given_radius_is_refused(tmp_path: Path) -> None:
     assert found.status == "rejected"
     assert found.correction is None
     assert "raise --search-radius" in (found.reason or "")
+    assert "--prealign search" in (found.reason or "")  # not made, as a radius was given
+    assert not found.prealignment.searched
     assert "10 px" in (found.reason or "")
 
 
@@ -330,6 +332,8 @@ def test_unrelated_scenes_are_refused(tmp_path: Path) -> None:
     found = Pair(reference, target).run()
     assert found.status == "rejected"
     assert "no better than chance" in (found.reason or "")
+    assert found.prealignment.searched
+    assert "--" not in (found.reason or "")  # the search that it would advise has been made
     assert found.accuracy == {}
 
 

@@ -481,6 +481,30 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
       <translation type="unfinished" />
     </message>
     <message>
+      <source>Search radius</source>
+      <translation>Suchradius</translation>
+    </message>
+    <message>
+      <source>Tie points wanted</source>
+      <translation>Gewünschte Verknüpfungspunkte</translation>
+    </message>
+    <message>
+      <source>DEM: what is added to its heights</source>
+      <translation>DGM: was zu seinen Höhen addiert wird</translation>
+    </message>
+    <message>
+      <source>Mask of the reference</source>
+      <translation>Maske der Referenz</translation>
+    </message>
+    <message>
+      <source>Mask of the target</source>
+      <translation>Maske des Ziels</translation>
+    </message>
+    <message>
+      <source>(Options that begin with -- go into the advanced parameter “More options”.)</source>
+      <translation>(Optionen, die mit -- beginnen, gehören in den erweiterten Parameter „Weitere Optionen“.)</translation>
+    </message>
+    <message>
       <source>fit</source>
       <translation>Anpassung</translation>
     </message>
