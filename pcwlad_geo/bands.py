@@ -13,6 +13,7 @@ from pcwlad_geo.raster import warping
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_grids
+from pcwlad_geo.raster.shared_plane import grid_beside
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.output_wishes import requested_grid
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
@@ -160,7 +161,7 @@ def _grids(
             f"of = 'VRT': a VRT cannot hold the {correction.name} correction of this registration; give --of "
             "COG or GTiff"
         )
-    own = [describe(source).grid for source in sources]
+    own = [grid_beside(describe(source), target) for source in sources]
     if request.needs_ground and None in (finished.reference_grid.crs, target.crs):
         raise InputError(
             "like, tr, te and t_srs need a georeferenced pair, and this registration is of one that is not: "
@@ -182,7 +183,8 @@ def _check(
     if not sources:
         raise InputError("no raster to warp: give at least one")
     for source, place in zip(sources, places, strict=True):
-        warping.check_geometry(source, describe(source).grid, finished.target_grid)
+        own_grid = grid_beside(describe(source), finished.target_grid)
+        warping.check_geometry(source, own_grid, finished.target_grid)
         if places.count(place) > 1:
             raise InputError(f"two of the rasters would be written to {place}: warp them into two folders")
         if place.exists() and Path(source).exists() and place.samefile(source):

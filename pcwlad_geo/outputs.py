@@ -22,6 +22,7 @@ from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import check_covered, corrected_outline, output_grids
 from pcwlad_geo.raster.product import ProductBand
+from pcwlad_geo.raster.shared_plane import grid_beside
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.output_wishes import requested_grid
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned
@@ -62,7 +63,7 @@ def output_grids_of(registration: Registration, bands: Sequence[ProductBand]) ->
         outline_xy = corrected.to_xy(corrected.boundary_px())
     else:
         correction = _correction(registration)
-        rasters = [target, *(describe(band.opened_as()).grid for band in bands)]
+        rasters = [target, *(grid_beside(describe(band.opened_as()), target) for band in bands)]
         grids = output_grids(reference, target, correction, request, rasters)
         outline_xy = corrected_outline(target, correction)
     for grid in grids if request.needs_ground or request.fixed(reference) else ():
@@ -115,6 +116,7 @@ def writers(
                 correction,
                 grid,
                 resampling,
+                target_grid=target.grid,
                 made=made,
                 final_path=places["raster"],
                 progress=progress,
@@ -129,7 +131,7 @@ def writers(
 
     return {
         "tiepoints": lambda path: tie_point_csv.write(table, path),
-        "geopackage": lambda path: geopackage.write(table, path),
+        "geopackage": lambda path: geopackage.write(table, path, target.grid),
         "points": lambda path: gcp_files.write_points(table, path, on_ground, target.grid),
         "envi": lambda path: gcp_files.write_envi(table, path, reference.uri, target.uri),
         "gcps": lambda path: vrt.write_gcps_vrt(

@@ -61,7 +61,7 @@ def write_described(
     band_tags = [tags for tags in tree.findall("VRTRasterBand/Metadata") if "domain" not in tags.attrib]
     for tags in band_tags if made.is_tiff else ():
         tags.set("domain", _BAND_TAGS)
-    if grid.crs is not None:
+    if grid.located:
         vrt.add_georeferencing(tree, grid.transform, grid.crs)
     vrt.write(tree, description)
     options = made.creation_options(source, interpolated=interpolated)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.raster import qgis_styles, tie_point_csv
 from pcwlad_geo.raster.geodesy import moved_xy
+from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 
 Array = NDArray[np.float64]
@@ -26,12 +27,13 @@ _VERSION = "1.2"
 _UNDEFINED_PLANE = 'LOCAL_CS["Undefined Cartesian SRS"]'
 
 
-def write(table: TiePointTable, path: Path) -> None:
+def write(table: TiePointTable, path: Path, target_grid: Grid | None = None) -> None:
     """Write the layers `tie_points` and `displacements`, each with the columns of tiepoints.csv.
 
     Displacements are lines from the predicted to the observed place on the map, true to scale; their style
     draws them longer.
-    Without a CRS the map is the pixel plane of the reference, y = -row.
+    Without a CRS the map is the plane that both geotransforms share, or else the pixel plane of the
+    reference, y = -row.
 
     Parameters
     ----------
@@ -39,6 +41,8 @@ def write(table: TiePointTable, path: Path) -> None:
         All its points are written, rejected ones too.
     path : pathlib.Path
         The file to write.
+    target_grid : Grid, optional
+        Where the target lies, for a plane that both share.
 
     Raises
     ------
@@ -49,7 +53,7 @@ def write(table: TiePointTable, path: Path) -> None:
     import pyogrio.raw
     from pyogrio.errors import DataLayerError, DataSourceError
 
-    seen_xy = observed_xy(table)
+    seen_xy = observed_xy(table, target_grid)
     layers = {
         "tie_points": ("Point", shapely.points(table.xy)),
         "displacements": ("LineString", shapely.linestrings(np.stack([table.xy, seen_xy], axis=1))),
@@ -77,8 +81,10 @@ def write(table: TiePointTable, path: Path) -> None:
         raise OutputError(f"cannot write {path}: {error}; is the disk full?") from error
 
 
-def observed_xy(table: TiePointTable) -> Array:
+def observed_xy(table: TiePointTable, target_grid: Grid | None = None) -> Array:
     """Return (n, 2): where the observed target position lies on the map, in units of the reference CRS."""
+    if target_grid is not None and target_grid.crs is None and target_grid.located:
+        return target_grid.to_xy(table.target_px)
     if table.crs is None:
         plane_xy: Array = table.xy + table.displacement_px * np.array([1.0, -1.0])
         return plane_xy

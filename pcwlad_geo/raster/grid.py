@@ -23,7 +23,12 @@ class Grid:
     transform: Affine
     """Geotransform: (col, row), corner-based, to (x, y). Identity without georeferencing."""
     crs: CRS | None
-    """Coordinate reference system of x, y."""
+    """Coordinate reference system of x, y; None also where they are those of a plane without one."""
+
+    @property
+    def located(self) -> bool:
+        """Whether the pixels have a place: in a CRS, or in a plane shared with another raster."""
+        return self.crs is not None or self.transform != Affine.identity()
 
     def to_xy(self, pixel_xy_px: Array) -> Array:
         """Map (n, 2) pixel coordinates (col, row) to (n, 2) map coordinates (x, y)."""

@@ -106,9 +106,9 @@ def overlap_middle_px(pair: ViewPair, target: RasterInfo) -> Array:
 
 
 def ground_xy(reference_px: Array, pair: ViewPair) -> Array:
-    """Map (n, 2) reference file px to the reference CRS; to (col, -row) without one."""
+    """Map (n, 2) reference file px to the reference CRS or the shared plane; else to (col, -row)."""
     grid = pair.reference.info.grid
-    return reference_px * [1.0, -1.0] if grid.crs is None else grid.to_xy(reference_px)
+    return grid.to_xy(reference_px) if grid.located else reference_px * [1.0, -1.0]
 
 
 def _displacement_m(predicted_px: Array, target_px: Array, pair: ViewPair) -> Array:

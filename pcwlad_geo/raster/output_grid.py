@@ -97,7 +97,7 @@ def output_grids(
         return [fixed] * len(rasters)
     if request.mode == "target":
         return list(rasters)
-    if reference_grid.crs is None or target_grid.crs is None:
+    if not (reference_grid.located and target_grid.located):
         return [reference_grid] * len(rasters)
     lattice = output_lattice(reference_grid, request)
     boxes = [_footprint(own, target_grid, correction, lattice) for own in (target_grid, *rasters)]
@@ -209,9 +209,9 @@ def original_pixels(
     correction : Correction
         Maps predicted to observed target pixels.
     grid : Grid
-        The output grid. Where it or the raster has no CRS, its pixels are the predicted ones.
+        The output grid. Where it or the raster has no place, its pixels are the predicted ones.
     """
-    placed = own_grid.crs is not None and grid.crs is not None
+    placed = own_grid.located and grid.located
 
     def mapping(at_px: Array) -> Array:
         predicted_px = map_px(at_px, grid, target_grid) if placed else at_px

@@ -52,7 +52,7 @@ def write(path: Path, precision: Precision, target_grid: Grid, grid: Grid) -> No
     coarse = grid.remade(((factor, 0.0), (0.0, factor)), (0.0, 0.0), shape)
     rows, cols = np.indices(shape)
     centres = np.asarray(np.stack([cols, rows], axis=-1).reshape(-1, 2) + 0.5, dtype=np.float64)
-    placed = grid.crs is not None and target_grid.crs is not None
+    placed = grid.located and target_grid.located
     at_px = map_px(centres, coarse, target_grid) if placed else centres * factor
     bands = np.full((3, len(at_px)), np.nan, dtype=np.float32)
     known = np.isfinite(at_px).all(axis=1)

@@ -39,7 +39,8 @@ class RasterInfo:
     band_count: int
     grid: Grid
     georeferenced: bool
-    """False where the file has no geotransform (nor control points that give one) or no CRS."""
+    """False where the file has no geotransform (nor control points that give one) or no CRS, unless another
+    raster's tells it (see `shared_plane`)."""
     dtype: str
     nodata: float | None
     mask_uri: str | None
@@ -50,6 +51,8 @@ class RasterInfo:
     """What its values mean."""
     gcp_misfit_px: float | None = None
     """Largest misfit of the ground control points that the grid is made from; None: it is the file's own."""
+    plane_transform: Affine | None = None
+    """The geotransform of a file that has one and no CRS."""
 
 
 def describe(
@@ -92,6 +95,7 @@ def describe(
             nodata=dataset.nodatavals[band - 1],
             mask_uri=None if mask is None else os.fspath(mask),
             gcp_misfit_px=misfit_px,
+            plane_transform=dataset.transform if dataset.crs is None and _has_transform(dataset) else None,
         )
     if info.mask_uri is not None:
         described = describe(info.mask_uri)
@@ -205,11 +209,15 @@ def _check_band(uri: str, dataset: DatasetReader, band: int) -> None:
 
 
 def _is_georeferenced(dataset: DatasetReader) -> bool:
+    return dataset.crs is not None and _has_transform(dataset)
+
+
+def _has_transform(dataset: DatasetReader) -> bool:
+    """Whether there is a geotransform that says something and can be inverted."""
     transform = dataset.transform
     matrix = linear_part(transform)
     return (
-        dataset.crs is not None
-        and transform != Affine.identity()
+        transform != Affine.identity()
         and bool(np.isfinite([*transform]).all())
         and bool(np.linalg.det(matrix) != 0.0)
     )

@@ -138,7 +138,7 @@ def _check_against_itself(
     if points.xy is not None:
         grid = pair.reference.info.grid
         apart = points.xy - ground_xy(reference_px, pair)
-        in_px = apart if grid.crs is None else np.asarray(grid.to_px(points.xy) - reference_px)
+        in_px = np.asarray(grid.to_px(points.xy) - reference_px) if grid.located else apart
         _check_same(path, in_px, "x, y and ref_col, ref_row", pair.reference.info)
     if points.displacement_px is not None:
         apart = target_px - points.displacement_px - predict_target_px(reference_px, pair)

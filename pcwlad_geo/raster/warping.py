@@ -31,6 +31,7 @@ from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.metadata import is_paletted
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import original_pixels
+from pcwlad_geo.raster.shared_plane import grid_beside
 from pcwlad_geo.raster.source import describe, open_raster
 from pcwlad_geo.raster.unread import Block, Gaps
 from pcwlad_geo.raster.validity import fill, validity
@@ -112,7 +113,7 @@ def warp(
     correction : Correction
         Maps predicted to observed target pixels.
     grid : Grid
-        The output grid. Where it or the source has no CRS, its pixels are the predicted ones.
+        The output grid. Where it or the source has no place, its pixels are the predicted ones.
     resampling : str
         A name of `rasterio.enums.Resampling`.
     target_grid : Grid, optional
@@ -137,7 +138,8 @@ def warp(
     OutputError
         If the result cannot be written.
     """
-    own_grid = describe(os.fspath(source_path)).grid
+    info = describe(os.fspath(source_path))
+    own_grid = info.grid if target_grid is None else grid_beside(info, target_grid)
     target_grid = target_grid or own_grid
     check_geometry(source_path, own_grid, target_grid)
     grids = (own_grid, target_grid, grid)
@@ -212,7 +214,12 @@ def check_geometry(source_path: str | Path, own: Grid, target: Grid) -> None:
             f"{source_path} is in {name_of(own.crs)}, the registered target in {name_of(target.crs)}: "
             "give a raster in the same CRS"
         )
-    if own.crs is None and own.shape != target.shape:
+    if target.located and not own.located:
+        raise InputError(
+            f"{source_path} has no geotransform in the plane of the registered target: give it one "
+            "(gdal_edit.py -a_ullr), or a raster that has one"
+        )
+    if not own.located and own.shape != target.shape:
         raise InputError(
             f"{source_path} has {own.shape[1]} x {own.shape[0]} pixels and no georeferencing, the registered "
             f"target {target.shape[1]} x {target.shape[0]}: give one of the same size, or georeference it"
@@ -283,7 +290,7 @@ def _warped(uri: str, options: dict[str, object]) -> Iterator[DatasetReader]:
 
 def _corrected_grid(own: Grid, target: Grid, correction: AffineCorrection, out: Grid) -> Grid:
     """Return the source's pixels where they belong, in the CRS of the source or of the output."""
-    if own.crs is None or out.crs is None:
+    if not (own.located and out.located):
         # Without georeferencing the predicted target pixel is the output pixel.
         target = Grid(target.shape, out.transform, out.crs)
         return Grid(own.shape, vrt.corrected_transform(target, correction), out.crs)

@@ -17,6 +17,7 @@ from pcwlad_geo.raster.locate import locate, overlap_middle_px
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.rpc_grid import levelled
 from pcwlad_geo.raster.rpc_view import Placed, plan_rpc_views
+from pcwlad_geo.raster.shared_plane import share_plane
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.raster.view import file_px_per_px
@@ -86,7 +87,11 @@ def run(
         ref = describe(inputs.reference, band=int(settings.ref_band), mask=settings.ref_mask)
         tgt = describe(inputs.target, band=int(settings.tgt_band), mask=settings.tgt_mask)
         placed, warnings = place_target(ref, tgt, settings)
-        tgt = placed.info if placed else tgt
+        if placed:
+            tgt = placed.info
+        else:
+            ref, tgt, shared = share_plane(ref, tgt)
+            warnings = (*warnings, *shared)
         pair = plan_rpc_views(ref, tgt) if placed else plan_views(ref, tgt)
         for warning in (*inputs.notes, *_control_point_notes(ref, tgt), *warnings, *pair.warnings):
             log.warn(warning)
