@@ -51,8 +51,9 @@ def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:
     kind = FILE.fullmatch(f"{identifier}_X")
     if kind is None or kind["collection"] != "02":
         raise InputError(
-            f"{tree.path} is no product of Landsat Collection 2 ({identifier}): download it anew, or give "
-            "band files and masks"
+            f"{tree.path} is no product of Landsat Collection 2 but of another collection ({identifier}), "
+            "whose masks have other bits: give one of its band files and a mask with 0 where there are "
+            "clouds, or the scene of Collection 2"
         )
     bands = {match["name"]: (match, files[part]) for part in files if (match := _BAND.fullmatch(part))}
     made = {name: ProductBand(name, tree.uri(file)) for name, (_, file) in bands.items()}

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.product import Product, ProductBand
 from pcwlad_geo.raster.products import find_product
+from pcwlad_geo.raster.unknown_products import no_product
 from pcwlad_geo.registration.settings import Settings
 
 PathLike = str | os.PathLike[str]
@@ -83,11 +84,9 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
     given = settings.ref_mask if side == "ref" else settings.tgt_mask
     product = find_product(path)
     if product is None:
-        if isinstance(name, str):
-            raise InputError(
-                f"band {name} of {os.fspath(path)}: bands have names in Landsat Collection 2 and Sentinel-2 "
-                f"products only; give its number (--{side}-band 1)"
-            )
+        problem = no_product(os.fspath(path), name if isinstance(name, str) else None)
+        if problem is not None:
+            raise InputError(problem)
         return _Side(os.fspath(path), os.fspath(path), {})
     band = product.band(name)
     changes = {f"{side}_band": 1, f"{side}_mask": given or product.mask}

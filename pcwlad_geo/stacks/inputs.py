@@ -15,6 +15,7 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.raster.product import Product
 from pcwlad_geo.raster.products import find_product
 from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.raster.unknown_products import no_product
 from pcwlad_geo.registration.settings import BAND_NAME
 
 PathLike = str | os.PathLike[str]
@@ -108,16 +109,17 @@ def _is_file(path: str) -> bool:
 
 
 def _of_raster(uri: str, wanted: Sequence[int | str] | None, mask: PathLike | None) -> list[Wanted]:
+    problem = no_product(uri)
+    if problem is not None:
+        raise InputError(problem)
     if wanted is None:
         with open_raster(uri) as dataset:
             kinds = zip(dataset.indexes, dataset.colorinterp, strict=True)
             wanted = [number for number, kind in kinds if kind != ColorInterp.alpha] or [1]
     for number in wanted:
-        if isinstance(number, str):
-            raise InputError(
-                f"band {number} of {uri}: bands have names in Landsat Collection 2 and Sentinel-2 products "
-                "only; give its number"
-            )
+        problem = no_product(uri, number) if isinstance(number, str) else None
+        if problem is not None:
+            raise InputError(problem)
     return [Wanted(uri, int(number), mask) for number in wanted]
 
 

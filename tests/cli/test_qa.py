@@ -75,7 +75,7 @@ def test_trend(stack: Path, cli: Cli) -> None:
         (["--trend", ".", "--require", "CE90<=1px"], "--trend takes no --require"),
         (["absent.tif", "b5.tif"], "absent.tif does not exist"),
         (["b4.tif", "b5.tif", "--bands", "2-"], "give numbers from 1"),
-        (["b4.tif", "b5.tif", "--bands", "x"], "give its number"),
+        (["b4.tif", "b5.tif", "--bands", "x"], "it is no product, and only the bands of Landsat"),
     ],
 )
 def test_nonsense_is_one_line_and_status_2(arguments: list[str], said: str, stack: Path, cli: Cli) -> None:
