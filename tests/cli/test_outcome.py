@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from pcwlad_geo.cli.outcome import Outcome
@@ -23,6 +24,15 @@ def test_the_table_has_displacement_before_and_residuals_after() -> None:
     assert fit.startswith("residual after, fit, px")
     assert check.split()[-3] == f"{made.accuracy['check_px'].ce90:.3f}"
     assert check.split()[-1] == f"{made.accuracy['check_m'].ce90:.2f}"
+
+
+def test_there_is_no_column_of_metres_where_they_are_not_known() -> None:
+    made = replace(make_registration(), px_m=None)
+    text = Outcome(summarise(made, []), {"numbers": Path("report.json")}).text()
+    (header,) = (line for line in text.splitlines() if line.startswith(" "))
+    assert header.split()[-3:] == ["RMSE", "CE90", "net"]
+    check = next(line for line in text.splitlines() if line.startswith("residual after, check"))
+    assert check.split()[-2] == f"{made.accuracy['check_px'].ce90:.3f}"
 
 
 def test_what_was_only_matched_has_no_residuals() -> None:
