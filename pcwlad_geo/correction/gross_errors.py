@@ -15,14 +15,17 @@ Bool = NDArray[np.bool_]
 NEIGHBOURS: Final = 8
 LEAST_POINTS: Final = 6
 """Fewer cannot tell which of them is wrong."""
-SCATTERS: Final = 3.5
-"""Times the robust scatter of all points about their neighbours (about six sigmas)."""
+SCATTERS: Final = 6.11
+"""Times the robust scatter, per axis, of all points about their neighbours."""
 SIGMAS: Final = 4.0
 """Times a point's own sigma, where it has one."""
 ROUNDS: Final = 4
 LEAST_PX: Final = 1e-3
 _STEPS: Final = 50
-_TO_SIGMA: Final = 1.4826
+_SIGMA_OF_MEDIAN_SIZE: Final = 1.4826
+"""Standard deviation of normal errors by the median of their absolute values,"""
+_SIGMA_OF_MEDIAN_LENGTH: Final = 0.8493
+"""and, per axis, by the median of their lengths, which are Rayleigh-distributed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,13 +66,13 @@ def agreement(predicted_px: Array, observed_px: Array, sigma_px: Array | None = 
     for _ in range(ROUNDS):
         apart_px = _apart(predicted_px, residual_px, kept)
         size_px = np.linalg.norm(apart_px, axis=1)
-        scatter_px = _TO_SIGMA * float(np.median(size_px[kept]))
+        scatter_px = _SIGMA_OF_MEDIAN_LENGTH * float(np.median(size_px[kept]))
         again = size_px <= np.maximum(np.maximum(SCATTERS * scatter_px, SIGMAS * own), LEAST_PX)
         if (again == kept).all() or again.sum() < LEAST_POINTS:
             break
         kept = again
     # The median of k neighbours has a variance of its own, π/2k of a point's.
-    per_axis_px = _TO_SIGMA * float(np.median(np.abs(apart_px[kept])))
+    per_axis_px = _SIGMA_OF_MEDIAN_SIZE * float(np.median(np.abs(apart_px[kept])))
     neighbours = min(NEIGHBOURS, int(kept.sum()) - 1)
     sigma = per_axis_px / np.sqrt(1 + np.pi / (2 * neighbours))
     return Agreement(kept, linear, max(float(sigma), LEAST_PX), unexplained)

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from pcwlad_geo.matching.field import SIGMA_OF_MEDIAN_DISTANCE
+
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
@@ -21,8 +23,11 @@ NEIGHBOURS: Final = 12
 WIDE_PX: Final = 6.0
 NARROW_PX: Final = 2.0
 LEAST_NARROW_PX: Final = 0.25
-SCATTERS: Final = 4.5
+SCATTERS: Final = 7.856
+"""Times the scatter of the survivors, per axis, about their neighbours. Tuned, not derived: wide, as a field
+that is not smooth scatters its points too."""
 SIGMAS: Final = 3.0
+"""Times a point's own radial sigma."""
 LEAST_SUPPORT: Final = 1 / 3
 """Share of the neighbours that must agree with a point within the wide, then the narrow limit."""
 ROUNDS: Final = 6
@@ -57,6 +62,15 @@ def consistent(xy_px: Float64, displacement_px: Float64, sigma_px: Float64, wind
     return _with_their_surroundings(xy_px, displacement_px, sigma_px, kept, window_px / 2)
 
 
+def axis_sigma_px(distance_px: Float64) -> float:
+    """Return the robust standard deviation per axis of round normal errors from their (n,) lengths.
+
+    Lengths are Rayleigh-distributed: their median is √(2 ln 2) = 1.1774 standard deviations of an axis. (The
+    familiar 1.4826 times the median absolute deviation is for a single axis.)
+    """
+    return SIGMA_OF_MEDIAN_DISTANCE * float(np.median(distance_px))
+
+
 def _one_round(xy: Float64, displacement: Float64, sigma: Float64, kept: Bool, narrow: bool) -> Bool:
     index = np.flatnonzero(kept)
     if len(index) < 4:
@@ -68,8 +82,7 @@ def _one_round(xy: Float64, displacement: Float64, sigma: Float64, kept: Bool, n
     residual = np.linalg.norm(own - np.median(around, axis=1), axis=1)
     limit = np.full(len(index), WIDE_PX)
     if narrow:
-        scatter = 1.4826 * float(np.median(residual))
-        width = np.maximum(SCATTERS * scatter, SIGMAS * sigma[index])
+        width = np.maximum(SCATTERS * axis_sigma_px(residual), SIGMAS * sigma[index])
         limit = np.clip(width, LEAST_NARROW_PX, NARROW_PX)
     agreeing = (np.linalg.norm(around - own[:, None, :], axis=2) < np.maximum(limit, 1.0)[:, None]).mean(
         axis=1
@@ -101,8 +114,7 @@ def _with_their_surroundings(
     _, nearest = cKDTree(centres).query(centres, k=min(CELLS_AROUND + 1, len(cells)))
     around = np.median(medians[nearest[:, 1:]], axis=1)
     residual = np.linalg.norm(moved - around[cell_of], axis=1)
-    scatter = 1.4826 * float(np.median(residual))
-    width = np.maximum(SCATTERS * scatter, SIGMAS * sigma[index])
+    width = np.maximum(SCATTERS * axis_sigma_px(residual), SIGMAS * sigma[index])
     result = np.zeros_like(kept)
     result[index] = residual < np.clip(width, LEAST_NARROW_PX, WIDE_PX)
     return result

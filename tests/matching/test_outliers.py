@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.outliers import consistent
+from pcwlad_geo.matching.outliers import NEIGHBOURS, SCATTERS, axis_sigma_px, consistent
 
 SIDE, WINDOW, SIGMA = 800.0, 81, 0.05
 
@@ -90,3 +90,27 @@ def test_the_answer_does_not_depend_on_order_or_place() -> None:
     order = np.random.default_rng(9).permutation(300)
     np.testing.assert_array_equal(judged(xy[order], noise[order]), kept[order])
     np.testing.assert_array_equal(judged(xy, noise + 100.0), kept)
+
+
+def test_the_scatter_is_the_standard_deviation_of_an_axis() -> None:
+    """Lengths of round normal errors: 1.4826 times their median would be 1.75 standard deviations."""
+    rng = np.random.default_rng(5)
+    for sigma_px in (0.05, 0.4):
+        length_px = np.linalg.norm(rng.normal(0, sigma_px, (200_000, 2)), axis=1)
+        assert axis_sigma_px(length_px) == pytest.approx(sigma_px, rel=0.01)
+        length_px[::10] = 50.0  # gross errors hardly change it
+        assert axis_sigma_px(length_px) == pytest.approx(sigma_px, rel=0.15)
+
+
+def test_the_narrow_limit_is_so_many_of_them() -> None:
+    """A point just within the limit stays, one just beyond it goes."""
+    rng = np.random.default_rng(6)
+    xy = rng.uniform(0, 2000, (4000, 2))
+    moved = rng.normal(0, 0.08, (4000, 2))
+    tested = rng.choice(4000, 60, replace=False)
+    about_px = 0.08 * np.sqrt(1 + np.pi / 2 / NEIGHBOURS)  # the median of the neighbours errs too
+    for factor, stays in ((0.8, True), (1.25, False)):
+        shifted = moved.copy()
+        shifted[tested] = [factor * SCATTERS * about_px, 0.0]
+        kept = consistent(xy, shifted, np.full(4000, 0.05), 41)
+        assert kept[tested].all() if stays else not kept[tested].any()
