@@ -18,6 +18,7 @@ from affine import Affine
 
 import pcwlad_geo
 from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.shared_plane import share_plane
 from pcwlad_geo.raster.source import describe
 from tests.scenes import make_grid, render, write
@@ -121,3 +122,14 @@ def test_a_file_without_a_geotransform_has_no_place(tmp_path: Path) -> None:
     plain = describe(write(tmp_path / "tgt.tif", render(REFERENCE), None))
     assert share_plane(reference, plain) == (reference, plain, ())
     assert share_plane(plain, reference) == (plain, reference, ())
+
+
+def test_planes_that_lie_apart_are_told(tmp_path: Path) -> None:
+    apart = without_crs(make_grid((210, 210), offset_m=(90_000, 0)))
+    pair = [
+        describe(write(tmp_path / name, render(REFERENCE), grid))
+        for name, grid in (("ref.tif", without_crs(REFERENCE)), ("tgt.tif", apart))
+    ]
+    reference, target, _ = share_plane(*pair)
+    with pytest.raises(pcwlad_geo.InputError, match=r"do not overlap: in the plane .*-unsetgt removes it"):
+        plan_views(reference, target)

@@ -178,12 +178,17 @@ def _overlap(reference: RasterInfo, target: RasterInfo) -> shapely.Geometry:
         common = _mapped(seen.intersection(_rectangle(target.grid)), target.grid, reference.grid)
     if common.area < 1.0:
         raise InputError(
-            f"the rasters do not overlap: in {name_of(reference.grid.crs)}, {reference.uri} covers "
+            f"the rasters do not overlap: in {_plane(reference.grid)}, {reference.uri} covers "
             f"{_extent(reference.grid, reference.grid)} and {target.uri} covers "
             f"{_extent(target.grid, reference.grid)}: "
-            f"give two rasters of the same ground, or correct their georeferencing"
+            "give two rasters of the same ground, or correct their georeferencing"
+            + ("" if reference.grid.crs else " (gdal_edit.py -unsetgt removes it)")
         )
     return common
+
+
+def _plane(grid: Grid) -> str:
+    return name_of(grid.crs) if grid.crs else "the plane of their geotransforms"
 
 
 def _footprint(grid: Grid, onto: Grid) -> shapely.Geometry | None:

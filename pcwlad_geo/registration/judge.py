@@ -21,6 +21,8 @@ CELL_PER_WINDOW: Final = 0.75
 AGREE_PX: Final = 2.0
 LEAST_SIGNIFICANCE: Final = 6.0
 """-log10 of the probability that unrelated images show such agreement."""
+MOSTLY: Final = 0.75
+"""Where such a share of the places agrees, it is their number that does not suffice."""
 AT_BORDER: Final = 0.25
 """Share of the candidates whose best match lies on the edge of the search that is many."""
 CHANCE_FACTOR: Final = 2.0
@@ -69,7 +71,7 @@ def judge(
     accepted = bool(enough and significance >= LEAST_SIGNIFICANCE)
     if accepted:
         return Verdict(True, None, cells, agreeing, significance)
-    nothing = _nothing_to_match(counts)
+    nothing = _nothing_to_match(counts) or _too_few(int(kept.sum()), agreeing, cells)
     by_chance = (
         f"only {int(kept.sum())} of {counts.get('candidates', 0)} candidates agree with their neighbours, in "
         f"{agreeing} of {cells} separate places, no better than chance"
@@ -114,6 +116,17 @@ def _nothing_to_match(counts: dict[str, int]) -> str | None:
     if counts.get("not_comparable", 0) > 0.9 * candidates:
         return "almost no window has enough valid pixels in both images; check masks, nodata and overlap"
     return None
+
+
+def _too_few(points: int, agreeing: int, cells: int) -> str | None:
+    """Return why points that agree are too few all the same; None where they do not agree."""
+    if agreeing < MOSTLY * cells or agreeing == 0:
+        return None
+    return (
+        f"{points} tie points agree, in {agreeing} of {cells} separate places, and so few say too little "
+        f"(at least {LEAST_POINTS} points are needed, and some more places than {LEAST_CELLS}): use rasters "
+        "that share more ground, masks that exclude less, or a smaller --window"
+    )
 
 
 def _beyond(counts: dict[str, int]) -> bool:

@@ -215,8 +215,8 @@ def _match(pair: ViewPair, look: Look, settings: Settings, log: JobLog, runner: 
             if prealignment.method == "search" and pair.georeferenced:
                 col, row = prealignment.shift_px
                 log.warn(
-                    f"the georeferencing is off by about ({col:.0f}, {row:.0f}) px (col, row): "
-                    "found by a search"
+                    f"the georeferencing is off by about ({col:.0f}, {row:.0f}) px (col, row; of the "
+                    "coarser raster): found by a search"
                 )
             return result
     if result is None:

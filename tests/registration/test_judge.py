@@ -58,6 +58,17 @@ def test_too_few_points_are_refused_however_well_they_agree() -> None:
     assert not verdict(matches(LEAST_POINTS - 1, 300, right=1.0)).accepted
 
 
+@pytest.mark.parametrize(("n", "side_px"), [(LEAST_POINTS - 1, 300), (200, 40)])
+def test_points_that_agree_and_are_too_few_are_not_called_chance(n: int, side_px: float) -> None:
+    """A radius raised would not help them: there is no more ground."""
+    found = verdict(matches(n, side_px, right=1.0))
+    assert not found.accepted
+    assert f"{n} tie points agree" in (found.reason or "")
+    assert "share more ground" in (found.reason or "")
+    assert "chance" not in (found.reason or "")
+    assert found.beyond is None
+
+
 def test_an_affine_field_counts_as_agreement() -> None:
     points, kept = matches(200, 400, right=1.0)
     tilted = points.reference_xy_px @ np.array([[1.02, 0.01], [-0.015, 0.98]]).T + [3, -2]
