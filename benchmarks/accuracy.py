@@ -26,6 +26,7 @@ from benchmarks.studies.difference import difference
 from benchmarks.studies.field import displacement_field
 from benchmarks.studies.models import models
 from benchmarks.studies.paper import paper
+from benchmarks.studies.quality import quality
 from benchmarks.studies.refusal import refusal
 from benchmarks.studies.robustness import robustness
 from benchmarks.studies.rpc import rpc
@@ -48,6 +49,7 @@ STUDIES: dict[str, Study] = {
     "bands": bands,
     "rpc": rpc,
     "refusal": refusal,
+    "quality": quality,
     "windows": windows,
     "tiles": tiles,
     "models": models,

@@ -17,6 +17,7 @@ from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.registration.quality import Quality
 from pcwlad_geo.registration.result import Prealignment, Registration
 from pcwlad_geo.registration.settings import Settings
 
@@ -69,6 +70,7 @@ def make_registration(status: str = "registered", name: str = "b10.tif", n: int 
         counts={"candidates": 1000, "matched": 300, "consistent": n},
         seconds={"matching": 1.23456, "fit": 0.01},
         settings=Settings(),
+        quality=Quality("good", (), 0.12, 0.0, 0.9) if fitted else None,
     )
 
 

@@ -60,6 +60,8 @@ class PairOutcome:
             "rejected": counts.get("rejected"),
             "d_col_px": displacement[0],
             "d_row_px": displacement[1],
+            "quality": (report.get("quality") or {}).get("grade"),
+            "expected_ce90_px": (report.get("quality") or {}).get("expected_ce90_px"),
             "model": (report.get("model") or {}).get("name"),
             "accuracy_at": group,
             "rmse_px": px.get("rmse"),

@@ -12,6 +12,7 @@ from pcwlad_geo.cli.columns import columns
 
 FIGURES = (
     "status",
+    "quality",
     "passed",
     "requirements",
     "tie_points",
@@ -71,7 +72,7 @@ class Outcome:
             col, row = displacement["median"]
             lines.append(f"median displacement: {col:+.3f} px in column, {row:+.3f} px in row")
         lines += self._accuracy()
-        lines += self._table()
+        lines += self._table() + self._quality()
         lines += self._requirements()
         lines.append(f"report: {self.paths.get('report', self.paths['numbers'])}")
         return "\n".join(lines) + "\n"
@@ -86,6 +87,15 @@ class Outcome:
                 )
                 return [f"accuracy at {px['n']} {group} points: RMSE {rmse}, CE90 {ce90}"]
         return []
+
+    def _quality(self) -> list[str]:
+        """Return the line of the grade; the warnings have told the reasons."""
+        quality = self.summary.get("quality")
+        if not quality:
+            return []
+        expected, metres = quality["expected_ce90_px"], quality["expected_ce90_m"]
+        size = f"{expected:.2f} px" + (f" ({metres:.2f} m)" if metres is not None else "")
+        return [f"quality: {quality['grade']}; 90 % of the common ground is expected to lie within {size}"]
 
     def _requirements(self) -> list[str]:
         """Return a line for each requirement, and the verdict."""

@@ -8,7 +8,6 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from pcwlad_geo.correction.accuracy import Accuracy
 from pcwlad_geo.correction.check_points import hold_out
@@ -22,9 +21,6 @@ Float64 = NDArray[np.float64]
 
 ORDERS: Mapping[str, tuple[str, ...]] = MappingProxyType({"polynomial": ("polynomial2", "polynomial3")})
 """Candidates of the option that leaves the order open."""
-NEIGHBOURS = 8
-NOISE_SHARE = 0.5
-"""Neighbours whose residuals differ by more than this share of their size do not share them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,26 +79,6 @@ def fit_correction(
     residual = table.target_px - selection.fit.correction.forward(table.predicted_px)
     done = replace(table, status=status, residual_px=residual)
     return Fitted(done, selection, _accuracy(done, sizes_m))
-
-
-def shared_residual_px(table: TiePointTable) -> float:
-    """Return the size of the residuals (68 % are below) where neighbours share them, 0 where they are noise.
-
-    The points' sigmas cannot tell: a field too rough for its neighbours to predict raises them as noise does.
-
-    Parameters
-    ----------
-    table : TiePointTable
-        With residuals.
-    """
-    points = table.select("fit", "check")
-    if len(points) <= NEIGHBOURS:
-        return 0.0
-    _, near = cKDTree(points.predicted_px).query(points.predicted_px, k=NEIGHBOURS + 1)
-    around = np.median(points.residual_px[near[:, 1:]], axis=1)
-    size = np.percentile(np.linalg.norm(points.residual_px, axis=1), 68)
-    noise = np.percentile(np.linalg.norm(points.residual_px - around, axis=1), 68)
-    return float(size) if noise < NOISE_SHARE * size else 0.0
 
 
 def _accuracy(table: TiePointTable, sizes_m: Float64 | None) -> dict[str, Accuracy]:

@@ -49,6 +49,11 @@ class MatchRecord:
     thinned_px: Array = field(default_factory=lambda: np.empty((0, 2)))
     """(t, 2) tie points left out because fewer were wanted."""
 
+    def common_px(self, shape: tuple[int, int]) -> Array:
+        """Return (n, 2) places (col, row) spread over a reference of this shape that both bands show."""
+        places, _ = _places(shape)
+        return places[self.ground.ravel() < GROUND.index("reference_without_data")]
+
     @property
     def searched(self) -> bool:
         """Whether anything was matched; the points are another's otherwise."""

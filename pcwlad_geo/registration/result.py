@@ -16,6 +16,7 @@ from pcwlad_geo.requirements import RequirementResult
 
 if TYPE_CHECKING:
     from pcwlad_geo.registration.match_record import MatchRecord
+    from pcwlad_geo.registration.quality import Quality
     from pcwlad_geo.registration.rpc_target import RpcRegistration
 
 Status = Literal["registered", "rejected", "matched"]
@@ -63,6 +64,8 @@ class Registration:
     """How the correction was chosen, and its precision anywhere; None where there is none."""
     rpc: RpcRegistration | None = None
     """The target's RPC, where that places it."""
+    quality: Quality | None = None
+    """How good the registration is; None where rejected, or only matched."""
     record: MatchRecord | None = None
     """What the matching did where; None where that is not known."""
     requirements: tuple[RequirementResult, ...] = ()

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.thinning import thin
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
-from pcwlad_geo.raster.locate import locate, overlap_middle_px
+from pcwlad_geo.raster.locate import locate, overlap_middle_px, predict_target_px
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.rpc_grid import levelled
 from pcwlad_geo.raster.rpc_view import Placed, plan_rpc_views
@@ -22,7 +23,7 @@ from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.advice import refusal
-from pcwlad_geo.registration.fitting import Fitted, fit_correction, shared_residual_px
+from pcwlad_geo.registration.fitting import Fitted, fit_correction
 from pcwlad_geo.registration.given_points import footprint_px, points_of_file
 from pcwlad_geo.registration.inputs import resolve
 from pcwlad_geo.registration.job_log import JobLog
@@ -32,15 +33,15 @@ from pcwlad_geo.registration.match_record import MatchRecord, record_ground
 from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search, look_at
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
+from pcwlad_geo.registration.quality import Quality, assess
 from pcwlad_geo.registration.result import Prealignment, Registration
 from pcwlad_geo.registration.rpc_target import MODELS, check_start, corrected_rpc, place_target, shifted
 from pcwlad_geo.registration.scene import Matched, match_scene
 from pcwlad_geo.registration.settings import VRT_MODELS, Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
 
-PARALLAX_PX = 0.5
-"""Residuals that neighbours share are worth a warning where a third of them exceed this."""
-
+COMMON_STEP = 3
+"""One of so many places of the common ground is asked what error is expected there."""
 MOST_REFERENCE_MISFIT_PX = 0.05
 """Of ground control points."""
 NEARER = 2
@@ -48,6 +49,7 @@ NEARER = 2
 NEAR_PX = 0.5
 """as long as it lies farther than this from where it was taken to be, target px."""
 
+Float64 = NDArray[np.float64]
 PathLike = str | os.PathLike[str]
 
 
@@ -107,8 +109,10 @@ def run(
     every, found = found.table, _only_wanted(found, settings)
     table = found.table
     px_m = pixel_size_m(levelled(tgt.grid), overlap_middle_px(pair, tgt))
+    verdict = found.verdict
     fitted: Fitted | None = None
-    if found.verdict.accepted and not match_only:
+    quality: Quality | None = None
+    if verdict.accepted and not match_only:
         with log.stage("fitting"):
             on_event(Progress("fitting", 0, 1))
             footprint = settings.window * float(file_px_per_px(pair.target)[0])
@@ -117,12 +121,19 @@ def run(
             candidates = MODELS if placed else VRT_MODELS if settings.of.upper() == "VRT" else CANDIDATES
             sizes_m = pixel_sizes_m(levelled(tgt.grid), table.predicted_px)
             fitted = fit_correction(table, settings, footprint, sizes_m, tgt.grid.shape, candidates)
-            _warn_of_parallax(fitted, log)
+            places = _common_px(found.record, pair, tgt)
+            quality = assess(fitted.table, every, fitted.selection, places, footprint)
             on_event(Progress("fitting", 1, 1))
-    status = "rejected" if not found.verdict.accepted else "matched" if match_only else "registered"
+        if quality.refusal and not settings.tie_points:
+            verdict = replace(verdict, accepted=False, reason=quality.refusal)
+            fitted, quality = None, None
+        else:
+            for reason in quality.reasons:
+                log.warn(reason.text)
+    status = "rejected" if not verdict.accepted else "matched" if match_only else "registered"
     return Registration(
         status=status,  # type: ignore[arg-type]  # one of three literals
-        reason=found.verdict.reason,
+        reason=verdict.reason,
         warnings=tuple(log.warnings),
         reference=ref,
         target=tgt,
@@ -136,6 +147,7 @@ def run(
         seconds=log.seconds,
         settings=settings,
         selection=fitted.selection if fitted else None,
+        quality=quality,
         record=found.record,
         rpc=corrected_rpc(placed, fitted.correction if fitted else None) if placed else None,
     )
@@ -275,15 +287,14 @@ def _table(matched: Matched, pair: ViewPair, original: RasterInfo) -> TiePointTa
     return replace(table, status=np.where(matched.kept, "matched", "rejected"))
 
 
-def _warn_of_parallax(fitted: Fitted, log: JobLog) -> None:
-    """Tell where points agree with their neighbours but not with any model: relief, another viewpoint."""
-    spread = shared_residual_px(fitted.table)
-    if spread > PARALLAX_PX:
-        log.warn(
-            f"local displacements of {spread:.1f} px (68 % of the points) remain that the "
-            f"{fitted.correction.name} model does not take out: parallax of another viewpoint, relief or "
-            "sensor jitter; the corrected raster is off by as much"
-        )
+def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo) -> Float64:
+    """Return (n, 2) target px that the original georeferencing predicts for the ground in common."""
+    if record is None:
+        return np.empty((0, 2))
+    original = replace(pair, target=replace(pair.target, info=target))
+    reference = pair.reference.info.grid.shape
+    predicted = predict_target_px(record.common_px(reference)[::COMMON_STEP], original)
+    return predicted[np.isfinite(predicted).all(axis=1)]
 
 
 def _control_point_notes(reference: RasterInfo, target: RasterInfo) -> list[str]:

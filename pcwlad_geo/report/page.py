@@ -92,8 +92,8 @@ def compose(
 
 def words(status: Status, summary: Mapping[str, Any]) -> Content:
     """Return the part of the content that follows from the summary alone."""
-    given = answers(summary)
-    return {**summary, "headline": headline(status, given, summary["passed"]), "answers": given}
+    grade = (summary["quality"] or {}).get("grade")
+    return {**summary, "headline": headline(status, grade, summary["passed"]), "answers": answers(summary)}
 
 
 def warp_line(gcps_vrt: str) -> str:

@@ -52,7 +52,7 @@ def _figure(registration: Registration, name: str) -> float | str | None:
         return round(1.0 - empty, SHARE_DIGITS)
     if name == "model":
         return registration.correction.name.rstrip("23") if registration.correction else None
-    return None  # `quality` of the registration goes here
+    return registration.quality.grade if registration.quality else None
 
 
 def _length(registration: Registration, requirement: Requirement) -> float | str:

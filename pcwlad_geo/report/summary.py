@@ -84,6 +84,7 @@ def summarise(
             }
             for group in ("fit", "check")
         },
+        "quality": _quality(registration),
         "statistics": error_statistics(registration),
         "coverage": _coverage(registration),
         "seconds": {stage: round(value, SECONDS_DIGITS) for stage, value in registration.seconds.items()},
@@ -199,6 +200,20 @@ def _model(registration: Registration, precision: PrecisionMap | None) -> Summar
             }
             for candidate in candidates
         ],
+    }
+
+
+def _quality(registration: Registration) -> Summary | None:
+    quality, px_m = registration.quality, registration.px_m
+    if quality is None:
+        return None
+    expected = quality.expected_ce90_px
+    return {
+        "grade": quality.grade,
+        "reasons": [reason.text for reason in quality.reasons],
+        "expected_ce90_px": round(expected, PX_DIGITS),
+        "expected_ce90_m": None if px_m is None else round(expected * math.sqrt(px_m[0] * px_m[1]), M_DIGITS),
+        "extrapolated_share": round(quality.extrapolated_share, 3),
     }
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
+from pcwlad_geo.registration.quality import FAIR_PX, GOOD_PX, Grade
 from pcwlad_geo.registration.result import Status
 
 ENOUGH_CHECK_POINTS: Final = 30
 """ASPRS Positional Accuracy Standards, 2023."""
-FINE_PX, POOR_PX = 0.5, 1.0
-"""CE90 up to which a registration counts as sub-pixel, and beyond which it is poor."""
 UNEVEN: Final = 1.5
 """Check points so many times worse than fit points tell of a model that does not hold between them."""
 NOISY: Final = 0.3
@@ -50,8 +49,15 @@ class Headline:
         return MARKS[self.state]
 
 
-def headline(status: Status, given: Sequence[Answer], passed: bool | None = None) -> Headline:
-    """Return the verdict, as good as the worst of the answers to a registered pair.
+HEADLINES: Final[Mapping[Grade, Headline]] = {
+    "good": Headline("Registered", "good"),
+    "fair": Headline("Registered, with care", "caution"),
+    "poor": Headline("Registered, poorly", "bad"),
+}
+
+
+def headline(status: Status, grade: Grade | None, passed: bool | None = None) -> Headline:
+    """Return the verdict: that of the grade for a registered pair.
 
     `passed` is whether the requirements are met, None where there are none.
     """
@@ -61,10 +67,7 @@ def headline(status: Status, given: Sequence[Answer], passed: bool | None = None
         return Headline(f"{status.capitalize()}, but a requirement is not met", "bad")
     if status == "matched":
         return Headline("Tie points matched", "good")
-    state: State = max((answer.state for answer in given), key=list(MARKS).index, default="caution")
-    return Headline(
-        {"good": "Registered", "caution": "Registered, with care", "bad": "Registered, poorly"}[state], state
-    )
+    return HEADLINES[grade or "fair"]
 
 
 def answers(summary: Mapping[str, Any]) -> list[Answer]:
@@ -92,7 +95,10 @@ def _how_well(summary: Mapping[str, Any], judged: Mapping[str, Any]) -> Answer:
         text += "; nearly all of what is left is noise of the matching itself."
     else:
         text += f"; {_px(net)} of it once the noise of the matching is taken out."
-    state: State = "good" if ce90 <= FINE_PX else "caution" if ce90 <= POOR_PX else "bad"
+    if summary["quality"]:
+        expected = _px(summary["quality"]["expected_ce90_px"])
+        text += f" 90 % of the common ground is expected to lie within {expected}."
+    state: State = "good" if ce90 <= GOOD_PX else "caution" if ce90 <= FAIR_PX else "bad"
     if ce90 >= before:
         state = "bad" if state == "bad" else "caution"
         text += " The correction improves nothing."

@@ -9,7 +9,7 @@ import pytest
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.tie_point_table import Array, TiePointTable
-from pcwlad_geo.registration.fitting import fit_correction, shared_residual_px
+from pcwlad_geo.registration.fitting import fit_correction
 from pcwlad_geo.registration.settings import Settings
 from tests.registrations import make_registration
 
@@ -120,15 +120,3 @@ def test_few_points_still_fit() -> None:
     fitted = fit_correction(table_of(16), Settings(), 41.0, None)
     assert fitted.accuracy["fit_px"].rmse < 1
     assert (fitted.table.status == "fit").sum() >= 8
-
-
-def test_residuals_that_neighbours_share_are_told_from_noise() -> None:
-    fitted = fit_correction(table_of(), Settings(), 41.0, None).table
-    assert shared_residual_px(fitted) == 0.0
-    noisy = replace(fitted, residual_px=fitted.residual_px * 10)
-    assert shared_residual_px(noisy) == 0.0
-    bumps = 2 * np.sin(2 * np.pi * fitted.predicted_px / 300)
-    relief = replace(fitted, residual_px=fitted.residual_px + bumps)
-    size = np.percentile(np.hypot(*relief.select("fit", "check").residual_px.T), 68)
-    assert shared_residual_px(relief) == pytest.approx(size)
-    assert shared_residual_px(relief[:6]) == 0.0

@@ -1,0 +1,104 @@
+"""The error to expect of a correction, against errors that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pcwlad_geo.correction.expected_error import (
+    CELLS_PER_WINDOW,
+    Residuals,
+    expected_ce90,
+    left_by_correction,
+)
+from pcwlad_geo.correction.selection import Array, Selection, choose
+
+SIGMA_PX = 0.1
+WINDOW_PX = 40.0
+
+
+def points(n: int = 400, side_px: float = 500.0, seed: int = 1) -> Array:
+    return np.random.default_rng(seed).uniform(0, side_px, (n, 2))
+
+
+def noise(n: int, seed: int = 2) -> Array:
+    return np.random.default_rng(seed).normal(0, SIGMA_PX, (n, 2))
+
+
+def fitted(xy: Array, moved: Array, model: str) -> Selection:
+    covariance = np.tile(SIGMA_PX**2 * np.eye(2), (len(xy), 1, 1))
+    return choose(xy, xy + moved, covariance, WINDOW_PX, (model,))
+
+
+def residuals_of(selection: Selection, xy: Array, moved: Array, kept: Array | None = None) -> Residuals:
+    left = xy + moved - selection.fit.correction.forward(xy)
+    return Residuals(xy, left, np.ones(len(xy), bool) if kept is None else kept.astype(bool))
+
+
+def grid(side_px: float = 500.0) -> Array:
+    axis = np.arange(5.0, side_px, 10.0)
+    return np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+
+
+def test_a_shift_that_fits_is_expected_to_hold() -> None:
+    xy = points()
+    moved = np.array([1.5, -0.5]) + noise(len(xy))
+    selection = fitted(xy, moved, "shift")
+    expected = expected_ce90(selection, residuals_of(selection, xy, moved), grid(), WINDOW_PX)
+    true = np.linalg.norm(selection.fit.correction.forward(grid()) - grid() - [1.5, -0.5], axis=1).max()
+    assert true < expected < 0.25
+
+
+def test_displacements_that_the_model_does_not_follow_are_expected() -> None:
+    """Waves of 2 px on which a shift is fitted: the truth is known everywhere."""
+
+    def waves(at: Array) -> Array:
+        return np.asarray(2 * np.sin(2 * np.pi * at[:, ::-1] / 400))
+
+    xy = points()
+    moved = waves(xy) + noise(len(xy))
+    selection = fitted(xy, moved, "shift")
+    error = selection.fit.correction.forward(grid()) - grid() - waves(grid())
+    true = np.percentile(np.linalg.norm(error, axis=1), 90)
+    expected = expected_ce90(selection, residuals_of(selection, xy, moved), grid(), WINDOW_PX)
+    assert expected == pytest.approx(true, rel=0.15)
+
+
+@pytest.mark.parametrize(("agree", "expected_px"), [(True, 7.0), (False, 0.2)])
+def test_rejected_matches_count_where_they_agree_among_themselves(agree: bool, expected_px: float) -> None:
+    """A second layer of the ground over a quarter of the scene; wrong matches in all directions there."""
+    xy = points(600)
+    layer = (xy < 250).all(axis=1)
+    wrong = np.array([7.0, 0.0]) if agree else np.random.default_rng(3).uniform(-12, 12, (600, 2))
+    moved = np.where(layer[:, None], wrong, 0.0) + noise(len(xy))
+    selection = fitted(xy[~layer], moved[~layer], "shift")
+    found = residuals_of(selection, xy, moved, ~layer)
+    expected = expected_ce90(selection, found, grid(), WINDOW_PX)
+    assert expected == pytest.approx(expected_px, abs=0.5 if agree else 0.2)
+
+
+def test_many_points_of_one_place_are_one_witness() -> None:
+    """One wrong peak that many overlapping windows see says nothing of the ground around it."""
+    xy = points(200)
+    middle = 18.5 * WINDOW_PX / CELLS_PER_WINDOW
+    cluster = middle + np.random.default_rng(4).uniform(-4, 4, (100, 2))
+    every = np.concatenate([xy, cluster])
+    left = np.concatenate([noise(200), np.full((100, 2), 6.0)])
+    found = Residuals(every, left, np.arange(300) < 200)
+    left = left_by_correction(found, grid(), WINDOW_PX).median_px
+    assert np.linalg.norm(left, axis=1).max() < 0.5
+
+
+def test_a_bending_correction_is_expected_to_err_beyond_its_points() -> None:
+    def waves(at: Array) -> Array:
+        return np.asarray(2 * np.sin(2 * np.pi * at[:, ::-1] / 300))
+
+    xy = points(300, 200.0)
+    moved = waves(xy) + noise(len(xy))
+    selection = fitted(xy, moved, "polynomial3")
+    found = residuals_of(selection, xy, moved)
+    inside, everywhere = (
+        expected_ce90(selection, found, places, WINDOW_PX) for places in (grid(200.0), grid(500.0))
+    )
+    assert inside < 0.5
+    assert everywhere > 2.0
