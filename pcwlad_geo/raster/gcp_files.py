@@ -29,7 +29,10 @@ def write_points(
         QGIS wants the layer's coordinates of a georeferenced source, (col, -row) otherwise.
     target_grid : Grid
         Original grid of the target.
+
+    Points without a place are left out, as in all files of control points.
     """
+    table = table.placed
     if target_info_georeferenced:
         source_xy = target_grid.to_xy(table.target_px)
     else:
@@ -58,7 +61,7 @@ def write_envi(table: TiePointTable, path: Path, reference_name: str, target_nam
     reference_name, target_name : str
         Names of the base and the warp file, for the header.
     """
-    used = table[table.status != "rejected"]
+    used = table[table.status != "rejected"].placed
     lines = [
         "; ENVI Image to Image GCP File",
         f"; base file: {reference_name}",

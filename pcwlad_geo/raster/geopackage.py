@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
 
@@ -38,7 +38,7 @@ def write(table: TiePointTable, path: Path, target_grid: Grid | None = None) -> 
     Parameters
     ----------
     table : TiePointTable
-        All its points are written, rejected ones too.
+        All its points are written, rejected ones too; what has no place on the map has no geometry.
     path : pathlib.Path
         The file to write.
     target_grid : Grid, optional
@@ -54,11 +54,12 @@ def write(table: TiePointTable, path: Path, target_grid: Grid | None = None) -> 
     from pyogrio.errors import DataLayerError, DataSourceError
 
     seen_xy = observed_xy(table, target_grid)
+    lines_xy = np.stack([table.xy, seen_xy], axis=1)
     layers = {
-        "tie_points": ("Point", shapely.points(table.xy)),
-        "displacements": ("LineString", shapely.linestrings(np.stack([table.xy, seen_xy], axis=1))),
+        "tie_points": ("Point", _geometry(shapely.points, table.xy)),
+        "displacements": ("LineString", _geometry(shapely.linestrings, lines_xy)),
     }
-    kept = table.status != "rejected"
+    kept = (table.status != "rejected") & np.isfinite(lines_xy).all(axis=(1, 2))
     arrows = qgis_styles.arrows_style(qgis_styles.enlargement(table.xy[kept], seen_xy[kept]))
     styles = {"tie_points": qgis_styles.points_style(), "displacements": arrows}
     columns = tie_point_csv.columns_of(table)
@@ -79,6 +80,14 @@ def write(table: TiePointTable, path: Path, target_grid: Grid | None = None) -> 
             _add_styles(database, styles)
     except (DataSourceError, DataLayerError, sqlite3.Error, OSError) as error:
         raise OutputError(f"cannot write {path}: {error}; is the disk full?") from error
+
+
+def _geometry(make: Callable[[Array], NDArray[np.object_]], coordinates: Array) -> NDArray[np.object_]:
+    """Make a geometry of each of (n, …) coordinates; None where one of them is not known."""
+    known = np.isfinite(coordinates).all(axis=tuple(range(1, coordinates.ndim)))
+    geometry = np.full(len(coordinates), None, dtype=object)
+    geometry[known] = make(coordinates[known])
+    return geometry
 
 
 def observed_xy(table: TiePointTable, target_grid: Grid | None = None) -> Array:

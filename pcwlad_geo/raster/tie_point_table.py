@@ -52,6 +52,12 @@ class TiePointTable:
         """(n, 2) standard deviation of target_px per axis."""
         return np.sqrt(np.diagonal(self.covariance_px2, axis1=1, axis2=2))
 
+    @property
+    def placed(self) -> TiePointTable:
+        """The rows that have a place in both files and on the map: what a ground control point needs."""
+        places = np.column_stack([self.reference_px, self.target_px, self.xy])
+        return self[np.asarray(np.isfinite(places).all(axis=1))]
+
     def select(self, *statuses: str) -> TiePointTable:
         """Return the rows whose status is one of those named."""
         return self[np.isin(self.status, statuses)]

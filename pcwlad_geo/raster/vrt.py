@@ -156,7 +156,7 @@ def write_gcps_vrt(
     for item in tree.iter("MDI"):
         if item.get("key") == "AREA_OR_POINT":
             item.text = "Area"
-    tree.insert(0, _gcp_list(table[table.status != "rejected"], crs))
+    tree.insert(0, _gcp_list(table[table.status != "rejected"].placed, crs))
     write(tree, path)
 
 
