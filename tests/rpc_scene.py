@@ -15,7 +15,7 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.rpc import RPC
 
-from pcwlad_geo.correction.rpc_model import TERMS, RpcModel
+from pcwlad_geo.correction.rpc_model import TERMS, RpcModel, polynomial_terms
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.dem import WGS84, Dem, Undulation
 from pcwlad_geo.raster.grid import Grid
@@ -30,6 +30,7 @@ UNDULATION_M = 45.0
 HEIGHT_OFF_M = 400.0
 PX_PER_M = np.array([0.02, -0.008])
 """How far a metre of height moves the image, about."""
+OBLIQUE_PX_PER_M = np.array([0.04, -0.05])
 
 
 def make_rpc(**changes: float) -> RpcModel:
@@ -124,3 +125,58 @@ def write_pair(folder: Path, displacement_px: ArrayLike = (2.6, -1.4)) -> tuple[
     seen = render(rpc_grid(dem), displacement_px=displacement_px)
     values = np.clip(np.rint(seen * 200), 1, 65535).astype(np.uint16)
     return reference, write_image(folder / "image.tif", values, make_rpc()), dem
+
+
+def renormalised(
+    rpc: RpcModel, middle: ArrayLike, reach: ArrayLike, away_px: tuple[float, float] = (0.0, 0.0)
+) -> RpcModel:
+    """Return the same mapping with other offsets and scales.
+
+    Parameters
+    ----------
+    rpc : RpcModel
+    middle : (3,) array
+        Where the new normalised longitude, latitude, height -1 to 1 has its middle, in the old ones' units.
+    reach : (3,) array
+        How many of the old ones' units the new ones are.
+    away_px : (float, float)
+        Columns and rows by which the new image offsets lie before the old.
+    """
+    middle, reach = np.asarray(middle, dtype=np.float64), np.asarray(reach, dtype=np.float64)
+    axes = np.meshgrid(*[np.linspace(-1.0, 1.0, 6)] * 3, indexing="ij")
+    old = np.stack([axis.ravel() for axis in axes], axis=1)
+    old_terms, new_terms = polynomial_terms(old), polynomial_terms((old - middle) / reach)
+    polynomials = {
+        "samp_num_coeff": rpc.samp_num_coeff + away_px[0] / rpc.samp_scale * np.array(rpc.samp_den_coeff),
+        "line_num_coeff": rpc.line_num_coeff + away_px[1] / rpc.line_scale * np.array(rpc.line_den_coeff),
+        "samp_den_coeff": np.array(rpc.samp_den_coeff),
+        "line_den_coeff": np.array(rpc.line_den_coeff),
+    }
+    scale = np.array([rpc.long_scale, rpc.lat_scale, rpc.height_scale])
+    offset = np.array([rpc.long_off, rpc.lat_off, rpc.height_off]) + middle * scale
+    numbers = dict(zip(("long_off", "lat_off", "height_off"), offset.tolist(), strict=True))
+    numbers |= dict(zip(("long_scale", "lat_scale", "height_scale"), (reach * scale).tolist(), strict=True))
+    numbers |= {"samp_off": rpc.samp_off - away_px[0], "line_off": rpc.line_off - away_px[1]}
+    # cubic polynomials of one normalisation are cubic ones of the other
+    coefficients = {
+        name: tuple(np.linalg.lstsq(new_terms.T, values @ old_terms, rcond=None)[0].tolist())
+        for name, values in polynomials.items()
+    }
+    return replace(rpc, **numbers, **coefficients)
+
+
+def of_a_product(rpc: RpcModel, times: float = 25.0) -> RpcModel:
+    """Return the same mapping as a part cut from a product has it, whose RPC describes so much more ground.
+
+    The part lies to one side of that, and its pixels far from the offsets.
+    """
+    return renormalised(rpc, [-0.6 * times, 0.4 * times, -0.8], [times, times, 2.0], (6080.0, 6150.0))
+
+
+def oblique_rpc() -> RpcModel:
+    """Return an RPC that sees the scene from far aside, and whose height offset lies 2000 m below it."""
+    rpc = make_rpc()
+    samp, line = list(rpc.samp_num_coeff), list(rpc.line_num_coeff)
+    samp[3], line[3] = OBLIQUE_PX_PER_M * rpc.height_scale / [rpc.samp_scale, rpc.line_scale]
+    oblique = replace(rpc, samp_num_coeff=tuple(samp), line_num_coeff=tuple(line))
+    return renormalised(oblique, [0.0, 0.0, -4.0], [1.0, 1.0, 5.0])

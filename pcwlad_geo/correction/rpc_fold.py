@@ -22,9 +22,34 @@ NODES = (15, 15, 5)
 RIDGE = 1e-12
 """Relative to the largest singular value; 1e-6 would already cost 0.01 px."""
 CHECK_NODES = (25, 25, 7)
+WHOLE_RANGE: Array = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+"""Of normalised longitude, latitude, height."""
 
 
-def fold(rpc: RpcModel, correction: AffineCorrection) -> RpcModel:
+def covered_range(rpc: RpcModel, shape: tuple[int, int], heights_m: tuple[float, float]) -> Array:
+    """Return the (2, 3) lowest and highest normalised longitude, latitude, height that an image covers.
+
+    A part cut from a product covers little of the range, -1 to 1, of the product's RPC.
+
+    Parameters
+    ----------
+    rpc : RpcModel
+    shape : (int, int)
+        Rows and columns of the image.
+    heights_m : (float, float)
+        Lowest and highest ground, m above the ellipsoid; the RPC's own range of heights counts besides.
+    """
+    rows, cols = shape
+    lattice = (_lattice(CHECK_NODES) + 1) / 2
+    low = min(heights_m[0], rpc.height_off - abs(rpc.height_scale))
+    high = max(heights_m[1], rpc.height_off + abs(rpc.height_scale))
+    heights = low + lattice[:, 2] * (high - low)
+    ground = np.column_stack([rpc.to_ground(lattice[:, :2] * [cols, rows], heights), heights])
+    found = rpc.normalised(ground[np.isfinite(ground).all(axis=1)])
+    return WHOLE_RANGE if len(found) == 0 else np.stack([found.min(axis=0), found.max(axis=0)])
+
+
+def fold(rpc: RpcModel, correction: AffineCorrection, covered: Array | None = None) -> RpcModel:
     """Return the RPC that gives observed pixels where the original gives predicted ones.
 
     Shift and the gain of an axis go into offset and scale, exactly. What one axis adds to the other goes
@@ -35,24 +60,38 @@ def fold(rpc: RpcModel, correction: AffineCorrection) -> RpcModel:
     rpc : RpcModel
     correction : AffineCorrection
         Maps predicted to observed pixels (col, row), corner-based.
+    covered : (2, 3) array, optional
+        Lowest and highest normalised longitude, latitude, height at which it has to hold, see
+        `covered_range`; -1 to 1 by default.
     """
+    low, high = WHOLE_RANGE if covered is None else covered
+    terms = polynomial_terms((low + high) / 2 + _lattice(NODES) * (high - low) / 2)
+    samp = np.array(rpc.samp_num_coeff) @ terms / (np.array(rpc.samp_den_coeff) @ terms)
+    line = np.array(rpc.line_num_coeff) @ terms / (np.array(rpc.line_den_coeff) @ terms)
+    scale, offset = np.array([rpc.samp_scale, rpc.line_scale]), np.array([rpc.samp_off, rpc.line_off]) + 0.5
+    # About the middle of what is covered: offsets may lie far outside of the image.
+    middle = np.array([np.median(samp), np.median(line)])
+    middle_px = middle * scale + offset
     matrix = np.asarray(correction.matrix, dtype=np.float64)
-    middle = np.array([rpc.samp_off, rpc.line_off]) + 0.5
-    samp_off, line_off = (correction.forward(middle[None])[0] - 0.5).tolist()
     gain = np.diag(matrix[:, :2])
-    samp_scale, line_scale = (gain * [rpc.samp_scale, rpc.line_scale]).tolist()
+    new_offset = correction.forward(middle_px[None])[0] + gain * (offset - middle_px) - 0.5
+    new_scale = gain * scale
+    folded = replace(
+        rpc,
+        samp_off=float(new_offset[0]),
+        line_off=float(new_offset[1]),
+        samp_scale=float(new_scale[0]),
+        line_scale=float(new_scale[1]),
+    )
     # in units of its own new scale, what an axis takes from the other
-    cross = np.array([matrix[0, 1] * rpc.line_scale / samp_scale, matrix[1, 0] * rpc.samp_scale / line_scale])
-    folded = replace(rpc, samp_off=samp_off, line_off=line_off, samp_scale=samp_scale, line_scale=line_scale)
+    cross = np.array([matrix[0, 1], matrix[1, 0]]) * scale[::-1] / new_scale
     if not cross.any():
         return folded
-    terms = polynomial_terms(_lattice(NODES))
-    line = np.array(rpc.line_num_coeff) @ terms / (np.array(rpc.line_den_coeff) @ terms)
-    samp = np.array(rpc.samp_num_coeff) @ terms / (np.array(rpc.samp_den_coeff) @ terms)
+    samp_added, line_added = cross[0] * (line - middle[1]), cross[1] * (samp - middle[0])
     return replace(
         folded,
-        samp_num_coeff=_refitted(rpc.samp_num_coeff, rpc.samp_den_coeff, terms, cross[0] * line),
-        line_num_coeff=_refitted(rpc.line_num_coeff, rpc.line_den_coeff, terms, cross[1] * samp),
+        samp_num_coeff=_refitted(rpc.samp_num_coeff, rpc.samp_den_coeff, terms, samp_added),
+        line_num_coeff=_refitted(rpc.line_num_coeff, rpc.line_den_coeff, terms, line_added),
     )
 
 

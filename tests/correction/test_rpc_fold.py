@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.correction.rpc_fold import FOLD_TOLERANCE_PX, fold, fold_error_px
-from tests.rpc_scene import SHAPE, make_rpc
+from pcwlad_geo.correction.rpc_fold import FOLD_TOLERANCE_PX, covered_range, fold, fold_error_px
+from tests.rpc_scene import SHAPE, make_rpc, of_a_product
 
 HEIGHTS_M = (0.0, 800.0)
 
@@ -59,3 +59,34 @@ def test_on_the_real_rpc(shared_data: Path) -> None:
     affine = correction([[1.0003, 1e-4, 3], [-1e-4, 0.9998, -4]])
     error = fold_error_px(source.rpc, fold(source.rpc, affine), affine, (1450, 850), (150.0, 900.0))
     assert error < 1e-5
+
+
+def test_what_an_image_covers_is_where_it_lies() -> None:
+    rpc = of_a_product(make_rpc())
+    low, high = covered_range(rpc, SHAPE, HEIGHTS_M)
+    lattice = np.stack(np.meshgrid([0, 320.0], [0, 300.0]), axis=-1).reshape(-1, 2)
+    for height in HEIGHTS_M:
+        found = rpc.normalised(np.column_stack([rpc.to_ground(lattice, height), np.full(4, height)]))
+        assert (found >= low - 1e-9).all()
+        assert (found <= high + 1e-9).all()
+    assert (high - low)[0] < 0.1  # a twenty-fifth of the product, and what heights add
+
+
+def test_a_part_of_a_product_is_folded_over_the_part() -> None:
+    rpc, affine = of_a_product(make_rpc()), correction([[1.0005, 1e-3, 3.3], [-1e-3, 0.9998, -7.1]])
+    folded = fold(rpc, affine, covered_range(rpc, SHAPE, HEIGHTS_M))
+    assert fold_error_px(rpc, folded, affine, SHAPE, HEIGHTS_M) < 1e-7
+    # over the whole product, most of which is beside the image, it would be a hundred times as much
+    assert fold_error_px(rpc, fold(rpc, affine), affine, SHAPE, HEIGHTS_M) > 1e-6
+
+
+def test_on_real_parts_of_products(shared_data: Path) -> None:
+    from pcwlad_geo.raster.rpc_files import read_rpc
+
+    affine = correction([[1.0003, 1e-3, 3], [-1e-3, 0.9998, -4]])
+    for name in ("img_01", "img_02"):
+        source = read_rpc(str(shared_data / f"rpc_pair/{name}.tif"))
+        assert source is not None
+        covered = covered_range(source.rpc, (1102, 1031), (2270.0, 2377.0))
+        folded = fold(source.rpc, affine, covered)
+        assert fold_error_px(source.rpc, folded, affine, (1102, 1031), (2270.0, 2377.0)) < 1e-6
