@@ -67,6 +67,7 @@ class Options(TypedDict, total=False):
     tie_points: Path | str | None
     dem: Path | str | None
     dem_vertical: float | Path | str | None
+    trust_rpc: bool
     method: s.Method
     points: int | Literal["all"] | None
     features: int

@@ -19,6 +19,7 @@ def match(
     tgt_mask: o.TgtMask = None,
     dem: o.Dem = None,
     dem_vertical: o.DemVertical = None,
+    trust_rpc: o.TrustRpc = None,
     method: o.Method = None,
     points: o.Points = None,
     features: o.Features = None,

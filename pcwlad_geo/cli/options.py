@@ -52,7 +52,7 @@ TiePoints = Annotated[
     str | None,
     _setting("tie_points", "Fit the tie points of this file, match nothing.", metavar="FILE"),
 ]
-Dem = Annotated[str | None, _setting("dem", "Heights of the ground, for a target with RPCs.", metavar="FILE")]
+Dem = Annotated[str | None, _setting("dem", "Heights of the ground, for images with RPCs.", metavar="FILE")]
 DemVertical = Annotated[
     str | None,
     _setting(
@@ -61,6 +61,10 @@ DemVertical = Annotated[
         "tell: metres, or a geoid grid.",
         metavar="METRES|GRID",
     ),
+]
+TrustRpc = Annotated[
+    bool | None,
+    typer.Option("--trust-rpc", help="Use RPCs as they are, wherever they put an image."),
 ]
 
 Method = Annotated[s.Method | None, _setting("method", "Fine matching method.")]

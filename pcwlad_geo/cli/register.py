@@ -20,6 +20,7 @@ def register(
     tie_points: o.TiePoints = None,
     dem: o.Dem = None,
     dem_vertical: o.DemVertical = None,
+    trust_rpc: o.TrustRpc = None,
     method: o.Method = None,
     points: o.Points = None,
     features: o.Features = None,

@@ -78,13 +78,34 @@ def read_rpc(uri: str) -> RpcSource | None:
     return RpcSource(chosen, origin, warnings)
 
 
-def check_domain(source: RpcSource, uri: str, shape: tuple[int, int]) -> None:
-    """Raise where an RPC cannot be that of an image of (rows, cols).
+def check_domain(
+    source: RpcSource,
+    uri: str,
+    shape: tuple[int, int],
+    heights_m: tuple[float, float] | None = None,
+    *,
+    trusted: bool = False,
+) -> None:
+    """Raise where an RPC cannot be that of an image of (rows, cols), judged by where it puts the image.
+
+    Its offsets tell nothing: those of a part cut from a product lie far outside of the part.
+
+    Parameters
+    ----------
+    source : RpcSource
+    uri : str
+        The image's, for messages.
+    shape : (int, int)
+    heights_m : (float, float), optional
+        Lowest and highest ground, m above the ellipsoid; the RPC's own range by default.
+    trusted : bool
+        Look at the numbers only.
 
     Raises
     ------
     InputError
-        If the image reaches far beyond the lines and samples that the RPC describes, or the RPC gives none.
+        If the image lies outside of the ground that the RPC describes or has no plausible shape on it, or the
+        RPC gives no positions.
     """
     rpc = source.rpc
     middle = np.array([[rpc.long_off, rpc.lat_off, rpc.height_off]])
@@ -93,21 +114,62 @@ def check_domain(source: RpcSource, uri: str, shape: tuple[int, int]) -> None:
         raise InputError(f"the RPC in {source.origin} has a scale of zero: get it again")
     if not np.isfinite(numbers).all() or not np.isfinite(rpc.to_px(middle)).all():
         raise InputError(f"the RPC in {source.origin} holds values that are not finite: get it again")
-    for name, offset, scale, size in (
-        ("lines", rpc.line_off, abs(rpc.line_scale), shape[0]),
-        ("samples", rpc.samp_off, abs(rpc.samp_scale), shape[1]),
-    ):
-        reach = max(abs(0.0 - offset), abs(size - offset)) / scale
-        if reach > MOST_REACH:
-            raise InputError(
-                f"the RPC in {source.origin} describes {name} {offset - scale:.0f} to {offset + scale:.0f}, "
-                f"and {uri} has {name} 0 to {size}: it is that of another, a cropped or a decimated image; "
-                "give the image that it belongs to (gdal_translate keeps the two together)"
-            )
+    if trusted:
+        return
+    reach_m = abs(rpc.height_scale)
+    low, high = heights_m or (rpc.height_off - reach_m, rpc.height_off + reach_m)
+    advice = (
+        "it is that of another, a cropped or a decimated image; give the image that it belongs to "
+        "(gdal_translate keeps the two together), or --trust-rpc if you know that it is right"
+    )
+    grounds = [_ground_of(rpc, shape, height) for height in (low, (low + high) / 2, high)]
+    # at one of the heights at least: the extremes of some RPCs are far from any ground
+    if not any(_has_shape(rpc, ground) for ground in grounds):
+        raise InputError(f"the RPC in {source.origin} puts {uri} on no plausible ground: {advice}")
+    if min(_reach(rpc, ground) for ground in grounds) > MOST_REACH:
+        lon, lat = np.stack([np.nanmin(grounds[1][:, 0], axis=0), np.nanmax(grounds[1][:, 0], axis=0)]).T[:2]
+        raise InputError(
+            f"the RPC in {source.origin} describes longitude {_around(rpc.long_off, rpc.long_scale)}, "
+            f"latitude {_around(rpc.lat_off, rpc.lat_scale)}, and puts {uri} ({shape[1]} x {shape[0]} px) "
+            f"at longitude {lon[0]:.4f} to {lon[1]:.4f}, latitude {lat[0]:.4f} to {lat[1]:.4f}: {advice}"
+        )
 
 
 MOST_REACH: Final = 1.6
-"""Times the RPC's scale that the image may reach from its offset: 1 where the two belong together."""
+"""Times the RPC's scales that the image may reach on the ground from its offsets: 1 where the two belong
+together."""
+MOST_UNEVEN: Final = 16.0
+"""Times that one pixel of an image may cover the ground of another."""
+
+
+def _ground_of(rpc: RpcModel, shape: tuple[int, int], height_m: float) -> Array:
+    """Return the (5, 3, 3) ground of corners and middle, and of the pixels right of and below each."""
+    rows, cols = shape
+    places = np.array([[0, 0], [cols, 0], [cols, rows], [0, rows], [cols / 2, rows / 2]], np.float64)
+    pixels = (places[:, None] + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])).reshape(-1, 2)
+    lon_lat = rpc.to_ground(pixels, height_m)
+    return np.column_stack([lon_lat, np.full(len(pixels), height_m)]).reshape(len(places), 3, 3)
+
+
+def _has_shape(rpc: RpcModel, ground: Array) -> bool:
+    """Whether an image is seen from one side throughout, its pixels of about the same size."""
+    if not np.isfinite(ground).all():
+        return False
+    corner, right, below = np.moveaxis(rpc.normalised(ground.reshape(-1, 3)).reshape(ground.shape), 1, 0)
+    areas = np.linalg.det(np.stack([right - corner, below - corner], axis=1)[:, :, :2])
+    sizes = np.abs(areas)
+    same_side = bool((areas > 0).all() or (areas < 0).all())
+    return same_side and bool(sizes.max() <= MOST_UNEVEN * sizes.min())
+
+
+def _reach(rpc: RpcModel, ground: Array) -> float:
+    """Return how far an image reaches from the middle of what the RPC describes, in its scales."""
+    lon_lat = rpc.normalised(ground[:, 0])[:, :2]
+    return float(np.abs(lon_lat).max()) if np.isfinite(lon_lat).all() else float("inf")
+
+
+def _around(offset: float, scale: float) -> str:
+    return f"{offset - abs(scale):.4f} to {offset + abs(scale):.4f}"
 
 
 def to_gdal(rpc: RpcModel) -> dict[str, str]:

@@ -43,6 +43,8 @@ class Settings:
     dem_vertical: float | Path | str | None = None
     """Metres from the ellipsoid up to what the DEM's heights are above (0: the ellipsoid), or a file of them;
     None = the DEM's CRS tells."""
+    trust_rpc: bool = False
+    """Use RPCs as they are, also where they put an image on ground that they cannot be made for."""
     method: Method = "oriented"
     """Fine matching method."""
     points: int | Literal["all"] | None = None
@@ -128,7 +130,7 @@ class Settings:
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
         _check("ssim_min", self.ssim_min, real, "a number from -1 to below 1")
         object.__setattr__(self, "require", _texts("require", self.require))
-        for name in ("write_sigma", "pdf", "keep"):
+        for name in ("trust_rpc", "write_sigma", "pdf", "keep"):
             value = getattr(self, name)
             _check(name, value, isinstance(value, bool), "true or false")
         _check_output(self)

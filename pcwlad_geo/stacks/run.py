@@ -47,7 +47,8 @@ NOT_HERE: Final = {
     **dict.fromkeys(("ref_mask", "tgt_mask"), "is for a single pair: give mask"),
     "tie_points": "is for register: a stack is measured by matching it",
     **dict.fromkeys(
-        ("dem", "dem_vertical"), "is for an image with RPCs: give bands on a map grid (gdalwarp -rpc)"
+        ("dem", "dem_vertical", "trust_rpc"),
+        "is for an image with RPCs: give bands on a map grid (gdalwarp -rpc)",
     ),
 }
 """Settings that a stack decides for each pair, or that would make other displacements of it.

@@ -7,7 +7,7 @@ import rasterio
 from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.rpc_files import RpcSource, check_domain, parse_rpc_text, read_rpc, write_rpc_text
-from tests.rpc_scene import SHAPE, make_rpc, write_image
+from tests.rpc_scene import SHAPE, make_rpc, of_a_product, renormalised, write_image
 
 PIXELS = np.ones(SHAPE, np.uint8)
 
@@ -116,3 +116,24 @@ def test_an_image_of_its_rpc_and_a_crop_of_it_are_not() -> None:
 def test_a_scale_of_zero_is_an_error() -> None:
     with pytest.raises(InputError, match="scale of zero"):
         check_domain(RpcSource(make_rpc(lat_scale=0.0), "the tag", ()), "image.tif", SHAPE)
+
+
+def test_a_part_cut_from_a_product_is_judged_by_its_place() -> None:
+    rpc = of_a_product(make_rpc())
+    assert rpc.line_off < -20 * rpc.line_scale
+    for heights_m in (None, (100.0, 700.0)):
+        check_domain(RpcSource(rpc, "the tag", ()), "part.tif", SHAPE, heights_m)
+
+
+def test_an_image_beside_what_its_rpc_describes_is_an_error_that_can_be_overruled() -> None:
+    # the offsets are those of the image, the ground is not
+    source = RpcSource(renormalised(make_rpc(), [3.0, 0.0, 0.0], [1.0, 1.0, 1.0]), "the tag", ())
+    with pytest.raises(InputError, match=r"describes longitude .* and puts image\.tif .*--trust-rpc"):
+        check_domain(source, "image.tif", SHAPE)
+    check_domain(source, "image.tif", SHAPE, trusted=True)
+
+
+def test_an_image_that_its_rpc_folds_is_an_error() -> None:
+    bent = tuple(4.0 if term == 7 else value for term, value in enumerate(make_rpc().samp_num_coeff))
+    with pytest.raises(InputError, match="no plausible ground"):
+        check_domain(RpcSource(make_rpc(samp_num_coeff=bent), "the tag", ()), "image.tif", SHAPE)
