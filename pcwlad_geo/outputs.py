@@ -22,6 +22,7 @@ from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import check_covered, corrected_outline, output_grids
 from pcwlad_geo.raster.product import ProductBand
+from pcwlad_geo.raster.rpc_view import ground_grid
 from pcwlad_geo.raster.shared_plane import grid_beside
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.output_wishes import requested_grid
@@ -55,7 +56,7 @@ def output_grids_of(registration: Registration, bands: Sequence[ProductBand]) ->
     InputError
         If the grid that the user asks for shows nothing of the corrected target.
     """
-    reference, target = registration.reference.grid, registration.target.grid
+    reference, target = ground_grid(registration.reference.grid), registration.target.grid
     request = requested_grid(registration.settings)
     if registration.rpc is not None:
         corrected = registration.rpc.corrected_grid
@@ -87,6 +88,7 @@ def writers(
     """
     table, target, reference = registration.tie_points, registration.target, registration.reference
     on_ground = target.georeferenced and registration.rpc is None
+    ground = ground_grid(reference.grid)
 
     def write_corrected(path: Path) -> None:
         correction = _correction(registration)

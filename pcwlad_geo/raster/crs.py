@@ -46,6 +46,15 @@ def name_of(crs: CRS | None) -> str:
     return f"'{parts[1]}'" if len(parts) > 1 else "without a name"
 
 
+def utm_zone_of(lon_lat: Array) -> CRS:
+    """Return the UTM zone (WGS 84) of a longitude and latitude, degrees; polar stereographic near a pole."""
+    lon, lat = lon_lat.tolist()
+    if abs(lat) > 84.0:
+        return CRS.from_epsg(5041 if lat > 0 else 5042)
+    zone = int((lon + 180.0) % 360.0 // 6.0) + 1
+    return CRS.from_epsg((32600 if lat >= 0 else 32700) + zone)
+
+
 def transform_xy(xy: Array, from_crs: CRS | None, to_crs: CRS | None) -> Array:
     """Map (n, 2) coordinates (x, y) of one CRS to another; NaN where that is impossible.
 

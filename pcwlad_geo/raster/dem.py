@@ -35,6 +35,9 @@ class Heights(Protocol):
     def at(self, lon_lat: Array) -> Array:
         """Return the (n,) heights in metres above the ellipsoid at (n, 2) degrees; NaN where unknown."""
 
+    def nearest(self, lon_lat: Array) -> Array:
+        """Return the same, beyond the edge of what is known the height of the nearest place within."""
+
 
 @dataclass(frozen=True, slots=True)
 class ConstantHeight:
@@ -46,6 +49,10 @@ class ConstantHeight:
     def at(self, lon_lat: Array) -> Array:
         """Return the (n,) heights in metres above the ellipsoid at (n, 2) degrees."""
         return np.full(len(lon_lat), self.height_m)
+
+    def nearest(self, lon_lat: Array) -> Array:
+        """Return the same: it has no edge."""
+        return self.at(lon_lat)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +123,10 @@ class Dem:
             If the file cannot be read there.
         """
         return self.at_px(self.to_px(lon_lat), lon_lat)
+
+    def nearest(self, lon_lat: Array) -> Array:
+        """Return the (n,) heights at the nearest places within the DEM's edge; NaN in its holes."""
+        return self.at_px(np.clip(self.to_px(lon_lat), 0.0, np.array(self.grid.shape[::-1])), lon_lat)
 
     def to_px(self, lon_lat: Array) -> Array:
         """Map (n, 2) longitude, latitude to the DEM's pixels (col, row)."""

@@ -104,7 +104,8 @@ def map_px(points_px: Array, from_grid: Grid, to_grid: Grid) -> Array:
         If no transformation exists between the CRSs, or only one grid has a CRS.
     """
     points_px = np.asarray(points_px, dtype=np.float64)
-    if from_grid.transform == to_grid.transform and from_grid.crs == to_grid.crs:
+    plain = type(from_grid) is Grid and type(to_grid) is Grid
+    if plain and from_grid.transform == to_grid.transform and from_grid.crs == to_grid.crs:
         return points_px
     return to_grid.to_px(transform_xy(from_grid.to_xy(points_px), from_grid.crs, to_grid.crs))
 

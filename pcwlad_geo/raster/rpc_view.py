@@ -1,21 +1,24 @@
-"""A target with RPCs: its place on the ground, and the grid that it is matched on."""
+"""A raster with RPCs: its place on the ground, and the grid that a pair with one is matched on."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 import shapely
+from affine import Affine
 from numpy.typing import NDArray
 
+from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.raster.dem import ConstantHeight, Dem
 from pcwlad_geo.raster.dem_vertical import Vertical, open_dem
-from pcwlad_geo.raster.grid import Grid, jacobian, map_px
+from pcwlad_geo.raster.grid import Grid, jacobian
 from pcwlad_geo.raster.matching_grid import MARGIN_PX, ViewPair
 from pcwlad_geo.raster.rpc_files import RpcSource, check_domain
-from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled
+from pcwlad_geo.raster.rpc_grid import RpcGrid, footprint_px, lattice_px, levelled
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.raster.windows import Window
@@ -23,7 +26,7 @@ from pcwlad_geo.raster.windows import Window
 Array = NDArray[np.float64]
 
 LATTICE: Final = 33
-"""Points along a side of the target at which its place on the ground is looked at."""
+"""Points along a side of a raster at which its place on the ground is looked at."""
 RELIEF_M: Final = 100.0
 MARGIN_SHARE: Final = 0.05
 """Of the scene's extent, what an undulation is known around it."""
@@ -31,13 +34,13 @@ LOWEST_M: Final = -600.0
 HIGHEST_M: Final = 9500.0
 """Of the ground, with room."""
 ALL: Final = 0.999
-"""Share of the target that a DEM covers whole."""
+"""Share of a raster from which on a DEM covers it whole."""
 _FINER: Final = 0.99
 
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A target that its RPC and the ground's height place."""
+    """A raster that its RPC and the ground's height place."""
 
     info: RasterInfo
     """Its grid is an `RpcGrid`."""
@@ -47,7 +50,16 @@ class Placed:
     warnings: tuple[str, ...]
 
 
-def place_by_rpc(info: RasterInfo, source: RpcSource, dem: str | None, vertical: Vertical) -> Placed:
+def place_by_rpc(
+    info: RasterInfo,
+    source: RpcSource,
+    dem: str | None,
+    vertical: Vertical,
+    *,
+    side: Literal["reference", "target"] = "target",
+    height_m: float | None = None,
+    trusted: bool = False,
+) -> Placed:
     """Place a raster on the ground by its RPC.
 
     Parameters
@@ -56,72 +68,64 @@ def place_by_rpc(info: RasterInfo, source: RpcSource, dem: str | None, vertical:
     source : RpcSource
         Its RPC.
     dem : str, optional
-        Path or GDAL URI of a DEM; without it the ground is as high as the RPC's height offset.
+        Path or GDAL URI of a DEM.
     vertical : float, path-like or None
         See `dem_vertical.open_dem`.
+    side : {"reference", "target"}
+        What the raster is, for messages.
+    height_m : float, optional
+        Height of all ground above the ellipsoid without a DEM; the RPC's height offset by default.
+    trusted : bool
+        Take the RPC as it is, wherever it puts the raster.
 
     Raises
     ------
     InputError
         If RPC, DEM and raster do not fit together, or the DEM's heights mean nothing known.
     """
-    check_domain(source, info.uri, info.grid.shape)
     if info.mask_grid is not None and info.mask_grid.crs is not None:
         raise InputError(
             f"the mask {info.mask_uri} lies on the ground and {info.uri} is in the sensor's geometry: give a "
-            "mask of the target's own pixels, without georeferencing"
+            f"mask of the {side}'s own pixels, without georeferencing"
         )
-    rpc = source.rpc
+    rpc, shape = source.rpc, info.grid.shape
+    check_domain(source, info.uri, shape, trusted=trusted)
     if dem is None:
-        heights: ConstantHeight | Dem = ConstantHeight(rpc.height_off)
+        ground = ConstantHeight(rpc.height_off if height_m is None else height_m)
+        grid = RpcGrid.of_file(shape, rpc, ground)
+        span = (rpc.height_off - rpc.height_scale, rpc.height_off + rpc.height_scale)
+        warnings: tuple[str, ...] = (_relief_warning(grid, side),)
     else:
         heights = open_dem(dem, vertical, _scene_bounds(source, info))
-    grid = RpcGrid.of_file(info.grid.shape, rpc, heights)
+        grid, span, warnings = _look_at_dem(info, rpc, heights)
+        check_domain(source, info.uri, shape, span, trusted=trusted)
     placed = replace(info, grid=grid, georeferenced=True)
-    if isinstance(heights, ConstantHeight):
-        span = (rpc.height_off - rpc.height_scale, rpc.height_off + rpc.height_scale)
-        return Placed(placed, source, span, (*source.warnings, _relief_warning(grid)))
-    lowest, highest, warnings = _look_at_dem(placed, grid, heights)
-    return Placed(placed, source, (lowest, highest), (*source.warnings, *warnings))
+    return Placed(placed, source, span, (*source.warnings, *warnings))
 
 
 def plan_rpc_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
-    """Plan the matching in the reference's CRS, at the coarser pixel size, the target seen through its RPC.
+    """Plan the matching on the ground, at the coarser pixel size, each raster seen through its RPC.
 
     Parameters
     ----------
-    reference : RasterInfo
-        Georeferenced.
-    target : RasterInfo
-        Placed by `place_by_rpc`.
+    reference, target : RasterInfo
+        Georeferenced, or placed by `place_by_rpc`; at least one of them the latter.
 
     Raises
     ------
     InputError
         If the two do not overlap.
     """
-    lattice = map_px(_lattice_px(target.grid), target.grid, reference.grid)
-    lattice = lattice[np.isfinite(lattice).all(axis=1)]
-    rows, cols = reference.grid.shape
-    common = shapely.MultiPoint(lattice).convex_hull.intersection(shapely.box(0, 0, cols, rows))
+    ground = ground_grid(reference.grid)
+    rows, cols = ground.shape
+    outline = footprint_px(target.grid, ground)
+    common = outline.intersection(footprint_px(reference.grid, ground))
     if common.area < 1.0:
-        (left, top), (right, bottom) = reference.grid.to_xy(np.array([[0.0, 0.0], [cols, rows]])).tolist()
-        (x0, y0), (x1, y1) = (
-            reference.grid.to_xy(side(lattice, axis=0)[None])[0] for side in (np.min, np.max)
-        )
-        raise InputError(
-            f"the rasters do not overlap: {reference.uri} covers x {left:.10g} to {right:.10g}, y "
-            f"{bottom:.10g} to {top:.10g}, and by its RPC {target.uri} lies at x {x0:.10g} to {x1:.10g}, y "
-            f"{y1:.10g} to {y0:.10g}: give two rasters of the same ground, and the RPC that belongs to the "
-            "target as it is (not that of the image it was cropped from)"
-        )
+        raise InputError(_no_overlap(reference, target, ground, outline))
     centre = np.array([[common.centroid.x, common.centroid.y]])
-    size = np.sqrt(abs(np.linalg.det(jacobian(centre, reference.grid, levelled(target.grid))[0])))
-    if np.isfinite(size) and size < _FINER:
-        coarser = _coarser(reference.grid, 1.0 / float(size))
-        own = View(reference, coarser, "cubic")
-    else:
-        coarser, own = reference.grid, View(reference, reference.grid, "none")
+    size = np.sqrt(abs(np.linalg.det(jacobian(centre, ground, levelled(target.grid))[0])))
+    coarser = _coarser(ground, 1.0 / float(size)) if np.isfinite(size) and size < _FINER else ground
+    own = View(reference, coarser, "none" if coarser is reference.grid else "cubic")
     scale = np.array([coarser.shape[1] / cols, coarser.shape[0] / rows])
     left, top, right, bottom = (np.array(common.bounds).reshape(2, 2) * scale).ravel().tolist()
     box = Window.from_bounds(
@@ -133,21 +137,61 @@ def plan_rpc_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
     return ViewPair(own, view, offset, box.clipped(coarser.shape), ())
 
 
+def ground_grid(grid: Grid) -> Grid:
+    """Return the grid on the ground that a raster with RPC is orthorectified onto; any other is its own.
+
+    North is up; the pixels are square, as small as the raster's along its finer axis in round numbers, and
+    begin at multiples of their size.
+
+    Raises
+    ------
+    InputError
+        If no part of the raster can be placed in its CRS.
+    """
+    if not isinstance(grid, RpcGrid):
+        return grid
+    unit = Grid((1, 1), Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0), grid.crs)
+    outline = footprint_px(grid, unit)
+    step = jacobian(np.array([[grid.shape[1] / 2, grid.shape[0] / 2]]), levelled(grid), unit)[0]
+    size = float(np.hypot(*step).min())
+    if outline.is_empty or not np.isfinite(size) or size <= 0.0:
+        raise InputError(
+            f"the raster's footprint cannot be placed in {name_of(grid.crs)} by its RPC: check RPC and DEM"
+        )
+    size = float(f"{size:.1e}")
+    left, top, right, bottom = (np.array(outline.bounds) / size).tolist()
+    low, high = np.floor([left, top]), np.ceil([right, bottom])
+    cols, rows = (high - low).astype(int).tolist()
+    x, y = (low * size).tolist()
+    return Grid((rows, cols), Affine(size, 0.0, x, 0.0, -size, -y), grid.crs)
+
+
+def _no_overlap(reference: RasterInfo, target: RasterInfo, ground: Grid, outline: shapely.Geometry) -> str:
+    """Say where the two rasters lie."""
+    rows, cols = ground.shape
+    (left, top), (right, bottom) = ground.to_xy(np.array([[0.0, 0.0], [cols, rows]])).tolist()
+    placed = "by its RPC " if isinstance(target.grid, RpcGrid) else ""
+    where = "nowhere"
+    if not outline.is_empty:
+        corners = np.array(outline.bounds).reshape(2, 2)
+        (x0, y0), (x1, y1) = ground.to_xy(corners).tolist()
+        where = f"at x {x0:.10g} to {x1:.10g}, y {y1:.10g} to {y0:.10g}"
+    return (
+        f"the rasters do not overlap: {reference.uri} covers x {left:.10g} to {right:.10g}, y "
+        f"{bottom:.10g} to {top:.10g}, and {placed}{target.uri} lies {where}: give two rasters of the same "
+        "ground, and the RPC that belongs to the target as it is (not that of the image it was cropped from)"
+    )
+
+
 def _coarser(grid: Grid, factor: float) -> Grid:
     """Return the grid of the same corner and extent, its pixels so many times as large."""
     rows, cols = grid.shape
     return grid.scaled((max(1, round(rows / factor)), max(1, round(cols / factor))))
 
 
-def _lattice_px(grid: Grid) -> Array:
-    rows, cols = grid.shape
-    col, row = np.meshgrid(np.linspace(0, cols, LATTICE), np.linspace(0, rows, LATTICE))
-    return np.column_stack([col.ravel(), row.ravel()])
-
-
 def _scene_bounds(source: RpcSource, info: RasterInfo) -> tuple[float, float, float, float]:
     """Return west, south, east, north of the image at any height that its RPC allows, with a margin."""
-    rpc, pixels = source.rpc, _lattice_px(info.grid)
+    rpc, pixels = source.rpc, lattice_px(info.grid.shape, LATTICE)
     found = np.concatenate(
         [rpc.to_ground(pixels, rpc.height_off + side * rpc.height_scale) for side in (-1.0, 0.0, 1.0)]
     )
@@ -162,68 +206,86 @@ def _scene_bounds(source: RpcSource, info: RasterInfo) -> tuple[float, float, fl
     return west, south, east, north
 
 
-def _look_at_dem(placed: RasterInfo, grid: RpcGrid, dem: Dem) -> tuple[float, float, tuple[str, ...]]:
-    """Return lowest and highest ground below the image, and what the DEM does not cover.
+def _look_at_dem(
+    info: RasterInfo, rpc: RpcModel, dem: Dem
+) -> tuple[RpcGrid, tuple[float, float], tuple[str, ...]]:
+    """Return the grid of an image above a DEM, lowest and highest ground, and what the DEM does not cover.
 
     Raises
     ------
     InputError
         If the DEM does not overlap the image, or has holes below it.
     """
-    rpc, pixels = grid.rpc, _lattice_px(grid)
-    level = rpc.to_ground(pixels, rpc.height_off)
-    dem_px = dem.to_px(level)
-    size = np.array(dem.grid.shape[::-1])
-    with np.errstate(invalid="ignore"):
-        covered = ((dem_px >= 0) & (dem_px <= size)).all(axis=1)
-    if not covered.any():
-        (west, south), (east, north) = np.nanmin(level, axis=0), np.nanmax(level, axis=0)
+    pixels = lattice_px(info.grid.shape, LATTICE)
+    # nearest: where ground is far from the height offset, what is seen there is beside the DEM
+    near = dem.nearest(rpc.to_ground(pixels, rpc.height_off))
+    _check_heights(info, dem, near)
+    level_m = float(np.nanmedian(near)) if np.isfinite(near).any() else rpc.height_off
+    grid = RpcGrid.of_file(info.grid.shape, rpc, dem, level_m=level_m)
+    lon_lat, _ = grid.line_of_sight(pixels)
+    dem_px = dem.to_px(lon_lat)
+    rows, cols = dem.grid.shape
+    whole = shapely.MultiPoint(dem_px[np.isfinite(dem_px).all(axis=1)]).convex_hull
+    covered = whole.intersection(shapely.box(0, 0, cols, rows))
+    if covered.area == 0:
         raise InputError(
-            f"the DEM {dem.uri} and {placed.uri} do not overlap: by its RPC the image lies at longitude "
-            f"{west:.4f} to {east:.4f}, latitude {south:.4f} to {north:.4f}; give the DEM of this ground"
+            f"the DEM {dem.uri} and {info.uri} do not overlap: by its RPC the image lies at "
+            f"{_in_words(lon_lat)}; give the DEM of this ground"
         )
-    holes = count_holes(dem, dem_px[covered])
+    holes = _count_holes(dem, covered)
     if holes:
         raise InputError(
-            f"the DEM {dem.uri} has holes below {placed.uri}: {holes} of its pixels have no height; fill "
+            f"the DEM {dem.uri} has holes below {info.uri}: {holes} of its pixels have no height; fill "
             "them first (gdal_fillnodata.py DEM FILLED), or give another DEM"
         )
-    heights = dem.at_px(dem_px, level)
-    lowest, highest = np.nanmin(heights), np.nanmax(heights)
-    if not LOWEST_M <= lowest <= highest <= HIGHEST_M:
-        raise InputError(
-            f"the DEM {dem.uri} holds heights from {lowest:.0f} to {highest:.0f} m below {placed.uri}: check "
-            "its unit and its nodata value"
-        )
-    heights = dem.at(grid.to_xy(pixels))
+    heights = dem.nearest(lon_lat)
+    _check_heights(info, dem, heights)
     if not np.isfinite(heights).any():
         raise InputError(
-            f"the DEM {dem.uri} gives no height below {placed.uri}: give one that covers the image"
+            f"the DEM {dem.uri} gives no height below {info.uri}: give one that covers the image"
         )
-    share = covered.mean()
+    share = covered.area / whole.area
     warnings = []
     if share < ALL:
         warnings.append(
-            f"the DEM {dem.uri} covers {share:.0%} of {placed.uri}: the rest is neither matched nor warped"
+            f"the DEM {dem.uri} covers {share:.0%} of {info.uri}: the rest is neither matched nor warped, as "
+            f"its heights are not known; the image lies at {_in_words(lon_lat)}: give a DEM of all of it"
         )
-    return float(np.nanmin(heights)), float(np.nanmax(heights)), tuple(warnings)
+    grid = replace(grid, level_m=float(np.nanmedian(heights)))
+    return grid, (float(np.nanmin(heights)), float(np.nanmax(heights))), tuple(warnings)
 
 
-def count_holes(dem: Dem, dem_px: Array) -> int:
-    """Count the pixels of a DEM without height in the box around (n, 2) of its pixels (col, row)."""
-    low = np.floor(dem_px.min(axis=0)).astype(int)
-    high = np.ceil(dem_px.max(axis=0)).astype(int)
-    box = Window.from_bounds(int(low[1]), int(low[0]), int(high[1]), int(high[0])).clipped(dem.grid.shape)
-    return dem.missing_in(box, shapely.MultiPoint(dem_px).convex_hull)
+def _check_heights(info: RasterInfo, dem: Dem, heights: Array) -> None:
+    known = heights[np.isfinite(heights)]
+    if len(known) and not LOWEST_M <= known.min() <= known.max() <= HIGHEST_M:
+        raise InputError(
+            f"the DEM {dem.uri} holds heights from {known.min():.0f} to {known.max():.0f} m below "
+            f"{info.uri}: check its unit and its nodata value"
+        )
 
 
-def _relief_warning(grid: RpcGrid) -> str:
+def _count_holes(dem: Dem, outline_px: shapely.Geometry) -> int:
+    """Count the pixels of a DEM without height within an outline of its pixels (col, row)."""
+    left, top, right, bottom = outline_px.bounds
+    box = Window.from_bounds(
+        int(np.floor(top)), int(np.floor(left)), int(np.ceil(bottom)), int(np.ceil(right))
+    )
+    return dem.missing_in(box.clipped(dem.grid.shape), outline_px)
+
+
+def _in_words(lon_lat: Array) -> str:
+    (west, south), (east, north) = np.nanmin(lon_lat, axis=0), np.nanmax(lon_lat, axis=0)
+    return f"longitude {west:.4f} to {east:.4f}, latitude {south:.4f} to {north:.4f}"
+
+
+def _relief_warning(grid: RpcGrid, side: str) -> str:
     rows, cols = grid.shape
-    middle = np.array([[cols / 2, rows / 2]])
-    ground = np.column_stack([grid.to_xy(middle), [grid.rpc.height_off]])
-    col, row = (RELIEF_M * grid.rpc.px_per_metre_of_height(ground))[0].tolist()
+    lon_lat, height = grid.line_of_sight(np.array([[cols / 2, rows / 2]]))
+    per_metre = grid.rpc.px_per_metre_of_height(np.column_stack([lon_lat, height]))
+    col, row = (RELIEF_M * per_metre)[0].tolist()
+    which = "the image" if side == "target" else "the reference"
     return (
-        f"no DEM: all ground is taken to be {grid.rpc.height_off:.0f} m above the ellipsoid, the height "
-        f"offset of the RPC; each {RELIEF_M:.0f} m of relief displaces the image by "
+        f"no DEM: all ground is taken to be {grid.level_m:.0f} m above the ellipsoid, the height "
+        f"offset of the RPC; each {RELIEF_M:.0f} m of relief displaces {which} by "
         f"{float(np.hypot(col, row)):.2f} px ({col:.2f}, {row:.2f}; col, row): give --dem"
     )

@@ -30,7 +30,7 @@ from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest, lay_out, output_lattice
 from pcwlad_geo.raster.output_size import snapped_size
 from pcwlad_geo.raster.rpc_files import to_gdal
-from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled
+from pcwlad_geo.raster.rpc_grid import RpcGrid, footprint_px, lattice_px, levelled
 from pcwlad_geo.raster.source import open_raster
 from pcwlad_geo.raster.unread import Block, filled
 from pcwlad_geo.raster.warped_blocks import MOST_THREADS
@@ -39,8 +39,6 @@ from pcwlad_geo.raster.windows import Window
 
 Array = NDArray[np.float64]
 
-LATTICE: Final = 65
-"""Points along a side of the image that tell how far it reaches on the ground."""
 LEVEL: Final = Grid((8, 8), Affine(100.0, 0.0, -400.0, 0.0, -25.0, 100.0), WGS84)
 """Around the whole earth."""
 DEM_MARGIN_PX: Final = 2
@@ -51,7 +49,8 @@ def ortho_grid(reference: Grid, target: RpcGrid) -> Grid:
     """Return the grid of the orthorectified target: the reference's lattice at the target's pixel size.
 
     Pixels have the shape of the reference's and are as small as the target's along its finer axis, or the
-    multiple or fraction of the reference's that is within 2 % of that.
+    multiple or fraction of the reference's that is within 2 % of that. They reach as far as the target where
+    its heights are known.
 
     Parameters
     ----------
@@ -64,14 +63,11 @@ def ortho_grid(reference: Grid, target: RpcGrid) -> Grid:
     InputError
         If no part of the target can be placed in the reference's CRS.
     """
-    rows, cols = target.shape
-    col, row = np.meshgrid(np.linspace(0, cols, LATTICE), np.linspace(0, rows, LATTICE))
-    lattice = np.column_stack([col.ravel(), row.ravel()])
-    placed = map_px(lattice, target, reference)
-    known = np.isfinite(placed).all(axis=1)
-    scales = jacobian(placed[known], reference, levelled(target))
+    placed = map_px(lattice_px(target.shape), target, reference)
+    scales = jacobian(placed[np.isfinite(placed).all(axis=1)], reference, levelled(target))
     scales = scales[np.isfinite(scales).all(axis=(1, 2))]
-    if len(scales) == 0:
+    outline = footprint_px(target, reference)
+    if len(scales) == 0 or outline.is_empty:
         raise InputError(
             f"the target's footprint cannot be placed in {name_of(reference.crs)} by its RPC: check RPC, "
             "DEM and the reference's CRS"
@@ -79,8 +75,9 @@ def ortho_grid(reference: Grid, target: RpcGrid) -> Grid:
     # how far a step along each axis of the target goes, in reference pixels
     lengths = np.hypot(*np.linalg.inv(scales).transpose(1, 0, 2))
     side = snapped_size(float(np.median(lengths.min(axis=1))))
-    low = np.floor(placed[known].min(axis=0) / side + SLIVER_PX).astype(int)
-    high = np.ceil(placed[known].max(axis=0) / side - SLIVER_PX).astype(int)
+    left, top, right, bottom = outline.bounds
+    low = np.floor(np.array([left, top]) / side + SLIVER_PX).astype(int)
+    high = np.ceil(np.array([right, bottom]) / side - SLIVER_PX).astype(int)
     out_cols, out_rows = (high - low).tolist()
     origin_px = (float(low[0] * side), float(low[1] * side))
     return reference.remade(((side, 0.0), (0.0, side)), origin_px, (out_rows, out_cols))

@@ -35,7 +35,14 @@ from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search,
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.quality import Quality, assess
 from pcwlad_geo.registration.result import Prealignment, Registration
-from pcwlad_geo.registration.rpc_target import MODELS, check_start, corrected_rpc, place_target, shifted
+from pcwlad_geo.registration.rpc_target import (
+    MODELS,
+    check_start,
+    corrected_rpc,
+    place_reference,
+    place_target,
+    shifted,
+)
 from pcwlad_geo.registration.scene import Matched, match_scene
 from pcwlad_geo.registration.settings import VRT_MODELS, Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner
@@ -88,14 +95,18 @@ def run(
         settings = inputs.settings
         ref = describe(inputs.reference, band=int(settings.ref_band), mask=settings.ref_mask)
         tgt = describe(inputs.target, band=int(settings.tgt_band), mask=settings.tgt_mask)
+        placed_reference, told = place_reference(ref, tgt, settings)
+        ref = placed_reference.info if placed_reference else ref
         placed, warnings = place_target(ref, tgt, settings)
         if placed:
             tgt = placed.info
-        else:
+        elif not placed_reference:
             ref, tgt, shared = share_plane(ref, tgt)
             warnings = (*warnings, *shared)
-        pair = plan_rpc_views(ref, tgt) if placed else plan_views(ref, tgt)
-        for warning in (*inputs.notes, *_control_point_notes(ref, tgt), *warnings, *pair.warnings):
+        for warning in (*inputs.notes, *_control_point_notes(ref, tgt), *told, *warnings):
+            log.warn(warning)
+        pair = plan_rpc_views(ref, tgt) if placed or placed_reference else plan_views(ref, tgt)
+        for warning in pair.warnings:
             log.warn(warning)
         if same_band(ref, tgt):
             log.warn(
