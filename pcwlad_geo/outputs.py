@@ -88,7 +88,6 @@ def writers(
     """
     table, target, reference = registration.tie_points, registration.target, registration.reference
     on_ground = target.georeferenced and registration.rpc is None
-    ground = ground_grid(reference.grid)
 
     def write_corrected(path: Path) -> None:
         correction = _correction(registration)

@@ -42,6 +42,8 @@ Array = NDArray[np.float64]
 LEVEL: Final = Grid((8, 8), Affine(100.0, 0.0, -400.0, 0.0, -25.0, 100.0), WGS84)
 """Around the whole earth."""
 DEM_MARGIN_PX: Final = 2
+EVERY_PIXEL: Final = {"SAMPLE_GRID": "YES", "SAMPLE_STEPS": "ALL"}
+"""Has GDAL look at every pixel of a block to find what it needs of the source."""
 SLIVER_PX: Final = 1e-3
 
 
@@ -215,27 +217,32 @@ def _ground_below(target: RpcGrid, part: Grid) -> Iterator[dict[str, object] | N
     """Give GDAL the ground of a block: heights above the ellipsoid, in memory; None where the DEM has none.
 
     GDAL would take those of an orthometric DEM as they are. And only where it has a DEM does it compute each
-    position; else it interpolates along rows, to 0.1 px.
+    position; else it interpolates along rows, to 0.1 px. Where the DEM does not cover a block, the few
+    positions that GDAL looks at first would tell it too little of what it needs.
     """
+    more: dict[str, str] = {}
     if isinstance(target.heights, ConstantHeight):
         place, heights = LEVEL, np.full((8, 8), target.heights.height_m)
     else:
-        window = _dem_window(target.heights, part)
+        wanted = _dem_window(target.heights, part)
+        window = wanted.clipped(target.heights.grid.shape)
         if window.empty:
             yield None
             return
         place = target.heights.grid.part((window.col, window.row), window.shape)
         heights = target.heights.ellipsoidal(window)
+        if window != wanted or np.isnan(heights).any():
+            more = EVERY_PIXEL
     rows, cols = heights.shape
     profile = {"driver": "GTiff", "dtype": "float32", "count": 1, "nodata": np.nan, "crs": place.crs}
     with rasterio.MemoryFile(ext=".tif") as memory:
         with memory.open(height=rows, width=cols, transform=place.transform, **profile) as file:
             file.write(heights.astype(np.float32), 1)
-        yield {"RPC_DEM": memory.name}
+        yield {"RPC_DEM": memory.name, **more}
 
 
 def _dem_window(dem: Dem, part: Grid) -> Window:
-    """Return the window of the DEM below a block, with what the interpolation needs around."""
+    """Return the window below a block, px of the DEM, with what the interpolation needs around."""
     rows, cols = part.shape
     col, row = np.meshgrid(np.linspace(0, cols, 33), np.linspace(0, rows, 33))
     dem_px = map_px(np.column_stack([col.ravel(), row.ravel()]), part, dem.grid)
@@ -244,7 +251,7 @@ def _dem_window(dem: Dem, part: Grid) -> Window:
         return Window(0, 0, 0, 0)
     low, high = np.floor(dem_px.min(axis=0)).astype(int), np.ceil(dem_px.max(axis=0)).astype(int)
     box = Window.from_bounds(int(low[1]), int(low[0]), int(high[1]), int(high[0]))
-    return box.padded(DEM_MARGIN_PX).clipped(dem.grid.shape)
+    return box.padded(DEM_MARGIN_PX)
 
 
 def _step(target: RpcGrid, grid: Grid) -> Array:

@@ -28,6 +28,8 @@ GROUND: Final = ("usable", "no_texture", "edge", "reference_without_data", "targ
 pixels without data within a window around it."""
 PLACES: Final = 120
 """Along the longer side of the reference, where that is asked."""
+NODES: Final = 5
+"""Along a side of a window, where its place in the file is asked."""
 GLANCE_PX: Final = 512
 """Side of the overviews that are read where there was no matching."""
 
@@ -198,6 +200,9 @@ def _boxes(pair: ViewPair, windows: Sequence[Window]) -> Array:
     if not windows:
         return np.empty((0, 4))
     edges = np.array([(each.col, each.row, each.col_stop, each.row_stop) for each in windows], np.float64)
-    corners = edges[:, [0, 1, 2, 1, 2, 3, 0, 3]].reshape(-1, 2)
-    mapped = pair.reference.to_file_px(corners).reshape(-1, 4, 2)
-    return np.concatenate([mapped.min(axis=1), mapped.max(axis=1)], axis=1)
+    parts = np.linspace(0.0, 1.0, NODES)
+    share = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 2)
+    places = edges[:, None, :2] + share * (edges[:, None, 2:] - edges[:, None, :2])
+    mapped = pair.reference.to_file_px(places.reshape(-1, 2)).reshape(places.shape)
+    # corners of a view of the ground may have no place in the file: fmin and fmax leave those out
+    return np.concatenate([np.fmin.reduce(mapped, axis=1), np.fmax.reduce(mapped, axis=1)], axis=1)

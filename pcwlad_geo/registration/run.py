@@ -144,7 +144,7 @@ def run(
     status = "rejected" if not verdict.accepted else "matched" if match_only else "registered"
     return Registration(
         status=status,  # type: ignore[arg-type]  # one of three literals
-        reason=verdict.reason,
+        reason=_reason(verdict, placed),
         warnings=tuple(log.warnings),
         reference=ref,
         target=tgt,
@@ -193,6 +193,16 @@ def _only_wanted(found: _Found, settings: Settings) -> _Found:
     kept = np.ones(len(table), dtype=bool)
     kept[surplus] = False
     return replace(found, table=table[kept], counts=counts, record=record)
+
+
+def _reason(verdict: Verdict, placed: Placed | None) -> str | None:
+    """Return why a pair was rejected; an RPC of another image puts a target on other ground."""
+    if verdict.reason is None or placed is None:
+        return verdict.reason
+    return (
+        f"{verdict.reason}; check also that the RPC in {placed.source.origin} belongs to the target as it "
+        "is, not to an image that it was cropped or decimated from"
+    )
 
 
 def _from_file(pair: ViewPair, path: Path | str, log: JobLog) -> _Found:

@@ -8,15 +8,25 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.raster import warping
-from pcwlad_geo.raster.dem import ConstantHeight
+from pcwlad_geo.raster.dem import ConstantHeight, Dem, Undulation
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.raster.rpc_grid import RpcGrid, positions_on
 from pcwlad_geo.raster.rpc_warping import ortho_grid, orthorectify, requested_ortho_grid
 from pcwlad_geo.raster.windows import Window
-from tests.rpc_scene import SHAPE, dem_grid, dem_values, make_rpc, rpc_grid, write_dem, write_image
+from tests.rpc_scene import (
+    SHAPE,
+    UNDULATION_M,
+    dem_grid,
+    dem_values,
+    make_rpc,
+    rpc_grid,
+    write_dem,
+    write_image,
+)
 from tests.scenes import CRS_OF_SCENE, make_grid
 
+UNDULATION = Undulation.constant(UNDULATION_M)
 ROWS, COLS = (np.mgrid[: SHAPE[0], : SHAPE[1]] + 0.5).astype(np.float64)
 
 
@@ -183,3 +193,19 @@ def test_the_output_grid_lies_on_the_references_lattice(tmp_path: Path) -> None:
     assert isinstance(out, Grid)
     assert (edge >= -1e-3).all()
     assert (edge <= np.array(out.shape[::-1]) + 1e-3).all()
+
+
+def test_all_ground_up_to_the_edge_of_the_dem_is_written(tmp_path: Path) -> None:
+    near = dem_grid().part((60.0, 60.0), (60, 70))
+    heights = Dem(str(write_dem(tmp_path / "dem.tif", dem_values(near), near)), near, 1.0, UNDULATION)
+    grid = RpcGrid.of_file(SHAPE, make_rpc(), heights)
+    image = write_image(tmp_path / "image.tif", np.full(SHAPE, 100, np.uint8), make_rpc())
+    # it begins a little beside the DEM, and ends far off it
+    out = make_grid((700, 800), pixel_m=7.0, offset_m=(2097.0, 2097.0))
+    orthorectify(image, tmp_path / "ortho.tif", grid, out)
+    with rasterio.open(tmp_path / "ortho.tif") as file:
+        valid = file.dataset_mask() != 0
+    known = np.isfinite(positions_on(grid, out, Window.whole(out.shape), 1)).all(axis=0)
+    assert known.any()
+    assert not (valid & ~known).any()
+    assert np.count_nonzero(known & ~valid) <= sum(out.shape)  # a line of rounding

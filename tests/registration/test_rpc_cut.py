@@ -122,3 +122,13 @@ def test_trust_overrules_the_judgement(tmp_path: Path) -> None:
         place_target(reference, image, Settings())
     placed, _ = place_target(reference, image, Settings(trust_rpc=True))
     assert placed is not None
+
+
+def test_what_is_not_found_may_have_the_rpc_of_another_image(tmp_path: Path) -> None:
+    dem = write_dem(tmp_path / "dem.tif")
+    _, image = scene(tmp_path, make_rpc(), dem)
+    other = write(tmp_path / "other.tif", render(REFERENCE, seed=7), REFERENCE)
+    found = run(other, image, Settings(dem=dem, dem_vertical=UNDULATION_M, prealign="georef", jobs=1))
+    assert found.status == "rejected"
+    assert "the RPC in the tag of" in found.reason
+    assert "cropped or decimated from" in found.reason
