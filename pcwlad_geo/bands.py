@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pcwlad_geo.correction.models import AffineCorrection
@@ -19,6 +19,7 @@ from pcwlad_geo.registration.output_wishes import requested_grid
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.settings import OutputGrid, Resampling, Settings
 from pcwlad_geo.report.finished import FinishedRegistration, read_registration
+from pcwlad_geo.rpc_bands import OrthoOutput, check_places, places_of, warp_by_rpc
 from pcwlad_geo.staging import place_with_files, stage_inside
 
 PathLike = str | os.PathLike[str]
@@ -44,18 +45,21 @@ def warp(
     """Apply a finished registration to other bands of the target, also of other pixel sizes.
 
     Each raster is warped once, from its original pixels, by the correction of the registration; nothing is
-    matched, and the registered pair itself is not needed.
+    matched, and the registered pair itself is not needed. Where the target has an RPC, the correction is
+    carried over to that of each raster, and ``<raster stem>_rpc.vrt`` and ``_rpc_RPC.TXT`` are written
+    beside the orthorectified raster; the DEM is needed again.
 
     Parameters
     ----------
     registration : path
         The output folder of `register`.
     rasters : sequence of path
-        Rasters of the target's geometry: in its CRS, or without georeferencing and of its size.
+        Rasters of the target's geometry: in its CRS, or without georeferencing and of its size; images with
+        RPCs of their own, taken with the target, where that has one.
     out_dir : path, optional
         Where ``<raster stem>_registered.tif`` is written; the working folder by default.
     output_raster : path, optional
-        Write the one raster there instead.
+        Write the one raster there instead, and nothing beside it.
     grid : {"reference", "reference-exact", "target"}, optional
         Output grid: the reference's CRS and alignment with the raster's own pixel size, exactly the
         reference's grid, or the raster's own. On the reference's alignment all rasters share the extent of
@@ -88,6 +92,18 @@ def warp(
     sources = [os.fspath(raster) for raster in rasters]
     request, made = _wishes(finished, grid, like, tr, te, t_srs, of, co)
     places = warped_paths(sources, out_dir, output_raster, made.extension)
+    if finished.rpc is not None:
+        files = places_of(sources, places, beside=output_raster is None)
+        _check_rpc(sources, files, request, made, overwrite)
+        how = resampling or finished.resampling
+        return warp_by_rpc(
+            sources,
+            files,
+            finished.rpc,
+            OrthoOutput(finished.reference_grid, request, made, how),
+            overwrite=overwrite,
+            on_event=on_event,
+        )
     _check(sources, places, finished, overwrite)
     grids = _grids(sources, finished, request, made)
     with stage_inside(places[0].parent) as stage:
@@ -105,6 +121,23 @@ def warp(
             place_with_files(staged, place, overwrite=overwrite)
     on_event(Progress("rasters", len(sources), len(sources)))
     return places
+
+
+def _check_rpc(
+    sources: Sequence[str],
+    places: Sequence[Mapping[str, Path]],
+    request: GridRequest,
+    made: OutputFormat,
+    overwrite: bool,
+) -> None:
+    """Raise where a raster with RPC cannot be written as is asked for: before the work."""
+    if not sources:
+        raise InputError("no raster to warp: give at least one")
+    if request.mode == "target":
+        raise SettingsError("grid = 'target': the pixels of an image with RPC are no grid on the ground")
+    if made.is_vrt:
+        raise SettingsError("of = 'VRT': a VRT cannot hold an orthorectified image; give --of COG or GTiff")
+    check_places(sources, places, overwrite=overwrite)
 
 
 def warped_paths(

@@ -173,6 +173,17 @@ def of_a_product(rpc: RpcModel, times: float = 25.0) -> RpcModel:
     return renormalised(rpc, [-0.6 * times, 0.4 * times, -0.8], [times, times, 2.0], (6080.0, 6150.0))
 
 
+def decimated(rpc: RpcModel, factor: float) -> RpcModel:
+    """Return the RPC of the same image with pixels so many times as large."""
+    return replace(
+        rpc,
+        samp_off=(rpc.samp_off + 0.5) / factor - 0.5,
+        line_off=(rpc.line_off + 0.5) / factor - 0.5,
+        samp_scale=rpc.samp_scale / factor,
+        line_scale=rpc.line_scale / factor,
+    )
+
+
 def oblique_rpc() -> RpcModel:
     """Return an RPC that sees the scene from far aside, and whose height offset lies 2000 m below it."""
     rpc = make_rpc()

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.runs import Array, Job, Outcome, Runner
+from benchmarks.studies.rpc_pair import rpc_pair
 from benchmarks.tables import Cell, Check, Table, at_most
 from pcwlad_geo.correction.rpc_fold import FOLD_TOLERANCE_PX
 from pcwlad_geo.raster.crs import transform_xy
@@ -49,6 +50,7 @@ def rpc(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     yield _second(
         dict(zip(references, zip([by_sentinel, by_aerial], runner(again), strict=True), strict=True))
     )
+    yield from rpc_pair(data, scratch)
 
 
 def _datum(with_undulation: Outcome, without: Outcome) -> Table:

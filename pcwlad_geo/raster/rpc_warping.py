@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -104,6 +104,27 @@ def requested_ortho_grid(reference: Grid, target: RpcGrid, request: GridRequest)
     size = np.hypot(*linear_part(own.transform))
     box = (outline.min(axis=0), outline.max(axis=0))
     return lay_out(lattice, request, [box, box], [size, size])[0]
+
+
+def requested_ortho_grids(
+    reference: Grid, target: RpcGrid, request: GridRequest, siblings: Sequence[RpcGrid]
+) -> list[Grid]:
+    """Return the grids of orthorectified siblings of a target: one extent for all, whatever their pixels.
+
+    Raises
+    ------
+    InputError
+        As `requested_ortho_grid` does.
+    """
+    fixed = request.fixed(reference)
+    if fixed is not None:
+        return [fixed] * len(siblings)
+    lattice = output_lattice(reference, request)
+    base = reference if lattice.crs == reference.crs else lattice
+    owns = [ortho_grid(base, each) for each in (target, *siblings)]
+    outlines = [map_px(own.boundary_px(), own, lattice) for own in owns]
+    boxes = [(outline.min(axis=0), outline.max(axis=0)) for outline in outlines]
+    return lay_out(lattice, request, boxes, [np.hypot(*linear_part(own.transform)) for own in owns])
 
 
 def orthorectify(

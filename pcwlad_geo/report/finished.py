@@ -14,11 +14,13 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from pcwlad_geo.correction.models import Correction, from_json
+from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.registration.output_wishes import grid_request
+from pcwlad_geo.registration.rpc_sibling import CorrectedRpc
 from pcwlad_geo.report.summary import SCHEMA_VERSION
 
 NUMBERS = "report.json"
@@ -37,6 +39,8 @@ class FinishedRegistration:
     made: OutputFormat
     """The format of the registered raster."""
     resampling: str
+    rpc: CorrectedRpc | None = None
+    """Of a target with RPC; its siblings are corrected by this."""
 
 
 def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
@@ -54,11 +58,12 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
         settings = report["settings"]
         return FinishedRegistration(
             correction=from_json(report["model"]),
-            reference_grid=_grid(report["reference"]),
+            reference_grid=_grid(report["reference"].get("ground") or report["reference"]),
             target_grid=_grid(report["target"]),
             request=_request(report),
             made=OutputFormat.of(settings.get("of", "COG"), settings.get("co", ())),
             resampling=str(settings["resampling"]),
+            rpc=_rpc(report["rpc"], report["target"], settings) if report.get("rpc") else None,
         )
     except (KeyError, TypeError, ValueError, CRSError) as error:
         raise InputError(
@@ -94,11 +99,6 @@ def _report(path: Path) -> Mapping[str, Any]:
             f"{path.parent} holds no correction: {reason.get(report['status'], report['status'])}; "
             "give the output folder of pcwlad-geo register"
         )
-    if report.get("rpc"):
-        raise InputError(
-            f"{path.parent} holds the correction of an RPC, which cannot be applied to other rasters: "
-            "give them its corrected RPC (copy *_rpc_RPC.TXT to X_RPC.TXT beside X.tif) and run gdalwarp -rpc"
-        )
     return report
 
 
@@ -115,6 +115,27 @@ def _request(report: Mapping[str, Any]) -> GridRequest:
         None if extent is None else (float(extent[0]), float(extent[1]), float(extent[2]), float(extent[3])),
         settings.get("t_srs"),
     )
+
+
+def _rpc(rpc: Mapping[str, Any], target: Mapping[str, Any], settings: Mapping[str, Any]) -> CorrectedRpc:
+    rows, cols = target["shape"]
+    return CorrectedRpc(
+        original=_model(rpc["original"]),
+        corrected=_model(rpc["corrected"]),
+        shape=(int(rows), int(cols)),
+        dem=rpc["dem"],
+        dem_vertical=rpc["dem_vertical"],
+        height_m=rpc["height_m"],
+        trusted=bool(settings["trust_rpc"]),
+    )
+
+
+def _model(numbers: Mapping[str, Any]) -> RpcModel:
+    values: dict[str, Any] = {
+        name: tuple(float(number) for number in value) if isinstance(value, list) else float(value)
+        for name, value in numbers.items()
+    }
+    return RpcModel(**values)
 
 
 def _grid(raster: Mapping[str, Any]) -> Grid:

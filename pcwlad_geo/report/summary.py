@@ -19,9 +19,11 @@ from pcwlad_geo.correction.accuracy import Accuracy
 from pcwlad_geo.raster.dem import Dem
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc_grid import RpcGrid
+from pcwlad_geo.raster.rpc_view import ground_grid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.rpc_target import RpcRegistration
+from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.report.coverage import SHARE_DIGITS, coverage_of
 from pcwlad_geo.report.precision import PrecisionMap, precision_of
 from pcwlad_geo.report.statistics import KEPT, error_statistics
@@ -66,7 +68,7 @@ def summarise(
         "warnings": list(registration.warnings),
         "passed": registration.passed,
         "requirements": [_requirement(each) for each in registration.requirements],
-        "reference": _raster(registration.reference),
+        "reference": _raster(registration.reference) | {"ground": _ground(registration.reference)},
         "target": _raster(registration.target),
         "px_m": registration.px_m,
         "output_grid": _grid(output_grid) if output_grid else None,
@@ -75,7 +77,7 @@ def summarise(
         "counts": dict(registration.counts),
         "displacement_px": _statistics(kept.displacement_px, PX_DIGITS),
         "displacement_m": _statistics(kept.displacement_m, M_DIGITS),
-        "rpc": _rpc(registration.rpc) if registration.rpc else None,
+        "rpc": _rpc(registration.rpc, registration.settings) if registration.rpc else None,
         "model": _model(registration, precision or precision_of(registration)),
         "accuracy": {
             group: {
@@ -159,13 +161,26 @@ def _raster(info: RasterInfo) -> Summary:
     }
 
 
-def _rpc(rpc: RpcRegistration) -> Summary:
-    """Return the RPC before and after, and the heights that it was used with."""
+def _ground(reference: RasterInfo) -> Summary | None:
+    """Return the grid that a reference with RPC is orthorectified onto."""
+    if not isinstance(reference.grid, RpcGrid):
+        return None
+    grid = ground_grid(reference.grid)
+    return {
+        "shape": list(grid.shape),
+        "transform": list(grid.transform)[:6],
+        "crs": grid.crs.to_string() if grid.crs else None,
+    }
+
+
+def _rpc(rpc: RpcRegistration, settings: Settings) -> Summary:
+    """Return the RPC before and after, and the heights that it was used with: enough for its siblings."""
     heights = rpc.original.heights
     dem = heights if isinstance(heights, Dem) else None
     return {
         "origin": rpc.origin,
-        "dem": dem.uri if dem else None,
+        "dem": _found_again(dem.uri) if dem else None,
+        "dem_vertical": _found_again(settings.dem_vertical) if dem else None,
         "undulation_m": round(dem.undulation.mean_m, M_DIGITS) if dem else None,
         "height_m": None if isinstance(heights, Dem) else heights.height_m,
         "height_range_m": np.round(rpc.heights_m, 1).tolist(),
@@ -173,6 +188,12 @@ def _rpc(rpc: RpcRegistration) -> Summary:
         "corrected": asdict(rpc.corrected.rpc) if rpc.corrected else None,
         "fold_error_px": rpc.fold_error_px,
     }
+
+
+def _found_again(file: object) -> object:
+    """Return a file's name as it can be found from any folder; what is none stays."""
+    is_file = isinstance(file, str | Path) and Path(file).exists()
+    return str(Path(str(file)).absolute()) if is_file else file
 
 
 def _tie_point_counts(registration: Registration) -> dict[str, int]:

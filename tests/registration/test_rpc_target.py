@@ -131,14 +131,6 @@ def test_its_own_tie_points_give_the_same_rpc(
     assert np.isfinite(values).mean() > 0.9
 
 
-def test_the_correction_of_an_rpc_is_for_no_other_raster(
-    registered: Registered, pair: Pair, tmp_path: Path
-) -> None:
-    with pytest.raises(InputError, match="the correction of an RPC, which cannot be applied"):
-        pcwlad_geo.warp(registered[1], [pair[1]], out_dir=tmp_path / "warped")
-    assert not (tmp_path / "warped").exists()
-
-
 def test_dem_and_geoid_are_files_that_a_job_reads(pair: Pair) -> None:
     assert Settings(dem=pair[2], dem_vertical="/vsizip/egm.zip/egm.tif").files == (
         pair[2],

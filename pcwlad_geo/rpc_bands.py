@@ -1,0 +1,145 @@
+"""Apply a registration of a target with RPC to its siblings: corrected RPCs, orthorectified rasters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pcwlad_geo.errors import InputError, OutputError
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.output_format import OutputFormat, check_format
+from pcwlad_geo.raster.output_grid import GridRequest
+from pcwlad_geo.raster.rpc_files import to_gdal, write_rpc_text
+from pcwlad_geo.raster.rpc_warping import orthorectify, requested_ortho_grids
+from pcwlad_geo.raster.vrt import write_rpc_vrt
+from pcwlad_geo.registration.progress import EventCallback, Progress, Warned
+from pcwlad_geo.registration.rpc_sibling import CorrectedRpc, correct_sibling
+from pcwlad_geo.registration.rpc_target import RpcRegistration
+from pcwlad_geo.staging import place_with_files, stage_inside
+
+NAMES = {"raster": "{stem}_registered.tif", "rpc": "{stem}_rpc.vrt", "rpc_text": "{stem}_rpc_RPC.TXT"}
+
+
+@dataclass(frozen=True, slots=True)
+class OrthoOutput:
+    """How orthorectified rasters are written."""
+
+    reference_grid: Grid
+    """On whose lattice they lie where nothing else is asked for."""
+    request: GridRequest
+    format: OutputFormat
+    resampling: str
+    """A name of `rasterio.enums.Resampling`."""
+
+
+def warp_by_rpc(
+    sources: Sequence[str],
+    places: Sequence[Mapping[str, Path]],
+    target: CorrectedRpc,
+    made: OrthoOutput,
+    *,
+    overwrite: bool,
+    on_event: EventCallback,
+) -> tuple[Path, ...]:
+    """Correct the RPCs of rasters as that of the registered one, and orthorectify them.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        Paths or GDAL URIs.
+    places : sequence of mapping
+        Where the files of each go, by the kinds of `NAMES`; what is not named is not written.
+    target : CorrectedRpc
+        Of the registration.
+    made : OrthoOutput
+        Grid and format; the rasters share an extent.
+    overwrite : bool
+        Replace files that exist.
+    on_event : callable
+        Receives `Progress` and `Warned` events.
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The files written, those of each raster together.
+
+    Raises
+    ------
+    InputError
+        If a raster cannot be used; before anything is written.
+    OutputError
+        If a result cannot be written; those before it stay.
+    """
+    siblings: list[RpcRegistration] = []
+    for source in sources:
+        sibling, warnings = correct_sibling(source, target)
+        siblings.append(sibling)
+        for warning in warnings:
+            on_event(Warned(warning))
+    grids = _grids(target, siblings, made)
+    for source, grid in zip(sources, grids, strict=True):
+        check_format(made.format, source, grid)
+    with stage_inside(places[0]["raster"].parent) as stage:
+        for number, (source, files, sibling) in enumerate(zip(sources, places, siblings, strict=True)):
+            on_event(Progress("rasters", number, len(sources)))
+            staged = {kind: stage / place.name for kind, place in files.items()}
+            unread = orthorectify(
+                source,
+                staged["raster"],
+                sibling.corrected_grid,
+                grids[number],
+                made.resampling,
+                made=made.format,
+                progress=lambda done, total: on_event(Progress("warping", done, total)),
+            )
+            if unread is not None:
+                on_event(Warned(unread))
+            rpc = sibling.corrected_grid.rpc
+            if "rpc" in files:
+                write_rpc_vrt(staged["rpc"], source, to_gdal(rpc), final_path=files["rpc"])
+            if "rpc_text" in files:
+                write_rpc_text(rpc, staged["rpc_text"])
+            for kind, place in files.items():
+                place_with_files(staged[kind], place, overwrite=overwrite)
+    on_event(Progress("rasters", len(sources), len(sources)))
+    return tuple(place for files in places for place in files.values())
+
+
+def _grids(target: CorrectedRpc, siblings: Sequence[RpcRegistration], made: OrthoOutput) -> list[Grid]:
+    """Return the output grids: one extent for all, that of the registered target."""
+    own = [sibling.corrected_grid for sibling in siblings]
+    registered = replace(own[0], shape=target.shape, rpc=target.corrected)
+    return requested_ortho_grids(made.reference_grid, registered, made.request, own)
+
+
+def places_of(sources: Sequence[str], rasters: Sequence[Path], *, beside: bool) -> list[dict[str, Path]]:
+    """Return where the files of each source go: its raster, and the corrected RPCs beside that if wanted."""
+    kinds = NAMES if beside else {"raster": NAMES["raster"]}
+    return [
+        {
+            kind: raster if kind == "raster" else raster.with_name(name.format(stem=Path(source).stem))
+            for kind, name in kinds.items()
+        }
+        for source, raster in zip(sources, rasters, strict=True)
+    ]
+
+
+def check_places(sources: Sequence[str], places: Sequence[Mapping[str, Path]], *, overwrite: bool) -> None:
+    """Raise where an output cannot be written: before hours of work, not after them.
+
+    Raises
+    ------
+    InputError
+        If two rasters would be written to one file.
+    OutputError
+        If a file would replace an input, or one that may not be replaced.
+    """
+    wanted = [place for files in places for place in files.values()]
+    for place in wanted:
+        if wanted.count(place) > 1:
+            raise InputError(f"two of the rasters would be written to {place}: warp them into two folders")
+        if any(place.exists() and Path(source).exists() and place.samefile(source) for source in sources):
+            raise OutputError(f"the output {place} is an input too: choose another output folder")
+        if place.exists() and not overwrite:
+            raise OutputError(f"{place} exists: give --overwrite to replace it, or another folder")
