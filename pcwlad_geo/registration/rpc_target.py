@@ -69,7 +69,10 @@ def place_reference(
     if reference.georeferenced:
         return None, ()
     if settings.dem is None and settings.model != "rpc":
-        return None, _left_aside(reference.uri, "no geotransform")
+        return None, _left_aside(
+            f"{reference.uri} has an RPC, which counts for a reference with a DEM only: it is not used",
+            reference.uri,
+        )
     source, other = read_rpc(reference.uri), read_rpc(target.uri)
     if source is None or (other is None and not target.georeferenced):
         return None, ()
@@ -109,7 +112,10 @@ def place_target(
     """
     wanted = settings.dem is not None or settings.model == "rpc"
     if target.georeferenced and not wanted:
-        return None, _left_aside(target.uri, "a geotransform")
+        return None, _left_aside(
+            f"{target.uri} has a geotransform and an RPC: the RPC is not used; give --dem to use it",
+            target.uri,
+        )
     source = read_rpc(target.uri)
     if source is None:
         for_reference = isinstance(reference.grid, RpcGrid) and settings.model != "rpc"
@@ -162,13 +168,12 @@ def _placed(
         raise InputError("; ".join([str(error), *source.warnings])) from error
 
 
-def _left_aside(uri: str, beside: str) -> tuple[str, ...]:
-    """Say that an RPC does not count; nothing where there is none that can be read."""
+def _left_aside(warning: str, uri: str) -> tuple[str, ...]:
+    """Return a warning where a raster has an RPC that can be read; nothing otherwise."""
     try:
         source = read_rpc(uri)
     except InputError:
         return ()
-    warning = f"{uri} has {beside} and an RPC: the RPC is not used; give --dem to use it"
     return () if source is None else (warning,)
 
 

@@ -17,6 +17,7 @@ from pcwlad_geo.raster.windows import Window
 from tests.rpc_scene import (
     SHAPE,
     UNDULATION_M,
+    decimated,
     dem_grid,
     dem_values,
     make_rpc,
@@ -198,8 +199,9 @@ def test_the_output_grid_lies_on_the_references_lattice(tmp_path: Path) -> None:
 def test_all_ground_up_to_the_edge_of_the_dem_is_written(tmp_path: Path) -> None:
     near = dem_grid().part((60.0, 60.0), (60, 70))
     heights = Dem(str(write_dem(tmp_path / "dem.tif", dem_values(near), near)), near, 1.0, UNDULATION)
-    grid = RpcGrid.of_file(SHAPE, make_rpc(), heights)
-    image = write_image(tmp_path / "image.tif", np.full(SHAPE, 100, np.uint8), make_rpc())
+    rpc, shape = decimated(make_rpc(), 0.25), (SHAPE[0] * 4, SHAPE[1] * 4)
+    grid = RpcGrid.of_file(shape, rpc, heights)
+    image = write_image(tmp_path / "image.tif", np.full(shape, 100, np.uint8), rpc)
     # it begins a little beside the DEM, and ends far off it
     out = make_grid((700, 800), pixel_m=7.0, offset_m=(2097.0, 2097.0))
     orthorectify(image, tmp_path / "ortho.tif", grid, out)

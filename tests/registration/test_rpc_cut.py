@@ -5,9 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.grid import map_px
+from pcwlad_geo.raster.dem import Dem, Undulation
+from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.rpc_files import read_rpc
+from pcwlad_geo.raster.rpc_grid import RpcGrid
 from pcwlad_geo.raster.rpc_view import Placed, place_by_rpc
 from pcwlad_geo.raster.rpc_warping import ortho_grid
 from pcwlad_geo.raster.source import describe
@@ -22,7 +25,6 @@ from tests.rpc_scene import (
     make_rpc,
     oblique_rpc,
     of_a_product,
-    rpc_grid,
     write_dem,
     write_image,
 )
@@ -33,18 +35,22 @@ REFERENCE = make_grid((320, 340), offset_m=(-300, -300))
 NEAR_DEM = dem_grid().part((50.0, 45.0), (90, 100))
 """6 km x 5.4 km of the 9.6 km x 9 km that the image shows."""
 
+WIDE_DEM = dem_grid().part((-70.0, -70.0), (340, 350))
+"""With the ground where lines of sight pass the height offset."""
 
-def scene(folder: Path, rpc: object, dem: Path) -> tuple[Path, Path]:
+
+def scene(folder: Path, rpc: RpcModel, dem: Path, grid: Grid) -> tuple[Path, Path]:
     """Write the reference, and the image of an RPC that errs by the truth."""
     reference = write(folder / "reference.tif", render(REFERENCE), REFERENCE)
-    seen = render(rpc_grid(dem, rpc), displacement_px=TRUTH_PX)
+    heights = Dem(str(dem), grid, 1.0, Undulation.constant(UNDULATION_M))
+    seen = render(RpcGrid.of_file(SHAPE, rpc, heights), displacement_px=TRUTH_PX)
     values = np.clip(np.rint(seen * 200), 1, 65535).astype(np.uint16)
     return reference, write_image(folder / "image.tif", values, rpc)
 
 
 def test_a_part_cut_from_a_product_is_registered(tmp_path: Path) -> None:
     dem = write_dem(tmp_path / "dem.tif")
-    pair = scene(tmp_path, of_a_product(make_rpc()), dem)
+    pair = scene(tmp_path, of_a_product(make_rpc()), dem, dem_grid())
     found = run(*pair, Settings(dem=dem, dem_vertical=UNDULATION_M, jobs=1))
     np.testing.assert_allclose(found.correction.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.02)
     assert found.rpc.fold_error_px < 1e-3
@@ -55,7 +61,8 @@ def test_a_part_cut_from_a_product_is_registered(tmp_path: Path) -> None:
 def far_below(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
     """Reference, image and near DEM of a scene 2000 m above the RPC's height offset."""
     folder = tmp_path_factory.mktemp("far")
-    pair = scene(folder, oblique_rpc(), write_dem(folder / "whole.tif"))
+    whole = write_dem(folder / "whole.tif", dem_values(WIDE_DEM), WIDE_DEM)
+    pair = scene(folder, oblique_rpc(), whole, WIDE_DEM)
     return *pair, write_dem(folder / "dem.tif", dem_values(NEAR_DEM), NEAR_DEM)
 
 
@@ -126,7 +133,7 @@ def test_trust_overrules_the_judgement(tmp_path: Path) -> None:
 
 def test_what_is_not_found_may_have_the_rpc_of_another_image(tmp_path: Path) -> None:
     dem = write_dem(tmp_path / "dem.tif")
-    _, image = scene(tmp_path, make_rpc(), dem)
+    _, image = scene(tmp_path, make_rpc(), dem, dem_grid())
     other = write(tmp_path / "other.tif", render(REFERENCE, seed=7), REFERENCE)
     found = run(other, image, Settings(dem=dem, dem_vertical=UNDULATION_M, prealign="georef", jobs=1))
     assert found.status == "rejected"

@@ -119,7 +119,7 @@ def test_without_a_dem_its_rpc_does_not_count(folder: Path) -> None:
     reference, target = describe(folder / "reference.tif"), describe(folder / "target.tif")
     placed, (warning,) = place_reference(reference, target, Settings())
     assert placed is None
-    assert "the RPC is not used; give --dem" in warning
+    assert "has an RPC, which counts for a reference with a DEM only" in warning
 
 
 @pytest.mark.parametrize(
