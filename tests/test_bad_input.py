@@ -21,7 +21,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.cli.app import run
 from pcwlad_geo.raster import warping
-from tests.cli.process import environment, run_cli
+from tests.cli.process import TIMERS_RUN_OUT, environment, run_cli
 from tests.scenes import make_grid, render, write
 
 SMALL = ("--template", "61", "--window", "41", "--features", "60")
@@ -203,9 +203,10 @@ FILE_SIZE_LIMIT = 40_000
 
 
 def test_full_disk_found_by_gdal(register: Register, tmp_path: Path) -> None:
-    """GDAL's own writes fail too, also those when a file is closed."""
+    """GDAL's own writes fail too, also those at closing; what matplotlib cannot keep is not told."""
     code = (
-        "import resource, signal, sys\n"
+        "import resource, signal, sys, threading\n"
+        f"{TIMERS_RUN_OUT}\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "import pcwlad_geo.workflow\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({FILE_SIZE_LIMIT}, {FILE_SIZE_LIMIT}))\n"
@@ -215,7 +216,7 @@ def test_full_disk_found_by_gdal(register: Register, tmp_path: Path) -> None:
     ended = subprocess.run(
         [sys.executable, "-c", code, "register", "ref.tif", "tgt.tif", "-o", "out", *SMALL],
         cwd=tmp_path,
-        env=environment(tmp_path),
+        env={**environment(tmp_path), "MPLCONFIGDIR": str(tmp_path / "empty")},
         capture_output=True,
         text=True,
         check=False,

@@ -84,7 +84,7 @@ def run_guarded(
     typer.Exit
         With the exit status, unless it is 0.
     """
-    with reporter(params["progress"]) as report:
+    with reporter(params["progress"], debug=params["debug"]) as report:
         status = _attempt(params, report, work, abandon)
     if status:
         raise typer.Exit(status)

@@ -185,4 +185,6 @@ Config = Annotated[
     Path | None,
     typer.Option("--config", metavar="FILE.toml", help="Options by name; the command line wins."),
 ]
-Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+Debug = Annotated[
+    bool, typer.Option("--debug", help="Show the traceback of an error, and what libraries write meanwhile.")
+]

@@ -7,10 +7,11 @@ import os
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Protocol, TextIO
 
 from pcwlad_geo.cli.options import ProgressStyle
+from pcwlad_geo.cli.streams import own_standard_error, protocol_stream
 from pcwlad_geo.errors import CancelledError
 from pcwlad_geo.registration.progress import Event, Progress, Warned
 
@@ -39,19 +40,23 @@ def one_line(message: object) -> str:
     return " ".join(str(message).split())
 
 
-def show_error(message: object) -> None:
-    """Write the one line that an error is on standard error."""
-    sys.stderr.write(f"error: {one_line(message)}\n")
-    sys.stderr.flush()
+def show_error(message: object, errors: TextIO | None = None) -> None:
+    """Write the one line that an error is on standard error, or on the stream that stands for it."""
+    stream = errors or sys.stderr
+    stream.write(f"error: {one_line(message)}\n")
+    stream.flush()
 
 
 class Quiet:
     """Warnings and errors on standard error, the result on standard output."""
 
+    def __init__(self, errors: TextIO) -> None:
+        self._errors = errors
+
     def event(self, event: Event) -> None:
         """Show a warning."""
         if isinstance(event, Warned):
-            sys.stderr.write(f"warning: {one_line(event.message)}\n")
+            self._errors.write(f"warning: {one_line(event.message)}\n")
 
     def result(self, figures: dict[str, object], summary: str) -> None:
         """Print the summary."""
@@ -63,17 +68,18 @@ class Quiet:
 
     def error(self, message: str, details: dict[str, object]) -> None:
         """Write the message."""
-        show_error(message)
+        show_error(message, self._errors)
 
     def cancelled(self) -> None:
         """Say so."""
-        show_error("interrupted")
+        show_error("interrupted", self._errors)
 
 
 class Bar(Quiet):
     """A progress bar a stage, on standard error; nothing is drawn, by no thread, before the first event."""
 
-    def __init__(self, bars: rich.progress.Progress) -> None:
+    def __init__(self, bars: rich.progress.Progress, errors: TextIO) -> None:
+        super().__init__(errors)
         self._bars = bars
         self._tasks: dict[str, rich.progress.TaskID] = {}
 
@@ -109,8 +115,8 @@ class Bar(Quiet):
 class JsonLines:
     """One JSON object a line; errors are on standard error too, for a person who looks there."""
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+    def __init__(self, stream: TextIO, errors: TextIO) -> None:
+        self._stream, self._errors = stream, errors
         self._lock = threading.Lock()  # a forced end speaks from another thread
         self._ended = False
 
@@ -127,7 +133,7 @@ class JsonLines:
 
     def error(self, message: str, details: dict[str, object]) -> None:
         """Write the error object."""
-        show_error(message)
+        show_error(message, self._errors)
         self._write("error", {"message": one_line(message), **details}, last=True)
 
     def cancelled(self) -> None:
@@ -150,42 +156,23 @@ class JsonLines:
 
 
 @contextmanager
-def reporter(style: ProgressStyle) -> Iterator[Reporter]:
-    """Give the reporter of a style, for the length of a run."""
-    if style == "json":
-        with _protocol_stream() as stream:
-            yield JsonLines(stream)
-    elif style == "bar" or (style == "auto" and sys.stderr.isatty()):
-        bars = _bars()
-        try:
-            yield Bar(bars)
-        finally:
-            bars.stop()
-    else:
-        yield Quiet()
+def reporter(style: ProgressStyle, *, debug: bool = False) -> Iterator[Reporter]:
+    """Give the reporter of a style, for the length of a run; libraries are heard with `debug` only."""
+    with ExitStack() as stack:
+        # first, as stray prints go from standard output to the real standard error
+        protocol = stack.enter_context(protocol_stream()) if style == "json" else None
+        errors = sys.stderr if debug else own_standard_error()
+        if protocol is not None:
+            yield JsonLines(protocol, errors)
+        elif style == "bar" or (style == "auto" and errors.isatty()):
+            bars = _bars(errors)
+            stack.callback(bars.stop)
+            yield Bar(bars, errors)
+        else:
+            yield Quiet(errors)
 
 
-@contextmanager
-def _protocol_stream() -> Iterator[TextIO]:
-    """Keep the real standard output for the protocol and point file descriptor 1 at standard error.
-
-    So a stray print, of Python or of a C library, cannot corrupt the protocol.
-    """
-    sys.stdout.flush()
-    kept = os.dup(1)
-    stream = os.fdopen(os.dup(kept), "w", encoding="utf-8", newline="\n")
-    os.dup2(2, 1)
-    try:
-        yield stream
-    finally:
-        with suppress(BrokenPipeError):  # the reader has gone: that was found before
-            stream.close()
-        sys.stdout.flush()
-        os.dup2(kept, 1)
-        os.close(kept)
-
-
-def _bars() -> rich.progress.Progress:
+def _bars(errors: TextIO) -> rich.progress.Progress:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
@@ -195,5 +182,5 @@ def _bars() -> rich.progress.Progress:
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        console=Console(stderr=True),
+        console=Console(file=errors),
     )

@@ -35,6 +35,9 @@ main()
 """
 """The command line with a workflow that needs no libraries: its tests start many processes."""
 
+TIMERS_RUN_OUT = "threading.Timer.start = lambda timer: timer.function()"
+"""A statement that makes of any machine one so slow that every timer has run out at once."""
+
 
 def environment(tmp_path: Path) -> dict[str, str]:
     """Return an environment whose HOME is empty."""

@@ -1,0 +1,80 @@
+"""Standard error is the command's own: what libraries write there does not reach the user."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.cli.process import TIMERS_RUN_OUT, Result
+
+Cli = Callable[..., Result]
+BOTH = ("register", "a.tif", "b.tif")
+
+TALK = """
+    import logging, os, subprocess, sys, warnings
+    from pcwlad_geo.errors import InputError
+    from pcwlad_geo.registration.progress import Warned
+    from pcwlad_geo.registration.runners import OwnProcesses
+    warnings.simplefilter("default")
+    warnings.warn("a warning of a library")
+    logging.getLogger("library").warning("a log line of a library")
+    sys.stderr.write("words of a library without an end of line")
+    os.write(2, b"words of a C library\\n")
+    subprocess.run("echo words of a program of a library >&2", shell=True)
+    on_event(Warned("our own"))
+    with OwnProcesses(2, preload="") as runner:
+        runner.run(os.write, [(2, b"words of a worker\\n")] * 4, "matching")
+    raise InputError("no such band")
+"""
+TALKERS = ("warning", "log line", "words", "C library", "program", "worker")
+FIRST_FIGURE = f"""
+    import threading
+    {TIMERS_RUN_OUT}
+    import matplotlib.font_manager
+    raise ValueError("odd")
+"""
+LATE = """
+    import logging, threading
+    def load():
+        threading.main_thread().join()  # the run has ended, and so has the command
+        logging.getLogger("library").warning("a late log line")
+    threading.Thread(target=load).start()
+    raise ValueError("odd")
+"""
+
+
+def _lines(result: Result) -> list[str]:
+    return [line for line in result.stderr.splitlines() if line]  # a bar leaves an empty one
+
+
+@pytest.mark.parametrize("progress", ["none", "bar", "json"])
+def test_libraries_do_not_talk_to_the_user(cli: Cli, progress: str) -> None:
+    result = cli(*BOTH, "--progress", progress, work=TALK)
+    own = ["warning: our own"] * (progress != "json") + ["error: no such band"]
+    assert (result.returncode, _lines(result)) == (2, own)
+
+
+def test_debug_lets_libraries_talk(cli: Cli) -> None:
+    said = cli(*BOTH, "--debug", work=TALK).stderr
+    assert [
+        talker for talker in TALKERS if f"{talker} of a" not in said and f"of a {talker}" not in said
+    ] == []
+    assert "Traceback" in said
+    assert "error: no such band\n" in said
+
+
+@pytest.mark.parametrize("folder", ["empty", "/dev/null/not-a-folder"])
+def test_matplotlib_does_not_tell_of_its_cache_of_fonts(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    """Neither where it searches for fonts nor where it cannot keep what it has found."""
+    monkeypatch.setenv("MPLCONFIGDIR", str(tmp_path / folder))
+    monkeypatch.setenv("PYTHONWARNINGS", "default")
+    result = cli(*BOTH, work=FIRST_FIGURE)
+    assert result.stderr == "error: unexpected ValueError: odd (--debug shows where)\n"
+
+
+def test_what_outlives_the_run_is_as_silent(cli: Cli) -> None:
+    assert cli(*BOTH, work=LATE).stderr == "error: unexpected ValueError: odd (--debug shows where)\n"
