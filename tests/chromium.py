@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import PATIENCE_S
+
 
 @dataclass(frozen=True)
 class Shown:
@@ -29,7 +31,7 @@ def show(path: Path) -> Shown:
         [browser, *arguments, f"--user-data-dir={path.parent / 'profile'}", path.as_uri()],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     return Shown(shown.stdout, "CONSOLE" in shown.stderr)

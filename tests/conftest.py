@@ -1,13 +1,40 @@
-"""Fixtures that every test may use."""
+"""Fixtures that every test may use, and what the processes of a run of the tests share."""
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+COMPILE = "from pcwlad_geo.matching.first_start import compile_kernels; compile_kernels('oriented', print)"
+
+# Here, before numpy loads: several threads on small matrices take several times as long as one.
+for _pool in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{_pool}_NUM_THREADS", "1")
+# Tests start commands whose HOME is empty: each would search for fonts anew.
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    os.environ["MPLCONFIGDIR"] = tempfile.mkdtemp(prefix="pcwlad-geo-tests-")
+    atexit.register(shutil.rmtree, os.environ["MPLCONFIGDIR"], ignore_errors=True)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the kernels once, before several workers would all do so."""
+    workers = getattr(session.config.option, "numprocesses", None)
+    if workers and "PYTEST_XDIST_WORKER" not in os.environ:
+        places = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
+        subprocess.run(
+            [sys.executable, "-c", COMPILE],
+            env={**os.environ, "PYTHONPATH": places},
+            stdout=subprocess.DEVNULL,
+            check=False,  # if it fails, tests will say why
+        )
 
 
 @pytest.fixture(scope="session")

@@ -199,7 +199,7 @@ def test_two_runs_are_kept_apart(tmp_path: Path) -> None:
         with OutputFolder(out_dir) as folder:
             folder.path("a.csv").write_text("1")
             print("ready", flush=True)
-            time.sleep(60)
+            time.sleep(36_000)
     """
     process = child(out_dir, body)
     try:
@@ -222,7 +222,7 @@ def test_a_killed_run_leaves_nothing_under_the_final_name_and_is_swept(tmp_path:
         with OutputFolder(out_dir, overwrite=True) as folder:
             folder.path("a.csv").write_text("1")
             print("ready", flush=True)
-            time.sleep(60)
+            time.sleep(36_000)
     """
     process = child(out_dir, body)
     process.send_signal(signal.SIGKILL)
@@ -244,7 +244,7 @@ def test_a_run_killed_while_placing_its_files_is_undone(tmp_path: Path) -> None:
         def stopping(self, target):
             if self.name == "c.csv":
                 print("ready", flush=True)
-                time.sleep(60)
+                time.sleep(36_000)
             return replace(self, target)
         Path.replace = stopping
         with OutputFolder(out_dir, overwrite=True) as folder:

@@ -29,6 +29,7 @@ from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.registration.progress import Event, Progress
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.settings import Settings
+from tests.patience import PATIENCE_S
 from tests.registrations import SHIFT_PX, make_registration, of_files, write_pair
 
 COMMON = {"report.html", "report.json", "tiepoints.csv", "tiepoints.gpkg"}
@@ -285,13 +286,13 @@ def test_an_interrupted_job_does_not_wait_for_the_page(
 
     def draw(*_: object) -> tuple[dict[str, object], float]:
         begun.set()
-        released.wait(20)
+        released.wait(PATIENCE_S)
         drawn.set()
         return {}, 0.0
 
     def interrupt(event: Event) -> None:
         if isinstance(event, Progress) and event.stage == "warping":
-            assert begun.wait(20)
+            assert begun.wait(PATIENCE_S)
             raise KeyboardInterrupt
 
     monkeypatch.setattr(writing, "_draw", draw)
@@ -300,7 +301,7 @@ def test_an_interrupted_job_does_not_wait_for_the_page(
     assert not drawn.is_set()
     assert names(tmp_path) == {"b4.tif", "b10.tif"}
     released.set()
-    assert drawn.wait(20)
+    assert drawn.wait(PATIENCE_S)
 
 
 @pytest.mark.parametrize(

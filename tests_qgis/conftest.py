@@ -31,6 +31,9 @@ from qgis.core import (  # noqa: E402
     QgsProject,
 )
 
+PATIENCE_S = 600
+"""Bound of every wait: so long that no machine is too slow for it."""
+
 _exit_status = 0
 _kept: list[object] = []
 """QGIS may crash when Python takes it down: it never is."""
@@ -135,7 +138,7 @@ def run_cli(*arguments: str | Path) -> dict[str, Any]:
         capture_output=True,
         text=True,
         check=False,
-        timeout=300,
+        timeout=PATIENCE_S,
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])

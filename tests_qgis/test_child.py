@@ -12,7 +12,7 @@ import uuid
 from pathlib import Path
 
 import pytest
-from conftest import Feedback
+from conftest import PATIENCE_S, Feedback
 from pcwlad_geo_qgis import child
 from pcwlad_geo_qgis.engine import Engine
 from pcwlad_geo_qgis.protocol import run_engine
@@ -40,7 +40,7 @@ def processes(mark: str) -> list[int]:
     return found
 
 
-def count_until(mark: str, wanted: int, limit_s: float = 10.0) -> int:
+def count_until(mark: str, wanted: int, limit_s: float = PATIENCE_S) -> int:
     """Wait until there are so many processes with a mark, or more of some; return how many there are."""
     end = time.monotonic() + limit_s
     while True:
@@ -149,9 +149,9 @@ def test_an_engine_that_does_not_listen_is_killed_with_its_children(
     engine = stand_in(
         tmp_path,
         """
-        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(36_000)"])
         print("ready", file=sys.stderr, flush=True)
-        time.sleep(600)
+        time.sleep(36_000)
         """,
     )
     feedback = Feedback()
@@ -173,7 +173,7 @@ def test_a_grandchild_that_keeps_the_pipes_open_does_not_hold_the_user_up(tmp_pa
     engine = stand_in(
         tmp_path,
         """
-        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(36_000)"])
         print(json.dumps({"event": "result", "status": "registered"}))
         """,
     )
@@ -182,7 +182,7 @@ def test_a_grandchild_that_keeps_the_pipes_open_does_not_hold_the_user_up(tmp_pa
         target=lambda: result.append(run_engine(engine, [], Feedback(), tmp_path, SHARES)), daemon=True
     )
     thread.start()
-    thread.join(60)
+    thread.join(PATIENCE_S)
     left = processes(mark)
     for process in left:
         os.kill(process, signal.SIGKILL)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import REPOSITORY, SAMPLE, Finished, run_cli
+from conftest import PATIENCE_S, REPOSITORY, SAMPLE, Finished, run_cli
 from test_child import count_until, mark  # noqa: F401  # mark is a fixture
 
 TEST_DATA = Path(os.environ.get("PCWLAD_GEO_TEST_DATA", "/none"))
@@ -54,7 +54,7 @@ def call(config: Path, *arguments: str, **parameters: str | Path) -> str:
         capture_output=True,
         text=True,
         check=False,
-        timeout=300,
+        timeout=PATIENCE_S,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -147,7 +147,7 @@ def test_the_end_of_qgis_is_the_end_of_the_engine(
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    running = count_until(mark, 4, limit_s=60)
+    running = count_until(mark, 4)
     process.kill()
     process.wait()
     print(f"processes while it ran: {running}")
@@ -171,7 +171,7 @@ def test_an_error_reaches_the_user(profile: Path, tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=100,
+        timeout=PATIENCE_S,
     )
     assert done.returncode != 0
     assert "Reference and target are the same raster and band" in done.stdout + done.stderr

@@ -8,7 +8,6 @@ import gc
 import math
 import os
 import shutil
-import time
 from pathlib import Path
 
 import pytest
@@ -289,12 +288,10 @@ def test_cancelling_ends_the_engine_and_its_workers_and_leaves_nothing(
     out.mkdir()
     feedback = Feedback()
     seen: list[int] = []
-    times: list[float] = []
 
     def cancel_when_matching(text: str) -> None:
         if text == "Matching" and not seen:
             seen.append(count_until(mark, 3))
-            times.append(time.monotonic())
             feedback.cancel()
 
     feedback.setProgressText = cancel_when_matching
@@ -311,10 +308,7 @@ def test_cancelling_ends_the_engine_and_its_workers_and_leaves_nothing(
         },
         feedback,
     )
-    took_s = time.monotonic() - times[0]
-    print(f"cancelled {took_s:.2f} s after the click; processes while it ran: {seen[0]}")
     assert run.results == {}
     assert seen[0] >= 3  # the engine and its workers
     assert [number for number in processes(mark) if number != os.getpid()] == []
     assert list(out.iterdir()) == []
-    assert took_s < 5.0

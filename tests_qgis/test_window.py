@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Finished
+from conftest import PATIENCE_S, Finished
 from osgeo import gdal
 from test_process import built, profile  # noqa: F401  # fixtures
 
@@ -53,7 +53,7 @@ def seen(
             start_new_session=True,
         )
         try:
-            run.wait(timeout=180)
+            run.wait(timeout=PATIENCE_S)
         except subprocess.TimeoutExpired:
             os.killpg(run.pid, 9)
             run.wait()

@@ -31,7 +31,7 @@ from qgis.utils import iface
 
 JOB = json.loads(Path(os.environ["WINDOW_JOB"]).read_text(encoding="utf-8"))
 FOLDER = Path(JOB["folder"])
-LIMIT_MS = 120_000
+LIMIT_MS = 500_000
 seen: dict[str, Any] = {"modal": [], "done": False}
 wanted: list[str] = []
 """Classes of dialogs that a step opens itself."""

@@ -6,12 +6,13 @@ import math
 import subprocess
 import sys
 import textwrap
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.speed_studies import truth
+from benchmarks.speed_studies import processes, truth
 from benchmarks.speed_studies.limits import checks_of_scenes
 from benchmarks.speed_studies.processes import Measured, measure
 from benchmarks.speed_studies.scene_files import displacement_px
@@ -49,16 +50,28 @@ def test_other_children_of_this_process_are_left_alone() -> None:
     assert other.returncode == 0
 
 
-def test_memory_that_processes_share_is_counted_once() -> None:
-    code = """
-        import os, time
+def test_memory_that_processes_share_is_counted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ready, seen = tmp_path / "ready", tmp_path / "seen"
+    code = f"""
+        import os, pathlib, time
         block = bytearray(b'x') * 200_000_000
         if os.fork() == 0:
             own = bytearray(b'y') * 100_000_000
-            time.sleep(1.0)
+            pathlib.Path({str(ready)!r}).touch()
+            while not os.path.exists({str(seen)!r}):
+                time.sleep(0.01)
             os._exit(0)
         os.wait()
     """
+    measured, memory_of = Counter[int](), processes._pss_bytes
+
+    def count(pid: int) -> int:
+        measured[pid] += ready.exists()
+        if len(measured) == 2 and min(measured.values()) == 2:  # both have been seen once, at one time
+            seen.touch()
+        return memory_of(pid)
+
+    monkeypatch.setattr(processes, "_pss_bytes", count)
     assert 295 < python(code).peak_mb < 360
 
 

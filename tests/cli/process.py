@@ -9,6 +9,8 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
+from tests.patience import PATIENCE_S
+
 Result = subprocess.CompletedProcess[str]
 
 STAND_IN = """
@@ -67,6 +69,6 @@ def run_cli(folder: Path, arguments: Sequence[str | Path], work: str | None = No
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=PATIENCE_S,
         check=False,
     )

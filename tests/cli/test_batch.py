@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from tests.cli.process import Result, command, environment
+from tests.patience import PATIENCE_S
 
 Cli = Callable[..., Result]
 
@@ -29,7 +30,7 @@ WORK = """
     if name == "strange":
         raise ZeroDivisionError("by zero")
     if name == "slow":
-        time.sleep(60)
+        time.sleep(36_000)
     axes = {"mean": [1.0, 2.0], "median": [1.25, -0.5], "std": [0.1, 0.1]}
     figures = {"n": 40, "rmse": 0.1234, "ce90": 0.2}
     folder.mkdir(parents=True)
@@ -197,7 +198,7 @@ def test_an_interrupt_ends_everything_and_keeps_what_is_done(tmp_path: Path) -> 
         if json.loads(line) == {"event": "progress", "stage": "pairs", "done": 1, "total": 3}:
             break
     os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert events(out)[-1] == {"event": "cancelled"}
     assert "Traceback" not in err

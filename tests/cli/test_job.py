@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import pytest
 
 import pcwlad_geo
 from tests.cli.process import Result, command, environment
+from tests.patience import PATIENCE_S
 from tests.registration.calls import wait_for_end
 
 Cli = Callable[..., Result]
@@ -40,7 +40,7 @@ SLOW = """
     from pcwlad_geo.registration.progress import Progress
     try:
         on_event(Progress("matching", 0, 2))
-        time.sleep(60)
+        time.sleep(36_000)
     finally:
         Path("cleaned").touch()
 """
@@ -192,11 +192,10 @@ def start(tmp_path: Path, work: str, *arguments: str) -> subprocess.Popen[str]:
     return process
 
 
-def end(process: subprocess.Popen[str]) -> tuple[list[str], str, float]:
-    """Wait for the end; return the events' names, standard error and the seconds it took."""
-    since = time.monotonic()
-    out, err = process.communicate(timeout=30)
-    return [json.loads(line)["event"] for line in out.splitlines()], err, time.monotonic() - since
+def end(process: subprocess.Popen[str]) -> tuple[list[str], str]:
+    """Wait for the end; return the events' names and standard error."""
+    out, err = process.communicate(timeout=PATIENCE_S)
+    return [json.loads(line)["event"] for line in out.splitlines()], err
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
@@ -204,7 +203,7 @@ def end(process: subprocess.Popen[str]) -> tuple[list[str], str, float]:
 def test_a_signal_cancels(tmp_path: Path, number: int) -> None:
     process = start(tmp_path, SLOW)
     os.killpg(process.pid, number)
-    names, err, _ = end(process)
+    names, err = end(process)
     assert process.returncode == 130
     assert names == ["cancelled"]
     assert "Traceback" not in err
@@ -213,12 +212,12 @@ def test_a_signal_cancels(tmp_path: Path, number: int) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_native_code_cannot_put_the_end_off(tmp_path: Path) -> None:
+    """The native code itself never ends."""
     process = start(tmp_path, STUCK)
     os.killpg(process.pid, signal.SIGINT)
-    names, _, seconds = end(process)
+    names, _ = end(process)
     assert process.returncode == 130
     assert names == ["cancelled"]
-    assert seconds < 10  # promised: 2; the call itself takes 60
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
@@ -245,7 +244,7 @@ def test_no_worker_is_left_behind(folder: str, number: int, tmp_path: Path) -> N
     workers = [int(worker) for worker in (tmp_path / "workers").read_text().split()]
     assert len(workers) == 2
     process.send_signal(number)
-    names, err, _ = end(process)
+    names, err = end(process)
     assert process.returncode == (-9 if number == signal.SIGKILL else 130)
     assert (names[-1:], err) == ([] if number == signal.SIGKILL else ["cancelled"], "")
     wait_for_end(workers)
@@ -256,7 +255,7 @@ def test_the_end_of_standard_input_cancels(tmp_path: Path) -> None:
     assert process.stdin is not None
     process.stdin.close()
     process.stdin = None
-    names, _, _ = end(process)
+    names, _ = end(process)
     assert process.returncode == 130
     assert names == ["cancelled"]
     assert (tmp_path / "cleaned").exists()
@@ -270,13 +269,13 @@ def test_a_reader_that_goes_away_cancels(tmp_path: Path) -> None:
     work = """
     import time
     from pcwlad_geo.registration.progress import Progress
-    for done in range(600):
-        on_event(Progress("matching", done, 600))
+    while True:
+        on_event(Progress("matching", 0, 600))
         time.sleep(0.05)
     """
     process = start(tmp_path, work)
     assert process.stdout is not None
     process.stdout.close()
     process.stdout = None
-    process.communicate(timeout=30)
+    process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130

@@ -115,8 +115,8 @@ def test_there_is_no_variance_floor_where_the_covariances_say_it_all() -> None:
     assert fit.variance_floor_px2 == 0
 
 
-@pytest.mark.parametrize("shared", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("name", ["shift", "affine"])
+@pytest.mark.parametrize("shared", [0.0, 0.5, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", [pytest.param("shift", marks=pytest.mark.slow), "affine"])
 def test_predicted_sigma_holds_with_independent_and_with_shared_errors(name: str, shared: float) -> None:
     at_px, ratios = np.array([[128.0, 380.0]]), []
     for seed in range(60):

@@ -25,6 +25,7 @@ from .points import (
 
 Array = NDArray[np.float64]
 SIDE = 1024.0
+slow = pytest.mark.slow
 
 
 def errors_px(seed: int, points: Array, shared: float) -> Array:
@@ -42,13 +43,15 @@ def coverage(ratios: list[Array]) -> tuple[float, float]:
 @pytest.mark.parametrize(
     ("name", "field", "seeds"),
     [
-        ("shift", lambda seed, xy: np.full_like(xy, 1.5), 80),
+        pytest.param("shift", lambda seed, xy: np.full_like(xy, 1.5), 80, marks=slow),
         ("affine", lambda seed, xy: affine(1.0, SIDE).forward(xy) - xy, 50),
-        ("projective", lambda seed, xy: projective(SIDE).forward(xy) - xy, 30),
-        ("polynomial2", lambda seed, xy: polynomial(2, seed, SIDE).forward(xy) - xy, 25),
+        pytest.param("projective", lambda seed, xy: projective(SIDE).forward(xy) - xy, 30, marks=slow),
+        pytest.param(
+            "polynomial2", lambda seed, xy: polynomial(2, seed, SIDE).forward(xy) - xy, 25, marks=slow
+        ),
         ("polynomial3", lambda seed, xy: polynomial(3, seed, SIDE).forward(xy) - xy, 20),
-        ("tps", lambda seed, xy: waves(seed, xy, 2.0, 1000), 16),
-        ("tps", lambda seed, xy: waves(seed, xy, 0.3, 600), 16),
+        pytest.param("tps", lambda seed, xy: waves(seed, xy, 2.0, 1000), 16, marks=slow),
+        pytest.param("tps", lambda seed, xy: waves(seed, xy, 0.3, 600), 16, marks=slow),
     ],
 )
 def test_sigma_of_a_true_model_holds(
@@ -67,7 +70,7 @@ def test_sigma_of_a_true_model_holds(
 
 
 @pytest.mark.parametrize("formal_px", [0.03, 0.2])
-@pytest.mark.parametrize("name", ["polynomial2", "tps"])
+@pytest.mark.parametrize("name", ["polynomial2", pytest.param("tps", marks=slow)])
 def test_sigma_holds_where_that_of_the_points_does_not(name: str, formal_px: float) -> None:
     ratios, places = [], inside(SIDE, 9)
     for seed in range(16):
@@ -81,6 +84,7 @@ def test_sigma_holds_where_that_of_the_points_does_not(name: str, formal_px: flo
     assert 0.88 < two_sigma <= 1.0
 
 
+@pytest.mark.slow
 def test_sigma_of_the_model_chosen_holds_whatever_the_field() -> None:
     ratios, places = [], inside(SIDE, 9)
     for seed in range(24):

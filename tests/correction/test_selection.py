@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 SIMPLE = ("shift", "affine")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [40, 250])
 def test_a_noisy_shift_is_a_shift(n: int) -> None:
     wrong = 0
@@ -37,6 +38,7 @@ def test_a_noisy_shift_is_a_shift(n: int) -> None:
     assert wrong <= 2
 
 
+@pytest.mark.slow
 def test_errors_that_windows_share_are_not_taken_for_deformation() -> None:
     wrong = 0
     for seed in range(20):
@@ -124,27 +126,43 @@ FIELDS: dict[str, Callable[[int, Array], Array]] = {
 LOCAL = {"polynomial2", "polynomial3", "tps"}
 
 
+EXPECTED = {"shift": {"shift"}, "affine": {"affine"}, "projective": {"projective"} | LOCAL}
+
+
+def choose_for(kind: str, seed: int) -> tuple[bool, list[float]]:
+    """Return whether the model fits the field, and the RMSE of it and of the simple ones, px."""
+    points, places = scattered(seed, 300, 1024), inside(1024, 15)
+    error = 0.07 * (window_noise(seed, points, 1024, 81) + noise(seed, 300, 1.0))
+    observed = points + FIELDS[kind](seed, points) + error
+    selection = choose(points, observed, isotropic(300, 0.1), 81)
+    truth = places + FIELDS[kind](seed, places)
+    models = [selection.fit, *(FITS[name](points, observed, isotropic(300, 0.1)) for name in SIMPLE)]
+    squared = [((fit.correction.forward(places) - truth) ** 2).sum(axis=1).mean() for fit in models]
+    return selection.name in EXPECTED.get(kind, LOCAL), [float(np.sqrt(each)) for each in squared]
+
+
+@pytest.mark.parametrize("kind", FIELDS)
+def test_the_model_follows_the_field(kind: str) -> None:
+    """Once; below, in nine of ten cases."""
+    right, (chosen, *simpler) = choose_for(kind, 0)
+    assert right
+    assert chosen < min(simpler) + 0.03
+    assert chosen < 0.1
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FIELDS)
 def test_the_model_follows_the_field_and_is_never_worse_than_a_simpler_one(kind: str) -> None:
-    expected = {"shift": {"shift"}, "affine": {"affine"}, "projective": {"projective"} | LOCAL}
-    right, squared, places = 0, [], inside(1024, 15)
-    for seed in range(20):
-        points = scattered(seed, 300, 1024)
-        error = 0.07 * (window_noise(seed, points, 1024, 81) + noise(seed, 300, 1.0))
-        observed = points + FIELDS[kind](seed, points) + error
-        selection = choose(points, observed, isotropic(300, 0.1), 81)
-        right += selection.name in expected.get(kind, LOCAL)
-        truth = places + FIELDS[kind](seed, places)
-        models = [selection.fit, *(FITS[name](points, observed, isotropic(300, 0.1)) for name in SIMPLE)]
-        squared.append([((fit.correction.forward(places) - truth) ** 2).sum(axis=1).mean() for fit in models])
-    assert right >= 18
-    rmse = np.sqrt(np.array(squared))
+    cases = [choose_for(kind, seed) for seed in range(20)]
+    assert sum(right for right, _ in cases) >= 18
+    rmse = np.array([each for _, each in cases])
     chosen, simpler = rmse[:, 0], rmse[:, 1:].min(axis=1)
     assert (chosen < simpler + 0.03).all()
     assert np.sqrt((chosen**2).mean()) < np.sqrt((simpler**2).mean()) + 0.002
     assert np.sqrt((chosen**2).mean()) < 0.08
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("expected", ["shift", "drift", "affine"])
 def test_an_rpc_takes_the_simplest_correction_of_its_image(expected: str) -> None:
     slopes = {

@@ -12,6 +12,7 @@ from pcwlad_geo.correction.windows import Overlaps, probes_of
 from .points import inside, isotropic, noise, scattered, waves, window_noise
 
 Array = NDArray[np.float64]
+slow = pytest.mark.slow
 
 
 def trials_of(points: Array, values: Array, side_px: float, outliers: int = 0) -> Trials:
@@ -48,7 +49,7 @@ def test_the_score_is_ordinary_cross_validation_for_independent_errors() -> None
     assert trials.at(trials.smoothing(1e-9)).score(1.0) == np.inf
 
 
-@pytest.mark.parametrize("shared", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("shared", [pytest.param(0.0, marks=slow), 0.5, pytest.param(1.0, marks=slow)])
 def test_noise_is_smoothed_away_whatever_windows_share(shared: float) -> None:
     freedom = []
     for seed in range(8):

@@ -9,6 +9,8 @@ import threading
 from pathlib import Path
 from types import SimpleNamespace
 
+import pytest
+
 from pcwlad_geo.matching.first_start import _FirstCompilation
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -58,6 +60,7 @@ def python(code: str, **environment: str) -> str:
     ).stdout
 
 
+@pytest.mark.slow
 def test_the_first_start_tells_and_the_second_does_not(tmp_path: Path) -> None:
     assert [python(TELL, NUMBA_CACHE_DIR=str(tmp_path)) for _ in range(2)] == ["True\n", ""]
 

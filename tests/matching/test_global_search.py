@@ -156,6 +156,7 @@ def unrelated() -> list[tuple[str, np.ndarray, np.ndarray]]:
     return pairs
 
 
+@pytest.mark.slow
 def test_unrelated_images_are_not_believed() -> None:
     believed = [(name, result) for name, a, b in unrelated() if (result := search(a, b)).accepted]
     assert believed == []

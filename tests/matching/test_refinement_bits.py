@@ -70,6 +70,7 @@ def test_a_point_does_not_depend_on_the_points_beside_it(how: str) -> None:
         assert_same_bits(some(part), together, part)
 
 
+@pytest.mark.slow
 def test_a_kernel_from_disk_gives_what_the_one_just_compiled_gave(tmp_path: Path) -> None:
     def run() -> str:
         environment = {

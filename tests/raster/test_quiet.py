@@ -6,6 +6,7 @@ import warnings
 import pytest
 
 from pcwlad_geo.raster.quiet import ignoring
+from tests.patience import PATIENCE_S
 
 
 def test_other_warnings_are_seen() -> None:
@@ -28,8 +29,8 @@ def test_two_threads_leave_the_filters_as_they_were() -> None:
     thread = threading.Thread(target=other)
     with ignoring(UserWarning):
         thread.start()
-        assert asked.wait(20)
+        assert asked.wait(PATIENCE_S)
         assert not entered.wait(0.2)
-    thread.join(20)
+    thread.join(PATIENCE_S)
     assert entered.is_set()
     assert list(warnings.filters) == before

@@ -207,6 +207,7 @@ def warped_in_blocks(
     return images[0], images[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "correction",
     ['AffineCorrection("shift", np.eye(2, 3))', 'ProjectiveCorrection("projective", np.eye(3))'],

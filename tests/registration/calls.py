@@ -10,8 +10,11 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
+
+from tests.patience import PATIENCE_S
 
 T = TypeVar("T")
 
@@ -43,6 +46,17 @@ def note(folder: Path) -> None:
 def parent_of(process_id: int) -> int:
     """Return the parent of a process."""
     return int(Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[1])
+
+
+def children_of(process_id: int) -> list[int]:
+    """Return the processes that a process has started and that still run."""
+    running = [int(folder.name) for folder in Path("/proc").iterdir() if folder.name.isdigit()]
+    found = []
+    for each in running:
+        with suppress(OSError):  # it has just ended
+            if parent_of(each) == process_id:
+                found.append(each)
+    return found
 
 
 def fail_at_three(value: int) -> int:
@@ -184,8 +198,19 @@ def is_running(process_id: int) -> bool:
 
 def wait_for_end(process_ids: list[int]) -> None:
     """Return once none of the processes runs any more."""
-    for _ in range(600):
+    for _ in range(10 * PATIENCE_S):
         if not any(is_running(process_id) for process_id in process_ids):
             return
         time.sleep(0.1)
     raise AssertionError(f"still running: {[each for each in process_ids if is_running(each)]}")
+
+
+def wait_for_end_of_group(group: int) -> None:
+    """Return once no process of the group is left."""
+    for _ in range(10 * PATIENCE_S):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.1)
+    raise AssertionError("processes are left")

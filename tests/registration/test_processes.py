@@ -7,6 +7,8 @@ import select
 import signal
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -21,11 +23,14 @@ from pcwlad_geo.registration.progress import Event, Progress, Warned
 from pcwlad_geo.registration.runners import OnExecutor, OwnProcesses
 from pcwlad_geo.registration.tasks import InThisProcess
 from pcwlad_geo.staging import OutputFolder
+from tests.patience import PATIENCE_S
 from tests.registration.calls import (
     Shuffled,
+    children_of,
     die,
     die_once,
     fail_oddly,
+    is_running,
     note,
     parent_of,
     print_something,
@@ -60,6 +65,7 @@ def source(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
     return str(request.param)
 
 
+@pytest.mark.slow
 @NO_FORKS
 def test_all_of_this_holds_for_forks_of_the_process_itself(source: str) -> None:
     """In a process of its own: in this one, libraries of other tests have threads that a fork would miss."""
@@ -69,9 +75,15 @@ def test_all_of_this_holds_for_forks_of_the_process_itself(source: str) -> None:
     if source == "fresh":
         pytest.skip("once is enough")
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", OWN_FORK: "1"}
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "", __file__]
     done = subprocess.run(
-        command, cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=300, check=False
+        command,
+        cwd=REPOSITORY,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
     )
     assert done.returncode == 0, done.stdout
 
@@ -273,7 +285,7 @@ def test_a_fork_keeps_no_pipe_of_its_parent_open() -> None:
         runner.expect(2)
         runner.run(process_of, CALLS, "calls")
         os.close(beginning)
-        readable, _, _ = select.select([end], [], [], 10)
+        readable, _, _ = select.select([end], [], [], PATIENCE_S)
         assert readable
         assert os.read(end, 1) == b"", "the end, although workers are there"
     os.close(end)
@@ -285,11 +297,12 @@ from pcwlad_geo.registration import forks
 from pcwlad_geo.registration.runners import OwnProcesses
 from pcwlad_geo.staging import OutputFolder
 from pathlib import Path
+from tests.patience import FOR_EVER_S
 from tests.registration.calls import sleep
 forks._may_fork = lambda: True
 with OutputFolder(Path(sys.argv[1]), overwrite=True), OwnProcesses(2, preload="") as runner:
     runner.expect(2)
-    runner.prepare(sleep, (8.0,))
+    runner.prepare(sleep, (FOR_EVER_S,))
     print("busy", flush=True)
     input()
 """
@@ -304,10 +317,25 @@ def test_a_busy_fork_does_not_hold_the_output_folder_of_a_killed_parent(tmp_path
         assert parent.stdout.readline() == b"busy\n"
         with pytest.raises(OutputError), OutputFolder(tmp_path / "out", overwrite=True):
             pass
+        forks_of_it = children_of(parent.pid)
         parent.kill()
         parent.wait()
-        with OutputFolder(tmp_path / "out", overwrite=True):
-            pass
+    try:
+        assert wait_for_folder(tmp_path / "out")
+        assert forks_of_it
+        assert all(is_running(process) for process in forks_of_it)
+    finally:
+        for process in forks_of_it:
+            os.kill(process, signal.SIGKILL)
+
+
+def wait_for_folder(out_dir: Path) -> bool:
+    """Wait until an output folder is free: a fork that has not run yet has not let go of anything."""
+    for _ in range(10 * PATIENCE_S):
+        with suppress(OutputError), OutputFolder(out_dir, overwrite=True):
+            return True
+        time.sleep(0.1)
+    return False
 
 
 @NO_FORKS

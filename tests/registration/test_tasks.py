@@ -15,6 +15,7 @@ from pcwlad_geo.registration.progress import Event, Progress
 from pcwlad_geo.registration.runners import IN_FLIGHT, OnExecutor, OwnProcesses, open_runner
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.registration.tasks import InThisProcess, Runner, drive
+from tests.patience import PATIENCE_S
 from tests.registration.calls import Counting, Shuffled, die, fail_at_three, slow_square
 
 CALLS = [(value,) for value in range(40)]
@@ -80,8 +81,9 @@ def test_an_executor_gets_a_bounded_number_of_calls() -> None:
 
 
 def test_the_shuffling_executor_shuffles() -> None:
-    with Shuffled(2) as executor:
-        OnExecutor(executor).run(slow_square, CALLS, "squares")
+    with Shuffled(2, holds=len(CALLS)) as executor:
+        for call in CALLS:
+            executor.submit(slow_square, *call)
     assert sorted(executor.order) == list(range(40))
     assert executor.order != sorted(executor.order)
 
@@ -95,7 +97,7 @@ def test_an_error_ends_the_submitted_calls_too() -> None:
         begun.append(value)
         if value == 0:
             raise ValueError("first")
-        release.wait(10)
+        release.wait(PATIENCE_S)
         return value
 
     with ThreadPoolExecutor(1) as pool:
