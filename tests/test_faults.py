@@ -38,6 +38,7 @@ from tests.scenes import make_grid, render, write
 
 TILES: Any = {"template": 61, "window": 41, "features": 120, "tile_size": 128}
 BLOCK_PX = 16
+slow = pytest.mark.slow
 posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and /proc")
 
 
@@ -74,7 +75,8 @@ def copy(large: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
 
 @pytest.fixture
 def work(tmp_path: Path) -> Path:
-    """An empty working folder; libraries keep their caches beside it."""
+    """An empty working folder; libraries keep their caches beside it; no search for fonts is left to do."""
+    pytest.importorskip("matplotlib.font_manager")
     folder = tmp_path / "work"
     folder.mkdir()
     return folder
@@ -226,11 +228,13 @@ def descendants(process_id: int) -> list[int]:
 
 
 @posix
-@pytest.mark.parametrize("stage", ["matching", "writing", "warping"])
+@pytest.mark.parametrize(
+    "stage", [pytest.param("matching", marks=slow), pytest.param("writing", marks=slow), "warping"]
+)
 def test_a_killed_job_leaves_nothing_under_a_final_name_and_can_be_started_again(
     stage: str, pair: tuple[Path, Path], whole: Registration, work: Path
 ) -> None:
-    options = {**TILES, "jobs": 2}
+    options = {**TILES, "jobs": 2, "model": "'shift'"}
     lines = "\n".join(f"{name} = {value}" for name, value in options.items())
     (work / "options.toml").write_text(lines, encoding="utf-8")
     arguments = ("register", *pair, "--config", "options.toml", "-o", "out")
@@ -238,9 +242,8 @@ def test_a_killed_job_leaves_nothing_under_a_final_name_and_can_be_started_again
         wait_for_stage(process, stage)
         others = descendants(process.pid)
         process.kill()
-    # two work, and one may have forked them; the figures' library may be asking the system for its fonts
-    if stage == "matching":
-        assert len(others) in (2 + CAN_FORK, 3 + CAN_FORK)
+    if stage == "matching":  # two work, and one may have forked them
+        assert len(others) == 2 + CAN_FORK
     else:  # they are gone before the files are written
         assert others == []
     wait_for_end(others)
@@ -282,6 +285,7 @@ def test_a_cluster_gives_the_same_points(
     assert Progress("matching", 4, 4) in events
 
 
+@pytest.mark.slow
 def test_a_killed_worker_of_a_cluster_changes_no_point(
     two_workers: Cluster, pair: tuple[Path, Path], whole: Registration, tmp_path: Path
 ) -> None:
@@ -295,6 +299,7 @@ def test_a_killed_worker_of_a_cluster_changes_no_point(
     np.testing.assert_array_equal(found.tie_points.covariance_px2, whole.tie_points.covariance_px2)
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_lost_is_one_clear_error(
     two_workers: Cluster, pair: tuple[Path, Path], tmp_path: Path
 ) -> None:

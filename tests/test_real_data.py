@@ -30,7 +30,15 @@ def shift_of(found: Registration) -> Array:
     ("folder", "fixed", "before", "after", "known_px", "within_px"),
     [
         ("landsat_sub1", "LC08b2_sub1.tif", "LC08B10_sub1.tif", "LC08B10offset_sub1.tif", (-1.4, -1.6), 0.03),
-        ("rgbnir_sub1", "0000_rgb.tiff", "0000_nir.tiff", "0000_niroffset.tiff", (8.3, 3.6), 0.02),
+        pytest.param(
+            "rgbnir_sub1",
+            "0000_rgb.tiff",
+            "0000_nir.tiff",
+            "0000_niroffset.tiff",
+            (8.3, 3.6),
+            0.02,
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_difference_of_two_registrations_is_the_known_shift(
@@ -95,6 +103,7 @@ def test_landsat_and_sentinel_forward_and_backward(sensors: dict[str, Path]) -> 
     np.testing.assert_allclose(shift_of(there) * m[0] / 30, [-0.03, -0.28], atol=0.05)
 
 
+@pytest.mark.slow
 def test_closure_of_three_sensors(sensors: dict[str, Path]) -> None:
     """Over their common ground: a sign wrong, or half a pixel of any, would show."""
     low, high = [-56650.0, -3730450.0], [-53600.0, -3724520.0]

@@ -19,7 +19,7 @@ from pcwlad_geo.registration.tasks import InThisProcess
 from tests.registration.calls import Counting
 from tests.scenes import make_grid, render, write
 
-OPTIONS: Any = {"template": 61, "window": 41, "features": 50, "tile_size": 128}
+OPTIONS: Any = {"template": 61, "window": 41, "features": 50, "tile_size": 128, "jobs": 1}
 TABLE = """reference,target,features,require
 b4.tif,good.tif,,
 b4.tif,other.tif,,
@@ -189,7 +189,7 @@ def test_a_file_of_that_name_is_not_overwritten(calls: list[str], work: Path) ->
 def done(work: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A table whose only pair is done; another registration of it is an error."""
     (work / "pairs.csv").write_text("reference,target\nb4.tif,good.tif\n")
-    result = pcwlad_geo.batch("pairs.csv", out_dir="out", jobs=1, **OPTIONS)
+    result = pcwlad_geo.batch("pairs.csv", out_dir="out", **OPTIONS)
     assert statuses(result) == [("registered", False)]
     return work
 
@@ -199,7 +199,7 @@ def test_where_it_runs_does_not_matter(done: Path, monkeypatch: pytest.MonkeyPat
     with Counting().pool as executor:
         assert isinstance(executor, Executor)
         result = pcwlad_geo.batch(
-            done / "pairs.csv", out_dir=done / "out", jobs=7, executor=executor, **OPTIONS
+            done / "pairs.csv", out_dir=done / "out", executor=executor, **{**OPTIONS, "jobs": 7}
         )
     assert statuses(result) == [("registered", True)]
 

@@ -180,6 +180,7 @@ def test_an_rpc_takes_the_simplest_correction_of_its_image(expected: str) -> Non
     assert right >= 9
 
 
+@pytest.mark.slow
 def test_ten_percent_outliers_change_nothing() -> None:
     points, places = scattered(20, 600, 1024), inside(1024)
     for size in (0.0, 2.0):

@@ -220,6 +220,7 @@ class TestRealPairs:
         assert error_px(forward, (-1.7, 82.9)) < 2.0
         assert error_px(backward, (1.7, -82.9)) < 2.0
 
+    @pytest.mark.slow
     def test_unrelated_scenes(self, shared_data: Path) -> None:
         paper = shared_data / "paper"
         landsat = read(paper / "landsat_sub1" / "LC08b2_sub1.tif")

@@ -38,6 +38,7 @@ from tests.rpc_scene import (
 from tests.scenes import make_grid, write
 
 TRUTH_PX = np.array([2.6, -1.4])
+slow = pytest.mark.slow
 Pair = tuple[Path, Path, Path]
 Registered = tuple[pcwlad_geo.Registration, Path]
 
@@ -107,7 +108,13 @@ def test_what_is_written(registered: Registered) -> None:
     assert (np.abs(source_xy) <= SHAPE[1]).all()  # pixels, not degrees
 
 
-@pytest.mark.parametrize("name", ["tiepoints.csv", "image.tif.points", "image.pts", "image_gcps.vrt"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "tiepoints.csv",
+        *(pytest.param(n, marks=slow) for n in ("image.tif.points", "image.pts", "image_gcps.vrt")),
+    ],
+)
 def test_its_own_tie_points_give_the_same_rpc(
     registered: Registered, pair: Pair, tmp_path: Path, name: str
 ) -> None:
@@ -182,7 +189,7 @@ def test_gdalwarp_makes_the_same_of_the_corrected_rpc(
 
 def test_a_wrong_datum_moves_the_shift_by_what_its_height_means(registered: Registered, pair: Pair) -> None:
     found, _ = registered
-    without = run(pair[0], pair[1], Settings(dem=pair[2], dem_vertical=0.0, jobs=1))
+    without = run(pair[0], pair[1], Settings(dem=pair[2], dem_vertical=0.0, jobs=1, features=300))
     moved = found.correction.matrix[:, 2] - without.correction.matrix[:, 2]
     np.testing.assert_allclose(moved, -UNDULATION_M * PX_PER_M, rtol=0, atol=0.05)
 
@@ -196,6 +203,7 @@ def test_without_a_dem_a_warning_says_what_relief_costs(pair: Pair) -> None:
     assert "100 m of relief displaces the image by 2.15 px" in warning
 
 
+@pytest.mark.slow
 def test_an_affine_error_is_folded_too(pair: Pair, tmp_path: Path) -> None:
     from tests.scenes import render
 
