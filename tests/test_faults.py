@@ -274,6 +274,7 @@ def on_cluster(
     )
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_points(
     two_workers: Cluster, pair: tuple[Path, Path], whole: Registration, tmp_path: Path
 ) -> None:

@@ -44,7 +44,7 @@ def coverage(ratios: list[Array]) -> tuple[float, float]:
     ("name", "field", "seeds"),
     [
         pytest.param("shift", lambda seed, xy: np.full_like(xy, 1.5), 80, marks=slow),
-        ("affine", lambda seed, xy: affine(1.0, SIDE).forward(xy) - xy, 50),
+        pytest.param("affine", lambda seed, xy: affine(1.0, SIDE).forward(xy) - xy, 50, marks=slow),
         pytest.param("projective", lambda seed, xy: projective(SIDE).forward(xy) - xy, 30, marks=slow),
         pytest.param(
             "polynomial2", lambda seed, xy: polynomial(2, seed, SIDE).forward(xy) - xy, 25, marks=slow

@@ -48,6 +48,7 @@ def test_errors_that_windows_share_are_not_taken_for_deformation() -> None:
     assert wrong <= 2
 
 
+@pytest.mark.slow
 def test_0_3_px_across_the_image_is_an_affine() -> None:
     for seed in range(10):
         predicted = scattered(seed, 300)

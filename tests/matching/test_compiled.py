@@ -97,6 +97,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.slow
 def test_maps_do_not_depend_on_whether_the_kernels_were_compiled_or_loaded(tmp_path: Path) -> None:
     cache = str(tmp_path / "cache")
     first = run(REPOSITORY, MAPS, NUMBA_CACHE_DIR=cache)

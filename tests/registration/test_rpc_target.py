@@ -52,7 +52,8 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Pair:
 def registered(pair: Pair, tmp_path_factory: pytest.TempPathFactory) -> Registered:
     reference, image, dem = pair
     out_dir = tmp_path_factory.mktemp("registered") / "out"
-    found = pcwlad_geo.register(reference, image, out_dir=out_dir, dem=dem, dem_vertical=UNDULATION_M, jobs=1)
+    options = {"dem": dem, "dem_vertical": UNDULATION_M, "jobs": 1, "features": 300}
+    found = pcwlad_geo.register(reference, image, out_dir=out_dir, **options)
     return found, out_dir
 
 
