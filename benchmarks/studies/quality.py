@@ -32,6 +32,7 @@ STEP_PX: Final = 6
 """Of the dense grid on which corrections are compared with the truth."""
 FINE_PX, OFF_PX, TIMES = 0.5, 1.0, 3.0
 FINE_SHARE: Final = 95.0
+TENTH: Final = 0.1
 CLOUDS_PX: Final = (8.0, 5.0)
 """How far clouds moved (col, row)."""
 HEIGHT_M: Final = 29.0
@@ -65,8 +66,8 @@ class Case:
     hidden: Image | None = None
     """(rows, cols) of the reference: where clouds hide the ground."""
     two_readings: bool = False
-    """Whether more than a tenth of what the images show, such as clouds, lies otherwise than the ground: that
-    the ground is meant cannot be known."""
+    """Whether clouds that lie otherwise than the ground cover more than a tenth of both images: nobody can know
+    that the ground is meant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,6 +296,9 @@ class Images:
     target: Image
     field: Field
     hidden: Image | None = None
+    """(rows, cols) where clouds hide the ground of the reference."""
+    moved_clouds: float = 0.0
+    """Share of both images under clouds that moved on their own."""
 
 
 Make = Callable[[Ground, int], Images]
@@ -313,6 +317,21 @@ def _layered(layers: Callable[[tuple[int, ...], int], Layers]) -> Make:
     return make
 
 
+def _blurred(image: Image) -> Image:
+    return as_uint8(ndimage.gaussian_filter(image.astype(np.float64), 1.5))
+
+
+def _inverted(image: Image) -> Image:
+    return with_gamma(255 - image, 0.5)
+
+
+def _otherwise(seen: Callable[[Image], Image]) -> Make:
+    """Let the target be seen by another sensor."""
+    return lambda ground, seed: Images(
+        ground.reference, seen(as_uint8(displace(ground.target, shifted))), shifted
+    )
+
+
 def _noisy(sigma: float) -> Make:
     def make(ground: Ground, seed: int) -> Images:
         target = displace(ground.target, shifted)
@@ -325,7 +344,7 @@ def _cloudy(share: float, both: bool = True) -> Make:
     def make(ground: Ground, seed: int) -> Images:
         target, cover = clouded(displace(ground.target, shifted), share, seed, CLOUDS_PX)
         reference, hidden = clouded(ground.reference, share, seed) if both else (ground.reference, cover)
-        return Images(reference, target, shifted, hidden)
+        return Images(reference, target, shifted, hidden, float(hidden.mean()) if both else 0.0)
 
     return make
 
@@ -365,7 +384,6 @@ class Condition:
     grounds: tuple[int, ...]
     overlap: float = 1.0
     """Share of the width that the two files have in common."""
-    two_readings: bool = False
 
 
 LONG: Final = partial(waves, wavelength_px=1500.0, amplitude_px=2.0)
@@ -377,12 +395,14 @@ CONDITIONS: Final[dict[str, Condition]] = {
     "waves of 400 px": Condition(_by(MIDDLE), (0, 1, 2, 5, 6)),
     "waves of 150 px": Condition(_by(partial(waves, wavelength_px=150.0, amplitude_px=2.5)), (0, 2, 6)),
     "waves of 80 px": Condition(_by(partial(waves, wavelength_px=80.0, amplitude_px=2.0)), (1, 4, 6)),
+    "target blurred by 1.5 px": Condition(_otherwise(_blurred), (0, 1, 2, 4)),
+    "target inverted, gamma 0.5": Condition(_otherwise(_inverted), (0, 1, 2, 4)),
     "noise of 15": Condition(_noisy(15.0), (0, 1, 2, 4, 6)),
     "noise of 35": Condition(_noisy(35.0), (0, 5)),
     "clouds on the target, 30 %": Condition(_cloudy(0.3, both=False), (0, 2, 5)),
     "moved clouds, 20 %": Condition(_cloudy(0.2), (0, 1, 2, 4)),
-    "moved clouds, 50 %": Condition(_cloudy(0.5), (0, 2, 5, 6), two_readings=True),
-    "moved clouds, 80 %": Condition(_cloudy(0.8), (0, 2, 4), two_readings=True),
+    "moved clouds, 50 %": Condition(_cloudy(0.5), (0, 2, 5, 6)),
+    "moved clouds, 80 %": Condition(_cloudy(0.8), (0, 2, 4)),
     "5 % moves by (7, -5) px": Condition(_patched(0.05, (7.0, -5.0)), (0, 1, 5)),
     "25 % moves by (7, -5) px": Condition(_patched(0.25, (7.0, -5.0)), (0, 1, 2, 5)),
     "50 % moves by (5, 3) px": Condition(_patched(0.5, (5.0, 3.0), 70.0), (0, 1, 2, 5)),
@@ -418,7 +438,7 @@ def _displaced(data: Path, scratch: Path) -> Iterator[Case]:
                 partial(_displaced_to, made.field, begin),
                 (cols - begin, rows),
                 None if made.hidden is None else made.hidden[:, : cols - begin],
-                condition.two_readings,
+                made.moved_clouds > TENTH,
             )
 
 

@@ -21,6 +21,9 @@ NEIGHBOURS: Final = 5
 """Witnesses whose median says what the correction leaves at a place."""
 SHARED: Final = 0.5
 """Witnesses whose distance from their median exceeds this share of it contradict one another."""
+CLOSELY_PX: Final = 0.5
+"""Beyond the tie points, where rejected matches are alone, they have to agree within this: matches of ground
+without structure are wrong in any direction, and some of them alike by chance."""
 LAGS: Final = 8
 """Distances at which the roughness of the displacements is measured."""
 SAMPLE: Final = 400
@@ -65,7 +68,8 @@ def expected_ce90(selection: Selection, residuals: Residuals, places_px: Array, 
     """
     left = left_by_correction(residuals, places_px, footprint_px)
     reach_px = selection.fit.support.reach_px
-    unseen = selection.extrapolated(places_px) & ~(left.by_all & (left.distance_px <= reach_px))
+    told = left.by_all & (left.distance_px <= reach_px) & (left.spread_px <= CLOSELY_PX)
+    unseen = selection.extrapolated(places_px) & ~told
     mean_px = np.where(unseen[:, None], 0.0, left.median_px)
     # What the model misses is in the mean, so not in the covariance.
     covariance = selection.fit.covariance(places_px) + np.diag(selection.common_px2)
@@ -85,6 +89,8 @@ class Left:
     """(m, 2) median of the nearest witnesses (col, row), px."""
     by_all: Bool
     """(m,) whether all matches around agree on it; where they do not, it is that of those kept."""
+    spread_px: Array
+    """(m,) median distance of the nearest of all witnesses from their median, px."""
     distance_px: Array
     """(m,) distance of the nearest of all witnesses, px."""
 
@@ -93,12 +99,12 @@ def left_by_correction(residuals: Residuals, places_px: Array, footprint_px: flo
     """Return what the matches around (m, 2) places show beside the correction."""
     median, spread, distance = _around(residuals.predicted_px, residuals.residual_px, places_px, footprint_px)
     if not residuals.kept.any():
-        return Left(median, np.ones(len(places_px), bool), distance)
+        return Left(median, np.ones(len(places_px), bool), spread, distance)
     among_kept, _, _ = _around(
         residuals.predicted_px[residuals.kept], residuals.residual_px[residuals.kept], places_px, footprint_px
     )
     agree = spread <= SHARED * np.linalg.norm(median, axis=1)
-    return Left(np.where(agree[:, None], median, among_kept), agree, distance)
+    return Left(np.where(agree[:, None], median, among_kept), agree, spread, distance)
 
 
 def _around(
