@@ -66,7 +66,7 @@ class Case:
     hidden: Image | None = None
     """(rows, cols) of the reference: where clouds hide the ground."""
     two_readings: bool = False
-    """Whether clouds that lie otherwise than the ground cover more than a tenth of both images: nobody can know
+    """Whether clouds that lie otherwise than the ground cover more than a tenth of both images: none can know
     that the ground is meant."""
 
 
