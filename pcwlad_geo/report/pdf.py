@@ -7,6 +7,7 @@ from contextlib import redirect_stdout
 from types import ModuleType
 
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.raster.quiet import ignoring
 
 
 def check_pdf() -> None:
@@ -41,7 +42,8 @@ def to_pdf(page: str) -> bytes:
 
 def _weasyprint() -> ModuleType:
     try:
-        with redirect_stdout(io.StringIO()):  # it prints advice where Pango is missing
+        # it prints advice where Pango is missing, and warns of what its next versions will need
+        with redirect_stdout(io.StringIO()), ignoring(DeprecationWarning):
             import weasyprint
     except ImportError as error:
         raise SettingsError(

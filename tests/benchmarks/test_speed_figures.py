@@ -69,7 +69,7 @@ def test_memory_that_processes_share_is_counted_once(tmp_path: Path, monkeypatch
         measured[pid] += ready.exists()
         if len(measured) == 2 and min(measured.values()) == 2:  # both have been seen once, at one time
             seen.touch()
-        return memory_of(pid)
+        return 0 if seen.exists() else memory_of(pid)  # while they end, the sum is of no one time
 
     monkeypatch.setattr(processes, "_pss_bytes", count)
     assert 295 < python(code).peak_mb < 360

@@ -6,9 +6,10 @@ import logging
 import shutil
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -93,6 +94,20 @@ def test_an_old_weasyprint_is_told_before_the_work(monkeypatch: pytest.MonkeyPat
     monkeypatch.setitem(sys.modules, "weasyprint", old)
     with pytest.raises(SettingsError, match=r"68 or newer, and 57\.2 is installed"):
         check_pdf()
+
+
+def test_what_weasyprint_will_need_one_day_is_no_obstacle(monkeypatch: pytest.MonkeyPatch) -> None:
+    real, recent = builtins.__import__, ModuleType("weasyprint")
+    monkeypatch.setattr(recent, "urls", SimpleNamespace(URLFetcher=object), raising=False)
+
+    def warning(name: str, *args: Any, **kwargs: Any) -> object:
+        if name != "weasyprint":
+            return real(name, *args, **kwargs)
+        warnings.warn("HarfBuzz-Subset will be required", DeprecationWarning, stacklevel=1)
+        return recent
+
+    monkeypatch.setattr(builtins, "__import__", warning)
+    check_pdf()
 
 
 def test_missing_pango_is_told_with_what_to_install(
