@@ -226,7 +226,7 @@ def test_full_disk_found_by_gdal(register: Register, tmp_path: Path) -> None:
     assert_refused(Ended(ended.returncode, ended.stderr), folder=tmp_path)
 
 
-@pytest.mark.parametrize("hole", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("hole", [np.nan, np.inf, pytest.param(-np.inf, marks=pytest.mark.slow)])
 def test_not_finite_pixels_are_no_obstacle(hole: float, register: Register, tmp_path: Path) -> None:
     values = render(GRID, displacement_px=SHIFT_PX)
     values[60:75, 90:110] = hole

@@ -162,6 +162,7 @@ def test_a_tile_that_cannot_be_read_again_is_left_out_and_told(
     assert np.percentile(np.hypot(*(kept.displacement_px - (3.3, -2.6)).T), 95) < 0.3
 
 
+@pytest.mark.slow
 def test_what_remains_must_suffice(
     copy: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

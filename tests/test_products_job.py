@@ -41,7 +41,7 @@ def check_band(path: Path, size_m: float, kind: str, gain: float, base: float) -
     assert error(0.0) < 0.7 * min(error(wrong_m), error(-wrong_m))
 
 
-@pytest.mark.parametrize("ending", ["", ".tar"])
+@pytest.mark.parametrize("ending", ["", pytest.param(".tar", marks=pytest.mark.slow)])
 def test_landsat_b10_to_its_own_b4(ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     reference = write_landsat(tmp_path / "ref")
@@ -71,7 +71,7 @@ def test_landsat_b10_to_its_own_b4(ending: str, tmp_path: Path, monkeypatch: pyt
         assert corrected.read(1).any()
 
 
-@pytest.mark.parametrize("level", ["L1C", "L2A"])
+@pytest.mark.parametrize("level", [pytest.param("L1C", marks=pytest.mark.slow), "L2A"])
 def test_sentinel2_to_landsat(level: str, tmp_path: Path) -> None:
     reference = write_landsat(tmp_path / "ref", bands=("B4",))
     cloud = (slice(120, 210), slice(90, 180))
@@ -169,6 +169,7 @@ def test_nothing_is_done_where_a_band_would_be_in_the_way(tmp_path: Path) -> Non
     assert [path.name for path in out_dir.iterdir()] == [f"{LANDSAT}_B8_registered.tif"]
 
 
+@pytest.mark.slow
 def test_a_folder_can_move_with_its_product(tmp_path: Path) -> None:
     """The VRTs refer to the band files relatively, also where nodata is declared on the way."""
     reference = write_landsat(tmp_path / "ref", bands=("B4",))
@@ -210,6 +211,7 @@ def test_names_are_for_products(tmp_path: Path) -> None:
         pcwlad_geo.register(file, file, ref_band="B4", out_dir=tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_batch_knows_what_it_has_done(tmp_path: Path) -> None:
     reference, target = write_landsat(tmp_path / "ref"), write_safe(tmp_path / "tgt", shift_m=SHIFT_M)
     table = tmp_path / "pairs.csv"

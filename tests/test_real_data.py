@@ -63,6 +63,7 @@ def test_difference_of_two_registrations_is_the_known_shift(
     assert any("no georeferencing" in warning for warning in first.warnings)
 
 
+@pytest.mark.slow
 def test_uav_pair_is_found_without_its_offset(shared_data: Path) -> None:
     images = shared_data / "paper" / "uav_1"
     visible, thermal = next(images.glob("*_Z.JPG")), next(images.glob("*_T.JPG"))
@@ -93,6 +94,7 @@ def sensors(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict
     return result
 
 
+@pytest.mark.slow
 def test_landsat_and_sentinel_forward_and_backward(sensors: dict[str, Path]) -> None:
     there = run(sensors["l8"], sensors["s2"], Settings(model="shift", **FEW))
     back = run(sensors["s2"], sensors["l8"], Settings(model="shift", **FEW))

@@ -204,7 +204,14 @@ def test_where_it_runs_does_not_matter(done: Path, monkeypatch: pytest.MonkeyPat
     assert statuses(result) == [("registered", True)]
 
 
-@pytest.mark.parametrize("change", ["an option", "an input", "another input", "no report"])
+@pytest.mark.parametrize(
+    "change",
+    [
+        "an option",
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ("an input", "another input")),
+        "no report",
+    ],
+)
 def test_another_job_in_the_same_folder_is_told(change: str, done: Path) -> None:
     options = dict(OPTIONS)
     report = done / "out/good_registered/report.json"

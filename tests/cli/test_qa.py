@@ -56,6 +56,7 @@ def test_a_refused_pair_is_status_3_and_4_where_something_is_required(stack: Pat
     assert "holds no report.json or qa.json with figures" in trend.stderr
 
 
+@pytest.mark.slow
 def test_trend(stack: Path, cli: Cli) -> None:
     assert cli("qa", "b4.tif", "b5.tif", *FEW).returncode == 0
     result = cli("qa", "--trend", ".", "-o", "trend", "--progress", "json")

@@ -194,6 +194,7 @@ def test_ten_percent_outliers_change_nothing() -> None:
         assert np.sqrt((moved**2).sum(axis=1).mean()) < 0.02
 
 
+@pytest.mark.slow
 def test_a_model_that_folds_is_never_chosen() -> None:
     points = scattered(21, 800)
     observed = points + waves(21, points, 60.0, 300) + noise(21, 800, 0.05)  # slopes of -1.26
@@ -227,6 +228,7 @@ def test_the_precision_of_a_model_chosen_by_hand_knows_what_it_misses() -> None:
     assert straight.sigma(places).max() < COMMON_SIGMA * 0.1 + 0.005  # and what all points err alike
 
 
+@pytest.mark.slow
 def test_points_in_one_corner_do_not_bend_the_rest() -> None:
     for seed in range(10):
         points = scattered(seed, 200, 150)

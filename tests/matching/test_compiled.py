@@ -59,6 +59,7 @@ def test_a_kernel_is_kept_for_the_next_process(package: Path) -> None:
     assert run(package) == "True True 7.0"
 
 
+@pytest.mark.slow
 def test_a_kernel_is_compiled_again_when_a_part_of_it_has_changed(package: Path) -> None:
     run(package)
     (package / "part.py").write_text(PART.replace("2.0", "5.0"))

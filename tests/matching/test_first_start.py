@@ -82,5 +82,6 @@ def test_it_tells_once_and_whether_the_result_is_kept() -> None:
     assert told == [False]
 
 
+@pytest.mark.slow
 def test_nothing_is_left_to_be_compiled() -> None:
     python(COMPLETE)

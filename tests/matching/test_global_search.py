@@ -209,6 +209,7 @@ class TestRealPairs:
             assert result.accepted
             assert error_px(result, (shift_xy[0] - cols, shift_xy[1] - rows)) < 1.0
 
+    @pytest.mark.slow
     def test_uav_pair_with_parallax(self, shared_data: Path) -> None:
         folder = shared_data / "paper" / "uav_1"
         visible = read(folder / "DJI_20240707112018_0002_Z.JPG")

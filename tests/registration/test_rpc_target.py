@@ -147,6 +147,7 @@ def test_dem_and_geoid_are_files_that_a_job_reads(pair: Pair) -> None:
     assert Settings(dem=pair[2], dem_vertical=45.0).files == (pair[2],)
 
 
+@pytest.mark.slow
 def test_a_second_registration_finds_nothing(registered: Registered, pair: Pair) -> None:
     _, out_dir = registered
     settings = Settings(dem=pair[2], dem_vertical=UNDULATION_M, jobs=1)
@@ -188,6 +189,7 @@ def test_gdalwarp_makes_the_same_of_the_corrected_rpc(
     assert difference.mean() < 1e-3 * ours.std()
 
 
+@pytest.mark.slow
 def test_a_wrong_datum_moves_the_shift_by_what_its_height_means(registered: Registered, pair: Pair) -> None:
     found, _ = registered
     without = run(pair[0], pair[1], Settings(dem=pair[2], dem_vertical=0.0, jobs=1, features=300))

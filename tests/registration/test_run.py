@@ -370,7 +370,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("tile_size", [128, 170])
+@pytest.mark.parametrize("tile_size", [pytest.param(128, marks=pytest.mark.slow), 170])
 def test_tile_size_does_not_matter(tile_size: int, scene: Path) -> None:
     whole, parts = tiled(1024, scene), tiled(tile_size, scene)
     assert whole.counts["tiles"] == 1
@@ -392,7 +392,7 @@ def assert_identical(a: Registration, b: Registration) -> None:
     assert a.correction.to_dict() == b.correction.to_dict()
 
 
-@pytest.mark.parametrize("jobs", [1, 2, 3])
+@pytest.mark.parametrize("jobs", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_any_number_of_jobs_gives_the_same_to_the_last_bit(jobs: int, scene: Path) -> None:
     with OwnProcesses(jobs) as runner:
         found = on(runner, scene)
@@ -405,7 +405,7 @@ def test_threads_give_the_same_to_the_last_bit(scene: Path) -> None:
         assert_identical(on(OnExecutor(executor), scene), tiled(170, scene))
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_any_order_gives_the_same_to_the_last_bit(seed: int, scene: Path) -> None:
     with Shuffled(seed) as executor:
         assert_identical(on(OnExecutor(executor), scene), tiled(170, scene))
