@@ -16,7 +16,7 @@ from pcwlad_geo.raster.vrt import write_rpc_vrt
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned
 from pcwlad_geo.registration.rpc_sibling import CorrectedRpc, correct_sibling
 from pcwlad_geo.registration.rpc_target import RpcRegistration
-from pcwlad_geo.staging import place_with_files, stage_inside
+from pcwlad_geo.staging import place_file, place_with_files, stage_inside
 
 NAMES = {"raster": "{stem}_registered.tif", "rpc": "{stem}_rpc.vrt", "rpc_text": "{stem}_rpc_RPC.TXT"}
 
@@ -101,7 +101,8 @@ def warp_by_rpc(
             if "rpc_text" in files:
                 write_rpc_text(rpc, staged["rpc_text"])
             for kind, place in files.items():
-                place_with_files(staged[kind], place, overwrite=overwrite)
+                put = place_with_files if kind == "raster" else place_file
+                put(staged[kind], place, overwrite=overwrite)
     on_event(Progress("rasters", len(sources), len(sources)))
     return tuple(place for files in places for place in files.values())
 

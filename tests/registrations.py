@@ -74,6 +74,14 @@ def make_registration(status: str = "registered", name: str = "b10.tif", n: int 
     )
 
 
+def without_crs(made: Registration) -> Registration:
+    """Return the registration as of files without a CRS: metres are not known."""
+    reference, target = (
+        replace(info, grid=replace(info.grid, crs=None)) for info in (made.reference, made.target)
+    )
+    return replace(made, reference=reference, target=target, px_m=None)
+
+
 def write_pair(folder: Path, *, georeferenced: bool = True) -> tuple[Path, Path]:
     """Write a reference `b4.tif` and a target `b10.tif`, 400 x 600, uint16, nodata 0."""
     where = {"crs": "EPSG:32633", "transform": Affine(30, 0, 500000, 0, -30, 4600000)}

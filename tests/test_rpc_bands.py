@@ -76,6 +76,25 @@ def test_a_sibling_is_corrected_by_the_same_on_the_ground(folder: Path, tmp_path
     assert right < 0.25 * wrong
 
 
+def test_siblings_of_two_pixel_sizes_share_their_corners(folder: Path, tmp_path: Path) -> None:
+    written = pcwlad_geo.warp(folder / "done", [folder / "image.tif", folder / "ms.tif"], out_dir=tmp_path)
+    fine, coarse = (rasterio.open(path) for path in written if path.suffix == ".tif")
+    with fine, coarse:
+        assert fine.bounds == coarse.bounds
+        assert fine.shape == (FACTOR * coarse.shape[0], FACTOR * coarse.shape[1])
+
+
+def test_a_sibling_on_the_grid_of_another_raster(folder: Path, tmp_path: Path) -> None:
+    grid = make_grid((50, 60), offset_m=(300, -300))
+    like = write(tmp_path / "like.tif", np.zeros((50, 60)), grid)
+    (path, *_) = pcwlad_geo.warp(
+        folder / "done", [folder / "ms.tif"], out_dir=tmp_path, like=like, of="GTiff"
+    )
+    with rasterio.open(path) as file:
+        assert (file.shape, file.transform, file.crs) == (grid.shape, grid.transform, grid.crs)
+        assert file.dataset_mask().any()
+
+
 @pytest.mark.parametrize("has_rpc", [True, False])
 def test_a_band_of_the_same_pixels_becomes_what_the_target_became(
     folder: Path, tmp_path: Path, has_rpc: bool

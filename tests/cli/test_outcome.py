@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from pcwlad_geo.cli.outcome import Outcome
 from pcwlad_geo.report.summary import summarise
-from tests.registrations import make_registration
+from tests.registrations import make_registration, without_crs
 
 
 def test_the_table_has_displacement_before_and_residuals_after() -> None:
@@ -27,7 +26,7 @@ def test_the_table_has_displacement_before_and_residuals_after() -> None:
 
 
 def test_there_is_no_column_of_metres_where_they_are_not_known() -> None:
-    made = replace(make_registration(), px_m=None)
+    made = without_crs(make_registration())
     text = Outcome(summarise(made, []), {"numbers": Path("report.json")}).text()
     (header,) = (line for line in text.splitlines() if line.startswith(" "))
     assert header.split()[-3:] == ["RMSE", "CE90", "net"]
