@@ -125,11 +125,11 @@ def _witnesses(xy_px: Array, value_px: Array, side_px: float) -> tuple[Array, Ar
     if side_px <= 0:
         return xy_px, value_px
     cell = np.unique(np.floor(xy_px / side_px).astype(np.intp), axis=0, return_inverse=True)[1].ravel()
-    groups = np.split(np.argsort(cell, kind="stable"), np.cumsum(np.bincount(cell))[:-1])
-    return (
-        np.array([xy_px[group].mean(axis=0) for group in groups]),
-        np.array([np.median(value_px[group], axis=0) for group in groups]),
-    )
+    count = np.bincount(cell)
+    begin = np.cumsum(count) - count
+    place = np.column_stack([np.bincount(cell, axis) / count for axis in xy_px.T])
+    ordered = np.column_stack([axis[np.lexsort((axis, cell))] for axis in value_px.T])
+    return place, (ordered[begin + (count - 1) // 2] + ordered[begin + count // 2]) / 2
 
 
 def _variance_beyond(selection: Selection, residuals: Residuals, places_px: Array) -> Array:

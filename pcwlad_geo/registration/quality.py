@@ -30,12 +30,14 @@ NOTICEABLE_PX: Final = 0.25
 """Residuals of 90 % of the check points below this are not worth a word, whatever their sigmas, target px."""
 MANY_SIGMAS: Final = 3.0
 """Residuals so many times larger than their sigmas say that the sigmas do not explain them."""
+UNSURPRISING: Final = 1.25
+"""Residuals up to so many times their sigmas are what these say."""
 SHARED_SIGMAS: Final = 2.0
 """The same for residuals that neighbours share."""
 MOSTLY: Final = 0.5
 """Share of the common ground beyond the tie points from which on a registration is not good."""
 NEARLY_ALL: Final = 0.8
-"""The same from which on it is poor."""
+"""The same beyond which a poor registration is refused."""
 FEW_KEPT: Final = 1 / 3
 """Share of the matches that agree with their neighbours below which a poor registration is refused."""
 
@@ -78,7 +80,11 @@ class Quality:
 
     @property
     def refusal(self) -> str | None:
-        """Why no corrected raster should be made; None where one may."""
+        """Why no corrected raster should be made; None where one may.
+
+        Points that are good are never refused for what lies beyond them: a poor correction is, where hardly
+        any of the matches or of the ground stand behind it.
+        """
         little_kept, little_seen = self.kept_share < FEW_KEPT, self.extrapolated_share > NEARLY_ALL
         if self.grade != "poor" or not (little_kept or little_seen):
             return None
@@ -162,7 +168,7 @@ def shared_residual_px(table: TiePointTable, footprint_px: float) -> float:
 def _median_beside(points: TiePointTable, at_px: Float64, footprint_px: float) -> Float64:
     """Return the (2,) median residual of the nearest points at least a window away."""
     apart = np.abs(points.predicted_px - at_px).max(axis=1)
-    beside = np.flatnonzero(apart >= footprint_px)
+    beside = np.flatnonzero((apart >= footprint_px) & (apart > 0))
     if len(beside) == 0:
         return np.zeros(2)
     nearest = beside[np.argsort(apart[beside], kind="stable")[:NEIGHBOURS]]
@@ -191,24 +197,30 @@ def _check_points_off(table: TiePointTable, model: str, footprint_px: float) -> 
     times = ce90_px / max(SIGMA_90 * _typical_sigma_px(checked), 1e-9)
     if ce90_px <= GOOD_PX and (ce90_px <= NOTICEABLE_PX or times <= MANY_SIGMAS):
         return
-    shared_px = shared_residual_px(table, footprint_px)
-    cause = (
-        f"local displacements of {shared_px:.1f} px (68 % of the points) remain that the {model} model "
-        "does not take out: parallax of another viewpoint, relief or sensor jitter"
-        if shared_px > 0
-        else "noise of the images, or displacements smaller than a matching window"
-    )
     yield Reason(
         "fair" if ce90_px <= FAIR_PX else "poor",
         f"a tenth of the {len(checked)} check points lies more than {ce90_px:.2f} px off the correction, "
-        f"{times:.1f} times what their sigmas say: {cause}",
+        f"{times:.1f} times what their sigmas say: {_cause(table, model, footprint_px, times)}",
     )
+
+
+def _cause(table: TiePointTable, model: str, footprint_px: float, times: float) -> str:
+    """Say why points lie off the correction, so many times as far as their sigmas say."""
+    shared_px = shared_residual_px(table, footprint_px)
+    if shared_px > 0:
+        return (
+            f"local displacements of {shared_px:.1f} px (68 % of the points) remain that the {model} model "
+            "does not take out: parallax of another viewpoint, relief or sensor jitter"
+        )
+    if times <= UNSURPRISING:
+        return "the matching is no more precise on this pair"
+    return "noise of the images, or displacements smaller than a matching window"
 
 
 def _beyond_the_points(share: float) -> Iterator[Reason]:
     if share > MOSTLY:
         yield Reason(
-            "fair" if share <= NEARLY_ALL else "poor",
+            "fair",
             f"{100 * share:.0f} % of the common ground lies beyond the tie points: there the correction is "
             "extrapolated, and nothing checks it",
         )

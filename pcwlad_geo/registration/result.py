@@ -65,7 +65,7 @@ class Registration:
     rpc: RpcRegistration | None = None
     """The target's RPC, where that places it."""
     quality: Quality | None = None
-    """How good the registration is; None where rejected, or only matched."""
+    """How good the registration is, or why it was rejected after the fit; None where nothing was fitted."""
     record: MatchRecord | None = None
     """What the matching did where; None where that is not known."""
     requirements: tuple[RequirementResult, ...] = ()

@@ -137,14 +137,14 @@ def run(
             on_event(Progress("fitting", 1, 1))
         if quality.refusal and not settings.tie_points:
             verdict = replace(verdict, accepted=False, reason=quality.refusal)
-            fitted, quality = None, None
+            fitted = None
         else:
             for reason in quality.reasons:
                 log.warn(reason.text)
     status = "rejected" if not verdict.accepted else "matched" if match_only else "registered"
     return Registration(
         status=status,  # type: ignore[arg-type]  # one of three literals
-        reason=_reason(verdict, placed),
+        reason=verdict.reason if quality else _reason(verdict, placed),
         warnings=tuple(log.warnings),
         reference=ref,
         target=tgt,

@@ -235,6 +235,7 @@ def _quality(registration: Registration) -> Summary | None:
         "expected_ce90_px": round(expected, PX_DIGITS),
         "expected_ce90_m": None if px_m is None else round(expected * math.sqrt(px_m[0] * px_m[1]), M_DIGITS),
         "extrapolated_share": round(quality.extrapolated_share, 3),
+        "kept_share": round(quality.kept_share, 3),
     }
 
 

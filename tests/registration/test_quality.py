@@ -91,10 +91,20 @@ def test_ground_beyond_the_points_is_told() -> None:
     corner = (at < [200, 130]).all(axis=1)
     table = table_of(1.5)[corner]
     quality = graded(table)
-    assert quality.grade in ("fair", "poor")
+    assert quality.grade == "fair"
     assert quality.extrapolated_share > 0.5
     assert any("beyond the tie points" in reason.text for reason in quality.reasons)
     assert graded(table, places=everywhere(200, 130)).grade == "good"
+
+
+def test_an_island_in_a_flat_sea_is_told_not_refused() -> None:
+    """Good points over a twentieth of the ground: nothing speaks against the correction."""
+    at = places_of()
+    island = (at < [140, 100]).all(axis=1)
+    quality = graded(table_of(1.5)[island])
+    assert quality.extrapolated_share > 0.8
+    assert quality.grade == "fair"
+    assert quality.refusal is None
 
 
 def near_field() -> TiePointTable:

@@ -18,12 +18,15 @@ from scipy.spatial import cKDTree
 
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.registration import run as run_module
 from pcwlad_geo.registration.progress import Event, Progress, Warned
+from pcwlad_geo.registration.quality import Quality, Reason
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.runners import OnExecutor, OwnProcesses
 from pcwlad_geo.registration.settings import Model, Settings
 from pcwlad_geo.registration.tasks import Runner
+from pcwlad_geo.report.summary import summarise
 from tests.registration.calls import Shuffled
 from tests.scenes import CRS_OF_SCENE, Array, make_grid, render, write
 
@@ -467,3 +470,19 @@ def test_points_limits_the_tie_points(tmp_path: Path) -> None:
     assert (status == "check").sum() == 7
     assert (status != "rejected").sum() == 35
     check(found)
+
+
+def test_a_correction_that_does_not_hold_is_refused_with_its_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reason = Reason("poor", "a tenth of the check points lies more than 13.40 px off")
+    poor = Quality("poor", (reason,), 13.4, 0.96, 27 / 223)
+    monkeypatch.setattr(run_module, "assess", lambda *arguments: poor)
+    found = write_pair(tmp_path, make_grid((160, 160), offset_m=(12, -9))).run()
+    assert found.status == "rejected"
+    assert found.reason is not None
+    assert "only 12 % of the matches agree" in found.reason
+    assert "13.40 px" in found.reason
+    assert found.quality == poor
+    assert found.correction is None
+    assert summarise(found, [])["quality"]
