@@ -214,7 +214,16 @@ def _cause(table: TiePointTable, model: str, footprint_px: float, times: float) 
         )
     if times <= UNSURPRISING:
         return "the matching is no more precise on this pair"
+    if _most_hold(table):
+        return "most of them fit; the others lie on what moved, such as clouds, or at another depth"
     return "noise of the images, or displacements smaller than a matching window"
+
+
+def _most_hold(table: TiePointTable) -> bool:
+    """Return whether two thirds of the check points lie where their sigmas allow."""
+    checked = table.select("check")
+    size_px = np.linalg.norm(checked.residual_px, axis=1)
+    return bool(np.percentile(size_px, 68) <= MANY_SIGMAS * SIGMA_68 * _typical_sigma_px(checked))
 
 
 def _beyond_the_points(share: float) -> Iterator[Reason]:

@@ -107,6 +107,15 @@ def test_an_island_in_a_flat_sea_is_told_not_refused() -> None:
     assert quality.refusal is None
 
 
+def test_a_part_that_moves_on_its_own_is_told_from_noise() -> None:
+    at = places_of()
+    part = (at < [270, 200]).all(axis=1)
+    quality = graded(table_of(np.where(part[:, None], 7.0, 0.0)), "shift")
+    (reason,) = [each for each in quality.reasons if "check points" in each.text]
+    assert "at another depth" in reason.text
+    assert "noise" not in reason.text
+
+
 def near_field() -> TiePointTable:
     """Return what two depths 20 px apart leave: 27 of 223 matches kept, in one corner, and not alike."""
     n = 223
