@@ -17,8 +17,10 @@ import shapely
 from affine import Affine
 
 import pcwlad_geo
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.matching_grid import plan_views
+from pcwlad_geo.raster.output_grid import output_grid
 from pcwlad_geo.raster.shared_plane import share_plane
 from pcwlad_geo.raster.source import describe
 from tests.scenes import make_grid, render, write
@@ -84,6 +86,22 @@ def test_two_without_a_crs_lie_in_one_plane(pair: tuple[Path, Path], tmp_path: P
     assert np.abs(values - truth)[inside].mean() < 600  # 3 of 255 grey levels; displaced it is many
     sigma, profile = read(tmp_path / "out" / "tgt_sigma.tif")
     assert np.isfinite(sigma).mean() > 0.9
+
+
+@pytest.mark.parametrize("turned", ["reference", "target"])
+def test_axes_that_are_turned_keep_the_size_of_the_pixels(turned: str) -> None:
+    """In a plane without a CRS as on a map."""
+    grids = {"reference": REFERENCE, "target": TARGET}
+    place = grids[turned]
+    grids[turned] = replace(place, transform=place.transform @ Affine.rotation(20.0))
+    shift = AffineCorrection("shift", np.array([[1.0, 0.0, SHIFT_PX[0]], [0.0, 1.0, SHIFT_PX[1]]]))
+    on_map = output_grid(grids["reference"], grids["target"], shift)
+    found = output_grid(*[without_crs(grid) for grid in grids.values()], shift)
+    assert found == without_crs(on_map)
+    np.testing.assert_allclose(np.hypot(found.transform.a, found.transform.d), 15.0, rtol=1e-9)
+    edge_px = map_px(shift.inverse(TARGET.boundary_px()), without_crs(grids["target"]), found)
+    assert (edge_px > -0.01).all()
+    assert (edge_px < np.array(found.shape[::-1]) + 0.01).all()
 
 
 def test_other_bands_are_warped_in_that_plane(pair: tuple[Path, Path], tmp_path: Path) -> None:

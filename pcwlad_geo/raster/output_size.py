@@ -84,7 +84,7 @@ def _own_size(lattice: Grid, raster: Grid, reference_size: Array | None) -> Arra
 def _size_elsewhere(lattice: Grid, target: Grid, reference_size: Array | None) -> Array:
     """Return the size of a target in another CRS, or on turned axes."""
     across, swapped = _steps_across(lattice, target)
-    if to_pyproj(target.crs).axis_info[0].unit_name == to_pyproj(lattice.crs).axis_info[0].unit_name:
+    if _same_unit(lattice, target):
         nominal = _lengths(target)[:: -1 if swapped else 1]
         square = abs(nominal[0] / nominal[1] - 1.0) <= _SAME
         if (square or not _turned(lattice, target)) and np.all(np.abs(across / nominal - 1.0) <= _SAME_SCALE):
@@ -96,6 +96,12 @@ def _size_elsewhere(lattice: Grid, target: Grid, reference_size: Array | None) -
             return ratio * reference_size
     side = float(f"{across.min():.1e}")
     return np.array([side, side])
+
+
+def _same_unit(lattice: Grid, target: Grid) -> bool:
+    if target.crs is None or lattice.crs is None:
+        return target.crs == lattice.crs  # without a CRS both lie in one plane
+    return bool(to_pyproj(target.crs).axis_info[0].unit_name == to_pyproj(lattice.crs).axis_info[0].unit_name)
 
 
 def _or_equal(size: Array, reference_size: Array) -> Array:
