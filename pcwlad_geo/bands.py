@@ -15,7 +15,7 @@ from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_grids
 from pcwlad_geo.raster.shared_plane import grid_beside
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.output_wishes import requested_grid
+from pcwlad_geo.registration.output_wishes import check_placed, requested_grid
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.settings import OutputGrid, Resampling, Settings
 from pcwlad_geo.report.finished import FinishedRegistration, read_registration
@@ -195,11 +195,8 @@ def _grids(
             "COG or GTiff"
         )
     own = [grid_beside(describe(source), target) for source in sources]
-    if request.needs_ground and None in (finished.reference_grid.crs, target.crs):
-        raise InputError(
-            "like, tr, te and t_srs need a georeferenced pair, and this registration is of one that is not: "
-            "leave them out"
-        )
+    places = {"the reference": finished.reference_grid.located, "the target": target.located}
+    check_placed(request, places, finished.reference_grid)
     grids = output_grids(finished.reference_grid, target, correction, request, own)
     for source, raster, grid in zip(sources, own, grids, strict=True):
         if request.needs_ground or request.fixed(finished.reference_grid):

@@ -23,6 +23,8 @@ from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.output_grid import output_grid
 from pcwlad_geo.raster.shared_plane import share_plane
 from pcwlad_geo.raster.source import describe
+from pcwlad_geo.registration.output_wishes import check_output
+from pcwlad_geo.registration.settings import Settings
 from tests.scenes import make_grid, render, write
 
 SMALL: Any = {"template": 61, "window": 41, "features": 150, "model": "shift"}
@@ -105,13 +107,53 @@ def test_axes_that_are_turned_keep_the_size_of_the_pixels(turned: str) -> None:
 
 
 def test_other_bands_are_warped_in_that_plane(pair: tuple[Path, Path], tmp_path: Path) -> None:
-    pcwlad_geo.register(*pair, out_dir="out", **SMALL)
+    pcwlad_geo.register(*pair, out_dir="out", tr=(20.0, 20.0), **SMALL)
+    _, registered = read(tmp_path / "out" / "tgt_registered.tif")
+    assert (registered["crs"], registered["transform"].a) == (None, 20.0)
     coarse = make_grid((165, 170), pixel_m=30.0, offset_m=(900, 600))
     band = write(tmp_path / "b2.tif", render(coarse, displacement_px=SHIFT_PX / 2), without_crs(coarse))
-    (place,) = pcwlad_geo.warp("out", [band], out_dir="warped")
-    values, profile = read(place)
-    truth = render(Grid(values.shape, profile["transform"], REFERENCE.crs), noise=0.0) * 200
-    assert np.abs(values - truth)[20:-20, 20:-20].mean() < 600
+    x, y = TARGET.to_xy(np.array([[40.0, 40.0]]))[0]
+    for options, size in (
+        ({}, 20.0),
+        ({"grid": "reference"}, 30.0),
+        ({"tr": (25.0, 25.0), "te": (x, y - 3500, x + 3500, y)}, 25.0),
+    ):
+        (place,) = pcwlad_geo.warp("out", [band], out_dir="warped", overwrite=True, **options)
+        values, profile = read(place)
+        assert profile["transform"].a == size
+        truth = render(Grid(values.shape, profile["transform"], REFERENCE.crs), noise=0.0) * 200
+        assert np.abs(values - truth)[20:-20, 20:-20].mean() < 600
+    for options, said in (
+        ({"te": (0.0, 0.0, 99.0, 99.0)}, "shows nothing of the target"),
+        ({"t_srs": "EPSG:32633"}, "neither the reference nor the target has a CRS, which --like and --t-srs"),
+    ):
+        with pytest.raises(pcwlad_geo.InputError, match=said):
+            pcwlad_geo.warp("out", [band], out_dir="refused", **options)
+
+
+def test_an_output_grid_can_be_asked_for_in_the_plane(pair: tuple[Path, Path]) -> None:
+    (left, top), (right, bottom) = REFERENCE.to_xy(np.array([[50.0, 50.0], [150.0, 150.0]]))
+    check_output(*pair, Settings(tr=(20.0, 20.0), te=(left, bottom, right, top)))
+    with pytest.raises(pcwlad_geo.InputError, match=r"shows nothing.*in the plane of their geotransforms"):
+        check_output(*pair, Settings(te=(0.0, 0.0, 99.0, 99.0)))
+    like = write(Path("like.tif"), render(REFERENCE), REFERENCE)
+    for settings in (Settings(like=like), Settings(t_srs="EPSG:32633")):
+        with pytest.raises(pcwlad_geo.InputError, match=r"neither .*ref.tif nor .*tgt.tif has a CRS"):
+            check_output(*pair, settings)
+
+
+@pytest.mark.parametrize("lacking", ["reference", "target"])
+def test_an_output_grid_can_be_asked_for_where_one_has_the_crs(lacking: str, pair: tuple[Path, Path]) -> None:
+    reference, target = pair
+    if lacking == "target":
+        write(reference, render(REFERENCE), REFERENCE)
+    else:
+        write(target, render(TARGET), TARGET)
+    like = write(Path("like.tif"), render(REFERENCE), REFERENCE)
+    for settings in (Settings(tr=(20.0, 20.0)), Settings(like=like), Settings(t_srs="EPSG:3035")):
+        check_output(reference, target, settings)
+    with pytest.raises(pcwlad_geo.InputError, match="shows nothing of the target"):
+        check_output(reference, target, Settings(te=(0.0, 0.0, 99.0, 99.0)))
 
 
 def test_one_without_a_crs_is_taken_to_be_in_the_other_s_where_its_coordinates_lie(

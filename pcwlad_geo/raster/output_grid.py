@@ -162,7 +162,8 @@ def check_covered(grid: Grid, footprint_xy: Array, footprint_crs: CRS | None, *,
     footprint_xy : (n, 2) array
         Around the raster, map coordinates.
     footprint_crs : CRS or None
-        Theirs; without one, or where the outline cannot be placed, nothing is checked.
+        Theirs. Where it or the grid alone has none, the grid has no place, or the outline cannot be placed,
+        nothing is checked.
     beyond : float
         How far the raster may lie from there, as a share of its larger side.
 
@@ -171,7 +172,7 @@ def check_covered(grid: Grid, footprint_xy: Array, footprint_crs: CRS | None, *,
     InputError
         Then.
     """
-    if footprint_crs is None or grid.crs is None or not len(footprint_xy):
+    if (footprint_crs is None) != (grid.crs is None) or not grid.located or not len(footprint_xy):
         return
     plain = Grid(grid.shape, Affine.identity(), footprint_crs)
     outline_px = map_px(footprint_xy, plain, grid)
@@ -186,8 +187,9 @@ def check_covered(grid: Grid, footprint_xy: Array, footprint_crs: CRS | None, *,
     place = Grid((1, 1), Affine.identity(), grid.crs)
     xy = map_px(footprint_xy, plain, place)
     (x_min, y_min), (x_max, y_max) = xy.min(axis=0), xy.max(axis=0)
+    where = "in the plane of their geotransforms" if grid.crs is None else f"in {name_of(grid.crs)}"
     raise InputError(
-        f"the output grid shows nothing of the target: in {name_of(grid.crs)} it covers x {left:.10g} to "
+        f"the output grid shows nothing of the target: {where} it covers x {left:.10g} to "
         f"{right:.10g}, y {bottom:.10g} to {top:.10g}, and the target x {x_min:.10g} to {x_max:.10g}, "
         f"y {y_min:.10g} to {y_max:.10g}: change --te, --t-srs or --like"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 import rasterio
 
 import pcwlad_geo
+from pcwlad_geo.outputs import output_grids_of
 from pcwlad_geo.raster.crs import transform_xy, utm_zone_of
 from pcwlad_geo.raster.dem import WGS84
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc_view import ground_grid
 from pcwlad_geo.raster.source import describe
+from pcwlad_geo.registration.output_wishes import check_output
 from pcwlad_geo.registration.rpc_target import place_reference
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.settings import Settings
@@ -92,6 +95,35 @@ def test_the_raster_lies_on_the_ground(registered: tuple[pcwlad_geo.Registration
     ground = ground_grid(found.reference.grid)
     corner = ground.to_px(grid.to_xy(np.zeros((1, 2)))) * ground.transform.a / grid.transform.a
     np.testing.assert_allclose(corner, np.rint(corner), rtol=0, atol=1e-6)
+
+
+def test_an_output_grid_can_be_asked_for(
+    registered: tuple[pcwlad_geo.Registration, Path], folder: Path, tmp_path: Path
+) -> None:
+    found, _ = registered
+    like = make_grid((50, 60), offset_m=(900, -900))
+    write(tmp_path / "like.tif", np.zeros(like.shape), like)
+    (left, top), (right, bottom) = like.to_xy(np.array([[0.0, 0.0], [60.0, 50.0]])).tolist()
+    for wishes, expected in (
+        ({"like": tmp_path / "like.tif"}, like),
+        ({"te": (left, bottom, right, top), "tr": (30.0, 30.0)}, like),
+        ({"tr": (20.0, 25.0)}, None),
+        ({"t_srs": "EPSG:3035"}, None),
+    ):
+        settings = heights(folder, **wishes)
+        check_output(folder / "reference.tif", folder / "target.tif", settings)
+        (grid,) = output_grids_of(replace(found, settings=settings), ())
+        assert expected is None or grid == expected
+        if "tr" in wishes:
+            assert (grid.transform.a, -grid.transform.e) == wishes["tr"]
+    for wishes, said in (
+        ({"te": (0.0, 0.0, 99.0, 99.0)}, "shows nothing of the target"),
+        ({"of": "VRT"}, "a VRT cannot hold the correction of an RPC"),
+    ):
+        with pytest.raises(pcwlad_geo.InputError, match=said):
+            check_output(folder / "reference.tif", folder / "target.tif", heights(folder, **wishes))
+    with pytest.raises(pcwlad_geo.InputError, match=r"reference.tif has no georef.* or an RPC with --dem"):
+        check_output(folder / "reference.tif", folder / "target.tif", Settings(tr=(30.0, 30.0)))
 
 
 def test_its_siblings_lie_on_the_same_lattice(
