@@ -9,7 +9,7 @@ from pathlib import Path
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_format import OutputFormat, check_format
-from pcwlad_geo.raster.output_grid import GridRequest
+from pcwlad_geo.raster.output_grid import GridRequest, check_covered
 from pcwlad_geo.raster.rpc_files import to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc_warping import orthorectify, requested_ortho_grids
 from pcwlad_geo.raster.vrt import write_rpc_vrt
@@ -108,10 +108,14 @@ def warp_by_rpc(
 
 
 def _grids(target: CorrectedRpc, siblings: Sequence[RpcRegistration], made: OrthoOutput) -> list[Grid]:
-    """Return the output grids: one extent for all, that of the registered target."""
+    """Return the output grids: one extent for all, the target's; raise where one shows nothing."""
     own = [sibling.corrected_grid for sibling in siblings]
     registered = replace(own[0], shape=target.shape, rpc=target.corrected)
-    return requested_ortho_grids(made.reference_grid, registered, made.request, own)
+    grids = requested_ortho_grids(made.reference_grid, registered, made.request, own)
+    if made.request.needs_ground or made.request.fixed(made.reference_grid):
+        for raster, grid in zip(own, grids, strict=True):
+            check_covered(grid, raster.to_xy(raster.boundary_px()), raster.crs)
+    return grids
 
 
 def places_of(sources: Sequence[str], rasters: Sequence[Path], *, beside: bool) -> list[dict[str, Path]]:

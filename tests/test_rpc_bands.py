@@ -95,6 +95,17 @@ def test_a_sibling_on_the_grid_of_another_raster(folder: Path, tmp_path: Path) -
         assert file.dataset_mask().any()
 
 
+def test_a_grid_that_shows_nothing_of_a_sibling_is_refused_before_the_work(
+    folder: Path, tmp_path: Path
+) -> None:
+    rasters = [folder / "image.tif", folder / "ms.tif"]
+    like = write(tmp_path / "like.tif", np.zeros((9, 9)), make_grid((9, 9), offset_m=(90_000, 0)))
+    for wishes in ({"te": (100.0, 100.0, 200.0, 200.0)}, {"like": like}):
+        with pytest.raises(InputError, match=r"the output grid shows nothing of the target.*change --te"):
+            pcwlad_geo.warp(folder / "done", rasters, out_dir=tmp_path / "out", **wishes)
+        assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("has_rpc", [True, False])
 def test_a_band_of_the_same_pixels_becomes_what_the_target_became(
     folder: Path, tmp_path: Path, has_rpc: bool
