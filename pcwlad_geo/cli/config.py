@@ -22,8 +22,8 @@ def collect(given: Mapping[str, object], config: Path | None) -> dict[str, Any]:
     Parameters
     ----------
     given : mapping
-        Option names (underscored) and values of the command line; None = not given. Names that are no
-        field of `Settings` are left out.
+        Option names (underscored) and values of the command line; None, or for an option that may be
+        repeated an empty list or tuple = not given. Names that are no field of `Settings` are left out.
     config : Path, optional
         TOML file.
 
@@ -33,8 +33,13 @@ def collect(given: Mapping[str, object], config: Path | None) -> dict[str, Any]:
         If the file cannot be read, names an option that does not exist, or a value has a wrong type.
     """
     values = read_config(config) if config else {}
-    values |= {name: value for name, value in given.items() if name in SETTINGS and value is not None}
+    values |= {name: value for name, value in given.items() if name in SETTINGS and _is_given(value)}
     return {name: to_setting(name, value) for name, value in values.items()}
+
+
+def _is_given(value: object) -> bool:
+    # Click says () of an option that may be repeated and was not given.
+    return not (value is None or (isinstance(value, list | tuple) and not value))
 
 
 def read_config(path: Path) -> dict[str, object]:

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from pcwlad_geo.cli.app import run
 from pcwlad_geo.cli.config import collect
-from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.registration.settings import Settings
 
 
@@ -48,6 +49,37 @@ def test_requirements_of_a_file(tmp_path: Path) -> None:
     settings = Settings.from_options(collect({"require": None}, config))
     assert (settings.require, settings.keep) == (("CE90<=0.5px", "points>=100"), True)
     assert collect({"require": ["CE90<=1px"]}, config)["require"] == ["CE90<=1px"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "function"),
+    [
+        (("register", "a.tif", "b.tif"), "workflow.register"),
+        (("match", "a.tif", "b.tif"), "workflow.match"),
+        (("batch", "pairs.csv"), "batches.run.batch"),
+        (("qa", "a.tif", "b.tif"), "stacks.run.qa"),
+    ],
+    ids=lambda each: each[0] if isinstance(each, tuple) else "",
+)
+def test_repeatable_options_of_a_file_hold_where_the_command_line_has_none(
+    arguments: tuple[str, ...], function: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    received: list[dict[str, object]] = []
+
+    def note(*_: object, **options: object) -> None:
+        received.append(options)
+        raise InputError("noted")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(f"pcwlad_geo.{function}", note)
+    (tmp_path / "pairs.csv").write_text("reference,target\na.tif,b.tif\n", encoding="utf-8")
+    config = write(tmp_path, 'require = ["CE90<=0.7px", "points>=100"]\nco = ["COMPRESS=ZSTD"]\n')
+    assert run([*arguments, "--config", str(config)]) == InputError.exit_status
+    assert run([*arguments, "--config", str(config), "--require", "CE90<=1px"]) == InputError.exit_status
+    in_file, overruled = received
+    assert list(in_file["require"]) == ["CE90<=0.7px", "points>=100"]  # type: ignore[call-overload]
+    assert list(overruled["require"]) == ["CE90<=1px"]  # type: ignore[call-overload]
+    assert in_file["co"] == overruled["co"] == ("COMPRESS=ZSTD",)
 
 
 def test_a_word_on_the_command_line_overrules_a_number_in_the_file(tmp_path: Path) -> None:
