@@ -84,7 +84,8 @@ def warp(
     Raises
     ------
     InputError
-        If the folder holds no finished registration, or a raster cannot be used; before anything is written.
+        If the folder holds no finished registration, or one that does not meet its requirements and was not
+        kept, or a raster cannot be used; before anything is written.
     OutputError
         If a result cannot be written; those before it stay.
     """

@@ -15,7 +15,14 @@ import rasterio
 from affine import Affine
 from matplotlib.figure import Figure
 
-from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, warp, workflow
+from pcwlad_geo import (
+    InputError,
+    OutputError,
+    RegistrationRejectedError,
+    RequirementError,
+    warp,
+    workflow,
+)
 from pcwlad_geo.cli.app import run
 from pcwlad_geo.correction.models import Correction, SplineCorrection
 from pcwlad_geo.correction.spline import SplineGrid
@@ -147,6 +154,22 @@ def test_folders_without_a_correction_are_told(make: Make, tmp_path: Path) -> No
         make("rejected")
     with pytest.raises(InputError, match="refused"):
         warp("done", ["b10.tif"])
+
+
+def test_a_registration_against_its_requirements_is_applied_only_where_it_was_kept(make: Make) -> None:
+    require = ["points>=100000", "points>=10"]
+    with pytest.raises(RequirementError):
+        make(require=require)
+    with pytest.raises(InputError, match=r"points >= 100000: not met.*--keep, or without") as caught:
+        warp("done", ["b10.tif"], out_dir="warped")
+    assert "points >= 10:" not in str(caught.value)
+    assert not Path("warped").exists()
+    with pytest.raises(RequirementError):
+        make(require=require, keep=True, overwrite=True)
+    (path,) = warp("done", ["b10.tif"], out_dir="warped")
+    assert path.is_file()
+    make(require=["points>=10"], overwrite=True)
+    assert warp("done", ["b10.tif"], out_dir="warped", overwrite=True) == (path,)
 
 
 @pytest.mark.parametrize(

@@ -49,12 +49,14 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
     Raises
     ------
     InputError
-        If there is no report.json of a finished registration.
+        If there is no report.json of a finished registration, or the registration does not meet its
+        requirements and was not kept all the same.
     """
     path = Path(folder)
     path = path / NUMBERS if path.is_dir() else path
     report = _report(path)
     try:
+        _check_requirements(path, report)
         settings = report["settings"]
         return FinishedRegistration(
             correction=from_json(report["model"]),
@@ -100,6 +102,17 @@ def _report(path: Path) -> Mapping[str, Any]:
             "give the output folder of pcwlad-geo register"
         )
     return report
+
+
+def _check_requirements(path: Path, report: Mapping[str, Any]) -> None:
+    """Raise where the registration itself was given no corrected raster: its siblings get none either."""
+    if report.get("passed") is not False or report["settings"].get("keep"):
+        return
+    missed = "; ".join(each["message"] for each in report["requirements"] if not each["met"])
+    raise InputError(
+        f"{path.parent} holds a registration that does not meet its requirements: {missed}; register the "
+        "pair again with --keep, or without that requirement"
+    )
 
 
 def _request(report: Mapping[str, Any]) -> GridRequest:
