@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 from affine import Affine
 
 from pcwlad_geo.errors import OutputError
@@ -335,6 +336,46 @@ def test_a_raster_that_lost_its_end_does_not_count(tmp_path: Path) -> None:
     os.truncate(path, path.stat().st_size - 40_000)
     with pytest.raises(OutputError, match=r"a\.tif was not written whole"):
         verify_output(path)
+
+
+def text_like_raster(folder: Path, name: str, driver: str) -> Path:
+    """Write a raster whose bytes are a text without line breaks, with its headers beside it."""
+    letters = np.random.default_rng(0).integers(60, 100, (1, 300, 400)).astype(np.uint8)
+    profile = {"driver": "GTiff", "height": 300, "width": 400, "count": 1, "dtype": "uint8"}
+    with (
+        rasterio.MemoryFile() as memory,
+        memory.open(crs="EPSG:32633", transform=Affine.scale(2.0, -2.0), **profile) as dataset,
+    ):
+        dataset.write(letters)
+        rasterio.shutil.copy(dataset, folder / name, driver=driver)
+    return folder / name
+
+
+@pytest.mark.parametrize(("name", "driver"), [("a.dat", "ENVI"), ("a.bil", "EHdr"), ("a.rst", "RST")])
+def test_a_raster_whose_bytes_could_be_a_text_is_opened(tmp_path: Path, name: str, driver: str) -> None:
+    path = text_like_raster(tmp_path, name, driver)
+    path.read_text(encoding="utf-8")
+    files = sorted(tmp_path.iterdir())
+    assert len(files) > 1
+    for file in files:  # headers too
+        verify_output(file)
+    for file in files:
+        if file != path:
+            file.unlink()
+    with pytest.raises(OutputError, match=f"{name} was not written whole.*not a raster that GDAL can read"):
+        verify_output(path)
+
+
+def test_a_raster_whose_bytes_could_be_a_text_is_read_to_its_end(tmp_path: Path) -> None:
+    path = text_like_raster(tmp_path, "a.bil", "EHdr")
+    os.truncate(path, 80_000)
+    with pytest.raises(OutputError, match=r"a\.bil was not written whole"):
+        verify_output(path)
+
+
+def test_data_that_a_raster_keeps_beside_it_need_not_open(tmp_path: Path) -> None:
+    (tmp_path / "a.gri").write_bytes(b"\xff\xfe\x00" * 9)
+    verify_output(tmp_path / "a.gri")
 
 
 def test_single_files_are_placed_complete(tmp_path: Path) -> None:

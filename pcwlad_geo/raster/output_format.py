@@ -97,6 +97,11 @@ class OutputFormat:
         return options | dict(self.options)
 
 
+def raster_extensions() -> frozenset[str]:
+    """Return the endings of files that GDAL writes rasters to, without the dot, in small letters."""
+    return frozenset({*raster_driver_extensions(), *_EXTENSIONS.values()})
+
+
 def files_of(path: Path) -> list[Path]:
     """Return a raster's file and those that belong to it (headers, masks, metadata), in its folder."""
     if path.suffix.lower() == ".vrt":

@@ -9,19 +9,29 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Final
 
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from pcwlad_geo.errors import InputError, OutputError
+from pcwlad_geo.raster.output_format import raster_extensions
 from pcwlad_geo.raster.source import open_raster
+
+_TEXTS: Final = (".csv", ".html", ".points", ".txt")
+"""Suffixes of the texts that are written."""
+_HEADERS: Final = (".hdr", ".xml")
+"""Suffixes of texts that lie beside a raster; some formats have them for the raster itself."""
+_TEXT_PART: Final = 2**20
+"""Characters that are read at once."""
 
 
 def verify_output(path: Path) -> None:
     """Reopen a file that was written, and raise where it is not whole.
 
-    Rasters: the last block of every band; VRT and JSON: parsed; GeoPackage: SQLite's integrity
-    check; PDF: its end; the rest: not empty, UTF-8, or a raster as above.
+    The suffix says what it is. Rasters: the last block of every band; VRT and JSON: parsed; GeoPackage:
+    SQLite's integrity check; PDF: its end; other texts: UTF-8. A file that lies beside a raster and cannot be
+    opened on its own (a header, an index): not empty.
 
     Raises
     ------
@@ -34,6 +44,7 @@ def verify_output(path: Path) -> None:
         ".vrt": _verify_xml,
         ".json": _verify_json,
         ".pdf": _verify_pdf,
+        **dict.fromkeys((*_TEXTS, *_HEADERS), _verify_text),
     }
     try:
         if path.stat().st_size == 0:
@@ -75,11 +86,16 @@ def _verify_pdf(path: Path) -> None:
         raise ValueError("it has no end")
 
 
+def _verify_text(path: Path) -> None:
+    with path.open(encoding="utf-8") as file:
+        while file.read(_TEXT_PART):
+            pass
+
+
 def _verify_other(path: Path) -> None:
-    """Read a text to its end; what is none is a raster of another format than GeoTIFF."""
+    """Read a raster of another format than GeoTIFF; a file that lies beside one need not be a raster."""
     try:
-        with path.open(encoding="utf-8") as file:
-            for _ in file:
-                pass
-    except UnicodeDecodeError:
         _verify_raster(path)
+    except (InputError, RasterioError):
+        if path.suffix.lower().removeprefix(".") in raster_extensions():
+            raise
