@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import ast
 import configparser
+import importlib
 import re
 import runpy
 import string
 import sys
 import types
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 import pytest
 
 import pcwlad_geo
+from pcwlad_geo.cli.outcome import Outcome
 from pcwlad_geo.registration import settings
+from pcwlad_geo.report.summary import summarise
+from tests.registrations import make_registration
 
 FOLDER = Path(__file__).parents[1] / "qgis_plugin"
 PLUGIN = FOLDER / "pcwlad_geo_qgis"
@@ -62,7 +67,10 @@ def test_the_choices_are_those_of_the_engine() -> None:
     assert lists == {"METHODS": list(get_args(settings.Method)), "MODELS": list(get_args(settings.Model))}
 
 
-def test_advice_names_what_the_dialog_has(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def _untranslated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let texts of the plugin stay as they are; nothing else of QGIS is there."""
+
     class Untranslated:
         @staticmethod
         def translate(context: str, text: str) -> str:
@@ -73,12 +81,49 @@ def test_advice_names_what_the_dialog_has(monkeypatch: pytest.MonkeyPatch) -> No
     for name in ("qgis", "qgis.PyQt"):
         monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
     monkeypatch.setitem(sys.modules, "qgis.PyQt.QtCore", core)
+
+
+@pytest.mark.usefixtures("_untranslated")
+def test_advice_names_what_the_dialog_has() -> None:
     for_dialog = runpy.run_path(str(PLUGIN / "text.py"))["for_dialog"]
     assert for_dialog("the CRS is odd - so what") == "the CRS is odd - so what"
     assert for_dialog("raise --search-radius, or not") == "raise “Search radius”, or not"
     told = for_dialog("(raise --search-radius or give --prealign search)")
     assert told.startswith("(raise “Search radius” or give --prealign search)")
     assert told.endswith("(Options that begin with -- go into the advanced parameter “More options”.)")
+
+
+@pytest.mark.usefixtures("_untranslated")
+@pytest.mark.parametrize(("px_m", "size"), [((30.0, 30.0), "0.12 px (3.60 m)"), (None, "0.12 px")])
+def test_the_summary_ends_with_the_grade_as_on_the_command_line(
+    px_m: tuple[float, float] | None, size: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    summary = plugin_module("figures", monkeypatch).summary
+    outcome = Outcome(
+        summarise(replace(make_registration(), px_m=px_m), []), {"numbers": Path("report.json")}
+    )
+    line = f"uality: good; 90 % of the common ground is expected to lie within {size}"
+    assert summary(outcome.figures()).splitlines()[-1] == f"Q{line}"
+    assert f"q{line}\n" in outcome.text()
+
+
+@pytest.mark.usefixtures("_untranslated")
+def test_the_summary_of_tie_points_alone_has_no_grade(monkeypatch: pytest.MonkeyPatch) -> None:
+    summary = plugin_module("figures", monkeypatch).summary
+    outcome = Outcome(summarise(make_registration("matched"), []), {})
+    told = summary(outcome.figures())
+    assert told.startswith("Tie points: ")
+    assert "uality" not in told
+
+
+def plugin_module(name: str, monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
+    """Import a module of the plugin for the duration of a test."""
+    monkeypatch.syspath_prepend(FOLDER)
+    for module in ("pcwlad_geo_qgis", "pcwlad_geo_qgis.text", f"pcwlad_geo_qgis.{name}"):
+        # noted as absent first, so that they are gone again after the test
+        monkeypatch.setitem(sys.modules, module, types.ModuleType(module))
+        del sys.modules[module]
+    return importlib.import_module(f"pcwlad_geo_qgis.{name}")
 
 
 def test_every_text_is_in_the_translation_with_its_placeholders() -> None:

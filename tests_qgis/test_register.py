@@ -57,6 +57,7 @@ def test_figures_and_files_are_those_of_the_command_line(finished: Finished) -> 
     assert results["POINTS"] == outcome["tie_points"]["total"] - outcome["tie_points"]["rejected"]
     assert (results["SHIFT_COL"], results["SHIFT_ROW"]) == (col, row)
     assert results["SHIFT"] == pytest.approx(math.hypot(col, row))
+    assert results["QUALITY"] == outcome["quality"]["grade"]
     assert filecmp.cmp(results["OUTPUT"], outcome["paths"]["raster"], shallow=False)
     assert filecmp.cmp(results["OUTPUT_POINTS"], outcome["paths"]["points"], shallow=False)
     assert "<html" in Path(results["OUTPUT_HTML"]).read_text(encoding="utf-8")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from qgis import core
 
+from ..figures import figures, summary
 from ..rasters import path_of, same_file
 from ..text import tr
 from ..tie_points import TiePoints, TiePointStyle
@@ -150,7 +150,8 @@ class PairAlgorithm(EngineAlgorithm):
         judged = self.judged(outcome, feedback)
         tie_points = self.add_tie_points(parameters, context, feedback, outcome["paths"]["geopackage"])
         written = {name: place for name, place in places.items() if place}
-        return {**written, **tie_points, **figures(outcome), **judged}
+        graded = {"QUALITY": outcome["quality"]["grade"]} if outcome.get("quality") else {}
+        return {**written, **tie_points, **figures(outcome), **graded, **judged}
 
     def judged(self, outcome: Mapping[str, Any], feedback: Feedback) -> dict[str, bool]:
         """Tell which requirements are not met, and return whether all are; nothing where there are none."""
@@ -161,35 +162,3 @@ class PairAlgorithm(EngineAlgorithm):
         for message in missed:
             feedback.pushWarning(message)
         return {} if outcome.get("passed") is None else {"PASSED": outcome["passed"]}
-
-
-def summary(outcome: Mapping[str, Any]) -> str:
-    """Return the main figures of a result event in a sentence or two."""
-    found = figures(outcome)
-    lines = [tr("Tie points: {:.0f}").format(found["POINTS"])]
-    if "SHIFT" in found:
-        text = tr("Median displacement of the target: {:+.3f} px to the right, {:+.3f} px down")
-        lines.append(text.format(found["SHIFT_COL"], found["SHIFT_ROW"]))
-    if "RMSE" in found:
-        lines.append(tr("What is left: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px").format(**found))
-    if "RMSE_M" in found:
-        lines[-1] += tr(" (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)").format(**found)
-    return "\n".join(lines)
-
-
-def figures(outcome: Mapping[str, Any]) -> dict[str, float]:
-    """Return the numbers of a result event: those of the check points, of the fit points without them."""
-    counts = outcome["tie_points"]
-    found: dict[str, float] = {"POINTS": counts["total"] - counts["rejected"]}
-    if outcome["displacement_px"]:
-        col, row = outcome["displacement_px"]["median"]
-        found.update(SHIFT=math.hypot(col, row), SHIFT_COL=col, SHIFT_ROW=row)
-    for group in ("check", "fit"):
-        accuracy = outcome["accuracy"][group]
-        if accuracy["px"]:
-            for unit, suffix in (("px", ""), ("m", "_M")):
-                if accuracy[unit]:
-                    found[f"RMSE{suffix}"] = accuracy[unit]["rmse"]
-                    found[f"CE90{suffix}"] = accuracy[unit]["ce90"]
-            break
-    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from qgis.core import (
     QgsProcessingOutputNumber,
+    QgsProcessingOutputString,
     QgsProcessingParameterBoolean,
     QgsProcessingParameterEnum,
     QgsProcessingParameterRasterDestination,
@@ -32,7 +33,8 @@ class RegisterRaster(PairAlgorithm):
         "<b>Points for the Georeferencer</b>: loads by itself if it lies beside the target as "
         "<i>target.tif.points</i>.\n"
         "<b>Folder of all results</b>: needed for “Apply registration”.\n"
-        "RMSE and CE90 are those of check points, which the correction has not seen, in target pixels.\n"
+        "RMSE and CE90 are those of check points, which the correction has not seen, in target pixels. The "
+        "quality (good, fair or poor) is that of all the ground that both show.\n"
         "<h3>If the pair is refused</h3>A pair whose points agree no better than those of unrelated "
         "images would is refused: there is no raster then, and the message says why and what to try. A "
         "displacement of more than 12 pixels needs a larger search radius.\n"
@@ -62,6 +64,7 @@ class RegisterRaster(PairAlgorithm):
             "CE90_M": tr("CE90 at check points, metres"),
         }.items():
             self.addOutput(QgsProcessingOutputNumber(name, title))
+        self.addOutput(QgsProcessingOutputString("QUALITY", tr("Quality: good, fair or poor")))
 
     def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         raster = absolute(self.parameterAsOutputLayer(parameters, "OUTPUT", context))

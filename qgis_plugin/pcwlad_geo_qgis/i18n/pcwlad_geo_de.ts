@@ -257,10 +257,6 @@ Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;
       <translation type="unfinished" />
     </message>
     <message>
-      <source>Median displacement of the target: {:+.3f} px to the right, {:+.3f} px down</source>
-      <translation>Mittlere Verschiebung des Ziels (Median): {:+.3f} px nach rechts, {:+.3f} px nach unten</translation>
-    </message>
-    <message>
       <source>Mask of the reference (0 = excluded; or QA_PIXEL, SCL)</source>
       <translation>Maske der Referenz (0 = ausgeschlossen; oder QA_PIXEL, SCL)</translation>
     </message>
@@ -309,14 +305,6 @@ Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;
       <translation>Punkte der Georeferenzierung (*.points)</translation>
     </message>
     <message>
-      <source>Tie points: {:.0f}</source>
-      <translation>Verknüpfungspunkte: {:.0f}</translation>
-    </message>
-    <message>
-      <source> (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)</source>
-      <translation> (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)</translation>
-    </message>
-    <message>
       <source>Median displacement, target pixels</source>
       <translation>Verschiebung (Median), Zielpixel</translation>
     </message>
@@ -329,10 +317,6 @@ Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;
       <translation>Verschiebung nach unten (Median), Zielpixel</translation>
     </message>
     <message>
-      <source>What is left: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</source>
-      <translation>Es bleiben: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</translation>
-    </message>
-    <message>
       <source>Register raster</source>
       <translation>Raster registrieren</translation>
     </message>
@@ -343,7 +327,7 @@ Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;
 &lt;b&gt;Report&lt;/b&gt;: opens in the Results Viewer; says how well it fits, where not, and what to do.
 &lt;b&gt;Points for the Georeferencer&lt;/b&gt;: loads by itself if it lies beside the target as &lt;i&gt;target.tif.points&lt;/i&gt;.
 &lt;b&gt;Folder of all results&lt;/b&gt;: needed for “Apply registration”.
-RMSE and CE90 are those of check points, which the correction has not seen, in target pixels.
+RMSE and CE90 are those of check points, which the correction has not seen, in target pixels. The quality (good, fair or poor) is that of all the ground that both show.
 &lt;h3&gt;If the pair is refused&lt;/h3&gt;A pair whose points agree no better than those of unrelated images would is refused: there is no raster then, and the message says why and what to try. A displacement of more than 12 pixels needs a larger search radius.
 &lt;h3&gt;Requirements&lt;/h3&gt;Limits on the figures, such as &lt;i&gt;CE90&amp;lt;=0.5px; points&amp;gt;=100&lt;/i&gt;. Where one is not met, the algorithm fails and there is no raster, unless it is to be kept.</source>
       <translation type="unfinished" />
@@ -355,6 +339,10 @@ RMSE and CE90 are those of check points, which the correction has not seen, in t
     <message>
       <source>Correction model</source>
       <translation>Korrekturmodell</translation>
+    </message>
+    <message>
+      <source>Quality: good, fair or poor</source>
+      <translation>Qualität: good (gut), fair (mäßig) oder poor (schlecht)</translation>
     </message>
     <message>
       <source>RMSE at check points, target pixels</source>
@@ -403,6 +391,38 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
     <message>
       <source>The engine {} does not start: {}</source>
       <translation type="unfinished" />
+    </message>
+    <message>
+      <source>Quality: {}; 90 % of the common ground is expected to lie within {:.2f} px</source>
+      <translation>Qualität: {}; 90 % des gemeinsamen Bodens liegen voraussichtlich innerhalb von {:.2f} px</translation>
+    </message>
+    <message>
+      <source>Median displacement of the target: {:+.3f} px to the right, {:+.3f} px down</source>
+      <translation>Mittlere Verschiebung des Ziels (Median): {:+.3f} px nach rechts, {:+.3f} px nach unten</translation>
+    </message>
+    <message>
+      <source>good</source>
+      <translation>gut</translation>
+    </message>
+    <message>
+      <source>fair</source>
+      <translation>mäßig</translation>
+    </message>
+    <message>
+      <source>poor</source>
+      <translation>schlecht</translation>
+    </message>
+    <message>
+      <source>Tie points: {:.0f}</source>
+      <translation>Verknüpfungspunkte: {:.0f}</translation>
+    </message>
+    <message>
+      <source> (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)</source>
+      <translation> (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)</translation>
+    </message>
+    <message>
+      <source>What is left: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</source>
+      <translation>Es bleiben: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</translation>
     </message>
     <message>
       <source>Reading</source>
