@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.errors import InputError, OutputError, SettingsError
+from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.output_names import check_places, rpc_paths, warped_paths
 from pcwlad_geo.outputs import BandOutput, warp_band
 from pcwlad_geo.raster import warping
 from pcwlad_geo.raster.grid import Grid, map_px
@@ -19,7 +20,7 @@ from pcwlad_geo.registration.output_wishes import check_placed, requested_grid
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 from pcwlad_geo.registration.settings import OutputGrid, Resampling, Settings
 from pcwlad_geo.report.finished import FinishedRegistration, read_registration
-from pcwlad_geo.rpc_bands import OrthoOutput, check_places, places_of, warp_by_rpc
+from pcwlad_geo.rpc_bands import OrthoOutput, warp_by_rpc
 from pcwlad_geo.staging import place_with_files, stage_inside
 
 PathLike = str | os.PathLike[str]
@@ -94,7 +95,7 @@ def warp(
     request, made = _wishes(finished, grid, like, tr, te, t_srs, of, co)
     places = warped_paths(sources, out_dir, output_raster, made.extension)
     if finished.rpc is not None:
-        files = places_of(sources, places, beside=output_raster is None)
+        files = rpc_paths(sources, places, beside=output_raster is None)
         _check_rpc(sources, files, request, made, overwrite)
         how = resampling or finished.resampling
         return warp_by_rpc(
@@ -138,31 +139,7 @@ def _check_rpc(
         raise SettingsError("grid = 'target': the pixels of an image with RPC are no grid on the ground")
     if made.is_vrt:
         raise SettingsError("of = 'VRT': a VRT cannot hold an orthorectified image; give --of COG or GTiff")
-    check_places(sources, places, overwrite=overwrite)
-
-
-def warped_paths(
-    rasters: Sequence[PathLike],
-    out_dir: PathLike | None,
-    output_raster: PathLike | None = None,
-    extension: str = "tif",
-) -> tuple[Path, ...]:
-    """Return where the warped rasters go, in order.
-
-    Raises
-    ------
-    SettingsError
-        If several rasters would go to the one `output_raster`.
-    """
-    if output_raster is None:
-        return tuple(
-            Path(out_dir or ".") / f"{Path(raster).stem}_registered.{extension}" for raster in rasters
-        )
-    if len(rasters) > 1:
-        raise SettingsError(
-            f"--output-raster names one file, and there are {len(rasters)} rasters: give --out-dir"
-        )
-    return (Path(output_raster),)
+    check_places(sources, [place for files in places for place in files.values()], overwrite=overwrite)
 
 
 def _wishes(
@@ -213,12 +190,7 @@ def _check(
     """Raise where a raster or an output cannot be used: before hours of work, not after them."""
     if not sources:
         raise InputError("no raster to warp: give at least one")
-    for source, place in zip(sources, places, strict=True):
+    for source in sources:
         own_grid = grid_beside(describe(source), finished.target_grid)
         warping.check_geometry(source, own_grid, finished.target_grid)
-        if places.count(place) > 1:
-            raise InputError(f"two of the rasters would be written to {place}: warp them into two folders")
-        if place.exists() and Path(source).exists() and place.samefile(source):
-            raise OutputError(f"the output {place} is an input too: choose another output folder")
-        if place.exists() and not overwrite:
-            raise OutputError(f"{place} exists: give --overwrite to replace it, or another folder")
+    check_places(sources, places, overwrite=overwrite)

@@ -60,7 +60,7 @@ def output_grids_of(registration: Registration, bands: Sequence[ProductBand]) ->
     request = requested_grid(registration.settings)
     if registration.rpc is not None:
         corrected = registration.rpc.corrected_grid
-        grids = [rpc_warping.requested_ortho_grid(reference, corrected, request)]
+        grids = rpc_warping.requested_ortho_grids(reference, corrected, request, [corrected])
         outline_xy = corrected.to_xy(corrected.boundary_px())
     else:
         correction = _correction(registration)

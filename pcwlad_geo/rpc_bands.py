@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered
@@ -17,8 +16,6 @@ from pcwlad_geo.registration.progress import EventCallback, Progress, Warned
 from pcwlad_geo.registration.rpc_sibling import CorrectedRpc, correct_sibling
 from pcwlad_geo.registration.rpc_target import RpcRegistration
 from pcwlad_geo.staging import place_file, place_with_files, stage_inside
-
-NAMES = {"raster": "{stem}_registered.tif", "rpc": "{stem}_rpc.vrt", "rpc_text": "{stem}_rpc_RPC.TXT"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +46,7 @@ def warp_by_rpc(
     sources : sequence of str
         Paths or GDAL URIs.
     places : sequence of mapping
-        Where the files of each go, by the kinds of `NAMES`; what is not named is not written.
+        Where the files of each go, by kind, see `output_names.rpc_paths`; what is not named is not written.
     target : CorrectedRpc
         Of the registration.
     made : OrthoOutput
@@ -116,35 +113,3 @@ def _grids(target: CorrectedRpc, siblings: Sequence[RpcRegistration], made: Orth
         for raster, grid in zip(own, grids, strict=True):
             check_covered(grid, raster.to_xy(raster.boundary_px()), raster.crs)
     return grids
-
-
-def places_of(sources: Sequence[str], rasters: Sequence[Path], *, beside: bool) -> list[dict[str, Path]]:
-    """Return where the files of each source go: its raster, and the corrected RPCs beside that if wanted."""
-    kinds = NAMES if beside else {"raster": NAMES["raster"]}
-    return [
-        {
-            kind: raster if kind == "raster" else raster.with_name(name.format(stem=Path(source).stem))
-            for kind, name in kinds.items()
-        }
-        for source, raster in zip(sources, rasters, strict=True)
-    ]
-
-
-def check_places(sources: Sequence[str], places: Sequence[Mapping[str, Path]], *, overwrite: bool) -> None:
-    """Raise where an output cannot be written: before hours of work, not after them.
-
-    Raises
-    ------
-    InputError
-        If two rasters would be written to one file.
-    OutputError
-        If a file would replace an input, or one that may not be replaced.
-    """
-    wanted = [place for files in places for place in files.values()]
-    for place in wanted:
-        if wanted.count(place) > 1:
-            raise InputError(f"two of the rasters would be written to {place}: warp them into two folders")
-        if any(place.exists() and Path(source).exists() and place.samefile(source) for source in sources):
-            raise OutputError(f"the output {place} is an input too: choose another output folder")
-        if place.exists() and not overwrite:
-            raise OutputError(f"{place} exists: give --overwrite to replace it, or another folder")

@@ -14,6 +14,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Literal, TypedDict
 
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError, RequirementError
+from pcwlad_geo.output_names import CORRECTED, NAMES
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.products import stem_of
 from pcwlad_geo.raster.source import file_name, plain_name
@@ -36,25 +37,6 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 Job = Literal["registered", "matched"]
-
-NAMES = {
-    "numbers": "report.json",
-    "report": "report.html",
-    "pdf": "report.pdf",
-    "tiepoints": "tiepoints.csv",
-    "geopackage": "tiepoints.gpkg",
-    "points": "{name}.points",
-    "gcps": "{stem}_gcps.vrt",
-    "envi": "{stem}.pts",
-    "corrected": "{stem}_corrected.vrt",
-    "rpc": "{stem}_rpc.vrt",
-    "rpc_text": "{stem}_rpc_RPC.TXT",
-    "raster": "{stem}_registered.{ending}",
-    "sigma": "{stem}_sigma.tif",
-}
-"""File names of the outputs in OUT_DIR; name and stem are the target's, the ending is of its format."""
-CORRECTED = ("corrected", "rpc", "rpc_text", "raster", "sigma")
-"""Those that need a correction."""
 
 
 class Options(TypedDict, total=False):

@@ -85,36 +85,24 @@ def ortho_grid(reference: Grid, target: RpcGrid) -> Grid:
     return reference.remade(((side, 0.0), (0.0, side)), origin_px, (out_rows, out_cols))
 
 
-def requested_ortho_grid(reference: Grid, target: RpcGrid, request: GridRequest) -> Grid:
-    """Return the grid of the orthorectified target that the user asks for, see `ortho_grid`.
-
-    Raises
-    ------
-    InputError
-        As `ortho_grid` does, or if the grid has no pixel, or too many.
-    """
-    fixed = request.fixed(reference)
-    if fixed is not None:
-        return fixed
-    lattice = output_lattice(reference, request)
-    own = ortho_grid(reference if lattice.crs == reference.crs else lattice, target)
-    if request.pixel_size is None and request.extent is None:
-        return own
-    outline = map_px(own.boundary_px(), own, lattice)
-    size = np.hypot(*linear_part(own.transform))
-    box = (outline.min(axis=0), outline.max(axis=0))
-    return lay_out(lattice, request, [box, box], [size, size])[0]
-
-
 def requested_ortho_grids(
     reference: Grid, target: RpcGrid, request: GridRequest, siblings: Sequence[RpcGrid]
 ) -> list[Grid]:
-    """Return the grids of orthorectified siblings of a target: one extent for all, whatever their pixels.
+    """Return the grids that the user asks for, see `ortho_grid`: one extent for all, whatever their pixels.
+
+    Parameters
+    ----------
+    reference : Grid
+    target : RpcGrid
+        With the corrected RPC, as those of the siblings.
+    request : GridRequest
+    siblings : sequence of RpcGrid
+        The target itself, or images taken with it.
 
     Raises
     ------
     InputError
-        As `requested_ortho_grid` does.
+        As `ortho_grid` does, or if a grid has no pixel, or too many.
     """
     fixed = request.fixed(reference)
     if fixed is not None:

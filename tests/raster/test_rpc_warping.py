@@ -12,7 +12,7 @@ from pcwlad_geo.raster.dem import ConstantHeight, Dem, Undulation
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.raster.rpc_grid import RpcGrid, positions_on
-from pcwlad_geo.raster.rpc_warping import ortho_grid, orthorectify, requested_ortho_grid
+from pcwlad_geo.raster.rpc_warping import ortho_grid, orthorectify, requested_ortho_grids
 from pcwlad_geo.raster.windows import Window
 from tests.rpc_scene import (
     SHAPE,
@@ -155,13 +155,17 @@ def test_no_height_no_pixel(tmp_path: Path) -> None:
 def test_the_grid_that_is_asked_for(tmp_path: Path) -> None:
     grid = rpc_grid(write_dem(tmp_path / "dem.tif"))
     reference = make_grid((320, 340), offset_m=(-300, -300))
-    own = ortho_grid(reference, grid)
-    assert requested_ortho_grid(reference, grid, GridRequest()) == own
-    assert requested_ortho_grid(reference, grid, GridRequest("reference-exact")) == reference
-    like = Grid((20, 30), own.transform, own.crs)
-    assert requested_ortho_grid(reference, grid, GridRequest(like=like)) == like
 
-    sized = requested_ortho_grid(reference, grid, GridRequest(pixel_size=(20.0, 25.0)))
+    def asked_for(request: GridRequest) -> Grid:
+        return requested_ortho_grids(reference, grid, request, [grid])[0]
+
+    own = ortho_grid(reference, grid)
+    assert asked_for(GridRequest()) == own
+    assert asked_for(GridRequest("reference-exact")) == reference
+    like = Grid((20, 30), own.transform, own.crs)
+    assert asked_for(GridRequest(like=like)) == like
+
+    sized = asked_for(GridRequest(pixel_size=(20.0, 25.0)))
     assert (sized.transform.a, sized.transform.e) == (20.0, -25.0)
     edge = map_px(own.boundary_px(), own, sized)
     assert (edge >= -1e-3).all()
@@ -169,14 +173,14 @@ def test_the_grid_that_is_asked_for(tmp_path: Path) -> None:
 
     left, bottom, right, top = 500_300.0, 4_597_000.0, 501_200.0, 4_598_000.0
     request = GridRequest(extent=(left, bottom, right, top))
-    cut = requested_ortho_grid(reference, grid, request)
+    cut = asked_for(request)
     assert cut.shape == (33, 30)
     assert cut.transform.a == 30.0
     assert cut.to_xy(np.array([[0.0, 0], [30, 33]])) == pytest.approx(
         np.array([[left, top], [right, bottom]])
     )
 
-    elsewhere = requested_ortho_grid(reference, grid, GridRequest(crs=CRS.from_epsg(3035)))
+    elsewhere = asked_for(GridRequest(crs=CRS.from_epsg(3035)))
     assert elsewhere.crs == CRS.from_epsg(3035)
     edge = map_px(grid.boundary_px(), grid, elsewhere)
     assert (edge >= -1e-3).all()
