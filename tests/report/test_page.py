@@ -94,6 +94,8 @@ def test_rejection_leads_with_the_reason(registration: Make, n: int) -> None:
     assert "Could not be registered reliably" in page.text
     assert "raise --search-radius" in page.text
     assert "After correction" not in page.text
+    assert ("figures of a refused pair" in page.text) == (n > 1)
+    assert "chance" not in page.text  # the reason alone says why
 
 
 def test_match_without_vrt(registration: Make) -> None:

@@ -35,9 +35,10 @@ class RegisterRaster(PairAlgorithm):
         "<b>Folder of all results</b>: needed for “Apply registration”.\n"
         "RMSE and CE90 are those of check points, which the correction has not seen, in target pixels. The "
         "quality (good, fair or poor) is that of all the ground that both show.\n"
-        "<h3>If the pair is refused</h3>A pair whose points agree no better than those of unrelated "
-        "images would is refused: there is no raster then, and the message says why and what to try. A "
-        "displacement of more than 12 pixels needs a larger search radius.\n"
+        "<h3>If the pair is refused</h3>A pair is refused if its points agree no better than those of "
+        "unrelated images would, or if they agree but the correction does not hold: there is no raster "
+        "then, and the message says why and what to try. A displacement of more than 12 pixels needs a "
+        "larger search radius.\n"
         "<h3>Requirements</h3>Limits on the figures, such as <i>CE90&lt;=0.5px; points&gt;=100</i>. Where "
         "one is not met, the algorithm fails and there is no raster, unless it is to be kept."
     )

@@ -328,9 +328,17 @@ Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;
 &lt;b&gt;Points for the Georeferencer&lt;/b&gt;: loads by itself if it lies beside the target as &lt;i&gt;target.tif.points&lt;/i&gt;.
 &lt;b&gt;Folder of all results&lt;/b&gt;: needed for “Apply registration”.
 RMSE and CE90 are those of check points, which the correction has not seen, in target pixels. The quality (good, fair or poor) is that of all the ground that both show.
-&lt;h3&gt;If the pair is refused&lt;/h3&gt;A pair whose points agree no better than those of unrelated images would is refused: there is no raster then, and the message says why and what to try. A displacement of more than 12 pixels needs a larger search radius.
+&lt;h3&gt;If the pair is refused&lt;/h3&gt;A pair is refused if its points agree no better than those of unrelated images would, or if they agree but the correction does not hold: there is no raster then, and the message says why and what to try. A displacement of more than 12 pixels needs a larger search radius.
 &lt;h3&gt;Requirements&lt;/h3&gt;Limits on the figures, such as &lt;i&gt;CE90&amp;lt;=0.5px; points&amp;gt;=100&lt;/i&gt;. Where one is not met, the algorithm fails and there is no raster, unless it is to be kept.</source>
-      <translation type="unfinished" />
+      <translation>Registriert ein Raster (das Ziel) auf Bruchteile eines Pixels auf ein anderes desselben Bodens (die Referenz). Die beiden dürfen aus verschiedenen Kanälen, von verschiedenen Sensoren oder Tagen stammen und sich in Pixelgröße, Ausdehnung und KBS unterscheiden.
+&lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Registriertes Raster&lt;/b&gt;: das Ziel, einmal auf die Pixelausrichtung der Referenz umgerechnet.
+&lt;b&gt;Verknüpfungspunkte&lt;/b&gt;: ein Layer mit einem Pfeil für den Restfehler jedes Punktes, überhöht, wie die Legende sagt. Der Pfeil zeigt von dort, wo die Korrektur den Boden erwartet, dorthin, wo das Ziel ihn zeigt.
+&lt;b&gt;Bericht&lt;/b&gt;: öffnet sich in der Ergebnisanzeige; sagt, wie gut es passt, wo nicht, und was zu tun ist.
+&lt;b&gt;Punkte für die Georeferenzierung&lt;/b&gt;: werden von selbst geladen, wenn sie als &lt;i&gt;target.tif.points&lt;/i&gt; neben dem Ziel liegen.
+&lt;b&gt;Ordner aller Ergebnisse&lt;/b&gt;: wird für „Registrierung anwenden“ gebraucht.
+RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat, in Zielpixeln. Die Qualität (good: gut, fair: mäßig, poor: schlecht) ist die des ganzen Bodens, den beide zeigen.
+&lt;h3&gt;Wenn das Paar abgelehnt wird&lt;/h3&gt;Ein Paar wird abgelehnt, wenn seine Punkte nicht besser übereinstimmen als die von Bildern, die nichts miteinander zu tun haben, oder wenn sie übereinstimmen, aber die Korrektur nicht trägt: dann gibt es kein Raster, und die Meldung sagt, warum und was zu versuchen ist. Eine Verschiebung um mehr als 12 Pixel braucht einen größeren Suchradius.
+&lt;h3&gt;Anforderungen&lt;/h3&gt;Grenzen für die Kennzahlen, etwa &lt;i&gt;CE90&amp;lt;=0.5px; points&amp;gt;=100&lt;/i&gt;. Wird eine nicht erfüllt, scheitert der Algorithmus, und es gibt kein Raster, es sei denn, es soll behalten werden.</translation>
     </message>
     <message>
       <source>Keep the registered raster although a requirement is not met</source>
