@@ -122,6 +122,7 @@ def test_closure_of_three_sensors(sensors: dict[str, Path]) -> None:
     assert np.abs(closure).max() <= 2.5
 
 
+@pytest.mark.slow
 def test_raw_frames_of_three_lenses_close(shared_data: Path, tmp_path: Path) -> None:
     """Up to 25 px apart, rotated and bent: added displacements of the same place would miss by 0.3 px."""
     frames = [shared_data / "rig" / "rededge" / f"IMG_0001_{lens}.tif" for lens in (1, 4, 5)]

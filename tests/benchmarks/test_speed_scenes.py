@@ -29,6 +29,7 @@ def test_the_displacement_is_smooth_and_reaches_one_and_a_half_pixels() -> None:
     assert max(np.abs(np.diff(field, axis=axis)).max() for axis in (0, 1)) / 16 < 0.004
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("band", [RED, THERMAL])
 def test_a_small_scene_is_the_corner_of_a_large_one(band: int) -> None:
     large = strip(band, 0, 40, 300)

@@ -101,6 +101,7 @@ def test_a_warning_says_what_is_lost_and_why(far_below: tuple[Path, Path, Path])
     assert "longitude" in warning
 
 
+@pytest.mark.slow
 def test_every_tie_point_has_metres(far_below: tuple[Path, Path, Path]) -> None:
     reference, image, dem = far_below
     found = run(reference, image, Settings(dem=dem, dem_vertical=UNDULATION_M, jobs=1))
@@ -131,6 +132,7 @@ def test_trust_overrules_the_judgement(tmp_path: Path) -> None:
     assert placed is not None
 
 
+@pytest.mark.slow
 def test_what_is_not_found_may_have_the_rpc_of_another_image(tmp_path: Path) -> None:
     dem = write_dem(tmp_path / "dem.tif")
     _, image = scene(tmp_path, make_rpc(), dem, dem_grid())

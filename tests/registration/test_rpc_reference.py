@@ -23,6 +23,8 @@ from pcwlad_geo.registration.settings import Settings
 from tests.rpc_scene import UNDULATION_M, make_rpc, oblique_rpc, rpc_grid, write_dem, write_image
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write
 
+pytestmark = pytest.mark.slow  # one registration of two images with RPCs
+
 TRUTH_PX = np.array([1.9, -2.3])
 
 
