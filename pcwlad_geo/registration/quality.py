@@ -41,9 +41,10 @@ NEARLY_ALL: Final = 0.8
 FEW_KEPT: Final = 1 / 3
 """Share of the matches that agree with their neighbours below which a poor registration is refused."""
 
-NEIGHBOURS: Final = 8
-NOISE_SHARE: Final = 0.5
-"""Neighbours whose residuals differ by more than this share of their size do not share them."""
+NEIGHBOURS: Final = 12
+NOISE_SHARE: Final = 0.75
+"""Points whose residuals differ from those around by more than this share of their size do not share them:
+noise differs by its whole size, and displacements change over a window, too."""
 SAMPLE: Final = 500
 """Points that are compared with their neighbours."""
 SIGMA_68: Final = 1.51
@@ -160,19 +161,20 @@ def shared_residual_px(table: TiePointTable, footprint_px: float) -> float:
     if size < SHARED_SIGMAS * SIGMA_68 * _typical_sigma_px(points):
         return 0.0
     sample = points[np.linspace(0, len(points) - 1, min(len(points), SAMPLE)).astype(np.intp)]
-    around = np.array([_median_beside(points, at_px, footprint_px) for at_px in sample.predicted_px])
+    around = np.array([_plane_beside(points, at_px, footprint_px) for at_px in sample.predicted_px])
     noise = np.percentile(np.linalg.norm(sample.residual_px - around, axis=1), 68)
     return size if noise < NOISE_SHARE * size else 0.0
 
 
-def _median_beside(points: TiePointTable, at_px: Float64, footprint_px: float) -> Float64:
-    """Return the (2,) median residual of the nearest points at least a window away."""
+def _plane_beside(points: TiePointTable, at_px: Float64, footprint_px: float) -> Float64:
+    """Return (2,) what a plane through the residuals of the nearest points a window away says of a place."""
     apart = np.abs(points.predicted_px - at_px).max(axis=1)
     beside = np.flatnonzero((apart >= footprint_px) & (apart > 0))
-    if len(beside) == 0:
-        return np.zeros(2)
     nearest = beside[np.argsort(apart[beside], kind="stable")[:NEIGHBOURS]]
-    return np.median(points.residual_px[nearest], axis=0)
+    if len(nearest) < NEIGHBOURS:
+        return np.zeros(2)
+    design = np.column_stack([np.ones(NEIGHBOURS), points.predicted_px[nearest] - at_px])
+    return np.asarray(np.linalg.lstsq(design, points.residual_px[nearest], rcond=None)[0][0])
 
 
 def _typical_sigma_px(points: TiePointTable) -> float:

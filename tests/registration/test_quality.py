@@ -151,7 +151,7 @@ def residuals(displacement_px: Array | float, noise_px: float = SIGMA_PX) -> Tie
 def test_residuals_that_neighbours_share_are_told_from_noise() -> None:
     assert shared_residual_px(residuals(0.0), WINDOW_PX) == 0.0
     assert shared_residual_px(residuals(0.0, noise_px=1.0), WINDOW_PX) == 0.0
-    relief = residuals(waves(places_of(), 2.0, 400))
+    relief = residuals(waves(places_of(), 2.0, 300))
     size = np.percentile(np.linalg.norm(relief.residual_px, axis=1), 68)
     assert shared_residual_px(relief, WINDOW_PX) == pytest.approx(size)
     assert shared_residual_px(relief[:6], WINDOW_PX) == 0.0
