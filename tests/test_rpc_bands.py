@@ -25,6 +25,8 @@ from tests.rpc_scene import (
 )
 from tests.scenes import make_grid, render, write
 
+pytestmark = pytest.mark.slow
+
 TRUTH_PX = np.array([2.6, -1.4])
 FACTOR = 4
 

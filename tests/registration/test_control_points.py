@@ -45,6 +45,7 @@ def write_target(path: Path, bend_px: float = 0.0) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_it_is_registered_and_warped(tmp_path: Path) -> None:
     reference = write(tmp_path / "ref.tif", render(GRID), GRID)
     target = write_target(tmp_path / "tgt.tif")

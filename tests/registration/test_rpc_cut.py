@@ -48,6 +48,7 @@ def scene(folder: Path, rpc: RpcModel, dem: Path, grid: Grid) -> tuple[Path, Pat
     return reference, write_image(folder / "image.tif", values, rpc)
 
 
+@pytest.mark.slow
 def test_a_part_cut_from_a_product_is_registered(tmp_path: Path) -> None:
     dem = write_dem(tmp_path / "dem.tif")
     pair = scene(tmp_path, of_a_product(make_rpc()), dem, dem_grid())

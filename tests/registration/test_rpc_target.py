@@ -375,7 +375,7 @@ def test_the_rpc_of_an_image_that_was_cropped_is_an_error(pair: Pair) -> None:
         check_start(placed, start, reference.grid, replace(settings, prealign="search"))
 
 
-@pytest.mark.parametrize("case", ["missing datum", "holes", "cropped"])
+@pytest.mark.parametrize("case", ["missing datum", "holes", pytest.param("cropped", marks=pytest.mark.slow)])
 def test_bad_input_ends_with_status_2_and_nothing_written(pair: Pair, tmp_path: Path, case: str) -> None:
     reference, image, dem = pair
     options = ["--dem-vertical", str(UNDULATION_M)]

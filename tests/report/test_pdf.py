@@ -127,6 +127,7 @@ def test_missing_pango_is_told_with_what_to_install(
     assert capsys.readouterr().out == ""  # events of --progress json are there
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_weasyprint")
 def test_register_writes_and_lists_it_on_request_only(registration: Make, tmp_path: Path) -> None:
     reference, target = write_pair(tmp_path)
