@@ -282,7 +282,8 @@ def _run_and_write(
         from pcwlad_geo.writing import write
 
         registration = replace(registration, requirements=judge_requirements(registration, requirements))
-        written = write(registration, staged, places, elsewhere, bands, on_event)
+        with folder.writing():
+            written = write(registration, staged, places, elsewhere, bands, on_event)
         registration = replace(registration, warnings=registration.warnings + written.warnings)
         for kind in written.kinds:
             if kind in elsewhere:

@@ -175,7 +175,8 @@ def qa(
             seconds=time.perf_counter() - started,
             out_dir=folder.out_dir,
         )
-        write_results(result, folder)
+        with folder.writing():
+            write_results(result, folder)
         folder.commit()
     return result
 
