@@ -368,8 +368,12 @@ def _listed_outputs(folder: Path, results: str) -> frozenset[str] | None:
     """Return the file names that belong to the results in a folder; None where it holds none of ours."""
     try:
         report = json.loads((folder / results).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, ValueError):
         return None
+    except OSError as error:  # ours or not, who knows
+        raise OutputError(
+            f"cannot read {folder / results}: {error.strerror or error}; choose another output folder"
+        ) from error
     versions = report.get("versions") if isinstance(report, dict) else None
     if not isinstance(versions, dict) or "pcwlad-geo" not in versions or "schema_version" not in report:
         return None
