@@ -113,12 +113,16 @@ def disk_errors(place: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (OSError, sqlite3.Error, *GDAL_ERRORS) as error:
+    except (OSError, MemoryError, sqlite3.Error, *GDAL_ERRORS) as error:
         raise output_error(place, error) from error
 
 
 def output_error(place: Path, error: BaseException) -> OutputError:
     """Return the error that says why results cannot be written."""
+    if isinstance(error, MemoryError):
+        return OutputError(
+            f"cannot write {place}: there is not enough memory; end other programs, or give --jobs 1"
+        )
     system = _errors_of_system(error)
     reason = system.strerror if system else root_cause(error)
     if system is not None and system.errno == errno.ENOENT:
