@@ -12,12 +12,13 @@ from pcwlad_geo.output_names import check_places, rpc_paths, warped_paths
 from pcwlad_geo.outputs import BandOutput, warp_band
 from pcwlad_geo.raster import warping
 from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
 from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_grids
 from pcwlad_geo.raster.shared_plane import grid_beside
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.output_wishes import check_placed, requested_grid
-from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
+from pcwlad_geo.registration.progress import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.settings import OutputGrid, Resampling, Settings
 from pcwlad_geo.report.finished import FinishedRegistration, read_registration
 from pcwlad_geo.rpc_bands import OrthoOutput, warp_by_rpc
@@ -92,6 +93,8 @@ def warp(
     """
     finished = read_registration(registration)
     sources = [os.fspath(raster) for raster in rasters]
+    inputs = [identify(source) for source in sources]
+    _tell_changed(inputs, finished, on_event)
     request, made = _wishes(finished, grid, like, tr, te, t_srs, of, co)
     places = warped_paths(sources, out_dir, output_raster, made.extension)
     if finished.rpc is not None:
@@ -101,6 +104,7 @@ def warp(
         return warp_by_rpc(
             sources,
             files,
+            inputs,
             finished.rpc,
             OrthoOutput(finished.reference_grid, request, made, how),
             overwrite=overwrite,
@@ -120,9 +124,27 @@ def warp(
                 BandOutput(grids[number], resampling or finished.resampling, made, place),
                 on_event,
             )
+            check_unchanged(inputs[number])
             place_with_files(staged, place, overwrite=overwrite)
     on_event(Progress("rasters", len(sources), len(sources)))
     return places
+
+
+def _tell_changed(
+    files: Sequence[Sequence[FileIdentity]], finished: FinishedRegistration, on_event: EventCallback
+) -> None:
+    """Warn of a raster that is not what it was when it was registered itself."""
+    registered = {each.path: each for each in finished.inputs}
+    for each in (identity for identities in files for identity in identities):
+        before = registered.get(each.path)
+        difference = before.difference(each) if before else None
+        if difference is not None:
+            on_event(
+                Warned(
+                    f"{each.path} was changed ({difference}) since the registration was made: register it "
+                    "again unless its pixels lie as they did"
+                )
+            )
 
 
 def _check_rpc(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.identity import FileIdentity, check_unchanged
 from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered
 from pcwlad_geo.raster.rpc_files import to_gdal, write_rpc_text
@@ -33,6 +34,7 @@ class OrthoOutput:
 def warp_by_rpc(
     sources: Sequence[str],
     places: Sequence[Mapping[str, Path]],
+    inputs: Sequence[Sequence[FileIdentity]],
     target: CorrectedRpc,
     made: OrthoOutput,
     *,
@@ -47,6 +49,8 @@ def warp_by_rpc(
         Paths or GDAL URIs.
     places : sequence of mapping
         Where the files of each go, by kind, see `output_names.rpc_paths`; what is not named is not written.
+    inputs : sequence of sequence of FileIdentity
+        The files of each source as they were before any was opened.
     target : CorrectedRpc
         Of the registration.
     made : OrthoOutput
@@ -64,7 +68,8 @@ def warp_by_rpc(
     Raises
     ------
     InputError
-        If a raster cannot be used; before anything is written.
+        If a raster cannot be used, before anything is written; if one is changed meanwhile, those before it
+        stay.
     OutputError
         If a result cannot be written; those before it stay.
     """
@@ -97,6 +102,7 @@ def warp_by_rpc(
                 write_rpc_vrt(staged["rpc"], source, to_gdal(rpc), final_path=files["rpc"])
             if "rpc_text" in files:
                 write_rpc_text(rpc, staged["rpc_text"])
+            check_unchanged(inputs[number])
             for kind, place in files.items():
                 put = place_with_files if kind == "raster" else place_file
                 put(staged[kind], place, overwrite=overwrite)

@@ -5,27 +5,45 @@ from __future__ import annotations
 import errno
 import json
 import os
-import re
 import shutil
-import socket
-import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import IO
+from typing import Final
 
+from pcwlad_geo.disk import (
+    FOLDER_MODE,
+    HOST,
+    absolute,
+    disk_errors,
+    make_folders,
+    output_error,
+    remove_empty,
+    seal,
+    sync_folder,
+)
 from pcwlad_geo.errors import OutputError
+from pcwlad_geo.folder_lock import FolderLock, draft_prefix, lock_paths, remove_own
 from pcwlad_geo.raster.output_format import files_of
 from pcwlad_geo.raster.verification import verify_output
+from pcwlad_geo.stage_folders import (
+    JOURNAL,
+    OLD,
+    discard,
+    of_dead_processes,
+    plain_names,
+    stage_of,
+    stage_prefixes,
+    sweep,
+    undoing,
+    write_journal,
+)
 
-RESULTS = "report.json"
+RESULTS: Final = "report.json"
 """The file that tells a folder with results; its `outputs` name what belongs to them."""
 
-_JOURNAL = ".journal"
-_OLD = ".old"
-_HOST = re.sub(r"[^A-Za-z0-9]+", "_", socket.gethostname()) or "host"
-_DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
+_DISK_ERRORS: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 
 
 def check_output_folder(
@@ -48,7 +66,7 @@ def check_output_folder(
         If it is no folder, cannot be written to, holds results and overwrite is False, or holds a
         file of that name of another program.
     """
-    folder = _absolute(out_dir)
+    folder = absolute(out_dir)
     existing = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
     if not existing.is_dir():
         raise OutputError(f"{existing} is no folder: choose another output folder")
@@ -86,18 +104,22 @@ def place_file(staged: Path, final: str | os.PathLike[str], *, overwrite: bool =
     OutputError
         If it cannot be placed.
     """
-    place = _absolute(final)
-    beside = place.with_name(f".{place.name}.{_HOST}-{os.getpid()}")
+    place = absolute(final)
+    beside = place.with_name(f".{place.name}.{HOST}-{os.getpid()}")
     verify_output(staged)
-    with _disk_errors(place):
+    with disk_errors(place):
         if os.path.lexists(place) and not overwrite:
             raise OutputError(f"{place} exists: give --overwrite to replace it, or another name")
-        place.parent.mkdir(parents=True, exist_ok=True)
+        make_folders(place.parent)
+        for left in of_dead_processes(place.parent, f".{place.name}.{HOST}-"):
+            left.unlink()
         try:
             shutil.move(staged, beside)
+            seal(beside)
             beside.replace(place)
         finally:
             beside.unlink(missing_ok=True)
+        sync_folder(place.parent)
 
 
 def place_with_files(staged: Path, final: str | os.PathLike[str], *, overwrite: bool = False) -> None:
@@ -105,7 +127,7 @@ def place_with_files(staged: Path, final: str | os.PathLike[str], *, overwrite: 
 
     Parameters and errors are those of `place_file`.
     """
-    place = _absolute(final)
+    place = absolute(final)
     beside = files_of(staged)[1:]
     place_file(staged, place, overwrite=overwrite)  # it can be verified as long as the others are there
     for file in beside:
@@ -127,22 +149,23 @@ def stage_inside(folder: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        If it cannot be made.
+        If it cannot be made, or what is written within the context cannot.
     """
-    place = _absolute(folder)
+    place = absolute(folder)
     made: list[Path] = []
     try:
-        with _disk_errors(place):
-            made = _make_folders(place)
-            _sweep(place)
-            stage = _stage_of(place)
-            stage.mkdir()
+        with disk_errors(place):
+            made = make_folders(place)
+            sweep(place)
+        stage = stage_of(place)
         try:
-            yield stage
+            with disk_errors(place):
+                stage.mkdir(FOLDER_MODE)
+                yield stage
         finally:
             shutil.rmtree(stage, ignore_errors=True)
     finally:
-        _remove_empty(made)
+        remove_empty(made)
 
 
 class OutputFolder:
@@ -170,24 +193,23 @@ class OutputFolder:
     def __init__(
         self, out_dir: str | os.PathLike[str], *, overwrite: bool = False, results: str = RESULTS
     ) -> None:
-        self.out_dir = _absolute(out_dir)
+        self.out_dir = absolute(out_dir)
         self._overwrite = overwrite
         self._results = results
         self._made: list[Path] = []
-        self._lock = _Lock(self.out_dir)
+        self._lock = FolderLock(self.out_dir)
         self._stage: Path | None = None
 
     def __enter__(self) -> OutputFolder:
         check_output_folder(self.out_dir, overwrite=True, results=self._results)
         try:
-            with _disk_errors(self.out_dir):
-                self._made = _make_folders(self.out_dir.parent)
+            with disk_errors(self.out_dir):
+                self._made = make_folders(self.out_dir.parent)
                 self._lock.acquire()
-                _sweep(self.out_dir)
+                sweep(self.out_dir)
                 check_output_folder(self.out_dir, self._overwrite, self._results)
-                stage = _stage_of(self.out_dir)
-                stage.mkdir()
-                self._stage = stage
+                self._stage = stage_of(self.out_dir)  # an interrupt may come at any moment
+                self._stage.mkdir(FOLDER_MODE)
         except BaseException:
             self._leave()
             raise
@@ -198,7 +220,7 @@ class OutputFolder:
     ) -> None:
         self._leave()
         if isinstance(error, OSError) and error.errno in _DISK_ERRORS:
-            raise _output_error(self.out_dir, error) from error
+            raise output_error(self.out_dir, error) from error
 
     @property
     def stage(self) -> Path:
@@ -206,6 +228,10 @@ class OutputFolder:
         if self._stage is None:
             raise ValueError("the output folder is not entered")
         return self._stage
+
+    def writing(self) -> AbstractContextManager[None]:
+        """Turn what the disk says while the files are written into an `OutputError` that names the cause."""
+        return disk_errors(self.out_dir)
 
     def path(self, name: str) -> Path:
         """Return where to write a file now.
@@ -215,7 +241,7 @@ class OutputFolder:
         OutputError
             If a file of that name is there and is not from an earlier run that may be replaced.
         """
-        if not _plain_names([name]):
+        if not plain_names([name]):
             raise ValueError(f"'{name}' is no plain file name")
         self._check_free([name])
         return self.stage / name
@@ -237,35 +263,60 @@ class OutputFolder:
         OutputError
             If a file is not whole or cannot be placed; then the folder is as it was.
         """
-        with _disk_errors(self.out_dir):
+        with disk_errors(self.out_dir):
             for scratch in self.stage.glob(".*"):
                 shutil.rmtree(scratch) if scratch.is_dir() else scratch.unlink()
             names = sorted(
                 (file.name for file in self.stage.iterdir()), key=lambda name: (name == self._results, name)
             )
+            self._check_all_there(names)
             for name in names:
                 verify(self.stage / name)
-            if not os.path.lexists(self.out_dir):
-                try:
-                    self.stage.rename(self.out_dir)
-                    return
-                except OSError:
-                    if not self.out_dir.is_dir():
-                        raise
-                    # The folder appeared in between: the files go into it one by one.
-            self._replace(names)
+                seal(self.stage / name)
+            sync_folder(self.stage)
+            if os.path.lexists(self.out_dir) or not self._rename():
+                self._replace(names)
+
+    def _check_all_there(self, names: list[str]) -> None:
+        """Raise where a file that the results name was removed while the job ran."""
+        for name in sorted((_listed_outputs(self.stage, self._results) or frozenset()) - set(names)):
+            raise OutputError(
+                f"cannot write {self.out_dir}: {name} was removed from {self.stage} while the job ran"
+            )
+
+    def _rename(self) -> bool:
+        """Give the stage the name of the folder; False where that is there now: the files go into it then."""
+        try:
+            self.stage.rename(self.out_dir)
+        except OSError:
+            if not self.out_dir.is_dir():
+                raise
+            return False
+        try:
+            sync_folder(self.out_dir.parent)
+        except OSError:
+            self.out_dir.rename(self.stage)
+            raise
+        return True
 
     def _replace(self, names: list[str]) -> None:
+        """Put the files into the folder one by one, so that each step can be undone, also by another run.
+
+        The results file goes first and comes last: where it is, everything that it names is there.
+        """
         self._check_free(names)
-        old = [name for name in sorted(self._replaceable()) if _is_file(self.out_dir / name)]
-        journal = self.stage / _JOURNAL
-        (self.stage / _OLD).mkdir()
-        journal.write_text(json.dumps(names), encoding="utf-8")
+        replaced = [name for name in self._replaceable() if _is_file(self.out_dir / name)]
+        old = sorted(replaced, key=lambda name: (name != self._results, name))
+        (self.stage / OLD).mkdir()
+        write_journal(self.stage, self.out_dir, old=old, new=names)
         for name in old:
-            (self.out_dir / name).replace(self.stage / _OLD / name)
+            (self.out_dir / name).replace(self.stage / OLD / name)
         for name in names:
             (self.stage / name).replace(self.out_dir / name)
-        journal.unlink()  # from here on the new results count
+        sync_folder(self.out_dir)
+        (self.stage / JOURNAL).unlink()  # from here on the new results count
+        with suppress(OSError):  # they are there already
+            sync_folder(self.stage)
 
     def _check_free(self, names: Iterable[str]) -> None:
         ours = self._replaceable()
@@ -282,189 +333,52 @@ class OutputFolder:
 
     def _leave(self) -> None:
         """Remove the stage, what is half-placed, folders made for nothing, and the lock."""
-        if self._stage is not None:
-            _discard(self._stage, self.out_dir)
-            self._stage = None
-        self._lock.release()
-        _remove_empty(self._made)
+        try:
+            if self._stage is not None:
+                with undoing(self._stage):
+                    discard(self._stage, self.out_dir)
+                self._stage = None
+        finally:
+            self._lock.release()
+            remove_empty(self._made)
 
 
 def abandon(out_dir: str | os.PathLike[str]) -> None:
     """Remove what this process has staged for a folder whose `OutputFolder` cannot be left in order.
 
-    For the last moment of a process that must end while its main thread is deep in native code.
+    For the last moment of a process that must end while its main thread is deep in native code, and after an
+    interrupt, which may come between any two steps.
 
     Parameters
     ----------
     out_dir : path
         The folder; results that are in place stay.
     """
-    folder = _absolute(out_dir)
-    for prefix in _stage_prefixes(folder):
-        _discard(Path(f"{prefix}{_HOST}-{os.getpid()}"), folder)
-    for lock in _lock_paths(folder):
-        with suppress(OSError):  # not there, or not to be read
-            if lock.read_text(encoding="utf-8").startswith(f"{os.getpid()} on {_HOST}\n"):
-                lock.unlink()
-
-
-class _Lock:
-    """Keeps two runs on one output folder apart; it ends with its process, however that ends."""
-
-    def __init__(self, out_dir: Path) -> None:
-        self._out_dir = out_dir
-        self._file: IO[str] | None = None
-        self._path = Path()
-
-    def acquire(self) -> None:
-        out_dir = self._out_dir
-        beside, inside = _lock_paths(out_dir)
-        self._path = beside if os.access(out_dir.parent, os.W_OK | os.X_OK) else inside
-        while self._file is None:
-            file = self._path.open("a+", encoding="utf-8")
-            try:
-                if not _try_lock(file):
-                    file.seek(0)
-                    raise OutputError(
-                        f"another run (process {file.read().strip() or 'unknown'}) writes to {out_dir}: "
-                        f"wait for its end, or choose another output folder"
-                    )
-                # Its last holder may have removed the file after we opened it.
-                if self._path.exists() and os.path.samestat(os.fstat(file.fileno()), self._path.stat()):
-                    self._file = file
-            finally:
-                if self._file is None:
-                    file.close()
-        self._file.truncate(0)
-        self._file.write(f"{os.getpid()} on {_HOST}\n")
-        self._file.flush()
-
-    def release(self) -> None:
-        if self._file is not None:
-            with suppress(OSError):  # Windows keeps the file of an open handle
-                self._path.unlink()
-            self._file.close()
-            self._file = None
-
-
-def _try_lock(file: IO[str]) -> bool:
-    """Lock a file for this process; True also where the file system has no locks."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            file.seek(1 << 20)  # a locked byte cannot be read: not one that says who holds it
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        return error.errno not in (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
-    return True
-
-
-def _lock_paths(out_dir: Path) -> tuple[Path, Path]:
-    return out_dir.with_name(f".{out_dir.name}.lock"), out_dir / ".pcwlad-geo.lock"
-
-
-def _stage_of(out_dir: Path) -> Path:
-    """Return the stage of this process: beside a folder that is to be, inside one that is."""
-    process = f"{_HOST}-{os.getpid()}"
-    inside, beside = _stage_prefixes(out_dir)
-    return Path(f"{inside if out_dir.is_dir() else beside}{process}")
-
-
-def _stage_prefixes(out_dir: Path) -> tuple[Path, Path]:
-    return out_dir / ".stage-", out_dir.with_name(f".{out_dir.name}.stage-")
-
-
-def _sweep(out_dir: Path) -> None:
-    """Remove the stages that dead processes of this machine left, and undo what they had half-placed."""
-    for prefix in _stage_prefixes(out_dir):
-        if not prefix.parent.is_dir():
-            continue
-        start = f"{prefix.name}{_HOST}-"
-        for stage in sorted(prefix.parent.iterdir()):
-            process = stage.name.removeprefix(start)
-            if stage.name.startswith(start) and process.isdecimal() and not _alive(int(process)):
-                _discard(stage, out_dir)
-
-
-def _alive(process: int) -> bool:
-    if process == os.getpid() or sys.platform == "win32":
-        return False  # a new run under an old number; on Windows a signal 0 would kill, and the lock tells
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
-
-
-def _discard(stage: Path, out_dir: Path) -> None:
-    """Remove a stage; files it had half-placed go, and the old ones come back."""
-    journal = stage / _JOURNAL
-    if journal.is_file():
-        with suppress(OSError, ValueError):
-            for name in _plain_names(json.loads(journal.read_text(encoding="utf-8"))):
-                if not os.path.lexists(stage / name):
-                    (out_dir / name).unlink(missing_ok=True)
-            for old in (stage / _OLD).iterdir():
-                old.replace(out_dir / old.name)
-    shutil.rmtree(stage, ignore_errors=True)
+    folder = absolute(out_dir)
+    for prefix in stage_prefixes(folder):
+        with suppress(OSError):
+            discard(Path(f"{prefix}{HOST}-{os.getpid()}"), folder)
+    for lock in lock_paths(folder):
+        remove_own(lock)
+        for draft in lock.parent.glob(f"{draft_prefix(lock)}{os.getpid()}-*"):
+            draft.unlink(missing_ok=True)
 
 
 def _listed_outputs(folder: Path, results: str) -> frozenset[str] | None:
     """Return the file names that belong to the results in a folder; None where it holds none of ours."""
     try:
         report = json.loads((folder / results).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, ValueError):
         return None
+    except OSError as error:  # ours or not, who knows
+        raise OutputError(
+            f"cannot read {folder / results}: {error.strerror or error}; choose another output folder"
+        ) from error
     versions = report.get("versions") if isinstance(report, dict) else None
     if not isinstance(versions, dict) or "pcwlad-geo" not in versions or "schema_version" not in report:
         return None
-    return frozenset({results, *_plain_names(report.get("outputs"))})
-
-
-def _plain_names(names: object) -> list[str]:
-    """Return those of a list that are plain file names: nothing leads out of a folder, nothing hides."""
-    candidates = [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
-    return [
-        name for name in candidates if name and not name.startswith(".") and not re.search(r"[/\\\0]", name)
-    ]
+    return frozenset({results, *plain_names(report.get("outputs"))})
 
 
 def _is_file(path: Path) -> bool:
     return path.is_symlink() or path.is_file()
-
-
-def _make_folders(folder: Path) -> list[Path]:
-    """Make a folder and those above it; return the ones that were missing, outermost first."""
-    missing = [place for place in (folder, *folder.parents) if not place.exists()][::-1]
-    folder.mkdir(parents=True, exist_ok=True)
-    return missing
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    for folder in reversed(folders):
-        with suppress(OSError):  # not empty: it serves its purpose
-            folder.rmdir()
-
-
-def _absolute(path: str | os.PathLike[str]) -> Path:
-    # resolve() would follow a folder that is a symbolic link, absolute() leaves "." and ".." in it.
-    return Path(os.path.abspath(path))  # noqa: PTH100
-
-
-@contextmanager
-def _disk_errors(place: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise _output_error(place, error) from error
-
-
-def _output_error(place: Path, error: OSError) -> OutputError:
-    return OutputError(f"cannot write {place}: {error.strerror or error}")

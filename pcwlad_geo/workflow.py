@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Literal, TypedDict
 
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError, RequirementError
 from pcwlad_geo.output_names import CORRECTED, NAMES
+from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.products import stem_of
 from pcwlad_geo.raster.source import file_name, plain_name
@@ -282,8 +283,10 @@ def _run_and_write(
         from pcwlad_geo.writing import write
 
         registration = replace(registration, requirements=judge_requirements(registration, requirements))
-        written = write(registration, staged, places, elsewhere, bands, on_event)
+        with folder.writing():
+            written = write(registration, staged, places, elsewhere, bands, on_event)
         registration = replace(registration, warnings=registration.warnings + written.warnings)
+        check_unchanged(file.identity for file in registration.inputs)
         for kind in written.kinds:
             if kind in elsewhere:
                 put = place_with_files if kind == "raster" else place_file

@@ -18,7 +18,8 @@ from pcwlad_geo.batches.summary import (
     write_summary,
 )
 from pcwlad_geo.errors import InputError, PcwladGeoError, RegistrationRejectedError, RequirementError
-from pcwlad_geo.registration.inputs import Inputs, resolve
+from pcwlad_geo.raster.identity import FileIdentity, same
+from pcwlad_geo.registration.inputs import Inputs, identify_inputs, resolve
 from pcwlad_geo.registration.option_values import RUNNING
 from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.runners import open_runner
@@ -181,10 +182,10 @@ def _done_before(pair: Pair) -> PairOutcome | None:
     if status not in ("registered", "rejected"):
         return None
     try:
-        inputs = resolve(pair.reference, pair.target, pair.settings)
+        inputs = resolve(pair.reference, pair.target, pair.settings, all_bands=True)
     except InputError:  # the job itself tells
         return None
-    if not _same_inputs(pair, inputs, report):
+    if not _same_inputs(inputs, report):
         return None
     settings = {name: value for name, value in asdict(inputs.settings).items() if name not in RUNNING}
     before = {name: value for name, value in report["settings"].items() if name not in RUNNING}
@@ -195,19 +196,16 @@ def _done_before(pair: Pair) -> PairOutcome | None:
     return PairOutcome(pair, status, report.get("reason"), done_before=True, report=report)
 
 
-def _same_inputs(pair: Pair, inputs: Inputs, report: Mapping[str, Any]) -> bool:
+def _same_inputs(inputs: Inputs, report: Mapping[str, Any]) -> bool:
     """Whether the report is of these files, and none has been replaced since."""
     names = [inputs.reference, inputs.target]
     if [report[which]["path"] for which in ("reference", "target")] != names:
         return False
-    written = (pair.out_dir / "report.json").stat().st_mtime
-    files: list[PathLike] = [pair.reference, pair.target, *names, *inputs.settings.files]
-    return all(_changed(file) <= written for file in files)
-
-
-def _changed(file: PathLike) -> float:
-    """Return when a file was changed; 0 for a URI."""
-    return Path(file).stat().st_mtime if os.path.exists(file) else 0.0  # noqa: PTH110
+    try:
+        before = [FileIdentity.from_json(each) for each in report["inputs"]]
+    except (KeyError, TypeError):  # of an earlier version
+        return False
+    return same(before, [file.identity for file in identify_inputs(inputs)])
 
 
 def _one_line(error: Exception) -> str:

@@ -7,11 +7,13 @@ import io
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
 from pcwlad_geo.batches.pairs import Pair
+from pcwlad_geo.disk import disk_errors, make_folders, seal
 from pcwlad_geo.errors import OutputError
 
 SUMMARY: Final = "summary.csv"
@@ -118,15 +120,15 @@ def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
     writer.writeheader()
     writer.writerows(rows)
     beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with disk_errors(path):
+        make_folders(path.parent)
         try:
             beside.write_text(text.getvalue(), encoding="utf-8", newline="")
+            seal(beside)
             beside.replace(path)
         finally:
-            beside.unlink(missing_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+            with suppress(OSError):
+                beside.unlink(missing_ok=True)
 
 
 def _word(value: object) -> object:

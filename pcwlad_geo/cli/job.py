@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import traceback
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -112,6 +114,7 @@ def _attempt(
             ending = work(report.event)
         report.result(ending.figures, ending.text)
     except (KeyboardInterrupt, CancelledError):
+        _clean_up(abandon)
         report.cancelled()
         return INTERRUPTED
     except Exception as error:
@@ -119,6 +122,13 @@ def _attempt(
             show_traceback(error)
         return _report_error(error, report)
     return ending.exit_status
+
+
+def _clean_up(abandon: Callable[[], None]) -> None:
+    """Remove what an interrupt left that came between a step and the note that it was done."""
+    if "pcwlad_geo.staging" in sys.modules:  # else nothing was staged, and loading it takes a while
+        with suppress(OSError, PcwladGeoError):
+            abandon()
 
 
 def _report_error(error: Exception, report: Reporter) -> int:

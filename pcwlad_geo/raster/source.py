@@ -53,6 +53,8 @@ class RasterInfo:
     """Largest misfit of the ground control points that the grid is made from; None: it is the file's own."""
     plane_transform: Affine | None = None
     """The geotransform of a file that has one and no CRS."""
+    content: str = ""
+    """Tells what the files of a job hold from what they hold later (`identity.digest`); empty: not known."""
 
 
 def describe(

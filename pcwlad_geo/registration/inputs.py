@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.identity import FileIdentity, identify
 from pcwlad_geo.raster.product import Product, ProductBand
 from pcwlad_geo.raster.products import find_product
 from pcwlad_geo.raster.unknown_products import no_product
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.settings import FILE_OPTIONS, Settings
 
 PathLike = str | os.PathLike[str]
 Side = Literal["ref", "tgt"]
@@ -60,6 +61,31 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
             "all its bands but the reference; it holds for those that lie as the target does",
         )
     return Inputs(ref.uri, tgt.uri, replace(settings, **ref.changes, **tgt.changes), notes, others)
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """A file that a job reads, as it was when the job began."""
+
+    role: str
+    """`reference`, `target`, `band` (another one of the target's product), or the option that names it."""
+    identity: FileIdentity
+
+
+def identify_inputs(inputs: Inputs) -> tuple[InputFile, ...]:
+    """Identify all files that a job reads, those that rasters are made of among them.
+
+    What has no identity is left out: databases, object stores, names of PROJ's own grids.
+    """
+    named = {name: getattr(inputs.settings, name) for name in FILE_OPTIONS}
+    read = [("reference", inputs.reference), ("target", inputs.target)]
+    read += [(name, os.fspath(file)) for name, file in named.items() if isinstance(file, str | os.PathLike)]
+    read += [("band", band.uri) for band in inputs.other_bands]
+    return tuple(
+        InputFile(role, identity)
+        for role, uri in read
+        for identity in identify(uri, raster=role != "tie_points")
+    )
 
 
 def band_file(path: PathLike, band: int | str) -> str:

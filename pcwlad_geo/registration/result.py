@@ -15,6 +15,7 @@ from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.requirements import RequirementResult
 
 if TYPE_CHECKING:
+    from pcwlad_geo.registration.inputs import InputFile
     from pcwlad_geo.registration.match_record import MatchRecord
     from pcwlad_geo.registration.quality import Quality
     from pcwlad_geo.registration.rpc_target import RpcRegistration
@@ -70,6 +71,8 @@ class Registration:
     """What the matching did where; None where that is not known."""
     requirements: tuple[RequirementResult, ...] = ()
     """What became of each requirement."""
+    inputs: tuple[InputFile, ...] = ()
+    """The files that the job read, as they were before it opened any of them."""
 
     @property
     def passed(self) -> bool | None:

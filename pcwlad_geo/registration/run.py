@@ -14,6 +14,7 @@ from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.thinning import thin
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
+from pcwlad_geo.raster.identity import digest
 from pcwlad_geo.raster.locate import locate, overlap_middle_px, predict_target_px
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.rpc_grid import levelled
@@ -25,7 +26,7 @@ from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.advice import refusal
 from pcwlad_geo.registration.fitting import Fitted, fit_correction
 from pcwlad_geo.registration.given_points import footprint_px, points_of_file
-from pcwlad_geo.registration.inputs import resolve
+from pcwlad_geo.registration.inputs import identify_inputs, resolve
 from pcwlad_geo.registration.job_log import JobLog
 from pcwlad_geo.registration.judge import Verdict
 from pcwlad_geo.registration.kernels import load_kernels
@@ -93,8 +94,11 @@ def run(
     with log.stage("reading"):
         inputs = resolve(reference, target, settings, all_bands=not match_only)
         settings = inputs.settings
+        files = identify_inputs(inputs)  # before any of them is read
         ref = describe(inputs.reference, band=int(settings.ref_band), mask=settings.ref_mask)
         tgt = describe(inputs.target, band=int(settings.tgt_band), mask=settings.tgt_mask)
+        content = digest(file.identity for file in files)
+        ref, tgt = replace(ref, content=content), replace(tgt, content=content)
         placed_reference, told = place_reference(ref, tgt, settings)
         ref = placed_reference.info if placed_reference else ref
         placed, warnings = place_target(ref, tgt, settings)
@@ -161,6 +165,7 @@ def run(
         quality=quality,
         record=found.record,
         rpc=corrected_rpc(placed, fitted.correction if fitted else None) if placed else None,
+        inputs=files,
     )
 
 

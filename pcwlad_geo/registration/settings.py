@@ -21,6 +21,8 @@ OutputGrid = Literal["reference", "reference-exact", "target"]
 Resampling = Literal["nearest", "bilinear", "cubic", "cubic_spline", "lanczos"]
 VRT_MODELS = ("shift", "affine")
 """Corrections that a VRT holds: those of a geotransform."""
+FILE_OPTIONS = ("ref_mask", "tgt_mask", "tie_points", "dem", "dem_vertical", "like")
+"""Options that name a file, or may."""
 BAND_NAME = re.compile(r"[A-Za-z]\w*$")
 
 
@@ -147,7 +149,7 @@ class Settings:
     @property
     def files(self) -> tuple[Path | str, ...]:
         """Files and GDAL URIs that the job reads besides the two rasters."""
-        given = (self.ref_mask, self.tgt_mask, self.tie_points, self.dem, self.dem_vertical, self.like)
+        given = (getattr(self, name) for name in FILE_OPTIONS)
         return tuple(file for file in given if isinstance(file, Path | str))
 
     @classmethod

@@ -17,6 +17,7 @@ from pcwlad_geo.correction.models import Correction, from_json
 from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.identity import FileIdentity
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.registration.output_wishes import grid_request
@@ -41,6 +42,8 @@ class FinishedRegistration:
     resampling: str
     rpc: CorrectedRpc | None = None
     """Of a target with RPC; its siblings are corrected by this."""
+    inputs: tuple[FileIdentity, ...] = ()
+    """The files that it was made from; empty in reports of earlier versions."""
 
 
 def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
@@ -66,6 +69,7 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
             made=OutputFormat.of(settings.get("of", "COG"), settings.get("co", ())),
             resampling=str(settings["resampling"]),
             rpc=_rpc(report["rpc"], report["target"], settings) if report.get("rpc") else None,
+            inputs=tuple(FileIdentity.from_json(each) for each in report.get("inputs", ())),
         )
     except (KeyError, TypeError, ValueError, CRSError) as error:
         raise InputError(

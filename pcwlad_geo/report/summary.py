@@ -70,6 +70,7 @@ def summarise(
         "requirements": [_requirement(each) for each in registration.requirements],
         "reference": _raster(registration.reference) | {"ground": _ground(registration.reference)},
         "target": _raster(registration.target),
+        "inputs": [{"role": file.role} | file.identity.to_json() for file in registration.inputs],
         "px_m": registration.px_m,
         "output_grid": _grid(output_grid) if output_grid else None,
         "prealignment": asdict(registration.prealignment),

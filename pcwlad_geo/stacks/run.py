@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
 from pcwlad_geo.raster.products import stem_of
 from pcwlad_geo.raster.source import plain_name
 from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned, ignore
@@ -72,6 +73,8 @@ class QaResult:
     seconds: float
     out_dir: Path
     """Where `qa.json`, `qa.csv` and `qa.html` are."""
+    inputs: tuple[FileIdentity, ...] = ()
+    """The files that the bands and masks were read from, as they were before the matching."""
 
     @property
     def refused(self) -> tuple[PairResult, ...]:
@@ -158,6 +161,7 @@ def qa(
     base = find_band(stack, against) if against is not None else None
     planned = plan_pairs(stack, base)
     requirements = check_applicable(requirements, planned, base is None and len(stack) > 2)
+    inputs = _identify(stack)
     with OutputFolder(qa_folder(rasters, out_dir), overwrite=overwrite, results=NAMES["numbers"]) as folder:
         pairs = _measure(planned, settings, on_event, executor)
         triangles = close_triangles(stack, pairs, settings.window) if base is None else []
@@ -174,8 +178,11 @@ def qa(
             settings=settings,
             seconds=time.perf_counter() - started,
             out_dir=folder.out_dir,
+            inputs=inputs,
         )
-        write_results(result, folder)
+        with folder.writing():
+            write_results(result, folder)
+        check_unchanged(inputs)
         folder.commit()
     return result
 
@@ -207,6 +214,13 @@ def _settings(options: Options) -> Settings:
         if getattr(settings, name) != getattr(default, name):
             raise SettingsError(f"{name} {why}")
     return settings
+
+
+def _identify(stack: Sequence[Band]) -> tuple[FileIdentity, ...]:
+    """Identify the files of all bands and masks, each once."""
+    uris = dict.fromkeys(uri for band in stack for uri in (band.info.uri, band.info.mask_uri) if uri)
+    found = {each.path: each for uri in uris for each in identify(uri)}
+    return tuple(found.values())
 
 
 def _measure(

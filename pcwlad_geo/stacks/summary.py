@@ -52,6 +52,7 @@ def summarise(result: QaResult, outputs: Sequence[str]) -> Summary:
         "requirements": [_verdict(verdict) for verdict in result.verdicts],
         "against": result.against.name if result.against else None,
         "bands": [_band(band) for band in result.bands],
+        "inputs": [each.to_json() for each in result.inputs],
         "pairs": [_pair(pair, result.verdicts) for pair in result.pairs],
         "closure": [_triangle(triangle) for triangle in result.triangles],
         "seconds": round(result.seconds, 3),

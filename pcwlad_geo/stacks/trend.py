@@ -233,8 +233,9 @@ def _write(
             "outputs": sorted(NAMES.values()),
         }
         texts = {"table": _table(series), "report": render(found), "numbers": to_json(numbers)}
-        for kind, text in texts.items():
-            folder.path(NAMES[kind]).write_text(text, encoding="utf-8", newline="")
+        with folder.writing():
+            for kind, text in texts.items():
+                folder.path(NAMES[kind]).write_text(text, encoding="utf-8", newline="")
         folder.commit()
     return found
 

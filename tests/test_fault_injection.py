@@ -1,0 +1,88 @@
+"""Fault injection: some calls of each kind (``python fuzz/faults.py`` tries all), what counts as wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fuzz import faults
+from fuzz.faults import Ended, judge, numbers_to_try, state_of
+from tests.conftest import REPOSITORY
+from tests.patience import PATIENCE_S
+
+compiled = pytest.mark.skipif(faults.find_compiler() is None, reason="no C compiler, or not Linux")
+SOME = "10000"
+"""Every so many-th call besides the first and the last ones."""
+
+
+@compiled
+@pytest.mark.parametrize(
+    "kind",
+    ["rename", *(pytest.param(each, marks=pytest.mark.slow) for each in faults.KINDS if each != "rename")],
+)
+def test_whatever_fails_the_folder_is_old_or_new_and_the_cause_is_named(kind: str) -> None:
+    ended = subprocess.run(
+        [sys.executable, REPOSITORY / "fuzz" / "faults.py", "--once", "--every", SOME, "--kind", kind],
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        timeout=10 * PATIENCE_S,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    row = next(line.split() for line in ended.stdout.splitlines() if line.startswith("register"))
+    assert row[1] == kind
+    assert int(row[4]) >= min(6, int(row[3])) > 0  # some were tried
+
+
+def folder(top: Path, files: dict[str, str], *, listed: list[str] | None = None) -> Path:
+    out = top / "out"
+    out.mkdir(parents=True)
+    for name, text in files.items():
+        (out / name).write_text(text)
+    names = sorted([*files, "report.json"]) if listed is None else listed
+    (out / "report.json").write_text(json.dumps({"outputs": names, "made of": files}))
+    return top
+
+
+def test_a_folder_between_old_and_new_is_recognised(tmp_path: Path) -> None:
+    old = folder(tmp_path / "old", {"a": "old", "b": "old"})
+    assert state_of(folder(tmp_path / "same", {"a": "old", "b": "old"}), old) == "old"
+    assert state_of(folder(tmp_path / "new", {"a": "new", "b": "new"}), old) == "new"
+    missing = folder(tmp_path / "missing", {"a": "new"}, listed=["a", "b", "report.json"])
+    assert "report.json and its files differ: ['b']" in state_of(missing, old)
+    staged = folder(tmp_path / "staged", {"a": "old", "b": "old"})
+    (staged / ".out.stage-host-1").mkdir()
+    assert state_of(staged, old) == "left behind: .out.stage-host-1"
+
+
+@pytest.mark.parametrize(
+    ("status", "said", "state", "wrong"),
+    [
+        (0, "", "new", None),
+        (0, "warning: a band is empty\n", "new", None),
+        (2, "error: cannot write out: Input/output error\n", "old", None),
+        (2, "error: cannot write out\n", "old", "the cause is not named"),
+        (2, "error: Input/output error\nerror: again\n", "old", "2 lines"),
+        (2, "Input/output error\n", "old", "1 lines"),
+        (1, "error: unexpected OSError\n", "old", "exit status 1"),
+        (-11, "", "old", "exit status -11"),
+        (0, "ERROR 1: something\n", "new", "says ERROR 1"),
+        (0, "", "old", "exit status 0 with the old results"),
+        (2, "error: Input/output error\n", "left behind: .x", "left behind"),
+    ],
+)
+def test_a_wrong_end_is_recognised(status: int, said: str, state: str, wrong: str | None) -> None:
+    found = judge(Ended(status, 1, said), state, "open")
+    assert [each.startswith(wrong) for each in found] == [True] if wrong else not found
+
+
+def test_the_first_and_the_last_calls_are_always_tried() -> None:
+    assert list(numbers_to_try(20, 8)) == [1, 2, 3, 9, 17, 18, 19, 20]
+    assert list(numbers_to_try(2, 1)) == [1, 2]
+    assert list(numbers_to_try(0, 1)) == []
