@@ -18,6 +18,7 @@ from pcwlad_geo.output_names import CORRECTED, NAMES
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.products import stem_of
 from pcwlad_geo.raster.source import file_name, plain_name
+from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.registration import settings as s
 from pcwlad_geo.registration.forecast import likely_tiles
 from pcwlad_geo.registration.inputs import band_file, resolve
@@ -75,6 +76,8 @@ class Options(TypedDict, total=False):
     require: str | Sequence[str]
     keep: bool
     tile_size: int
+    allow_remote: bool
+    trust_vrt: bool
     jobs: int | None
     scheduler: str | None
 
@@ -146,7 +149,8 @@ def register(
         output_points=output_points,
     )
     job = partial(_run, reference, target, settings, executor)
-    return _run_and_write(job, "register", (reference, target), settings, places, overwrite, on_event)
+    with trusting(settings.trust):
+        return _run_and_write(job, "register", (reference, target), settings, places, overwrite, on_event)
 
 
 def match(
@@ -178,7 +182,8 @@ def match(
         output_points=output_points,
     )
     job = partial(_run, reference, target, settings, executor, match_only=True)
-    return _run_and_write(job, "match", (reference, target), settings, places, overwrite, on_event)
+    with trusting(settings.trust):
+        return _run_and_write(job, "match", (reference, target), settings, places, overwrite, on_event)
 
 
 def output_paths(

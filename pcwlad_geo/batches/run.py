@@ -18,6 +18,7 @@ from pcwlad_geo.batches.summary import (
     write_summary,
 )
 from pcwlad_geo.errors import InputError, PcwladGeoError, RegistrationRejectedError, RequirementError
+from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.registration.inputs import Inputs, resolve
 from pcwlad_geo.registration.option_values import RUNNING
 from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned, ignore
@@ -181,7 +182,8 @@ def _done_before(pair: Pair) -> PairOutcome | None:
     if status not in ("registered", "rejected"):
         return None
     try:
-        inputs = resolve(pair.reference, pair.target, pair.settings)
+        with trusting(pair.settings.trust):
+            inputs = resolve(pair.reference, pair.target, pair.settings)
     except InputError:  # the job itself tells
         return None
     if not _same_inputs(pair, inputs, report):
