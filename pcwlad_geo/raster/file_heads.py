@@ -33,7 +33,7 @@ _SIGNATURES: Final = (
 )
 _CLASSIC_NETCDF: Final = (b"CDF\x01", b"CDF\x02", b"CDF\x05")
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
-_MARKS_OF_OTHERS: Final = (b"<VRT", b"<GDAL", b"<gdal")
+_MARKS_OF_OTHERS: Final = (b"<GDALTileIndexDataset", b"<GDAL_WMS", b"<MRF_META")
 """GDAL looks for these not only at the beginning: a file of two kinds is of the one that asks first."""
 
 
