@@ -16,7 +16,7 @@ SIGNED_DRIVERS: Final = (
 PLAIN_DRIVERS: Final = (
     *SIGNED_DRIVERS,
     *("ENVI", "EHdr", "PNM", "AAIGrid", "GRASSASCIIGrid", "GSAG", "GSBG", "GS7BG", "AIG", "DTED", "SRTMHGT"),
-    *("USGSDEM", "XYZ", "GTX", "BYN", "ISG", "NGSGEOID", "NTv2", "GRIB", "RST", "BT", "TSX", "CEOS", "DOQ1"),
+    *("USGSDEM", "XYZ", "GTX", "BYN", "ISG", "NGSGEOID", "NTv2", "GRIB", "BT"),
 )
 """Their files name none either: headers and the like are found by the file's own name."""
 NETWORK_DRIVERS: Final = (

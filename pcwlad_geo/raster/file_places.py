@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 import posixpath
 import re
 import tarfile
@@ -38,8 +39,12 @@ class OnDisk:
         return self.within or str(self.path)
 
     def stamp(self) -> Stamp:
-        """Return what changes when the file does; empty where it is no regular file."""
+        """Return what changes when the file does; empty where there is no regular file."""
         return _stamp(self.path) if self.path.is_file() else ()
+
+    def is_other(self) -> bool:
+        """Whether there is something else than a regular file: a folder, a device."""
+        return not self.path.is_file() and os.path.lexists(self.path)
 
     def read(self, most: int) -> bytes:
         """Read its first bytes; none where that cannot be done."""
@@ -80,6 +85,10 @@ class InArchive:
     def stamp(self) -> Stamp:
         """Return what changes when the archive does; empty where it has no such file."""
         return _stamp(self.archive) if self.name in self._names() else ()
+
+    def is_other(self) -> bool:
+        """Whether it is a folder of the archive."""
+        return any(name.startswith(f"{self.name}/") for name in self._names())
 
     def read(self, most: int) -> bytes:
         """Read its first bytes; none where that cannot be done."""

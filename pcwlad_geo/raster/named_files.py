@@ -67,8 +67,10 @@ def check_named_by(dataset: DatasetReader, file: Place | None) -> None:
 
 def _checked(file: Place, seen: set[Place], *, any_driver: bool) -> Kind:
     stamp = file.stamp()
+    if any_driver and file.is_other():  # whole folders are formats of rasters too
+        raise UntrustedFileError(f"it needs {file.uri}, which is no regular file")
     if file in seen or not stamp:
-        return "other"  # checked already; a folder, or nothing
+        return "other"  # checked already, a folder that the user has named, or nothing
     seen.add(file)
     kind = _kind(file, stamp)
     if any_driver and kind not in ("signed", "vrt", "classic netCDF"):

@@ -253,6 +253,10 @@ def test_formats_whose_files_name_others(folder: Path, secret: Path) -> None:
     (folder / "of_it.vrt").write_text(vrt("a.ers", SHAPE, relative=True))
     with pytest.raises(TrustError, match="common format"):
         read("of_it.vrt")
+    (folder / "a.zarr").mkdir()
+    (folder / "folder.vrt").write_text(vrt("a.zarr", SHAPE, relative=True))
+    with pytest.raises(TrustError, match="no regular file"):
+        read("folder.vrt")
     (folder / "a.nc").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(2048))
     with pytest.raises(TrustError, match=r"HDF5.*--trust-vrt"):
         read("a.nc")
