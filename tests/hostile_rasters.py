@@ -12,20 +12,36 @@ from pathlib import Path
 from xml.sax.saxutils import escape
 
 _SERVER = """
-import functools, http.server, sys
-class Handler(http.server.SimpleHTTPRequestHandler):
+import http.server, pathlib, sys
+
+class Handler(http.server.BaseHTTPRequestHandler):
     def do_GET(self):
         with open(sys.argv[2], "a") as log:
             log.write(self.path + chr(10))
-        super().do_GET()
-    def do_HEAD(self):
-        with open(sys.argv[2], "a") as log:
-            log.write(self.path + chr(10))
-        super().do_HEAD()
+        file = pathlib.Path(sys.argv[1]) / self.path.partition("?")[0].lstrip("/")
+        if not file.is_file():
+            return self.send_error(404)
+        content = file.read_bytes()
+        first, last = 0, len(content) - 1
+        asked = self.headers.get("Range")
+        if asked:
+            first, last = (int(number) for number in asked.removeprefix("bytes=").split("-"))
+            last = min(last, len(content) - 1)
+        self.send_response(206 if asked else 200)
+        if asked:
+            self.send_header("Content-Range", f"bytes {first}-{last}/{len(content)}")
+        self.send_header("Accept-Ranges", "bytes")
+        self.send_header("Content-Length", str(last + 1 - first))
+        self.end_headers()
+        if self.command == "GET":
+            self.wfile.write(content[first : last + 1])
+
+    do_HEAD = do_GET
+
     def log_message(self, *_):
         pass
-handler = functools.partial(Handler, directory=sys.argv[1])
-server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+
+server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
 print(server.server_port, flush=True)
 server.serve_forever()
 """

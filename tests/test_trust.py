@@ -12,6 +12,8 @@ import pytest
 
 import pcwlad_geo
 from pcwlad_geo.errors import TrustError
+from pcwlad_geo.raster.trust import Trust, current_trust
+from pcwlad_geo.registration.environment import in_environment
 from tests.cli.process import run_cli
 from tests.hostile_rasters import Server, raw_vrt, serving, vrt
 from tests.scenes import make_grid, render, write
@@ -89,3 +91,9 @@ def test_the_command_line_refuses(command: str, folder: Path, server: Server, tm
         assert found.returncode == 2, found.stderr
         assert option in found.stderr
     assert server.requests() == []
+
+
+def test_tasks_bring_their_trust_and_leave_none() -> None:
+    trust = Trust(remote=True)
+    assert in_environment({}, trust, current_trust, ()) == trust
+    assert current_trust() == Trust()

@@ -17,7 +17,6 @@ _SUBDATASET: Final = re.compile(
     re.DOTALL,
 )
 _PREFIX: Final = re.compile(r"\w{2,}:")
-_SUBFILE: Final = re.compile(r"/vsisubfile/[^,]*,(?:/vsigzip/)?(?P<path>.*)", re.DOTALL)
 
 
 class Destination(NamedTuple):
@@ -80,9 +79,3 @@ def split_archive(uri: str) -> tuple[Path, str] | None:
     places = [match.start() for match in re.finditer("/", rest[1:])]
     found = ((Path(rest[: place + 1]), rest[place + 2 :]) for place in places)
     return next(((archive, name) for archive, name in found if archive.is_file()), None)
-
-
-def file_below(uri: str) -> Path:
-    """Return the file of this machine that /vsigzip/ or /vsisubfile/ reads."""
-    inside = _SUBFILE.fullmatch(uri)
-    return Path(inside["path"] if inside else uri.removeprefix("/vsigzip/"))
