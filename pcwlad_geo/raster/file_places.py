@@ -149,6 +149,8 @@ def place_of(found: Destination) -> Place:
         return OnDisk(Path(subfile[4]), found.path)
     if found.path.startswith("/vsigzip/"):
         return OnDisk(Path(found.path.removeprefix("/vsigzip/")), found.path)
+    if found.path.startswith(("/vsizip/", "/vsitar/")):
+        raise UntrustedFileError("there is no such archive, or the name of the file in it is missing")
     raise UntrustedFileError("what lies there cannot be looked at before GDAL opens it")
 
 
