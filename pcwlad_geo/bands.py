@@ -17,6 +17,7 @@ from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_grids
 from pcwlad_geo.raster.shared_plane import grid_beside
 from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster.trust import Trust, trusting
 from pcwlad_geo.registration.output_wishes import check_placed, requested_grid
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.settings import OutputGrid, Resampling, Settings
@@ -42,6 +43,8 @@ def warp(
     co: Sequence[str] | None = None,
     resampling: Resampling | None = None,
     overwrite: bool = False,
+    allow_remote: bool = False,
+    trust_vrt: bool = False,
     on_event: EventCallback = ignore,
 ) -> tuple[Path, ...]:
     """Apply a finished registration to other bands of the target, also of other pixel sizes.
@@ -75,6 +78,8 @@ def warp(
         By default as in the registration.
     overwrite : bool
         Replace files that exist.
+    allow_remote, trust_vrt : bool
+        As `register` takes them.
     on_event : callable
         Receives `Progress` events; an exception that it raises ends the work.
 
@@ -91,43 +96,44 @@ def warp(
     OutputError
         If a result cannot be written; those before it stay.
     """
-    finished = read_registration(registration)
-    sources = [os.fspath(raster) for raster in rasters]
-    inputs = [identify(source) for source in sources]
-    _tell_changed(inputs, finished, on_event)
-    request, made = _wishes(finished, grid, like, tr, te, t_srs, of, co)
-    places = warped_paths(sources, out_dir, output_raster, made.extension)
-    if finished.rpc is not None:
-        files = rpc_paths(sources, places, beside=output_raster is None)
-        _check_rpc(sources, files, request, made, overwrite)
-        how = resampling or finished.resampling
-        return warp_by_rpc(
-            sources,
-            files,
-            inputs,
-            finished.rpc,
-            OrthoOutput(finished.reference_grid, request, made, how),
-            overwrite=overwrite,
-            on_event=on_event,
-        )
-    _check(sources, places, finished, overwrite)
-    grids = _grids(sources, finished, request, made)
-    with stage_inside(places[0].parent) as stage:
-        for number, (source, place) in enumerate(zip(sources, places, strict=True)):
-            on_event(Progress("rasters", number, len(sources)))
-            staged = stage / place.name
-            warp_band(
-                source,
-                staged,
-                finished.correction,
-                finished.target_grid,
-                BandOutput(grids[number], resampling or finished.resampling, made, place),
-                on_event,
+    with trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
+        finished = read_registration(registration)
+        sources = [os.fspath(raster) for raster in rasters]
+        inputs = [identify(source) for source in sources]
+        _tell_changed(inputs, finished, on_event)
+        request, made = _wishes(finished, grid, like, tr, te, t_srs, of, co)
+        places = warped_paths(sources, out_dir, output_raster, made.extension)
+        if finished.rpc is not None:
+            files = rpc_paths(sources, places, beside=output_raster is None)
+            _check_rpc(sources, files, request, made, overwrite)
+            how = resampling or finished.resampling
+            return warp_by_rpc(
+                sources,
+                files,
+                inputs,
+                finished.rpc,
+                OrthoOutput(finished.reference_grid, request, made, how),
+                overwrite=overwrite,
+                on_event=on_event,
             )
-            check_unchanged(inputs[number])
-            place_with_files(staged, place, overwrite=overwrite)
-    on_event(Progress("rasters", len(sources), len(sources)))
-    return places
+        _check(sources, places, finished, overwrite)
+        grids = _grids(sources, finished, request, made)
+        with stage_inside(places[0].parent) as stage:
+            for number, (source, place) in enumerate(zip(sources, places, strict=True)):
+                on_event(Progress("rasters", number, len(sources)))
+                staged = stage / place.name
+                warp_band(
+                    source,
+                    staged,
+                    finished.correction,
+                    finished.target_grid,
+                    BandOutput(grids[number], resampling or finished.resampling, made, place),
+                    on_event,
+                )
+                check_unchanged(inputs[number])
+                place_with_files(staged, place, overwrite=overwrite)
+        on_event(Progress("rasters", len(sources), len(sources)))
+        return places
 
 
 def _tell_changed(

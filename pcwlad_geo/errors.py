@@ -13,6 +13,10 @@ class InputError(PcwladGeoError):
     exit_status = 2
 
 
+class TrustError(InputError):
+    """The input would make files or servers be opened that the user has not allowed."""
+
+
 class SettingsError(InputError):
     """An option has a value that makes no sense."""
 

@@ -19,6 +19,7 @@ from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.products import stem_of
 from pcwlad_geo.raster.source import file_name, plain_name
+from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.registration import settings as s
 from pcwlad_geo.registration.forecast import likely_tiles
 from pcwlad_geo.registration.inputs import band_file, resolve
@@ -76,6 +77,8 @@ class Options(TypedDict, total=False):
     require: str | Sequence[str]
     keep: bool
     tile_size: int
+    allow_remote: bool
+    trust_vrt: bool
     jobs: int | None
     scheduler: str | None
 
@@ -147,7 +150,8 @@ def register(
         output_points=output_points,
     )
     job = partial(_run, reference, target, settings, executor)
-    return _run_and_write(job, "register", (reference, target), settings, places, overwrite, on_event)
+    with trusting(settings.trust):
+        return _run_and_write(job, "register", (reference, target), settings, places, overwrite, on_event)
 
 
 def match(
@@ -179,7 +183,8 @@ def match(
         output_points=output_points,
     )
     job = partial(_run, reference, target, settings, executor, match_only=True)
-    return _run_and_write(job, "match", (reference, target), settings, places, overwrite, on_event)
+    with trusting(settings.trust):
+        return _run_and_write(job, "match", (reference, target), settings, places, overwrite, on_event)
 
 
 def output_paths(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -74,7 +75,7 @@ def write(
     gcps = staged["gcps"].name if "gcps" in kinds else None
     side = ThreadPoolExecutor(1)  # GDAL warps without Python's lock
     try:
-        drawing = side.submit(_draw, registration, summary, gcps, precision)
+        drawing = side.submit(copy_context().run, _draw, registration, summary, gcps, precision)
         writers = outputs.writers(registration, places, grids[0] if grids else None, tell)
         for done, kind in enumerate(kinds, start=1):
             writers[kind](staged[kind])

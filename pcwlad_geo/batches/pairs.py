@@ -54,7 +54,7 @@ def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -
     ----------
     table : path
         CSV with a header: `reference` and `target`, and any of the other `COLUMNS`. An empty cell is the
-        default. Relative paths start from the folder of the table.
+        default. Relative paths start from the folder of the table; outputs lie below it, or below `out_dir`.
     out_dir : path
         Where pairs without an `out_dir` of their own get theirs: ``<target stem>_registered``, with a
         number where that is taken.
@@ -65,13 +65,14 @@ def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -
     ------
     InputError
         If the table cannot be read, a column is unknown, a value makes no sense, two pairs have the same
-        `out_dir`, or there is no pair.
+        `out_dir`, an output lies elsewhere, or there is no pair.
     """
     path = Path(table)
     rows = list(_rows(path))
     if not rows:
         raise InputError(f"{path} holds no pairs: give a line for each, below the header")
     folder = Path(os.path.abspath(path)).parent  # noqa: PTH100  # resolve() would follow a symbolic link
+    _check_places(path, rows, folder, Path(out_dir))
     given = _given_folders(path, rows, folder)
     taken = {_key(place) for place in given.values()}
     pairs = []
@@ -126,6 +127,19 @@ def _columns(path: Path, header: list[str]) -> list[str]:
         if name not in columns:
             raise InputError(f"{path} has no column '{name}'")
     return columns
+
+
+def _check_places(path: Path, rows: list[tuple[int, dict[str, str]]], folder: Path, out_dir: Path) -> None:
+    """Raise where a table, which may be a stranger's, names outputs outside its own folder and OUT_DIR."""
+    allowed = (folder.resolve(), out_dir.resolve())
+    for line, cells in rows:
+        for name in ("out_dir", *PLACES):
+            place = (folder / cells[name]).resolve() if name in cells else allowed[0]
+            if not any(place.is_relative_to(own) for own in allowed):
+                raise InputError(
+                    f"{path}, line {line}: {name} {cells[name]} is neither below the table's folder {folder} "
+                    f"nor below OUT_DIR ({out_dir}): give a folder above it by -o, or another place"
+                )
 
 
 def _given_folders(path: Path, rows: list[tuple[int, dict[str, str]]], folder: Path) -> dict[int, Path]:

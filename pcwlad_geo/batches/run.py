@@ -19,6 +19,7 @@ from pcwlad_geo.batches.summary import (
 )
 from pcwlad_geo.errors import InputError, PcwladGeoError, RegistrationRejectedError, RequirementError
 from pcwlad_geo.raster.identity import FileIdentity, same
+from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.registration.inputs import Inputs, identify_inputs, resolve
 from pcwlad_geo.registration.option_values import RUNNING
 from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned, ignore
@@ -182,7 +183,8 @@ def _done_before(pair: Pair) -> PairOutcome | None:
     if status not in ("registered", "rejected"):
         return None
     try:
-        inputs = resolve(pair.reference, pair.target, pair.settings, all_bands=True)
+        with trusting(pair.settings.trust):
+            inputs = resolve(pair.reference, pair.target, pair.settings, all_bands=True)
     except InputError:  # the job itself tells
         return None
     if not _same_inputs(inputs, report):

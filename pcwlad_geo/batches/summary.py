@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from pcwlad_geo.batches.pairs import Pair
+from pcwlad_geo.csv_cells import cell
 from pcwlad_geo.disk import disk_errors, make_folders, seal
 from pcwlad_geo.errors import OutputError
 
@@ -115,7 +116,7 @@ def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
     """
     text = io.StringIO()
     rows = [outcome.row() for outcome in outcomes]
-    rows = [{name: _word(value) for name, value in row.items()} for row in rows]
+    rows = [{name: cell(_word(value)) for name, value in row.items()} for row in rows]
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)

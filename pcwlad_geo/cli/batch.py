@@ -47,6 +47,8 @@ def batch(
     keep: o.Keep = None,
     jobs: o.Jobs = None,
     scheduler: o.Scheduler = None,
+    allow_remote: o.AllowRemote = None,
+    trust_vrt: o.TrustVrt = None,
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
     config: o.Config = None,

@@ -35,6 +35,8 @@ def match(
     require: o.Require = None,
     jobs: o.Jobs = None,
     scheduler: o.Scheduler = None,
+    allow_remote: o.AllowRemote = None,
+    trust_vrt: o.TrustVrt = None,
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
     config: o.Config = None,

@@ -154,6 +154,19 @@ Scheduler = Annotated[
     _setting("scheduler", "Run the tiles on a dask cluster, tcp://host:port.", metavar="ADDRESS"),
 ]
 
+AllowRemote = Annotated[
+    bool | None,
+    typer.Option(
+        "--allow-remote", help="Read rasters over a network: URLs, /vsicurl/, /vsis3/ and the like."
+    ),
+]
+TrustVrt = Annotated[
+    bool | None,
+    typer.Option(
+        "--trust-vrt", help="Let rasters name files anywhere: VRTs of your own, HDF5, formats with labels."
+    ),
+]
+
 OutDir = Annotated[
     Path | None,
     typer.Option("-o", "--out-dir", metavar="OUT_DIR", help="Output folder.", show_default=False),

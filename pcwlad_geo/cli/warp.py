@@ -64,6 +64,8 @@ def warp(
     of: WarpFormat = None,
     co: o.Co = None,
     resampling: WarpResampling = None,
+    allow_remote: o.AllowRemote = None,
+    trust_vrt: o.TrustVrt = None,
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
     overwrite: Overwrite = False,
@@ -89,6 +91,8 @@ def warp(
             co=co,
             resampling=resampling,
             overwrite=overwrite,
+            allow_remote=bool(allow_remote),
+            trust_vrt=bool(trust_vrt),
             on_event=on_event,
         )
         paths = [str(path.absolute()) for path in written]

@@ -64,8 +64,8 @@ def write_envi(table: TiePointTable, path: Path, reference_name: str, target_nam
     used = table[table.status != "rejected"].placed
     lines = [
         "; ENVI Image to Image GCP File",
-        f"; base file: {reference_name}",
-        f"; warp file: {target_name}",
+        f"; base file: {_one_line(reference_name)}",
+        f"; warp file: {_one_line(target_name)}",
         "; Base Image (x,y), Warp Image (x,y)",
         ";",
     ]
@@ -76,6 +76,11 @@ def write_envi(table: TiePointTable, path: Path, reference_name: str, target_nam
 
 def _number(value: float) -> str:
     return f"{value + 0.0:.15g}"
+
+
+def _one_line(name: str) -> str:
+    """Return a file name without line breaks: what follows one would count as tie points."""
+    return "_".join(name.splitlines())
 
 
 def _write_lines(path: Path, lines: list[str]) -> None:

@@ -25,6 +25,7 @@ from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.metadata import usable_nodata
+from pcwlad_geo.raster.opening import open_own
 from pcwlad_geo.raster.quiet import ignoring
 from pcwlad_geo.raster.source import open_raster
 
@@ -106,7 +107,7 @@ def files_of(path: Path) -> list[Path]:
     """Return a raster's file and those that belong to it (headers, masks, metadata), in its folder."""
     if path.suffix.lower() == ".vrt":
         return [path]
-    with ignoring(NotGeoreferencedWarning), rasterio.open(path) as dataset:
+    with ignoring(NotGeoreferencedWarning), open_own(path) as dataset:
         found = [Path(name) for name in dataset.files]
     # a file of GDAL's own that it does not list
     found += [path.with_name(f"{path.name}.aux.xml")]
@@ -175,7 +176,7 @@ def _changed(path: Path, source: DatasetReader, grid: Grid) -> str | None:
     """Say what a file does not hold of what was written."""
     if not path.is_file():
         return "it writes no file"
-    with ignoring(NotGeoreferencedWarning), rasterio.open(path) as file:
+    with ignoring(NotGeoreferencedWarning), open_own(path) as file:
         if file.shape != grid.shape or (
             grid.crs is not None and not file.transform.almost_equals(grid.transform, 1e-6)
         ):

@@ -31,7 +31,7 @@ from pcwlad_geo.raster.output_grid import GridRequest, lay_out, output_lattice
 from pcwlad_geo.raster.output_size import snapped_size
 from pcwlad_geo.raster.rpc_files import to_gdal
 from pcwlad_geo.raster.rpc_grid import RpcGrid, footprint_px, lattice_px, levelled
-from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.raster.source import open_own_raster
 from pcwlad_geo.raster.unread import Block, filled
 from pcwlad_geo.raster.warped_blocks import MOST_THREADS
 from pcwlad_geo.raster.warping import COG, BlockRequest, Blocks, ProgressCallback, kernel, write_warped
@@ -187,7 +187,7 @@ def _blocks(
     }
     # GDAL takes the RPC from the metadata of what it reads, whatever it is told
     tree = vrt.with_rpc(source, to_gdal(target.rpc), mask_as_alpha=request.as_alpha)
-    with open_raster(ET.tostring(tree, encoding="unicode")) as seen:
+    with open_own_raster(ET.tostring(tree, encoding="unicode")) as seen:
         bands = rasterio.band(seen, list(range(1, count + 1)))
         nothing = filled([request.nodata or 0.0] * count, np.dtype(dtype))
 

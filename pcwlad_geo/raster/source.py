@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +22,7 @@ from pcwlad_geo.raster.file_tree import name_of_uri
 from pcwlad_geo.raster.gcp_grid import geotransform_of
 from pcwlad_geo.raster.grid import Grid, linear_part
 from pcwlad_geo.raster.mask_kinds import MaskKind, kind_of
+from pcwlad_geo.raster.opening import network_settings, open_for_reading, open_own
 from pcwlad_geo.raster.quiet import ignoring
 
 MOST_READ_PX: Final = 2**25
@@ -157,11 +158,29 @@ def mask_on_pixels(info: RasterInfo, mask_grid: Grid) -> bool:
 
 @contextmanager
 def open_raster(uri: str, **options: object) -> Iterator[DatasetReader]:
-    """Open a raster for reading, with GDAL on one thread; errors while opening become `InputError`."""
-    with rasterio.Env(GDAL_NUM_THREADS="1"):
+    """Open a raster for reading, with GDAL on one thread; errors while opening become `InputError`.
+
+    What a stranger's file may make GDAL open is in `opening`.
+    """
+    with _opened(open_for_reading, uri, options) as dataset:
+        yield dataset
+
+
+@contextmanager
+def open_own_raster(uri: str) -> Iterator[DatasetReader]:
+    """Open what this program has just made, as `open_raster` does, wherever the pixels are that it shows."""
+    with _opened(open_own, uri, {}) as dataset:
+        yield dataset
+
+
+@contextmanager
+def _opened(
+    opener: Callable[..., DatasetReader], uri: str, options: Mapping[str, object]
+) -> Iterator[DatasetReader]:
+    with rasterio.Env(GDAL_NUM_THREADS="1", **network_settings()):
         try:
             with ignoring(NotGeoreferencedWarning):
-                dataset = rasterio.open(uri, **options)
+                dataset = opener(uri, **options)
         except (RasterioError, OSError) as error:
             raise InputError(_why_not_opened(uri, error)) from error
         with dataset:
@@ -179,7 +198,10 @@ def _why_not_opened(uri: str, error: Exception) -> str:
         if path.is_file():
             if not os.access(path, os.R_OK):
                 return f"{uri} cannot be read: change its permissions"
-            return f"{uri} is not a raster that GDAL can read, or it is damaged: {_one_line(error)}"
+            reason = _one_line(error)
+            if "not recognized" in reason:
+                reason += " (formats whose files name other files are read with --trust-vrt only)"
+            return f"{uri} is not a raster that GDAL can read, or it is damaged: {reason}"
     except (OSError, ValueError):  # too long or odd for a path, as GDAL URIs may be
         pass
     if ":" in uri or uri.startswith("/vsi") or uri.startswith("<"):

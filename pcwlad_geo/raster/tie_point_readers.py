@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.errors import InputError, TrustError
+from pcwlad_geo.raster.source import open_own_raster, open_raster
+from pcwlad_geo.raster.vrt_names import gcps_alone
 
 Array = NDArray[np.float64]
 
@@ -208,10 +209,14 @@ def _name(path: str) -> str:
 
 def _read_gcps(path: str) -> PointFile:
     """Read the ground control points of a raster: pixel and line are those of the target."""
+    bare = gcps_alone(Path(path))
     try:
-        with open_raster(path) as dataset:
+        # its pixels are not wanted: what they are made of is not opened
+        with open_own_raster(bare) if bare else open_raster(path) as dataset:
             gcps, crs = dataset.gcps
             shape = dataset.shape
+    except TrustError:
+        raise
     except InputError as error:
         raise (_unknown(path) if Path(path).is_file() else error) from error
     if not gcps:

@@ -16,7 +16,7 @@ from rasterio.windows import Window
 
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster.output_format import raster_extensions
-from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.raster.source import open_own_raster
 
 _TEXTS: Final = (".csv", ".html", ".points", ".txt")
 """Suffixes of the texts that are written."""
@@ -56,7 +56,7 @@ def verify_output(path: Path) -> None:
 
 
 def _verify_raster(path: Path) -> None:
-    with open_raster(os.fspath(path)) as dataset:
+    with open_own_raster(os.fspath(path)) as dataset:
         for band, (block_rows, block_cols) in zip(dataset.indexes, dataset.block_shapes, strict=True):
             row = (dataset.height - 1) // block_rows * block_rows
             col = (dataset.width - 1) // block_cols * block_cols

@@ -7,6 +7,7 @@ import queue
 import threading
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager
+from contextvars import copy_context
 from itertools import groupby
 from typing import Any, Final
 
@@ -75,7 +76,10 @@ def warped_blocks(
             done.put(error)
 
     shares = [[window for row in rows[first::count] for window in row] for first in range(count)]
-    threads = [threading.Thread(target=read, args=(share,), daemon=True) for share in shares]
+    # each with what the user trusts here: threads do not inherit it
+    threads = [
+        threading.Thread(target=copy_context().run, args=(read, share), daemon=True) for share in shares
+    ]
     try:
         for thread in threads:
             thread.start()

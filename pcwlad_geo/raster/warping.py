@@ -32,7 +32,7 @@ from pcwlad_geo.raster.metadata import is_paletted
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import original_pixels
 from pcwlad_geo.raster.shared_plane import grid_beside
-from pcwlad_geo.raster.source import describe, open_raster
+from pcwlad_geo.raster.source import describe, open_own_raster, open_raster
 from pcwlad_geo.raster.unread import Block, Gaps
 from pcwlad_geo.raster.validity import fill, validity
 from pcwlad_geo.raster.warped_blocks import warped_blocks
@@ -248,7 +248,7 @@ def _view(
     options = _warp_options(source, own_px, out_px, method, step) | request.options()
     dense = dense_mapping(mapping, (0.0, 0.0), (cols, rows), tolerance_px=_DENSE_TOLERANCE_PX)
     path = os.fspath(write_dense_view(source, request.scratch, dense, options))
-    return lambda: open_raster(path)
+    return lambda: open_own_raster(path)
 
 
 def _affine_options(

@@ -10,6 +10,8 @@ from typing import Any, Final, TypeVar
 
 import rasterio.env
 
+from pcwlad_geo.raster.trust import Trust, trusting
+
 T = TypeVar("T")
 
 _FORWARDED: Final = re.compile(
@@ -35,13 +37,15 @@ def gdal_settings() -> dict[str, str]:
     return {**kept, "GDAL_NUM_THREADS": "1"}
 
 
-def in_environment(settings: Mapping[str, Any], function: Callable[..., T], arguments: tuple[Any, ...]) -> T:
-    """Do a task with these settings of GDAL, OpenCV on one thread."""
+def in_environment(
+    settings: Mapping[str, Any], trust: Trust, function: Callable[..., T], arguments: tuple[Any, ...]
+) -> T:
+    """Do a task with these settings of GDAL, opening rasters with this trust, OpenCV on one thread."""
     import cv2  # inside: slow to load, and workers may be started before
 
     if cv2.getNumThreads() != 1:
         cv2.setNumThreads(1)
-    with rasterio.Env(**settings):
+    with trusting(trust), rasterio.Env(**settings):
         return function(*arguments)
 
 

@@ -12,8 +12,9 @@ from pcwlad_geo.registration.settings import BAND_NAME, Settings
 
 SETTINGS: Final = tuple(field.name for field in fields(Settings))
 """Names of the options."""
-RUNNING: Final = ("jobs", "scheduler")
-"""Those that say where a job runs: its result does not depend on them."""
+RUNNING: Final = ("jobs", "scheduler", "allow_remote", "trust_vrt")
+"""Those that say where a job runs and what it may open: its result does not depend on them, and a table of
+pairs, which may be a stranger's, cannot set them."""
 WORDS: Final = {"points": "auto", "search_radius": "auto", "jobs": "all"}
 """How None is spelled where it is a choice of its own."""
 

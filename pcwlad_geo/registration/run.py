@@ -22,6 +22,7 @@ from pcwlad_geo.raster.rpc_view import Placed, plan_rpc_views
 from pcwlad_geo.raster.shared_plane import share_plane
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band
 from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.advice import refusal
 from pcwlad_geo.registration.fitting import Fitted, fit_correction
@@ -89,8 +90,18 @@ def run(
     InputError
         If the input cannot be used.
     """
-    log = JobLog(on_event)
-    runner = runner or InThisProcess()
+    with trusting(settings.trust):
+        return _run(reference, target, settings, JobLog(on_event), runner or InThisProcess(), match_only)
+
+
+def _run(
+    reference: PathLike,
+    target: PathLike,
+    settings: Settings,
+    log: JobLog,
+    runner: Runner,
+    match_only: bool,
+) -> Registration:
     with log.stage("reading"):
         inputs = resolve(reference, target, settings, all_bands=not match_only)
         settings = inputs.settings
@@ -129,7 +140,7 @@ def run(
     quality: Quality | None = None
     if verdict.accepted and not match_only:
         with log.stage("fitting"):
-            on_event(Progress("fitting", 0, 1))
+            log.on_event(Progress("fitting", 0, 1))
             footprint = settings.window * float(file_px_per_px(pair.target)[0])
             if settings.tie_points:
                 footprint = footprint_px(every, footprint)
@@ -138,7 +149,7 @@ def run(
             fitted = fit_correction(table, settings, footprint, sizes_m, tgt.grid.shape, candidates)
             places = _common_px(found.record, pair, tgt)
             quality = assess(fitted.table, every, fitted.selection, places, footprint)
-            on_event(Progress("fitting", 1, 1))
+            log.on_event(Progress("fitting", 1, 1))
         if quality.refusal and not settings.tie_points:
             verdict = replace(verdict, accepted=False, reason=quality.refusal)
             fitted = None

@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any, Final, TypeVar
 
 from pcwlad_geo.errors import ExecutionError
+from pcwlad_geo.raster.trust import current_trust
 from pcwlad_geo.registration.environment import gdal_settings, in_environment, one_opencv_thread
 from pcwlad_geo.registration.processes import Workers, available_cores, can_start_workers
 from pcwlad_geo.registration.progress import Event, EventCallback, Warned, ignore
@@ -71,10 +72,10 @@ class OnExecutor:
         affinity: Affinity | None = None,
     ) -> Ran[T]:
         """Call the function with each tuple of arguments; see `Runner`."""
-        settings = gdal_settings()
+        settings, trust = gdal_settings(), current_trust()
 
         def submit(index: int, _: int) -> Future[T]:
-            return self._executor.submit(in_environment, settings, function, calls[index])
+            return self._executor.submit(in_environment, settings, trust, function, calls[index])
 
         slots = min(self._in_flight, len(calls))
         try:
@@ -130,7 +131,7 @@ class OwnProcesses:
 
     def prepare(self, function: Callable[..., object], arguments: tuple[Any, ...]) -> None:
         """Call a function in every worker that is expected, without waiting for it."""
-        self._workers.prepare(in_environment, (gdal_settings(), function, arguments))
+        self._workers.prepare(in_environment, (gdal_settings(), current_trust(), function, arguments))
 
     def run(
         self,
@@ -145,10 +146,11 @@ class OwnProcesses:
         wanted = list(affinity) if affinity is not None else [None] * len(calls)
         if not self._wanted or (len(calls) == 1 and wanted[0] is None):
             return InThisProcess().run(function, calls, stage, on_event)
-        settings, crew = gdal_settings(), self._workers.at_least(self._wanted)
+        settings, trust = gdal_settings(), current_trust()
+        crew = self._workers.at_least(self._wanted)
 
         def submit(index: int, worker: int) -> Future[T]:
-            return crew[worker].submit(in_environment, (settings, function, calls[index]))
+            return crew[worker].submit(in_environment, (settings, trust, function, calls[index]))
 
         def tell(event: Event) -> None:
             self._tell_losses(on_event)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal, cast, get_args, get_origin, get_type_hints
 
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.raster.trust import Trust
 
 Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 Keypoints = Literal["cells", "strongest"]
@@ -99,6 +100,10 @@ class Settings:
     text. Kept as a tuple of texts."""
     keep: bool = False
     """Write the corrected files although a requirement is not met."""
+    allow_remote: bool = False
+    """Rasters that the user names may be read over a network."""
+    trust_vrt: bool = False
+    """Rasters may make GDAL open whatever they name, wherever it is (docs/security.md)."""
     tile_size: int = 1024
     """Core of a tile, matching-grid px (without its halo)."""
     jobs: int | None = None
@@ -132,7 +137,7 @@ class Settings:
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
         _check("ssim_min", self.ssim_min, real, "a number from -1 to below 1")
         object.__setattr__(self, "require", _texts("require", self.require))
-        for name in ("trust_rpc", "write_sigma", "pdf", "keep"):
+        for name in ("trust_rpc", "write_sigma", "pdf", "keep", "allow_remote", "trust_vrt"):
             value = getattr(self, name)
             _check(name, value, isinstance(value, bool), "true or false")
         _check_output(self)
@@ -145,6 +150,11 @@ class Settings:
             if get_origin(hint) is Literal:
                 value = getattr(self, name)
                 _check(name, value, value in get_args(hint), "one of " + ", ".join(get_args(hint)))
+
+    @property
+    def trust(self) -> Trust:
+        """What the rasters of the job may make GDAL open."""
+        return Trust(remote=self.allow_remote, vrt=self.trust_vrt)
 
     @property
     def files(self) -> tuple[Path | str, ...]:

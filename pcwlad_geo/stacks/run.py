@@ -14,6 +14,7 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
 from pcwlad_geo.raster.products import stem_of
 from pcwlad_geo.raster.source import plain_name
+from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.registration.runners import open_runner
 from pcwlad_geo.registration.settings import Settings
@@ -157,12 +158,14 @@ def qa(
         check_pdf()
     requirements = read_requirements(settings.require, preset)
     numbers = parse_bands(bands) if isinstance(bands, str) else bands
-    stack = with_native_px(list_bands(rasters, numbers, mask), native_px)
+    with trusting(settings.trust):
+        stack = with_native_px(list_bands(rasters, numbers, mask), native_px)
     base = find_band(stack, against) if against is not None else None
     planned = plan_pairs(stack, base)
     requirements = check_applicable(requirements, planned, base is None and len(stack) > 2)
-    inputs = _identify(stack)
-    with OutputFolder(qa_folder(rasters, out_dir), overwrite=overwrite, results=NAMES["numbers"]) as folder:
+    folder = OutputFolder(qa_folder(rasters, out_dir), overwrite=overwrite, results=NAMES["numbers"])
+    with trusting(settings.trust), folder:
+        inputs = _identify(stack)
         pairs = _measure(planned, settings, on_event, executor)
         triangles = close_triangles(stack, pairs, settings.window) if base is None else []
         verdicts = [

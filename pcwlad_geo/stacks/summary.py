@@ -10,6 +10,7 @@ from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Any, Final
 
 from pcwlad_geo.correction.error_statistics import ErrorStatistics
+from pcwlad_geo.csv_cells import cell
 from pcwlad_geo.report.statistics import rounded
 from pcwlad_geo.report.summary import plain, versions
 from pcwlad_geo.stacks.bands import Band
@@ -65,7 +66,7 @@ def summarise(result: QaResult, outputs: Sequence[str]) -> Summary:
 
 def to_csv(summary: Mapping[str, Any]) -> str:
     """Return the text of `qa.csv`: a line a pair; cells without a value are empty."""
-    rows = [_row(pair) for pair in summary["pairs"]]
+    rows = [{name: cell(value) for name, value in _row(pair).items()} for pair in summary["pairs"]]
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()

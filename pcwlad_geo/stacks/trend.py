@@ -13,6 +13,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final
 
+from pcwlad_geo.csv_cells import cell
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.progress import EventCallback, Progress, Warned, ignore
@@ -262,11 +263,7 @@ def _table(series: Sequence[Series]) -> str:
         for at in each.moments:
             writer.writerow(
                 [
-                    each.name,
-                    each.kind,
-                    at.date,
-                    at.dated_by,
-                    at.report,
+                    *map(cell, (each.name, each.kind, at.date, at.dated_by, at.report)),
                     at.n,
                     *at.mean_px,
                     at.ce90_px,

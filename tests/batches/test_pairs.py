@@ -117,3 +117,25 @@ def test_files_that_are_no_table(tmp_path: Path) -> None:
 def test_every_option_of_a_pair_is_a_column() -> None:
     assert {"reference", "target", "out_dir", "window", "ref_mask", "output_raster"} <= set(COLUMNS)
     assert not {"jobs", "scheduler"} & set(COLUMNS)
+
+
+@pytest.mark.parametrize("column", ["out_dir", "output_raster", "output_tiepoints", "output_report"])
+@pytest.mark.parametrize("place", ["/etc/results", "../elsewhere", "in/../../elsewhere", "link/results"])
+def test_outputs_stay_below_the_table_and_out_dir(tmp_path: Path, column: str, place: str) -> None:
+    folder = tmp_path / "of_a_stranger"
+    folder.mkdir()
+    (folder / "link").symlink_to(tmp_path)
+    text = f"reference,target,{column}\nr.tif,t.tif,{place}\n"
+    with pytest.raises(InputError, match=rf"line 2: {column} .*OUT_DIR"):
+        read(folder, text)
+    (folder / "pairs.csv").write_text(text.replace(place, "in/results"))
+    assert read_pairs(folder / "pairs.csv", "out", {})
+    inside = text.replace(place, str(tmp_path / "out" / "x"))
+    (folder / "pairs.csv").write_text(inside)
+    assert read_pairs(folder / "pairs.csv", tmp_path / "out", {})
+
+
+@pytest.mark.parametrize("name", ["trust_vrt", "allow-remote", "scheduler"])
+def test_a_table_cannot_set_what_is_trusted(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="is the same for all pairs"):
+        read(tmp_path, f"reference,target,{name}\nr.tif,t.tif,true\n")

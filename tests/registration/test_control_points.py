@@ -10,7 +10,7 @@ import rasterio
 from rasterio.control import GroundControlPoint
 
 import pcwlad_geo
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.errors import InputError, TrustError
 from tests.scenes import make_grid, render, write
 
 SMALL = {"template": 61, "window": 41, "features": 100}
@@ -57,9 +57,10 @@ def test_it_is_registered_and_warped(tmp_path: Path) -> None:
         reference, tmp_path / "out" / "tgt_registered.tif", out_dir=tmp_path / "again", **SMALL
     )
     assert np.abs(np.median(again.tie_points.select("fit", "check").displacement_px, axis=0)).max() < 0.05
-    corrected = pcwlad_geo.register(
-        reference, tmp_path / "out" / "tgt_corrected.vrt", out_dir=tmp_path / "vrt", **SMALL
-    )
+    text = tmp_path / "out" / "tgt_corrected.vrt"  # which shows a file beside its folder
+    with pytest.raises(TrustError, match=r"\.\./tgt\.tif.*--trust-vrt"):
+        pcwlad_geo.register(reference, text, out_dir=tmp_path / "vrt", **SMALL)
+    corrected = pcwlad_geo.register(reference, text, out_dir=tmp_path / "vrt", trust_vrt=True, **SMALL)
     left_px = np.median(corrected.tie_points.select("fit", "check").displacement_px, axis=0)
     assert np.abs(left_px).max() < 0.05
 

@@ -1,0 +1,57 @@
+"""Cells of CSV files are no formulas, whoever named files and bands."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcwlad_geo.batches.pairs import Pair
+from pcwlad_geo.batches.summary import PairOutcome, write_summary
+from pcwlad_geo.csv_cells import cell
+from pcwlad_geo.raster.gcp_files import write_envi
+from pcwlad_geo.raster.tie_point_readers import read_point_file
+from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.stacks.summary import to_csv
+
+FORMULAS = ["=1+1", "+1", "-cmd|' /C calc'!A0", "@SUM(A1)", "\t=1", "\r=1", "  =1", "＝1"]
+
+
+@pytest.mark.parametrize("text", FORMULAS)
+def test_text_like_a_formula(text: str) -> None:
+    assert cell(text) == f"'{text}"
+
+
+@pytest.mark.parametrize("value", [-1.5, 3, None, True, "b4.tif", "/data/-b4.tif", ""])
+def test_all_else_stays(value: object) -> None:
+    assert cell(value) is value
+
+
+def test_summary_of_a_batch(tmp_path: Path) -> None:
+    pair = Pair(2, "=1+1.tif", '=HYPERLINK("x").tif', tmp_path, Settings(), {})
+    write_summary(tmp_path / "summary.csv", [PairOutcome(pair, "unusable", "@reason")])
+    (row,) = csv.DictReader(io.StringIO((tmp_path / "summary.csv").read_text()))
+    assert (row["reference"], row["target"]) == ("'=1+1.tif", '\'=HYPERLINK("x").tif')
+    assert row["reason"] == "'@reason"
+
+
+def test_table_of_bands() -> None:
+    pair = {"reference": "=1+1", "target": "-b", "status": "refused", "passed": None, "n": 0, "rejected": 0}
+    (row,) = csv.DictReader(io.StringIO(to_csv({"pairs": [{**pair, "displacement": {}, "reason": "+why"}]})))
+    assert (row["reference"], row["target"], row["reason"]) == ("'=1+1", "'-b", "'+why")
+
+
+def test_a_file_name_adds_no_tie_points(tmp_path: Path) -> None:
+    points = np.array([[10.0, 20.0], [30.0, 5.0], [7.0, 8.0]])
+    table = TiePointTable(
+        *(points, points, points, points, np.zeros((3, 2)), np.zeros((3, 2, 2)), np.ones(3)),
+        np.zeros((3, 2)),
+        np.full(3, "fit"),
+        None,
+    )
+    write_envi(table, tmp_path / "t.pts", "a.tif\n1 2 3 4", "b\r\n5 6 7 8\x0b9 9 9 9.tif")
+    assert len(read_point_file(tmp_path / "t.pts").target) == 3
