@@ -185,9 +185,9 @@ def _done_before(pair: Pair) -> PairOutcome | None:
     try:
         with trusting(pair.settings.trust):
             inputs = resolve(pair.reference, pair.target, pair.settings, all_bands=True)
+            if not _same_inputs(inputs, report):
+                return None
     except InputError:  # the job itself tells
-        return None
-    if not _same_inputs(inputs, report):
         return None
     settings = {name: value for name, value in asdict(inputs.settings).items() if name not in RUNNING}
     before = {name: value for name, value in report["settings"].items() if name not in RUNNING}
