@@ -6,6 +6,8 @@ import re
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
+from rasterio._path import _parse_path
+
 Where = Literal["file", "archive", "memory", "network", "unknown"]
 
 _VSI: Final = re.compile(r"/vsi(?=([a-z0-9_]+))", re.IGNORECASE)
@@ -44,7 +46,8 @@ def destination(uri: str) -> Destination:
     if any(map(_NETWORK.fullmatch, handlers)) or "://" in uri[scheme.end() if scheme else 0 :]:
         return Destination("network", uri)
     if schemes:
-        return Destination("archive" if schemes <= _ARCHIVE_SCHEMES else "network", uri)
+        archive = schemes <= _ARCHIVE_SCHEMES
+        return destination(_parse_path(uri).as_vsi()) if archive else Destination("network", uri)
     if uri.startswith("/vsi"):
         return _in_virtual_file_system(uri, handlers)
     inside = _SUBDATASET.fullmatch(uri)

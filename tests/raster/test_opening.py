@@ -213,6 +213,9 @@ def test_in_archives(folder: Path, secret: Path) -> None:
         for name in ("leak.tif", "up.vrt", "b.tif"):
             with pytest.raises(TrustError, match="--trust-vrt"):
                 read(f"{archive}/{name}")
+    assert read(f"zip://{folder}/z.zip!ok.vrt") == read(f"tar://{folder}/z.tar!a.tif") == 7
+    with pytest.raises(TrustError, match="--trust-vrt"):
+        read(f"zip://{folder}/z.zip!leak.tif")
 
 
 def test_as_mask_dem_and_tie_points(folder: Path, secret: Path) -> None:

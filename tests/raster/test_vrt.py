@@ -23,6 +23,7 @@ from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.raster.trust import Trust, trusting
 
 UTM = CRS.from_epsg(32633)
 TRANSFORM = Affine(30.0, 0.0, 500_010.0, 0.0, -30.0, 4_900_020.0)
@@ -242,6 +243,7 @@ def test_targets_that_are_no_plain_tiff(tmp_path: Path) -> None:
     ):
         path = tmp_path / "out" / "c.vrt"
         path.parent.mkdir(exist_ok=True)
-        vrt.write_corrected_vrt(path, uri, CORRECTION, GRID, final_path=path)
+        with trusting(Trust(vrt=uri == inner)):
+            vrt.write_corrected_vrt(path, uri, CORRECTION, GRID, final_path=path)
         with rasterio.open(path) as dataset, rasterio.open(uri) as original:
             assert np.array_equal(dataset.read(), original.read()), uri
