@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from fuzz import faults
-from fuzz.faults import Ended, judge, numbers_to_try, state_of
+from fuzz.faults import Ended, damage_of, files_of, judge, numbers_to_try, state_of
 from tests.conftest import REPOSITORY
 from tests.patience import PATIENCE_S
 
@@ -59,6 +59,14 @@ def test_a_folder_between_old_and_new_is_recognised(tmp_path: Path) -> None:
     staged = folder(tmp_path / "staged", {"a": "old", "b": "old"})
     (staged / ".out.stage-host-1").mkdir()
     assert state_of(staged, old) == "left behind: .out.stage-host-1"
+
+
+def test_a_new_file_that_is_not_whole_is_recognised(tmp_path: Path) -> None:
+    new = folder(tmp_path / "new", {"a": "new", "b": "new"})
+    undisturbed = files_of(new)
+    assert damage_of(new, undisturbed) is None
+    (new / "out" / "b").write_text("ne")
+    assert damage_of(new, undisturbed) == "damaged: out/b"
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from pcwlad_geo.cli.progress import show_error
 from pcwlad_geo.cli.qa import qa
 from pcwlad_geo.cli.register import register
 from pcwlad_geo.cli.warp import warp
+from pcwlad_geo.errors import InputError
 
 app = typer.Typer(
     name="pcwlad-geo",
@@ -54,4 +55,7 @@ def run(arguments: Sequence[str]) -> int:
         return error.exit_code
     except typer.Abort:
         return 130
+    except MemoryError:  # before the work, or in telling its end
+        show_error("there is not enough memory: end other programs, or raise the limit (ulimit -v)")
+        return InputError.exit_status
     return status if isinstance(status, int) else 0

@@ -98,5 +98,9 @@ def to_png(figure: Figure) -> bytes:
     raw, made = io.BytesIO(), io.BytesIO()
     figure.savefig(raw, format="rgba")
     drawn = Image.frombytes("RGBA", figure.canvas.get_width_height(), raw.getvalue()).convert("RGB")
-    drawn.quantize(COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(made, "png")
+    try:
+        few = drawn.quantize(COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    except ValueError as error:  # Pillow's word for memory that it does not get: the picture itself is ours
+        raise MemoryError(str(error)) from error
+    few.save(made, "png")
     return made.getvalue()
