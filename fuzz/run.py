@@ -12,6 +12,8 @@ same mutants, whatever the jobs. The exit status is 1 if there are failures: see
 from __future__ import annotations
 
 import argparse
+import os
+import shutil
 import sys
 import tempfile
 import threading
@@ -34,6 +36,8 @@ from fuzz.table import Tally, summary
 
 DEFAULT_COUNT = 1000
 SAVED_OF_A_CLASS = 2
+ROOM_BYTES = 4 << 30
+"""What a folder in memory must have free."""
 Work = Callable[[ForkServer], tuple[str, Case, Outcome, list[Failure]]]
 
 
@@ -44,7 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     mutants = f"mutants of seed {asked.seed}"
     status = 0
     with ExitStack() as stack:
-        place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pcwlad-geo-fuzz-")))
+        made = tempfile.TemporaryDirectory(prefix="pcwlad-geo-fuzz-", dir=_quick_folder())
+        place = Path(stack.enter_context(made))
         servers = _start(stack, place, asked.jobs)
         if asked.replay:
             kept = [read_saved(folder) for folder in asked.replay]
@@ -82,6 +87,13 @@ def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--no-kept", action="store_true", help="leave out the kept inputs")
     parser.add_argument("--hostile", type=Path, default=HOSTILE, metavar="FOLDER", help="the kept inputs")
     return parser.parse_args(arguments)
+
+
+def _quick_folder() -> str | None:
+    """Return a folder in memory where there is room: files are synchronised with a disk in every run."""
+    memory = Path("/dev/shm")
+    usable = memory.is_dir() and os.access(memory, os.W_OK)
+    return str(memory) if usable and shutil.disk_usage(memory).free > ROOM_BYTES else None
 
 
 def _start(stack: ExitStack, place: Path, jobs: int) -> list[ForkServer]:
