@@ -60,11 +60,11 @@ def write_landsat(
     listed = {f"FILE_NAME_BAND_{n}": f"{name}_{band}.TIF" for n, band in zip(numbers_of, bands, strict=True)}
     listed |= {"FILE_NAME_QUALITY_L1_PIXEL": f"{name}_QA_PIXEL.TIF"}
     other = {"FILE_NAME_BAND_1": f"{name.replace('L2SP', 'L1TP').replace('_T1', '_RT')}_B1.TIF"}
-    (scene / f"{name}_MTL.{metadata}").write_text(_metadata(listed, other, metadata))
+    (scene / f"{name}_MTL.{metadata}").write_text(landsat_metadata(listed, other, metadata))
     return scene
 
 
-def _metadata(listed: dict[str, str], other: dict[str, str], kind: str) -> str:
+def landsat_metadata(listed: dict[str, str], other: dict[str, str], kind: str) -> str:
     groups = {"PRODUCT_CONTENTS": listed, "LEVEL1_PROCESSING_RECORD": other}
     if kind == "json":
         return json.dumps({"LANDSAT_METADATA_FILE": groups})
@@ -126,11 +126,11 @@ def write_safe(
         masks[0] = np.kron(np.eye(1), np.zeros(grid_of(60.0).shape))
         masks[0][tuple(slice(part.start // 3, part.stop // 3) for part in cloud)] = 1
     save(granule / "QI_DATA" / "MSK_CLASSI_B00.jp2", masks, grid_of(60.0))
-    (safe / f"MTD_MSI{level}.xml").write_text(_safe_metadata(level, listed, offset))
+    (safe / f"MTD_MSI{level}.xml").write_text(safe_metadata(level, listed, offset))
     return safe
 
 
-def _safe_metadata(level: str, listed: list[str], offset: int) -> str:
+def safe_metadata(level: str, listed: list[str], offset: int) -> str:
     images = "".join(f"<IMAGE_FILE>{name}</IMAGE_FILE>" for name in listed)
     tag, prefix = ("BOA_ADD_OFFSET", "BOA_") if level == "L2A" else ("RADIO_ADD_OFFSET", "")
     offsets = "".join(f'<{tag} band_id="{number}">{offset}</{tag}>' for number in range(13))

@@ -1,0 +1,162 @@
+"""Commands to run on the seeds, and which of their files are damaged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+MATCHING: Final = (
+    "--features",
+    "40",
+    "--window",
+    "41",
+    "--template",
+    "61",
+    "--jobs",
+    "1",
+    "--progress",
+    "none",
+)
+"""Small features: a pair of 96 px takes a second at most."""
+OUT: Final = "o"
+"""The output folder."""
+LANDSAT: Final = "LC08_L1TP_198030_20200809_20200918_02_T1"
+SENTINEL: Final = "S2B_MSIL2A_20230809T100559_N0509_R022_T32TQM_20230809T133200.zip"
+VARIATIONS: Final = (
+    ("--model", "affine"), ("--model", "tps"), ("--model", "polynomial"), ("--of", "VRT", "--model", "shift"),
+    ("--grid", "target"), ("--grid", "reference-exact", "--write-sigma"), ("--like", "ref.tif"),
+    ("--t-srs", "EPSG:4326"), ("--write-sigma",), ("--of", "GTiff"), ("--prealign", "search"),
+    ("--method", "gradient"),
+)  # fmt: skip
+"""Other options of register."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """A command that succeeds on undamaged seeds."""
+
+    name: str
+    weight: float
+    """How often it is taken, against the others."""
+    command: tuple[str, ...]
+    """Without the options of the matching and the output folder."""
+    victims: tuple[str, ...]
+    """The files of which one or more are damaged; none: the arguments."""
+    others: tuple[str, ...] = ()
+    """Files that it needs besides."""
+    out_dir: str = OUT
+
+    @property
+    def argv(self) -> tuple[str, ...]:
+        """The whole command."""
+        if self.command[0] in ("register", "match") or (
+            self.command[0] == "qa" and "--trend" not in self.command
+        ):
+            return (*self.command, "-o", self.out_dir, *MATCHING)
+        return (*self.command, "-o", self.out_dir, "--progress", "none")
+
+
+IMAGES: Final = ("strip.tif", "lzw16.tif", "float.tif", "big.tif", "bands.tif", "ovr.tif", "gcp.tif",
+                 "rotated.tif",
+                 "described.tif", "palette.tif", "j.jp2")  # fmt: skip
+VIRTUAL: Final = {
+    "plain.vrt": ("strip.tif",), "nested.vrt": ("plain.vrt", "strip.tif"), "many.vrt": ("bands.tif",),
+    "gcps.vrt": ("gcp.tif",), "warped.vrt": ("rotated.tif",), "derived.vrt": ("strip.tif",),
+    "raw.vrt": ("strip.tif",),
+}  # fmt: skip
+
+
+def _images() -> Iterator[Recipe]:
+    for image in IMAGES:
+        yield Recipe(f"match {image}", 2.2, ("match", "ref.tif", image), (image,), ("ref.tif",))
+        yield Recipe(f"register {image}", 0.5, ("register", "ref.tif", image), (image,), ("ref.tif",))
+        yield Recipe(f"reference {image}", 0.5, ("match", image, "ref.tif"), (image,), ("ref.tif",))
+        yield Recipe(f"qa {image}", 0.3, ("qa", "ref.tif", image), (image,), ("ref.tif",))
+        pair = ("ref.tif", "strip.tif")
+        yield Recipe(f"mask {image}", 0.15, ("match", *pair, "--tgt-mask", image), (image,), pair)
+        yield Recipe(f"like {image}", 0.15, ("register", *pair, "--like", image), (image,), pair)
+        yield Recipe(f"warp {image}", 0.3, ("warp", "done", image), (image,), ("done/report.json", *pair))
+
+
+def _virtual() -> Iterator[Recipe]:
+    for name, needed in VIRTUAL.items():
+        others = ("ref.tif", "mask.tif", "bands.tif", *needed)
+        yield Recipe(f"match {name}", 2.0, ("match", "ref.tif", name), (name,), others)
+        yield Recipe(f"register {name}", 0.6, ("register", "ref.tif", name), (name,), others)
+        yield Recipe(f"source of {name}", 0.3, ("match", "ref.tif", name), needed, ("ref.tif", name))
+    for name in ("gcps.vrt", "plain.vrt"):
+        command = ("register", "ref.tif", "strip.tif", "--tie-points", name, "--model", "shift")
+        yield Recipe(f"points of {name}", 0.6, command, (name,), ("ref.tif", "strip.tif", *VIRTUAL[name]))
+
+
+def _side_files() -> Iterator[Recipe]:
+    for image, beside in (("w.png", ("w.pgw", "w.png.aux.xml")), ("e.dat", ("e.hdr",)),
+                          ("strip.tif", ("strip.tif.aux.xml",))):  # fmt: skip
+        yield Recipe(f"beside {image}", 1.5, ("match", "ref.tif", image), beside, ("ref.tif", image))
+        yield Recipe(
+            f"warp {image}", 0.4, ("warp", "done", image), beside, ("done/report.json", "ref.tif", image)
+        )
+    for image, beside in (("beside.tif", ("beside_RPC.TXT",)), ("rpb.tif", ("rpb.RPB",)), ("rpc.tif", ())):
+        victims = (*beside, *((image,) if not beside else ()))
+        command = ("register", "ref.tif", image, "--dem", "dem.tif", "--dem-vertical", "45")
+        yield Recipe(f"RPC of {image}", 1.5, command, victims, ("ref.tif", image, "dem.tif"))
+        yield Recipe(f"RPC of {image}, no DEM", 1.0, ("match", "ref.tif", image), victims, ("ref.tif", image))
+    for dem in (("dem.tif",), ("heights.asc", "heights.prj")):
+        command = ("match", "ref.tif", "rpc.tif", "--dem", dem[0], "--dem-vertical", "45")
+        yield Recipe(f"DEM {dem[0]}", 1.0, command, dem, ("ref.tif", "rpc.tif"))
+
+
+def _points() -> Iterator[Recipe]:
+    pair = ("ref.tif", "strip.tif")
+    for name in ("qgis.points", "tiepoints.csv", "envi.pts"):
+        command = ("register", *pair, "--tie-points", name, "--model", "shift")
+        yield Recipe(f"points of {name}", 2.0, command, (name,), pair)
+
+
+def _products() -> Iterator[Recipe]:
+    for ending in (".tar", ".tar.gz", ".zip"):
+        name = LANDSAT + ending
+        yield Recipe(
+            f"match *{ending}", 2.0, ("match", "ref.tif", name, "--tgt-band", "B10"), (name,), ("ref.tif",)
+        )
+        yield Recipe(f"qa *{ending}", 0.5, ("qa", f"{name}:B4,B10"), (name,))
+    command = ("match", "ref.tif", SENTINEL, "--tgt-band", "B04")
+    yield Recipe("match SAFE.zip", 1.5, command, (SENTINEL,), ("ref.tif",))
+    yield Recipe("qa SAFE.zip", 0.4, ("qa", SENTINEL), (SENTINEL,))
+
+
+def _finished() -> Iterator[Recipe]:
+    pair, report = ("ref.tif", "strip.tif"), "done/report.json"
+    yield Recipe("warp by a report", 1.5, ("warp", "done", "strip.tif"), (report,), pair)
+    yield Recipe("trend of reports", 0.8, ("qa", "--trend", "done"), (report,))
+    again = ("match", *pair, "--overwrite")
+    yield Recipe("overwrite", 0.5, again, (report,), pair, out_dir="done")
+    batch = ("batch", "pairs.csv", "--config", "small.toml")
+    yield Recipe("batch", 2.0, batch, ("pairs.csv",), (*pair, "lzw16.tif", "small.toml"))
+    yield Recipe("batch, done before", 0.5, ("batch", "done.csv"), (report,), ("done.csv", *pair))
+    config = ("register", *pair, "--config", "job.toml")
+    yield Recipe("config", 2.0, config, ("job.toml",), pair)
+
+
+def _arguments() -> Iterator[Recipe]:
+    pair = ("ref.tif", "strip.tif")
+    yield Recipe("arguments of register", 4.0, ("register", *pair), (), pair)
+    yield Recipe("arguments of match", 2.0, ("match", *pair), (), pair)
+    yield Recipe("arguments of RPC", 1.0, ("match", "ref.tif", "rpc.tif", "--dem", "dem.tif"), (),
+                 ("ref.tif", "rpc.tif", "dem.tif"))  # fmt: skip
+    yield Recipe("arguments of qa", 1.0, ("qa", *pair), (), pair)
+    yield Recipe("arguments of warp", 2.0, ("warp", "done", "strip.tif"), (), ("done/report.json", *pair))
+    yield Recipe("arguments of batch", 0.3, ("batch", "pairs.csv", "--config", "small.toml"), (),
+                 ("pairs.csv", "lzw16.tif", "small.toml", *pair))  # fmt: skip
+
+
+RECIPES: Final = (
+    *_images(),
+    *_virtual(),
+    *_side_files(),
+    *_points(),
+    *_products(),
+    *_finished(),
+    *_arguments(),
+)

@@ -1,0 +1,78 @@
+"""What a command must not do is noticed: each is planted in a fork server, run and judged like a real one."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from fuzz.cases import Case
+from fuzz.fork_server import ForkServer
+from fuzz.judge import plain
+from fuzz.orders import Limits
+from tests.patience import PATIENCE_S
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the fork server needs Linux")
+
+MEMORY_MB = 400
+PLANTED = {
+    "hang": ["hang"],
+    "crash": ["signal 11"],
+    "memory": ["memory"],
+    "unexpected": ["exit 1: error: unexpected ValueError: N (--debug shows where)"],
+    "escaped exception": ["exit 1: ValueError: not caught", "traceback: ValueError: not caught"],
+    "noise": ["noise: ERROR N: TIFFReadDirectory:Failed"],
+    "two errors": ["2 error lines: exit 2"],
+    "no reason": ["0 error lines: exit 2"],
+    "control": ["control characters on stderr: error: ?…"],
+    "refused with files": ["files of a run that is refused: .html"],
+    "nothing written": ["partial: report.json is missing"],
+    "partial": ["partial: report.json names .tif that is missing"],
+    "cut off": ["partial: report.json cannot be read: "],
+    "other status": ["status: exit 0 and rejected in report.json"],
+    "stage": ["left behind: .o.stage-"],
+    "lock": ["left behind: .o.lock"],
+    "temporary": ["left behind: F"],
+    "beside": ["written beside the input: .xml"],
+    "above": ["written beside the input: .tif"],
+    "changed": ["input changed: .tif"],
+    "removed": ["input removed: .tif"],
+    "orphan": ["processes left"],
+}
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ForkServer]:
+    with ForkServer(tmp_path_factory.mktemp("server"), "tests.fuzz.planted_server") as started:
+        yield started
+
+
+def planted(server: ForkServer, what: str) -> list[str]:
+    """Run what is planted; return the classes of its failures."""
+    case = Case(what, ("match", "r.tif", "t.tif", what), {"r.tif": b"reference", "t.tif": b"target"})
+    # what hangs is ended soon, everything else may take as long as the machine needs
+    limits = Limits(1.0 if what == "hang" else PATIENCE_S, MEMORY_MB)
+    return sorted(failure.label for failure in server.run(case, limits)[1])
+
+
+@pytest.mark.parametrize("what", PLANTED)
+def test_what_is_planted_is_noticed(server: ForkServer, what: str) -> None:
+    found = planted(server, what)
+    assert len(found) == len(PLANTED[what])
+    assert all(
+        label.startswith(expected.rstrip("…")) for label, expected in zip(found, PLANTED[what], strict=True)
+    ), found
+
+
+def test_an_orderly_run_is_no_failure_and_leaves_the_server_usable(server: ForkServer) -> None:
+    assert planted(server, "orderly") == []
+    assert planted(server, "crash") != []
+    assert planted(server, "orderly") == []
+
+
+def test_messages_of_one_cause_are_one_class() -> None:
+    first = "error: unexpected IndexError: index 1177 is out of bounds for a/b.tif (--debug shows where)"
+    second = "error: unexpected IndexError: index -2.5e9 is out of bounds for /x/y.vrt (--debug shows where)"
+    assert plain(first) == plain(second)
+    assert plain(first) != plain(first.replace("IndexError", "ValueError"))
