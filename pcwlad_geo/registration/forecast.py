@@ -11,10 +11,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-import rasterio
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
-
-from pcwlad_geo.raster.quiet import ignoring
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.source import open_raster
 from pcwlad_geo.registration.settings import Settings
 
 ONE_TILE: Final = 1.3
@@ -37,9 +35,9 @@ def likely_tiles(
     if not (Path(reference).is_file() and Path(target).is_file()):
         return 0
     shapes = []
-    with suppress(RasterioError, OSError), ignoring(NotGeoreferencedWarning):
+    with suppress(InputError):
         for path in (reference, target):
-            with rasterio.open(path) as dataset:
+            with open_raster(os.fspath(path)) as dataset:
                 shapes.append(dataset.shape)
         least = map(min, zip(*shapes, strict=True))
         return math.prod(tiles_along(length, settings.tile_size) for length in least)
