@@ -41,7 +41,7 @@ GRID_PX: Final = 2**34
 """Pixels of an output grid: a square of 131,072 px."""
 GRID_TIMES: Final = 64
 """Pixels of an output grid per pixel of the rasters that it is made from."""
-GRID_LEAST_PX: Final = 2**26
+GRID_LEAST_PX: Final = 2**28
 """Pixels that an output grid may always have."""
 UNREAD_PARTS: Final = 500
 """Parts of a damaged file that are tried one by one before it is given up."""

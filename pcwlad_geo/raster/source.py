@@ -234,11 +234,9 @@ def _has_transform(dataset: DatasetReader) -> bool:
     """Whether there is a geotransform that says something and can be inverted."""
     transform = dataset.transform
     matrix = linear_part(transform)
-    return (
-        transform != Affine.identity()
-        and bool(np.isfinite([*transform]).all())
-        and bool(np.linalg.det(matrix) != 0.0)
-    )
+    if transform == Affine.identity() or not np.isfinite([*transform]).all() or not matrix.any():
+        return False
+    return bool(np.linalg.det(matrix / np.abs(matrix).max()) != 0.0)  # squares of huge numbers are infinite
 
 
 def _grid_of(uri: str, dataset: DatasetReader) -> tuple[Grid, float | None]:
