@@ -67,6 +67,8 @@ UNPACKED_BYTES: Final = 2**30
 """Bytes of an archive that it may unpack to however well it is packed."""
 UNPACKED_RATIO: Final = 200
 """Times its size that a larger archive may unpack to: images unpack to two or three times."""
+NAME_BYTES: Final = 255
+"""Bytes of a name of a file or folder, on all common file systems."""
 LATITUDE: Final = 90.0
 """Degrees; a pixel may be centred on the pole."""
 RPC_LIMITS: Final = {

@@ -18,7 +18,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo import limits
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.errors import ExecutionError, InputError, SettingsError
+from pcwlad_geo.errors import ExecutionError, InputError, OutputError, SettingsError
 from pcwlad_geo.input_files import read_bytes
 from pcwlad_geo.raster.antimeridian import moved_beside
 from pcwlad_geo.raster.boundary import explained
@@ -33,6 +33,7 @@ from pcwlad_geo.raster.view import View
 from pcwlad_geo.registration.cluster import LOST_AFTER_S, TOLD_AFTER_S, WorkerWatch
 from pcwlad_geo.registration.progress import Event, Warned
 from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.workflow import register
 from tests.cli.process import run_cli
 
 UTM = CRS.from_epsg(32633)
@@ -268,6 +269,14 @@ def test_names_that_gdal_cannot_take_are_told(tmp_path: Path) -> None:
     tiff(tmp_path / "a.tif").rename(tmp_path / name)
     with pytest.raises(InputError, match="is not UTF-8"):
         describe(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("a" * 250 + ".tif", "a name of 261 bytes"), (os.fsdecode(b"\xff.tif"), "not UTF-8")]
+)
+def test_outputs_of_impossible_names_are_told(name: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=words):
+        register(tiff(tmp_path / "ref.tif"), tmp_path / name)
 
 
 def test_the_last_boundary_names_the_cause(tmp_path: Path) -> None:
