@@ -347,7 +347,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--once", action="store_true", help="not the runs in which all later calls fail too")
     wanted = parser.parse_args(arguments)
     if find_compiler() is None:
-        print("faults: no C compiler here, or not Linux: nothing was tried")  # noqa: T201
+        print("faults: no C compiler here, or not Linux: nothing was tried")
         return 0
     with work_folder() as folder:
         if PRELOADED not in os.environ:
@@ -356,18 +356,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             order = [sys.executable, __file__, *(sys.argv[1:] if arguments is None else arguments)]
             return subprocess.run(order, env={**environment, "PYTHONPATH": places}, check=False).returncode
         load_everything()
-        print(HEADER, flush=True)  # noqa: T201
+        print(HEADER, flush=True)
         violations: list[str] = []
         for command in wanted.command or ["register"]:
             job = make_job(command, folder / command)
             for kind in wanted.kind or KINDS:
                 for for_ever in (False,) if wanted.once else (False, True):
                     tried = try_kind(command, job, kind, folder / command, wanted.every, for_ever=for_ever)
-                    print(tried.row(), flush=True)  # noqa: T201
+                    print(tried.row(), flush=True)
                     for violation in tried.violations:
-                        print(f"  {violation}", flush=True)  # noqa: T201
+                        print(f"  {violation}", flush=True)
                     violations += tried.violations
-    print(f"{len(violations)} violations")  # noqa: T201
+    print(f"{len(violations)} violations")
     return 1 if violations else 0
 
 

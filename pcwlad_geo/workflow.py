@@ -14,6 +14,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Literal, TypedDict
 
 from pcwlad_geo.errors import OutputError, RegistrationRejectedError, RequirementError
+from pcwlad_geo.limits import NAME_BYTES
 from pcwlad_geo.output_names import CORRECTED, NAMES
 from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.output_format import OutputFormat
@@ -324,6 +325,22 @@ def _preloading(on_event: EventCallback) -> EventCallback:
     return tell
 
 
+def _check_name(place: Path) -> None:
+    """Raise where no file of this name can be made, or GDAL cannot make it."""
+    try:
+        sizes = [len(part.encode()) for part in place.parts]
+    except UnicodeEncodeError as error:
+        raise OutputError(
+            f"the output {str(place)!r} has a name that is not UTF-8, which GDAL needs: rename the target, "
+            "or give another folder (-o)"
+        ) from error
+    if max(sizes) > NAME_BYTES:
+        raise OutputError(
+            f"the output {place} has a name of {max(sizes)} bytes, and at most {NAME_BYTES} are possible: "
+            "give the target a shorter name, or another folder (-o)"
+        )
+
+
 def _check_places(
     places: Mapping[str, Path],
     elsewhere: Mapping[str, Path],
@@ -331,6 +348,8 @@ def _check_places(
     overwrite: bool,
 ) -> None:
     """Raise where an output would replace an input, or a file that may not be replaced."""
+    for place in places.values():
+        _check_name(place)
     files = [Path(file) for file in inputs if file is not None and Path(file).exists()]
     for place in places.values():
         if place.exists() and any(place.samefile(file) for file in files):

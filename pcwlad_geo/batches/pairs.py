@@ -6,10 +6,13 @@ import csv
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.input_files import check_regular
+from pcwlad_geo.limits import BATCH_ROWS, check_count
 from pcwlad_geo.registration.option_values import RUNNING, SETTINGS, to_setting
 from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.requirements import parse_requirements
@@ -68,7 +71,9 @@ def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -
         `out_dir`, an output lies elsewhere, or there is no pair.
     """
     path = Path(table)
-    rows = list(_rows(path))
+    check_regular(path)
+    rows = list(islice(_rows(path), BATCH_ROWS + 1))
+    check_count(str(path), len(rows), BATCH_ROWS, "pairs")
     if not rows:
         raise InputError(f"{path} holds no pairs: give a line for each, below the header")
     folder = Path(os.path.abspath(path)).parent  # noqa: PTH100  # resolve() would follow a symbolic link

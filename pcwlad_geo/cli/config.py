@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.input_files import read_text
 from pcwlad_geo.registration.option_values import SETTINGS, to_setting
 
 if sys.version_info >= (3, 11):
@@ -45,7 +46,7 @@ def _is_given(value: object) -> bool:
 def read_config(path: Path) -> dict[str, object]:
     """Read a TOML file of options; dashes in names become underscores."""
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(read_text(path))
     except OSError as error:
         raise SettingsError(f"cannot read config file {path}: {error.strerror}") from error
     except ValueError as error:  # no TOML, or no UTF-8

@@ -135,6 +135,12 @@ def _report_error(error: Exception, report: Reporter) -> int:
     if isinstance(error, PcwladGeoError):
         report.error(str(error), {"exit_status": error.exit_status, **_rejection(error)})
         return error.exit_status
+    from pcwlad_geo.raster.boundary import explained  # only now: it loads GDAL
+
+    known = explained(error)
+    if known is not None:
+        report.error(str(known), {"exit_status": known.exit_status})
+        return known.exit_status
     # the last line of defence: one line instead of a traceback
     message = f"unexpected {type(error).__name__}: {one_line(error)} (--debug shows where)"
     report.error(message, {"exit_status": UNEXPECTED})

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import lzma
 import os
 import re
 import tarfile
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
-from typing import Final
+from typing import IO, Final
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.input_files import read_bytes
+from pcwlad_geo.limits import MEMBERS, TEXT_BYTES, check_count, check_unpacked
 
 _ZIP: Final = (".zip",)
 _TAR: Final = (".tar", ".tar.gz", ".tgz")
 DEEPEST: Final = 6
 """Levels of folders that are looked into."""
+_DAMAGED: Final = (
+    *(OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zlib.error, lzma.LZMAError),
+    *(zipfile.BadZipFile, tarfile.TarError),
+)
+"""What Python's readers of archives raise for those that are damaged, encrypted or packed in another way."""
 _SUBFILE: Final = re.compile(r"/vsisubfile/\d+_\d+_(?P<name>[^/,]+),.*", re.DOTALL)
 """A file inside an archive by its place: GDAL passes over the name, which is there for us."""
 
@@ -53,8 +62,8 @@ class FileTree:
             If it cannot be read.
         """
         try:
-            data = _member(_Archive.of(self.path), name) if self.prefix else (self.path / name).read_bytes()
-        except (OSError, KeyError, zipfile.BadZipFile, tarfile.TarError, EOFError) as error:
+            data = _member(_Archive.of(self.path), name) if self.prefix else read_bytes(self.path / name)
+        except (KeyError, *_DAMAGED) as error:
             raise InputError(f"{name} of {self.path} cannot be read: {error}") from error
         return data.decode("utf-8", errors="replace")
 
@@ -77,7 +86,7 @@ def tree_of(path: Path) -> FileTree:
             return FileTree(path, tuple(sorted(_below(path, DEEPEST))))
         archive = _Archive.of(path)
         return FileTree(path, tuple(sorted(_members(archive))), "/vsizip" if archive.zipped else "/vsitar")
-    except (OSError, zipfile.BadZipFile, tarfile.TarError, EOFError) as error:
+    except _DAMAGED as error:
         raise InputError(f"{path} cannot be read: it may be damaged ({error})") from error
 
 
@@ -98,6 +107,11 @@ class _Archive:
     def zipped(self) -> bool:
         return self.path.name.lower().endswith(_ZIP)
 
+    @property
+    def unpacks(self) -> bool:
+        """Whether it is longer once unpacked."""
+        return not self.path.name.lower().endswith(".tar")
+
 
 @dataclass(frozen=True, slots=True)
 class _Member:
@@ -115,13 +129,19 @@ def _members(archive: _Archive) -> Mapping[str, _Member]:
     """Return the files of an archive by the names that GDAL has for them."""
     if archive.zipped:
         with zipfile.ZipFile(archive.path) as file:
-            return {name: _Member(name) for name in file.namelist() if _counts(name)}
+            held = file.infolist()
+            check_count(str(archive.path), len(held), MEMBERS, "files")
+            check_unpacked(str(archive.path), sum(each.file_size for each in held), archive.size)
+            return {each.filename: _Member(each.filename) for each in held if _counts(each.filename)}
+    members: dict[str, _Member] = {}
     with tarfile.open(archive.path) as tar:
-        return {
-            member.name.removeprefix("./"): _Member(member.name, _place(member))
-            for member in tar
-            if member.isfile() and _counts(member.name)
-        }
+        for number, member in enumerate(tar, start=1):
+            check_count(str(archive.path), number, MEMBERS, "files")
+            if archive.unpacks:  # before what follows is unpacked
+                check_unpacked(str(archive.path), member.offset_data + member.size, archive.size)
+            if member.isfile() and _counts(member.name):
+                members[member.name.removeprefix("./")] = _Member(member.name, _place(member))
+    return members
 
 
 def _place(member: tarfile.TarInfo) -> str | None:
@@ -132,11 +152,20 @@ def _place(member: tarfile.TarInfo) -> str | None:
 @lru_cache(maxsize=16)
 def _member(archive: _Archive, name: str) -> bytes:
     if archive.zipped:
-        with zipfile.ZipFile(archive.path) as file:
-            return file.read(name)
+        with zipfile.ZipFile(archive.path) as file, file.open(name) as member:
+            return _small(member, name)
     with tarfile.open(archive.path) as tar:
-        member = tar.extractfile(_members(archive)[name].stored)
-        return member.read() if member else b""
+        found = tar.extractfile(_members(archive)[name].stored)
+        return _small(found, name) if found else b""
+
+
+def _small(member: IO[bytes], name: str) -> bytes:
+    data = member.read(TEXT_BYTES + 1)
+    if len(data) > TEXT_BYTES:
+        raise InputError(
+            f"{name} unpacks to more than {TEXT_BYTES} bytes, and at most so many are read: get it again"
+        )
+    return data
 
 
 def _counts(name: str) -> bool:

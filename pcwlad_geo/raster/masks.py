@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, MaskFlags, Resampling
-from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.gdal import GDAL_ERRORS
 from pcwlad_geo.raster.mask_kinds import accepted, bands_of
 from pcwlad_geo.raster.source import RasterInfo, mask_on_pixels, open_raster
 from pcwlad_geo.raster.windows import Window
@@ -59,8 +59,8 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
         return np.ones(window.shape, dtype=bool)
     file_window = FileWindow(window.col, window.row, window.cols, window.rows)
     bands = list(bands_of(info.mask_kind))
-    try:
-        with open_raster(info.mask_uri) as dataset:
+    with open_raster(info.mask_uri) as dataset:
+        try:
             if mask_on_pixels(info, info.mask_grid):
                 values = dataset.read(bands, window=file_window)
                 inside = valid_in_file(dataset, bands[0], values[0], file_window)
@@ -78,10 +78,10 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
             ) as warped:
                 inside = warped.read(warped.count, window=file_window) != 0
                 return np.asarray(inside & accepted(info.mask_kind, warped.read(bands, window=file_window)))
-    except RasterioError as error:
-        raise InputError(
-            f"the mask {info.mask_uri} cannot be read: it may be truncated or corrupt ({error})"
-        ) from error
+        except GDAL_ERRORS as error:
+            raise InputError(
+                f"the mask {info.mask_uri} cannot be read: it may be truncated or corrupt ({error})"
+            ) from error
 
 
 def _equals(values: NDArray[np.generic], nodata: float | None) -> Bool:

@@ -9,6 +9,7 @@ import shapely
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.limits import check_pixel_ratio
 from pcwlad_geo.raster.crs import name_of, transform_xy, transformation_warnings
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
@@ -67,6 +68,8 @@ def plan_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
         return _plan_by_pixels(reference, target)
     warnings = transformation_warnings(reference.grid.crs, target.grid.crs)
     common = _overlap(reference, target)
+    steps = jacobian(_centre(common), reference.grid, target.grid)[0]
+    check_pixel_ratio(reference.uri, target.uri, np.linalg.svd(steps, compute_uv=False).tolist())
     own = _plan_own_pixels(reference, target, common, warnings)
     return own or _plan_resampled(reference, target, common, warnings)
 

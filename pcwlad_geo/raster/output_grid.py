@@ -14,6 +14,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.limits import check_grid
 from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.raster.grid import Grid, linear_part, map_px
 from pcwlad_geo.raster.output_size import pixel_sizes
@@ -102,7 +103,13 @@ def output_grids(
     lattice = output_lattice(reference_grid, request)
     boxes = [_footprint(own, target_grid, correction, lattice) for own in (target_grid, *rasters)]
     sizes = pixel_sizes(lattice, reference_grid, target_grid, rasters)
-    return lay_out(lattice, request, boxes, sizes)
+    grids = lay_out(lattice, request, boxes, sizes)
+    made_from_px = sum(
+        float(each.shape[0]) * each.shape[1] for each in (reference_grid, target_grid, *rasters)
+    )
+    for grid in grids:
+        check_grid("the output grid", grid.shape[::-1], made_from_px)
+    return grids
 
 
 def output_lattice(reference: Grid, request: GridRequest) -> Grid:

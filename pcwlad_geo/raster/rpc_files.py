@@ -15,6 +15,8 @@ from rasterio.io import DatasetReader
 
 from pcwlad_geo.correction.rpc_model import TERMS, RpcModel
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.input_files import read_text
+from pcwlad_geo.limits import check_rpc
 from pcwlad_geo.raster.source import open_raster
 
 Array = NDArray[np.float64]
@@ -207,7 +209,7 @@ def parse_rpc_text(path: Path) -> RpcModel:
         If it is none, or something is missing.
     """
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = read_text(path, errors="replace")
     except OSError as error:
         raise InputError(f"the RPC file {path} cannot be read: {error.strerror}") from error
     values = _rpb(text) if path.suffix.upper() == ".RPB" else _rpc_txt(text)
@@ -277,6 +279,9 @@ def _model(values: Mapping[str, Any], origin: str) -> RpcModel:
         )
     items: dict[str, Any] = {name: float(values[name]) for name in NUMBERS}
     items |= {name: tuple(values[name]) for name in POLYNOMIALS}
+    for name, value in items.items():
+        for number in value if isinstance(value, tuple) else (value,):
+            check_rpc(origin, name, number)
     return RpcModel(**items)
 
 

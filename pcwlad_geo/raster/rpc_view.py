@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.limits import check_grid, check_pixel_ratio
 from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.raster.dem import ConstantHeight, Dem
 from pcwlad_geo.raster.dem_vertical import Vertical, open_dem
@@ -123,7 +124,10 @@ def plan_rpc_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
     if common.area < 1.0:
         raise InputError(_no_overlap(reference, target, ground, outline))
     centre = np.array([[common.centroid.x, common.centroid.y]])
-    size = np.sqrt(abs(np.linalg.det(jacobian(centre, ground, levelled(target.grid))[0])))
+    steps = jacobian(centre, ground, levelled(target.grid))[0]
+    if np.isfinite(steps).all():
+        check_pixel_ratio(reference.uri, target.uri, np.linalg.svd(steps, compute_uv=False).tolist())
+    size = np.sqrt(abs(np.linalg.det(steps)))
     coarser = _coarser(ground, 1.0 / float(size)) if np.isfinite(size) and size < _FINER else ground
     own = View(reference, coarser, "none" if coarser is reference.grid else "cubic")
     scale = np.array([coarser.shape[1] / cols, coarser.shape[0] / rows])
@@ -161,6 +165,9 @@ def ground_grid(grid: Grid) -> Grid:
     size = float(f"{size:.1e}")
     left, top, right, bottom = (np.array(outline.bounds) / size).tolist()
     low, high = np.floor([left, top]), np.ceil([right, bottom])
+    check_grid(
+        "the raster laid on the ground by its RPC", (high - low).tolist(), grid.shape[0] * grid.shape[1]
+    )
     cols, rows = (high - low).astype(int).tolist()
     x, y = (low * size).tolist()
     return Grid((rows, cols), Affine(size, 0.0, x, 0.0, -size, -y), grid.crs)

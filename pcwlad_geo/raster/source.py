@@ -13,10 +13,13 @@ from typing import Final
 import numpy as np
 import rasterio
 from affine import Affine
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.input_files import check_regular
+from pcwlad_geo.limits import check_coordinates, check_gcp_misfit, check_geotransform, check_latitudes
+from pcwlad_geo.raster.boundary import LIBRARY_ERRORS, reading
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
 from pcwlad_geo.raster.file_tree import name_of_uri
 from pcwlad_geo.raster.gcp_grid import geotransform_of
@@ -24,6 +27,7 @@ from pcwlad_geo.raster.grid import Grid, linear_part
 from pcwlad_geo.raster.mask_kinds import MaskKind, kind_of
 from pcwlad_geo.raster.opening import network_settings, open_for_reading, open_own
 from pcwlad_geo.raster.quiet import ignoring
+from pcwlad_geo.raster.stored import check_dataset
 
 MOST_READ_PX: Final = 2**25
 """A file without overviews that has more pixels is not read for a look at it alone."""
@@ -87,7 +91,9 @@ def describe(
     uri = os.fspath(path)
     with open_raster(uri) as dataset:
         _check_band(uri, dataset, band)
-        grid, misfit_px = _grid_of(dataset)
+        check_dataset(uri, dataset, band)
+        grid, misfit_px = _grid_of(uri, dataset)
+        _check_place(uri, grid, misfit_px)
         info = RasterInfo(
             uri=uri,
             band=band,
@@ -158,10 +164,12 @@ def mask_on_pixels(info: RasterInfo, mask_grid: Grid) -> bool:
 
 @contextmanager
 def open_raster(uri: str, **options: object) -> Iterator[DatasetReader]:
-    """Open a raster for reading, with GDAL on one thread; errors while opening become `InputError`.
+    """Open a raster for reading, with GDAL on one thread; errors of opening and reading become `InputError`.
 
-    What a stranger's file may make GDAL open is in `opening`.
+    What a stranger's file may make GDAL open is in `opening`. Nothing is written beside it (GDAL would keep what
+    it learns of a .gz there).
     """
+    _check_files(uri)
     with _opened(open_for_reading, uri, options) as dataset:
         yield dataset
 
@@ -177,18 +185,26 @@ def open_own_raster(uri: str) -> Iterator[DatasetReader]:
 def _opened(
     opener: Callable[..., DatasetReader], uri: str, options: Mapping[str, object]
 ) -> Iterator[DatasetReader]:
-    with rasterio.Env(GDAL_NUM_THREADS="1", **network_settings()):
+    with rasterio.Env(GDAL_NUM_THREADS="1", CPL_VSIL_GZIP_WRITE_PROPERTIES="NO", **network_settings()):
         try:
             with ignoring(NotGeoreferencedWarning):
                 dataset = opener(uri, **options)
-        except (RasterioError, OSError) as error:
+        except (*LIBRARY_ERRORS, OSError, ValueError) as error:
             raise InputError(_why_not_opened(uri, error)) from error
-        with dataset:
+        with dataset, reading(uri):
             yield dataset
+
+
+def _check_files(uri: str) -> None:
+    """Raise where GDAL could wait for a pipe for ever: the raster, or what it looks for beside it."""
+    for ending in ("", ".aux.xml", ".ovr", ".msk"):
+        check_regular(uri + ending)
 
 
 def _why_not_opened(uri: str, error: Exception) -> str:
     path = Path(uri)
+    if isinstance(error, UnicodeError):
+        return f"the name of {uri!r} is not UTF-8, which GDAL needs: rename it"
     try:
         if path.is_dir():
             return (
@@ -240,23 +256,36 @@ def _has_transform(dataset: DatasetReader) -> bool:
     """Whether there is a geotransform that says something and can be inverted."""
     transform = dataset.transform
     matrix = linear_part(transform)
-    return (
-        transform != Affine.identity()
-        and bool(np.isfinite([*transform]).all())
-        and bool(np.linalg.det(matrix) != 0.0)
-    )
+    if transform == Affine.identity() or not np.isfinite([*transform]).all() or not matrix.any():
+        return False
+    return bool(np.linalg.det(matrix / np.abs(matrix).max()) != 0.0)  # squares of huge numbers are infinite
 
 
-def _grid_of(dataset: DatasetReader) -> tuple[Grid, float | None]:
+def _grid_of(uri: str, dataset: DatasetReader) -> tuple[Grid, float | None]:
     """Return the grid, and how well it fits the control points where it is made from them."""
     if _is_georeferenced(dataset):
         return Grid(dataset.shape, dataset.transform, dataset.crs), None
     gcps, crs = dataset.gcps
     # Beside RPCs they are the rough corners of an image (NITF).
+    check_coordinates(uri, [value for gcp in gcps for value in (gcp.col, gcp.row, gcp.x, gcp.y)])
     found = geotransform_of(gcps) if crs is not None and not dataset.tags(ns="RPC") else None
     if found is not None:
         return Grid(dataset.shape, found[0], crs), found[1]
     return Grid(dataset.shape, Affine.identity(), None), None
+
+
+def _check_place(uri: str, grid: Grid, misfit_px: float | None) -> None:
+    """Raise where the pixels lie on no map."""
+    if misfit_px is not None:
+        check_gcp_misfit(uri, misfit_px, grid.shape)
+    if grid.crs is None:
+        return
+    check_geotransform(uri, tuple(grid.transform)[:6], grid.shape)
+    if grid.crs.is_geographic and grid.crs.units_factor[0].lower().startswith("degree"):
+        rows, cols = grid.shape
+        corners = grid.to_xy(np.array([[0.0, 0.0], [cols, 0.0], [cols, rows], [0.0, rows]]))[:, 1]
+        pixel = float(np.abs(linear_part(grid.transform)[1]).max())
+        check_latitudes(uri, float(corners.min()), float(corners.max()), min(pixel, 1.0))
 
 
 def _check_mask(info: RasterInfo, mask: RasterInfo) -> None:

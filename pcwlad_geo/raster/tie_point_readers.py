@@ -13,15 +13,18 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.crs import CRS
-from rasterio.errors import CRSError
 
 from pcwlad_geo.errors import InputError, TrustError
+from pcwlad_geo.input_files import check_regular, read_bytes
+from pcwlad_geo.limits import POINTS, check_coordinates, check_count
+from pcwlad_geo.raster.boundary import LIBRARY_ERRORS
 from pcwlad_geo.raster.source import open_own_raster, open_raster
 from pcwlad_geo.raster.vrt_names import gcps_alone
 
 Array = NDArray[np.float64]
 
 CRS_LINE: Final = "#CRS:"
+_HEAD_BYTES: Final = 65536
 # ENVI counts from (1, 1) at the top-left corner of the first pixel, GDAL from (0, 0).
 _ENVI_ORIGIN_PX: Final = 1.0
 _ENVI_SIDE: Final = re.compile(r"(base|warp|map|image)(?:\s+image)?\s*\(([^)]*)\)", re.IGNORECASE)
@@ -99,16 +102,18 @@ def read_point_file(path: Path | str, *, reference_name: str = "", target_name: 
     finite = np.isfinite(np.column_stack([points.reference, points.target])).all(axis=1)
     if not finite.all():
         raise InputError(f"{path}: {(~finite).sum()} of {finite.size} points lack a coordinate: remove them")
+    check_coordinates(path, np.concatenate([points.reference, points.target]).ravel().tolist())
     return points
 
 
 def _text_of(path: Path) -> str | None:
     """Return the content of a text file; None where it is none."""
     try:
-        data = path.read_bytes() if path.is_file() else None
+        check_regular(path)
+        data = read_bytes(path) if path.is_file() and _may_be_text(path) else None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from error
-    if data is None or b"\0" in data[:65536]:
+    if data is None or b"\0" in data[:_HEAD_BYTES]:
         return None
     for encoding in ("utf-8-sig", "latin-1"):  # file names in headers may be of any
         try:
@@ -116,6 +121,11 @@ def _text_of(path: Path) -> str | None:
         except UnicodeDecodeError:
             continue
     return None
+
+
+def _may_be_text(path: Path) -> bool:
+    with path.open("rb") as file:  # a raster may be large
+        return b"\0" not in file.read(_HEAD_BYTES)
 
 
 def _unknown(path: str) -> InputError:
@@ -139,7 +149,7 @@ def _read_csv(path: str, lines: Sequence[str]) -> PointFile:
         np.array([text != "rejected" for text in table.texts("status")]),
         "px",
         "px",
-        sigma_px=table.pair("sigma_col", "sigma_row", optional=True),
+        sigma_px=table.sigmas(),
         score=table.numbers("score") if "score" in table.columns else None,
         xy=table.pair("x", "y", optional=True),
         displacement_px=table.pair("d_col", "d_row", optional=True),
@@ -168,7 +178,7 @@ def _crs_of(path: str, line: str) -> CRS | None:
         return None
     try:
         return CRS.from_user_input(text)
-    except CRSError as error:
+    except LIBRARY_ERRORS as error:
         raise InputError(f"{path}: the CRS in its first line is not understood: {text[:80]}") from error
 
 
@@ -194,6 +204,7 @@ def _read_envi(path: str, lines: Sequence[str], reference_name: str, target_name
 
 
 def _envi_rows(path: str, lines: Sequence[str], width: int) -> Iterator[list[float]]:
+    check_count(path, len(lines), 2 * POINTS, "lines")  # with comments
     for number, line in enumerate(lines, start=1):
         cells = line.replace(",", " ").split()
         if not cells or cells[0].startswith(";"):
@@ -247,7 +258,7 @@ class _Table:
         delimiter = "\t" if "\t" in header else "," if "," in header else ";"
         reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
         columns: tuple[str, ...] = ()
-        rows = []
+        rows: list[tuple[int, dict[str, str]]] = []
         try:
             for cells in reader:
                 if not any(cell.strip() for cell in cells):
@@ -255,6 +266,7 @@ class _Table:
                 if not columns:
                     columns = tuple(cell.strip().lower() for cell in cells)
                     continue
+                check_count(path, len(rows) + 1, POINTS, "points")
                 rows.append((reader.line_num, dict(zip(columns, cells, strict=False))))
         except csv.Error as error:
             raise InputError(f"{path} cannot be read as a table: {error}") from error
@@ -269,6 +281,16 @@ class _Table:
         ]
         return np.array(values, dtype=np.float64)
 
+    def sigmas(self) -> Array:
+        """Return sigma_col and sigma_row; NaN where a cell is empty, none of them is 0 or less."""
+        sigma_px = self.pair("sigma_col", "sigma_row", optional=True)
+        for column, values in zip(("sigma_col", "sigma_row"), sigma_px.T, strict=True):
+            if column in self.columns:
+                texts = self.texts(column)
+                for (line, _), text, value in zip(self.rows, texts, values, strict=True):
+                    check_sigma(self.path, line, column, text, value)
+        return sigma_px
+
     def pair(self, first: str, second: str, *, optional: bool = False) -> Array:
         if optional and not {first, second} <= set(self.columns):
             return np.full((len(self.rows), 2), np.nan)
@@ -281,6 +303,20 @@ def _number(path: str, line: int, name: str, text: str) -> float:
     except ValueError as error:
         raise InputError(f"{path}, line {line}: {name} is '{text}', not a number") from error
     return value if math.isfinite(value) else math.nan
+
+
+def check_sigma(path: Path | str, line: int, column: str, text: str, value: float) -> None:
+    """Raise where a cell that is not empty is no positive number.
+
+    Raises
+    ------
+    InputError
+        Then.
+    """
+    if text and not (math.isfinite(value) and value > 0.0):
+        raise InputError(
+            f"{path}, line {line}: {column} is '{text}': give a positive number, or leave it empty"
+        )
 
 
 def swapped(points: PointFile, side: Literal["reference", "target"]) -> PointFile:

@@ -7,10 +7,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.errors import RasterioError
 from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.limits import UNREAD_PARTS
+from pcwlad_geo.raster.gdal import GDAL_ERRORS
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.masks import valid_in_file, valid_in_mask_file
 from pcwlad_geo.raster.resample import block_mean, box_average, cell_means, sample_positions, spline_samples
@@ -93,7 +94,7 @@ class View:
         try:
             values, valid = _read(coarse, Window.whole(shape), overview)
         except InputError:
-            values, valid = _read_what_can_be(coarse, Window.whole(shape), overview)
+            values, valid = _read_what_can_be(coarse, Window.whole(shape), overview, _Tries())
             if not valid.any():
                 raise
         return _patch(self.info.dtype, values, valid), (cols / shape[1], rows / shape[0])
@@ -120,16 +121,26 @@ def _read(view: View, window: Window, overview: int | None) -> tuple[NDArray[np.
     return _read_interpolated(source, window, overview, step)
 
 
+@dataclass(slots=True)
+class _Tries:
+    """Counts the parts of a file that could not be read."""
+
+    failed: int = 0
+
+
 def _read_what_can_be(
-    view: View, window: Window, overview: int | None
+    view: View, window: Window, overview: int | None, tries: _Tries
 ) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
     """Read a window by ever smaller parts; the smallest that cannot be read are not valid."""
     try:
         return _read(view, window, overview)
     except InputError:
+        tries.failed += 1
+        if tries.failed > UNREAD_PARTS:  # each is opened anew: all of a large file would take hours
+            raise
         if max(window.shape) <= _LEAST_PART_PX:
             return np.zeros(window.shape, view.info.dtype), np.zeros(window.shape, bool)
-    return _joined([_read_what_can_be(view, half, overview) for half in window.halves()], window)
+    return _joined([_read_what_can_be(view, half, overview, tries) for half in window.halves()], window)
 
 
 def _joined(
@@ -226,7 +237,7 @@ def _read_file(
         try:
             values[here] = dataset.read(info.band, window=file_window)
             valid[here] = valid_in_file(dataset, info.band, values[here], file_window)
-        except RasterioError as error:
+        except GDAL_ERRORS as error:
             raise InputError(
                 f"{info.uri}: band {info.band} cannot be read at rows {inside.row} to {inside.row_stop}, "
                 f"columns {inside.col} to {inside.col_stop}: the file may be truncated or corrupt"

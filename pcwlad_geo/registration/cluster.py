@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import struct
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, ThreadPoolExecutor
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 CONNECT_S: Final = 3.0
 """How long a scheduler may take to answer."""
 CLOSE_S: Final = 1.0
+TOLD_AFTER_S: Final = 10.0
+"""Without workers, after which people are told."""
+LOST_AFTER_S: Final = 60.0
+"""Without workers, after which the job is given up: a worker that is started anew takes some seconds."""
 CALLS_PER_THREAD: Final = 2
 """One that runs and one that waits, so that a worker need not wait for the next."""
 NUMERIC: Final = ("numpy", "scipy", "numba", "cv2", "rasterio")
@@ -61,7 +66,61 @@ def connected(address: str, on_event: EventCallback) -> Iterator[OnExecutor]:
             (BrokenExecutor, CancelledError, distributed.KilledWorker),
             f"the scheduler {address}",
             shares_kernels=False,
+            check=WorkerWatch(lambda: len(client.nthreads()), address),
         )
+
+
+class WorkerWatch:
+    """Raises where a scheduler has had no worker for too long: its calls would wait for ever.
+
+    Parameters
+    ----------
+    count : callable
+        Returns the number of workers.
+    address : str
+        Of the scheduler.
+    clock : callable, optional
+        Returns seconds.
+    """
+
+    def __init__(
+        self, count: Callable[[], int], address: str, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._count, self._address, self._clock = count, address, clock
+        self._missing_since: float | None = None
+        self._told = False
+
+    def __call__(self, on_event: EventCallback) -> None:
+        """Look once; warn after `TOLD_AFTER_S` without workers.
+
+        Raises
+        ------
+        ExecutionError
+            After `LOST_AFTER_S` without workers.
+        """
+        count = 0
+        with suppress(OSError, TimeoutError, asyncio.TimeoutError):
+            count = self._count()
+        now = self._clock()
+        if count:
+            self._missing_since, self._told = None, False
+            return
+        if self._missing_since is None:
+            self._missing_since = now
+        missing_s = now - self._missing_since
+        if missing_s > LOST_AFTER_S:
+            raise ExecutionError(
+                f"the scheduler {self._address} has had no worker for {LOST_AFTER_S:.0f} s: start some "
+                f"(dask worker {self._address}) and run the command again, or leave --scheduler out"
+            )
+        if missing_s > TOLD_AFTER_S and not self._told:
+            self._told = True
+            on_event(
+                Warned(
+                    f"the scheduler {self._address} has no workers left: the job waits "
+                    f"{LOST_AFTER_S - TOLD_AFTER_S:.0f} s for new ones"
+                )
+            )
 
 
 @contextmanager

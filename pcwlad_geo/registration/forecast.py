@@ -11,8 +11,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from rasterio.errors import RasterioError
-
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.source import open_raster
 from pcwlad_geo.registration.settings import Settings
@@ -37,7 +35,7 @@ def likely_tiles(
     if not (Path(reference).is_file() and Path(target).is_file()):
         return 0
     shapes = []
-    with suppress(InputError, RasterioError):
+    with suppress(InputError):
         for path in (reference, target):
             with open_raster(os.fspath(path)) as dataset:
                 shapes.append(dataset.shape)

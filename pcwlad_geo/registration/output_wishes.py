@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 from rasterio.crs import CRS
-from rasterio.errors import CRSError
 
 from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.raster.boundary import LIBRARY_ERRORS
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_lattice
@@ -49,7 +49,7 @@ def grid_request(
     if t_srs is not None:
         try:
             crs = CRS.from_user_input(t_srs)
-        except CRSError as error:
+        except LIBRARY_ERRORS as error:
             raise SettingsError(f"t_srs = {t_srs!r}: give a CRS such as EPSG:32633 ({error})") from error
     found = None if like is None else describe(os.fspath(like))
     if found is not None and not found.georeferenced:

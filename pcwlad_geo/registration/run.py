@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.thinning import thin
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.antimeridian import moved_beside
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.identity import digest
 from pcwlad_geo.raster.locate import locate, overlap_middle_px, predict_target_px
@@ -116,7 +117,7 @@ def _run(
         if placed:
             tgt = placed.info
         elif not placed_reference:
-            ref, tgt, shared = share_plane(ref, tgt)
+            ref, tgt, shared = share_plane(moved_beside(ref, tgt), tgt)
             warnings = (*warnings, *shared)
         for warning in (*inputs.notes, *_control_point_notes(ref, tgt), *told, *warnings):
             log.warn(warning)

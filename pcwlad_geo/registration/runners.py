@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from contextlib import contextmanager
+from functools import partial
 from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import Any, Final, TypeVar
@@ -39,6 +40,9 @@ class OnExecutor:
         How messages call it.
     shares_kernels : bool
         Whether its workers are threads or processes of this machine.
+    check : callable, optional
+        Called again and again while calls are awaited, with the receiver of warnings; it raises where there
+        is nothing to wait for.
     """
 
     heeds_affinity = False
@@ -50,7 +54,9 @@ class OnExecutor:
         broken: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError),
         place: str = "the executor",
         shares_kernels: bool = True,
+        check: Callable[[EventCallback], None] | None = None,
     ) -> None:
+        self._check = check
         self.shares_kernels = shares_kernels
         self._executor = executor
         self._in_flight = in_flight
@@ -78,9 +84,10 @@ class OnExecutor:
             return self._executor.submit(in_environment, settings, trust, function, calls[index])
 
         slots = min(self._in_flight, len(calls))
+        check = None if self._check is None else partial(self._check, on_event)
         try:
             with one_opencv_thread():  # its workers may be threads
-                results, _ = drive(submit, [None] * len(calls), slots, stage, on_event)
+                results, _ = drive(submit, [None] * len(calls), slots, stage, on_event, check)
         except self._broken as error:
             detail = f"{type(error).__name__}: {error}".removesuffix(": ")
             raise ExecutionError(f"{self._place} is lost, or its workers are ({detail})") from error

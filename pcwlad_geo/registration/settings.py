@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal, cast, get_args, get_origin, get_type_hints
 
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.limits import FEATURES, ITERATIONS, JOBS, POINTS, SEARCH_RADIUS_PX, TILE_PX
 from pcwlad_geo.raster.trust import Trust
 
 Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
@@ -112,13 +113,14 @@ class Settings:
     """Address of a dask.distributed scheduler whose workers do the tiles instead of processes here."""
 
     def __post_init__(self) -> None:
-        for name, least in (
-            ("features", 1),
-            ("iterations", 1),
-            ("tile_size", 128),
+        for name, least, most in (
+            ("features", 1, FEATURES),
+            ("iterations", 1, ITERATIONS),
+            ("tile_size", 128, TILE_PX),
         ):
             value = getattr(self, name)
-            _check(name, value, _whole(value) and value >= least, f"a whole number from {least}")
+            good = _whole(value) and least <= value <= most
+            _check(name, value, good, f"a whole number from {least} to {most}")
         for name in ("ref_band", "tgt_band"):
             value = getattr(self, name)
             good = (_whole(value) and value >= 1) or (isinstance(value, str) and bool(BAND_NAME.match(value)))
@@ -127,11 +129,15 @@ class Settings:
             value = getattr(self, name)
             odd = _whole(value) and value % 2 == 1
             _check(name, value, odd and 21 <= value <= 513, "an odd number from 21 to 513")
-        for name, words in (("points", ("all",)), ("search_radius", ()), ("jobs", ())):
+        for name, words, most in (
+            ("points", ("all",), POINTS),
+            ("search_radius", (), SEARCH_RADIUS_PX),
+            ("jobs", (), JOBS),
+        ):
             value = getattr(self, name)
             word = isinstance(value, str) and value in words
-            good = value is None or word or (_whole(value) and value >= 1)
-            _check(name, value, good, " or ".join(["a whole number from 1", *words]))
+            good = value is None or word or (_whole(value) and 1 <= value <= most)
+            _check(name, value, good, " or ".join([f"a whole number from 1 to {most}", *words]))
         address = self.scheduler is None or (isinstance(self.scheduler, str) and "://" in self.scheduler)
         _check("scheduler", self.scheduler, address, "an address such as tcp://host:8786")
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0

@@ -6,12 +6,15 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 from pcwlad_geo.registration.environment import one_opencv_thread
 from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
 
 T = TypeVar("T")
+
+CHECK_S: Final = 1.0
+"""Between two looks at whether there are still workers."""
 Affinity = Sequence[int | None]
 
 
@@ -108,6 +111,7 @@ def drive(
     slots: int,
     stage: str,
     on_event: EventCallback,
+    check: Callable[[], None] | None = None,
 ) -> tuple[list[T], list[int]]:
     """Keep each of the slots busy with one call at a time until all are done.
 
@@ -121,6 +125,8 @@ def drive(
     stage : str
         Name of the stage in progress events.
     on_event : callable
+    check : callable, optional
+        Called every `CHECK_S` while calls are awaited; what it raises ends the job.
 
     Returns
     -------
@@ -145,7 +151,9 @@ def drive(
                     index = queue.popleft()
                     done_by[index] = slot
                     waiting[submit(index, slot)] = index
-            finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
+            finished, _ = wait(waiting, CHECK_S if check else None, return_when=FIRST_COMPLETED)
+            if check:
+                check()
             idle = []
             for future in finished:
                 index = waiting.pop(future)

@@ -16,6 +16,7 @@ from rasterio.errors import CRSError
 from pcwlad_geo.correction.models import Correction, from_json
 from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.input_files import read_text
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import FileIdentity
 from pcwlad_geo.raster.output_format import OutputFormat
@@ -80,13 +81,13 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
 def _report(path: Path) -> Mapping[str, Any]:
     """Return the content of a report.json that tells a registration."""
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
+        report = json.loads(read_text(path))
     except OSError as error:
         raise InputError(
             f"{path} cannot be read ({error.strerror}), so this is no finished registration: give the output "
             "folder of pcwlad-geo register"
         ) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(
             f"{path} is no JSON ({error}): give the output folder of pcwlad-geo register"
         ) from error
