@@ -166,8 +166,8 @@ def mask_on_pixels(info: RasterInfo, mask_grid: Grid) -> bool:
 def open_raster(uri: str, **options: object) -> Iterator[DatasetReader]:
     """Open a raster for reading, with GDAL on one thread; errors of opening and reading become `InputError`.
 
-    What a stranger's file may make GDAL open is in `opening`. Nothing is written beside it (GDAL would keep what
-    it learns of a .gz there).
+    What a stranger's file may make GDAL open is in `opening`. Nothing is written beside it (GDAL would keep
+    what it learns of a .gz there).
     """
     _check_files(uri)
     with _opened(open_for_reading, uri, options) as dataset:
