@@ -71,13 +71,14 @@ def judge(
     accepted = bool(enough and significance >= LEAST_SIGNIFICANCE)
     if accepted:
         return Verdict(True, None, cells, agreeing, significance)
-    nothing = _nothing_to_match(counts) or _too_few(int(kept.sum()), agreeing, cells)
+    missing = _nothing_to_match(counts) or _too_few(int(kept.sum()), agreeing, cells)
+    if missing:
+        return Verdict(False, missing, cells, agreeing, significance)
     by_chance = (
-        f"only {int(kept.sum())} of {counts.get('candidates', 0)} candidates agree with their neighbours, in "
+        f"only {int(kept.sum())} of {counts['candidates']} candidates agree with their neighbours, in "
         f"{agreeing} of {cells} separate places, no better than chance"
     )
-    beyond = None if nothing else _beyond(counts)
-    return Verdict(False, nothing or by_chance, cells, agreeing, significance, beyond)
+    return Verdict(False, by_chance, cells, agreeing, significance, _beyond(counts))
 
 
 def _witnesses(matches: TiePoints, kept: NDArray[np.bool_], cell_px: float) -> tuple[int, int]:

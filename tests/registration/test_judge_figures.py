@@ -1,0 +1,141 @@
+"""The judge's figures and limits, to the point: matches are set into its cells one by one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.registration import judge as judging
+from pcwlad_geo.registration.judge import Verdict, judge
+
+WINDOW_PX, CELL_PX = 40, 30.0
+"""Cells are three quarters of a window."""
+RIGHT, WRONG = (3.0, -2.0), (-9.0, 9.0)
+
+Moves = Iterable[tuple[float, float]]
+
+
+def verdict(cells: Iterable[Moves], *, radius_px: int = 12, kept: Moves = (RIGHT,), **counts: int) -> Verdict:
+    """Judge matches of these displacements, cell by cell; those listed as kept are the consistent ones."""
+    placed = [
+        ((CELL_PX * (number + i / len(list(moves))), 0.0), move)
+        for number, moves in enumerate(map(list, cells))
+        for i, move in enumerate(moves)
+    ]
+    xy = np.array([place for place, _ in placed]).reshape(-1, 2)
+    moved = np.array([move for _, move in placed]).reshape(-1, 2)
+    n = len(xy)
+    points = TiePoints(xy, xy + moved, np.tile(0.01 * np.eye(2), (n, 1, 1)), np.full(n, 0.5), np.zeros(n))
+    consistent = np.array([tuple(move) in list(kept) for move in moved.tolist()], bool)
+    return judge(points, consistent, counts or {"candidates": 200}, WINDOW_PX, radius_px)
+
+
+def by_hand(agreeing: int, cells: int, radius_px: int) -> float:
+    """-log10 of the binomial tail at twice the share of the search window, of the best of 1 / share moves."""
+    share = min(1.0, math.pi * 2.0**2 / (2 * radius_px + 1) ** 2)
+    chance = min(0.5, 2 * share)
+    tail = sum(
+        math.comb(cells, k) * chance**k * (1 - chance) ** (cells - k) for k in range(agreeing, cells + 1)
+    )
+    return max(0.0, -math.log10(tail) + math.log10(share))
+
+
+@pytest.mark.parametrize("radius_px", [1, 5, 12, 100])
+@pytest.mark.parametrize(("agreeing", "cells"), [(1, 20), (8, 8), (12, 20)])
+def test_the_significance_is_the_one_by_hand(agreeing: int, cells: int, radius_px: int) -> None:
+    found = verdict([[RIGHT]] * agreeing + [[WRONG]] * (cells - agreeing), radius_px=radius_px)
+    assert (found.cells, found.agreeing_cells) == (cells, agreeing)
+    assert found.significance == pytest.approx(by_hand(agreeing, cells, radius_px), abs=1e-9)
+
+
+def test_four_separate_places_must_agree() -> None:
+    """However significant three would be: the search is so wide that two would do."""
+    for cells, accepted in ((3, False), (4, True), (5, True)):
+        found = verdict([[RIGHT] * 8] * cells, radius_px=500)
+        assert found.significance > judging.LEAST_SIGNIFICANCE
+        assert found.accepted is accepted
+        assert found.agreeing_cells == cells
+
+
+def test_the_significance_decides_where_places_are_enough() -> None:
+    for cells, accepted in ((5, False), (6, True)):  # 5.3 and 6.7
+        found = verdict([[RIGHT] * 4] * cells)
+        assert found.significance == pytest.approx(6.0, abs=0.8)
+        assert found.accepted is accepted
+
+
+def test_a_significance_at_the_limit_suffices(monkeypatch: pytest.MonkeyPatch) -> None:
+    cells = [[RIGHT] * 4] * 6
+    monkeypatch.setattr(judging, "LEAST_SIGNIFICANCE", verdict(cells).significance)
+    assert verdict(cells).accepted
+
+
+@pytest.mark.parametrize(
+    ("off_px", "agrees"), [(1.9, True), (2.0, False), (2.1, False), (-1.9, True), (-2.0, False)]
+)
+def test_a_place_agrees_within_two_pixels(off_px: float, agrees: bool) -> None:
+    found = verdict([[(0.0, 0.0)] * 3] * 4 + [[(off_px, 0.0)]], kept=[(0.0, 0.0)])
+    assert found.agreeing_cells == 4 + agrees
+
+
+@pytest.mark.parametrize(("right", "of", "agrees"), [(1, 1, 1), (1, 2, 1), (1, 3, 0), (2, 3, 1), (2, 5, 0)])
+def test_half_of_the_matches_of_a_place_must_agree(right: int, of: int, agrees: int) -> None:
+    found = verdict([[RIGHT] * 3] * 4 + [[RIGHT] * right + [WRONG] * (of - right)])
+    assert (found.cells, found.agreeing_cells) == (5, 4 + agrees)
+
+
+def test_the_common_displacement_is_the_median_of_the_consistent_ones() -> None:
+    far = (100.0, 100.0)
+    assert verdict([[RIGHT]] * 9 + [[far]] * 3 + [[WRONG]] * 30, kept=[RIGHT, far]).agreeing_cells == 9
+    assert verdict([[RIGHT]] * 3 + [[far]] * 2, kept=[]).agreeing_cells == 3, "of all, where none is kept"
+
+
+@pytest.mark.parametrize(("points", "agreeing"), [(35, 3), (36, 36)])
+def test_the_common_displacement_is_a_plane_from_36_points_on(points: int, agreeing: int) -> None:
+    """Each place has moved 1.5 px further than the one before."""
+    moves = [(1.5 * number, 0.0) for number in range(points)]
+    assert verdict([[move] for move in moves], kept=moves).agreeing_cells == agreeing
+
+
+@pytest.mark.parametrize(
+    ("agreeing", "cells", "few"), [(3, 4, True), (2, 3, False), (1, 1, True), (2, 4, False)]
+)
+def test_places_that_mostly_agree_are_too_few_and_not_chance(agreeing: int, cells: int, few: bool) -> None:
+    reason = verdict([[RIGHT]] * agreeing + [[WRONG]] * (cells - agreeing)).reason or ""
+    assert ("tie points agree" in reason) is few
+    assert ("no better than chance" in reason) is not few
+
+
+def test_no_point_at_all_is_no_agreement() -> None:
+    reason = verdict([]).reason or ""
+    assert "only 0 of 200 candidates agree" in reason
+    assert "in 0 of 0 separate places" in reason
+
+
+@pytest.mark.parametrize(
+    ("counts", "said"),
+    [
+        ({"matched": 1}, "no structure to match"),
+        ({"candidates": 200, "not_comparable": 181}, "almost no window"),
+        ({"candidates": 200, "not_comparable": 180}, "no better than chance"),
+        ({"candidates": 1}, "no better than chance"),
+    ],
+)
+def test_what_cannot_be_matched_at_all_is_said_first(counts: dict[str, int], said: str) -> None:
+    assert said in (verdict([[RIGHT]] * 2 + [[WRONG]] * 8, **counts).reason or "")
+
+
+@pytest.mark.parametrize(
+    ("counts", "beyond"),
+    [
+        ({"candidates": 200, "at_search_border": 50}, False),
+        ({"candidates": 200, "at_search_border": 51}, True),
+        ({"candidates": 2}, False),
+    ],
+)
+def test_a_quarter_on_the_edge_of_the_search_is_not_many(counts: dict[str, int], beyond: bool) -> None:
+    assert verdict([[RIGHT]] * 2 + [[WRONG]] * 8, **counts).beyond is beyond
