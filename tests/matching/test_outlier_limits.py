@@ -88,6 +88,31 @@ def test_four_matches_can_vouch_for_each_other() -> None:
     assert not consistent(xy[:3], still[:3], np.full(3, 0.1), 81).any()
 
 
+def test_three_matches_vouch_for_nothing_in_either_test() -> None:
+    assert not stays(0.0, [0.0, 0.0], far=0)
+    assert not surrounded([[0.0], [0.0], [0.0]], far=0)
+
+
+@pytest.mark.parametrize(("lost_a_round", "rounds"), [(1, [False] * 6 + [True] * 6), (0, [False, True])])
+def test_rounds_go_on_while_matches_go_but_six_at_most(
+    lost_a_round: int, rounds: list[bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    called = []
+
+    def one_round(
+        xy: Float64, moved: Float64, sigma: Float64, kept: NDArray[np.bool_], narrow: bool
+    ) -> object:
+        called.append(narrow)
+        kept = kept.copy()
+        kept[np.flatnonzero(kept)[:lost_a_round]] = False
+        return kept
+
+    monkeypatch.setattr(outliers, "_one_round", one_round)
+    kept = consistent(np.zeros((20, 2)), np.zeros((20, 2)), np.ones(20), 80)
+    assert called == rounds
+    assert kept.sum() == 20 - lost_a_round * len(rounds)
+
+
 def cloud(offset_px: float) -> tuple[Float64, Float64, NDArray[np.bool_]]:
     """Matches every 20 px, and 49 within a cell at the middle that have moved so much further, all alike."""
     row, col = np.mgrid[:400:20, :400:20]
@@ -148,7 +173,7 @@ def surrounded(cells: Sequence[Sequence[float]], far: int = 40) -> bool:
 
 def test_the_eight_nearest_cells_count_and_the_own_one_does_not() -> None:
     """Four against four."""
-    even = [[4.0], [0.0], [4.0], [0.0], [4.0], [0.0], [0.0], [4.0]]
+    even = [[4.0], [0.0], [4.0], [0.0], [0.0], [0.0], [4.0], [4.0]]
     assert not surrounded([[0.0], *even, [0.0], [0.0]])
     assert surrounded([[0.0], [0.0], *even[1:], [4.0], [4.0]])
 
