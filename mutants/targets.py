@@ -15,6 +15,7 @@ else:
 
 EQUIVALENT: Final = Path(__file__).with_name("equivalent.toml")
 
+STAGING: Final = ("tests/test_staging.py", "tests/test_output_folder_faults.py")
 TARGETS: Final[dict[str, tuple[str, ...]]] = {
     "pcwlad_geo/registration/judge.py": (
         "tests/registration/test_judge_figures.py",
@@ -25,7 +26,10 @@ TARGETS: Final[dict[str, tuple[str, ...]]] = {
         "tests/matching/test_outliers.py",
     ),
     "pcwlad_geo/cli/interrupt.py": ("tests/cli/test_interrupt.py",),
-    "pcwlad_geo/staging.py": ("tests/test_staging.py",),
+    "pcwlad_geo/raster/unread.py": ("tests/raster/test_unread.py",),
+    "pcwlad_geo/staging.py": STAGING,
+    "pcwlad_geo/stage_folders.py": STAGING,
+    "pcwlad_geo/folder_lock.py": STAGING,
 }
 """The tests named first are run first: the quickest ones belong there."""
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pyproj
@@ -68,8 +70,17 @@ def transform_xy(xy: Array, from_crs: CRS | None, to_crs: CRS | None) -> Array:
         return xy
     if from_crs is None or to_crs is None:
         raise InputError("cannot transform coordinates from or to a raster without a CRS: assign one")
-    moved = np.column_stack(_transformer(from_crs, to_crs).transform(xy[:, 0], xy[:, 1]))
+    moved = np.column_stack(with_arrays(_transformer(from_crs, to_crs).transform, xy[:, 0], xy[:, 1]))
     return np.where(np.isfinite(moved), moved, np.nan)
+
+
+def with_arrays(method: Callable[..., Sequence[Any]], *arrays: Array) -> tuple[Array, ...]:
+    """Return what a method of pyproj makes of (n,) arrays, as arrays.
+
+    Before 3.7.2, pyproj takes an array of one element for a number, of which NumPy warns.
+    """
+    given = [array.item() for array in arrays] if len(arrays[0]) == 1 else arrays
+    return tuple(np.atleast_1d(np.asarray(made, dtype=np.float64)) for made in method(*given))
 
 
 def transformation_warnings(from_crs: CRS | None, to_crs: CRS | None) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from pyproj.transformer import TransformerGroup
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.crs import name_of, to_pyproj
+from pcwlad_geo.raster.crs import name_of, to_pyproj, with_arrays
 from pcwlad_geo.raster.dem import Dem, Undulation
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.quiet import ignoring
@@ -149,7 +149,7 @@ def _from_crs(info: RasterInfo, crs: pyproj.CRS, bounds: Bounds) -> Undulation:
     transformer = group.transformers[0]
 
     def at(lon_lat: Array) -> Array:
-        return np.asarray(transformer.transform(lon_lat[:, 0], lon_lat[:, 1], np.zeros(len(lon_lat)))[2])
+        return with_arrays(transformer.transform, lon_lat[:, 0], lon_lat[:, 1], np.zeros(len(lon_lat)))[2]
 
     undulation = Undulation.sampled(at, bounds, STEP_DEG)
     if not np.isfinite(undulation.values_m).all():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pyproj.exceptions import ProjError
 from rasterio.crs import CRS
 
-from pcwlad_geo.raster.crs import to_pyproj
+from pcwlad_geo.raster.crs import to_pyproj, with_arrays
 from pcwlad_geo.raster.grid import Grid
 
 Array = NDArray[np.float64]
@@ -148,7 +148,7 @@ class _Ground:
     def length_m(self, xy_from: Array, xy_to: Array) -> Array:
         """Return the lengths (n,) of geodesics between (n, 2) map coordinates."""
         (lon_from, lat_from), (lon_to, lat_to) = self._lon_lat(xy_from), self._lon_lat(xy_to)
-        return np.asarray(self._ellipsoid.inv(lon_from, lat_from, lon_to, lat_to)[2], dtype=np.float64)
+        return with_arrays(self._ellipsoid.inv, lon_from, lat_from, lon_to, lat_to)[2]
 
     def stretch(self, xy: Array) -> Array:
         """Return (n, 2, 2): metres on the ground by map unit, symmetric, at (n, 2) map coordinates.
@@ -171,7 +171,7 @@ class _Ground:
         """Return longitudes and latitudes, degrees; NaN where the projection has none."""
         x, y = xy[:, 0], xy[:, 1]
         if self._to_lon_lat is not None:
-            x, y = self._to_lon_lat.transform(x, y)
+            x, y = with_arrays(self._to_lon_lat.transform, x, y)
         lon, lat = np.asarray(x) * self._degrees, np.asarray(y) * self._degrees
         known = np.isfinite(lon) & np.isfinite(lat)
         return np.where(known, lon, np.nan), np.where(known, lat, np.nan)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rasterio.crs import CRS
 
-from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.crs import transform_xy, with_arrays
 from pcwlad_geo.raster.geodesy import displacement_m, moved_xy, pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.grid import Grid
 
@@ -177,3 +177,17 @@ def test_a_plane_without_an_ellipsoid_is_its_own_ground() -> None:
 def test_nothing_without_crs() -> None:
     assert pixel_size_m(Grid((9, 9), Affine.identity(), None), (4, 4)) is None
     assert np.isnan(displacement_m(ONE, ONE, None)).all()
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_one_point_is_given_to_pyproj_as_a_number_and_comes_back_as_an_array(n: int) -> None:
+    given = []
+
+    def double(*coordinates: object) -> tuple[object, ...]:
+        given.append([type(each) for each in coordinates])
+        return tuple(2 * each for each in coordinates)
+
+    x, y = with_arrays(double, np.arange(1.0, n + 1), np.zeros(n))
+    assert given == [[float, float] if n == 1 else [np.ndarray, np.ndarray]]
+    np.testing.assert_array_equal(x, 2 * np.arange(1.0, n + 1))
+    np.testing.assert_array_equal(y, np.zeros(n))

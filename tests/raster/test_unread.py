@@ -99,3 +99,38 @@ def test_nothing_is_a_value_a_band() -> None:
     assert (block.shape, block.dtype) == ((2, 2, 3), np.float32)
     np.testing.assert_array_equal(block[:, 0, 0], [5.0, np.nan])
     block[0] = 1  # the caller's own
+
+
+def lose(gaps: Gaps, lost: int, seen: int) -> None:
+    """Read so many smallest parts that fail, then so many that show something."""
+
+    def fail(window: Window) -> Block:
+        raise RasterioIOError("no such block")
+
+    rows, cols = LEAST_PART
+    for number, read_part in enumerate([fail] * lost + [pixels] * seen):
+        gaps.read(read_part, Window(number * cols, 0, cols, rows), filled([0.0], np.dtype(np.int32)))
+
+
+@pytest.mark.parametrize(("lost", "seen", "share"), [(1, 3, "25"), (1, 15, "6.2"), (8, 8, "50")])
+def test_the_share_that_is_lost_is_told(lost: int, seen: int, share: str) -> None:
+    gaps = Gaps("a.tif", (lost + seen) * LEAST_PART[0] * LEAST_PART[1])
+    lose(gaps, lost, seen)
+    assert (gaps.warning() or "").startswith(f"about {share} % of the warped raster is empty")
+
+
+def test_half_of_a_raster_may_be_lost_and_no_part_more() -> None:
+    gaps = Gaps("a.tif", 16 * LEAST_PART[0] * LEAST_PART[1])
+    lose(gaps, 8, 0)
+    with pytest.raises(InputError, match=r"a\.tif cannot be read: no such block"):
+        lose(gaps, 1, 0)
+
+
+def test_less_may_be_lost_than_is_seen_or_as_much() -> None:
+    """Where the raster is a small part of what is read."""
+    gaps = Gaps("a.tif", 1000 * LEAST_PART[0] * LEAST_PART[1])
+    lose(gaps, 3, 3)
+    assert "about 50 %" in (gaps.warning() or "")
+    lose(gaps, 1, 0)
+    with pytest.raises(InputError, match="no such block"):
+        gaps.warning()
