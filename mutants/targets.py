@@ -15,7 +15,7 @@ else:
 
 EQUIVALENT: Final = Path(__file__).with_name("equivalent.toml")
 
-STAGING: Final = ("tests/test_staging.py", "tests/test_output_folder_faults.py")
+STAGING: Final = ("tests/test_placing.py", "tests/test_staging.py", "tests/test_output_folder_faults.py")
 TARGETS: Final[dict[str, tuple[str, ...]]] = {
     "pcwlad_geo/registration/judge.py": (
         "tests/registration/test_judge_figures.py",
