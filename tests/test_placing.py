@@ -1,9 +1,12 @@
-"""Finished rasters that are put into a place of their own, with the files that belong to them."""
+"""Finished rasters and the files that belong to them, put into a place; folders that cannot be used."""
 
 from __future__ import annotations
 
 import errno
+import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +14,9 @@ import pytest
 import rasterio
 from affine import Affine
 
+from pcwlad_geo import staging
 from pcwlad_geo.errors import OutputError
-from pcwlad_geo.staging import check_output_folder, place_with_files
+from pcwlad_geo.staging import OutputFolder, check_output_folder, place_with_files, stage_inside
 
 
 @pytest.fixture
@@ -69,3 +73,60 @@ def test_a_folder_that_cannot_be_written_in_is_told_before_any_work(
     for folder in (tmp_path, tmp_path / "new", tmp_path / "new" / "deep"):
         with pytest.raises(OutputError, match="change its permissions or choose another output folder"):
             check_output_folder(folder)
+
+
+def test_a_new_folder_that_cannot_be_written_out_is_taken_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[Path] = []
+
+    def fail(folder: Path) -> None:
+        synced.append(folder)
+        if folder == tmp_path:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(staging, "sync_folder", fail)
+    with OutputFolder(tmp_path / "out") as folder:
+        folder.path("a.csv").write_text("1")
+        with pytest.raises(OutputError, match="Input/output error"):
+            folder.commit()
+    assert tmp_path in synced
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "report",
+    [
+        {"schema_version": 1, "outputs": ["mine.csv"]},
+        {"schema_version": 1, "versions": {"another": "1"}, "outputs": ["mine.csv"]},
+        {"schema_version": 1, "versions": ["pcwlad-geo"], "outputs": ["mine.csv"]},
+        {"versions": {"pcwlad-geo": "0.1.0"}, "outputs": ["mine.csv"]},
+    ],
+)
+def test_a_report_that_is_nearly_ours_is_not(report: dict[str, object], tmp_path: Path) -> None:
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    (tmp_path / "mine.csv").write_text("mine")
+    with pytest.raises(OutputError, match="was not written by pcwlad-geo"):
+        check_output_folder(tmp_path, overwrite=True)
+
+
+def test_the_next_stage_in_a_folder_sweeps_those_of_dead_processes(tmp_path: Path) -> None:
+    code = (
+        "import os, sys\nfrom pcwlad_geo.staging import stage_inside\n"
+        "with stage_inside(sys.argv[1]) as stage:\n    (stage / 'half.tif').touch()\n    os._exit(0)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True)
+    (left,) = tmp_path.iterdir()
+    with stage_inside(tmp_path) as stage:
+        assert list(tmp_path.iterdir()) == [stage]
+    assert not left.exists()
+
+
+def test_hidden_files_and_folders_of_the_stage_are_no_results(tmp_path: Path) -> None:
+    with OutputFolder(tmp_path / "out") as folder:
+        (folder.stage / ".scratch").mkdir()
+        (folder.stage / ".scratch" / "half.tif").touch()
+        (folder.stage / ".note").touch()
+        folder.path("a.csv").write_text("1")
+        folder.commit()
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["a.csv"]
