@@ -26,6 +26,7 @@ TARGETS: Final[dict[str, tuple[str, ...]]] = {
         "tests/matching/test_outliers.py",
     ),
     "pcwlad_geo/cli/interrupt.py": ("tests/cli/test_interrupt.py",),
+    "pcwlad_geo/limits.py": ("tests/test_limit_checks.py",),
     "pcwlad_geo/raster/unread.py": ("tests/raster/test_unread.py",),
     "pcwlad_geo/staging.py": STAGING,
     "pcwlad_geo/stage_folders.py": STAGING,

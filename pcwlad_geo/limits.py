@@ -168,12 +168,13 @@ def check_geotransform(uri: str, numbers: Sequence[float], shape: tuple[int, int
     """
     a, b, c, d, e, f = numbers
     rows, cols = shape
-    reach = max(abs(c) + abs(a) * cols + abs(b) * rows, abs(f) + abs(d) * cols + abs(e) * rows)
+    reach = (abs(c) + abs(a) * cols + abs(b) * rows, abs(f) + abs(d) * cols + abs(e) * rows)
     least = min(math.hypot(a, d), math.hypot(b, e))
     advice = "correct the geotransform (gdal_edit.py -a_ullr)"
-    if not reach <= COORDINATE:
+    if not all(far <= COORDINATE for far in reach):  # NaN is not
         raise InputError(
-            f"{uri} has map coordinates up to {reach:.3g}, and at most {COORDINATE:.0e} are read: {advice}"
+            f"{uri} has map coordinates up to {max(reach):.3g}, and at most {COORDINATE:.0e} are read: "
+            f"{advice}"
         )
     if not least >= PIXEL_SHARE * max(abs(c), abs(f)):
         raise InputError(
