@@ -166,6 +166,8 @@ def _other_statements(node: ast.stmt) -> Iterator[ast.stmt]:
         case ast.Return(value=value) if value is not None:
             if not (isinstance(value, ast.Constant) and value.value is None):
                 yield ast.Return(ast.Constant(None))
+        case ast.If(test=test) if _is_windows(test):
+            pass
         case ast.Return() | ast.If():
             yield ast.Pass()
         case ast.Break():
