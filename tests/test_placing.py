@@ -69,7 +69,9 @@ def test_a_folder_that_cannot_be_written_in_is_told_before_any_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whoever runs this: permissions do not bind everyone."""
-    monkeypatch.setattr(os, "access", lambda place, mode: Path(place) != tmp_path)
+    monkeypatch.setattr(
+        os, "access", lambda place, mode: (Path(place), mode) != (tmp_path, os.W_OK | os.X_OK)
+    )
     for folder in (tmp_path, tmp_path / "new", tmp_path / "new" / "deep"):
         with pytest.raises(OutputError, match="change its permissions or choose another output folder"):
             check_output_folder(folder)
@@ -108,6 +110,12 @@ def test_a_report_that_is_nearly_ours_is_not(report: dict[str, object], tmp_path
     (tmp_path / "mine.csv").write_text("mine")
     with pytest.raises(OutputError, match="was not written by pcwlad-geo"):
         check_output_folder(tmp_path, overwrite=True)
+
+
+def test_a_stage_that_cannot_be_made_is_told_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError, match="cannot write"), stage_inside(tmp_path / "file" / "deep"):
+        pass
 
 
 def test_the_next_stage_in_a_folder_sweeps_those_of_dead_processes(tmp_path: Path) -> None:
