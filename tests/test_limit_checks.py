@@ -113,8 +113,8 @@ def test_control_points_that_fit() -> None:
 def test_a_grid_that_is_made() -> None:
     limits.check_grid("the grid", (2.0**17, 2.0**17))
     refused(lambda: limits.check_grid("the grid", (2.0**17, 2.0**17 + 1)), "131072 x 131073", "the grid")
-    limits.check_grid("the grid", (2.0**13, 2.0**13), 100.0)
-    refused(lambda: limits.check_grid("the grid", (2.0**13, 2.0**13 + 1), 100.0), "at most 67108864")
+    limits.check_grid("the grid", (2.0**14, 2.0**14), 100.0)
+    refused(lambda: limits.check_grid("the grid", (2.0**14, 2.0**14 + 1), 100.0), "at most 268435456")
     limits.check_grid("the grid", (8e4, 8e4), 1e8)
     refused(lambda: limits.check_grid("the grid", (8e4, 8.01e4), 1e8), "at most 6400000000")
     refused(lambda: limits.check_grid("the grid", (2.0**17, 2.0**17 + 1), 1e12), "at most 17179869184")

@@ -76,8 +76,16 @@ def test_what_is_lost_without_anything_seen_is_an_error(nodata: float) -> None:
         gaps.warning()
 
 
-def test_a_file_elsewhere_has_no_gaps() -> None:
-    gaps = Gaps("/vsicurl/https://example.com/a.tif", SIDE * SIDE)
+@pytest.mark.parametrize(
+    "place",
+    [
+        *(f"/vsi{kind}/a.tif" for kind in ("curl", "s3", "gs", "az", "adls", "oss", "swift")),
+        "http://example.com/a.tif",
+        "https://example.com/a.tif",
+    ],
+)
+def test_a_file_elsewhere_has_no_gaps(place: str) -> None:
+    gaps = Gaps(place, SIDE * SIDE)
     with pytest.raises(InputError, match="damaged"):
         gaps.read(read, Window(0, 0, SIDE, SIDE), filled([0.0], np.dtype(int)))
 
