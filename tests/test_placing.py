@@ -138,3 +138,27 @@ def test_hidden_files_and_folders_of_the_stage_are_no_results(tmp_path: Path) ->
         folder.path("a.csv").write_text("1")
         folder.commit()
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["a.csv"]
+
+
+@pytest.mark.parametrize("appears", [True, False])
+def test_a_stage_that_cannot_be_renamed(
+    appears: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Into a folder that is there by then, the files go one by one; else it is one clear error."""
+    out_dir = tmp_path / "out"
+
+    def rename(stage: Path, target: Path) -> None:
+        if appears:
+            out_dir.mkdir()
+        raise OSError(errno.ENOTEMPTY if appears else errno.EIO, "no")
+
+    with OutputFolder(out_dir) as folder:
+        folder.path("a.csv").write_text("1")
+        monkeypatch.setattr(Path, "rename", rename)
+        if appears:
+            folder.commit()
+        else:
+            with pytest.raises(OutputError, match=r"cannot write .*out: no"):
+                folder.commit()
+    assert out_dir.is_dir() is appears
+    assert not appears or [file.name for file in out_dir.iterdir()] == ["a.csv"]
