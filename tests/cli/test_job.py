@@ -148,7 +148,12 @@ def test_stray_prints_cannot_corrupt_the_protocol(cli: Cli) -> None:
         ("OutputError('disk full')", 2, "error: disk full\n"),
         ("RegistrationRejectedError('too few')", 3, "error: too few\n"),
         ("ValueError('odd')", 1, "error: unexpected ValueError: odd (--debug shows where)\n"),
-        ("MemoryError()", 1, "error: unexpected MemoryError: (--debug shows where)\n"),
+        (
+            "MemoryError()",
+            2,
+            "error: this needs more memory than there is (none left): give --jobs 1, a smaller --window or "
+            "--search-radius, or smaller rasters\n",
+        ),
     ],
 )
 def test_errors_are_one_line_and_have_their_status(cli: Cli, raised: str, status: int, said: str) -> None:
