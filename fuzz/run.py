@@ -147,9 +147,17 @@ def _smallest(
 def _run(title: str, todo: Iterator[Work], servers: Sequence[ForkServer], folder: Path | None) -> int:
     """Run all, as many at a time as there are servers; print the table."""
     tally, lock, since = Tally(), threading.Lock(), time.monotonic()
+    broken = threading.Event()
 
     def serve(server: ForkServer) -> None:
-        while True:
+        try:
+            serve_all(server)
+        except BaseException:
+            broken.set()  # the others end with their present input, so that it is told at once
+            raise
+
+    def serve_all(server: ForkServer) -> None:
+        while not broken.is_set():
             with lock:
                 work = next(todo, None)
             if work is None:

@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -110,6 +111,15 @@ def test_wild_pixel_sizes_are_refused(tmp_path: Path, pixel_m: float) -> None:
         )
         with pytest.raises(InputError, match=r"at most|cannot tell apart|do not overlap"):
             plan_views(reference, describe(path))
+
+
+@pytest.mark.parametrize("wild", ["-1e308", "1e12"])
+def test_a_wild_world_file_is_refused(tmp_path: Path, wild: str) -> None:
+    pixels = np.zeros((60, 60), np.uint8)
+    cv2.imwrite(str(tmp_path / "b.png"), pixels)
+    (tmp_path / "b.pgw").write_text(f"30\n0\n0\n-30\n{wild}\n4599985\n")
+    with pytest.raises(InputError, match="map coordinates up to"):
+        describe(tmp_path / "b.png")
 
 
 def test_pixels_of_scales_that_are_matched_are_not(tmp_path: Path) -> None:

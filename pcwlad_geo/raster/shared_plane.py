@@ -56,8 +56,9 @@ def grid_beside(info: RasterInfo, grid: Grid) -> Grid:
         return info.grid
     own = Grid(info.grid.shape, info.plane_transform, grid.crs)
     extents = [shapely.Polygon(each.to_xy(each.boundary_px())) for each in (own, grid)]
-    shared = extents[0].intersection(extents[1]).area / min(extent.area for extent in extents)
-    return own if shared >= LEAST_SHARED else info.grid
+    least = min(extent.area for extent in extents)
+    shared = extents[0].intersection(extents[1]).area
+    return own if shared >= LEAST_SHARED * least > 0 else info.grid
 
 
 def _placed(info: RasterInfo, grid: Grid | None) -> RasterInfo:

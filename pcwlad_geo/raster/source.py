@@ -104,7 +104,7 @@ def describe(
             nodata=dataset.nodatavals[band - 1],
             mask_uri=None if mask is None else os.fspath(mask),
             gcp_misfit_px=misfit_px,
-            plane_transform=dataset.transform if dataset.crs is None and _has_transform(dataset) else None,
+            plane_transform=_plane_transform(uri, dataset),
         )
     if info.mask_uri is not None:
         described = describe(info.mask_uri)
@@ -272,6 +272,15 @@ def _grid_of(uri: str, dataset: DatasetReader) -> tuple[Grid, float | None]:
     if found is not None:
         return Grid(dataset.shape, found[0], crs), found[1]
     return Grid(dataset.shape, Affine.identity(), None), None
+
+
+def _plane_transform(uri: str, dataset: DatasetReader) -> Affine | None:
+    """Return the geotransform of a file that has one and no CRS."""
+    if dataset.crs is not None or not _has_transform(dataset):
+        return None
+    transform: Affine = dataset.transform
+    check_geotransform(uri, tuple(transform)[:6], dataset.shape)
+    return transform
 
 
 def _check_place(uri: str, grid: Grid, misfit_px: float | None) -> None:
