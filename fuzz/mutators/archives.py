@@ -167,6 +167,7 @@ def damage(random: Random, data: bytes) -> tuple[bytes, str]:
     except (
         zipfile.BadZipFile,
         tarfile.TarError,
+        IndexError,  # nothing is left in it
         OSError,
         ValueError,
         EOFError,

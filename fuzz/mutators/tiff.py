@@ -138,7 +138,7 @@ def layout(data: bytes) -> Layout | None:
             entries = tuple(_entry(data, at + head + size * index, big) for index in range(min(count, 200)))
             found.append((at, entries))
             (at,) = struct.unpack_from("<" + offset, data, at + head + size * count)
-    except struct.error:
+    except (struct.error, OverflowError):  # the count of a damaged directory
         pass
     return Layout(big, tuple(found)) if any(entries for _, entries in found) else None
 
