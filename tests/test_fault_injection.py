@@ -21,10 +21,8 @@ SOME = "10000"
 
 
 @compiled
-@pytest.mark.parametrize(
-    "kind",
-    ["rename", *(pytest.param(each, marks=pytest.mark.slow) for each in faults.KINDS if each != "rename")],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", faults.KINDS)
 def test_whatever_fails_the_folder_is_old_or_new_and_the_cause_is_named(kind: str) -> None:
     ended = subprocess.run(
         [sys.executable, REPOSITORY / "fuzz" / "faults.py", "--once", "--every", SOME, "--kind", kind],

@@ -229,9 +229,8 @@ def descendants(process_id: int) -> list[int]:
 
 
 @posix
-@pytest.mark.parametrize(
-    "stage", [pytest.param("matching", marks=slow), pytest.param("writing", marks=slow), "warping"]
-)
+@slow
+@pytest.mark.parametrize("stage", ["matching", "writing", "warping"])
 def test_a_killed_job_leaves_nothing_under_a_final_name_and_can_be_started_again(
     stage: str, pair: tuple[Path, Path], whole: Registration, work: Path
 ) -> None:

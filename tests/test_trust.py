@@ -52,6 +52,7 @@ def test_a_vrt_beside_its_source_gives_the_same_tie_points(folder: Path, tmp_pat
     np.testing.assert_array_equal(plain, points_of(folder / "tgt.vrt", folder, tmp_path / "vrt", jobs=2))
 
 
+@pytest.mark.slow
 def test_a_vrt_elsewhere_is_read_where_it_is_trusted(folder: Path, tmp_path: Path) -> None:
     text = (folder / "tgt.vrt").read_text().replace('"1">tgt.tif', f'"0">{folder}/tgt.tif')
     (tmp_path / "away.vrt").write_text(text)
@@ -62,6 +63,7 @@ def test_a_vrt_elsewhere_is_read_where_it_is_trusted(folder: Path, tmp_path: Pat
     np.testing.assert_array_equal(trusted, points_of(folder / "tgt.tif", folder, tmp_path / "tif", jobs=1))
 
 
+@pytest.mark.slow
 def test_a_remote_raster_is_read_by_workers_where_it_is_allowed(
     folder: Path, server: Server, tmp_path: Path
 ) -> None:
@@ -74,7 +76,10 @@ def test_a_remote_raster_is_read_by_workers_where_it_is_allowed(
     np.testing.assert_array_equal(remote, points_of(folder / "tgt.tif", folder, tmp_path / "tif", jobs=1))
 
 
-@pytest.mark.parametrize("command", ["register", "match", "qa", "batch"])
+@pytest.mark.parametrize(
+    "command",
+    ["match", *(pytest.param(each, marks=pytest.mark.slow) for each in ("register", "qa", "batch"))],
+)
 def test_the_command_line_refuses(command: str, folder: Path, server: Server, tmp_path: Path) -> None:
     reference = str(folder / "ref.tif")
     (tmp_path / "secret.txt").write_text("words" * 100_000)

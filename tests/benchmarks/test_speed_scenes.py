@@ -37,6 +37,7 @@ def test_a_small_scene_is_the_corner_of_a_large_one(band: int) -> None:
     np.testing.assert_array_equal(strip(band, 25, 15, 300), large[25:])
 
 
+@pytest.mark.slow
 def test_the_thermal_band_shows_the_ground_where_the_displacement_puts_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

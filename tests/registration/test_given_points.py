@@ -107,6 +107,7 @@ def test_what_does_not_fit_is_told(rasters: tuple[Path, Path], tmp_path: Path) -
     assert not list((tmp_path / "out").glob("*_registered.tif"))
 
 
+@pytest.mark.slow
 def test_a_registration_from_its_own_points_is_the_same(tmp_path: Path) -> None:
     """Match, write, and register again from each of the files written."""
     paths = (
