@@ -7,10 +7,14 @@ docs/limits.md lists them.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from typing import Final
 
-from pcwlad_geo.errors import InputError
+if sys.platform != "win32":
+    import resource
+
+from pcwlad_geo.errors import ExecutionError, InputError
 
 FILE_PX: Final = 2**36
 """Pixels of a band of a file: a square of 262,144 px, six times the largest mosaics that are read here."""
@@ -24,8 +28,8 @@ BLOCK_BYTES: Final = 2**30
 """Bytes of one block (tile or strip) once unpacked: GDAL holds at least one whole block in memory."""
 BANDS: Final = 4096
 """Bands of a file: ten times those of imaging spectrometers; each has a description that is kept."""
-METADATA_BYTES: Final = 2**24
-"""Characters of the metadata of a file or band that are carried over to a result."""
+ADDRESS_SPACE_BYTES: Final = 2**31
+"""Least address space of a process (`ulimit -v`): with less the libraries, mapped whole, end it by signals."""
 COORDINATE: Final = 1e10
 """Map units from the origin: the earth is 4e7 m or 1.3e8 feet around."""
 PIXEL_SHARE: Final = 1e-11
@@ -86,6 +90,24 @@ RPC_LIMITS: Final = {
 """Largest sizes of an RPC's numbers: pixels, degrees, metres."""
 RPC_COEFFICIENT: Final = 1e6
 """Largest size of an RPC's coefficients, which speak of normalised coordinates."""
+
+
+def check_address_space() -> None:
+    """Raise where the process may use less address space than the libraries need.
+
+    Raises
+    ------
+    ExecutionError
+        Then.
+    """
+    if sys.platform == "win32":  # has no such limit
+        return
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if most != resource.RLIM_INFINITY and most < ADDRESS_SPACE_BYTES:
+        raise ExecutionError(
+            f"the process may use {most / 2**30:.2g} GiB of address space, and at least "
+            f"{ADDRESS_SPACE_BYTES / 2**30:.0f} GiB of memory are needed: raise its limit (ulimit -v)"
+        )
 
 
 def check_shape(uri: str, shape: tuple[int, int], bands: int) -> None:

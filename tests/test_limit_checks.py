@@ -155,4 +155,4 @@ def test_limits_that_are_compared_elsewhere() -> None:
     assert (limits.SEARCH_RADIUS_PX, limits.TILE_PX, limits.FEATURES) == (1024, 4096, 100_000)
     assert (limits.ITERATIONS, limits.JOBS, limits.UNREAD_PARTS) == (1000, 1024, 500)
     assert (limits.POINTS, limits.BATCH_ROWS, limits.MEMBERS) == (250_000, 100_000, 100_000)
-    assert (limits.TEXT_BYTES, limits.METADATA_BYTES, limits.LEAST_STORED) == (2**26, 2**24, 1 / 128)
+    assert (limits.TEXT_BYTES, limits.LEAST_STORED) == (2**26, 1 / 128)

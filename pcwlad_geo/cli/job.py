@@ -17,7 +17,14 @@ from pcwlad_geo.cli.interrupt import STATUS as INTERRUPTED
 from pcwlad_geo.cli.interrupt import cancellable
 from pcwlad_geo.cli.outcome import Outcome
 from pcwlad_geo.cli.progress import Reporter, one_line, reporter
-from pcwlad_geo.errors import CancelledError, PcwladGeoError, RegistrationRejectedError, RequirementError
+from pcwlad_geo.errors import (
+    CancelledError,
+    ExecutionError,
+    PcwladGeoError,
+    RegistrationRejectedError,
+    RequirementError,
+)
+from pcwlad_geo.limits import check_address_space
 from pcwlad_geo.registration.progress import EventCallback
 from pcwlad_geo.registration.settings import Settings
 
@@ -111,6 +118,7 @@ def _attempt(
 
     try:
         with cancellable(end_by_force, watch_stdin=params["watch_stdin"]):
+            check_address_space()
             ending = work(report.event)
         report.result(ending.figures, ending.text)
     except (KeyboardInterrupt, CancelledError):
@@ -135,9 +143,11 @@ def _report_error(error: Exception, report: Reporter) -> int:
     if isinstance(error, PcwladGeoError):
         report.error(str(error), {"exit_status": error.exit_status, **_rejection(error)})
         return error.exit_status
-    from pcwlad_geo.raster.boundary import explained  # only now: it loads GDAL
+    known = _not_loaded(error)
+    if known is None:
+        from pcwlad_geo.raster.boundary import explained  # only now: it loads GDAL
 
-    known = explained(error)
+        known = explained(error)
     if known is not None:
         report.error(str(known), {"exit_status": known.exit_status})
         return known.exit_status
@@ -145,6 +155,17 @@ def _report_error(error: Exception, report: Reporter) -> int:
     message = f"unexpected {type(error).__name__}: {one_line(error)} (--debug shows where)"
     report.error(message, {"exit_status": UNEXPECTED})
     return UNEXPECTED
+
+
+def _not_loaded(error: Exception) -> PcwladGeoError | None:
+    """Return the error that people see where a library could not be loaded: mostly for want of memory."""
+    shared = any(word in str(error) for word in ("shared object", "DLL load failed"))
+    if not (shared and isinstance(error, ImportError | OSError)):
+        return None
+    return ExecutionError(
+        f"a library cannot be loaded ({one_line(error)}): give the process more memory (ulimit -v shows its "
+        "limit), or install pcwlad-geo anew"
+    )
 
 
 def _work(
