@@ -29,7 +29,7 @@ BLOCK_BYTES: Final = 2**30
 BANDS: Final = 4096
 """Bands of a file: ten times those of imaging spectrometers; each has a description that is kept."""
 ADDRESS_SPACE_BYTES: Final = 2**31
-"""Least address space of a process (`ulimit -v`): with less the libraries, mapped whole, end it by signals."""
+"""Least address space of a process (`ulimit -v`): with less, libraries that are mapped whole end it."""
 COORDINATE: Final = 1e10
 """Map units from the origin: the earth is 4e7 m or 1.3e8 feet around."""
 PIXEL_SHARE: Final = 1e-11
