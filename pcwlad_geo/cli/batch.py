@@ -12,6 +12,7 @@ from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.config import collect
 from pcwlad_geo.cli.job import UNEXPECTED, Ending, run_guarded, show_traceback
 from pcwlad_geo.cli.table import table
+from pcwlad_geo.cli.visible import visible
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError
 from pcwlad_geo.registration.progress import EventCallback
 from pcwlad_geo.registration.settings import Settings
@@ -98,4 +99,4 @@ def _ending(result: BatchResult) -> Ending:
     status = next((STATUS_OF[each] for each in STATUS_OF if counts[each]), 0)
     figures = {**counts, "exit_status": status, "pairs": rows, "paths": {"summary": str(summary)}}
     told = ", ".join(f"{count} {WORDS.get(each, each)}" for each, count in counts.items() if count)
-    return Ending(figures, f"{table(rows)}\n{told}\nsummary: {summary}\n", status)
+    return Ending(figures, f"{table(rows)}\n{visible(told)}\nsummary: {visible(str(summary))}\n", status)

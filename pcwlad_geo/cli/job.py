@@ -16,7 +16,8 @@ from pcwlad_geo.cli.config import collect
 from pcwlad_geo.cli.interrupt import STATUS as INTERRUPTED
 from pcwlad_geo.cli.interrupt import cancellable
 from pcwlad_geo.cli.outcome import Outcome
-from pcwlad_geo.cli.progress import Reporter, one_line, reporter
+from pcwlad_geo.cli.progress import Reporter, reporter
+from pcwlad_geo.cli.visible import one_line, visible
 from pcwlad_geo.errors import (
     CancelledError,
     ExecutionError,
@@ -69,7 +70,7 @@ def run_job(command: Command, params: Mapping[str, Any]) -> None:
         except RequirementError as error:  # the result is there
             status = error.exit_status
         outcome = Outcome.read(_paths(command, params, settings))
-        return Ending({**outcome.figures(), "exit_status": status}, outcome.text(), status)
+        return Ending({**outcome.figures(), "exit_status": status}, visible(outcome.text()), status)
 
     run_guarded(params, work, lambda: _abandon(command, params))
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol, TextIO
 
 from pcwlad_geo.cli.options import ProgressStyle
 from pcwlad_geo.cli.streams import own_standard_error, protocol_stream
+from pcwlad_geo.cli.visible import one_line
 from pcwlad_geo.errors import CancelledError
 from pcwlad_geo.registration.progress import Event, Progress, Warned
 
@@ -33,11 +34,6 @@ class Reporter(Protocol):
 
     def cancelled(self) -> None:
         """Show that the run was interrupted."""
-
-
-def one_line(message: object) -> str:
-    """Return a message on one line, whatever line breaks it came with."""
-    return " ".join(str(message).split())
 
 
 def show_error(message: object, errors: TextIO | None = None) -> None:

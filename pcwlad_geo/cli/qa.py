@@ -11,6 +11,7 @@ import typer
 from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.config import collect
 from pcwlad_geo.cli.job import Ending, run_guarded
+from pcwlad_geo.cli.visible import visible
 from pcwlad_geo.errors import RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.registration.progress import EventCallback
 from pcwlad_geo.registration.settings import Settings
@@ -152,7 +153,7 @@ def _ending(result: QaResult) -> Ending:
         status = RequirementError.exit_status
     elif result.refused:
         status = RegistrationRejectedError.exit_status
-    return Ending({**outcome_of(result), "exit_status": status}, stack_text(result), status)
+    return Ending({**outcome_of(result), "exit_status": status}, visible(stack_text(result)), status)
 
 
 def _trend(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
@@ -180,7 +181,7 @@ def _trend_ending(found: Trend) -> Ending:
         "exit_status": 0,
         "paths": paths,
     }
-    return Ending(figures, trend_text(found))
+    return Ending(figures, visible(trend_text(found)))
 
 
 def _abandon(params: Mapping[str, Any]) -> None:

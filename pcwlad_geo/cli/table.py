@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from pcwlad_geo.cli.columns import columns
+from pcwlad_geo.cli.visible import visible
 
 COLUMNS: Final = ("target", "status", "points", "RMSE px", "shift px", "folder or reason")
 NUMBERS: Final = ("points", "RMSE px", "shift px")
@@ -28,7 +29,7 @@ def table(rows: Sequence[Mapping[str, object]]) -> str:
 
 def _cells(row: Mapping[str, object]) -> list[str]:
     shift = [row["d_col_px"], row["d_row_px"]]
-    return [
+    cells = [
         Path(str(row["target"])).name,
         f"{row['status']}{' before' if row['done_before'] else ''}",
         str(row["tie_points"]) if row["tie_points"] is not None else "",
@@ -36,6 +37,7 @@ def _cells(row: Mapping[str, object]) -> list[str]:
         " ".join(f"{value:+.2f}" for value in shift if isinstance(value, float)),
         str(row["reason"] or row["out_dir"]),
     ]
+    return [visible(cell) for cell in cells]
 
 
 def _figure(value: object) -> str:

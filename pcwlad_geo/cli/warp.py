@@ -9,6 +9,7 @@ import typer
 
 from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.job import Ending, run_guarded
+from pcwlad_geo.cli.visible import visible
 from pcwlad_geo.registration.progress import EventCallback
 from pcwlad_geo.registration.settings import OutputGrid, Resampling
 
@@ -96,7 +97,7 @@ def warp(
             on_event=on_event,
         )
         paths = [str(path.absolute()) for path in written]
-        return Ending({"status": "warped", "paths": paths}, "".join(f"{path}\n" for path in written))
+        return Ending({"status": "warped", "paths": paths}, visible("".join(f"{path}\n" for path in written)))
 
     def abandon() -> None:
         from pcwlad_geo import staging
