@@ -14,7 +14,7 @@ from typing import Final
 if sys.platform != "win32":
     import resource
 
-from pcwlad_geo.errors import ExecutionError, InputError
+from pcwlad_geo.errors import ExecutionError, InputError, SettingsError
 
 FILE_PX: Final = 2**36
 """Pixels of a band of a file: a square of 262,144 px, six times the largest mosaics that are read here."""
@@ -43,6 +43,10 @@ GCP_MISFIT_SHARE: Final = 0.25
 """Of the image's longer side, how far a geotransform may miss a control point: beyond, one is wrong."""
 GRID_PX: Final = 2**34
 """Pixels of an output grid: a square of 131,072 px."""
+GRID_SIDE_PX: Final = 2**20
+"""Columns or rows of an output grid: four times the widest mosaics."""
+CREATED_BLOCK_PX: Final = 8192
+"""Side of a block of a file that is written: all bands of several blocks are held at once."""
 GRID_TIMES: Final = 64
 """Pixels of an output grid per pixel of the rasters that it is made from."""
 GRID_LEAST_PX: Final = 2**28
@@ -297,7 +301,8 @@ def check_grid(what: str, counts: Sequence[float], made_from_px: float | None = 
     Raises
     ------
     InputError
-        Beyond `GRID_PX`, and `GRID_TIMES` the pixels that it is made from (or `GRID_LEAST_PX`).
+        Beyond `GRID_PX`, `GRID_SIDE_PX` a side, and `GRID_TIMES` the pixels that it is made from (or
+        `GRID_LEAST_PX`).
     """
     most = float(GRID_PX)
     if made_from_px is not None:
@@ -307,6 +312,26 @@ def check_grid(what: str, counts: Sequence[float], made_from_px: float | None = 
         raise InputError(
             f"{what} would have {cols:.6g} x {rows:.6g} pixels, and at most {most:.0f} are made from these "
             "rasters: check their georeferencing, --te and --tr"
+        )
+    if not max(cols, rows) <= GRID_SIDE_PX:
+        raise InputError(
+            f"{what} would have {cols:.6g} x {rows:.6g} pixels, and at most {GRID_SIDE_PX} a side are made: "
+            "check their georeferencing, --te and --tr"
+        )
+
+
+def check_created_block(key: str, value: str) -> None:
+    """Raise where a creation option asks for blocks that no memory holds.
+
+    Raises
+    ------
+    SettingsError
+        If it is no whole number from 1 to `CREATED_BLOCK_PX`.
+    """
+    if not (value.isascii() and value.isdigit() and 1 <= int(value[:10]) <= CREATED_BLOCK_PX):
+        raise SettingsError(
+            f"co = {key}={value[:20]}: blocks have from 1 to {CREATED_BLOCK_PX} px a side, and GDAL allows "
+            "multiples of 16 only for tiles: give such a number"
         )
 
 

@@ -8,7 +8,8 @@ from collections.abc import Callable
 import pytest
 
 from pcwlad_geo import limits
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.raster.output_format import OutputFormat
 
 UTM = (30.0, 0.0, 5e5, 0.0, -30.0, 4.6e6)
 
@@ -24,6 +25,14 @@ def test_shape() -> None:
     limits.check_shape("a.tif", (2**18, 2**18), 4096)
     refused(lambda: limits.check_shape("a.tif", (2**18, 2**18 + 1), 1), "a.tif", "262145 x 262144 pixels")
     refused(lambda: limits.check_shape("a.tif", (10, 10), 4097), "4097 bands", "at most 4096")
+
+
+def test_blocks_that_are_written() -> None:
+    limits.check_created_block("BLOCKSIZE", "8192")
+    for value in ("8193", "0", "-5", "9" * 5000, "512.5", "²", ""):
+        refused(lambda value=value: limits.check_created_block("BLOCKSIZE", value), "co = BLOCKSIZE=", "8192")
+    with pytest.raises(SettingsError, match="BLOCKYSIZE=-5"):
+        OutputFormat.of("GTiff", ["blockysize=-5"])
 
 
 def test_bytes_for_the_pixels() -> None:
@@ -115,6 +124,8 @@ def test_a_grid_that_is_made() -> None:
     refused(lambda: limits.check_grid("the grid", (2.0**17, 2.0**17 + 1)), "131072 x 131073", "the grid")
     limits.check_grid("the grid", (2.0**14, 2.0**14), 100.0)
     refused(lambda: limits.check_grid("the grid", (2.0**14, 2.0**14 + 1), 100.0), "at most 268435456")
+    limits.check_grid("the grid", (2.0**20, 1.0))
+    refused(lambda: limits.check_grid("the grid", (1.0, 2.0**20 + 1)), "at most 1048576 a side")
     limits.check_grid("the grid", (8e4, 8e4), 1e8)
     refused(lambda: limits.check_grid("the grid", (8e4, 8.01e4), 1e8), "at most 6400000000")
     refused(lambda: limits.check_grid("the grid", (2.0**17, 2.0**17 + 1), 1e12), "at most 17179869184")

@@ -21,6 +21,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.limits import check_created_block
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
 from pcwlad_geo.raster.grid import Grid
@@ -31,6 +32,8 @@ from pcwlad_geo.raster.source import open_raster
 
 _EXTENSIONS: Final = {"COG": "tif", "GTIFF": "tif", "ENVI": "dat", "JPEG": "jpg", "VRT": "vrt"}
 """Of formats for which GDAL knows none, or several."""
+_BLOCK_SIDES: Final = frozenset({"BLOCKSIZE", "BLOCKXSIZE", "BLOCKYSIZE"})
+"""Creation options that are sides of blocks."""
 _SMALL_PX: Final = 64
 """Side of the file that is tried."""
 _TILE_BYTES: Final = 2**22
@@ -48,9 +51,18 @@ class OutputFormat:
 
     @staticmethod
     def of(driver: str, options: Sequence[str]) -> OutputFormat:
-        """Return the format of a driver and options as KEY=VALUE."""
+        """Return the format of a driver and options as KEY=VALUE.
+
+        Raises
+        ------
+        SettingsError
+            If one asks for blocks that no memory holds.
+        """
         pairs = (option.partition("=") for option in options)
-        return OutputFormat(driver, MappingProxyType({key.upper(): value for key, _, value in pairs}))
+        named = {key.upper(): value for key, _, value in pairs}
+        for key in _BLOCK_SIDES & named.keys():
+            check_created_block(key, named[key])
+        return OutputFormat(driver, MappingProxyType(named))
 
     @property
     def extension(self) -> str:
