@@ -57,7 +57,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
             r"co = COMPRESS=SQUEEZE: GDAL's GTiff says: .*'SQUEEZE' is an unexp",
         ),
         ("GTiff", ("COMPRES=LZW",), "GTiff does not support creation option COMPRES"),
-        ("GTiff", ("BLOCKXSIZE=wide",), "unexpected value for BLOCKXSIZE"),
+        ("GTiff", ("BLOCKXSIZE=wide",), "co = BLOCKXSIZE=wide: blocks have"),
         ("COG", ("QUALITY_OF=1",), "does not support creation option QUALITY_OF"),
         ("COG", ("COMPRESS=ZSTD", "LEVEL=99"), "LEVEL=99 value not recognised"),
         ("COG", ("TILING_SCHEME=GoogleMapsCompatible",), "would lie elsewhere than on the output grid"),
