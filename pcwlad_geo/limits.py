@@ -45,6 +45,8 @@ GRID_PX: Final = 2**34
 """Pixels of an output grid: a square of 131,072 px."""
 GRID_SIDE_PX: Final = 2**20
 """Columns or rows of an output grid: four times the widest mosaics."""
+OUTPUT_PIXEL_PX: Final = 1e4
+"""Side of a pixel of an output grid in pixels of the target: all of them are weighed together."""
 CREATED_BLOCK_PX: Final = 8192
 """Side of a block of a file that is written: all bands of several blocks are held at once."""
 GRID_TIMES: Final = 64
@@ -317,6 +319,27 @@ def check_grid(what: str, counts: Sequence[float], made_from_px: float | None = 
         raise InputError(
             f"{what} would have {cols:.6g} x {rows:.6g} pixels, and at most {GRID_SIDE_PX} a side are made: "
             "check their georeferencing, --te and --tr"
+        )
+
+
+def check_output_pixel(step_px: Sequence[float]) -> None:
+    """Raise where the pixels of an output grid are too large for those that they are made from.
+
+    Parameters
+    ----------
+    step_px : two floats
+        Pixels of the output along the two principal directions of a pixel of the target.
+
+    Raises
+    ------
+    InputError
+        If a side is longer than `OUTPUT_PIXEL_PX` pixels of the target.
+    """
+    least = min(step_px)
+    if math.isfinite(least) and not least * OUTPUT_PIXEL_PX >= 1:
+        raise InputError(
+            f"a pixel of the output grid is {1 / max(least, 1e-300):.3g} pixels of the target long, and "
+            f"at most {OUTPUT_PIXEL_PX:.0f} are weighed together: check --tr, --like and the georeferencing"
         )
 
 

@@ -27,6 +27,14 @@ def test_shape() -> None:
     refused(lambda: limits.check_shape("a.tif", (10, 10), 4097), "4097 bands", "at most 4096")
 
 
+def test_pixels_of_an_output_grid() -> None:
+    limits.check_output_pixel((1e-4, 3.0))
+    refused(
+        lambda: limits.check_output_pixel((3.0, 0.99e-4)), "1.01e+04 pixels of the target", "at most 10000"
+    )
+    refused(lambda: limits.check_output_pixel((3.0, 0.0)), "at most 10000")
+
+
 def test_blocks_that_are_written() -> None:
     limits.check_created_block("BLOCKSIZE", "8192")
     for value in ("8193", "0", "-5", "9" * 5000, "512.5", "²", ""):

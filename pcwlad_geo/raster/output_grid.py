@@ -14,9 +14,9 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import check_grid
+from pcwlad_geo.limits import check_grid, check_output_pixel
 from pcwlad_geo.raster.crs import name_of
-from pcwlad_geo.raster.grid import Grid, linear_part, map_px
+from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.output_size import pixel_sizes
 
 Array = NDArray[np.float64]
@@ -95,6 +95,9 @@ def output_grids(
     request = request or GridRequest()
     fixed = request.fixed(reference_grid)
     if fixed is not None:
+        check_grid("the output grid", fixed.shape[::-1])
+        if fixed.located and target_grid.located:
+            _check_pixel(fixed, target_grid)
         return [fixed] * len(rasters)
     if request.mode == "target":
         return list(rasters)
@@ -109,7 +112,16 @@ def output_grids(
     )
     for grid in grids:
         check_grid("the output grid", grid.shape[::-1], made_from_px)
+        _check_pixel(grid, target_grid)
     return grids
+
+
+def _check_pixel(grid: Grid, target: Grid) -> None:
+    """Raise where the pixels of an output grid are too large for those of the target."""
+    middle = np.array([[target.shape[1] / 2, target.shape[0] / 2]])
+    steps = jacobian(middle, target, grid)[0]
+    if np.isfinite(steps).all():
+        check_output_pixel(np.linalg.svd(steps, compute_uv=False).tolist())
 
 
 def output_lattice(reference: Grid, request: GridRequest) -> Grid:

@@ -228,3 +228,11 @@ def test_a_grid_that_shows_nothing_of_the_target_is_refused() -> None:
     check_covered(at(LAEA, 30.0, (10, 10)), outline, UTM33)
     with pytest.raises(InputError, match="in EPSG:3035"):
         check_covered(Grid((10, 10), Affine(30, 0, 4e6, 0, -30, 3e6), LAEA), outline, UTM33, beyond=1.0)
+
+
+@pytest.mark.parametrize("size", [(2147483647.0, 0.03), (3e8, 3e8)])
+def test_pixels_of_nonsense_are_refused(size: tuple[float, float]) -> None:
+    grid = Grid((96, 120), Affine(30, 0, 500000, 0, -30, 4600000), CRS.from_epsg(32633))
+    request = GridRequest(pixel_size=size)
+    with pytest.raises(InputError, match="pixels of the target long, and at most 10000"):
+        output_grid(grid, grid, NONE, request)
