@@ -149,8 +149,8 @@ def test_an_engine_that_does_not_listen_is_killed_with_its_children(
     engine = stand_in(
         tmp_path,
         """
-        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(36_000)"])
-        print("ready", file=sys.stderr, flush=True)
+        said = "import sys, time; print('ready', file=sys.stderr, flush=True); time.sleep(36_000)"
+        subprocess.Popen([sys.executable, "-c", said])  # both are there once it speaks
         time.sleep(36_000)
         """,
     )
