@@ -21,7 +21,7 @@ import pytest
 import rasterio
 
 import pcwlad_geo
-from pcwlad_geo import ExecutionError, InputError, RegistrationRejectedError
+from pcwlad_geo import ExecutionError, InputError
 from pcwlad_geo.raster import tie_point_csv
 from pcwlad_geo.registration.cluster import _inspection, connected
 from pcwlad_geo.registration.forks import CAN_FORK
@@ -163,16 +163,14 @@ def test_a_tile_that_cannot_be_read_again_is_left_out_and_told(
 
 
 @pytest.mark.slow
-def test_what_remains_must_suffice(
-    copy: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_remains_must_suffice(copy: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pcwlad_geo.registration.judge.LEAST_POINTS", 40)
     everything_but_a_corner = [(x, y) for x in range(LAST + 1) for y in range(LAST + 1) if max(x, y) > 18]
     on_event = stop_reading(copy[1], *everything_but_a_corner)
-    with ThreadPoolExecutor(1) as executor, pytest.raises(RegistrationRejectedError) as caught:
-        pcwlad_geo.match(*copy, out_dir=tmp_path / "out", on_event=on_event, executor=executor, **TWICE)
-    assert isinstance(caught.value.registration, Registration)
-    assert any("left out" in warning for warning in caught.value.registration.warnings)
+    with ThreadPoolExecutor(1) as executor:
+        found = run(*copy, Settings(**TWICE), on_event=on_event, runner=OnExecutor(executor), match_only=True)
+    assert found.status == "rejected"
+    assert any("left out" in warning for warning in found.warnings)
 
 
 def test_nothing_can_be_read_again(copy: tuple[Path, Path]) -> None:
