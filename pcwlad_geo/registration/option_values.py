@@ -55,15 +55,13 @@ def to_setting(name: str, value: object) -> object:
 
 
 def _number(name: str, value: object, kind: type[int] | type[float], wanted: str) -> object:
-    if isinstance(value, str):
-        try:
-            return kind(value)
-        except ValueError:
-            raise SettingsError(f"{name} = {value!r}: give {wanted}") from None
-    accepted = (int,) if kind is int else (int, float)
+    accepted = (str, int) if kind is int else (str, int, float)
     if isinstance(value, bool) or not isinstance(value, accepted):
         raise SettingsError(f"{name} = {value!r}: give {wanted}")
-    return kind(value)
+    try:
+        return kind(value)
+    except (ValueError, OverflowError):  # no number, or a whole one of hundreds of digits
+        raise SettingsError(f"{name} = {value!r}: give {wanted}") from None
 
 
 def _several(name: str, value: object) -> tuple[object, ...]:

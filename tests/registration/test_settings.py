@@ -56,6 +56,7 @@ def test_the_defaults_are_valid_and_cannot_be_changed() -> None:
         ("search_radius", 10.5),
         ("search_radius", "auto"),
         ("features", float("inf")),
+        ("ssim_min", 10**400),
         ("points", float("nan")),
         ("ssim_min", "0.4"),
         ("method", ["oriented"]),
