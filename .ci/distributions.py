@@ -16,7 +16,7 @@ from pathlib import Path
 IN_WHEEL = (
     "pcwlad_geo/py.typed",
     "pcwlad_geo/report/templates/report.html.j2",
-    "pcwlad_geo/stacks/templates/qa.html.j2",
+    "pcwlad_geo/bandqa/templates/qa.html.j2",
     "pcwlad_geo/schemas/report.schema.json",
     "pcwlad_geo/schemas/qa.schema.json",
 )
