@@ -167,6 +167,7 @@ def under_attack(folder: Path, kills: int, seed: int, mean_s: float) -> Storm:
             found.finished += 1
             shutil.rmtree(folder / "results", ignore_errors=True)  # there is nothing left to kill
         found.complaints += [f"kill {found.kills.total()}: {each}" for each in complaints(folder / "results")]
+        print(f"{found.kills.total()} kills, {len(found.complaints)} complaints", file=sys.stderr, flush=True)
     return found
 
 
@@ -201,6 +202,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         folder = Path(place)
         make(folder, asked.pairs)
         peace = in_peace(folder)
+        grown = _report_peace(asked, peace)
         wanted = content_of(folder / "results")
         shutil.rmtree(folder / "results")
         mean_s = max(0.3, min(peace.seconds / 4, 4 * peace.seconds / asked.pairs))
@@ -208,7 +210,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         last = Batch(folder).wait()  # the same command once more
         found = content_of(folder / "results")
         left = _hidden(folder) + _hidden(folder / "results")
-    return _report(asked, peace, storm, last, _difference(wanted, found), left)
+    wrong = _report_storm(storm, last, _difference(wanted, found), left)
+    return int(grown or wrong)
 
 
 def _hidden(folder: Path) -> list[str]:
@@ -221,15 +224,20 @@ def _difference(wanted: dict[str, bytes], found: dict[str, bytes]) -> list[str]:
     return sorted(name for name in wanted.keys() | found.keys() if wanted.get(name) != found.get(name))
 
 
-def _report(
-    asked: argparse.Namespace, peace: Peace, storm: Storm, last: int, differing: list[str], left: list[str]
-) -> int:
+def _report_peace(asked: argparse.Namespace, peace: Peace) -> bool:
+    """Print what the run in peace has held; return whether it has grown."""
     growth = {name: peace.per_100_pairs(name) for name in ("memory_mb", "files", "processes")}
     start, end = peace.held[int(FIRST_SHARE * len(peace.held))], peace.held[-1]
     print(f"{asked.pairs} pairs on two workers, seed {asked.seed}: {peace.seconds:.0f} s")
     for name, slope in growth.items():
         print(f"  {name:10} {getattr(start, name):8.1f} after a fifth, {getattr(end, name):8.1f} at the end, "
-              f"{slope:+7.2f} per 100 pairs")  # fmt: skip
+              f"{slope:+7.2f} per 100 pairs", flush=True)  # fmt: skip
+    enough = asked.pairs >= 100  # the slope of a few pairs is that of filling caches
+    return enough and (growth["memory_mb"] > GROWTH_MB or growth["files"] > 1 or growth["processes"] > 1)
+
+
+def _report_storm(storm: Storm, last: int, differing: list[str], left: list[str]) -> bool:
+    """Print what the run under attack has come to; return whether something was wrong."""
     counts = ", ".join(f"{count} of {what}" for what, count in sorted(storm.kills.items()))
     ended = f"in {storm.starts} runs, {storm.finished} ended by themselves"
     print(f"  {storm.kills.total()} kills ({counts}) {ended}")
@@ -243,9 +251,7 @@ def _report(
         *(f"left: {name}" for name in left),
     ):
         print(f"    {line}")
-    enough = asked.pairs >= 100  # the slope of a few pairs is that of filling caches
-    grown = enough and (growth["memory_mb"] > GROWTH_MB or growth["files"] > 1 or growth["processes"] > 1)
-    return int(bool(storm.complaints or differing or left or last or grown))
+    return bool(storm.complaints or differing or left or last)
 
 
 if __name__ == "__main__":

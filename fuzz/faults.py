@@ -3,9 +3,9 @@
 ``python fuzz/faults.py [--every K]`` registers a small pair over an earlier result, again and again, each
 time with another call that fails (fuzz/faults/shim.c, preloaded), once or from there on. After each run the
 output folder must hold the old results or the new ones, and nothing else, at the latest once the next run has
-swept; the exit status must be 0 or 2, and 2 with one line on standard error that names the cause. The tie
-points come from a file, as the matching writes nothing, save where allocations fail. Needs a C compiler and
-Linux.
+swept; the exit status must be 0 or 2, and 2 with one line on standard error that names the cause; ``batch``
+may say it in a warning about the pair. The tie points of ``register`` come from a file, as the matching
+writes nothing, save where allocations fail. Needs a C compiler and Linux.
 """
 
 from __future__ import annotations
@@ -33,26 +33,31 @@ KINDS: Final = {"open": 1, "write": 2, "rename": 3, "fsync": 4, "remove": 5, "ma
 """Kinds of calls, and their numbers in the shim."""
 ERRORS: Final = {"write": errno.ENOSPC, "make": errno.ENOSPC, "allocation": errno.ENOMEM}
 """What they fail with; EIO the others."""
-LEAST_BYTES: Final = 1 << 16
+MIN_BYTES: Final = 1 << 16
 """Allocations count from this size on: smaller ones abort in the C++ of libraries, whatever calls them."""
+ENDED_BY_GDAL: Final = (-signal.SIGABRT, -signal.SIGSEGV)
+"""How GDAL ends the process in places where it lacks memory: CPLMalloc aborts, the writer of COGs (3.10) goes
+on with nothing. There is no message then, and the old results must be there."""
 HANG_S: Final = 120
 PRELOADED: Final = "PCWLAD_GEO_FAULTS"
 OPTIONS: Final = ("--features", "40", "--window", "41", "--template", "61", "--model", "shift")
 RUNNING: Final = ("--jobs", "1", "--progress", "none")
 LOADED: Final = (
-    "pcwlad_geo.bands",
+    "pcwlad_geo.band_warping",
     "pcwlad_geo.batches.run",
     "pcwlad_geo.cli.app",
     "pcwlad_geo.registration.run",
     "pcwlad_geo.report.page",
-    "pcwlad_geo.workflow",
-    "pcwlad_geo.writing",
+    "pcwlad_geo.job",
+    "pcwlad_geo.outputs.write",
     "pyogrio",
     "PIL.Image",
     "sqlite3",
 )
 """What each run needs, imported once before the forks; nothing of it starts a thread."""
 COMMANDS: Final = ("register", "match", "warp", "batch")
+UNUSABLE: Final = ": unusable: "
+"""What ``batch`` writes between a pair and why it cannot be used."""
 
 
 @dataclass(slots=True)
@@ -121,7 +126,7 @@ def arm(kind: str, number: int, root: Path, *, for_ever: bool) -> None:
     library, code = ctypes.CDLL(None), ERRORS.get(kind, errno.EIO)
     below = f"{root}/".encode()
     library.faults_arm(
-        KINDS[kind], ctypes.c_long(number), code, int(for_ever), ctypes.c_size_t(LEAST_BYTES), below
+        KINDS[kind], ctypes.c_long(number), code, int(for_ever), ctypes.c_size_t(MIN_BYTES), below
     )
 
 
@@ -186,9 +191,10 @@ def sweep(case: Path) -> None:
 
     def work() -> int:
         from pcwlad_geo.errors import OutputError
-        from pcwlad_geo.staging import OutputFolder, stage_inside
+        from pcwlad_geo.outputs.folder import OutputFolder, stage_inside
 
-        for folder in [each for each in case.iterdir() if each.is_dir() and not each.name.startswith(".")]:
+        below = [each.relative_to(case) for each in case.rglob("*") if each.is_dir()]  # pairs of a batch, too
+        for folder in [case / each for each in below if not any(name.startswith(".") for name in each.parts)]:
             for enter in (OutputFolder, stage_inside):
                 with suppress(OutputError), enter(folder):
                     pass
@@ -224,23 +230,48 @@ def state_of(case: Path, old: Path) -> str:
     return "; ".join(wrong) or "new"
 
 
+def same_pixels(one: bytes, other: bytes) -> bool:
+    """Return whether two files are rasters of the same pixels: blocks may be compressed in several ways."""
+    import numpy as np
+    import rasterio
+    from rasterio.errors import RasterioIOError
+
+    try:
+        files = rasterio.MemoryFile(one), rasterio.MemoryFile(other)
+        with files[0].open() as now, files[1].open() as before:
+            return now.profile == before.profile and np.array_equal(now.read(), before.read())
+    except (RasterioIOError, ValueError):
+        return False
+
+
 def damage_of(case: Path, undisturbed: dict[str, bytes]) -> str | None:
     """Say which files are not those of a run without a fault; files that hold the time are left out."""
     now = files_of(case)
     timed = ("report.json", "report.html", ".gpkg", "summary.csv")
     other = [name for name in now if not name.endswith(timed) and now[name] != undisturbed.get(name)]
+    other = [name for name in other if not same_pixels(now[name], undisturbed.get(name, b""))]
     return f"damaged: {', '.join(sorted(other))}" if other else None
 
 
-def judge(ended: Ended, state: str, kind: str) -> list[str]:
+def told(command: str, said: str) -> list[str]:
+    """Return the lines that tell why a command has ended; what ``batch`` says of its only pair is one."""
+    lines = [line for line in said.splitlines() if not line.startswith("warning: ")]
+    if command == "batch" and not lines:
+        return [line.replace("warning: ", "error: ", 1) for line in said.splitlines() if UNUSABLE in line]
+    return lines
+
+
+def judge(ended: Ended, state: str, kind: str, command: str = "register") -> list[str]:
     """Return what is wrong with the end of a run."""
     wrong = [state] if state not in ("old", "new") else []
+    if kind == "allocation" and ended.status in ENDED_BY_GDAL and state == "old":
+        return wrong
     if ended.status not in (0, 2):
         wrong.append(f"exit status {ended.status}: {ended.said.strip()[:200]}")
-    lines = [line for line in ended.said.splitlines() if not line.startswith("warning: ")]
+    lines = told(command, ended.said)
     if ended.status == 2:
         # SQLite and libtiff do not pass the system's words on; the message then asks about the disk
-        system = (os.strerror(ERRORS.get(kind, errno.EIO)).lower(), "is the disk full?")
+        system = (os.strerror(ERRORS.get(kind, errno.EIO)).lower(), "is the disk full")
         causes = ("memory",) if kind == "allocation" else system
         if len(lines) != 1 or not lines[0].startswith("error: "):
             wrong.append(f"{len(lines)} lines: {ended.said.strip()[:300]}")
@@ -287,7 +318,9 @@ def try_kind(command: str, job: Job, kind: str, folder: Path, every: int, *, for
             state = damage_of(case, undisturbed) or state
         tried.numbers.append(number)
         tried.statuses[ended.status] = tried.statuses.get(ended.status, 0) + 1
-        tried.violations += [f"{command} {kind} {number}: {each}" for each in judge(ended, state, kind)]
+        tried.violations += [
+            f"{command} {kind} {number}: {each}" for each in judge(ended, state, kind, command)
+        ]
     return tried
 
 
@@ -316,7 +349,9 @@ def make_job(command: str, folder: Path) -> Job:
     }
     if command == "warp":
         run_command(["register", *once, "-o", str(folder / "registration")], old)
-    first = run_command(arguments[command], old)
+    # a raster is warped to the same bytes again: the old one must be another
+    another = ["--resampling", "nearest"] if command == "warp" else []
+    first = run_command([*arguments[command], *another], old)
     if first.status:
         raise SystemExit(f"the pair cannot be prepared: {first.said}")
     if command != "register":

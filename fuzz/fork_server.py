@@ -20,7 +20,7 @@ from fuzz.orders import CASE, Limits, Order, Outcome
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
 _POOLS: Final = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "BLIS_NUM", "NUMBA_NUM", "GDAL_NUM")
-MOST_SAID: Final = 20_000
+MAX_SAID: Final = 20_000
 """Characters of each stream that are kept."""
 
 
@@ -139,5 +139,5 @@ def _said(folder: Path) -> dict[str, str]:
     for name in ("stdout", "stderr", "where"):
         file = folder / name
         text = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
-        said[name] = text[:MOST_SAID]
+        said[name] = text[:MAX_SAID]
     return said

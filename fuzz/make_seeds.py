@@ -32,7 +32,7 @@ from rasterio.vrt import WarpedVRT
 import pcwlad_geo
 from fuzz.kept import SEEDS
 from fuzz.mutators import archives
-from pcwlad_geo.raster.rpc_files import parse_rpc_text, write_rpc_text
+from pcwlad_geo.raster.rpc.files import parse_rpc_text, write_rpc_text
 from tests.products import LANDSAT, landsat_metadata, packed, safe_metadata, save
 from tests.rpc_scene import dem_values, make_rpc, write_image
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write

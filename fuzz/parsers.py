@@ -30,7 +30,7 @@ REPOSITORY: Final = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(REPOSITORY))
 
 DEFAULT_SECONDS: Final = 10.0
-MOST_BYTES: Final = 20_000
+MAX_BYTES: Final = 20_000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -138,7 +138,7 @@ def _be_guided(name: str, place: Path, seconds: float, seed: int) -> None:
 
     options = [f"-max_total_time={max(1, round(seconds))}", f"-seed={seed}",
                f"-artifact_prefix={place}/found-",
-               f"-max_len={MOST_BYTES}", "-rss_limit_mb=3072", "-timeout=20"]  # fmt: skip
+               f"-max_len={MAX_BYTES}", "-rss_limit_mb=3072", "-timeout=20"]  # fmt: skip
     atheris.Setup([sys.argv[0], *options, str(corpus)], one)
     atheris.Fuzz()
 

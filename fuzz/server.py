@@ -33,7 +33,7 @@ LOOK_EVERY_S: Final = 0.05
 """How often the memory of a command is looked at."""
 SAY_WHERE_S: Final = 0.5
 """How long a command that hangs may take to say where."""
-MOST_FILE_BYTES: Final = 1 << 30
+MAX_FILE_BYTES: Final = 1 << 30
 """Of a file that a command writes: the disk belongs to others too."""
 _PAGE: Final = os.sysconf("SC_PAGE_SIZE")
 _BECOME_PARENT_OF_ORPHANS: Final = 36  # PR_SET_CHILD_SUBREAPER
@@ -64,10 +64,10 @@ def warm_up() -> bytes:
     cv2.setNumThreads(1)
     import pcwlad_geo
     import pcwlad_geo.__main__
-    import pcwlad_geo.bands
+    import pcwlad_geo.band_warping
+    import pcwlad_geo.bandqa.trend
     import pcwlad_geo.batches.run
     import pcwlad_geo.cli.app
-    import pcwlad_geo.stacks.trend
     from pcwlad_geo.report import page
 
     with contextlib.redirect_stdout(io.StringIO()):  # what the command line itself loads
@@ -88,7 +88,7 @@ def warm_up() -> bytes:
         pair = [str(Path(place) / name) for name in ("ref.tif", "strip.tif")]
         with contextlib.suppress(pcwlad_geo.RequirementError):
             pcwlad_geo.register(*pair, out_dir=Path(place) / "a", require=["points>=100000"], **options)
-        pcwlad_geo.match(pair[0], Path(place) / "rpc.tif", out_dir=Path(place) / "b",
+        pcwlad_geo.match_files(pair[0], Path(place) / "rpc.tif", out_dir=Path(place) / "b",
                          dem=Path(place) / "dem.tif",
                          dem_vertical=45.0, prealign="search", **options)  # fmt: skip
         pcwlad_geo.qa(pair, out_dir=Path(place) / "c", **options)
@@ -214,7 +214,7 @@ def _settle(order: Order) -> None:
     os.environ["TMPDIR"] = str(folder / "tmp")
     tempfile.tempdir = None
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_FILE_BYTES, MOST_FILE_BYTES))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_FILE_BYTES, MAX_FILE_BYTES))
 
 
 def _show_instead(figure: bytes) -> None:

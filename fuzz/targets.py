@@ -12,18 +12,17 @@ from pathlib import Path
 from typing import Final
 
 from fuzz.kept import seed
+from pcwlad_geo.bandqa.bands import parse_bands, split_bands
+from pcwlad_geo.bandqa.summary import read_requirement
 from pcwlad_geo.batches.pairs import read_pairs
-from pcwlad_geo.cli.config import collect
+from pcwlad_geo.cli.options import collect
 from pcwlad_geo.errors import PcwladGeoError
-from pcwlad_geo.raster import tie_point_csv
-from pcwlad_geo.raster.products import find_product
-from pcwlad_geo.raster.rpc_files import parse_rpc_text
-from pcwlad_geo.raster.tie_point_readers import read_point_file
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import Settings
+from pcwlad_geo.products.detect import find_product
+from pcwlad_geo.raster.rpc.files import parse_rpc_text
 from pcwlad_geo.report.finished import read_registration
 from pcwlad_geo.requirements import parse_requirements
-from pcwlad_geo.stacks.inputs import parse_bands, split_bands
-from pcwlad_geo.stacks.requirements import read_requirement
+from pcwlad_geo.tiepoints.readers import read_point_file
 
 LANDSAT: Final = "LC08_L1TP_198030_20200809_20200918_02_T1"
 SAFE: Final = "S2B_MSIL2A_20230809T100559_N0509_R022_T32TQM_20230809T133200.SAFE"
@@ -99,7 +98,6 @@ def targets() -> dict[str, Target]:
             _of_file("q.points", read_point_file),
             (seed("qgis.points"), seed("envi.pts"), seed("tiepoints.csv")),
         ),
-        "tiepoints.csv": (_of_file("tiepoints.csv", tie_point_csv.read), (seed("tiepoints.csv"),)),
         "GCP VRT": (_of_file("gcps.vrt", read_point_file), (seed("gcps.vrt"),)),
         "RPC text": (_of_file("a_RPC.TXT", parse_rpc_text), (seed("beside_RPC.TXT"),)),
         "RPB": (_of_file("a.RPB", parse_rpc_text), (seed("rpb.RPB"),)),

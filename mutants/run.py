@@ -34,7 +34,7 @@ import scipy.spatial  # noqa: F401
 from mutants import trial
 from mutants.operators import Mutant, mutants
 from mutants.targets import EQUIVALENT, TARGETS, equivalent, key
-from mutants.trial import REPOSITORY, Bench
+from mutants.trial import REPOSITORY, Bench, Limits
 
 MUST_KILL: Final = 0.9
 """Share of the mutants of each module."""
@@ -42,6 +42,8 @@ SLOWER: Final = 10.0
 """A mutant whose tests take so many times as long as those of the module itself, hangs."""
 PATIENCE_S: Final = 60.0
 """Besides, for a machine that is busy."""
+MORE_WORK_S: Final = 10.0
+"""A process hangs, too, that needs so much more processor time than the tests of the module itself in all."""
 WORDS: Final = {trial.SURVIVED: "survived", trial.KILLED: "killed", trial.HUNG: "killed (hangs)"}
 
 
@@ -99,16 +101,20 @@ def _outcomes(module: str, source: str, wanted: list[Mutant], jobs: int) -> Iter
         begun = time.monotonic()
         for bench in benches:
             # unchanged, the tests must pass: and then their own compiled files are there
-            if _status(os.waitpid(bench.start(source, tests, 600.0), 0)) != trial.SURVIVED:
+            process, status, used = os.wait4(bench.start(source, tests, Limits(600.0, 600.0)), 0)
+            if _status((process, status)) != trial.SURVIVED:
                 log = (bench.folder / "log.txt").read_text(errors="replace")
                 raise SystemExit(f"{', '.join(tests)} fail on {module} as it is:\n{log[-3000:]}")
-        limit_s = PATIENCE_S + SLOWER * (time.monotonic() - begun) / len(benches)
+        limits = Limits(
+            PATIENCE_S + SLOWER * (time.monotonic() - begun) / len(benches),
+            MORE_WORK_S + used.ru_utime + used.ru_stime,
+        )
         running: dict[int, tuple[Mutant, Bench]] = {}
         free, waiting = list(benches), list(wanted)
         while waiting or running:
             while waiting and free:
                 bench, mutant = free.pop(), waiting.pop(0)
-                running[bench.start(mutant.source, tests, limit_s)] = (mutant, bench)
+                running[bench.start(mutant.source, tests, limits)] = (mutant, bench)
             process, status = os.wait()
             mutant, bench = running.pop(process)
             free.append(bench)

@@ -20,6 +20,7 @@ TARGETS: Final[dict[str, tuple[str, ...]]] = {
     "pcwlad_geo/registration/judge.py": (
         "tests/registration/test_judge_figures.py",
         "tests/registration/test_judge.py",
+        "tests/registration/test_advice.py",
     ),
     "pcwlad_geo/matching/outliers.py": (
         "tests/matching/test_outlier_limits.py",
@@ -28,9 +29,8 @@ TARGETS: Final[dict[str, tuple[str, ...]]] = {
     "pcwlad_geo/cli/interrupt.py": ("tests/cli/test_interrupt.py",),
     "pcwlad_geo/limits.py": ("tests/test_limit_checks.py",),
     "pcwlad_geo/raster/unread.py": ("tests/raster/test_unread.py",),
-    "pcwlad_geo/staging.py": STAGING,
-    "pcwlad_geo/stage_folders.py": STAGING,
-    "pcwlad_geo/folder_lock.py": STAGING,
+    "pcwlad_geo/outputs/folder.py": STAGING,
+    "pcwlad_geo/outputs/stages.py": STAGING,
 }
 """The tests named first are run first: the quickest ones belong there."""
 

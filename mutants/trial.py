@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import compileall
 import ctypes
+import math
 import os
+import resource
 import shutil
 import signal
 import sys
@@ -31,6 +33,22 @@ _PR_SET_CHILD_SUBREAPER: Final = 36
 
 
 @dataclass(frozen=True, slots=True)
+class Limits:
+    """How long the tests of a mutant may take."""
+
+    wall_s: float
+    """All of them, by the clock: for what waits in vain."""
+    processor_s: float
+    """Each process of them: what turns in circles is ended long before, however busy the machine is."""
+
+    def impose(self) -> None:
+        """Hold this process and those that it starts to the processor time."""
+        most = math.ceil(self.processor_s)
+        resource.setrlimit(resource.RLIMIT_CPU, (most, most + 1))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # which the signal would have written
+
+
+@dataclass(frozen=True, slots=True)
 class Bench:
     """A copy of the repository, in which one module is exchanged."""
 
@@ -53,19 +71,20 @@ class Bench:
             compiled.unlink()
         return cls(folder, module)
 
-    def start(self, source: str, tests: tuple[str, ...], limit_s: float) -> int:
+    def start(self, source: str, tests: tuple[str, ...], limits: Limits) -> int:
         """Start a trial of the module with this source; return its process, whose status is the outcome."""
         (self.folder / self.module).write_text(source, encoding="utf-8")
         process = os.fork()
         if process == 0:
             status = HUNG
             try:
-                status = self._trial(tests, limit_s)
+                status = self._trial(tests, limits)
             finally:
                 os._exit(status)
         return process
 
-    def _trial(self, tests: tuple[str, ...], limit_s: float) -> int:
+    def _trial(self, tests: tuple[str, ...], limits: Limits) -> int:
+        parent = os.getppid()
         os.setsid()
         with suppress(OSError, AttributeError):  # what tests leave behind becomes a child of this process
             ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
@@ -73,13 +92,14 @@ class Bench:
         if child == 0:
             status = KILLED
             try:
+                limits.impose()
                 status = SURVIVED if self._run_tests(tests) == 0 else KILLED
             except BaseException:
                 traceback.print_exc()
             finally:
                 sys.stderr.flush()
                 os._exit(status)
-        status = _wait(child, limit_s)
+        status = _wait(child, limits.wall_s, parent)
         _end_children()
         return status
 
@@ -103,10 +123,13 @@ class Bench:
         return status
 
 
-def _wait(child: int, limit_s: float) -> int:
+def _wait(child: int, limit_s: float, parent: int) -> int:
+    """Wait for the tests until the limit, or until there is no one who waits for the outcome."""
     end = time.monotonic() + limit_s
-    while time.monotonic() < end:
+    while time.monotonic() < end and os.getppid() == parent:
         done, status = os.waitpid(child, os.WNOHANG)
+        if done and os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU:
+            return HUNG
         if done:
             return SURVIVED if status == 0 else KILLED
         time.sleep(0.01)
