@@ -2,7 +2,7 @@
 
 Usage::
 
-    python benchmarks/accuracy.py [--study NAME] [--data FOLDER] [--jobs N]
+    python benchmarks/accuracy.py [--study NAME] [--data FOLDER] [--jobs N] [--share SHARE] [--part PART]
 
 Every figure comes through the public job. Lines below a table hold its figures against what must be reached.
 """
@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -26,6 +27,7 @@ from benchmarks.studies.difference import difference
 from benchmarks.studies.field import displacement_field
 from benchmarks.studies.models import models
 from benchmarks.studies.paper import paper
+from benchmarks.studies.pose import PARTS, pose
 from benchmarks.studies.quality import quality
 from benchmarks.studies.refusal import refusal
 from benchmarks.studies.robustness import robustness
@@ -53,6 +55,7 @@ STUDIES: dict[str, Study] = {
     "windows": windows,
     "tiles": tiles,
     "models": models,
+    "pose": pose,
 }
 
 
@@ -60,12 +63,13 @@ def main() -> int:
     """Run the studies asked for and print their tables."""
     arguments = _parse()
     names = list(STUDIES) if arguments.study == "all" else [arguments.study]
+    studies = STUDIES | {"pose": partial(pose, share=arguments.share, parts=arguments.part or ())}
     runner = Runner(arguments.jobs)
     checks: list[Check] = []
     for name in names:
         begun = time.perf_counter()
         with tempfile.TemporaryDirectory(prefix="pcwlad-geo-bench-") as scratch:
-            for table in STUDIES[name](arguments.data, Path(scratch), runner):
+            for table in studies[name](arguments.data, Path(scratch), runner):
                 print(as_text(table), end="\n\n", flush=True)
                 checks += table.checks
         print(f"[{name}: {time.perf_counter() - begun:.0f} s]\n", flush=True)
@@ -88,10 +92,21 @@ def _parse() -> argparse.Namespace:
         help="folder of the real image pairs (default: PCWLAD_GEO_TEST_DATA, or ../shared/data)",
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="pairs at a time")
+    parser.add_argument("--share", type=_share, default=1.0, help="of the cases of the study pose, 0 to 1")
+    parser.add_argument(
+        "--part", choices=PARTS, action="append", help="of the study pose (may be repeated; default: all)"
+    )
     arguments = parser.parse_args()
     if not arguments.data.is_dir():
         parser.error(f"no image pairs in {arguments.data}: give --data or set PCWLAD_GEO_TEST_DATA")
     return arguments
+
+
+def _share(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= 1:
+        raise ValueError(text)
+    return value
 
 
 if __name__ == "__main__":

@@ -24,12 +24,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.tables import Check, Table, as_text, at_most
 from benchmarks.timing import cheapest
-from pcwlad_geo.matching.filter_bank import ORIENTATIONS, SCALES
-from pcwlad_geo.matching.gradient import oriented_gradients
-from pcwlad_geo.matching.noise import LEAST_SMOOTHING_PX
-from pcwlad_geo.matching.phase_congruency import maximum_moment, oriented_phase_congruency, scene_epsilon
-from pcwlad_geo.matching.prepare import Image, fast_even, prepare
-from pcwlad_geo.registration.environment import one_opencv_thread
+from pcwlad_geo.execution.runner import one_opencv_thread
+from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS, SCALES
+from pcwlad_geo.matching.maps import (
+    maximum_moment,
+    oriented_gradients,
+    oriented_phase_congruency,
+    scene_epsilon,
+)
+from pcwlad_geo.matching.prepare import MIN_SMOOTHING_PX, Image, fast_even, prepare
 
 SIDES_PX: Final = (512, 1300, 2048)
 ROUNDS: Final = 5
@@ -90,7 +93,7 @@ def phase_congruency_cost(side_px: int = SIDES_PX[-1], rounds: int = ROUNDS) -> 
         lambda: oriented_phase_congruency(padded, epsilon),
         lambda: maximum_moment(maps),
         lambda: prepare(whole, whole, channels="orientations"),
-        lambda: oriented_gradients(image, epsilon, LEAST_SMOOTHING_PX),
+        lambda: oriented_gradients(image, epsilon, MIN_SMOOTHING_PX),
     ]
     with one_opencv_thread():
         costs = cheapest(stages, rounds)

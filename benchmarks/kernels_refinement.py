@@ -26,15 +26,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.pairs import landsat, read, rgbnir
 from benchmarks.tables import Cell, Check, Table, as_text, at_most
 from benchmarks.timing import cheapest
+from pcwlad_geo.execution.runner import one_opencv_thread
 from pcwlad_geo.matching import keypoints
+from pcwlad_geo.matching.coarse import CoarseMatches, match_coarsely
+from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.matcher import margin_px
-from pcwlad_geo.matching.noise import measure_noise
-from pcwlad_geo.matching.phase_congruency import scene_epsilon
-from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
+from pcwlad_geo.matching.prepare import Image, PreparedPair, measure_noise, prepare
 from pcwlad_geo.matching.refinement import Start, refine
-from pcwlad_geo.matching.settings import MatchSettings
-from pcwlad_geo.matching.similarity import CoarseMatches, match_coarsely
-from pcwlad_geo.registration.environment import one_opencv_thread
+from pcwlad_geo.matching.types import MatchSettings
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
 LIMITS_MS: Final = {81: 1.0, 129: 2.5}
@@ -80,7 +79,11 @@ def costs(window_px: int, files: Files) -> list[float]:
     found = matches(files)
     none = np.zeros((len(found.corners_rc), 2, 2))
     run = partial(
-        refine, found.pair.stacks.reference, found.pair.stacks.target, found.corners_rc, window_px=window_px
+        refine,
+        found.pair.channels.reference,
+        found.pair.channels.target,
+        found.corners_rc,
+        window_px=window_px,
     )
     shift = found.coarse.shift_xy_px
     first = run(Start(shift, none))

@@ -78,7 +78,21 @@ def read(path: Path, band: int = 1) -> Image:
             return np.asarray(file.read(band))
 
 
-def write(path: Path, image: Image, transform: Affine | None = None, crs: str | None = None) -> Path:
+def read_masked(path: Path, band: int = 1) -> tuple[Image, NDArray[np.bool_], float | None]:
+    """Return a band of a file, where it has data, and its nodata value."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path) as file:
+            return np.asarray(file.read(band)), np.asarray(file.read_masks(band) > 0), file.nodata
+
+
+def write(
+    path: Path,
+    image: Image,
+    transform: Affine | None = None,
+    crs: str | None = None,
+    nodata: float | None = None,
+) -> Path:
     """Write an image as a GeoTIFF of its own dtype; return its path."""
     rows, cols = image.shape
     with warnings.catch_warnings():
@@ -92,6 +106,7 @@ def write(path: Path, image: Image, transform: Affine | None = None, crs: str | 
             count=1,
             dtype=image.dtype,
             crs=crs,
+            nodata=nodata,
             transform=transform or Affine.identity(),
         ) as file:
             file.write(image, 1)

@@ -28,8 +28,8 @@ from benchmarks.speed_studies.scene_files import ScenePair, make_pair
 from benchmarks.tables import Table, as_text, at_most
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
-MOST_SHARE: Final = 0.15
-MOST_MB: Final = 5.0
+MAX_SHARE: Final = 0.15
+MAX_MB: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +60,8 @@ def main() -> int:
         for number, run in enumerate(runs, 1)
     ]
     checks = [
-        at_most("report / run, median", statistics.median(run.share for run in runs), MOST_SHARE),
-        at_most("page", max(run.page_mb for run in runs), MOST_MB, "MB"),
+        at_most("report / run, median", statistics.median(run.share for run in runs), MAX_SHARE),
+        at_most("page", max(run.page_mb for run in runs), MAX_MB, "MB"),
     ]
     title = f"Report of a pair of {arguments.side}², register, {arguments.jobs} jobs"
     print(as_text(Table(title, ("", "run s", "report s", "share", "page MB"), rows, checks)))

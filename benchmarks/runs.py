@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.tiepoints.table import TiePointTable
 
 Array = NDArray[np.float64]
 

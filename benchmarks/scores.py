@@ -70,10 +70,15 @@ def epipolar_errors(points: Array) -> Array:
     (n, 1) array
         Distances in target px.
     """
+    return distance_to_lines(points, fundamental_matrix(points))
+
+
+def fundamental_matrix(points: Array) -> Array:
+    """Return the (3, 3) fundamental matrix of (n, 4) points (MAGSAC++), from a fixed seed."""
     cv2.setRNGSeed(1)
     reference, target = points[:, :2].copy(), points[:, 2:].copy()
     fundamental, _ = cv2.findFundamentalMat(reference, target, cv2.USAC_MAGSAC, 1.0, 0.9999, 20000)
-    return distance_to_lines(points, np.asarray(fundamental, dtype=np.float64))
+    return np.asarray(fundamental, dtype=np.float64)
 
 
 def distance_to_lines(points: Array, fundamental: Array) -> Array:

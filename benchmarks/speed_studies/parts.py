@@ -21,20 +21,20 @@ from rasterio.windows import Window
 
 from benchmarks.speed_studies.scene_files import ScenePair
 from benchmarks.timing import Cost, cheapest
+from pcwlad_geo.job import register
 from pcwlad_geo.matching import keypoints
-from pcwlad_geo.matching.filter_bank import ORIENTATIONS, SCALES
+from pcwlad_geo.matching.coarse import match_coarsely
+from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS, SCALES
+from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.matcher import margin_px
-from pcwlad_geo.matching.phase_congruency import scene_epsilon
 from pcwlad_geo.matching.prepare import Image, PreparedPair, fast_even, prepare
 from pcwlad_geo.matching.refinement import Start, refine
-from pcwlad_geo.matching.settings import MatchSettings
-from pcwlad_geo.matching.similarity import match_coarsely
+from pcwlad_geo.matching.types import MatchSettings
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.planning import plan
-from pcwlad_geo.registration.prealign import look_at
-from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.workflow import register
+from pcwlad_geo.registration.prealign import read_overviews
 
 ALL_POINTS: Final = MatchSettings(window=81, search_radius=12)
 """What `--points all --window 81` comes to on a georeferenced scene."""
@@ -43,7 +43,7 @@ ALL_POINTS: Final = MatchSettings(window=81, search_radius=12)
 def bare_scene_bank(pair: ScenePair) -> Cost:
     """Return what the inverse FFTs of all windows of a scene cost, both images, complex64, one worker."""
     views = plan_views(describe(pair.reference), describe(pair.target))
-    tiles = plan(views, look_at(views), (0, 0), ALL_POINTS, Settings(points="all")).first
+    tiles = plan(views, read_overviews(views), (0, 0), ALL_POINTS, Settings(points="all")).first
     sizes = Counter(tuple(map(fast_even, tile.read_window.shape)) for tile in tiles)
     costs = cheapest([partial(_inverse_transforms, size) for size in sizes], 2)
     counts = [2 * count for count in sizes.values()]
@@ -77,7 +77,9 @@ def refinement_ms(pair: ScenePair, windows: Sequence[int], points: int, repeats:
     )
     start = Start(coarse.shift_xy_px, np.zeros((len(corners), 2, 2)))
     works = [
-        partial(refine, prepared.stacks.reference, prepared.stacks.target, corners, start, window_px=window)
+        partial(
+            refine, prepared.channels.reference, prepared.channels.target, corners, start, window_px=window
+        )
         for window in windows
     ]
     return [cost.cpu_s * 1000 / len(corners) for cost in cheapest(works, repeats)]

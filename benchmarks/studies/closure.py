@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.runs import Array, Job, Outcome, Runner
 from benchmarks.tables import Cell, Check, Table, at_most
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import Settings
 
 CLOSES_M = 1.0
 AGREES_PX = 0.02

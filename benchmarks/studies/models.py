@@ -16,8 +16,8 @@ from benchmarks.pairs import as_uint8, landsat, read, rgbnir, with_gamma, with_n
 from benchmarks.runs import Array, Job, Outcome, Runner
 from benchmarks.scenes import countryside, folds, image_pair
 from benchmarks.tables import Cell, Check, Table, at_most, within
-from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.workflow import register
+from pcwlad_geo.job import register
+from pcwlad_geo.options import Settings
 
 AMPLITUDE_PX: Final = 2.0
 SHIFT_PX: Final = (2.37, -1.61)

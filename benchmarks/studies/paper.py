@@ -13,7 +13,7 @@ from benchmarks.pairs import Pair, landsat, rgbnir, uav
 from benchmarks.runs import PAPER, PER_POINT, Array, Job, Outcome, Runner
 from benchmarks.scores import Score, epipolar_errors, read_envi_points, score, translation_errors
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import Settings
 
 HEADER: Final = ("method", "points", "NCM", "CMR %", "SR %", "RMSE", "bias x", "bias y", "scatter", "CPU s")
 EPIPOLAR_HEADER: Final = ("method", "points", "NCM", "CMR %", "SR %", "RMSE", "bias", "scatter", "CPU s")

@@ -20,10 +20,10 @@ from benchmarks.runs import Array, Job, Outcome, Runner
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.registration.fitting import fit_correction
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.settings import Settings
 
 Index = NDArray[np.intp]
 Truth = Callable[[Array, Outcome | None], Array]
@@ -41,7 +41,7 @@ CLOUDS_PX: Final = (8.0, 5.0)
 """How far clouds moved (col, row)."""
 HEIGHT_M: Final = 29.0
 """From the elevation model up to the ellipsoid, for the QuickBird image."""
-LEAST_PAIRS: Final = 60
+MIN_PAIRS: Final = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +122,7 @@ def quality(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     good = [each for each in findings if each.grade == "good"]
     fine = [each for each in findings if each.true_ce90_px < FINE_PX and not each.case.open_question]
     checks: list[Check] = [
-        at_least("pairs", len(findings), LEAST_PAIRS, digits=0),
+        at_least("pairs", len(findings), MIN_PAIRS, digits=0),
         at_most(f"good pairs off by more than {OFF_PX:.0f} px", sum(map(_off, good)), 0, digits=0),
         at_most(
             f"good pairs off by more than {TIMES:.0f} x what is expected",

@@ -15,12 +15,12 @@ from scipy import ndimage
 from benchmarks.pairs import Image, Pair, as_uint8, landsat, read, rgbnir, uav, with_gamma, with_noise, write
 from benchmarks.runs import Job, Outcome, Runner
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import Settings
 
 CROP_PX: Final = 224
 UNRELATED_SETTINGS: Final = Settings(features=300)
 HARD_SETTINGS: Final = Settings(features=500)
-LEAST_UNRELATED, LEAST_HARD = 50, 20
+MIN_UNRELATED, MIN_HARD = 50, 20
 WRONG_PX: Final = 1.0
 GRID: Final = Affine(30.0, 0.0, 500000.0, 0.0, -30.0, 5000000.0)
 CRS: Final = "EPSG:32633"
@@ -47,7 +47,7 @@ def refusal(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     ]
     rows += [[f"  ACCEPTED: {trial.name}", len(outcome.points)] for trial, outcome in accepted]
     checks = [
-        at_least("unrelated pairs tried", len(unrelated), LEAST_UNRELATED, digits=0),
+        at_least("unrelated pairs tried", len(unrelated), MIN_UNRELATED, digits=0),
         at_most("unrelated pairs accepted", len(accepted), 0, digits=0),
     ]
     yield Table("Unrelated pairs", ("pair", "n"), rows, checks)
@@ -67,7 +67,7 @@ def _hard_table(trials: list[Trial], runner: Runner) -> Table:
             rows.append([f"{trial.name}: REFUSED, {(outcome.reason or '')[:70]}", 0, float("nan")])
     wrong = sum(error > WRONG_PX for error in errors)
     checks: list[Check] = [
-        at_least("hard pairs tried", len(trials), LEAST_HARD, digits=0),
+        at_least("hard pairs tried", len(trials), MIN_HARD, digits=0),
         at_least("hard pairs accepted", 100 * len(errors) / len(trials), 90.0, "%", 1),
         at_most(f"accepted pairs wrong by more than {WRONG_PX:.0f} px", wrong, 0, digits=0),
     ]
@@ -138,7 +138,7 @@ def _unrelated(data: Path, scratch: Path) -> Iterator[Trial]:
 
 
 def _unrelated_images(scenes: list[_Scene]) -> Iterator[tuple[str, Image, Image]]:
-    """Other ground; another place of the same scene; the same place mirrored or turned."""
+    """Other ground; another place of the same scene; the same place mirrored, which no pose undoes."""
     for number, (first, second) in enumerate(combinations(scenes, 2)):
         if first.ground != second.ground:
             yield f"{first.name} - {second.name}", first.crop(number), second.crop(number // 2)
@@ -157,12 +157,12 @@ def _unrelated_images(scenes: list[_Scene]) -> Iterator[tuple[str, Image, Image]
     ]
     for name, other, here, there in places:
         yield f"{name} - {other}, another place", of[name].crop(here), of[other].crop(there)
-    turns: dict[str, Callable[[Image], Image]] = {
+    mirrors: dict[str, Callable[[Image], Image]] = {
         "mirrored": np.fliplr,
-        "turned by 90 degrees": np.rot90,
-        "turned by 180 degrees": lambda image: np.rot90(image, 2),
+        "upside down": np.flipud,
+        "transposed": np.transpose,
     }
-    for turn, turned in turns.items():
+    for mirror, mirrored in mirrors.items():
         for name, other in (
             ("Landsat B2", "Landsat B10"),
             ("red", "near infrared"),
@@ -170,9 +170,9 @@ def _unrelated_images(scenes: list[_Scene]) -> Iterator[tuple[str, Image, Image]
             ("Sentinel-2", "Sentinel-2"),
         ):
             yield (
-                f"{name} - {other}, {turn}",
+                f"{name} - {other}, {mirror}",
                 of[name].crop(3),
-                np.ascontiguousarray(turned(of[other].crop(3))),
+                np.ascontiguousarray(mirrored(of[other].crop(3))),
             )
 
 

@@ -11,12 +11,12 @@ import numpy as np
 from benchmarks.runs import Array, Job, Outcome, Runner
 from benchmarks.studies.rpc_pair import rpc_pair
 from benchmarks.tables import Cell, Check, Table, at_most
-from pcwlad_geo.correction.rpc_fold import FOLD_TOLERANCE_PX
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.rpc_files import to_gdal
+from pcwlad_geo.raster.rpc.files import to_gdal
+from pcwlad_geo.raster.rpc.model import BIAS_TOLERANCE_PX
 from pcwlad_geo.raster.vrt import write_rpc_vrt
-from pcwlad_geo.registration.rpc_target import RpcRegistration
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.rpc import RpcRegistration
 
 UNDULATION_M = 29.0
 """EGM2008 above the ellipsoid at the scene."""
@@ -109,13 +109,13 @@ def _second(outcomes: dict[str, tuple[Outcome, Outcome]]) -> Table:
     checks: list[Check] = []
     for name, (first, again) in outcomes.items():
         left = again.points.displacement_px
-        error = _rpc(first).fold_error_px
+        error = _rpc(first).bias_error_px
         fold_px = float("nan") if error is None else error
         check = first.result.accuracy["check_px"].rmse
         rows.append([name, len(again.points), *_signed(left.mean(axis=0)), check, f"{fold_px:.1e}"])
         distance = float(np.hypot(*left.mean(axis=0)))
         checks.append(at_most(f"{name}: found by a second registration", distance, AGAIN_PX, "px"))
-        checks.append(at_most(f"{name}: fold error", fold_px, FOLD_TOLERANCE_PX, "px", 7))
+        checks.append(at_most(f"{name}: fold error", fold_px, BIAS_TOLERANCE_PX, "px", 7))
     header = ("reference", "points", "mean column", "row", "check RMSE of the first", "fold error")
     return Table("With the corrected RPC, px of the image", header, rows, checks)
 

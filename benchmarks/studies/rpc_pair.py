@@ -16,11 +16,10 @@ from rasterio.rpc import RPC
 import pcwlad_geo
 from benchmarks.runs import Array
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
-from pcwlad_geo.correction.rpc_fold import FOLD_TOLERANCE_PX
-from pcwlad_geo.correction.rpc_model import RpcModel
-from pcwlad_geo.raster.quiet import ignoring
-from pcwlad_geo.raster.rpc_files import read_rpc, to_gdal
-from pcwlad_geo.raster.rpc_warping import orthorectify
+from pcwlad_geo.raster.gdal import ignoring
+from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
+from pcwlad_geo.raster.rpc.model import BIAS_TOLERANCE_PX, RpcModel
+from pcwlad_geo.raster.rpc.ortho import orthorectify
 from pcwlad_geo.raster.source import open_raster
 from pcwlad_geo.registration.result import Registration
 
@@ -63,11 +62,11 @@ def _found(found: dict[str, Registration], ways: dict[str, Path]) -> Table:
         with rasterio.open(registration.settings.dem) as dem:
             dem_m2 = dem.width * dem.height * abs(dem.transform.a * dem.transform.e)
         lost = int(np.isnan(points.displacement_m).any(axis=1).sum())
-        fold_px = registration.rpc.fold_error_px if registration.rpc else None
+        fold_px = registration.rpc.bias_error_px if registration.rpc else None
         rows.append([name, len(points), *(f"{value:+.3f}" for value in shift), size, lost, f"{fold_px:.1e}"])
         checks.append(at_least(f"{name}: written of the ground shared", area_m2 / dem_m2, SHARED, "", 3))
         checks.append(at_most(f"{name}: points without metres", lost, 0, "", 0))
-        checks.append(at_most(f"{name}: fold error", fold_px or 0.0, FOLD_TOLERANCE_PX, "px", 7))
+        checks.append(at_most(f"{name}: fold error", fold_px or 0.0, BIAS_TOLERANCE_PX, "px", 7))
         shifts.append(shift)
     apart = float(np.hypot(*(shifts[0] - shifts[1])))
     checks.append(at_most("an orthoimage and a reference with RPC: apart", apart, WAYS_PX, "px"))

@@ -14,7 +14,7 @@ from benchmarks.pairs import write
 from benchmarks.runs import Array, Job, Outcome, Runner
 from benchmarks.scenes import Texture, countryside, displacement_px, folds, image_pair
 from benchmarks.tables import Cell, Check, Table, within
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import Settings
 
 SEEDS: Final = (201, 202, 203, 204)
 """Windows overlap, so a scene has few independent points: several scenes a condition."""

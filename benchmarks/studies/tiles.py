@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.pairs import rgbnir
 from benchmarks.runs import Job, Runner, common_points
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import Settings
 
 SIZES_PX = (256, 384, 1024)
 COMMON = 0.98

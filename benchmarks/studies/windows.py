@@ -11,7 +11,7 @@ from benchmarks.pairs import Pair, landsat, rgbnir
 from benchmarks.runs import PAPER, PER_POINT, Job, Outcome, Runner
 from benchmarks.scores import score, translation_errors
 from benchmarks.tables import Cell, Table
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import Settings
 
 SIDES_PX: Final = range(21, 122, 20)
 LOST_BEFORE: Final = ("not_comparable", "not_similar", "at_search_border", "not_converged")
