@@ -1,9 +1,10 @@
 """Sub-pixel registration of multimodal rasters.
 
-`register` and `match` do a whole job, files in, folder out, and `batch` does many; `warp` applies what
-`register` has found to other bands; `qa` measures how well the bands of a stack lie on each other;
-`match_arrays` takes two arrays and gives their tie points. The heavy
-libraries load when a name is first used, so that ``pcwlad-geo --help`` answers at once.
+`open_pair`, `match` and `fit` are the steps of a registration, and `FittedCorrection.warp` applies what they
+find; they take files, open datasets, arrays and xarray.DataArrays. `register` and `match_files` do a whole
+job, files in, folder out, and `batch` does many; `warp` applies what `register` has found to other bands;
+`qa` measures how well the bands of a stack lie on each other; `match_arrays` takes two arrays and gives their
+tie points. The heavy libraries load when a name is first used, so that ``pcwlad-geo --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -23,49 +24,113 @@ from pcwlad_geo.errors import (
 )
 
 if TYPE_CHECKING:
-    from pcwlad_geo.bands import warp
-    from pcwlad_geo.batches.run import batch
+    from pcwlad_geo.api import FittedCorrection, fit, match, open_pair
+    from pcwlad_geo.band_warping import WarpOptions, warp
+    from pcwlad_geo.bandqa.pairs import PairResult
+    from pcwlad_geo.bandqa.run import qa
+    from pcwlad_geo.bandqa.summary import QaResult
+    from pcwlad_geo.batches.run import BatchResult, batch
+    from pcwlad_geo.correction.error_statistics import Accuracy
+    from pcwlad_geo.correction.models import Correction
+    from pcwlad_geo.events import Event, EventCallback, Progress, Warned
+    from pcwlad_geo.execution.runner import Runner
+    from pcwlad_geo.job import Options, PairOptions, match_files, register
     from pcwlad_geo.matching.matcher import match_arrays
-    from pcwlad_geo.matching.tie_points import TiePoints
-    from pcwlad_geo.registration.result import Registration
-    from pcwlad_geo.registration.settings import Settings
-    from pcwlad_geo.stacks.run import qa
-    from pcwlad_geo.workflow import match, register
+    from pcwlad_geo.matching.types import MatchSettings, TiePoints
+    from pcwlad_geo.options import Settings
+    from pcwlad_geo.raster.arrays import DataArrayLike, Raster, RasterLike
+    from pcwlad_geo.raster.grid import Grid
+    from pcwlad_geo.raster.source import RasterInfo
+    from pcwlad_geo.raster.trust import Trust
+    from pcwlad_geo.registration.fitting import Quality
+    from pcwlad_geo.registration.judge import Verdict
+    from pcwlad_geo.registration.prealign import Pose, Prealignment
+    from pcwlad_geo.registration.result import Matches, Pair, Registration
+    from pcwlad_geo.requirements import RequirementResult
+    from pcwlad_geo.tiepoints.table import TiePointTable
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Accuracy",
+    "BatchResult",
     "CancelledError",
+    "Correction",
+    "DataArrayLike",
+    "Event",
+    "EventCallback",
     "ExecutionError",
+    "FittedCorrection",
+    "Grid",
     "InputError",
+    "MatchSettings",
+    "Matches",
+    "Options",
     "OutputError",
+    "Pair",
+    "PairOptions",
+    "PairResult",
     "PcwladGeoError",
+    "Pose",
+    "Prealignment",
+    "Progress",
+    "QaResult",
+    "Quality",
+    "Raster",
+    "RasterInfo",
+    "RasterLike",
     "Registration",
     "RegistrationRejectedError",
     "RequirementError",
+    "RequirementResult",
+    "Runner",
     "Settings",
     "SettingsError",
+    "TiePointTable",
     "TiePoints",
+    "Trust",
+    "Verdict",
+    "Warned",
+    "WarpOptions",
     "__version__",
     "batch",
+    "fit",
     "match",
     "match_arrays",
+    "match_files",
+    "open_pair",
     "qa",
     "register",
     "warp",
 ]
 
-_HOMES = {
-    "Registration": "pcwlad_geo.registration.result",
-    "Settings": "pcwlad_geo.registration.settings",
-    "TiePoints": "pcwlad_geo.matching.tie_points",
-    "batch": "pcwlad_geo.batches.run",
-    "match": "pcwlad_geo.workflow",
-    "match_arrays": "pcwlad_geo.matching.matcher",
-    "qa": "pcwlad_geo.stacks.run",
-    "register": "pcwlad_geo.workflow",
-    "warp": "pcwlad_geo.bands",
+_NAMES = {
+    "api": ("FittedCorrection", "fit", "match", "open_pair"),
+    "band_warping": ("WarpOptions", "warp"),
+    "bandqa.pairs": ("PairResult",),
+    "bandqa.run": ("qa",),
+    "bandqa.summary": ("QaResult",),
+    "batches.run": ("BatchResult", "batch"),
+    "correction.error_statistics": ("Accuracy",),
+    "correction.models": ("Correction",),
+    "events": ("Event", "EventCallback", "Progress", "Warned"),
+    "execution.runner": ("Runner",),
+    "job": ("Options", "PairOptions", "match_files", "register"),
+    "matching.matcher": ("match_arrays",),
+    "matching.types": ("MatchSettings", "TiePoints"),
+    "options": ("Settings",),
+    "raster.arrays": ("DataArrayLike", "Raster", "RasterLike"),
+    "raster.grid": ("Grid",),
+    "raster.source": ("RasterInfo",),
+    "raster.trust": ("Trust",),
+    "registration.fitting": ("Quality",),
+    "registration.judge": ("Verdict",),
+    "registration.prealign": ("Pose", "Prealignment"),
+    "registration.result": ("Matches", "Pair", "Registration"),
+    "requirements": ("RequirementResult",),
+    "tiepoints.table": ("TiePointTable",),
 }
+_HOMES = {name: f"pcwlad_geo.{module}" for module, names in _NAMES.items() for name in names}
 
 
 def __getattr__(name: str) -> object:

@@ -1,8 +1,8 @@
-"""The exception tree: every message says what was found, where, and what to do."""
+"""The exceptions; every message says what was found, where, and what to do."""
 
 
 class PcwladGeoError(Exception):
-    """Base of all errors that pcwlad-geo raises on purpose."""
+    """Base class of all errors that pcwlad-geo raises."""
 
     exit_status = 1
 
@@ -14,11 +14,11 @@ class InputError(PcwladGeoError):
 
 
 class TrustError(InputError):
-    """The input would make files or servers be opened that the user has not allowed."""
+    """The input refers to files or servers that the user has not allowed to be opened."""
 
 
 class SettingsError(InputError):
-    """An option has a value that makes no sense."""
+    """An option has an invalid value."""
 
 
 class OutputError(PcwladGeoError):
@@ -28,51 +28,40 @@ class OutputError(PcwladGeoError):
 
 
 class ExecutionError(PcwladGeoError):
-    """What a job runs on cannot be used or was lost: worker processes, an executor, a scheduler."""
+    """The worker processes, the executor or the scheduler of a job cannot be used or were lost."""
 
     exit_status = 2
 
 
-class RegistrationRejectedError(PcwladGeoError):
-    """The pair could not be registered reliably, so no correction is given.
+class _NoResultError(PcwladGeoError):
+    """A job that ran to its end without the result asked for.
 
     Parameters
     ----------
     message : str
         The reason, and what to do about it.
     registration : object, optional
-        The `Registration` with status ``"rejected"``: its tie points and figures.
+        The `Registration`: its status, tie points and figures.
     out_dir : pathlib.Path, optional
-        Where the report of the refusal was written, if it was.
+        Folder in which the report was written, if it was.
     """
+
+    def __init__(self, message: str, registration: object = None, out_dir: object = None) -> None:
+        super().__init__(message)
+        self.registration = registration
+        self.out_dir = out_dir
+
+
+class RegistrationRejectedError(_NoResultError):
+    """The pair could not be registered reliably, so no correction is given."""
 
     exit_status = 3
 
-    def __init__(self, message: str, registration: object = None, out_dir: object = None) -> None:
-        super().__init__(message)
-        self.registration = registration
-        self.out_dir = out_dir
 
-
-class RequirementError(PcwladGeoError):
-    """The pair was registered (or matched), but a requirement on its figures is not met.
-
-    Parameters
-    ----------
-    message : str
-        The requirements that are not met, with the figures.
-    registration : object, optional
-        The `Registration`: its `requirements` say what became of each.
-    out_dir : pathlib.Path, optional
-        Where the report was written; the corrected files only where they were to be kept.
-    """
+class RequirementError(_NoResultError):
+    """The pair was registered (or matched), but a requirement on its figures is not met."""
 
     exit_status = 4
-
-    def __init__(self, message: str, registration: object = None, out_dir: object = None) -> None:
-        super().__init__(message)
-        self.registration = registration
-        self.out_dir = out_dir
 
 
 class CancelledError(PcwladGeoError):

@@ -1,7 +1,7 @@
-"""Limits of what is read and made: no input, however odd, makes a run need endless memory or time.
+"""Limits of what is read and written, so that no input makes a run need unlimited memory or time.
 
-Every limit is far beyond what real data need. Whoever meets one learns which, what was found and what to do;
-docs/limits.md lists them.
+Every limit is far beyond what real data need. An error about a limit says which one it is, what was found and
+what to do; docs/limits.md lists all limits.
 """
 
 from __future__ import annotations
@@ -17,70 +17,72 @@ if sys.platform != "win32":
 from pcwlad_geo.errors import ExecutionError, InputError, SettingsError
 
 FILE_PX: Final = 2**36
-"""Pixels of a band of a file: a square of 262,144 px, six times the largest mosaics that are read here."""
+"""Largest number of pixels of a band of a file: a square of 262,144 px, six times the largest mosaics."""
 CHECKED_PX: Final = 2**28
-"""Pixels of a band from which on a file must hold its pixels: smaller ones are read before it matters."""
+"""Number of pixels of a band above which it is checked that its files can hold them."""
 PX_PER_BYTE: Final = 2000
-"""Pixels of a band per byte of its files: Deflate packs at most 1,032 equal bytes into one, LZW less."""
-LEAST_STORED: Final = 1 / 128
-"""Share of the blocks of a large TIFF that must be in the file: a sparse file is an empty one."""
+"""Largest number of pixels of a band per byte of its files; Deflate packs at most 1,032 bytes into one."""
+MIN_STORED: Final = 1 / 128
+"""Least share of the blocks of a large TIFF that must be stored in the file; a sparse file is empty."""
 BLOCK_BYTES: Final = 2**30
-"""Bytes of one block (tile or strip) once unpacked: GDAL holds at least one whole block in memory."""
+"""Largest size of an unpacked block (tile or strip), as GDAL holds at least one whole block in memory."""
 BANDS: Final = 4096
-"""Bands of a file: ten times those of imaging spectrometers; each has a description that is kept."""
+"""Largest number of bands of a file, ten times that of imaging spectrometers."""
 ADDRESS_SPACE_BYTES: Final = 2**31
-"""Least address space of a process (`ulimit -v`): with less, libraries that are mapped whole end it."""
+"""Least address space of a process (`ulimit -v`), below which libraries fail when they are mapped."""
 COORDINATE: Final = 1e10
-"""Map units from the origin: the earth is 4e7 m or 1.3e8 feet around."""
+"""Largest map coordinate, in map units; the circumference of the earth is 4e7 m or 1.3e8 feet."""
 PIXEL_SHARE: Final = 1e-11
 """Least pixel size as a share of the map coordinates: a 64-bit number holds 16 digits, and a hundredth of a
-pixel is wanted."""
+pixel must be resolved."""
 PIXEL_RATIO: Final = 1000.0
-"""Pixels of the finer raster along a side of the coarser one's: what they share shows nothing beyond."""
+"""Largest ratio of the pixel sizes of two rasters, beyond which they share no structure."""
 PIXEL_SHAPE: Final = 16.0
-"""How much longer than wide the pixels of one raster may be as the other sees them."""
+"""Largest ratio of length to width of the pixels of one raster on the grid of the other."""
 GCP_MISFIT_SHARE: Final = 0.25
-"""Of the image's longer side, how far a geotransform may miss a control point: beyond, one is wrong."""
+"""Largest misfit of a geotransform at a control point, as a share of the image's longer side."""
 GRID_PX: Final = 2**34
-"""Pixels of an output grid: a square of 131,072 px."""
+"""Largest number of pixels of an output grid: a square of 131,072 px."""
 GRID_SIDE_PX: Final = 2**20
-"""Columns or rows of an output grid: four times the widest mosaics."""
+"""Largest number of columns or rows of an output grid, four times those of the widest mosaics."""
 OUTPUT_PIXEL_PX: Final = 1e4
-"""Side of a pixel of an output grid in pixels of the target: all of them are weighed together."""
+"""Largest side of a pixel of an output grid, in pixels of the target, all of which are weighted together."""
 CREATED_BLOCK_PX: Final = 8192
-"""Side of a block of a file that is written: all bands of several blocks are held at once."""
+"""Largest side of a block of a written file, as all bands of several blocks are held in memory at once."""
 GRID_TIMES: Final = 64
-"""Pixels of an output grid per pixel of the rasters that it is made from."""
+"""Largest number of pixels of an output grid per pixel of the rasters from which it is made."""
 GRID_LEAST_PX: Final = 2**28
-"""Pixels that an output grid may always have."""
+"""Number of pixels that an output grid may always have, whatever it is made from."""
 UNREAD_PARTS: Final = 500
-"""Parts of a damaged file that are tried one by one before it is given up."""
+"""Largest number of parts of a damaged file that are tried one by one."""
 SEARCH_RADIUS_PX: Final = 1024
-"""Largest displacement looked for by matching: every tile is read with as much around it."""
+"""Largest search radius of the matching; every tile is read with a margin of this width."""
 TILE_PX: Final = 4096
-"""Side of a tile: its maps take about 100 bytes a pixel."""
+"""Largest side of a tile, whose maps take about 100 bytes per pixel."""
 FEATURES: Final = 100_000
-"""Candidates a tile."""
+"""Largest number of candidates of a tile."""
 ITERATIONS: Final = 1000
-"""Steps of a refinement, which takes about ten."""
+"""Largest number of steps of a refinement, which usually takes about ten."""
 JOBS: Final = 1024
-"""Processes."""
+"""Largest number of worker processes."""
+SIGMA_PX: Final = (1e-4, 1e4)
+"""Least and largest sigma of a tie point of a file, px; 64-bit numbers cannot weigh others together."""
 POINTS: Final = 250_000
-"""Tie points of a file: every one is held in memory and takes part in each fit."""
+"""Largest number of tie points of a file; all are held in memory and used in each fit."""
 TEXT_BYTES: Final = 2**26
-"""Bytes of a text file (tables, side files, metadata of a product), unpacked."""
+"""Largest size of an unpacked text file (table, side file, metadata of a product)."""
 BATCH_ROWS: Final = 100_000
-"""Pairs of a table."""
+"""Largest number of pairs of a batch table."""
 MEMBERS: Final = 100_000
-"""Files of an archive or a folder of a product."""
+"""Largest number of files in an archive or a folder of a product."""
 UNPACKED_BYTES: Final = 2**30
-"""Bytes of an archive that it may unpack to however well it is packed."""
+"""Unpacked size that any archive may have, whatever its packed size."""
 UNPACKED_RATIO: Final = 200
-"""Times its size that a larger archive may unpack to: images unpack to two or three times."""
+"""Largest ratio of unpacked to packed size of a larger archive; images have two or three."""
 NAME_BYTES: Final = 255
-"""Bytes of a name of a file or folder, on all common file systems."""
+"""Largest length of the name of a file or folder on all common file systems."""
 LATITUDE: Final = 90.0
-"""Degrees; a pixel may be centred on the pole."""
+"""Largest latitude in degrees; a pixel may be centred on the pole."""
 RPC_LIMITS: Final = {
     "line_off": 1e7,
     "samp_off": 1e7,
@@ -93,19 +95,13 @@ RPC_LIMITS: Final = {
     "height_off": 2e4,
     "height_scale": 2e4,
 }
-"""Largest sizes of an RPC's numbers: pixels, degrees, metres."""
+"""Largest absolute values of the offsets and scales of an RPC, in pixels, degrees or metres."""
 RPC_COEFFICIENT: Final = 1e6
-"""Largest size of an RPC's coefficients, which speak of normalised coordinates."""
+"""Largest absolute value of the coefficients of an RPC, which apply to normalised coordinates."""
 
 
 def check_address_space() -> None:
-    """Raise where the process may use less address space than the libraries need.
-
-    Raises
-    ------
-    ExecutionError
-        Then.
-    """
+    """Raise `ExecutionError` if the process may use less than `ADDRESS_SPACE_BYTES` of address space."""
     if sys.platform == "win32":  # has no such limit
         return
     most, _ = resource.getrlimit(resource.RLIMIT_AS)
@@ -117,20 +113,9 @@ def check_address_space() -> None:
 
 
 def check_shape(uri: str, shape: tuple[int, int], bands: int) -> None:
-    """Raise where a raster has more pixels or bands than are read.
+    """Raise `InputError` if a raster has more than `FILE_PX` pixels or `BANDS` bands.
 
-    Parameters
-    ----------
-    uri : str
-        Its name, for the message.
-    shape : (int, int)
-        Rows, columns.
-    bands : int
-
-    Raises
-    ------
-    InputError
-        Then.
+    `uri` is the raster's name for the message, as in all checks; `shape` is (rows, columns).
     """
     rows, cols = shape
     if rows * cols > FILE_PX:
@@ -146,12 +131,9 @@ def check_shape(uri: str, shape: tuple[int, int], bands: int) -> None:
 
 
 def check_stored(uri: str, shape: tuple[int, int], file_bytes: int) -> None:
-    """Raise where files are far too small for the pixels that they declare.
+    """Raise `InputError` if a raster of `shape` (rows, columns) has too few `file_bytes`.
 
-    Raises
-    ------
-    InputError
-        If more than `PX_PER_BYTE` pixels come on each of the bytes.
+    These are fewer than one for `PX_PER_BYTE` pixels, where there are more than `CHECKED_PX` pixels.
     """
     rows, cols = shape
     if rows * cols > CHECKED_PX and rows * cols > PX_PER_BYTE * file_bytes:
@@ -162,13 +144,7 @@ def check_stored(uri: str, shape: tuple[int, int], file_bytes: int) -> None:
 
 
 def check_block(uri: str, shape: tuple[int, int], bytes_per_px: int) -> None:
-    """Raise where one block (rows, columns) of a raster does not fit into memory.
-
-    Raises
-    ------
-    InputError
-        If it has more than `BLOCK_BYTES`.
-    """
+    """Raise `InputError` if a block of `shape` (rows, columns), all bands, is larger than `BLOCK_BYTES`."""
     rows, cols = shape
     if rows * cols * bytes_per_px > BLOCK_BYTES:
         raise InputError(
@@ -179,20 +155,10 @@ def check_block(uri: str, shape: tuple[int, int], bytes_per_px: int) -> None:
 
 
 def check_geotransform(uri: str, numbers: Sequence[float], shape: tuple[int, int]) -> None:
-    """Raise where a geotransform puts pixels beyond any map, or closer together than coordinates can tell.
+    """Raise `InputError` if a geotransform leads beyond `COORDINATE`, or its pixels are too small for that.
 
-    Parameters
-    ----------
-    uri : str
-    numbers : six floats
-        a, b, c, d, e, f: x = a col + b row + c, y = d col + e row + f.
-    shape : (int, int)
-        Rows, columns.
-
-    Raises
-    ------
-    InputError
-        Then.
+    These are smaller than `PIXEL_SHARE` of the coordinates. The `numbers` a to f mean x = a col + b row + c,
+    y = d col + e row + f; `shape` is (rows, columns).
     """
     a, b, c, d, e, f = numbers
     rows, cols = shape
@@ -212,13 +178,7 @@ def check_geotransform(uri: str, numbers: Sequence[float], shape: tuple[int, int
 
 
 def check_coordinates(uri: str, values: Sequence[float]) -> None:
-    """Raise where points have coordinates beyond any map or image.
-
-    Raises
-    ------
-    InputError
-        If one is beyond `COORDINATE`.
-    """
+    """Raise `InputError` if one of the coordinates `values` of the file `uri` is beyond `COORDINATE`."""
     far = next((value for value in values if not abs(value) <= COORDINATE), None)
     if far is not None:
         raise InputError(
@@ -228,13 +188,7 @@ def check_coordinates(uri: str, values: Sequence[float]) -> None:
 
 
 def check_latitudes(uri: str, lowest: float, highest: float, pixel: float) -> None:
-    """Raise where a raster in degrees reaches beyond a pole by more than a pixel.
-
-    Raises
-    ------
-    InputError
-        Then.
-    """
+    """Raise `InputError` if `lowest` or `highest`, degrees, is beyond `LATITUDE` plus the size `pixel`."""
     if lowest < -LATITUDE - pixel or highest > LATITUDE + pixel:
         raise InputError(
             f"{uri} covers latitudes from {lowest:.10g} to {highest:.10g} degrees, and there are none beyond "
@@ -243,23 +197,13 @@ def check_latitudes(uri: str, lowest: float, highest: float, pixel: float) -> No
 
 
 def check_pixel_ratio(reference: str, target: str, step_px: Sequence[float]) -> None:
-    """Raise where the pixels of two rasters are too different to be matched.
+    """Raise `InputError` if two rasters' pixels differ by more than `PIXEL_RATIO`, or `PIXEL_SHAPE`.
 
-    Parameters
-    ----------
-    reference, target : str
-        Their names, for the message.
-    step_px : two floats
-        Pixels of one raster along the columns and the rows of the other's.
-
-    Raises
-    ------
-    InputError
-        Beyond `PIXEL_RATIO` or `PIXEL_SHAPE`.
+    `step_px` are the pixels of one raster along the columns and the rows of the other.
     """
     low, high = min(step_px), max(step_px)
     if not (math.isfinite(high) and low > 0):
-        return  # where the one does not lie in the other's CRS: told elsewhere
+        return  # one raster does not lie in the other's CRS, which is reported elsewhere
     ratio = max(high, 1 / low)
     if ratio > PIXEL_RATIO:
         raise InputError(
@@ -274,12 +218,9 @@ def check_pixel_ratio(reference: str, target: str, step_px: Sequence[float]) -> 
 
 
 def check_gcp_misfit(uri: str, misfit_px: float, shape: tuple[int, int]) -> None:
-    """Raise where no geotransform fits the control points of an image at all.
+    """Raise `InputError` if a geotransform misses control points by `misfit_px`, which is too much.
 
-    Raises
-    ------
-    InputError
-        If the largest misfit is more than `GCP_MISFIT_SHARE` of the image's longer side.
+    That is more than `GCP_MISFIT_SHARE` of the longer side of `shape`.
     """
     if not misfit_px <= GCP_MISFIT_SHARE * max(shape):
         raise InputError(
@@ -289,22 +230,10 @@ def check_gcp_misfit(uri: str, misfit_px: float, shape: tuple[int, int]) -> None
 
 
 def check_grid(what: str, counts: Sequence[float], made_from_px: float | None = None) -> None:
-    """Raise where a grid that is to be made has too many pixels.
+    """Raise `InputError` if an output grid, `what` in the message, would have too many pixels.
 
-    Parameters
-    ----------
-    what : str
-        Begins the message, such as "the output grid".
-    counts : two floats
-        Columns, rows.
-    made_from_px : float, optional
-        Pixels of the rasters that it is made from.
-
-    Raises
-    ------
-    InputError
-        Beyond `GRID_PX`, `GRID_SIDE_PX` a side, and `GRID_TIMES` the pixels that it is made from (or
-        `GRID_LEAST_PX`).
+    These are more than `GRID_PX`, than `GRID_SIDE_PX` a side, or than `GRID_TIMES` the `made_from_px` from
+    which it is made (at least `GRID_LEAST_PX`). `counts` are its columns and rows.
     """
     most = float(GRID_PX)
     if made_from_px is not None:
@@ -323,17 +252,9 @@ def check_grid(what: str, counts: Sequence[float], made_from_px: float | None = 
 
 
 def check_output_pixel(step_px: Sequence[float]) -> None:
-    """Raise where the pixels of an output grid are too large for those that they are made from.
+    """Raise `InputError` if a side of an output pixel is longer than `OUTPUT_PIXEL_PX` target pixels.
 
-    Parameters
-    ----------
-    step_px : two floats
-        Pixels of the output along the two principal directions of a pixel of the target.
-
-    Raises
-    ------
-    InputError
-        If a side is longer than `OUTPUT_PIXEL_PX` pixels of the target.
+    `step_px` are the lengths of the two principal axes of a target pixel, in pixels of the output.
     """
     least = min(step_px)
     if math.isfinite(least) and not least * OUTPUT_PIXEL_PX >= 1:
@@ -344,13 +265,7 @@ def check_output_pixel(step_px: Sequence[float]) -> None:
 
 
 def check_created_block(key: str, value: str) -> None:
-    """Raise where a creation option asks for blocks that no memory holds.
-
-    Raises
-    ------
-    SettingsError
-        If it is no whole number from 1 to `CREATED_BLOCK_PX`.
-    """
+    """Raise `SettingsError` if the creation option `key` is no number from 1 to `CREATED_BLOCK_PX`."""
     if not (value.isascii() and value.isdigit() and 1 <= int(value[:10]) <= CREATED_BLOCK_PX):
         raise SettingsError(
             f"co = {key}={value[:20]}: blocks have from 1 to {CREATED_BLOCK_PX} px a side, and GDAL allows "
@@ -359,30 +274,15 @@ def check_created_block(key: str, value: str) -> None:
 
 
 def check_count(where: str, count: int, most: int, things: str) -> None:
-    """Raise where there are more things (points, pairs, files) than are read.
-
-    Raises
-    ------
-    InputError
-        Then.
-    """
+    """Raise `InputError` if the `count` of `things` (points, pairs, files) in `where` is above `most`."""
     if count > most:
         raise InputError(f"{where} holds more than {most} {things}: at most so many are read; divide it")
 
 
 def check_unpacked(archive: str, unpacked: int, packed: int) -> None:
-    """Raise where an archive unpacks to far more than images do.
+    """Raise `InputError` if an archive of `packed` bytes has too many `unpacked` ones.
 
-    Parameters
-    ----------
-    archive : str
-    unpacked, packed : int
-        Bytes.
-
-    Raises
-    ------
-    InputError
-        Beyond `UNPACKED_BYTES` and `UNPACKED_RATIO` times its size.
+    These are more than `UNPACKED_BYTES` and more than `UNPACKED_RATIO` times as many.
     """
     if unpacked > max(UNPACKED_BYTES, UNPACKED_RATIO * packed):
         raise InputError(
@@ -392,13 +292,7 @@ def check_unpacked(archive: str, unpacked: int, packed: int) -> None:
 
 
 def check_rpc(origin: str, name: str, value: float) -> None:
-    """Raise where a number of an RPC is larger than any image or the earth.
-
-    Raises
-    ------
-    InputError
-        Beyond `RPC_LIMITS`, coefficients beyond `RPC_COEFFICIENT`.
-    """
+    """Raise `InputError` if the number `name` of the RPC in `origin` is beyond what any image has."""
     most = RPC_LIMITS.get(name, RPC_COEFFICIENT)
     if not abs(value) <= most:
         raise InputError(

@@ -1,14 +1,14 @@
-"""Requirements such as ``CE90<=0.5px``: one grammar for all commands, and what holds a figure against one."""
+"""Requirements such as ``CE90<=0.5px``: their grammar, the same for all commands, and their evaluation."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
-from pcwlad_geo.correction.error_statistics import AxisStatistics, ErrorStatistics
+from pcwlad_geo.correction.error_statistics import ErrorStatistics
 from pcwlad_geo.errors import SettingsError
 
 Command = Literal["register", "match", "qa"]
@@ -22,17 +22,19 @@ class Quantity(NamedTuple):
 
     name: str
     commands: tuple[Command, ...]
-    """Those that have it."""
+    """Commands that have the figure."""
     signs: tuple[Sign, ...] = ("<=",)
+    """Comparisons that make sense."""
     kind: Literal["error", "length", "count", "share", "word"] = "length"
-    """An error is a length that `ErrorStatistics` has; lengths have a unit."""
+    """Kind of the figure; an error is a length in `ErrorStatistics`, and lengths have a unit."""
     words: tuple[str, ...] = ()
-    """Of a quantity that is a word: all that it can be, the least first."""
+    """All values of a figure that is a word, the least first."""
 
 
 ERRORS: Final[tuple[Command, ...]] = ("register", "qa")
-"""Commands with statistics of errors: of residuals, or of displacements between bands."""
+"""Commands with statistics of errors, which are residuals or displacements between bands."""
 MATCHING: Final[tuple[Command, ...]] = ("register", "match")
+"""Commands with figures of the matching of a single pair."""
 QUANTITIES: Final = (
     *(
         Quantity(name, ERRORS, kind="error")
@@ -52,13 +54,15 @@ QUANTITIES: Final = (
     ),
     Quantity("quality", ("register",), (">=", "="), "word", ("poor", "fair", "good")),
 )
+"""All figures that can be required."""
 NET: Final = ("std", "RMSE", "LE90", "CE90", "CE95", "CE99.7")
-"""Statistics that exist with the matching noise taken out."""
+"""Statistics that exist with the matching noise removed."""
 EXAMPLES: Final[dict[Command, str]] = {
     "register": "'CE90<=0.5px', 'fit RMSE<=5m', 'points>=100', 'coverage>=0.8' or 'model=shift'",
     "match": "'points>=100', 'coverage>=0.8', 'sigma<=0.2px' or 'displacement<=3px'",
     "qa": "'CE90<=0.3px'",
 }
+"""Examples of requirements by command, for messages."""
 
 _FORM: Final = re.compile(r"(?P<left>[^<>=≤≥]+)(?P<sign><=|=<|<|≤|>=|=>|>|≥|==?)(?P<right>[^<>=≤≥]+)")
 _SIGNS: Final[dict[str, Sign]] = {
@@ -81,24 +85,25 @@ class Requirement:
     statistic: str
     """Name of one of `QUANTITIES`."""
     limit: float | str
-    """A share is 0 to 1."""
+    """The limit; a share is 0 to 1."""
     unit: Unit | None
-    """Of a length."""
+    """Unit of a length; None for other figures."""
     sign: Sign = "<="
+    """Comparison of the figure with the limit."""
     net: bool = False
-    """With the matching noise taken out."""
+    """Whether the matching noise is removed."""
     group: Group | None = None
-    """Of the residuals of which points; None = the check points."""
+    """The points whose residuals are meant; None = the check points."""
 
     @property
     def text(self) -> str:
-        """How the user would write it."""
+        """The requirement as the user writes it."""
         limit = self.limit if isinstance(self.limit, str) else f"{self.limit:g}"
         words = ("net" if self.net else "", self.group, self.statistic, self.sign, limit, self.unit)
         return " ".join(word for word in words if word)
 
     def is_met(self, value: float | str | None) -> bool:
-        """Whether a figure is within the limit; one that is not known is not."""
+        """Return whether a figure is within the limit; an unknown one, None or NaN, is not."""
         if isinstance(self.limit, str) or isinstance(value, str):
             words = _QUANTITIES[self.statistic.casefold()].words
             ranks = {word: float(rank) for rank, word in enumerate(words)}
@@ -110,13 +115,13 @@ class Requirement:
 
 @dataclass(frozen=True, slots=True)
 class RequirementResult:
-    """What became of a requirement on a single pair."""
+    """The evaluation of a requirement on a single pair."""
 
     requirement: Requirement
     value: float | str | None
-    """The figure, in the unit of the requirement; None where it is not known."""
+    """The figure, in the unit of the requirement; None if it is not known."""
     reason: str | None = None
-    """Why it is not known."""
+    """Why the figure is not known."""
 
     @property
     def met(self) -> bool:
@@ -125,7 +130,7 @@ class RequirementResult:
 
     @property
     def text(self) -> str:
-        """The requirement, whether it is met, and the figure, for people."""
+        """The requirement, whether it is met, and the figure, as text."""
         value = f"{self.value:g}" if isinstance(self.value, float) else self.value
         found = self.reason or " ".join(str(word) for word in (value, self.requirement.unit) if word)
         return f"{self.requirement.text}: {'met' if self.met else 'not met'} ({found})"
@@ -135,17 +140,15 @@ _QUANTITIES: Final = {each.name.casefold(): each for each in QUANTITIES}
 
 
 def parse_requirements(texts: Sequence[str], command: Command) -> tuple[Requirement, ...]:
-    """Read the requirements of a command; see `parse_requirement`."""
+    """Read the requirements `texts` of `command`; see `parse_requirement`."""
     return tuple(parse_requirement(text, command) for text in texts)
 
 
 def parse_requirement(text: str, command: Command) -> Requirement:
-    """Read a requirement such as ``net CE90<=0.3px``, ``points>=100`` or ``model=shift``.
+    """Read `text`, a requirement of `command` such as ``net CE90<=0.3px`` or ``model=shift``.
 
-    Raises
-    ------
-    SettingsError
-        If it cannot be read, or the command has no such figure: what is wrong, and what is possible.
+    Raises `SettingsError` if it cannot be parsed, or the command has no such figure; the message says what is
+    possible.
     """
     match = _FORM.fullmatch(text.strip())
     if match is None:
@@ -161,23 +164,26 @@ def parse_requirement(text: str, command: Command) -> Requirement:
 
 
 def value_of(requirement: Requirement, statistics: ErrorStatistics) -> float:
-    """Return what a requirement on errors limits: the larger axis (std, LE90), a length, or radial.
+    """Return the figure that a requirement on errors limits.
+
+    It is the larger of both axes for std and LE90, the length of the vector for mean and median, and radial
+    for the others.
 
     Parameters
     ----------
     requirement : Requirement
-        On a statistic of `ErrorStatistics`.
+        A requirement on a statistic of `ErrorStatistics`.
     statistics : ErrorStatistics
-        In the unit of the requirement.
+        Statistics in the unit of the requirement.
     """
     name, net, radial = requirement.statistic, statistics.net, statistics.radial
     axes = (statistics.col, statistics.row)
     if name in ("mean", "median"):
         return math.hypot(*(getattr(axis, name) for axis in axes))
     if name == "std":
-        return max(net.std_xy) if requirement.net else _larger(axes, lambda axis: axis.std)
+        return max(net.std_xy) if requirement.net else max(axis.std for axis in axes)
     if name == "LE90":
-        return max(net.le90_xy) if requirement.net else _larger(axes, lambda axis: axis.le90)
+        return max(net.le90_xy) if requirement.net else max(axis.le90 for axis in axes)
     field_name = {"RMSE": "rmse", "CE90": "ce90", "CE95": "ce95", "CE99.7": "ce99_7"}[name]
     return float(getattr(net if requirement.net else radial, field_name))
 
@@ -195,7 +201,7 @@ def _quantity(text: str, name: str, command: Command) -> Quantity:
 def _qualified(
     text: str, quantity: Quantity, qualifiers: Sequence[str], command: Command
 ) -> tuple[bool, Group | None]:
-    """Return whether the noise is to be out, and which points are meant."""
+    """Return whether the noise is to be removed, and which points are meant."""
     net = False
     group: Group | None = None
     for word in qualifiers:
@@ -251,9 +257,3 @@ def _number(text: str, number: str) -> float:
 
 def _error(text: str, what: str) -> SettingsError:
     return SettingsError(f"require = {text!r}: {what}")
-
-
-def _larger(
-    axes: tuple[AxisStatistics, AxisStatistics], component: Callable[[AxisStatistics], float]
-) -> float:
-    return max(component(axis) for axis in axes)

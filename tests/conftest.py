@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-COMPILE = "from pcwlad_geo.matching.first_start import compile_kernels; compile_kernels('oriented', print)"
+COMPILE = "from pcwlad_geo.registration.tiles import compile_kernels; compile_kernels('oriented')"
 
 # Here, before numpy loads: several threads on small matrices take several times as long as one.
 for _pool in ("OPENBLAS", "OMP", "MKL"):
@@ -25,7 +25,13 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile the kernels once, before several workers would all do so."""
+    """Compile the kernels once, before several workers would all do so; forget those of other sources."""
+    kernels = REPOSITORY / "pcwlad_geo/matching/kernels"
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        newest = max((path.stat().st_mtime for path in kernels.glob("*.py")), default=0.0)
+        for index in (kernels / "__pycache__").glob("*.nbi"):
+            if index.stat().st_mtime < newest:  # numba notices changes of a kernel's own file only
+                index.unlink(missing_ok=True)
     workers = getattr(session.config.option, "numprocesses", None)
     if workers and "PYTEST_XDIST_WORKER" not in os.environ:
         places = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -12,14 +14,17 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
-from pcwlad_geo.correction.accuracy import Accuracy
+from pcwlad_geo.correction.error_statistics import Accuracy
 from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.raster.tie_point_table import TiePointTable
-from pcwlad_geo.registration.quality import Quality
-from pcwlad_geo.registration.result import Prealignment, Registration
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.fitting import Quality
+from pcwlad_geo.registration.prealign import Prealignment
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report.content import to_json
+from pcwlad_geo.report.summary import summarise
+from pcwlad_geo.tiepoints.table import TiePointTable
 
 SHIFT_PX = np.array([1.25, -0.5])
 
@@ -114,3 +119,9 @@ def of_files(
         reference=replace(made.reference, uri=str(reference), georeferenced=georeferenced),
         target=replace(made.target, uri=str(target), georeferenced=georeferenced, nodata=0.0),
     )
+
+
+def json_of(registration: Registration) -> dict[str, Any]:
+    """Return what report.json holds of a registration, read back."""
+    report: dict[str, Any] = json.loads(to_json(summarise(registration, [])))
+    return report

@@ -209,7 +209,7 @@ def test_full_disk_found_by_gdal(register: Register, tmp_path: Path) -> None:
         "import resource, signal, sys, threading\n"
         f"{TIMERS_RUN_OUT}\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "import pcwlad_geo.workflow\n"
+        "import pcwlad_geo.job\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({FILE_SIZE_LIMIT}, {FILE_SIZE_LIMIT}))\n"
         "from pcwlad_geo.cli.app import run\n"
         "sys.exit(run(sys.argv[1:]))\n"

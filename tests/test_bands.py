@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
@@ -15,20 +15,13 @@ import rasterio
 from affine import Affine
 from matplotlib.figure import Figure
 
-from pcwlad_geo import (
-    InputError,
-    OutputError,
-    RegistrationRejectedError,
-    RequirementError,
-    warp,
-    workflow,
-)
+from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, RequirementError, warp
+from pcwlad_geo import job as workflow
 from pcwlad_geo.cli.app import run
-from pcwlad_geo.correction.models import Correction, SplineCorrection
-from pcwlad_geo.correction.spline import SplineGrid
-from pcwlad_geo.registration.progress import Event
+from pcwlad_geo.correction.models import Correction, SplineCorrection, SplineGrid
+from pcwlad_geo.events import Event
+from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.settings import Settings
 from tests.registrations import make_registration, of_files, write_pair
 
 SPLINE = SplineCorrection(
@@ -56,7 +49,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
             return replace(made, settings=settings, correction=correction or made.correction)
 
         monkeypatch.setattr("pcwlad_geo.registration.run.run", finish)
-        job = workflow.match if status == "matched" else workflow.register
+        job = workflow.match_files if status == "matched" else workflow.register
         job("b4.tif", "b10.tif", out_dir="done", **options)  # type: ignore[operator]
         return Path("done")
 
@@ -172,6 +165,11 @@ def test_a_registration_against_its_requirements_is_applied_only_where_it_was_ke
     assert warp("done", ["b10.tif"], out_dir="warped", overwrite=True) == (path,)
 
 
+def changed_grid(side: str, **changes: object) -> Callable[[dict[str, Any]], object]:
+    """Return the function that changes the grid of a raster in a report."""
+    return lambda report: report | {side: report[side] | changes}
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -180,6 +178,12 @@ def test_a_registration_against_its_requirements_is_applied_only_where_it_was_ke
         (lambda report: report | {"model": {"name": "magic"}}, "no correction model"),
         (lambda report: report | {"target": {}}, "damaged"),
         (lambda report: report | {"model": None}, "no correction model"),
+        (changed_grid("target", transform=[1, 1, 0, 1, 1, 0]), "without an inverse"),
+        (changed_grid("target", transform=[0] * 6), "without an inverse"),
+        (changed_grid("reference", transform=[float("nan")] * 6), "without an inverse"),
+        (changed_grid("reference", transform=[1e300, 0, 0, 0, -1e300, 0]), "at most 1e\\+10 are read"),
+        (changed_grid("reference", shape=[10**9, 10**9]), "declares 1000000000 x 1000000000 pixels"),
+        (changed_grid("target", shape=[0, 5]), "5 x 0 pixels"),
     ],
 )
 def test_a_foreign_or_damaged_report_is_told(make: Make, change: Callable[[dict], object], said: str) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,9 @@ import pytest
 
 import pcwlad_geo
 from pcwlad_geo import InputError
+from pcwlad_geo.events import Event, Progress, Warned
+from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.raster.identity import identify
-from pcwlad_geo.registration.progress import Event, Progress, Warned
-from pcwlad_geo.registration.tasks import InThisProcess
 from tests.scenes import make_grid, render, write
 
 OPTIONS: Any = {"template": 61, "window": 41, "features": 40, "model": "shift", "executor": InThisProcess()}
@@ -83,7 +84,7 @@ def test_the_report_says_what_the_files_were(made: Path) -> None:
     assert [each["role"] for each in report["inputs"]] == ["reference", "target"]
     for entry, name in zip(report["inputs"], ("b4.tif", "b10.tif"), strict=True):
         (identity,) = identify(made / name)
-        assert entry == {"role": entry["role"], **identity.to_json()}
+        assert entry == {"role": entry["role"], **asdict(identity)}
         assert entry["size"] == (made / name).stat().st_size
 
 

@@ -6,23 +6,95 @@ import inspect
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import fields
-from typing import get_type_hints
+from typing import get_args, get_type_hints
 
 import pytest
+from rasterio.io import DatasetReader
+from typing_extensions import Unpack
 
 import pcwlad_geo
-from pcwlad_geo import workflow
-from pcwlad_geo.registration import settings
+from pcwlad_geo import job as workflow
+from pcwlad_geo import options as settings
 
-NAMES = [name for name in pcwlad_geo.__all__ if name != "__version__"]
+FUNCTIONS = {
+    "batch", "fit", "match", "match_arrays", "match_files", "open_pair", "qa", "register", "warp",
+}  # fmt: skip
+RESULTS = {
+    "Accuracy", "BatchResult", "Correction", "FittedCorrection", "Grid", "Matches", "Pair", "PairResult",
+    "Pose", "Prealignment", "QaResult", "Quality", "RasterInfo", "Registration", "RequirementResult",
+    "TiePointTable", "TiePoints",
+    "Verdict",
+}  # fmt: skip
+ARGUMENTS = {
+    "DataArrayLike", "MatchSettings", "Options", "PairOptions", "Raster", "Runner", "Settings", "Trust",
+    "WarpOptions",
+}  # fmt: skip
+EVENTS = {"Progress", "Warned"}
+ALIASES = {"Event", "EventCallback", "RasterLike"}
+"""Of types, which have no docstring."""
+ERRORS = {
+    "CancelledError", "ExecutionError", "InputError", "OutputError", "PcwladGeoError",
+    "RegistrationRejectedError", "RequirementError", "SettingsError",
+}  # fmt: skip
+NAMES = sorted(FUNCTIONS | RESULTS | ARGUMENTS | EVENTS | ALIASES | ERRORS)
+
+
+def test_the_public_names() -> None:
+    assert set(pcwlad_geo.__all__) == {*NAMES, "__version__"}
+    assert list(pcwlad_geo.__all__) == sorted(pcwlad_geo.__all__)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_public_name_is_there_and_documented(name: str) -> None:
     member = getattr(pcwlad_geo, name)
-    assert inspect.getdoc(member)
+    assert name in ALIASES or inspect.getdoc(member)
     assert name in dir(pcwlad_geo)
+
+
+def own_types(hint: object) -> Iterator[type]:
+    """Yield the classes of this package that an annotation is made of."""
+    if isinstance(hint, type) and hint.__module__.startswith("pcwlad_geo"):
+        yield hint
+    for part in get_args(hint):
+        yield from own_types(part)
+    if isinstance(hint, list):  # the arguments of a Callable
+        for part in hint:
+            yield from own_types(part)
+
+
+def hints_of(function: object) -> dict[str, object]:
+    """Return the annotations of a function, names that only type checkers import among them."""
+    module = sys.modules[function.__module__]
+    known = {name: getattr(pcwlad_geo, name) for name in NAMES}
+    others = {"Unpack": Unpack, "DatasetReader": DatasetReader, "GeoDataFrame": object, "Self": object}
+    return get_type_hints(function, {**others, **known, **vars(module)})
+
+
+def public_functions() -> Iterator[object]:
+    """Yield the functions, and the methods and properties of the public classes."""
+    for name in FUNCTIONS:
+        yield getattr(pcwlad_geo, name)
+    for name in RESULTS | ARGUMENTS:
+        for own, member in vars(getattr(pcwlad_geo, name)).items():
+            member = getattr(member, "fget", getattr(member, "__func__", member))
+            if inspect.isfunction(member) and not own.startswith("_"):
+                yield member
+
+
+def test_what_public_functions_take_and_return_is_public() -> None:
+    public = {getattr(pcwlad_geo, name) for name in NAMES if name not in ALIASES}
+    functions = list(public_functions())
+    assert len(functions) > 40
+    found = {
+        (function.__qualname__, each.__name__)
+        for function in functions
+        for hint in hints_of(function).values()
+        for each in own_types(hint)
+        if each not in public
+    }
+    assert found == set()
 
 
 def test_unknown_names_are_attribute_errors() -> None:
@@ -53,7 +125,9 @@ def test_options_are_the_settings() -> None:
     assert hints == {name: get_type_hints(settings.Settings)[name] for name in names}
 
 
-@pytest.mark.parametrize("function", [pcwlad_geo.register, pcwlad_geo.match, pcwlad_geo.match_arrays])
+@pytest.mark.parametrize(
+    "function", [pcwlad_geo.register, pcwlad_geo.match_files, pcwlad_geo.match_arrays, pcwlad_geo.open_pair]
+)
 def test_reference_and_target_first_then_keywords_only(function: object) -> None:
     assert callable(function)
     parameters = list(inspect.signature(function).parameters.values())

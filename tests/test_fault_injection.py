@@ -88,6 +88,57 @@ def test_a_wrong_end_is_recognised(status: int, said: str, state: str, wrong: st
     assert [each.startswith(wrong) for each in found] == [True] if wrong else not found
 
 
+@pytest.mark.parametrize(
+    ("said", "wrong"),
+    [
+        ("warning: b10.tif (line 2): unusable: cannot write out: Input/output error\n", None),
+        ("error: cannot write summary.csv: Input/output error\n", None),
+        ("warning: b10.tif (line 2): unusable: cannot write out\n", "the cause is not named"),
+        ("warning: narrow overlap\n", "0 lines"),
+    ],
+)
+def test_what_batch_says_of_its_pair_counts(said: str, wrong: str | None) -> None:
+    found = judge(Ended(2, 1, said), "old", "open", "batch")
+    assert [each.startswith(wrong) for each in found] == [True] if wrong else not found
+
+
+@compiled
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["match", "warp", "batch"])
+def test_other_commands_leave_the_old_results_or_the_new(command: str) -> None:
+    rows = tried(command, SOME, "rename", "fsync")
+    assert [row[1] for row in rows] == ["rename", "rename", "fsync", "fsync"]
+
+
+@compiled
+@pytest.mark.slow
+def test_a_raster_lacks_no_block_for_which_there_was_no_memory() -> None:
+    (once, _) = tried("warp", "5", "allocation")
+    assert int(once[4]) > 10
+
+
+def tried(command: str, every: str, *kinds: str) -> list[list[str]]:
+    """Let calls of a command fail; return the rows of the table, all of which must be without violation."""
+    order = [sys.executable, REPOSITORY / "fuzz" / "faults.py", "--every", every, "--command", command]
+    ended = subprocess.run(
+        [*order, *(word for kind in kinds for word in ("--kind", kind))],
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        timeout=10 * PATIENCE_S,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    return [line.split() for line in ended.stdout.splitlines() if line.startswith(command)]
+
+
+def test_gdal_may_end_the_process_where_memory_lacks_if_the_old_results_stay() -> None:
+    assert not judge(Ended(-6, 1, ""), "old", "allocation")
+    assert not judge(Ended(-11, 1, ""), "old", "allocation")
+    assert judge(Ended(-6, 1, ""), "new", "allocation")
+    assert judge(Ended(-6, 1, ""), "old", "open")
+
+
 def test_the_first_and_the_last_calls_are_always_tried() -> None:
     assert list(numbers_to_try(20, 8)) == [1, 2, 3, 9, 17, 18, 19, 20]
     assert list(numbers_to_try(2, 1)) == [1, 2]

@@ -22,19 +22,20 @@ import rasterio
 
 import pcwlad_geo
 from pcwlad_geo import ExecutionError, InputError
-from pcwlad_geo.raster import tie_point_csv
-from pcwlad_geo.registration.cluster import _inspection, connected
-from pcwlad_geo.registration.forks import CAN_FORK
-from pcwlad_geo.registration.progress import Event, Progress, Warned
+from pcwlad_geo.events import Event, Progress, Warned
+from pcwlad_geo.execution.cluster import _inspection, connected
+from pcwlad_geo.execution.processes import OwnProcesses
+from pcwlad_geo.execution.runner import OnExecutor
+from pcwlad_geo.execution.worker import CAN_FORK
+from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.runners import OnExecutor, OwnProcesses
-from pcwlad_geo.registration.settings import Settings
 from tests.cli.process import command, environment
 from tests.cluster import Cluster, cluster
 from tests.patience import PATIENCE_S
 from tests.registration.calls import wait_for_end
 from tests.scenes import make_grid, render, write
+from tests.tables import read_table
 
 TILES: Any = {"template": 61, "window": 41, "features": 120, "tile_size": 128}
 BLOCK_PX = 16
@@ -109,7 +110,7 @@ TWICE: dict[str, Any] = {**TILES, "points": 80}
 
 def test_a_tile_that_cannot_be_read_is_left_out_and_told(copy: tuple[Path, Path], tmp_path: Path) -> None:
     damage(copy[1], (LAST, LAST))
-    found = pcwlad_geo.match(*copy, out_dir=tmp_path / "out", jobs=1, **TILES)
+    found = pcwlad_geo.match_files(*copy, out_dir=tmp_path / "out", jobs=1, **TILES)
     told = [warning for warning in found.warnings if "left out" in warning]
     assert [warning.split(" left out: ")[0] for warning in told] == ["tile 4", "tile 5", "tile 7", "tile 8"]
     assert all("b10.tif: band 1 cannot be read" in warning for warning in told)
@@ -164,7 +165,7 @@ def test_a_tile_that_cannot_be_read_again_is_left_out_and_told(
 
 @pytest.mark.slow
 def test_what_remains_must_suffice(copy: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcwlad_geo.registration.judge.LEAST_POINTS", 40)
+    monkeypatch.setattr("pcwlad_geo.registration.judge.MIN_POINTS", 40)
     everything_but_a_corner = [(x, y) for x in range(LAST + 1) for y in range(LAST + 1) if max(x, y) > 18]
     on_event = stop_reading(copy[1], *everything_but_a_corner)
     with ThreadPoolExecutor(1) as executor:
@@ -250,7 +251,7 @@ def test_a_killed_job_leaves_nothing_under_a_final_name_and_can_be_started_again
         process.communicate()
     assert process.returncode == 0
     assert {path.name for path in work.iterdir()} == {"out", "options.toml"}
-    again = tie_point_csv.read(work / "out" / "tiepoints.csv")
+    again = read_table(work / "out" / "tiepoints.csv")
     np.testing.assert_allclose(again.target_px, whole.tie_points.target_px, rtol=0, atol=1e-3)
 
 
@@ -267,7 +268,7 @@ def two_workers(tmp_path: Path) -> Iterator[Cluster]:
 def on_cluster(
     running: Cluster, pair: tuple[Path, Path], folder: Path, on_event: Any = lambda event: None
 ) -> Registration:
-    return pcwlad_geo.match(
+    return pcwlad_geo.match_files(
         *pair, out_dir=folder / "out", scheduler=running.address, on_event=on_event, **TILES
     )
 
@@ -378,7 +379,7 @@ def test_a_server_that_is_no_scheduler(greeting: bytes, pair: tuple[Path, Path],
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         try:
             with pytest.raises(ExecutionError, match=f"{address} cannot be reached"):
-                pcwlad_geo.match(*pair, out_dir=tmp_path / "out", scheduler=address)
+                pcwlad_geo.match_files(*pair, out_dir=tmp_path / "out", scheduler=address)
         finally:
             ended.set()
             socket.create_connection(server.getsockname()).close()  # it waits for one more
@@ -389,7 +390,7 @@ def test_a_server_that_is_no_scheduler(greeting: bytes, pair: tuple[Path, Path],
 def test_an_address_that_is_none(address: str, pair: tuple[Path, Path], tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     with pytest.raises(ExecutionError, match=f"{address} "):
-        pcwlad_geo.match(*pair, out_dir=tmp_path / "out", scheduler=address)
+        pcwlad_geo.match_files(*pair, out_dir=tmp_path / "out", scheduler=address)
     assert not list(tmp_path.iterdir())
 
 
@@ -398,4 +399,4 @@ def test_without_dask_the_message_says_how_to_get_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)  # an import of it fails
     with pytest.raises(ExecutionError, match=r"pip install 'pcwlad-geo\[dask\]'"):
-        pcwlad_geo.match(*pair, out_dir=tmp_path / "out", scheduler="tcp://127.0.0.1:9")
+        pcwlad_geo.match_files(*pair, out_dir=tmp_path / "out", scheduler="tcp://127.0.0.1:9")

@@ -15,7 +15,7 @@ import pytest
 from tests.patience import PATIENCE_S
 
 CORPUS: Final = Path(__file__).resolve().parents[1] / "fuzz" / "corpus" / "hostile"
-MOST_BYTES: Final = 3 * 2**30
+MAX_BYTES: Final = 3 * 2**30
 """Of memory that a run may have in use."""
 CASES: Final[list[dict[str, Any]]] = json.loads((CORPUS / "cases.json").read_text(encoding="utf-8"))
 MEASURED: Final = """
@@ -50,7 +50,7 @@ def test_hostile_files_are_refused(case: dict[str, Any], tmp_path: Path) -> None
     said = [line for line in ended.stderr.splitlines() if not line.startswith("warning: ")]
     assert len(said) == (0 if ended.returncode == 0 else 1), ended.stderr
     assert all(line.startswith("error: ") for line in said)
-    assert int(peak.read_text()) * 1024 <= MOST_BYTES
+    assert int(peak.read_text()) * 1024 <= MAX_BYTES
     after = _content(tmp_path / case["case"])
     after = {name: data for name, data in after.items() if not name.startswith("o/")}
     assert after == before  # nothing beside the input, and the input as it was

@@ -16,12 +16,12 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy import ndimage
 
 import pcwlad_geo
-from pcwlad_geo.raster import tie_point_csv
-from pcwlad_geo.registration.progress import Event, Progress
+from pcwlad_geo.events import Event, Progress
+from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.settings import Settings
 from tests.scenes import Array, make_grid, render, write
+from tests.tables import read_table
 
 SMALL: Any = {"template": 61, "window": 41, "features": 80}
 REFERENCE, TARGET = make_grid((220, 230)), make_grid((210, 220), offset_m=(312, 195))
@@ -144,7 +144,7 @@ def test_the_ground_control_points_agree_with_the_model(job: Job) -> None:
 
 
 def test_tables_say_observed_minus_predicted(job: Job) -> None:
-    rows = tie_point_csv.read(job.folder / "tiepoints.csv")
+    rows = read_table(job.folder / "tiepoints.csv")
     assert len(rows) == job.report["tie_points"]["total"] == len(job.found.tie_points)
     predicted = TARGET.to_px(REFERENCE.to_xy(rows.reference_px))
     np.testing.assert_allclose(rows.displacement_px, rows.target_px - predicted, atol=1e-3)
@@ -241,7 +241,7 @@ def test_on_the_targets_own_grid(pair: tuple[Path, Path], tmp_path: Path) -> Non
 
 
 def test_match_gives_the_points_that_register_fits(pair: tuple[Path, Path], tmp_path: Path) -> None:
-    matched = pcwlad_geo.match(*pair, out_dir=tmp_path / "m", **QUICK)
+    matched = pcwlad_geo.match_files(*pair, out_dir=tmp_path / "m", **QUICK)
     registered = pcwlad_geo.register(*pair, out_dir=tmp_path / "r", **QUICK)
     np.testing.assert_array_equal(matched.tie_points.target_px, registered.tie_points.target_px)
     report = json.loads((tmp_path / "m" / "report.json").read_text())

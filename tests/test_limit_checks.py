@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 
 import pytest
 
 from pcwlad_geo import limits
-from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.errors import ExecutionError, InputError, SettingsError
 from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.tiepoints.readers import check_sigma
 
 UTM = (30.0, 0.0, 5e5, 0.0, -30.0, 4.6e6)
 
@@ -19,6 +21,34 @@ def refused(check: Callable[[], None], *said: str) -> None:
         check()
     for each in said:
         assert each in str(caught.value)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not limit the address space")
+def test_address_space(monkeypatch: pytest.MonkeyPatch) -> None:
+    import resource
+
+    def check(most: int) -> None:
+        monkeypatch.setattr(resource, "getrlimit", lambda which: (most, resource.RLIM_INFINITY))
+        limits.check_address_space()
+
+    for enough in (resource.RLIM_INFINITY, 2**31, 2**40):
+        check(enough)
+    for most, said in ((2**31 - 1, "may use 2 GiB"), (2**29, "may use 0.5 GiB")):
+        with pytest.raises(ExecutionError, match=f"{said} of address space, and at least 2 GiB of memory"):
+            check(most)
+
+
+@pytest.mark.parametrize(
+    ("value", "within"), [(1e-4, True), (1e4, True), (0.99e-4, False), (1.01e4, False), (math.nan, False)]
+)
+def test_sigma(value: float, within: bool) -> None:
+    def check() -> None:
+        check_sigma("points.csv", 7, "sigma_col", str(value), value)
+
+    if within:
+        check()
+    else:
+        refused(check, "points.csv, line 7: sigma_col", "from 0.0001 to 10000 px, or leave it empty")
 
 
 def test_shape() -> None:
@@ -33,10 +63,12 @@ def test_pixels_of_an_output_grid() -> None:
         lambda: limits.check_output_pixel((3.0, 0.99e-4)), "1.01e+04 pixels of the target", "at most 10000"
     )
     refused(lambda: limits.check_output_pixel((3.0, 0.0)), "at most 10000")
+    limits.check_output_pixel((math.nan, math.nan))  # beside the target: told elsewhere
 
 
 def test_blocks_that_are_written() -> None:
-    limits.check_created_block("BLOCKSIZE", "8192")
+    for side in ("1", "8192", "0000000512"):
+        limits.check_created_block("BLOCKSIZE", side)
     for value in ("8193", "0", "-5", "9" * 5000, "512.5", "²", ""):
         refused(lambda value=value: limits.check_created_block("BLOCKSIZE", value), "co = BLOCKSIZE=", "8192")
     with pytest.raises(SettingsError, match="BLOCKYSIZE=-5"):
@@ -62,7 +94,11 @@ def test_a_geotransform_stays_on_the_map(at: int) -> None:
     limits.check_geotransform("a.tif", UTM, (100, 200))
     for wild in (1.01e10, -1.01e10, math.nan, math.inf):
         numbers = [wild if i == at else number for i, number in enumerate(UTM)]
-        refused(lambda numbers=numbers: limits.check_geotransform("a.tif", numbers, (100, 200)), "a.tif")
+        refused(
+            lambda numbers=numbers: limits.check_geotransform("a.tif", numbers, (100, 200)),
+            "a.tif has map coordinates up to",
+            "correct the geotransform (gdal_edit.py -a_ullr)",
+        )
 
 
 @pytest.mark.parametrize(
@@ -77,7 +113,7 @@ def test_a_geotransform_stays_on_the_map(at: int) -> None:
 def test_the_far_corner_counts(numbers: tuple[float, ...], shape: tuple[int, int]) -> None:
     limits.check_geotransform("a.tif", numbers, shape)
     larger = (shape[0] + 1, shape[1] + 1)
-    refused(lambda: limits.check_geotransform("a.tif", numbers, larger), "1e+10", "at most")
+    refused(lambda: limits.check_geotransform("a.tif", numbers, larger), "up to 1e+10, and at most 1e+10")
 
 
 @pytest.mark.parametrize(("c", "f"), [(1e6, 0.0), (0.0, 1e6), (-1e6, 0.0), (5.0, -1e6)])
@@ -90,7 +126,7 @@ def test_pixels_that_numbers_can_tell_apart(c: float, f: float, turned: bool) ->
     for tiny in ((0.99e-5, 1.0), (1.0, 0.99e-5)):
         refused(
             lambda tiny=tiny: limits.check_geotransform("a.tif", numbers(*tiny), (10, 10)),
-            "9.9e-06 map units",
+            "9.9e-06 map units at coordinates of 1000000, which",
             "cannot tell apart",
         )
 
@@ -174,4 +210,4 @@ def test_limits_that_are_compared_elsewhere() -> None:
     assert (limits.SEARCH_RADIUS_PX, limits.TILE_PX, limits.FEATURES) == (1024, 4096, 100_000)
     assert (limits.ITERATIONS, limits.JOBS, limits.UNREAD_PARTS) == (1000, 1024, 500)
     assert (limits.POINTS, limits.BATCH_ROWS, limits.MEMBERS) == (250_000, 100_000, 100_000)
-    assert (limits.TEXT_BYTES, limits.LEAST_STORED) == (2**26, 1 / 128)
+    assert (limits.TEXT_BYTES, limits.MIN_STORED, limits.NAME_BYTES) == (2**26, 1 / 128, 255)

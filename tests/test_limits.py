@@ -20,21 +20,20 @@ from rasterio.crs import CRS
 from pcwlad_geo import limits
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import ExecutionError, InputError, OutputError, SettingsError
-from pcwlad_geo.input_files import read_bytes
-from pcwlad_geo.raster.antimeridian import moved_beside
-from pcwlad_geo.raster.boundary import explained
+from pcwlad_geo.events import Event, Warned
+from pcwlad_geo.execution.cluster import LOST_AFTER_S, WARN_AFTER_S, WorkerWatch
+from pcwlad_geo.job import register
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.file_tree import tree_of
+from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.matching_grid import plan_views
+from pcwlad_geo.raster.matching_grid import moved_across_antimeridian, plan_views
 from pcwlad_geo.raster.output_grid import GridRequest, output_grid
-from pcwlad_geo.raster.rpc_files import parse_rpc_text
+from pcwlad_geo.raster.rpc.files import parse_rpc_text
 from pcwlad_geo.raster.source import describe, open_raster
-from pcwlad_geo.raster.tie_point_readers import read_point_file
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.registration.cluster import LOST_AFTER_S, TOLD_AFTER_S, WorkerWatch
-from pcwlad_geo.registration.progress import Event, Warned
-from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.workflow import register
+from pcwlad_geo.text import read_bytes
+from pcwlad_geo.tiepoints.readers import read_point_file
 from tests.cli.process import run_cli
 
 UTM = CRS.from_epsg(32633)
@@ -61,6 +60,22 @@ def sparse(path: Path, side: int, **profile: object) -> Path:
 def test_a_sparse_image_is_refused_before_it_is_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"hardly a block of them is in the file|less than one for"):
         describe(sparse(tmp_path / "a.tif", 40_000))
+
+
+def test_a_small_vrt_on_a_sparse_image_is_refused_too(tmp_path: Path) -> None:
+    sparse(tmp_path / "a.tif", 40_000)
+    small = tmp_path / "small.vrt"
+    small.write_text(
+        '<VRTDataset rasterXSize="100" rasterYSize="100"><VRTRasterBand dataType="Byte" band="1">'
+        '<SimpleSource><SourceFilename relativeToVRT="1">a.tif</SourceFilename><SourceBand>1</SourceBand>'
+        "</SimpleSource>"
+        "</VRTRasterBand></VRTDataset>"
+    )
+    outer = tmp_path / "outer.vrt"
+    outer.write_text(small.read_text().replace("a.tif", "small.vrt"))
+    for vrt in (small, outer):
+        with pytest.raises(InputError, match=r"a\.tif declares"):
+            describe(vrt)
 
 
 def test_an_image_of_that_size_with_pixels_is_not(tmp_path: Path) -> None:
@@ -191,6 +206,18 @@ def test_what_is_no_file_is_never_waited_for(
         describe(tiff(Path("beside.tif")))
 
 
+@pytest.mark.parametrize(
+    "name", ["a_RPC.TXT", "a.RPB", "a.tfw", "a.tif.ovr", "A.prj", "RPC_A.XML", "summary.txt"]
+)
+def test_no_pipe_beside_a_raster_is_waited_for(name: str, tmp_path: Path) -> None:
+    raster = tiff(tmp_path / "a.tif")
+    os.mkfifo(tmp_path / "pipe")  # nothing that GDAL looks for
+    describe(raster)
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match=f"{name} is a named pipe, not a file"):
+        describe(raster)
+
+
 def test_an_archive_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.zip"
     with (
@@ -228,16 +255,26 @@ def test_reading_a_gz_leaves_nothing_beside_it(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "in").iterdir()] == ["a.tar.gz"]
 
 
-@pytest.mark.parametrize("cell", ["-0.1", "0", "nan", "inf"])
+@pytest.mark.parametrize("cell", ["-0.1", "0", "nan", "inf", "9e-5", "10001", "1e150"])
 def test_sigmas_that_are_not_positive_are_refused(cell: str, tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text(f"ref_col,ref_row,tgt_col,tgt_row,sigma_col,sigma_row\n1,2,3,4,,\n1,2,3,4,0.1,{cell}\n")
-    with pytest.raises(InputError, match=f"line 3: sigma_row is '{cell}': give a positive number"):
+    said = f"line 3: sigma_row is '{cell}': give a positive number from 0.0001 to 10000 px"
+    with pytest.raises(InputError, match=said):
         read_point_file(path)
 
 
+@pytest.mark.parametrize("cell", ["0.0001", "10000"])
+def test_sigmas_at_the_limits_are_read(cell: str, tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(f"ref_col,ref_row,tgt_col,tgt_row,sigma_col,sigma_row\n1,2,3,4,0.1,{cell}\n")
+    read = read_point_file(path).sigma_px
+    assert read is not None
+    assert read.tolist() == [[0.1, float(cell)]]
+
+
 def test_files_of_points_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcwlad_geo.raster.tie_point_readers.POINTS", 2)
+    monkeypatch.setattr("pcwlad_geo.tiepoints.readers.POINTS", 2)
     path = tmp_path / "points.csv"
     path.write_text("ref_col,ref_row,tgt_col,tgt_row\n" + "1,2,3,4\n" * 3)
     with pytest.raises(InputError, match="more than 2 points"):
@@ -250,12 +287,12 @@ def test_files_of_points_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_rasters_across_the_antimeridian_overlap(tmp_path: Path) -> None:
     east = describe(tiff(tmp_path / "a.tif", Affine(0.001, 0, 180.0, 0, -0.001, 10), WGS84))
     west = describe(tiff(tmp_path / "b.tif", Affine(0.001, 0, -179.99, 0, -0.001, 10), WGS84))
-    pair = plan_views(moved_beside(east, west), west)
+    pair = plan_views(moved_across_antimeridian(east, west), west)
     assert pair.offset_px == pytest.approx((-10.0, 0.0), abs=1e-6)
     assert pair.overlap.shape == (60, 50)
     patch = pair.reference.read(pair.overlap)
     assert patch.valid.all()
-    assert moved_beside(west, west) == west
+    assert moved_across_antimeridian(west, west) == west
 
 
 def test_latitudes_beyond_the_poles_are_refused(tmp_path: Path) -> None:
@@ -307,6 +344,12 @@ def test_the_last_boundary_names_the_cause(tmp_path: Path) -> None:
         assert ended.stderr.count("\n") == 1
         assert words in ended.stderr
     assert explained(ZeroDivisionError()) is None
+    wrapped = SystemError("<built-in function remap> returned a result with an exception set")
+    assert explained(wrapped) is None
+    own = RuntimeError("alloc.cpp:73: error: (-4:Insufficient memory) Failed to allocate 80000 bytes")
+    assert "needs more memory than there is" in str(explained(own))
+    wrapped.__cause__ = MemoryError()
+    assert "needs more memory than there is (none left)" in str(explained(wrapped))
 
 
 def test_a_scheduler_without_workers_is_waited_for_a_bounded_time() -> None:
@@ -314,7 +357,7 @@ def test_a_scheduler_without_workers_is_waited_for_a_bounded_time() -> None:
     watch = WorkerWatch(lambda: workers[0], "tcp://host:8786", lambda: now[0])
     watch(told.append)
     workers[0] = 0
-    for now[0] in (100.0, 100.0 + TOLD_AFTER_S + 1, 100.0 + TOLD_AFTER_S + 2, 100.0 + LOST_AFTER_S - 1):
+    for now[0] in (100.0, 100.0 + WARN_AFTER_S + 1, 100.0 + WARN_AFTER_S + 2, 100.0 + LOST_AFTER_S - 1):
         watch(told.append)
     assert [event.message for event in told if isinstance(event, Warned)] == [
         "the scheduler tcp://host:8786 has no workers left: the job waits 50 s for new ones"

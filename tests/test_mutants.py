@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -60,3 +63,10 @@ def test_what_is_listed_as_equivalent_is_still_a_mutant(module: str) -> None:
     made = {key(mutant) for mutant in mutants((REPOSITORY / module).read_text(encoding="utf-8"))}
     assert equivalent(module).keys() <= made
     assert len(equivalent(module)) < 0.15 * len(made)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="mutants are run on Linux only")
+def test_a_mutant_that_turns_in_circles_is_ended_by_its_processor_time() -> None:
+    spins = "from mutants.trial import Limits\nLimits(600.0, 1.0).impose()\nwhile True:\n    pass"
+    ended = subprocess.run([sys.executable, "-c", spins], cwd=REPOSITORY, check=False)
+    assert ended.returncode == -signal.SIGXCPU

@@ -9,6 +9,7 @@ import signal
 import stat
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,7 +18,10 @@ from typing import Any
 import pytest
 
 from pcwlad_geo.errors import OutputError
-from pcwlad_geo.staging import OutputFolder, abandon, place_file, stage_inside
+from pcwlad_geo.outputs import stages as stage_folders
+from pcwlad_geo.outputs.folder import OutputFolder, abandon, place_file, stage_inside
+from pcwlad_geo.outputs.places import HOST
+from pcwlad_geo.outputs.stages import discard
 from tests.patience import PATIENCE_S
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX files and signals")
@@ -162,7 +166,11 @@ def test_results_are_written_out_before_and_after_they_get_their_name(
     first = log.index("replace report.json")
     assert {"fsync a.csv", "fsync c.csv", "fsync report.json", "fsync .journal.draft"} <= set(log[:first])
     if sys.platform != "win32":
-        assert "fsync out" in log[log.index("replace c.csv") :]
+        # for certain, before any file is moved
+        noted = log[log.index("replace .journal") + 1 : first]
+        assert [line.partition("-")[0] for line in noted] == ["fsync .stage", "fsync out"]
+        placed = [line.partition("-")[0] for line in log[log.index("replace c.csv") :]]
+        assert placed == ["replace c.csv", "replace report.json", "fsync out", "fsync .stage"]
 
 
 @posix
@@ -206,14 +214,181 @@ def test_a_lock_is_never_followed_or_truncated(tmp_path: Path) -> None:
 
 
 @posix
-@pytest.mark.parametrize("text", ["mine", "", "12 on host\n", "pcwlad-geo: process 12 on host\nand more"])
-def test_a_file_of_the_user_in_the_place_of_the_lock_stays(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    "data", [b"mine", b"", b"12 on host\n", b"pcwlad-geo: process 12 on host\nand more", b"\xff\xfe\x00"]
+)
+def test_a_file_of_the_user_in_the_place_of_the_lock_stays(tmp_path: Path, data: bytes) -> None:
     lock = tmp_path / ".out.lock"
-    lock.write_text(text)
+    lock.write_bytes(data)
     with pytest.raises(OutputError, match="is in the way and no lock of pcwlad-geo"):
         run(tmp_path / "out", OLD)
     abandon(tmp_path / "out")
-    assert content(tmp_path) == {".out.lock": text}
+    assert list(tmp_path.iterdir()) == [lock]
+    assert lock.read_bytes() == data
+
+
+@posix
+@pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
+def test_what_takes_the_place_of_a_lock_while_it_is_looked_at_is_no_lock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    lock, precious = tmp_path / ".out.lock", tmp_path / "precious.txt"
+    for file in (lock, precious):
+        file.write_text(f"pcwlad-geo: process {ended_process()} on {HOST}\n")
+    before = precious.read_text()
+    lstat, opened = Path.lstat, os.open
+
+    def exchanged(path: Path) -> os.stat_result:
+        status = lstat(path)
+        if path == lock and stat.S_ISREG(status.st_mode):
+            lock.unlink()
+            if kind == "link":
+                lock.symlink_to(precious)
+            elif kind == "pipe":
+                os.mkfifo(lock)
+            else:
+                lock.mkdir()
+        return status
+
+    def watched(path: Any, flags: int, *arguments: Any, **keywords: Any) -> int:
+        if Path(path) == lock:
+            assert kind != "link" or flags & os.O_NOFOLLOW, "it would be followed"
+            assert kind != "pipe" or flags & os.O_NONBLOCK, "it would be waited for"
+        return opened(path, flags, *arguments, **keywords)
+
+    monkeypatch.setattr(Path, "lstat", exchanged)
+    monkeypatch.setattr(os, "open", watched)
+    with pytest.raises(OutputError, match="is in the way and no lock of pcwlad-geo"):
+        run(tmp_path / "out", OLD)
+    assert precious.read_text() == before
+    assert os.path.lexists(lock)
+
+
+@posix
+def test_everyone_may_read_who_holds_a_lock_and_no_one_else_change_it(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        with OutputFolder(tmp_path / "out"):
+            assert stat.S_IMODE((tmp_path / ".out.lock").stat().st_mode) == 0o644
+    finally:
+        os.umask(before)
+
+
+@posix
+def test_no_file_stays_open(tmp_path: Path) -> None:
+    """A batch goes through thousands of folders."""
+    before = len([*Path("/dev/fd").iterdir()])
+    run(tmp_path / "out", OLD)
+    with OutputFolder(tmp_path / "new"):
+        with pytest.raises(OutputError, match="another run"):
+            run(tmp_path / "new", NEW)
+        abandon(tmp_path / "new")
+    assert len([*Path("/dev/fd").iterdir()]) <= before
+
+
+@posix
+def test_where_nothing_can_be_made_beside_a_folder_its_lock_is_inside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever runs this: permissions do not bind everyone."""
+    monkeypatch.setattr(
+        os, "access", lambda place, mode: (Path(place), mode) != (tmp_path, os.W_OK | os.X_OK)
+    )
+    (tmp_path / "out").mkdir()
+    with OutputFolder(tmp_path / "out") as folder:
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+        with pytest.raises(OutputError, match="another run"):
+            run(tmp_path / "out", OLD)
+        assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+            ".pcwlad-geo.lock",
+            folder.stage.name,
+        ]
+    run(tmp_path / "out", OLD)
+    assert content(tmp_path / "out") == whole(OLD)
+
+
+@posix
+@pytest.mark.parametrize("error", [OSError(errno.EPERM, "no links"), NotImplementedError("no links")])
+def test_a_file_system_without_hard_links(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def unsupported(*arguments: object, **keywords: object) -> None:
+        raise error
+
+    monkeypatch.setattr(os, "link", unsupported)
+    with OutputFolder(tmp_path / "out"):
+        held = (tmp_path / ".out.lock").read_text()
+        with pytest.raises(OutputError, match="another run"):
+            run(tmp_path / "out", OLD)
+        assert (tmp_path / ".out.lock").read_text() == held
+    run(tmp_path / "out", OLD)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@posix
+def test_a_lock_that_is_given_back_just_now_is_taken_without_overwriting_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, rename, asked = os.link, Path.rename, []
+
+    def in_the_way_at_first(*arguments: Any, **keywords: Any) -> None:
+        asked.append(arguments)
+        if len(asked) == 1:
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+        link(*arguments, **keywords)
+
+    def over_nothing(source: Path, target: Path) -> Path:
+        assert target.name != ".out.lock", "what is there by then would be lost"
+        return rename(source, target)
+
+    monkeypatch.setattr(os, "link", in_the_way_at_first)
+    monkeypatch.setattr(Path, "rename", over_nothing)
+    run(tmp_path / "out", OLD)
+    assert len(asked) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@posix
+def test_the_lock_of_a_dead_process_may_go_while_it_is_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another run sweeps it, too."""
+    import fcntl
+
+    lock = tmp_path / ".out.lock"
+    lock.write_text(f"pcwlad-geo: process {ended_process()} on {HOST}\n")
+    dead, flock = lock.stat().st_ino, fcntl.flock
+
+    def other_is_quicker(descriptor: int, how: int) -> None:
+        flock(descriptor, how)
+        if os.fstat(descriptor).st_ino == dead:
+            lock.unlink()
+
+    monkeypatch.setattr(fcntl, "flock", other_is_quicker)
+    run(tmp_path / "out", OLD)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@posix
+def test_the_lock_of_another_machine_counts_as_long_as_it_is_held(tmp_path: Path) -> None:
+    import fcntl
+
+    lock = tmp_path / ".out.lock"
+    lock.write_text("pcwlad-geo: process 1 on elsewhere\n")
+    with lock.open() as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with pytest.raises(OutputError, match=r"another run \(process 1 on elsewhere\)"):
+            run(tmp_path / "out", OLD)
+    run(tmp_path / "out", OLD)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_lock_that_someone_has_removed_is_not_missed(tmp_path: Path) -> None:
+    with OutputFolder(tmp_path / "out") as folder:
+        (tmp_path / ".out.lock").unlink()
+        folder.path("a.csv").write_text("1")
+        folder.commit()
+    assert content(tmp_path) == {"out/a.csv": "1"}
 
 
 @posix
@@ -243,8 +418,6 @@ def ended_process() -> int:
 def test_the_lock_of_a_dead_process_counts_for_nothing(
     tmp_path: Path, locks: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from pcwlad_geo.disk import HOST
-
     if not locks:
         import fcntl
 
@@ -262,8 +435,9 @@ def test_the_lock_of_a_dead_process_counts_for_nothing(
         lock.write_text(f"pcwlad-geo: process {os.getppid()} on {HOST}\n")
         with pytest.raises(OutputError, match=f"another run \\(process {os.getppid()} on"):
             run(tmp_path / "out", NEW, overwrite=True)
-        lock.write_text("pcwlad-geo: process 1 on elsewhere\n")
-        with pytest.raises(OutputError, match=r"another run \(process 1 on elsewhere\)"):
+        elsewhere = ended_process()  # here: that says nothing of another machine
+        lock.write_text(f"pcwlad-geo: process {elsewhere} on elsewhere\n")
+        with pytest.raises(OutputError, match=f"another run \\(process {elsewhere} on elsewhere\\)"):
             run(tmp_path / "out", NEW, overwrite=True)
         assert lock.exists()
 
@@ -296,8 +470,6 @@ def test_a_link_to_nothing_is_no_output_folder(tmp_path: Path) -> None:
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives files away")
 def test_stages_of_other_users_are_not_acted_on(tmp_path: Path) -> None:
     """What lies in a folder for all may be meant to have the user's own files removed."""
-    from pcwlad_geo.disk import HOST
-
     run(tmp_path / "out", OLD)
     stage = tmp_path / f".out.stage-{HOST}-{ended_process()}"
     stage.mkdir()
@@ -311,6 +483,202 @@ def test_stages_of_other_users_are_not_acted_on(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "a.csv").read_text() == "old a"
     assert stage.is_dir()
     assert link.is_symlink()
+
+
+@posix
+def test_stages_and_drafts_of_other_users_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever runs this: files are not given away, the user is another."""
+    process = ended_process()
+    left = [tmp_path / f".out.stage-{HOST}-{process}", tmp_path / f".out.lock-{HOST}-{process}-0011aabb"]
+    left[0].mkdir()
+    left[1].touch()
+    with monkeypatch.context() as other:
+        other.setattr(os, "geteuid", lambda: 12345)
+        run(tmp_path / "out", OLD)
+    assert all(place.exists() for place in left)
+    run(tmp_path / "out", NEW, overwrite=True)
+    assert not any(place.exists() for place in left)
+
+
+# --- undoing ---------------------------------------------------------------------------------------------
+
+
+def half_placed(out_dir: Path, journal: str | None = None) -> Path:
+    """Return the stage of a process that has ended while it replaced files: a.csv and c.csv are new."""
+    stage = out_dir / f".stage-{HOST}-{ended_process()}"
+    (stage / ".old").mkdir(parents=True)
+    for name, text in whole(OLD).items():
+        (stage / ".old" / name).write_text(text)
+    for name, text in NEW.items():
+        (out_dir / name).write_text(text)
+    (stage / "report.json").write_text(report(*NEW, "report.json"))
+    names = {"old": ["report.json", *OLD], "new": [*NEW, "report.json"]}
+    (stage / ".journal").write_text(json.dumps(names) if journal is None else journal)
+    return stage
+
+
+@posix
+@pytest.mark.parametrize("gone", [(), ("a.csv",), ("a.csv", "c.csv")])
+def test_what_is_half_placed_is_undone_whatever_of_it_is_removed(
+    tmp_path: Path, gone: tuple[str, ...]
+) -> None:
+    half_placed(tmp_path / "out")
+    for name in gone:
+        (tmp_path / "out" / name).unlink()
+    with pytest.raises(OutputError, match="holds results"):  # again: they are back
+        run(tmp_path / "out", NEW)
+    assert content(tmp_path / "out") == whole(OLD)
+
+
+@posix
+@pytest.mark.parametrize(
+    ("journal", "reason"),
+    [
+        ('{"old": [', "Expecting value: line 1 column 10"),
+        ('{"old": []}', "'new'"),
+        ('["old", "new"]', "list indices must be integers or slices, not str"),
+    ],
+)
+def test_a_journal_that_is_damaged_is_told_and_the_old_results_stay(
+    tmp_path: Path, journal: str, reason: str
+) -> None:
+    stage = half_placed(tmp_path / "out", journal)
+    with pytest.raises(OutputError, match="cannot put the earlier results back") as caught:
+        run(tmp_path / "out", NEW, overwrite=True)
+    assert f": {reason}" in str(caught.value)
+    assert f"they are in {stage / '.old'}, and the next run" in str(caught.value)
+    assert content(stage / ".old") == whole(OLD)
+
+
+@posix
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (OSError(errno.EIO, "Input/output error", "b.csv"), "Input/output error"),
+        (OSError("the disk was pulled out"), "the disk was pulled out"),
+    ],
+)
+def test_old_results_that_cannot_be_put_back_are_told_in_plain_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: OSError, reason: str
+) -> None:
+    def fail(source: Path, target: Path) -> Path:
+        raise error
+
+    stage = half_placed(tmp_path / "out")
+    with monkeypatch.context() as disk:
+        disk.setattr(Path, "replace", fail)
+        with pytest.raises(OutputError, match=f"cannot put the earlier results back: {reason}; they are in"):
+            run(tmp_path / "out", NEW, overwrite=True)
+    assert content(stage / ".old") == whole(OLD)
+    with pytest.raises(OutputError, match="holds results"):
+        run(tmp_path / "out", NEW)
+    assert content(tmp_path / "out") == whole(OLD)
+
+
+@posix
+def test_what_is_undone_is_written_out_before_its_journal_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk may lose its power between any two steps."""
+    log: list[tuple[Path, bool]] = []
+    stage = half_placed(tmp_path / "out")
+    monkeypatch.setattr(
+        stage_folders, "sync_folder", lambda folder: log.append((folder, (stage / ".journal").exists()))
+    )
+    discard(stage, tmp_path / "out")
+    assert log == [(tmp_path / "out", True), (stage, False)]
+    assert content(tmp_path / "out") == whole(OLD)
+
+
+@posix
+def test_a_stage_is_undone_by_one_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that is stuck, and who gives it up from outside."""
+    stage = half_placed(tmp_path / "out")
+    other = threading.Thread(target=discard, args=(stage, tmp_path / "out"))
+    replace = Path.replace
+
+    def slow(source: Path, target: Path) -> Path:
+        if other.ident is None:
+            other.start()
+            other.join(0.3)
+            assert other.is_alive()
+        return replace(source, target)
+
+    monkeypatch.setattr(Path, "replace", slow)
+    discard(stage, tmp_path / "out")
+    other.join(PATIENCE_S)
+    assert content(tmp_path / "out") == whole(OLD)
+
+
+@posix
+def test_what_two_runs_sweep_at_once_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    process = ended_process()
+    draft, single = f".out.lock-{HOST}-{process}-0011aabb", f".out.csv.{HOST}-{process}"
+    staged = tmp_path / "staged.csv"
+    unlink, alive = Path.unlink, stage_folders.alive
+
+    def place_both() -> None:
+        for name in (draft, single):
+            (tmp_path / name).touch()
+        staged.write_text("x")
+        with OutputFolder(tmp_path / "out"):
+            pass
+        place_file(staged, tmp_path / "out.csv", overwrite=True)
+        assert [file.name for file in tmp_path.iterdir()] == ["out.csv"]
+
+    def too_late(path: Path, missing_ok: bool = False) -> None:
+        if str(process) in path.name:
+            unlink(path)
+        unlink(path, missing_ok)
+
+    def sees_it_go(number: int) -> bool:
+        for name in (draft, single):
+            unlink(tmp_path / name, missing_ok=True)
+        return alive(number)
+
+    with monkeypatch.context() as other:
+        other.setattr(Path, "unlink", too_late)
+        place_both()
+    monkeypatch.setattr(stage_folders, "alive", sees_it_go)
+    place_both()
+
+
+@posix
+def test_what_is_abandoned_on_a_failing_disk_is_left_to_the_next_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*arguments: object, **keywords: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    out_dir = tmp_path / "out"
+    run(out_dir, OLD)
+    with OutputFolder(out_dir, overwrite=True) as folder:
+        stage_folders.write_journal(folder.stage, out_dir, old=[], new=[])
+        for owner, name in ((Path, "unlink"), (stage_folders, "sync_folder")):
+            with monkeypatch.context() as disk:
+                disk.setattr(owner, name, fail)
+                abandon(out_dir)
+        assert not (tmp_path / ".out.lock").exists()
+    assert content(tmp_path) == {f"out/{name}": text for name, text in whole(OLD).items()}
+
+
+def test_drafts_of_a_lock_are_abandoned_by_two_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unlink = Path.unlink
+
+    def too_late(path: Path, missing_ok: bool = False) -> None:
+        unlink(path)
+        unlink(path, missing_ok)
+
+    for twice in (False, True):
+        draft = tmp_path / f".out.lock-{HOST}-{os.getpid()}-0011aabb"
+        draft.touch()
+        with monkeypatch.context() as other:
+            if twice:
+                other.setattr(Path, "unlink", too_late)
+            abandon(tmp_path / "out")
+        assert not draft.exists()
 
 
 # --- what goes while a job runs --------------------------------------------------------------------------
@@ -348,6 +716,52 @@ def test_a_file_that_is_removed_from_the_stage_is_missed(tmp_path: Path) -> None
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_file_that_comes_into_the_folder_meanwhile_stays(tmp_path: Path) -> None:
+    out_dir = tmp_path / "out"
+    run(out_dir, OLD)
+    with OutputFolder(out_dir, overwrite=True) as folder:
+        for name, text in whole(NEW).items():
+            folder.path(name).write_text(text)
+        (out_dir / "c.csv").write_text("mine")
+        with pytest.raises(OutputError, match=r"c\.csv is in the way and not from an earlier run"):
+            folder.commit()
+    assert content(out_dir) == {**whole(OLD), "c.csv": "mine"}
+
+
+def test_results_that_come_into_the_folder_meanwhile_need_overwrite(tmp_path: Path) -> None:
+    out_dir = tmp_path / "out"
+    out_dir.mkdir()
+    with OutputFolder(out_dir) as folder:
+        for name, text in whole(NEW).items():
+            folder.path(name).write_text(text)
+        for name, text in whole(OLD).items():
+            (out_dir / name).write_text(text)
+        with pytest.raises(OutputError, match=r"a\.csv is in the way"):
+            folder.commit()
+    assert content(out_dir) == whole(OLD)
+
+
+@posix
+def test_an_empty_folder_that_is_made_meanwhile_stays_as_it_is(tmp_path: Path) -> None:
+    out_dir = tmp_path / "out"
+    with OutputFolder(out_dir) as folder:
+        folder.path("a.csv").write_text("1")
+        out_dir.mkdir(0o700)
+        folder.commit()
+    assert stat.S_IMODE(out_dir.stat().st_mode) == 0o700
+    assert content(tmp_path) == {"out/a.csv": "1"}
+
+
+@posix
+def test_earlier_results_that_are_links_to_nothing_by_now_are_replaced(tmp_path: Path) -> None:
+    out_dir = tmp_path / "out"
+    run(out_dir, OLD)
+    (out_dir / "b.csv").unlink()
+    (out_dir / "b.csv").symlink_to(tmp_path / "gone")
+    run(out_dir, NEW, overwrite=True)
+    assert sorted(path.name for path in out_dir.iterdir()) == sorted(whole(NEW))
+
+
 def test_single_files_whose_stage_is_removed_are_one_clear_error(tmp_path: Path) -> None:
     def job() -> None:
         with stage_inside(tmp_path / "deep") as stage:
@@ -362,8 +776,6 @@ def test_single_files_whose_stage_is_removed_are_one_clear_error(tmp_path: Path)
 @posix
 def test_what_a_killed_run_left_of_a_single_file_is_swept(tmp_path: Path) -> None:
     staged = tmp_path / "staged.csv"
-    from pcwlad_geo.disk import HOST
-
     left = tmp_path / f".final.csv.{HOST}-{ended_process()}"
     left.write_text("half")
     staged.write_text("y")
@@ -379,7 +791,7 @@ from pathlib import Path
 from contextlib import suppress
 from pcwlad_geo.cli.interrupt import cancellable
 from pcwlad_geo.errors import OutputError
-from pcwlad_geo.staging import OutputFolder, abandon
+from pcwlad_geo.outputs.folder import OutputFolder, abandon
 from tests.test_output_folder_faults import NEW, OLD, at_each_step, content, run, whole
 
 top, signals = Path(sys.argv[1]), [int(each) for each in sys.argv[2:]]

@@ -15,15 +15,15 @@ import rasterio
 from affine import Affine
 
 import pcwlad_geo
-from pcwlad_geo import InputError, OutputError, warp, workflow
+from pcwlad_geo import InputError, OutputError, warp
+from pcwlad_geo import job as workflow
 from pcwlad_geo.batches.pairs import read_pairs
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.correction.models import ProjectiveCorrection
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.options import Settings, to_setting
 from pcwlad_geo.raster.grid import Grid, map_px
-from pcwlad_geo.registration.option_values import to_setting
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.settings import Settings
 from tests.registrations import make_registration, of_files, write_pair
 from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, make_grid, render, write
 
@@ -165,6 +165,7 @@ def test_a_vrt_of_a_finished_registration(make: Make) -> None:
         ({"of": "VRT", "model": "tps"}, "a VRT cannot hold the model tps"),
         ({"of": "VRT", "co": ("A=B",)}, "takes no creation options"),
         ({"t_srs": "EPSG:1"}, r"t_srs = 'EPSG:1': give a CRS"),
+        ({"t_srs": "[" * 100_000}, "give a CRS such as"),
         ({"of": "GTif"}, r"of = 'GTif': GDAL cannot write"),
         ({"co": ("COMPRESS=X",)}, "co = COMPRESS=X: GDAL's COG says"),
         ({"like": "absent.tif"}, "absent.tif does not exist"),

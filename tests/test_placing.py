@@ -14,9 +14,15 @@ import pytest
 import rasterio
 from affine import Affine
 
-from pcwlad_geo import staging
 from pcwlad_geo.errors import OutputError
-from pcwlad_geo.staging import OutputFolder, check_output_folder, place_with_files, stage_inside
+from pcwlad_geo.outputs import folder as staging
+from pcwlad_geo.outputs.folder import (
+    OutputFolder,
+    check_output_folder,
+    place_file,
+    place_with_files,
+    stage_inside,
+)
 
 
 @pytest.fixture
@@ -57,12 +63,64 @@ def test_a_disk_that_is_full_is_told_in_one_line(
     staged: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(source: Path, target: Path) -> None:
+        target.write_bytes(source.read_bytes()[:5])  # across file systems
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr("shutil.move", full)
     with pytest.raises(OutputError, match=r"out\.bin: No space left on device"):
         place_with_files(staged, tmp_path / "out.bin")
-    assert not list(tmp_path.glob("*out.bin*"))
+    assert not [path for path in tmp_path.iterdir() if "out.bin" in path.name]
+
+
+def test_a_file_that_is_not_whole_is_not_placed(tmp_path: Path) -> None:
+    (tmp_path / "a.vrt").write_text("<VRTDataset><SRS>")
+    with pytest.raises(OutputError, match=r"a\.vrt was not written whole"):
+        place_file(tmp_path / "a.vrt", tmp_path / "out.vrt")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.vrt"]
+
+
+def test_the_name_of_a_file_is_written_out_once_it_is_there(
+    staged: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[tuple[Path, bool]] = []
+    monkeypatch.setattr(
+        staging, "sync_folder", lambda folder: synced.append((folder, (tmp_path / "out.bin").exists()))
+    )
+    place_file(staged, tmp_path / "out.bin")
+    assert synced == [(tmp_path, True)]
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [(PermissionError(errno.EACCES, "Permission denied", "x"), "Permission denied"), (OSError("odd"), "odd")],
+)
+def test_results_that_cannot_be_read_are_told_with_the_reason(
+    error: OSError, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(path: Path, encoding: str) -> str:
+        raise error
+
+    (tmp_path / "report.json").write_text("{}")
+    monkeypatch.setattr(Path, "read_text", fail)
+    with pytest.raises(OutputError) as caught:
+        check_output_folder(tmp_path, overwrite=True)
+    said = f"cannot read {tmp_path / 'report.json'}: {reason}; choose another output folder"
+    assert str(caught.value) == said
+
+
+def test_an_input_that_is_missing_is_not_taken_for_the_disk(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError), OutputFolder(tmp_path / "out"):
+        (tmp_path / "input.tif").read_bytes()
+    assert not list(tmp_path.iterdir())
+
+
+def test_there_is_a_stage_within_the_context_only(tmp_path: Path) -> None:
+    folder = OutputFolder(tmp_path / "out")
+    for _ in range(2):
+        with pytest.raises(ValueError, match="the output folder is not entered"):
+            folder.path("a.csv")
+        with folder:
+            assert folder.path("a.csv").parent == folder.stage
 
 
 def test_a_folder_that_cannot_be_written_in_is_told_before_any_work(
@@ -120,14 +178,16 @@ def test_a_stage_that_cannot_be_made_is_told_in_one_line(tmp_path: Path) -> None
 
 def test_the_next_stage_in_a_folder_sweeps_those_of_dead_processes(tmp_path: Path) -> None:
     code = (
-        "import os, sys\nfrom pcwlad_geo.staging import stage_inside\n"
+        "import os, sys\nfrom pcwlad_geo.outputs.folder import stage_inside\n"
         "with stage_inside(sys.argv[1]) as stage:\n    (stage / 'half.tif').touch()\n    os._exit(0)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True)
     (left,) = tmp_path.iterdir()
     with stage_inside(tmp_path) as stage:
         assert list(tmp_path.iterdir()) == [stage]
-    assert not left.exists()
+        assert stage != left
+        (stage / "half.tif").touch()
+    assert not list(tmp_path.iterdir())
 
 
 def test_hidden_files_and_folders_of_the_stage_are_no_results(tmp_path: Path) -> None:

@@ -16,12 +16,12 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy.spatial import cKDTree
 
 import pcwlad_geo
-from pcwlad_geo.raster import tie_point_csv
-from pcwlad_geo.raster.locate import place
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.coverage import coverage_of
+from pcwlad_geo.report.statistics import coverage_of
+from pcwlad_geo.tiepoints import text_files
+from pcwlad_geo.tiepoints.table import place
 from tests.scenes import make_grid, render, write
 
 SMALL: Any = {"template": 61, "window": 41, "features": 150, "jobs": 1}
@@ -82,7 +82,7 @@ def test_every_output_of_register_holds_as_many(registered: tuple[Registration, 
 
 
 def test_every_output_of_match_holds_as_many(pair: tuple[Path, Path], tmp_path: Path) -> None:
-    found = pcwlad_geo.match(*pair, out_dir=tmp_path / "m", points=WANTED, **SMALL)
+    found = pcwlad_geo.match_files(*pair, out_dir=tmp_path / "m", points=WANTED, **SMALL)
     assert set(held(tmp_path / "m").values()) == {WANTED}
     assert np.count_nonzero(found.tie_points.status == "matched") == WANTED
 
@@ -106,8 +106,8 @@ def test_squares_whose_points_were_left_out_are_not_called_unmatched(
 
 
 def test_more_than_are_found_are_all_that_are_found(pair: tuple[Path, Path], tmp_path: Path) -> None:
-    every = pcwlad_geo.match(*pair, out_dir=tmp_path / "all", **SMALL)
-    more = pcwlad_geo.match(*pair, out_dir=tmp_path / "more", points=5000, **SMALL)
+    every = pcwlad_geo.match_files(*pair, out_dir=tmp_path / "all", **SMALL)
+    more = pcwlad_geo.match_files(*pair, out_dir=tmp_path / "more", points=5000, **SMALL)
     np.testing.assert_array_equal(more.tie_points.target_px, every.tie_points.target_px)
     assert more.counts["tie_points"] == every.counts["tie_points"]
     assert set(held(tmp_path / "more").values()) == {every.counts["tie_points"]}
@@ -126,7 +126,7 @@ def test_those_of_a_file_are_thinned_too_and_30_are_check_points(
         np.ones(400),
         plan_views(*map(describe, pair)),
     )
-    tie_point_csv.write(table, tmp_path / "points.csv")
+    text_files.write_csv(table, tmp_path / "points.csv")
     found = pcwlad_geo.register(
         *pair, out_dir=tmp_path / "out", tie_points=tmp_path / "points.csv", points=120, jobs=1
     )

@@ -18,10 +18,9 @@ from typing import get_args
 import pytest
 
 import pcwlad_geo
+from pcwlad_geo import options as settings
 from pcwlad_geo.cli.outcome import Outcome
-from pcwlad_geo.registration import settings
-from pcwlad_geo.report.summary import summarise
-from tests.registrations import make_registration
+from tests.registrations import json_of, make_registration
 
 FOLDER = Path(__file__).parents[1] / "qgis_plugin"
 PLUGIN = FOLDER / "pcwlad_geo_qgis"
@@ -99,9 +98,7 @@ def test_the_summary_ends_with_the_grade_as_on_the_command_line(
     px_m: tuple[float, float] | None, size: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     summary = plugin_module("figures", monkeypatch).summary
-    outcome = Outcome(
-        summarise(replace(make_registration(), px_m=px_m), []), {"numbers": Path("report.json")}
-    )
+    outcome = Outcome(json_of(replace(make_registration(), px_m=px_m)), {"numbers": Path("report.json")})
     line = f"uality: good; 90 % of the common ground is expected to lie within {size}"
     assert summary(outcome.figures()).splitlines()[-1] == f"Q{line}"
     assert f"q{line}\n" in outcome.text()
@@ -110,7 +107,7 @@ def test_the_summary_ends_with_the_grade_as_on_the_command_line(
 @pytest.mark.usefixtures("_untranslated")
 def test_the_summary_of_tie_points_alone_has_no_grade(monkeypatch: pytest.MonkeyPatch) -> None:
     summary = plugin_module("figures", monkeypatch).summary
-    outcome = Outcome(summarise(make_registration("matched"), []), {})
+    outcome = Outcome(json_of(make_registration("matched")), {})
     told = summary(outcome.figures())
     assert told.startswith("Tie points: ")
     assert "uality" not in told

@@ -10,9 +10,9 @@ import pytest
 import rasterio
 
 import pcwlad_geo
+from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.settings import Settings
 from tests.scenes import Array, write
 
 FEW: Any = {"features": 80}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import Settings
 from pcwlad_geo.requirements import Command, Requirement, parse_requirement, parse_requirements
 
 

@@ -18,13 +18,12 @@ from affine import Affine
 
 import pcwlad_geo
 from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, map_px
-from pcwlad_geo.raster.matching_grid import plan_views
+from pcwlad_geo.raster.matching_grid import plan_views, share_plane
 from pcwlad_geo.raster.output_grid import output_grid
-from pcwlad_geo.raster.shared_plane import share_plane
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.output_wishes import check_output
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.inputs import check_output
 from tests.scenes import make_grid, render, write
 
 SMALL: Any = {"template": 61, "window": 41, "features": 150, "model": "shift"}
@@ -160,7 +159,7 @@ def test_one_without_a_crs_is_taken_to_be_in_the_other_s_where_its_coordinates_l
     pair: tuple[Path, Path], tmp_path: Path
 ) -> None:
     reference = write(tmp_path / "placed.tif", render(REFERENCE), REFERENCE)
-    found = pcwlad_geo.match(reference, pair[1], out_dir="out", **SMALL)
+    found = pcwlad_geo.match_files(reference, pair[1], out_dir="out", **SMALL)
     displacement = np.median(found.tie_points.select("matched").displacement_px, axis=0)
     np.testing.assert_allclose(displacement, SHIFT_PX, atol=0.05)
     assert found.px_m == pytest.approx((15.0, 15.0), rel=2e-3)

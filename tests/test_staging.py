@@ -17,8 +17,8 @@ import rasterio.shutil
 from affine import Affine
 
 from pcwlad_geo.errors import OutputError
-from pcwlad_geo.raster.verification import verify_output
-from pcwlad_geo.staging import OutputFolder, check_output_folder, place_file
+from pcwlad_geo.outputs.folder import OutputFolder, check_output_folder, place_file
+from pcwlad_geo.raster.output_format import verify_output
 
 
 def report(*outputs: str) -> str:
@@ -44,9 +44,8 @@ def content(folder: Path) -> dict[str, str]:
 
 def child(out_dir: Path, body: str) -> subprocess.Popen[str]:
     """Another process inside an output folder that says when it is there."""
-    script = (
-        f"from pcwlad_geo.staging import OutputFolder\nimport os, sys, time\nout_dir = {str(out_dir)!r}\n"
-    )
+    script = "from pcwlad_geo.outputs.folder import OutputFolder\nimport os, sys, time\n"
+    script += f"out_dir = {str(out_dir)!r}\n"
     process = subprocess.Popen(
         [sys.executable, "-c", script + textwrap.dedent(body)],
         stdout=subprocess.PIPE,
@@ -67,6 +66,19 @@ def test_a_new_folder_appears_complete(tmp_path: Path) -> None:
         folder.commit()
         assert content(out_dir) == {"a.csv": "1", "report.json": report("a.csv")}
     assert sorted(path.name for path in out_dir.parent.iterdir()) == ["out"]
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_files_wait_hidden_where_they_can_be_moved_from_at_once(tmp_path: Path, exists: bool) -> None:
+    """Beside a folder that is to be, which may be renamed; inside one that is, which may be a file system."""
+    out_dir = tmp_path / "deep" / "out"
+    if exists:
+        out_dir.mkdir(parents=True)
+    with OutputFolder(out_dir) as folder:
+        assert folder.path("a.csv") == folder.stage / "a.csv"
+        assert folder.stage.parent == (out_dir if exists else out_dir.parent)
+        assert folder.stage.name.startswith(".")
+        assert folder.stage.is_dir()
 
 
 @pytest.mark.parametrize("exists", [False, True])
@@ -144,11 +156,20 @@ def test_a_report_cannot_name_files_outside_or_hidden_ones(tmp_path: Path) -> No
         "..",
         "",
         "a\\b",
+        "a\0b",
     ]
     (out_dir / "report.json").write_text(report(*names))
     run(out_dir, {"a.csv": "new"}, overwrite=True)
     kept = content(tmp_path)
     assert kept["precious.txt"] == kept["out/.hidden"] == kept["out/folder/x"] == "mine"
+
+
+@pytest.mark.parametrize("outputs", ["ab", {"a": 1}, 7, None, [["a"], 7]])
+def test_outputs_of_a_report_that_are_no_list_of_names_name_nothing(tmp_path: Path, outputs: object) -> None:
+    (tmp_path / "a").write_text("mine")
+    (tmp_path / "report.json").write_text(json.dumps({**json.loads(report()), "outputs": outputs}))
+    run(tmp_path, {"b.csv": "new"}, overwrite=True)
+    assert content(tmp_path) == {"a": "mine", "b.csv": "new", "report.json": report("b.csv", "report.json")}
 
 
 @pytest.mark.parametrize(
@@ -403,7 +424,7 @@ def test_a_process_that_must_end_at_once_abandons_its_stage(tmp_path: Path) -> N
     run(out_dir, {"a.csv": "old"})
     before = content(tmp_path)
     body = """
-        from pcwlad_geo.staging import abandon
+        from pcwlad_geo.outputs.folder import abandon
         with OutputFolder(out_dir, overwrite=True) as folder:
             folder.path("a.csv").write_text("new")
             abandon(out_dir)
@@ -413,6 +434,13 @@ def test_a_process_that_must_end_at_once_abandons_its_stage(tmp_path: Path) -> N
     child(out_dir, body).communicate()
     assert content(tmp_path) == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
+
+
+def test_a_results_file_nested_without_end_is_none_of_ours(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/report.json").write_text("[" * 100_000)
+    with pytest.raises(OutputError, match=r"report\.json"):
+        OutputFolder(tmp_path / "out", overwrite=True).__enter__()
 
 
 def test_a_results_file_of_another_name(tmp_path: Path) -> None:

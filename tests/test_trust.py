@@ -12,8 +12,8 @@ import pytest
 
 import pcwlad_geo
 from pcwlad_geo.errors import TrustError
+from pcwlad_geo.execution.runner import in_environment
 from pcwlad_geo.raster.trust import Trust, current_trust
-from pcwlad_geo.registration.environment import in_environment
 from tests.cli.process import run_cli
 from tests.hostile_rasters import Server, raw_vrt, serving, vrt
 from tests.scenes import make_grid, render, write
@@ -43,7 +43,7 @@ def server(folder: Path, tmp_path: Path) -> Iterator[Server]:
 
 
 def points_of(target: str | os.PathLike[str], folder: Path, out_dir: Path, **options: Any) -> np.ndarray:
-    found = pcwlad_geo.match(folder / "ref.tif", target, out_dir=out_dir, **OPTIONS, **options)
+    found = pcwlad_geo.match_files(folder / "ref.tif", target, out_dir=out_dir, **OPTIONS, **options)
     return found.tie_points.target_px
 
 

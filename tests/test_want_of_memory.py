@@ -11,7 +11,7 @@ import pytest
 
 from pcwlad_geo.cli import app
 from pcwlad_geo.errors import OutputError
-from pcwlad_geo.staging import OutputFolder
+from pcwlad_geo.outputs.folder import OutputFolder
 from tests.registrations import write_pair
 
 
@@ -42,7 +42,7 @@ def test_in_a_figure_of_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
     from PIL import Image
 
-    from pcwlad_geo.report.figures.canvas import to_png
+    from pcwlad_geo.report.figures import to_png
 
     def lacking(*arguments: object, **keywords: object) -> None:
         raise ValueError("quantization error")

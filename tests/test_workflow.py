@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,23 +15,17 @@ import pytest
 import rasterio
 from affine import Affine
 
-from pcwlad_geo import (
-    InputError,
-    OutputError,
-    RegistrationRejectedError,
-    RequirementError,
-    SettingsError,
-    workflow,
-    writing,
-)
+from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, RequirementError, SettingsError
+from pcwlad_geo import job as workflow
 from pcwlad_geo.correction.selection import choose
-from pcwlad_geo.raster import tie_point_csv
+from pcwlad_geo.events import Event, Progress
+from pcwlad_geo.options import Settings
+from pcwlad_geo.outputs import write as writing
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.registration.progress import Event, Progress
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.settings import Settings
 from tests.patience import PATIENCE_S
 from tests.registrations import SHIFT_PX, make_registration, of_files, write_pair
+from tests.tables import read_table
 
 COMMON = {"report.html", "report.json", "tiepoints.csv", "tiepoints.gpkg"}
 EXCHANGE = {"b10.tif.points", "b10.pts", "b10_gcps.vrt"}
@@ -75,7 +70,7 @@ def test_register_writes_the_folder(pair: tuple[Path, Path], use: Use, tmp_path:
     assert set(report["outputs"]) == names(folder)
     assert report["settings"]["window"] == 41
     assert "writing" in report["seconds"]
-    assert len(tie_point_csv.read(folder / "tiepoints.csv")) == 120
+    assert len(read_table(folder / "tiepoints.csv")) == 120
 
 
 def test_corrected_files_lie_where_the_correction_says(pair: tuple[Path, Path], use: Use) -> None:
@@ -115,7 +110,7 @@ def test_a_spline_has_a_raster_and_no_geotransform(pair: tuple[Path, Path], use:
 
 def test_match_writes_no_raster(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
     use("matched")
-    assert workflow.match(*pair).status == "matched"
+    assert workflow.match_files(*pair).status == "matched"
     assert names(tmp_path / "b10_matched") == COMMON | EXCHANGE
 
 
@@ -162,12 +157,13 @@ def test_a_requirement_that_is_met_changes_nothing(pair: tuple[Path, Path], use:
 def test_match_has_requirements_of_its_own(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
     use("matched")
     with pytest.raises(RequirementError, match="displacement <= 1 px: not met"):
-        workflow.match(*pair, require="displacement<=1px; points>=100")
+        workflow.match_files(*pair, require="displacement<=1px; points>=100")
     assert names(tmp_path / "b10_matched") == COMMON | EXCHANGE
 
 
 @pytest.mark.parametrize(
-    ("job", "require"), [(workflow.register, "CE90"), (workflow.match, "CE90<=1px"), (workflow.register, 3)]
+    ("job", "require"),
+    [(workflow.register, "CE90"), (workflow.match_files, "CE90<=1px"), (workflow.register, 3)],
 )
 def test_a_requirement_that_cannot_be_read_is_told_before_any_work(
     job: Callable[..., Registration], require: Any, pair: tuple[Path, Path], use: Use, tmp_path: Path
@@ -273,7 +269,7 @@ def test_events_come_in_order_and_can_end_the_job(pair: tuple[Path, Path], use: 
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        workflow.match(*pair, on_event=stop)
+        workflow.match_files(*pair, on_event=stop)
     assert not (tmp_path / "b10_matched").exists()
     assert names(tmp_path) == {"b4.tif", "b10.tif", "b10_registered"}
 
@@ -315,3 +311,52 @@ def test_names_of_outputs(target: str, stem: str) -> None:
     if stem in ("a & b", "b"):
         assert paths["raster"].name == f"{stem}_registered.tif"
         assert paths["points"].name == f"{stem}.tif.points"
+
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+WRITTEN_OUT = {"name": "<target file name>", "stem": "<target>", "ending": "tif"}
+
+
+def test_the_page_of_outputs_is_the_table_of_outputs() -> None:
+    text = (REPOSITORY / "docs" / "outputs.md").read_text(encoding="utf-8")
+    without_links = re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", text)
+    table = without_links.split("| file | when | what |\n|---|---|---|\n")[1].split("\n\n")[0]
+    rows = [tuple(cell.strip() for cell in line.strip("|").split(" | ")) for line in table.splitlines()]
+    assert rows == [
+        (f"`{output.name.format(**WRITTEN_OUT)}`", output.when.words, output.description)
+        for output in writing.OUTPUTS
+    ]
+
+
+def test_the_readme_names_files_of_the_table() -> None:
+    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`.*?) \|", text.split("## What you get")[1].split("## ")[0], re.MULTILINE)
+    named = [name for row in rows for name in re.findall(r"`([^`]+)`", row)]
+    known = [output.name.format(**WRITTEN_OUT) for output in writing.OUTPUTS]
+    assert len(named) >= 9
+    assert [name for name in named if not any(each.endswith(name) for each in known)] == []
+
+
+@pytest.mark.parametrize("status", ["registered", "matched", "rejected"])
+def test_a_job_returns_what_the_table_says_that_it_writes(
+    status: str, pair: tuple[Path, Path], use: Use
+) -> None:
+    use(status)
+    found: Registration
+    try:
+        found = workflow.register(*pair) if status == "registered" else workflow.match_files(*pair)
+    except RegistrationRejectedError as error:
+        found = error.registration
+        folder = error.out_dir
+    else:
+        assert list(found.outputs) == [output.kind for output in writing.OUTPUTS if output.is_of(found)]
+        assert all(path.is_file() for path in found.outputs.values())
+        folder = found.outputs["numbers"].parent
+    stem = pair[1].stem
+    expected = {
+        output.name.format(name=pair[1].name, stem=stem, ending="tif")
+        for output in writing.OUTPUTS
+        if output.is_of(found)
+    }
+    assert names(folder) == expected
+    assert set(json.loads((folder / "report.json").read_text(encoding="utf-8"))["outputs"]) == expected

@@ -1,1 +1,1 @@
-"""Many pairs: read their table, register one after another, keep a summary."""
+"""Batches of pairs: reading of their table, registration one after another, summary."""

@@ -1,4 +1,4 @@
-"""The table of pairs: one line each, with the options that are the pair's own."""
+"""The table of pairs: one line per pair, with its own options."""
 
 from __future__ import annotations
 
@@ -11,64 +11,59 @@ from pathlib import Path
 from typing import Any, Final
 
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.input_files import check_regular
+from pcwlad_geo.job import output_folder
 from pcwlad_geo.limits import BATCH_ROWS, check_count
-from pcwlad_geo.registration.option_values import RUNNING, SETTINGS, to_setting
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings, to_setting
 from pcwlad_geo.requirements import parse_requirements
-from pcwlad_geo.workflow import output_folder
+from pcwlad_geo.text import check_regular
+from pcwlad_geo.types import PathLike
 
-PLACES: Final = ("output_raster", "output_tiepoints", "output_report", "output_points")
 COLUMNS: Final = (
     "reference",
     "target",
     "out_dir",
-    *PLACES,
+    *OUTPUT_OPTIONS,
     *(name for name in SETTINGS if name not in RUNNING),
 )
-
-PathLike = str | os.PathLike[str]
+"""All columns that a table may have."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """A line of the table: what to register, and how."""
+    """A line of the table: the pair to register, and its options."""
 
     line: int
-    """Of the file, from 1."""
+    """Number of the line in the file, from 1."""
     reference: str
     target: str
-    """Absolute paths, or GDAL URIs."""
+    """Absolute path or GDAL URI, as that of the reference."""
     out_dir: Path
     settings: Settings
     places: Mapping[str, Path]
-    """`output_raster` and the like, where given."""
+    """Paths of single outputs by column, for those given."""
 
     @property
     def name(self) -> str:
-        """How messages call it."""
+        """Name of the pair in messages."""
         return f"{Path(self.target).name} (line {self.line})"
 
 
 def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -> list[Pair]:
     """Read and check the whole table before any work is done.
 
+    Raises `InputError` if the table cannot be read, a column is unknown, a value is invalid, two pairs have
+    the same `out_dir`, an output is elsewhere, or there is no pair.
+
     Parameters
     ----------
     table : path
-        CSV with a header: `reference` and `target`, and any of the other `COLUMNS`. An empty cell is the
-        default. Relative paths start from the folder of the table; outputs lie below it, or below `out_dir`.
+        CSV with a header: `reference` and `target`, and any of the other `COLUMNS`. An empty cell means the
+        default. Relative paths refer to the folder of the table; outputs must be below it, or `out_dir`.
     out_dir : path
-        Where pairs without an `out_dir` of their own get theirs: ``<target stem>_registered``, with a
-        number where that is taken.
+        Folder of the output folders of pairs without an `out_dir`: ``<target stem>_registered``, with a
+        number if that name is taken.
     options : mapping
-        Fields of `Settings` that hold where a line says nothing.
-
-    Raises
-    ------
-    InputError
-        If the table cannot be read, a column is unknown, a value makes no sense, two pairs have the same
-        `out_dir`, an output lies elsewhere, or there is no pair.
+        Fields of `Settings` for cells that are empty.
     """
     path = Path(table)
     check_regular(path)
@@ -82,7 +77,7 @@ def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -
     taken = {_key(place) for place in given.values()}
     pairs = []
     for line, cells in rows:
-        place = given.get(line) or _free(Path(out_dir) / _default_folder(cells["target"]), taken)
+        place = given.get(line) or _free(Path(out_dir) / output_folder(cells["target"], "registered"), taken)
         taken.add(_key(place))
         try:
             pairs.append(_pair(line, cells, folder, place, options))
@@ -92,7 +87,7 @@ def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -
 
 
 def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
-    """Give the number and the cells that are not empty of each line that is not."""
+    """Yield the number and the nonempty cells of each nonempty line."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file, skipinitialspace=True)
@@ -135,10 +130,10 @@ def _columns(path: Path, header: list[str]) -> list[str]:
 
 
 def _check_places(path: Path, rows: list[tuple[int, dict[str, str]]], folder: Path, out_dir: Path) -> None:
-    """Raise where a table, which may be a stranger's, names outputs outside its own folder and OUT_DIR."""
+    """Raise if a table, which may be untrusted, names outputs outside of its own folder and OUT_DIR."""
     allowed = (folder.resolve(), out_dir.resolve())
     for line, cells in rows:
-        for name in ("out_dir", *PLACES):
+        for name in ("out_dir", *OUTPUT_OPTIONS):
             place = (folder / cells[name]).resolve() if name in cells else allowed[0]
             if not any(place.is_relative_to(own) for own in allowed):
                 raise InputError(
@@ -174,18 +169,14 @@ def _pair(
         _located(cells["target"], folder),
         out_dir,
         settings,
-        {name: folder / cells[name] for name in PLACES if name in cells},
+        {name: folder / cells[name] for name in OUTPUT_OPTIONS if name in cells},
     )
 
 
 def _located(name: str, folder: Path) -> str:
-    """Return a path from the table's folder; what is a GDAL URI stays as it is."""
+    """Return a path relative to the table's folder as absolute; GDAL URIs are unchanged."""
     path = folder / name
     return name if ":" in name and not path.exists() else str(path)
-
-
-def _default_folder(target: str) -> Path:
-    return output_folder(target, "registered")
 
 
 def _free(folder: Path, taken: set[str]) -> Path:
@@ -198,5 +189,5 @@ def _free(folder: Path, taken: set[str]) -> Path:
 
 
 def _key(folder: Path) -> str:
-    """Return a text that two names of a folder share, also where capitals do not count."""
+    """Return a key that is equal for two names of one folder, also where case is not significant."""
     return os.path.normcase(os.path.abspath(folder)).casefold()  # noqa: PTH100

@@ -1,53 +1,189 @@
-"""Register many pairs, one after another, on the same workers; what is done stays done."""
+"""The batch job: registration of all pairs of a table, and the summary of their outcomes."""
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, fields
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pcwlad_geo.batches.pairs import Pair, read_pairs
-from pcwlad_geo.batches.summary import (
-    SUMMARY,
-    PairOutcome,
-    check_summary,
-    read_report,
-    write_summary,
+from pcwlad_geo.errors import (
+    InputError,
+    OutputError,
+    PcwladGeoError,
+    RegistrationRejectedError,
+    RequirementError,
 )
-from pcwlad_geo.errors import InputError, PcwladGeoError, RegistrationRejectedError, RequirementError
+from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
+from pcwlad_geo.execution.runner import Runner
+from pcwlad_geo.job import open_job_runner, register
+from pcwlad_geo.options import RUNNING, Settings
+from pcwlad_geo.outputs.places import HOST, disk_errors, make_folders, seal
+from pcwlad_geo.outputs.stages import of_dead_processes
+from pcwlad_geo.products.detect import products_found_once
+from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.raster.identity import FileIdentity, same
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.registration.inputs import Inputs, identify_inputs, resolve
-from pcwlad_geo.registration.option_values import RUNNING
-from pcwlad_geo.registration.progress import Event, EventCallback, Progress, Warned, ignore
-from pcwlad_geo.registration.runners import open_runner
-from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.registration.tasks import Runner
-from pcwlad_geo.report.summary import plain
-from pcwlad_geo.workflow import register
+from pcwlad_geo.report.content import plain
+from pcwlad_geo.text import cell, joined
+from pcwlad_geo.types import PathLike
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from pcwlad_geo.workflow import Options
+    from pcwlad_geo.job import Options
 
-PathLike = str | os.PathLike[str]
+SUMMARY: Final = "summary.csv"
+"""File name of the summary in the output folder."""
+
+Status = Literal["registered", "rejected", "unusable", "failed"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairOutcome:
+    """The outcome of a pair."""
+
+    pair: Pair
+    status: Status
+    """`unusable`: an input, an option or the output folder cannot be used; `failed`: an unexpected error."""
+    reason: str | None = None
+    """Reason why there is no registered raster, or the requirements that are not met."""
+    done_before: bool = False
+    """Whether the pair was finished by an earlier run."""
+    report: Mapping[str, Any] = field(default_factory=dict)
+    """Content of its report.json, if it has one."""
+    error: Exception | None = None
+    """The exception that was raised."""
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether all requirements of a registered pair are met; None without requirements."""
+        passed: bool | None = self.report.get("passed") if self.status == "registered" else None
+        return passed
+
+    def row(self) -> dict[str, object]:
+        """Return the line of the pair in the summary; missing values are None."""
+        report = self.report
+        counts = report.get("tie_points") or {}
+        displacement = (report.get("displacement_px") or {}).get("median") or (None, None)
+        group, accuracy = _accuracy(report)
+        px, m = accuracy.get("px") or {}, accuracy.get("m") or {}
+        return {
+            "line": self.pair.line,
+            "reference": self.pair.reference,
+            "target": self.pair.target,
+            "out_dir": str(self.pair.out_dir),
+            "status": self.status,
+            "done_before": self.done_before,
+            "tie_points": counts["total"] - counts["rejected"] if counts else None,
+            "rejected": counts.get("rejected"),
+            "d_col_px": displacement[0],
+            "d_row_px": displacement[1],
+            "quality": (report.get("quality") or {}).get("grade"),
+            "expected_ce90_px": (report.get("quality") or {}).get("expected_ce90_px"),
+            "model": (report.get("model") or {}).get("name"),
+            "accuracy_at": group,
+            "rmse_px": px.get("rmse"),
+            "ce90_px": px.get("ce90"),
+            "rmse_m": m.get("rmse"),
+            "ce90_m": m.get("ce90"),
+            "passed": self.passed,
+            "warnings": len(report["warnings"]) if report else None,
+            "seconds": round(sum(report["seconds"].values()), 1) if report else None,
+            "reason": self.reason,
+        }
+
+
+def read_report(out_dir: Path) -> dict[str, Any]:
+    """Return the report.json of a folder; an empty dict if there is none of this program."""
+    try:
+        report = json.loads((out_dir / "report.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    known = isinstance(report, dict) and "schema_version" in report and "settings" in report
+    return report if known else {}
+
+
+def check_summary(path: Path) -> None:
+    """Check that the path of the summary is free or holds a summary of this program.
+
+    Raises `OutputError` if another file is at that path.
+    """
+    if not os.path.lexists(path):
+        return
+    try:
+        ours = path.read_text(encoding="utf-8").startswith("line,reference,target,")
+    except (OSError, ValueError):
+        ours = False
+    if not ours:
+        raise OutputError(f"{path} is in the way and no summary of a batch: choose another output folder")
+
+
+def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
+    """Write the summary of finished pairs atomically: the file is complete or unchanged.
+
+    Raises `OutputError` if the file cannot be written.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file to write.
+    outcomes : sequence of PairOutcome
+        Outcomes of the finished pairs.
+    """
+    text = io.StringIO()
+    rows = [outcome.row() for outcome in outcomes]
+    rows = [{name: cell(_word(value)) for name, value in row.items()} for row in rows]
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    start = f".{path.name}.{HOST}-"
+    beside = path.with_name(f"{start}{os.getpid()}")
+    with disk_errors(path):
+        make_folders(path.parent)
+        for left in of_dead_processes(path.parent, start):
+            left.unlink(missing_ok=True)
+        try:
+            beside.write_text(text.getvalue(), encoding="utf-8", newline="")
+            seal(beside)
+            beside.replace(path)
+        finally:
+            with suppress(OSError):
+                beside.unlink(missing_ok=True)
+
+
+def _word(value: object) -> object:
+    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else value
+
+
+def _accuracy(report: Mapping[str, Any]) -> tuple[str | None, Mapping[str, Any]]:
+    """Return the accuracy at the check points, or at the fit points if there are too few check points."""
+    for group in ("check", "fit"):
+        found = (report.get("accuracy") or {}).get(group) or {}
+        if found.get("px"):
+            return group, found
+    return None, {}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BatchResult:
-    """What became of all pairs."""
+    """The outcomes of all pairs."""
 
     pairs: tuple[PairOutcome, ...]
-    """In the order of the table."""
+    """Outcomes in the order of the table."""
     summary: Path
-    """The table that was written."""
+    """Path of the summary."""
 
     def count(self, status: str) -> int:
-        """Return how many pairs have ended so."""
+        """Return the number of pairs with a status."""
         return sum(outcome.status == status for outcome in self.pairs)
 
 
@@ -62,27 +198,27 @@ def batch(
 ) -> BatchResult:
     """Register the pairs of a table, one after another.
 
-    A pair that is refused, cannot be used or does not meet a requirement is told in a warning and in the
-    summary, and the rest is done.
-    A pair that an earlier run has finished, with the same inputs and options, is not done again.
+    A pair that is refused, cannot be used or does not meet a requirement is reported by a warning and in the
+    summary, and the other pairs are processed. A pair that an earlier run has finished with the same inputs
+    and options is not processed again.
 
     Parameters
     ----------
     pairs : path
-        CSV: a line a pair, columns `reference`, `target`, and where wanted `out_dir` and options of
-        `register` by name. Relative paths start from its folder.
+        CSV with one line per pair, columns `reference`, `target`, and optionally `out_dir` and options of
+        `register` by name. Relative paths refer to its folder.
     out_dir : path, optional
         Folder of the summary (`summary.csv`, rewritten after each pair) and of the pairs' folders that the
         table does not name; ``<table's stem>_registered`` in the working folder by default.
     overwrite : bool
-        Do all pairs, and replace what earlier runs have left.
+        Process all pairs, and replace the results of earlier runs.
     on_event : callable
-        Receives `Progress` (its stage `pairs` counts them) and `Warned` events; an exception that it raises
+        Receives `Progress` (stage `pairs` counts the pairs) and `Warned` events; an exception that it raises
         ends the batch.
     executor : concurrent.futures.Executor or Runner, optional
         Runs the tiles of all pairs; None = `jobs` processes, or the workers of `scheduler`.
     **options
-        The fields of `Settings`; the table's own values go before them.
+        Fields of `Settings`; values in the table take precedence.
 
     Raises
     ------
@@ -91,7 +227,7 @@ def batch(
     OutputError
         If the summary cannot be written.
     ExecutionError
-        If what the batch runs on cannot be used.
+        If the executor or the worker processes cannot be used.
     """
     shared = Settings.from_options(options)
     folder = batch_folder(pairs, out_dir)
@@ -99,10 +235,11 @@ def batch(
     check_summary(folder / SUMMARY)
     relay = _Relay(on_event)
     outcomes: list[PairOutcome] = []
-    with open_runner(shared, executor, on_event) as runner:
+    with open_job_runner(shared, executor, on_event) as runner:
         for number, pair in enumerate(todo):
             relay(Progress("pairs", number, len(todo)))
-            outcome = (None if overwrite else _done_before(pair)) or _do(pair, overwrite, relay, runner)
+            with products_found_once():
+                outcome = (None if overwrite else _done_before(pair)) or _do(pair, overwrite, relay, runner)
             outcomes.append(outcome)
             write_summary(folder / SUMMARY, outcomes)
             if outcome.reason is not None:
@@ -112,12 +249,12 @@ def batch(
 
 
 def batch_folder(pairs: PathLike, out_dir: PathLike | None) -> Path:
-    """Return the folder of the summary and of the pairs' folders that the table does not name."""
+    """Return the batch's folder: `out_dir`, or one named after `pairs`, for summary and unnamed outputs."""
     return Path(out_dir) if out_dir else Path(f"{Path(pairs).stem}_registered")
 
 
 class _Relay:
-    """Hands events on, and tells an exception of the receiver from one of a pair."""
+    """Forwards events, and distinguishes exceptions of the receiver from those of a pair."""
 
     def __init__(self, on_event: EventCallback) -> None:
         self._on_event = on_event
@@ -131,7 +268,7 @@ class _Relay:
             raise
 
     def of(self, pair: Pair) -> EventCallback:
-        """Return the receiver of a pair's events: its warnings say whose they are."""
+        """Return the receiver of a pair's events, which adds the pair's name to warnings."""
         return lambda event: self(
             Warned(f"{pair.name}: {event.message}") if isinstance(event, Warned) else event
         )
@@ -152,7 +289,7 @@ def _do(pair: Pair, overwrite: bool, relay: _Relay, runner: Runner) -> PairOutco
         )
     except RequirementError:
         return _registered(pair, read_report(pair.out_dir))
-    except Exception as error:  # of any kind: the other pairs are done all the same
+    except Exception as error:  # of any kind: the other pairs are processed nevertheless
         if error is relay.raised:
             raise
         return _not_done(pair, error)
@@ -160,7 +297,7 @@ def _do(pair: Pair, overwrite: bool, relay: _Relay, runner: Runner) -> PairOutco
 
 
 def _registered(pair: Pair, report: Mapping[str, Any], *, before: bool = False) -> PairOutcome:
-    """Return the outcome of a pair that was registered, whether or not it meets its requirements."""
+    """Return the outcome of a registered pair, whether or not it meets its requirements."""
     missed = [each["message"] for each in report.get("requirements", ()) if not each["met"]]
     reason = "; ".join(missed) or None
     return PairOutcome(pair, "registered", reason, done_before=before, report=report)
@@ -170,14 +307,15 @@ def _not_done(pair: Pair, error: Exception) -> PairOutcome:
     if isinstance(error, RegistrationRejectedError):
         report = read_report(pair.out_dir)
         return PairOutcome(pair, "rejected", report.get("reason") or str(error), report=report, error=error)
-    if isinstance(error, PcwladGeoError):
-        return PairOutcome(pair, "unusable", _one_line(error), error=error)
-    reason = f"unexpected {type(error).__name__}: {_one_line(error)}"
+    known = error if isinstance(error, PcwladGeoError) else explained(error)
+    if known is not None:
+        return PairOutcome(pair, "unusable", joined(known), error=error)
+    reason = f"unexpected {type(error).__name__}: {joined(error)}"
     return PairOutcome(pair, "failed", reason, error=error)
 
 
 def _done_before(pair: Pair) -> PairOutcome | None:
-    """Return what an earlier run has made of the pair, if that was the same job."""
+    """Return the outcome of the pair in an earlier run, if that was the same job, else None."""
     report = read_report(pair.out_dir)
     status = report.get("status")
     if status not in ("registered", "rejected"):
@@ -187,7 +325,7 @@ def _done_before(pair: Pair) -> PairOutcome | None:
             inputs = resolve(pair.reference, pair.target, pair.settings, all_bands=True)
             if not _same_inputs(inputs, report):
                 return None
-    except InputError:  # the job itself tells
+    except InputError:  # the job itself will raise it
         return None
     settings = {name: value for name, value in asdict(inputs.settings).items() if name not in RUNNING}
     before = {name: value for name, value in report["settings"].items() if name not in RUNNING}
@@ -199,16 +337,12 @@ def _done_before(pair: Pair) -> PairOutcome | None:
 
 
 def _same_inputs(inputs: Inputs, report: Mapping[str, Any]) -> bool:
-    """Whether the report is of these files, and none has been replaced since."""
+    """Whether a report is about these files, and none has changed since."""
     names = [inputs.reference, inputs.target]
     if [report[which]["path"] for which in ("reference", "target")] != names:
         return False
     try:
         before = [FileIdentity.from_json(each) for each in report["inputs"]]
-    except (KeyError, TypeError):  # of an earlier version
+    except (KeyError, TypeError):  # a report of an earlier version
         return False
     return same(before, [file.identity for file in identify_inputs(inputs)])
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

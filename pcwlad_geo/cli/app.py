@@ -1,4 +1,4 @@
-"""The ``pcwlad-geo`` command: its subcommands, and every end of it as an exit status."""
+"""The ``pcwlad-geo`` command: ``register`` and ``match`` for one pair, the other commands, exit statuses."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 import pcwlad_geo
+from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.batch import batch
-from pcwlad_geo.cli.match import match
+from pcwlad_geo.cli.job import run_job
 from pcwlad_geo.cli.progress import show_error
 from pcwlad_geo.cli.qa import qa
-from pcwlad_geo.cli.register import register
 from pcwlad_geo.cli.warp import warp
 from pcwlad_geo.errors import InputError
 
@@ -23,8 +23,49 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command()(register)
-app.command()(match)
+
+
+@app.command()
+@o.takes_settings("register")
+def register(
+    context: typer.Context,
+    reference: o.Reference,
+    target: o.Target,
+    out_dir: o.OutDir = None,
+    progress: o.ProgressOption = "auto",
+    watch_stdin: o.WatchStdin = False,
+    config: o.Config = None,
+    overwrite: o.Overwrite = False,
+    output_raster: o.OutputRaster = None,
+    output_tiepoints: o.OutputTiepoints = None,
+    output_report: o.OutputReport = None,
+    output_points: o.OutputPoints = None,
+    debug: o.Debug = False,
+) -> None:
+    """Register TARGET to REFERENCE: tie points, correction, registered raster, report."""
+    run_job("register", context.params)
+
+
+@app.command()
+@o.takes_settings("match")
+def match(
+    context: typer.Context,
+    reference: o.Reference,
+    target: o.Target,
+    out_dir: o.OutDir = None,
+    progress: o.ProgressOption = "auto",
+    watch_stdin: o.WatchStdin = False,
+    config: o.Config = None,
+    overwrite: o.Overwrite = False,
+    output_tiepoints: o.OutputTiepoints = None,
+    output_report: o.OutputReport = None,
+    output_points: o.OutputPoints = None,
+    debug: o.Debug = False,
+) -> None:
+    """Match TARGET to REFERENCE: tie points and report, no correction."""
+    run_job("match", context.params)
+
+
 app.command()(warp)
 app.command()(qa)
 app.command()(batch)
@@ -55,7 +96,7 @@ def run(arguments: Sequence[str]) -> int:
         return error.exit_code
     except typer.Abort:
         return 130
-    except MemoryError:  # before the work, or in telling its end
+    except MemoryError:  # before the work, or while reporting its end
         show_error("there is not enough memory: end other programs, or raise the limit (ulimit -v)")
         return InputError.exit_status
     return status if isinstance(status, int) else 0

@@ -1,4 +1,4 @@
-"""``pcwlad-geo batch``: many pairs."""
+"""``pcwlad-geo batch``: registration of many pairs."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pcwlad_geo.cli import options as o
-from pcwlad_geo.cli.config import collect
 from pcwlad_geo.cli.job import UNEXPECTED, Ending, run_guarded, show_traceback
-from pcwlad_geo.cli.table import table
-from pcwlad_geo.cli.visible import visible
+from pcwlad_geo.cli.options import collect
+from pcwlad_geo.cli.outcome import table
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError
-from pcwlad_geo.registration.progress import EventCallback
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.events import EventCallback
+from pcwlad_geo.options import Settings
+from pcwlad_geo.text import visible
 
 if TYPE_CHECKING:
     from pcwlad_geo.batches.run import BatchResult
@@ -26,9 +26,10 @@ STATUS_OF = {
     "rejected": RegistrationRejectedError.exit_status,
     "not_passed": RequirementError.exit_status,
 }
-"""Exit status by what a pair has come to; the first that any pair has come to counts."""
+"""Exit status by status of a pair; the first one that any pair has applies."""
 
 WORDS = {"not_passed": "of them against a requirement"}
+"""Texts for statuses in the printed result that differ from their names."""
 
 Pairs = Annotated[
     Path,
@@ -40,16 +41,11 @@ Pairs = Annotated[
 ]
 
 
+@o.takes_settings("batch")
 def batch(
     context: typer.Context,
     pairs: Pairs,
     out_dir: o.OutDir = None,
-    require: o.Require = None,
-    keep: o.Keep = None,
-    jobs: o.Jobs = None,
-    scheduler: o.Scheduler = None,
-    allow_remote: o.AllowRemote = None,
-    trust_vrt: o.TrustVrt = None,
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
     config: o.Config = None,
@@ -58,13 +54,13 @@ def batch(
 ) -> None:
     """Register the pairs of a table one after another; pairs that an earlier run has finished are kept."""
     params = context.params
-    folders: list[Path] = []  # of the pairs: for a forced end
+    folders: list[Path] = []  # output folders of the pairs, needed if the run is ended by force
     run_guarded(params, lambda on_event: _work(params, folders, on_event), lambda: _abandon(folders))
 
 
 def _work(params: Mapping[str, Any], folders: list[Path], on_event: EventCallback) -> Ending:
     settings = collect(params, params["config"])
-    Settings.from_options(settings)  # a bad value need not wait for the heavy libraries, which load here:
+    Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
     from pcwlad_geo.batches.pairs import read_pairs
     from pcwlad_geo.batches.run import batch, batch_folder
 
@@ -85,7 +81,7 @@ def _work(params: Mapping[str, Any], folders: list[Path], on_event: EventCallbac
 
 
 def _abandon(folders: Sequence[Path]) -> None:
-    from pcwlad_geo.staging import abandon
+    from pcwlad_geo.outputs.folder import abandon
 
     for folder in folders:
         abandon(folder)
@@ -98,5 +94,5 @@ def _ending(result: BatchResult) -> Ending:
     summary = result.summary.absolute()
     status = next((STATUS_OF[each] for each in STATUS_OF if counts[each]), 0)
     figures = {**counts, "exit_status": status, "pairs": rows, "paths": {"summary": str(summary)}}
-    told = ", ".join(f"{count} {WORDS.get(each, each)}" for each, count in counts.items() if count)
-    return Ending(figures, f"{table(rows)}\n{visible(told)}\nsummary: {visible(str(summary))}\n", status)
+    counted = ", ".join(f"{count} {WORDS.get(each, each)}" for each, count in counts.items() if count)
+    return Ending(figures, f"{table(rows)}\n{visible(counted)}\nsummary: {visible(str(summary))}\n", status)

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and the end of standard input stop a run, also one that is deep in native code."""
+"""Cancellation of a run by Ctrl-C, SIGTERM or the end of standard input, also while in native code."""
 
 from __future__ import annotations
 
@@ -11,30 +11,32 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from pcwlad_geo.registration.forks import IDLE
-
 GRACE_S = 1.0
-"""How long the main thread may take to clean up by itself before the run is ended from outside."""
+"""Time for the main thread to clean up by itself before the run is ended by another thread."""
 CLEANING_S = 0.5
-"""How long the cleaning up from outside may take."""
+"""Time for the clean-up by that thread."""
+WATCHER = "pcwlad-geo-interrupt"
+"""Name of the threads that wait for an interrupt."""
 STATUS = 130
+"""Exit status of an interrupted run."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+"""Signals that interrupt a run."""
 
 
 @contextmanager
 def cancellable(forced_end: Callable[[], None], *, watch_stdin: bool = False) -> Iterator[None]:
-    """Turn the first interrupt into KeyboardInterrupt in the main thread; a stuck run is ended by force.
+    """Convert the first interrupt to KeyboardInterrupt in the main thread; end a stuck run by force.
 
-    Python runs signal handlers between two byte codes of the main thread, which a long call into a C library
-    puts off. The wakeup descriptor is written at once, so a thread that reads it can wait `GRACE_S` and
-    then clean up and end the process itself.
+    Python runs signal handlers between two byte codes of the main thread, which a long call of a C library
+    delays. The wakeup descriptor is written at once, so a thread that reads it can wait `GRACE_S` and then
+    clean up and end the process itself.
 
     Parameters
     ----------
     forced_end : callable
-        Cleans up where the main thread did not come to it; the process exits with status 130 after it.
+        Cleans up if the main thread could not; the process then exits with status 130.
     watch_stdin : bool
-        Interrupt at the end of standard input too.
+        Whether the end of standard input interrupts the run too.
     """
     finished = threading.Event()
     reader, writer = socket.socketpair()
@@ -42,10 +44,10 @@ def cancellable(forced_end: Callable[[], None], *, watch_stdin: bool = False) ->
     previous = {number: signal.signal(number, _interrupt) for number in SIGNALS}
     wakeup = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
     watched = (reader, finished, forced_end)
-    watcher = threading.Thread(target=_watch_signals, args=watched, name=IDLE, daemon=True)
+    watcher = threading.Thread(target=_watch_signals, args=watched, name=WATCHER, daemon=True)
     watcher.start()
     if watch_stdin:
-        threading.Thread(target=_watch_stdin, args=(finished,), name=IDLE, daemon=True).start()
+        threading.Thread(target=_watch_stdin, args=(finished,), name=WATCHER, daemon=True).start()
     try:
         yield
     finally:
@@ -58,7 +60,7 @@ def cancellable(forced_end: Callable[[], None], *, watch_stdin: bool = False) ->
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    for each in SIGNALS:  # once: a second one must not break off the cleaning up
+    for each in SIGNALS:  # once: a second signal must not interrupt the clean-up
         signal.signal(each, signal.SIG_IGN)
     raise KeyboardInterrupt
 
@@ -73,7 +75,7 @@ def _watch_signals(reader: socket.socket, finished: threading.Event, forced_end:
 
 
 def _end_process(forced_end: Callable[[], None]) -> None:
-    # In a thread of its own: the stuck main thread may hold a lock that cleaning up needs.
+    # In a separate thread: the stuck main thread may hold a lock that the clean-up needs.
     cleaning = threading.Thread(target=forced_end, daemon=True)
     cleaning.start()
     cleaning.join(CLEANING_S)
@@ -81,7 +83,7 @@ def _end_process(forced_end: Callable[[], None]) -> None:
 
 
 def _watch_stdin(finished: threading.Event) -> None:
-    # os.read: a thread that sits in sys.stdin would block the interpreter's own end.
+    # os.read: a thread that waits in sys.stdin would block the end of the interpreter.
     while os.read(0, 4096):
         pass
     if finished.is_set():

@@ -1,4 +1,4 @@
-"""What every command does around its job: options, progress, cancellation, errors to exit statuses."""
+"""Common parts of all commands: options, progress, cancellation, and exit statuses of errors."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from typing import Any, Literal
 
 import typer
 
-from pcwlad_geo.cli.config import collect
 from pcwlad_geo.cli.interrupt import STATUS as INTERRUPTED
 from pcwlad_geo.cli.interrupt import cancellable
+from pcwlad_geo.cli.options import collect
 from pcwlad_geo.cli.outcome import Outcome
 from pcwlad_geo.cli.progress import Reporter, reporter
-from pcwlad_geo.cli.visible import one_line, visible
 from pcwlad_geo.errors import (
     CancelledError,
     ExecutionError,
@@ -25,51 +24,37 @@ from pcwlad_geo.errors import (
     RegistrationRejectedError,
     RequirementError,
 )
+from pcwlad_geo.events import EventCallback
 from pcwlad_geo.limits import check_address_space
-from pcwlad_geo.registration.progress import EventCallback
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import OUTPUT_OPTIONS, Settings
+from pcwlad_geo.text import one_line, visible
 
 UNEXPECTED = 1
-PLACES = ("out_dir", "output_raster", "output_tiepoints", "output_report", "output_points")
+"""Exit status of an unexpected error."""
 
 Command = Literal["register", "match"]
 
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """The end of a command that did its work."""
+    """The result of a command that has finished."""
 
     figures: dict[str, object]
     """Values of the result event."""
     text: str
-    """The same for people."""
+    """The text that is printed."""
     exit_status: int = 0
 
 
 def run_job(command: Command, params: Mapping[str, Any]) -> None:
-    """Run a job as the parameters of its command say.
+    """Run a job with the parameters of its command.
 
-    Parameters
-    ----------
-    command : {"register", "match"}
-        The workflow function of that name is run.
-    params : mapping
-        The parameters of the command, by name.
-
-    Raises
-    ------
-    typer.Exit
-        With the exit status, unless the job succeeded.
+    Raises `typer.Exit` with the exit status, unless the job succeeded.
     """
 
     def work(on_event: EventCallback) -> Ending:
-        settings = collect(params, params["config"])
-        status = 0
-        try:
-            _work(command, params, settings, on_event)
-        except RequirementError as error:  # the result is there
-            status = error.exit_status
-        outcome = Outcome.read(_paths(command, params, settings))
+        status, paths = _work(command, params, collect(params, params["config"]), on_event)
+        outcome = Outcome.read(paths)
         return Ending({**outcome.figures(), "exit_status": status}, visible(outcome.text()), status)
 
     run_guarded(params, work, lambda: _abandon(command, params))
@@ -78,21 +63,10 @@ def run_job(command: Command, params: Mapping[str, Any]) -> None:
 def run_guarded(
     params: Mapping[str, Any], work: Callable[[EventCallback], Ending], abandon: Callable[[], None]
 ) -> None:
-    """Do the work of a command: report its events and its end, let it be cancelled.
+    """Run the work of a command: report its events and its end, and allow cancellation.
 
-    Parameters
-    ----------
-    params : mapping
-        The parameters of the command; progress, watch_stdin and debug are used.
-    work : callable
-        Receives the callback for events.
-    abandon : callable
-        Removes what the work has half-written, where it cannot do so itself.
-
-    Raises
-    ------
-    typer.Exit
-        With the exit status, unless it is 0.
+    Raises `typer.Exit` with the exit status, unless it is 0. If the work cannot remove partly written files
+    itself, `abandon` does.
     """
     with reporter(params["progress"], debug=params["debug"]) as report:
         status = _attempt(params, report, work, abandon)
@@ -101,7 +75,7 @@ def run_guarded(
 
 
 def show_traceback(error: BaseException) -> None:
-    """Show where an error arose, for ``--debug``."""
+    """Print the traceback of an error, for ``--debug``."""
     traceback.print_exception(error)
 
 
@@ -111,7 +85,7 @@ def _attempt(
     work: Callable[[EventCallback], Ending],
     abandon: Callable[[], None],
 ) -> int:
-    """Do the work, report its end, return its exit status."""
+    """Run the work, report its end and return its exit status."""
 
     def end_by_force() -> None:
         report.cancelled()
@@ -134,8 +108,8 @@ def _attempt(
 
 
 def _clean_up(abandon: Callable[[], None]) -> None:
-    """Remove what an interrupt left that came between a step and the note that it was done."""
-    if "pcwlad_geo.staging" in sys.modules:  # else nothing was staged, and loading it takes a while
+    """Remove files left by an interrupt between a step and its record."""
+    if "pcwlad_geo.outputs.folder" in sys.modules:  # otherwise nothing was staged, and loading it takes time
         with suppress(OSError, PcwladGeoError):
             abandon()
 
@@ -146,20 +120,20 @@ def _report_error(error: Exception, report: Reporter) -> int:
         return error.exit_status
     known = _not_loaded(error)
     if known is None:
-        from pcwlad_geo.raster.boundary import explained  # only now: it loads GDAL
+        from pcwlad_geo.raster.gdal import explained  # imported here, as it loads GDAL
 
         known = explained(error)
     if known is not None:
         report.error(str(known), {"exit_status": known.exit_status})
         return known.exit_status
-    # the last line of defence: one line instead of a traceback
+    # any other error: one line instead of a traceback
     message = f"unexpected {type(error).__name__}: {one_line(error)} (--debug shows where)"
     report.error(message, {"exit_status": UNEXPECTED})
     return UNEXPECTED
 
 
 def _not_loaded(error: Exception) -> PcwladGeoError | None:
-    """Return the error that people see where a library could not be loaded: mostly for want of memory."""
+    """Return the error to show if a library could not be loaded, mostly for lack of memory."""
     shared = any(word in str(error) for word in ("shared object", "DLL load failed"))
     if not (shared and isinstance(error, ImportError | OSError)):
         return None
@@ -171,34 +145,27 @@ def _not_loaded(error: Exception) -> PcwladGeoError | None:
 
 def _work(
     command: Command, params: Mapping[str, Any], settings: Mapping[str, Any], on_event: EventCallback
-) -> None:
-    Settings.from_options(settings)  # a bad value need not wait for the heavy libraries, which load here:
-    from pcwlad_geo import workflow
+) -> tuple[int, Mapping[str, Path]]:
+    """Run the job; return the exit status, and the paths of the outputs by kind."""
+    Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
+    from pcwlad_geo import job as workflow
 
-    function: Callable[..., object] = workflow.register if command == "register" else workflow.match
-    function(
-        params["reference"],
-        params["target"],
-        overwrite=params["overwrite"],
-        on_event=on_event,
-        **_places(params),
-        **settings,
-    )
+    function: Callable[..., object] = workflow.register if command == "register" else workflow.match_files
+    inputs, places, status = (params["reference"], params["target"]), _places(params), 0
+    with workflow.products_found_once():
+        try:
+            function(*inputs, overwrite=params["overwrite"], on_event=on_event, **places, **settings)
+        except RequirementError as error:  # the result is there
+            status = error.exit_status
+        named = {name: settings[name] for name in ("tgt_band", "of") if name in settings}
+        return status, workflow.output_paths(inputs[1], _job(command), **named, **places)
 
 
 def _abandon(command: Command, params: Mapping[str, Any]) -> None:
-    from pcwlad_geo.staging import abandon
-    from pcwlad_geo.workflow import output_folder
+    from pcwlad_geo.job import output_folder
+    from pcwlad_geo.outputs.folder import abandon
 
     abandon(params["out_dir"] or output_folder(params["target"], _job(command)))
-
-
-def _paths(command: Command, params: Mapping[str, Any], settings: Mapping[str, Any]) -> Mapping[str, Path]:
-    """Return where the outputs go, by kind."""
-    from pcwlad_geo.workflow import output_paths
-
-    named = {name: settings[name] for name in ("tgt_band", "of") if name in settings}
-    return output_paths(params["target"], _job(command), **named, **_places(params))
 
 
 def _job(command: Command) -> Literal["registered", "matched"]:
@@ -206,11 +173,11 @@ def _job(command: Command) -> Literal["registered", "matched"]:
 
 
 def _places(params: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: params[name] for name in PLACES if name in params}
+    return {name: params[name] for name in ("out_dir", *OUTPUT_OPTIONS) if name in params}
 
 
 def _rejection(error: PcwladGeoError) -> dict[str, object]:
-    """Return where the report of a refusal is."""
+    """Return the paths of the report of a rejected registration."""
     if not isinstance(error, RegistrationRejectedError) or not isinstance(error.out_dir, Path):
         return {}
     return {"status": "rejected", "out_dir": str(error.out_dir)}

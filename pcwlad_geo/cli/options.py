@@ -1,32 +1,77 @@
-"""The options that the commands share, named as the fields of `Settings`.
-
-None means "not given": the config file, then the default of `Settings`, decides.
-"""
+"""Options of the command line and of a TOML file, and their conversion to values of `Settings`."""
 
 from __future__ import annotations
 
+import functools
+import inspect
+import sys
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
-from pcwlad_geo.registration import settings as s
-from pcwlad_geo.registration.option_values import WORDS
+from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.options import OPTIONS, SETTINGS, Option, Settings, to_setting
+from pcwlad_geo.text import read_text
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+def collect(given: Mapping[str, object], config: Path | None) -> dict[str, Any]:
+    """Return the options for the API: those of the config file, replaced by those of the command line.
+
+    Raises `SettingsError` if the file cannot be read, names an option that does not exist, or a value has a
+    wrong type.
+
+    Parameters
+    ----------
+    given : mapping
+        Option names (with underscores) and values of the command line; None, or an empty list or tuple for a
+        repeatable option, if not given. Names that are not fields of `Settings` are ignored.
+    config : Path, optional
+        TOML file of options.
+    """
+    values = read_config(config) if config else {}
+    values |= {name: value for name, value in given.items() if name in SETTINGS and _is_given(value)}
+    return {name: to_setting(name, value) for name, value in values.items()}
+
+
+def _is_given(value: object) -> bool:
+    # Click gives () for a repeatable option that was not given.
+    return not (value is None or (isinstance(value, list | tuple) and not value))
+
+
+def read_config(path: Path) -> dict[str, object]:
+    """Read a TOML file of options; hyphens in names become underscores.
+
+    Raises `SettingsError` if the file cannot be read or is not valid TOML.
+    """
+    try:
+        values = tomllib.loads(read_text(path))
+    except OSError as error:
+        raise SettingsError(f"cannot read config file {path}: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or nested too deeply
+        raise SettingsError(f"config file {path} is not valid TOML: {error}") from error
+    values = {name.replace("-", "_"): value for name, value in values.items()}
+    unknown = sorted(set(values) - set(SETTINGS))
+    if unknown:
+        raise SettingsError(
+            f"config file {path} has unknown option '{unknown[0]}'; the options are {', '.join(SETTINGS)}"
+        )
+    return values
+
 
 ProgressStyle = Literal["auto", "bar", "json", "none"]
 
-_DEFAULTS = {field.name: field.default for field in fields(s.Settings)}
-
-
-def _setting(name: str, help_text: str, **more: Any) -> Any:  # noqa: ANN401  # typer's own type
-    """Return the option of a field of `Settings`, its default shown in the help."""
-    default = _DEFAULTS[name]
-    shown = WORDS.get(name) if default is None else default
-    if shown not in (None, ()):
-        help_text += f"  [default: {shown}]"
-    return typer.Option("--" + name.replace("_", "-"), help=help_text, show_default=False, **more)
-
+_DEFAULTS = {field.name: field.default for field in fields(Settings)}
+_HINTS = get_type_hints(Settings)
+_BEFORE = "progress"
+"""The options of `Settings` stand before this one in the help."""
 
 Reference = Annotated[
     str, typer.Argument(metavar="REFERENCE", help="Raster that stays, or a product.", show_default=False)
@@ -35,137 +80,69 @@ Target = Annotated[
     str, typer.Argument(metavar="TARGET", help="Raster that moves, or a product.", show_default=False)
 ]
 
-RefBand = Annotated[
-    str | None, _setting("ref_band", "Band of the reference; of a product, its name.", metavar="N|NAME")
-]
-TgtBand = Annotated[
-    str | None, _setting("tgt_band", "Band of the target; of a product, its name.", metavar="N|NAME")
-]
-RefMask = Annotated[
-    str | None,
-    _setting(
-        "ref_mask", "Mask of the reference: 0 = excluded, or QA_PIXEL, SCL, MSK_CLASSI.", metavar="FILE"
-    ),
-]
-TgtMask = Annotated[str | None, _setting("tgt_mask", "Mask of the target.", metavar="FILE")]
-TiePoints = Annotated[
-    str | None,
-    _setting("tie_points", "Fit the tie points of this file, match nothing.", metavar="FILE"),
-]
-Dem = Annotated[str | None, _setting("dem", "Heights of the ground, for images with RPCs.", metavar="FILE")]
-DemVertical = Annotated[
-    str | None,
-    _setting(
-        "dem_vertical",
-        "What is added to the DEM's heights to count from the ellipsoid (0: they do), where its CRS does not "
-        "tell: metres, or a geoid grid.",
-        metavar="METRES|GRID",
-    ),
-]
-TrustRpc = Annotated[
-    bool | None,
-    typer.Option("--trust-rpc", help="Use RPCs as they are, wherever they put an image."),
-]
 
-Method = Annotated[s.Method | None, _setting("method", "Fine matching method.")]
-Points = Annotated[
-    str | None,
-    _setting(
-        "points",
-        "Most tie points to keep, spread evenly; auto: about 1000 of a scene, all of a small image.",
-        metavar="N|all|auto",
-    ),
-]
-Features = Annotated[int | None, _setting("features", "Candidates a tile.", metavar="N")]
-Keypoints = Annotated[
-    s.Keypoints | None, _setting("keypoints", "Spread the candidates by cell, or take the strongest.")
-]
-Template = Annotated[int | None, _setting("template", "Side of the coarse window, odd, px.", metavar="PX")]
-Window = Annotated[int | None, _setting("window", "Side of the refinement window, odd, px.", metavar="PX")]
-SearchRadius = Annotated[
-    str | None,
-    _setting("search_radius", "Largest displacement looked for, matching-grid px.", metavar="PX|auto"),
-]
-SsimMin = Annotated[float | None, _setting("ssim_min", "Least SSIM of a coarse match.", metavar="X")]
-Iterations = Annotated[int | None, _setting("iterations", "Most refinement iterations.", metavar="N")]
-Consensus = Annotated[
-    s.Consensus | None,
-    _setting("consensus", "Second pass guided by the neighbours, in smooth fields."),
-]
-Prealign = Annotated[s.Prealign | None, _setting("prealign", "Rough alignment before matching.")]
+def takes_settings(command: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a decorator that gives a command all options of `Settings` that are meant for it.
 
-Model = Annotated[s.Model | None, _setting("model", "Correction model.")]
-Grid = Annotated[
-    s.OutputGrid | None,
-    _setting(
-        "grid",
-        "Grid of the registered raster: the reference's CRS and alignment, exactly the reference's grid, or "
-        "the target's own.",
-    ),
-]
-Like = Annotated[
-    str | None,
-    _setting("like", "Write exactly the CRS, geotransform and size of this raster.", metavar="FILE"),
-]
-Tr = Annotated[
-    tuple[float, float] | None,
-    _setting("tr", "Pixel size of the registered raster, units of its CRS.", metavar="XRES YRES"),
-]
-Te = Annotated[
-    tuple[float, float, float, float] | None,
-    _setting("te", "Extent of the registered raster, in its CRS.", metavar="XMIN YMIN XMAX YMAX"),
-]
-TSrs = Annotated[
-    str | None,
-    _setting("t_srs", "CRS of the registered raster instead of the reference's.", metavar="SRS"),
-]
-Of = Annotated[
-    str | None, _setting("of", "Format of the registered raster, a GDAL driver.", metavar="DRIVER")
-]
-Co = Annotated[
-    list[str] | None,
-    _setting("co", "Creation option of that format; may be given again.", metavar="KEY=VALUE"),
-]
-Resampling = Annotated[s.Resampling | None, _setting("resampling", "Resampling of the registered raster.")]
-WriteSigma = Annotated[
-    bool | None,
-    typer.Option("--write-sigma", help="Write the predicted sigma of the correction as a raster too."),
-]
-Pdf = Annotated[
-    bool | None,
-    typer.Option("--pdf", help="Write the report as PDF too; needs pip install 'pcwlad-geo[pdf]'."),
-]
-Require = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--require",
-        metavar="EXPRESSION",
-        help="Requirement, such as 'CE90<=0.5px' or 'points>=100'; exit status 4 where it is not met; "
-        "repeatable.",
-    ),
-]
-Keep = Annotated[
-    bool | None,
-    typer.Option("--keep", help="Write the corrected files although a requirement is not met."),
-]
-Jobs = Annotated[str | None, _setting("jobs", "Processes, at most; all: one a core.", metavar="N|all")]
-Scheduler = Annotated[
-    str | None,
-    _setting("scheduler", "Run the tiles on a dask cluster, tcp://host:port.", metavar="ADDRESS"),
-]
+    The decorated function declares its own options only; it finds all values in ``context.params``.
 
-AllowRemote = Annotated[
-    bool | None,
-    typer.Option(
-        "--allow-remote", help="Read rasters over a network: URLs, /vsicurl/, /vsis3/ and the like."
-    ),
-]
-TrustVrt = Annotated[
-    bool | None,
-    typer.Option(
-        "--trust-vrt", help="Let rasters name files anywhere: VRTs of your own, HDF5, formats with labels."
-    ),
-]
+    Parameters
+    ----------
+    command : str
+        Name of the command, as `Option.commands` has it.
+    """
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        hints = get_type_hints(function, include_extras=True)
+        own = [
+            each.replace(annotation=hints[each.name])
+            for each in inspect.signature(function).parameters.values()
+        ]
+        names = [each.name for each in own]
+        given = [
+            inspect.Parameter(name, _KIND, default=None, annotation=_annotation(name, option))
+            for name, option in OPTIONS.items()
+            if command in option.commands and name not in names
+        ]
+        place = names.index(_BEFORE)
+
+        @functools.wraps(function)
+        def decorated(**values: object) -> None:
+            function(**{name: values[name] for name in names})
+
+        parameters = [*own[:place], *given, *own[place:]]
+        decorated.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        decorated.__annotations__ = {each.name: each.annotation for each in parameters}
+        return decorated
+
+    return decorate
+
+
+_KIND = inspect.Parameter.POSITIONAL_OR_KEYWORD
+
+
+def _annotation(name: str, option: Option) -> object:
+    """Return the type of an option on the command line, with its help."""
+    help_text, default = option.help, _DEFAULTS[name]
+    shown = option.none_word if default is None else default
+    if shown is not None and shown is not False and shown != ():
+        help_text += f"  [default: {shown}]"
+    flag = "--" + name.replace("_", "-")
+    how = typer.Option(flag, help=help_text, metavar=option.metavar, show_default=False)
+    return Annotated[_type_of(name, option) | None, how]
+
+
+def _type_of(name: str, option: Option) -> Any:  # noqa: ANN401  # of any type
+    """Return what typer reads a value as: text where it may be a word as well as a number, or a file."""
+    hint = _HINTS[name]
+    if name in ("co", "require"):
+        return list[str]
+    if get_origin(hint) is Literal:
+        return hint
+    kinds = [kind for kind in get_args(hint) or (hint,) if kind is not type(None)]
+    simple = len(kinds) == 1 and kinds[0] is not Path and option.none_word is None
+    return kinds[0] if simple else str
+
 
 OutDir = Annotated[
     Path | None,

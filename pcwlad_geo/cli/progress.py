@@ -1,4 +1,4 @@
-"""What a run shows while it works: a bar a stage, JSON lines, or warnings only."""
+"""Display of a run: a progress bar per stage, JSON lines, or warnings only; handling of its streams."""
 
 from __future__ import annotations
 
@@ -7,37 +7,92 @@ import os
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from typing import TYPE_CHECKING, Protocol, TextIO
 
 from pcwlad_geo.cli.options import ProgressStyle
-from pcwlad_geo.cli.streams import own_standard_error, protocol_stream
-from pcwlad_geo.cli.visible import one_line
 from pcwlad_geo.errors import CancelledError
-from pcwlad_geo.registration.progress import Event, Progress, Warned
+from pcwlad_geo.events import Event, Progress, Warned
+from pcwlad_geo.text import one_line
 
 if TYPE_CHECKING:
     import rich.progress
 
 
+@contextmanager
+def protocol_stream() -> Iterator[TextIO]:
+    """Reserve the real standard output for the protocol and redirect file descriptor 1 to standard error.
+
+    A stray print of Python or of a C library then cannot corrupt the protocol.
+    """
+    sys.stdout.flush()
+    kept = os.dup(1)
+    stream = os.fdopen(os.dup(kept), "w", encoding="utf-8", newline="\n")
+    os.dup2(2, 1)
+    try:
+        yield stream
+    finally:
+        with suppress(BrokenPipeError):  # the reader has ended, which was detected before
+            stream.close()
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+def own_standard_error() -> TextIO:
+    """Reserve standard error for the command's own lines, and redirect file descriptor 2 to the null device.
+
+    Libraries write there in many ways: log lines and warnings of Python (matplotlib on its font cache), C
+    libraries (fontconfig), programs that they start (fc-list). Important messages arrive as exceptions.
+    Processes started afterwards are silent too. The redirection remains to the end of the process, because a
+    thread that loads a library may outlive the run.
+
+    Returns
+    -------
+    TextIO
+        The real standard error; or the unchanged ``sys.stderr`` if that is not file descriptor 2, because it
+        is closed or was replaced by a program that runs the command in its own process.
+    """
+    return _take_standard_error() if _is_descriptor_2(sys.stderr) else sys.stderr
+
+
+@cache
+def _take_standard_error() -> TextIO:
+    sys.stderr.flush()
+    encoding, errors = sys.stderr.encoding, sys.stderr.errors
+    taken = open(os.dup(2), "w", buffering=1, encoding=encoding, errors=errors)  # noqa: PTH123, SIM115
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, 2)
+    os.close(nothing)
+    return taken
+
+
+def _is_descriptor_2(stream: TextIO | None) -> bool:
+    try:
+        return stream is not None and stream.fileno() == 2 and os.fstat(2) is not None
+    except (OSError, ValueError):  # closed, or in memory
+        return False
+
+
 class Reporter(Protocol):
-    """Shows a run's events; after them comes exactly one of result, error and cancelled."""
+    """Shows the events of a run, and then exactly one of result, error and cancelled."""
 
     def event(self, event: Event) -> None:
         """Show progress or a warning: the callback of the job."""
 
     def result(self, figures: dict[str, object], summary: str) -> None:
-        """Show the end of a run that did its work: the main figures, and the same for people."""
+        """Show the result of a finished run: the main `figures`, and the `summary` as text."""
 
     def error(self, message: str, details: dict[str, object]) -> None:
-        """Show why there is no result."""
+        """Show the `message` of an error, with `details` for the protocol."""
 
     def cancelled(self) -> None:
         """Show that the run was interrupted."""
 
 
 def show_error(message: object, errors: TextIO | None = None) -> None:
-    """Write the one line that an error is on standard error, or on the stream that stands for it."""
+    """Write the error `message` as one line to standard error, or to the stream `errors` instead."""
     stream = errors or sys.stderr
     stream.write(f"error: {one_line(message)}\n")
     stream.flush()
@@ -55,24 +110,30 @@ class Quiet:
             self._errors.write(f"warning: {one_line(event.message)}\n")
 
     def result(self, figures: dict[str, object], summary: str) -> None:
-        """Print the summary."""
+        """Print the `summary`; `figures` are not shown."""
+        self._before_the_end()
         try:
             sys.stdout.write(summary)
             sys.stdout.flush()
-        except BrokenPipeError:  # nobody reads on: the files are written all the same
-            sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115  # or the interpreter's last flush fails
+        except BrokenPipeError:  # the reader has ended; the files are written nevertheless
+            sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115  # otherwise the last flush of the interpreter fails
 
     def error(self, message: str, details: dict[str, object]) -> None:
-        """Write the message."""
+        """Write the error `message`; `details` are not shown."""
+        self._before_the_end()
         show_error(message, self._errors)
 
     def cancelled(self) -> None:
-        """Say so."""
+        """Write that the run was interrupted."""
+        self._before_the_end()
         show_error("interrupted", self._errors)
+
+    def _before_the_end(self) -> None:
+        """Stop what is drawn; result, error or interruption stand below it."""
 
 
 class Bar(Quiet):
-    """A progress bar a stage, on standard error; nothing is drawn, by no thread, before the first event."""
+    """A progress bar per stage, on standard error; nothing is drawn before the first event."""
 
     def __init__(self, bars: rich.progress.Progress, errors: TextIO) -> None:
         super().__init__(errors)
@@ -88,32 +149,20 @@ class Bar(Quiet):
             return
         if event.stage not in self._tasks:
             self._tasks[event.stage] = self._bars.add_task(event.stage, total=event.total)
-        elif event.done == 0:  # once more, of the next pair
+        elif event.done == 0:  # the stage starts again, for the next pair
             self._bars.reset(self._tasks[event.stage])
         self._bars.update(self._tasks[event.stage], completed=event.done, total=event.total)
 
-    def result(self, figures: dict[str, object], summary: str) -> None:
-        """Print the summary below the bars."""
+    def _before_the_end(self) -> None:
         self._bars.stop()
-        super().result(figures, summary)
-
-    def error(self, message: str, details: dict[str, object]) -> None:
-        """Write the message below the bars."""
-        self._bars.stop()
-        super().error(message, details)
-
-    def cancelled(self) -> None:
-        """Say so below the bars."""
-        self._bars.stop()
-        super().cancelled()
 
 
 class JsonLines:
-    """One JSON object a line; errors are on standard error too, for a person who looks there."""
+    """One JSON object per line; errors are also written to standard error."""
 
     def __init__(self, stream: TextIO, errors: TextIO) -> None:
         self._stream, self._errors = stream, errors
-        self._lock = threading.Lock()  # a forced end speaks from another thread
+        self._lock = threading.Lock()  # a forced end is reported by another thread
         self._ended = False
 
     def event(self, event: Event) -> None:
@@ -124,11 +173,11 @@ class JsonLines:
             self._write("warning", {"message": event.message})
 
     def result(self, figures: dict[str, object], summary: str) -> None:
-        """Write the result object."""
+        """Write the result object with `figures`; the `summary` is not shown."""
         self._write("result", figures, last=True)
 
     def error(self, message: str, details: dict[str, object]) -> None:
-        """Write the error object."""
+        """Write the error object with `message` and `details`."""
         show_error(message, self._errors)
         self._write("error", {"message": one_line(message), **details}, last=True)
 
@@ -147,15 +196,15 @@ class JsonLines:
                 self._stream.flush()
             except BrokenPipeError:
                 self._ended = True
-                if not last:  # whoever asked for the run has gone
+                if not last:  # the process that started the run has ended
                     raise CancelledError("the reader of standard output has gone") from None
 
 
 @contextmanager
 def reporter(style: ProgressStyle, *, debug: bool = False) -> Iterator[Reporter]:
-    """Give the reporter of a style, for the length of a run; libraries are heard with `debug` only."""
+    """Yield the reporter of a `style`; messages of libraries are shown only with `debug`."""
     with ExitStack() as stack:
-        # first, as stray prints go from standard output to the real standard error
+        # first, as stray prints are redirected to the real standard error
         protocol = stack.enter_context(protocol_stream()) if style == "json" else None
         errors = sys.stderr if debug else own_standard_error()
         if protocol is not None:

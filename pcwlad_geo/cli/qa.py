@@ -1,24 +1,100 @@
-"""``pcwlad-geo qa``: band-to-band registration of a stack, and its trend over time."""
+"""``pcwlad-geo qa``: band QA and trends, with their output as text and as result event."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from pcwlad_geo.cli import options as o
-from pcwlad_geo.cli.config import collect
 from pcwlad_geo.cli.job import Ending, run_guarded
-from pcwlad_geo.cli.visible import visible
+from pcwlad_geo.cli.options import collect
+from pcwlad_geo.cli.outcome import columns
 from pcwlad_geo.errors import RegistrationRejectedError, RequirementError, SettingsError
-from pcwlad_geo.registration.progress import EventCallback
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.events import EventCallback
+from pcwlad_geo.options import Settings
+from pcwlad_geo.text import visible
 
 if TYPE_CHECKING:
-    from pcwlad_geo.stacks.run import QaResult
-    from pcwlad_geo.stacks.trend import Trend
+    from pcwlad_geo.bandqa.pairs import PairResult, Triangle
+    from pcwlad_geo.bandqa.summary import Judged, QaResult
+    from pcwlad_geo.bandqa.trend import Trend
+
+HEADER: Final = ("pair (reference – target)", "n", "mean px", "LE90 px", "CE90 px", "net", "CE90 m", "")
+"""Header of the table of pairs."""
+LEFT: Final = (0, 7)
+"""Indices of the text columns, which are aligned on the left."""
+
+
+def stack_text(result: QaResult) -> str:
+    """Return the text that is printed at the end of a band QA."""
+    lines = columns([HEADER, *(_pair(pair) for pair in result.pairs)], LEFT)
+    if result.triangles:
+        rows = [("triangle", "closure px", "places"), *(_triangle(each) for each in result.triangles)]
+        lines += ["", *columns(rows, (0,))]
+    elif result.against:
+        lines += ["", "no triangles with --against: closure is not checked"]
+    lines += ["", *(_verdict(verdict) for verdict in result.verdicts)] if result.verdicts else []
+    lines += [f"refused: {pair.name}: {pair.reason}" for pair in result.refused]
+    if result.passed is not None:
+        lines.append("PASSED" if result.passed else "FAILED")
+    return "\n".join([*lines, f"report: {result.out_dir / 'qa.html'}"]) + "\n"
+
+
+def outcome_of(result: QaResult) -> dict[str, object]:
+    """Return the values of the result event."""
+    from pcwlad_geo.bandqa.run import NAMES  # slow to load, unless there is a result
+
+    names = {kind: name for kind, name in NAMES.items() if kind != "pdf" or result.settings.pdf}
+    return {
+        "passed": result.passed,
+        "pairs": len(result.pairs),
+        "refused": [pair.name for pair in result.refused],
+        "requirements": [
+            {"text": each.requirement.rule.text, "passed": each.passed, "failed": list(each.failed)}
+            for each in result.verdicts
+        ],
+        "paths": {kind: str(result.out_dir / name) for kind, name in names.items()},
+    }
+
+
+def trend_text(found: Trend) -> str:
+    """Return the text that is printed at the end of a trend."""
+    return f"{found.reports} reports, {len(found.series)} series\nreport: {found.paths['report']}\n"
+
+
+def _pair(pair: PairResult) -> Sequence[str]:
+    px, m = pair.statistics.get("px"), pair.statistics.get("m")
+    if px is None:
+        return (pair.name, "", "", "", "", "", "", "refused")
+    return (
+        pair.name,
+        str(px.n),
+        f"{px.col.mean:+.3f} {px.row.mean:+.3f}",
+        f"{px.col.le90:.3f} {px.row.le90:.3f}",
+        f"{px.radial.ce90:.3f}",
+        f"{px.net.ce90:.3f}",
+        f"{m.radial.ce90:.2f}" if m else "",
+        "",
+    )
+
+
+def _triangle(triangle: Triangle) -> Sequence[str]:
+    if triangle.mean_px is None:
+        return (triangle.name, "no common ground", "0")
+    return (triangle.name, f"{triangle.mean_px[0]:+.3f} {triangle.mean_px[1]:+.3f}", str(triangle.cells))
+
+
+def _verdict(judged: Judged) -> str:
+    text = f"{judged.requirement.rule.text}: {'met' if judged.passed else 'not met'}"
+    if judged.worst and not math.isnan(judged.worst[1]):
+        name, value = judged.worst
+        text += f" (worst {value:.3f} {judged.requirement.rule.unit}, {name})"
+    return text
+
 
 Rasters = Annotated[
     list[str] | None,
@@ -84,6 +160,7 @@ TrendOption = Annotated[
 ]
 
 
+@o.takes_settings("qa")
 def qa(
     context: typer.Context,
     rasters: Rasters = None,
@@ -95,22 +172,6 @@ def qa(
     native_px: NativePx = None,
     mask: Mask = None,
     trend: TrendOption = None,
-    method: o.Method = None,
-    points: o.Points = None,
-    features: o.Features = None,
-    keypoints: o.Keypoints = None,
-    template: o.Template = None,
-    window: o.Window = None,
-    search_radius: o.SearchRadius = None,
-    ssim_min: o.SsimMin = None,
-    iterations: o.Iterations = None,
-    consensus: o.Consensus = None,
-    prealign: o.Prealign = None,
-    pdf: o.Pdf = None,
-    jobs: o.Jobs = None,
-    scheduler: o.Scheduler = None,
-    allow_remote: o.AllowRemote = None,
-    trust_vrt: o.TrustVrt = None,
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
     config: o.Config = None,
@@ -127,8 +188,8 @@ def _stack(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     if not params["rasters"]:
         raise SettingsError("no raster: give two or more, one with several bands, or --trend DIR")
     settings = collect(params, params["config"])
-    Settings.from_options(settings)  # a bad value need not wait for the heavy libraries, which load here:
-    from pcwlad_geo.stacks.run import qa
+    Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
+    from pcwlad_geo.bandqa.run import qa
 
     result = qa(
         params["rasters"],
@@ -146,7 +207,6 @@ def _stack(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
 
 
 def _ending(result: QaResult) -> Ending:
-    from pcwlad_geo.cli.qa_table import outcome_of, stack_text
 
     status = 0
     if result.passed is False:
@@ -164,7 +224,7 @@ def _trend(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
             raise SettingsError(
                 f"--trend takes no --{name.replace('_', '-')}: it repeats what the reports say"
             )
-    from pcwlad_geo.stacks.trend import trend
+    from pcwlad_geo.bandqa.trend import trend
 
     return _trend_ending(
         trend(params["trend"], out_dir=params["out_dir"], overwrite=params["overwrite"], on_event=on_event)
@@ -172,7 +232,6 @@ def _trend(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
 
 
 def _trend_ending(found: Trend) -> Ending:
-    from pcwlad_geo.cli.qa_table import trend_text
 
     paths = {kind: str(path) for kind, path in found.paths.items()}
     figures: dict[str, object] = {
@@ -185,13 +244,13 @@ def _trend_ending(found: Trend) -> Ending:
 
 
 def _abandon(params: Mapping[str, Any]) -> None:
-    from pcwlad_geo.staging import abandon
+    from pcwlad_geo.outputs.folder import abandon
 
     if params["trend"] is not None:
-        from pcwlad_geo.stacks.trend import trend_folder
+        from pcwlad_geo.bandqa.trend import trend_folder
 
         abandon(trend_folder(params["trend"], params["out_dir"]))
     elif params["rasters"]:
-        from pcwlad_geo.stacks.run import qa_folder
+        from pcwlad_geo.bandqa.run import qa_folder
 
         abandon(qa_folder(params["rasters"], params["out_dir"]))

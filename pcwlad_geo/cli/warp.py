@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.job import Ending, run_guarded
-from pcwlad_geo.cli.visible import visible
-from pcwlad_geo.registration.progress import EventCallback
-from pcwlad_geo.registration.settings import OutputGrid, Resampling
+from pcwlad_geo.events import EventCallback
+from pcwlad_geo.options import OutputGrid, Resampling
+from pcwlad_geo.text import visible
 
 Folder = Annotated[
     Path,
@@ -52,21 +52,15 @@ WarpedRaster = Annotated[
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace rasters that exist.")]
 
 
+@o.takes_settings("warp")
 def warp(
     context: typer.Context,
     registration: Folder,
     rasters: Rasters,
     out_dir: Place = None,
     grid: WarpGrid = None,
-    like: o.Like = None,
-    tr: o.Tr = None,
-    te: o.Te = None,
-    t_srs: o.TSrs = None,
     of: WarpFormat = None,
-    co: o.Co = None,
     resampling: WarpResampling = None,
-    allow_remote: o.AllowRemote = None,
-    trust_vrt: o.TrustVrt = None,
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
     overwrite: Overwrite = False,
@@ -74,34 +68,22 @@ def warp(
     debug: o.Debug = False,
 ) -> None:
     """Apply the correction of REGISTRATION to other bands of its target."""
+    given = {
+        name: context.params[name] for name in ("grid", "like", "tr", "te", "t_srs", "of", "co", "resampling")
+    }
+    given |= {name: bool(context.params[name]) for name in ("allow_remote", "trust_vrt")}
 
     def work(on_event: EventCallback) -> Ending:
-        from pcwlad_geo import bands  # slow to load
+        from pcwlad_geo import band_warping  # slow to load
 
-        written = bands.warp(
-            registration,
-            rasters,
-            out_dir=out_dir,
-            output_raster=output_raster,
-            grid=grid,
-            like=like,
-            tr=tr,
-            te=te,
-            t_srs=t_srs,
-            of=of,
-            co=co,
-            resampling=resampling,
-            overwrite=overwrite,
-            allow_remote=bool(allow_remote),
-            trust_vrt=bool(trust_vrt),
-            on_event=on_event,
-        )
+        places: dict[str, Any] = {"out_dir": out_dir, "output_raster": output_raster, "overwrite": overwrite}
+        written = band_warping.warp(registration, rasters, **places, **given, on_event=on_event)
         paths = [str(path.absolute()) for path in written]
         return Ending({"status": "warped", "paths": paths}, visible("".join(f"{path}\n" for path in written)))
 
     def abandon() -> None:
-        from pcwlad_geo import staging
+        from pcwlad_geo.outputs import folder
 
-        staging.abandon(output_raster.parent if output_raster else out_dir or ".")
+        folder.abandon(output_raster.parent if output_raster else out_dir or ".")
 
     run_guarded(context.params, work, abandon)

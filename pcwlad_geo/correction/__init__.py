@@ -1,1 +1,1 @@
-"""Tie points to corrections: models, fits, model choice, check points, accuracy. Arrays only."""
+"""From tie points to corrections: models, fits, model choice, check points, accuracy; arrays only."""

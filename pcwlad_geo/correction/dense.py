@@ -1,27 +1,141 @@
-"""Mappings evaluated on a lattice: the time of a warp does not grow with the number of tie points."""
+"""Inversion of mappings, and their evaluation on a lattice, whose cost does not depend on the tie points."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.inversion import in_chunks
-from pcwlad_geo.correction.lattice import Lattice
+from pcwlad_geo.types import Float64
 
-Array = NDArray[np.float64]
-Mapping = Callable[[Array], Array]
-"""(n, 2) positions to (n, 2) positions, px; NaN where there is none."""
+TOLERANCE_PX = 1e-9
+"""The inversion ends where the forward mapping misses the observed pixel by no more than this, per axis."""
+STEPS = 60
+"""Largest number of Newton steps of an inversion."""
+CHUNK = 1 << 16
+"""Number of positions evaluated at once, which limits the memory for a raster of any size."""
+
+
+def in_chunks(function: Callable[[Float64], Float64], at_px: Float64) -> Float64:
+    """Apply `function` to the (n, 2) positions `at_px` in chunks; return its (n, ...) values."""
+    at_px = np.asarray(at_px, dtype=np.float64)
+    if len(at_px) <= CHUNK:
+        return function(at_px)
+    return np.concatenate([function(at_px[start : start + CHUNK]) for start in range(0, len(at_px), CHUNK)])
+
+
+def invert(
+    forward: Callable[[Float64], Float64], slopes: Callable[[Float64], Float64], observed_px: Float64
+) -> Float64:
+    """Return the predicted pixels that `forward` maps to the observed ones.
+
+    Parameters
+    ----------
+    forward : callable
+        Maps (n, 2) predicted to observed px.
+    slopes : callable
+        Maps (n, 2) predicted px to (n, 2, 2) derivatives of the observed px (last axis: by col, row).
+    observed_px : (n, 2) array of float
+        Observed positions (col, row).
+
+    Returns
+    -------
+    (n, 2) array of float
+        Predicted positions (col, row), good to 1e-8 px; NaN where the iteration does not converge, as where
+        the correction has a foldover.
+    """
+    observed = np.asarray(observed_px, dtype=np.float64)
+    predicted = observed.copy()
+    # Coordinates of a million px have no more digits than that.
+    tolerance = TOLERANCE_PX + 4 * np.finfo(np.float64).eps * np.abs(observed).max(axis=1)
+    moving = np.isfinite(observed).all(axis=1)
+    predicted[~moving] = np.nan
+    index = np.flatnonzero(moving)
+    for _ in range(STEPS):
+        miss = observed[index] - forward(predicted[index])
+        far = ~(np.abs(miss).max(axis=1) <= tolerance[index])
+        index, miss = index[far], miss[far]
+        if len(index) == 0:
+            return predicted
+        predicted[index] += solve_2x2(slopes(predicted[index]), miss)
+    predicted[index] = np.nan
+    return predicted
+
+
+def solve_2x2(matrices: Float64, vectors: Float64) -> Float64:
+    """Return the (n, 2) x of (n, 2, 2) `matrices` · x = (n, 2) `vectors`; not finite where singular."""
+    (a, b), (c, d) = matrices.transpose(1, 2, 0)
+    x, y = vectors.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.stack([d * x - b * y, a * y - c * x], axis=1) / (a * d - b * c)[:, None])
+
+
+def positions(cols: NDArray[np.floating[Any]], rows: NDArray[np.floating[Any]]) -> Float64:
+    """Return the (m · k, 2) positions (col, row) of a lattice of (m,) `cols` and (k,) `rows`, row by row."""
+    return np.stack(np.meshgrid(cols, rows), axis=-1, dtype=np.float64).reshape(-1, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """Nodes at origin + index · step along each axis."""
+
+    origin_px: tuple[float, float]
+    """First node (col, row)."""
+    step_px: tuple[float, float]
+    shape: tuple[int, int]
+    """Rows and columns of nodes, at least two each."""
+
+    @classmethod
+    def over(cls, low_px: Float64, high_px: Float64, step_px: float, most: int | None = None) -> Lattice:
+        """Return a lattice that spans the box with the (2,) corners `low_px` and `high_px` (col, row).
+
+        Its steps are at most `step_px` long, unless that takes more than `most` nodes along an axis.
+        """
+        extent = np.maximum(high_px - low_px, 1e-9)
+        steps = np.maximum(np.ceil(extent / step_px * (1 - 1e-9)), 1)
+        if most is not None:
+            steps = np.minimum(steps, most - 1)
+        col, row = (extent / steps).tolist()
+        return cls((float(low_px[0]), float(low_px[1])), (col, row), (int(steps[1]) + 1, int(steps[0]) + 1))
+
+    def nodes_px(self) -> Float64:
+        """Return the (rows · columns, 2) positions (col, row) of the nodes, row by row, px."""
+        cols, rows = (
+            origin + step * np.arange(count)
+            for origin, step, count in zip(self.origin_px, self.step_px, self.shape[::-1], strict=True)
+        )
+        return positions(cols, rows)
+
+    def interpolated(self, values: Float64, at_px: Float64) -> Float64:
+        """Return the (n, ...) values at positions, interpolated bilinearly.
+
+        The (rows, columns, ...) `values` are those at the nodes. Beyond the lattice its outermost cells are
+        continued to the (n, 2) positions `at_px` (col, row).
+        """
+        place = (np.asarray(at_px, dtype=np.float64) - self.origin_px) / self.step_px
+        first = np.clip(np.floor(place), 0, np.array(self.shape[::-1]) - 2).astype(np.intp)
+        part = place - first
+        col, row = first.T
+        right, down = (part[:, axis].reshape(-1, *(1,) * (values.ndim - 2)) for axis in (0, 1))
+        upper = values[row, col] * (1 - right) + values[row, col + 1] * right
+        lower = values[row + 1, col] * (1 - right) + values[row + 1, col + 1] * right
+        return np.asarray(upper * (1 - down) + lower * down)
+
+
+Mapping = Callable[[Float64], Float64]
+"""A function from (n, 2) positions to (n, 2) positions (col, row), px; NaN where it has no value."""
 
 FIRST_STEPS = 64
-"""Steps along the longer side that are tried first: no correction has detail that falls between them."""
-LEAST_STEP_PX = 1.0
+"""Number of steps along the longer side that is tried first; no correction has detail between them."""
+MIN_STEP_PX = 1.0
+"""Least step of the lattice."""
 BETWEEN = ((0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (0.25, 0.25), (0.75, 0.25))
-"""Places in a cell (col, row) where the interpolation is compared with the mapping."""
+"""Positions in a cell (col, row) at which the interpolation is compared with the mapping."""
 SAFETY = 0.7
-"""Share of the tolerance that the error at these places may take."""
+"""Largest interpolation error at these positions, as a share of the tolerance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,12 +143,12 @@ class DenseMapping:
     """A mapping given by its values on a lattice."""
 
     lattice: Lattice
-    moved_px: Array
-    """(rows, columns, 2) where the nodes (col, row) go; NaN where the mapping has no value."""
+    moved_px: Float64
+    """(rows, columns, 2) mapped positions (col, row) of the nodes; NaN where the mapping has no value."""
     error_px: float
     """Largest interpolation error found, px."""
 
-    def __call__(self, at_px: Array) -> Array:
+    def __call__(self, at_px: Float64) -> Float64:
         """Map (n, 2) positions (col, row) within the box, px."""
         return in_chunks(lambda part: self.lattice.interpolated(self.moved_px, part), at_px)
 
@@ -44,30 +158,22 @@ def dense_mapping(
 ) -> DenseMapping:
     """Evaluate a mapping on a lattice fine enough to interpolate bilinearly.
 
-    The step is halved until no place looked at between the nodes errs by more than the tolerance, or the step
-    is one pixel.
-
-    Parameters
-    ----------
-    mapping : callable
-        Such as `Correction.forward`.
-    low_px, high_px : (float, float)
-        The box (col, row) to cover.
-    tolerance_px : float
-        Largest interpolation error, along either axis.
+    The step is halved until the error between the nodes is within the tolerance at all positions tested, or
+    the step is one pixel. The `mapping`, such as `Correction.forward`, maps (n, 2) to (n, 2) positions (col,
+    row), px; the lattice covers the box from `low_px` to `high_px`.
     """
     low, high = np.array(low_px, dtype=np.float64), np.array(high_px, dtype=np.float64)
-    step = max(float((high - low).max()) / FIRST_STEPS, LEAST_STEP_PX)
+    step = max(float((high - low).max()) / FIRST_STEPS, MIN_STEP_PX)
     while True:
         lattice = Lattice.over(low, high, step)
         moved = in_chunks(mapping, lattice.nodes_px()).reshape(*lattice.shape, 2)
         error = _largest_error(mapping, lattice, moved)
-        if error <= SAFETY * tolerance_px or step <= LEAST_STEP_PX:
+        if error <= SAFETY * tolerance_px or step <= MIN_STEP_PX:
             return DenseMapping(lattice, moved, error)
-        step = max(step / 2, LEAST_STEP_PX)
+        step = max(step / 2, MIN_STEP_PX)
 
 
-def _largest_error(mapping: Mapping, lattice: Lattice, moved_px: Array) -> float:
+def _largest_error(mapping: Mapping, lattice: Lattice, moved_px: Float64) -> float:
     """Return the largest error in the cells whose corners have a value; 0 where there is no such cell."""
     rows, cols = lattice.shape
     known = np.asarray(np.isfinite(moved_px).all(axis=2))

@@ -1,18 +1,23 @@
-"""Statistics of displacements or residuals as registration quality reports give them, per axis and radial."""
+"""Errors: statistics per axis and radial, and the error that a correction is expected to have anywhere."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from pcwlad_geo.correction.models import AffineCorrection, affine_between
+from pcwlad_geo.correction.selection import Selection
+from pcwlad_geo.types import Bool, Float64
+
 Pair = tuple[float, float]
+Amount = Annotated[float, ("minimum", 0)]
 
 THREE_SIGMA_PERCENT = 99.73
-"""What a requirement "at 3 sigma" covers."""
+"""Percentage of errors that a requirement "at 3 sigma" covers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +26,12 @@ class AxisStatistics:
 
     mean: float
     median: float
-    std: float
-    """Of the population (divided by n)."""
-    rmse: float
+    std: Amount
+    """Standard deviation of the population (divided by n)."""
+    rmse: Amount
     min: float
     max: float
-    le90: float
+    le90: Amount
     """Empirical 90th percentile of the absolute error."""
 
 
@@ -34,49 +39,58 @@ class AxisStatistics:
 class RadialStatistics:
     """Statistics of the lengths of the errors, in their unit."""
 
-    rmse: float
+    rmse: Amount
     """Root of RMSEx² + RMSEy²."""
-    ce90: float
-    ce95: float
-    ce99_7: float
-    """Empirical 90th, 95th and 99.73th percentile of the length."""
+    ce90: Amount
+    """Empirical 90th percentile of the length."""
+    ce95: Amount
+    """Empirical 95th percentile of the length."""
+    ce99_7: Amount
+    """Empirical 99.73th percentile of the length."""
 
 
 @dataclass(frozen=True, slots=True)
 class NetStatistics:
-    """The same with the matching noise taken out of the scatter, in the unit of the errors."""
+    """Statistics with the matching noise removed from the scatter, in the unit of the errors."""
 
     noise_xy: Pair
-    """Root mean square of the points' sigma per axis: what has been taken out."""
+    """Root mean square of the points' sigma per axis, the noise that was removed."""
     std_xy: Pair
-    """0 where the scatter is no larger than the noise."""
+    """Standard deviation per axis; 0 where the scatter is no larger than the noise."""
     le90_xy: Pair
-    rmse: float
-    ce90: float
-    ce95: float
-    ce99_7: float
+    rmse: Amount
+    ce90: Amount
+    ce95: Amount
+    ce99_7: Amount
 
 
 @dataclass(frozen=True, slots=True)
-class ErrorStatistics:
-    """Statistics of n errors in one unit."""
+class UnitStatistics:
+    """Statistics of errors in one unit."""
 
-    n: int
     col: AxisStatistics
     row: AxisStatistics
     radial: RadialStatistics
     net: NetStatistics
 
-    @staticmethod
-    def of(errors_xy: Array, sigma_xy: Array) -> ErrorStatistics | None:
-        """Return the statistics; None where no error is finite.
 
-        Parameters
-        ----------
-        errors_xy : (n, 2) array
-            Along columns and rows, any unit. Rows that are not finite are left out.
-        sigma_xy : (n, 2) array
-            Standard deviation of the matching noise in them, same unit.
+@dataclass(frozen=True, slots=True)
+class ErrorStatistics(UnitStatistics):
+    """Statistics of n errors in one unit."""
+
+    n: int
+
+    @property
+    def of_unit(self) -> UnitStatistics:
+        """The statistics without their number, which is the same in all units."""
+        return UnitStatistics(self.col, self.row, self.radial, self.net)
+
+    @staticmethod
+    def of(errors_xy: Float64, sigma_xy: Float64) -> ErrorStatistics | None:
+        """Return the statistics; None if no error is finite.
+
+        The (n, 2) errors `errors_xy` (col, row) are in any unit, and rows that are not finite are left out.
+        The (n, 2) array `sigma_xy` has the standard deviation of the matching noise in them.
         """
         finite = np.isfinite(errors_xy).all(axis=1)
         errors, sigma = errors_xy[finite], sigma_xy[finite]
@@ -92,34 +106,38 @@ class ErrorStatistics:
 
 
 def in_units(
-    errors_xy: Array, sigma_xy: Array, factors: Mapping[str, Array | None]
+    errors_xy: Float64, sigma_xy: Float64, factors: Mapping[str, Float64 | None]
 ) -> dict[str, ErrorStatistics | None]:
-    """Return the statistics by unit: errors and sigmas times the unit's (col, row); None: it is not known."""
+    """Return the statistics in several units.
+
+    The (n, 2) arrays `errors_xy` and `sigma_xy` are as for `ErrorStatistics.of`. Of each unit the `factors`
+    are its number in one unit of the errors (col, row), (2,) or (n, 2); None if that is not known.
+    """
     return {
         unit: None if factor is None else ErrorStatistics.of(errors_xy * factor, sigma_xy * factor)
         for unit, factor in factors.items()
     }
 
 
-def without_noise(errors_xy: Array, sigma_xy: Array) -> Array:
-    """Draw errors towards their mean until the matching noise is out of their scatter.
+def without_noise(errors_xy: Float64, sigma_xy: Float64) -> Float64:
+    """Shrink errors towards their mean so that their scatter is that without the matching noise.
 
     The variance of the truth is that of the errors less the mean of the sigmas squared. Each error is
-    drawn in until, noise included, it is expected to scatter as the truth does (Louis 1984,
+    shrunk until, noise included, it is expected to scatter as the truth does (Louis 1984,
     doi:10.1080/01621459.1984.10478062, for sigmas that differ), so percentiles of the result estimate
     those of the truth.
 
     Parameters
     ----------
     errors_xy : (n, 2) array
-        Any unit.
+        Errors (col, row), any unit.
     sigma_xy : (n, 2) array
         Standard deviation of the noise in each, same unit.
 
     Returns
     -------
     (n, 2) array
-        With the mean of the errors; all equal to it along an axis where noise explains the whole scatter.
+        Errors of the same mean; all equal to it along an axis where noise explains the whole scatter.
     """
     mean = errors_xy.mean(axis=0)
     noise = sigma_xy**2
@@ -129,8 +147,8 @@ def without_noise(errors_xy: Array, sigma_xy: Array) -> Array:
     return np.asarray(mean + left - left.mean(axis=0))
 
 
-def axis_statistics(errors: Array) -> AxisStatistics:
-    """Return the statistics of (n,) errors, one or more."""
+def axis_statistics(errors: Float64) -> AxisStatistics:
+    """Return the statistics of the (n,) `errors` of one axis, in any unit; n ≥ 1."""
     return AxisStatistics(
         mean=float(errors.mean()),
         median=float(np.median(errors)),
@@ -142,14 +160,14 @@ def axis_statistics(errors: Array) -> AxisStatistics:
     )
 
 
-def radial_statistics(errors_xy: Array) -> RadialStatistics:
-    """Return the statistics of the lengths of (n, 2) errors, one or more."""
+def radial_statistics(errors_xy: Float64) -> RadialStatistics:
+    """Return the statistics of the lengths of the (n, 2) errors `errors_xy`, in any unit; n ≥ 1."""
     length = np.hypot(errors_xy[:, 0], errors_xy[:, 1])
     ce90, ce95, ce99_7 = np.percentile(length, [90, 95, THREE_SIGMA_PERCENT]).tolist()
     return RadialStatistics(float(np.sqrt((length**2).mean())), ce90, ce95, ce99_7)
 
 
-def _net(errors_xy: Array, sigma_xy: Array) -> NetStatistics:
+def _net(errors_xy: Float64, sigma_xy: Float64) -> NetStatistics:
     left = without_noise(errors_xy, sigma_xy)
     radial = radial_statistics(left)
     return NetStatistics(
@@ -163,5 +181,190 @@ def _net(errors_xy: Array, sigma_xy: Array) -> NetStatistics:
     )
 
 
-def _pair(values: Array) -> Pair:
+def _pair(values: Float64) -> Pair:
     return float(values[0]), float(values[1])
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """Statistics of (n, 2) residuals in one unit; NaN where there are none."""
+
+    n: Annotated[int, ("minimum", 0)]
+    mean_xy: tuple[float, float]
+    rmse_xy: tuple[float, float]
+    le90_xy: tuple[float, float]
+    """Empirical 90th percentile of the absolute residual per axis."""
+    rmse: float
+    """Radial: root of RMSEx² + RMSEy²."""
+    ce90: float
+    """Empirical 90th percentile of the radial residual."""
+    ce95: float
+    """Empirical 95th percentile of the radial residual."""
+
+    @staticmethod
+    def of(residuals: Float64) -> Accuracy:
+        """Return the statistics of the (n, 2) `residuals` in any unit; rows with NaN are left out."""
+        residuals = residuals[np.isfinite(residuals).all(axis=1)]
+        if len(residuals) == 0:
+            nan2 = (float("nan"), float("nan"))
+            return Accuracy(0, nan2, nan2, nan2, *(float("nan"),) * 3)
+        x, y = axis_statistics(residuals[:, 0]), axis_statistics(residuals[:, 1])
+        radial = radial_statistics(residuals)
+        return Accuracy(
+            n=len(residuals),
+            mean_xy=(x.mean, y.mean),
+            rmse_xy=(x.rmse, y.rmse),
+            le90_xy=(x.le90, y.le90),
+            rmse=radial.rmse,
+            ce90=radial.ce90,
+            ce95=radial.ce95,
+        )
+
+
+CELLS_PER_WINDOW: Final = 3.0
+"""Number of cells along the side of a window; points of one cell share pixels and count as one witness."""
+NEIGHBOURS: Final = 5
+"""Number of nearest witnesses whose median residual is taken for the mean error at a place."""
+SHARED: Final = 0.5
+"""Largest scatter of witnesses that agree, as a share of the length of their median."""
+CLOSELY_PX: Final = 0.5
+"""Largest scatter of rejected matches that count beyond the tie points: matches of ground without structure
+err in any direction, and some of them agree by chance."""
+LAGS: Final = 8
+"""Number of distances at which the roughness of the displacements is measured."""
+SAMPLE: Final = 400
+"""Largest number of points from which the roughness is measured."""
+DRAWS: Final = 64
+"""Number of errors that represent a unit normal distribution."""
+GOLDEN_ANGLE: Final = np.pi * (3 - np.sqrt(5))
+"""Angle between the directions of successive errors, with which directions are even at any length."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """The residuals of a correction at all matches of a pair."""
+
+    predicted_px: Float64
+    """(n, 2) target position (col, row) that the original georeferencing predicts, px."""
+    residual_px: Float64
+    """(n, 2) observed minus corrected position (col, row), px."""
+    kept: Bool
+    """(n,) False for matches that disagree with their neighbours."""
+
+
+def expected_ce90(
+    selection: Selection, residuals: Residuals, places_px: Float64, footprint_px: float
+) -> float:
+    """Return the radial error within which 90 % of the places are expected to lie, px.
+
+    The error at a place is taken to be normally distributed. Its mean is the median residual of the nearest
+    five witnesses. Rejected matches count where they agree among themselves, as the points of a second layer
+    of the ground do and isolated wrong ones do not. Its covariance is that of the correction; beyond the tie
+    points it grows by the semivariogram of the displacements. The (m, 2) `places_px` are predicted target
+    positions (col, row), px, spread evenly over the ground; there is at least one of them, and one match. The
+    matching window is `footprint_px` wide.
+    """
+    left = left_by_correction(residuals, places_px, footprint_px)
+    reach_px = selection.fit.support.reach_px
+    known = left.by_all & (left.distance_px <= reach_px) & (left.spread_px <= CLOSELY_PX)
+    unseen = selection.extrapolated(places_px) & ~known
+    mean_px = np.where(unseen[:, None], 0.0, left.median_px)
+    # The misfit of the model is in the mean, so not in the covariance.
+    covariance = selection.fit.covariance(places_px) + np.diag(selection.common_px2)
+    growth = _variance_beyond(selection, residuals, places_px[unseen])
+    covariance[unseen] += growth[:, None, None] * np.eye(2)
+    values, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    errors = mean_px[:, None, :] + np.einsum("nij,kj->nki", root, _normal_draws())
+    return float(np.percentile(np.linalg.norm(errors, axis=2), 90))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Left:
+    """The residuals of the matches around m places."""
+
+    median_px: Float64
+    """(m, 2) median residual of the nearest witnesses (col, row), px."""
+    by_all: Bool
+    """(m,) whether all matches around agree on it; otherwise it is that of the matches kept."""
+    spread_px: Float64
+    """(m,) median distance of the nearest witnesses, of all matches, from their median, px."""
+    distance_px: Float64
+    """(m,) distance of the nearest witness, of all matches, px."""
+
+
+def left_by_correction(residuals: Residuals, places_px: Float64, footprint_px: float) -> Left:
+    """Return the residuals of the matches around places.
+
+    The (m, 2) `places_px` are predicted target positions (col, row), px. There is at least one match; the
+    matching window is `footprint_px` wide.
+    """
+    median, spread, distance = _around(residuals.predicted_px, residuals.residual_px, places_px, footprint_px)
+    if not residuals.kept.any():
+        return Left(median, np.ones(len(places_px), bool), spread, distance)
+    among_kept, _, _ = _around(
+        residuals.predicted_px[residuals.kept], residuals.residual_px[residuals.kept], places_px, footprint_px
+    )
+    agree = spread <= SHARED * np.linalg.norm(median, axis=1)
+    return Left(np.where(agree[:, None], median, among_kept), agree, spread, distance)
+
+
+def _around(
+    xy_px: Float64, value_px: Float64, places_px: Float64, footprint_px: float
+) -> tuple[Float64, Float64, Float64]:
+    """Return the nearest witnesses' median, their median distance from it, and the nearest distance."""
+    place, value = _witnesses(xy_px, value_px, footprint_px / CELLS_PER_WINDOW)
+    count = min(NEIGHBOURS, len(place))
+    distance, near = cKDTree(place).query(places_px, k=[*range(1, count + 1)])
+    around = value[near]
+    median = np.median(around, axis=1)
+    spread = np.median(np.linalg.norm(around - median[:, None], axis=2), axis=1)
+    return median, spread, distance[:, 0]
+
+
+def _witnesses(xy_px: Float64, value_px: Float64, side_px: float) -> tuple[Float64, Float64]:
+    """Return the mean position and the median value of the points of each cell of the given side."""
+    if side_px <= 0:
+        return xy_px, value_px
+    cell = np.unique(np.floor(xy_px / side_px).astype(np.intp), axis=0, return_inverse=True)[1].ravel()
+    count = np.bincount(cell)
+    begin = np.cumsum(count) - count
+    place = np.column_stack([np.bincount(cell, axis) / count for axis in xy_px.T])
+    ordered = np.column_stack([axis[np.lexsort((axis, cell))] for axis in value_px.T])
+    return place, (ordered[begin + (count - 1) // 2] + ordered[begin + count // 2]) / 2
+
+
+def _variance_beyond(selection: Selection, residuals: Residuals, places_px: Float64) -> Float64:
+    """Return (k,) variance per axis to add at places beyond the tie points, px².
+
+    It is half the mean squared difference of displacements as far apart as the place is from the nearest
+    point (the semivariogram of kriging), less that of neighbours, which is noise. A correction that is at
+    most affine continues a trend, and only its residuals count; a curved one says nothing beyond its points,
+    and all displacements beside an affine trend count.
+    """
+    xy, left = residuals.predicted_px[residuals.kept], residuals.residual_px[residuals.kept]
+    if len(places_px) == 0 or len(xy) < 3:
+        return np.zeros(len(places_px))
+    if not isinstance(selection.fit.correction, AffineCorrection):
+        observed = left + selection.fit.correction.forward(xy)
+        left = observed - AffineCorrection("affine", affine_between(xy, observed)).forward(xy)
+    sample = np.linspace(0, len(xy) - 1, min(len(xy), SAMPLE)).astype(np.intp)
+    apart = np.linalg.norm(xy[sample, None] - xy[None, sample], axis=2)
+    halved = ((left[sample, None] - left[None, sample]) ** 2).sum(axis=2) / 4  # of two points, of two axes
+    reach = max(float(np.ptp(xy, axis=0).max()) / 2, 1e-9)
+    bins = np.minimum(np.ceil(apart / reach * LAGS), LAGS + 1).astype(np.intp).ravel()
+    counts = np.bincount(bins, minlength=LAGS + 2)[1 : LAGS + 1]
+    sums = np.bincount(bins, halved.ravel(), minlength=LAGS + 2)[1 : LAGS + 1]
+    rough = np.divide(sums, counts, out=np.zeros(LAGS), where=counts > 0)
+    rough = np.maximum.accumulate(np.maximum(rough - rough[0], 0.0))
+    distance, _ = cKDTree(xy).query(places_px)
+    lags = np.arange(LAGS + 1) * reach / LAGS
+    grown = np.interp(distance, lags, np.concatenate([[0.0], rough]))
+    return np.asarray(grown * np.maximum(distance / reach, 1.0) ** 2)
+
+
+def _normal_draws() -> Float64:
+    """Return (DRAWS, 2) errors distributed like a unit normal distribution."""
+    length = np.sqrt(-2 * np.log1p(-(np.arange(DRAWS) + 0.5) / DRAWS))
+    angle = GOLDEN_ANGLE * np.arange(DRAWS)
+    return np.column_stack([length * np.cos(angle), length * np.sin(angle)])

@@ -1,4 +1,4 @@
-"""Fit corrections to tie points: robust, weighted by the points' covariance, with the fit's own precision."""
+"""Robust fits of the correction models, from the shift to the polynomials."""
 
 from __future__ import annotations
 
@@ -7,14 +7,10 @@ from functools import partial
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcwlad_geo.correction.fitted import Fit, FitFunction, ParametricFit, checked, predicted_sigma
-from pcwlad_geo.correction.models import AffineCorrection, Correction
-from pcwlad_geo.correction.polynomial import PolynomialBasis, PolynomialCorrection
-from pcwlad_geo.correction.projective_fit import fit_projective
-from pcwlad_geo.correction.robust_linear import (
+from pcwlad_geo.correction.estimation import (
     COARSE_STEPS,
+    COLLINEAR,
     Estimate,
     Solution,
     design,
@@ -22,135 +18,165 @@ from pcwlad_geo.correction.robust_linear import (
     reweighted,
     weighted_least_squares,
 )
+from pcwlad_geo.correction.fitted import FitFunction, ParametricFit, checked
+from pcwlad_geo.correction.models import (
+    AffineCorrection,
+    Correction,
+    PolynomialBasis,
+    PolynomialCorrection,
+    ProjectiveCorrection,
+)
 from pcwlad_geo.correction.thin_plate import fit_tps
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.types import Float64
 
-__all__ = [
-    "FITS",
-    "Fit",
-    "FitFunction",
-    "fit_affine",
-    "fit_drift",
-    "fit_polynomial2",
-    "fit_polynomial3",
-    "fit_projective",
-    "fit_shift",
-    "fit_tps",
-    "predicted_sigma",
-]
+MIN_POINTS = 6
+"""Least number of tie points of a projective transformation."""
+STEPS = 30
+"""Largest number of Gauss-Newton steps of a projective transformation."""
+STEP_TOLERANCE_PX = 1e-6
+"""The iteration ends after a step shorter than this: the next would be its square over the points' radius."""
 
-Array = NDArray[np.float64]
+
+def fit_projective(
+    predicted_px: Float64, observed_px: Float64, covariance_px2: Float64, *, footprint_px: float = 0.0
+) -> ParametricFit:
+    """Fit a projective transformation, that of a plane seen from another viewpoint.
+
+    Raises `InputError` if the points are too few or do not determine the transformation, or an array has a
+    wrong shape or values that are not finite.
+
+    Parameters
+    ----------
+    predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays of float
+        See `fit_polynomial`, also for `footprint_px`; n ≥ 6, spread in both directions.
+    """
+    predicted, observed, covariance = checked(
+        "projective", MIN_POINTS, predicted_px, observed_px, covariance_px2
+    )
+    centre = predicted.mean(axis=0)
+    radius = float(np.sqrt(((predicted - centre) ** 2).sum(axis=1).mean())) or 1.0
+    place = (predicted - centre) / radius
+    affine = estimate(np.column_stack([np.ones(len(place)), place]), observed - predicted, covariance)
+    start = np.zeros(8)
+    start[:6] = (affine.parameters + radius * np.eye(3, 2, -1)).ravel()
+
+    def solve(whitener: Float64, weight: Float64) -> Solution:
+        root = np.sqrt(weight)[:, None, None] * whitener
+        parameters = _gauss_newton(start, place, observed - centre, root, radius)
+        fitted = _moved(parameters, place, radius) + centre - predicted
+        return Solution(parameters, fitted, 4.0)
+
+    found = reweighted(solve, affine.fitted_px, observed - predicted, covariance, coarse_steps=COARSE_STEPS)
+    matrix = _matrix(found.parameters, centre, radius)
+    return ParametricFit.of(
+        correction=ProjectiveCorrection("projective", matrix),
+        jacobian=partial(_jacobian_px, parameters=found.parameters, centre_px=centre, radius_px=radius),
+        predicted_px=predicted,
+        observed_px=observed,
+        estimate=found,
+        footprint_px=footprint_px,
+    )
+
+
+def _gauss_newton(
+    start: Float64, place: Float64, moved_px: Float64, root: Float64, radius_px: float
+) -> Float64:
+    """Return the parameters of least squares: six of the affine numerator, two of the horizon, px."""
+    parameters = start
+    for _ in range(STEPS):
+        rows = (root @ _projective_jacobian(parameters, place, radius_px)).reshape(-1, 8)
+        values = np.einsum("iab,ib->ia", root, moved_px - _moved(parameters, place, radius_px)).ravel()
+        if not (np.isfinite(rows).all() and np.isfinite(values).all()):
+            raise InputError(
+                "no projective transformation fits the tie points: its horizon would lie among them; use "
+                "another model"
+            )
+        normal = rows.T @ rows
+        eigenvalues = np.linalg.eigvalsh(normal)
+        if eigenvalues[0] < COLLINEAR**2 * eigenvalues[-1]:
+            raise InputError(
+                f"the {np.count_nonzero(root.any(axis=(1, 2)))} consistent tie points lie too nearly on a "
+                "line to determine the projective model; use a simpler model, or more tie points"
+            )
+        step = np.linalg.solve(normal, rows.T @ values)
+        parameters = parameters + step
+        if np.abs(step).max() < STEP_TOLERANCE_PX:
+            break
+    return np.asarray(parameters)
+
+
+def _moved(parameters: Float64, place: Float64, radius_px: float) -> Float64:
+    """Return the (n, 2) observed px about the centre; NaN beyond the horizon."""
+    numerator = parameters[:2] + place @ parameters[2:6].reshape(2, 2)
+    return np.asarray(numerator / _denominator(parameters, place, radius_px)[:, None])
+
+
+def _denominator(parameters: Float64, place: Float64, radius_px: float) -> Float64:
+    w = 1 + place @ parameters[6:] / radius_px
+    return np.where(w > 0, w, np.nan)
+
+
+def _projective_jacobian(parameters: Float64, place: Float64, radius_px: float) -> Float64:
+    """Return the (n, 2, 8) derivatives of the observed px by the parameters."""
+    n = len(place)
+    terms = np.column_stack([np.ones(n), place])
+    numerator = np.einsum("it,ab->iatb", terms, np.eye(2)).reshape(n, 2, 6)
+    horizon = -_moved(parameters, place, radius_px)[:, :, None] * place[:, None, :] / radius_px
+    both = np.concatenate([numerator, horizon], axis=2)
+    return np.asarray(both / _denominator(parameters, place, radius_px)[:, None, None])
+
+
+def _jacobian_px(at_px: Float64, *, parameters: Float64, centre_px: Float64, radius_px: float) -> Float64:
+    return _projective_jacobian(parameters, (at_px - centre_px) / radius_px, radius_px)
+
+
+def _matrix(parameters: Float64, centre_px: Float64, radius_px: float) -> Float64:
+    """Return the (3, 3) matrix between pixels."""
+    normalised = np.array([[1, 0, -centre_px[0]], [0, 1, -centre_px[1]], [0, 0, radius_px]]) / radius_px
+    moved = np.vstack([parameters[:6].reshape(3, 2)[[1, 2, 0]].T, [*parameters[6:] / radius_px, 1]])
+    back = np.array([[1, 0, centre_px[0]], [0, 1, centre_px[1]], [0, 0, 1]])
+    return np.asarray(back @ moved @ normalised)
+
 
 REDUNDANCY = 2
-"""Points needed beyond those that just determine a model: without them an outlier cannot be told."""
+"""Number of points needed beyond those that determine a model, without which no outlier can be found."""
 
 
-def fit_shift(
-    predicted_px: Array, observed_px: Array, covariance_px2: Array, *, footprint_px: float = 0.0
+def fit_polynomial(
+    predicted_px: Float64,
+    observed_px: Float64,
+    covariance_px2: Float64,
+    *,
+    footprint_px: float = 0.0,
+    name: str,
+    order: int,
+    columns: tuple[int, ...] | None = None,
 ) -> ParametricFit:
-    """Fit a shift: observed = predicted + constant.
+    """Fit the polynomial of an order: observed = predicted + Σ coefficient · term.
+
+    Raises `InputError` if the points are too few or do not determine the polynomial, or an array has a wrong
+    shape or values that are not finite.
 
     Parameters
     ----------
     predicted_px : (n, 2) array of float
-        Target position (col, row) that the original georeferencing predicts, px; n ≥ 3.
+        Target position (col, row) that the original georeferencing predicts, px; at least two points more
+        than there are terms.
     observed_px : (n, 2) array of float
         Observed target position (col, row), px.
     covariance_px2 : (n, 2, 2) array of float
-        Covariance of the observed position, px². Where the points scatter more than it says, a variance
-        common to all points is added, so that points with tiny covariances do not decide alone.
+        Covariance of the observed position, px². Where the points scatter more than that, a variance
+        common to all points is added, so that points with tiny covariances do not dominate.
     footprint_px : float
         Side of the matching window, px: points whose windows overlap share errors. 0: independent errors.
-
-    Raises
-    ------
-    InputError
-        If there are too few points, or an array has a wrong shape or values that are not finite.
+    name : str
+        The model's name.
+    order : int
+        0: a shift; 1: an affine; from 2 on it is continued linearly beyond the box of the points.
+    columns : tuple of int, optional
+        Indices of the terms that are fitted; all by default.
     """
-    return _fit("shift", 0, predicted_px, observed_px, covariance_px2, footprint_px)
-
-
-def fit_drift(
-    predicted_px: Array, observed_px: Array, covariance_px2: Array, *, footprint_px: float = 0.0
-) -> ParametricFit:
-    """Fit a shift that drifts from line to line: observed = predicted + constant + slope · row.
-
-    What a drifting attitude does to a pushbroom image (Fraser & Hanley 2005, doi:10.14358/PERS.71.8.909).
-    Parameters, result and errors are those of `fit_shift`; at least four points.
-    """
-    return _fit("drift", 1, predicted_px, observed_px, covariance_px2, footprint_px, columns=(0, 2))
-
-
-def fit_affine(
-    predicted_px: Array, observed_px: Array, covariance_px2: Array, *, footprint_px: float = 0.0
-) -> ParametricFit:
-    """Fit an affine transformation: observed = matrix · (predicted col, predicted row, 1).
-
-    Parameters
-    ----------
-    predicted_px, observed_px, covariance_px2, footprint_px
-        As for `fit_shift`; n ≥ 5, not on one line.
-
-    Raises
-    ------
-    InputError
-        If there are too few points, the points lie on one line, or an array has a wrong shape or values
-        that are not finite.
-    """
-    return _fit("affine", 1, predicted_px, observed_px, covariance_px2, footprint_px)
-
-
-def fit_polynomial2(
-    predicted_px: Array, observed_px: Array, covariance_px2: Array, *, footprint_px: float = 0.0
-) -> ParametricFit:
-    """Fit a polynomial of order 2, continued linearly beyond the box of the points.
-
-    Parameters
-    ----------
-    predicted_px, observed_px, covariance_px2, footprint_px
-        As for `fit_shift`; n ≥ 8, spread in both directions.
-
-    Raises
-    ------
-    InputError
-        If the points are too few or do not determine the polynomial, or an array has a wrong shape or
-        values that are not finite.
-    """
-    return _fit("polynomial2", 2, predicted_px, observed_px, covariance_px2, footprint_px)
-
-
-def fit_polynomial3(
-    predicted_px: Array, observed_px: Array, covariance_px2: Array, *, footprint_px: float = 0.0
-) -> ParametricFit:
-    """Fit a polynomial of order 3: as `fit_polynomial2`, n ≥ 12."""
-    return _fit("polynomial3", 3, predicted_px, observed_px, covariance_px2, footprint_px)
-
-
-FITS: Mapping[str, FitFunction] = MappingProxyType(
-    {
-        "shift": fit_shift,
-        "drift": fit_drift,
-        "affine": fit_affine,
-        "projective": fit_projective,
-        "polynomial2": fit_polynomial2,
-        "polynomial3": fit_polynomial3,
-        "tps": fit_tps,
-    }
-)
-"""Every model, the simplest first."""
-CANDIDATES = tuple(name for name in FITS if name != "drift")
-"""Models of any image; lines that drift are those of a sensor's geometry."""
-
-
-def _fit(
-    name: str,
-    order: int,
-    predicted_px: Array,
-    observed_px: Array,
-    covariance_px2: Array,
-    footprint_px: float,
-    columns: tuple[int, ...] | None = None,
-) -> ParametricFit:
-    """Fit the polynomial of an order, or some of its terms."""
     columns = columns or tuple(range((order + 1) * (order + 2) // 2))
     predicted, observed, covariance = checked(
         name, len(columns) + REDUNDANCY, predicted_px, observed_px, covariance_px2
@@ -170,8 +196,8 @@ def _fit(
     )
 
 
-def _basis(order: int, predicted_px: Array) -> PolynomialBasis:
-    """Return terms of order one about the points' centre: raw pixels would lose half the digits."""
+def _basis(order: int, predicted_px: Float64) -> PolynomialBasis:
+    """Return terms of order one about the points' centre, as raw pixels would lose half the digits."""
     centre = predicted_px.mean(axis=0)
     radius = float(np.sqrt(((predicted_px - centre) ** 2).sum(axis=1).mean())) or 1.0
     low, high = predicted_px.min(axis=0), predicted_px.max(axis=0)
@@ -179,10 +205,10 @@ def _basis(order: int, predicted_px: Array) -> PolynomialBasis:
     return PolynomialBasis(order, corners[0], radius, corners[1], corners[2])
 
 
-def _refined(values: Array, displacement_px: Array, covariance_px2: Array, start: Estimate) -> Estimate:
-    """Fit all terms, from the affine: samples of ten points hardly ever are free of outliers."""
+def _refined(values: Float64, displacement_px: Float64, covariance_px2: Float64, start: Estimate) -> Estimate:
+    """Fit all terms, starting from the affine, as samples of ten points are hardly ever free of outliers."""
 
-    def solve(whitener: Array, weight: Array) -> Solution:
+    def solve(whitener: Float64, weight: Float64) -> Solution:
         parameters = weighted_least_squares(values, displacement_px, whitener, weight)
         return Solution(parameters, values @ parameters, values.shape[1])
 
@@ -190,7 +216,7 @@ def _refined(values: Array, displacement_px: Array, covariance_px2: Array, start
 
 
 def _correction(
-    name: str, basis: PolynomialBasis, parameters_px: Array, columns: tuple[int, ...]
+    name: str, basis: PolynomialBasis, parameters_px: Float64, columns: tuple[int, ...]
 ) -> Correction:
     if basis.order > 1:
         return PolynomialCorrection(basis, parameters_px)
@@ -203,5 +229,23 @@ def _correction(
     return AffineCorrection(name, matrix)
 
 
-def _jacobian(at_px: Array, *, basis: PolynomialBasis, columns: tuple[int, ...]) -> Array:
+def _jacobian(at_px: Float64, *, basis: PolynomialBasis, columns: tuple[int, ...]) -> Float64:
     return design(basis.values(at_px)[:, columns], np.broadcast_to(np.eye(2), (len(at_px), 2, 2)))
+
+
+FITS: Mapping[str, FitFunction] = MappingProxyType(
+    {
+        "shift": partial(fit_polynomial, name="shift", order=0),
+        "drift": partial(fit_polynomial, name="drift", order=1, columns=(0, 2)),
+        "affine": partial(fit_polynomial, name="affine", order=1),
+        "projective": fit_projective,
+        "polynomial2": partial(fit_polynomial, name="polynomial2", order=2),
+        "polynomial3": partial(fit_polynomial, name="polynomial3", order=3),
+        "tps": fit_tps,
+    }
+)
+"""The fit function of every model by its name, the simplest model first. The drift is a shift that changes
+from line to line, the effect of a drifting attitude on a pushbroom image (Fraser & Hanley 2005,
+doi:10.14358/PERS.71.8.909)."""
+CANDIDATES = tuple(name for name in FITS if name != "drift")
+"""Names of the models tried for any image; `drift` belongs to the geometry of a pushbroom sensor."""

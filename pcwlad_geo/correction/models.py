@@ -1,28 +1,243 @@
-"""Corrections: from predicted to observed target pixels, and back."""
+"""Correction models: affine, projective, polynomial and spline, with their inverses and their JSON."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+import scipy.sparse
 
-from pcwlad_geo.correction.polynomial import PolynomialBasis, PolynomialCorrection
-from pcwlad_geo.correction.spline import SplineCorrection, SplineGrid
+from pcwlad_geo.correction.dense import Lattice, in_chunks, invert, positions
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.types import Float64, Index
 
-__all__ = [
-    "AffineCorrection",
-    "Correction",
-    "PolynomialCorrection",
-    "ProjectiveCorrection",
-    "SplineCorrection",
-    "from_json",
-]
+MAX_ORDER: Final = 3
+"""Largest order of a polynomial."""
+MAX_STRETCH: Final = 1e6
+"""Largest factor by which an affine correction may stretch or shrink the image; real ones have about one."""
 
-Array = NDArray[np.float64]
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolynomialBasis:
+    """Products of powers of centred, scaled col and row up to an order.
+
+    A power u^k is continued beyond the box of the tie points by its tangent there, so that a cubic does not
+    grow without limit where there are no points.
+    """
+
+    order: int
+    centre_px: tuple[float, float]
+    radius_px: float
+    """u = (col - centre) / radius, and the same for row."""
+    low_px: tuple[float, float]
+    high_px: tuple[float, float]
+    """The box (col, row) beyond which powers are continued by their tangents."""
+
+    @property
+    def exponents(self) -> tuple[tuple[int, int], ...]:
+        """Powers of (col, row) of the terms: 1, col, row, col², col·row, row² and so on."""
+        return tuple((total - row, row) for total in range(self.order + 1) for row in range(total + 1))
+
+    def values(self, at_px: Float64) -> Float64:
+        """Return the (n, terms) values of the terms at the (n, 2) positions `at_px` (col, row)."""
+        powers, _ = self._powers(at_px)
+        return np.stack([powers[:, 0, i] * powers[:, 1, j] for i, j in self.exponents], axis=1)
+
+    def slopes(self, at_px: Float64) -> Float64:
+        """Return the (n, terms, 2) derivatives of the terms by col and row, 1/px, at the (n, 2) `at_px`."""
+        powers, slopes = self._powers(at_px)
+        by_col = [slopes[:, 0, i] * powers[:, 1, j] for i, j in self.exponents]
+        by_row = [powers[:, 0, i] * slopes[:, 1, j] for i, j in self.exponents]
+        return np.stack([np.stack(by_col, axis=1), np.stack(by_row, axis=1)], axis=2) / self.radius_px
+
+    def _powers(self, at_px: Float64) -> tuple[Float64, Float64]:
+        """Return powers 0 to order and their derivatives: (n, 2, order + 1), (n, 2, order + 1)."""
+        u, low, high = (
+            (np.asarray(px, dtype=np.float64) - self.centre_px) / self.radius_px
+            for px in (at_px, self.low_px, self.high_px)
+        )
+        inside = np.clip(u, low, high)
+        powers, slopes = np.ones((2, self.order + 1, *u.shape))  # by products: ten times as fast as **
+        slopes[0] = 0.0
+        for k in range(1, self.order + 1):
+            powers[k], slopes[k] = powers[k - 1] * inside, k * powers[k - 1]
+        powers += slopes * (u - inside)
+        return np.moveaxis(powers, 0, 2), np.moveaxis(slopes, 0, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolynomialCorrection:
+    """observed = predicted + Σ coefficient · term."""
+
+    basis: PolynomialBasis
+    coefficients_px: Float64
+    """(terms, 2): displacement (col, row) per term."""
+
+    @property
+    def name(self) -> str:
+        """polynomial2 or polynomial3."""
+        return f"polynomial{self.basis.order}"
+
+    def forward(self, predicted_px: Float64) -> Float64:
+        """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
+        return in_chunks(lambda at_px: at_px + self.basis.values(at_px) @ self.coefficients_px, predicted_px)
+
+    def inverse(self, observed_px: Float64) -> Float64:
+        """Map the (n, 2) `observed_px` to predicted target pixels, to 1e-8 px; NaN where there is none."""
+        return in_chunks(lambda at_px: invert(self.forward, self._slopes, at_px), observed_px)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the model as report.json holds it, which alone is enough to warp."""
+        return {
+            "name": self.name,
+            "forward": {
+                "type": "polynomial",
+                "order": self.basis.order,
+                "centre": list(self.basis.centre_px),
+                "radius": self.basis.radius_px,
+                "box": [list(self.basis.low_px), list(self.basis.high_px)],
+                "exponents": [list(pair) for pair in self.basis.exponents],
+                "coefficients": self.coefficients_px.tolist(),
+            },
+        }
+
+    def _slopes(self, at_px: Float64) -> Float64:
+        slopes = np.einsum("itb,ta->iab", self.basis.slopes(at_px), self.coefficients_px)
+        return np.asarray(np.eye(2) + slopes)
+
+
+@dataclass(frozen=True, slots=True)
+class SplineGrid:
+    """A rectangle of square cells that carries cubic B-splines."""
+
+    origin_px: tuple[float, float]
+    """Corner (col, row) of least col and row."""
+    spacing_px: float
+    """Side of a cell."""
+    cells: tuple[int, int]
+    """Number of cells along (col, row)."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the coefficients: three more than cells."""
+        return self.cells[1] + 3, self.cells[0] + 3
+
+    def taps(self, at_px: Float64) -> tuple[Index, Float64, Float64]:
+        """Return the indices, values and slopes of the B-splines that are not zero at positions.
+
+        Beyond the rectangle each direction is continued by its tangent, so a spline is once continuously
+        differentiable everywhere.
+
+        Parameters
+        ----------
+        at_px : (n, 2) array of float
+            Positions (col, row).
+
+        Returns
+        -------
+        first : (n, 2) array of int
+            Index of the first of four coefficients along (col, row).
+        values : (n, 2, 4) array of float
+            Values of the four B-splines along (col, row).
+        slopes : (n, 2, 4) array of float
+            Their derivatives, 1/px.
+        """
+        place = (np.asarray(at_px, dtype=np.float64) - self.origin_px) / self.spacing_px
+        inside = np.clip(place, 0.0, np.array(self.cells, dtype=np.float64))
+        first = np.minimum(inside.astype(np.intp), np.array(self.cells) - 1)
+        values, slopes, _ = cubic_b_splines(inside - first)
+        values = values + slopes * (place - inside)[:, :, None]
+        return first, values, slopes / self.spacing_px
+
+    def nodes_px(self) -> Float64:
+        """Return the (k, 2) positions (col, row) of the coefficients, row by row, px.
+
+        The coefficients of a plane are its values there.
+        """
+        place = positions(*(np.arange(count + 3.0) - 1 for count in self.cells))
+        return np.asarray(self.origin_px + self.spacing_px * place)
+
+    def design(self, at_px: Float64) -> scipy.sparse.csr_array:
+        """Return the (n, k) values of all B-splines, row by row of the grid, at the (n, 2) `at_px`."""
+        first, values, _ = self.taps(at_px)
+        cols = first[:, 0, None, None] + np.arange(4)
+        rows = first[:, 1, None, None] + np.arange(4)[:, None]
+        index = rows * self.shape[1] + cols
+        data = values[:, 1, :, None] * values[:, 0, None, :]
+        pointer = np.arange(0, 16 * len(first) + 1, 16)
+        shape = (len(first), self.shape[0] * self.shape[1])
+        return scipy.sparse.csr_array((data.ravel(), index.ravel(), pointer), shape=shape)
+
+
+def cubic_b_splines(fraction: Float64) -> tuple[Float64, Float64, Float64]:
+    """Return value, first and second derivative of the four uniform cubic B-splines in a cell of side 1.
+
+    Parameters
+    ----------
+    fraction : (...,) array of float
+        Position in the cell, 0 to 1.
+
+    Returns
+    -------
+    Three (..., 4) arrays of float.
+    """
+    t, s = fraction, 1 - fraction
+    values = np.stack([s**3, 4 - 3 * t**2 * (1 + s), 4 - 3 * s**2 * (1 + t), t**3], axis=-1) / 6
+    slopes = np.stack([-(s**2), 3 * t**2 - 4 * t, 4 * s - 3 * s**2, t**2], axis=-1) / 2
+    return values, slopes, np.stack([s, 3 * t - 2, 3 * s - 2, t], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SplineCorrection:
+    """observed = predicted + bicubic spline."""
+
+    name: str
+    """tps."""
+    grid: SplineGrid
+    coefficients_px: Float64
+    """(rows, columns, 2) displacement coefficients (col, row)."""
+
+    def forward(self, predicted_px: Float64) -> Float64:
+        """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
+        return in_chunks(self._forward, predicted_px)
+
+    def inverse(self, observed_px: Float64) -> Float64:
+        """Map the (n, 2) `observed_px` to predicted target pixels, to 1e-8 px; NaN where there is none."""
+        return in_chunks(lambda at_px: invert(self._forward, self._slopes, at_px), observed_px)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the model as report.json holds it, which alone is enough to warp."""
+        return {
+            "name": self.name,
+            "forward": {
+                "type": "bicubic_spline",
+                "origin": list(self.grid.origin_px),
+                "spacing": self.grid.spacing_px,
+                "cells": list(self.grid.cells),
+                "coefficients": self.coefficients_px.tolist(),
+            },
+        }
+
+    def _forward(self, at_px: Float64) -> Float64:
+        first, values, _ = self.grid.taps(at_px)
+        return at_px + self._sum(first, values[:, 1], values[:, 0])
+
+    def _slopes(self, at_px: Float64) -> Float64:
+        first, values, slopes = self.grid.taps(at_px)
+        by_col = self._sum(first, values[:, 1], slopes[:, 0])
+        by_row = self._sum(first, slopes[:, 1], values[:, 0])
+        return np.eye(2) + np.stack([by_col, by_row], axis=2)
+
+    def _sum(self, first: Index, along_rows: Float64, along_cols: Float64) -> Float64:
+        total = np.zeros((len(first), 2))
+        for j in range(4):
+            row = np.zeros((len(first), 2))
+            for i in range(4):
+                row += along_cols[:, i, None] * self.coefficients_px[first[:, 1] + j, first[:, 0] + i]
+            total += along_rows[:, j, None] * row
+        return total
 
 
 class Correction(Protocol):
@@ -35,14 +250,14 @@ class Correction(Protocol):
     def name(self) -> str:
         """The model's name, such as shift or affine."""
 
-    def forward(self, predicted_px: Array) -> Array:
-        """Map (n, 2) predicted to observed target pixels; NaN where the model has none."""
+    def forward(self, predicted_px: Float64) -> Float64:
+        """Map the (n, 2) `predicted_px` to observed target pixels; NaN where the model has none."""
 
-    def inverse(self, observed_px: Array) -> Array:
-        """Map (n, 2) observed to predicted target pixels; NaN where the model has none."""
+    def inverse(self, observed_px: Float64) -> Float64:
+        """Map the (n, 2) `observed_px` to predicted target pixels; NaN where the model has none."""
 
     def to_dict(self) -> dict[str, object]:
-        """Return what report.json holds: enough, alone, to warp (see `from_json`)."""
+        """Return the model as report.json holds it, which alone is enough to warp (see `from_json`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,21 +266,29 @@ class AffineCorrection:
 
     name: str
     """shift, drift or affine."""
-    matrix: Array
-    """(2, 3)."""
+    matrix: Float64
+    """(2, 3); the last column in px."""
 
-    def forward(self, predicted_px: Array) -> Array:
-        """Map (n, 2) predicted to observed target pixels."""
+    def forward(self, predicted_px: Float64) -> Float64:
+        """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
         return np.asarray(predicted_px, dtype=np.float64) @ self.matrix[:, :2].T + self.matrix[:, 2]
 
-    def inverse(self, observed_px: Array) -> Array:
-        """Map (n, 2) observed to predicted target pixels."""
+    def inverse(self, observed_px: Float64) -> Float64:
+        """Map the (n, 2) `observed_px` to predicted target pixels (col, row)."""
         moved = np.asarray(observed_px, dtype=np.float64) - self.matrix[:, 2]
         return moved @ np.linalg.inv(self.matrix[:, :2]).T
 
     def to_dict(self) -> dict[str, object]:
-        """Return what report.json holds: enough, alone, to warp."""
+        """Return the model as report.json holds it, which alone is enough to warp."""
         return {"name": self.name, "forward": {"type": "affine", "matrix": self.matrix.tolist()}}
+
+
+def affine_between(from_xy: Float64, to_xy: Float64) -> Float64:
+    """Return the (2, 3) affine matrix of least squares between the (n, 2) points `from_xy` and `to_xy`."""
+    # Relative to the means: eastings and northings have more digits than normal equations keep.
+    centre, moved = from_xy.mean(axis=0), to_xy.mean(axis=0)
+    linear = np.linalg.lstsq(from_xy - centre, to_xy - moved, rcond=None)[0].T
+    return np.column_stack([linear, moved - linear @ centre])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,23 +297,23 @@ class ProjectiveCorrection:
 
     name: str
     """projective."""
-    matrix: Array
+    matrix: Float64
     """(3, 3), of positive w where the tie points are."""
 
-    def forward(self, predicted_px: Array) -> Array:
-        """Map (n, 2) predicted to observed target pixels; NaN on the far side of the horizon."""
+    def forward(self, predicted_px: Float64) -> Float64:
+        """Map the (n, 2) `predicted_px` to observed target pixels; NaN beyond the horizon."""
         return _homogeneous(self.matrix, predicted_px)
 
-    def inverse(self, observed_px: Array) -> Array:
-        """Map (n, 2) observed to predicted target pixels; NaN beyond the horizon."""
+    def inverse(self, observed_px: Float64) -> Float64:
+        """Map the (n, 2) `observed_px` to predicted target pixels; NaN beyond the horizon."""
         return _homogeneous(np.asarray(np.linalg.inv(self.matrix), dtype=np.float64), observed_px)
 
     def to_dict(self) -> dict[str, object]:
-        """Return what report.json holds: enough, alone, to warp."""
+        """Return the model as report.json holds it, which alone is enough to warp."""
         return {"name": self.name, "forward": {"type": "projective", "matrix": self.matrix.tolist()}}
 
 
-def _homogeneous(matrix: Array, at_px: Array) -> Array:
+def _homogeneous(matrix: Float64, at_px: Float64) -> Float64:
     moved = np.asarray(at_px, dtype=np.float64) @ matrix[:, :2].T + matrix[:, 2]
     w = np.where(moved[:, 2:] > 0, moved[:, 2:], np.nan)
     return np.asarray(moved[:, :2] / w)
@@ -99,21 +322,18 @@ def _homogeneous(matrix: Array, at_px: Array) -> Array:
 def from_json(model: Mapping[str, Any]) -> Correction:
     """Make a correction from the `model` of a report.json.
 
+    Raises `InputError` if the mapping does not describe a correction model.
+
     Parameters
     ----------
     model : mapping
-        With `name` and `forward`, as `Correction.to_dict` returns it; other entries are passed over.
-
-    Raises
-    ------
-    InputError
-        If it is no such model.
+        With `name` and `forward`, as `Correction.to_dict` returns it; other entries are ignored.
     """
     try:
         name, forward = str(model["name"]), model["forward"]
         kind = forward["type"]
         made = _READERS[kind](name, forward)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(
             f"this is no correction model ({type(error).__name__}: {error}): give the entry 'model' of the "
             "report.json of a finished registration"
@@ -122,19 +342,29 @@ def from_json(model: Mapping[str, Any]) -> Correction:
 
 
 def _affine(name: str, forward: Mapping[str, Any]) -> Correction:
-    return AffineCorrection(name, _numbers(forward["matrix"], (2, 3)))
+    matrix = _numbers(forward["matrix"], (2, 3))
+    large, small = np.linalg.svd(matrix[:, :2], compute_uv=False).tolist()
+    if not 1 / MAX_STRETCH <= small <= large <= MAX_STRETCH:
+        raise ValueError("its matrix cannot be inverted, or stretches the image beyond measure")
+    return AffineCorrection(name, matrix)
 
 
 def _projective(name: str, forward: Mapping[str, Any]) -> Correction:
-    return ProjectiveCorrection(name, _numbers(forward["matrix"], (3, 3)))
+    matrix = _numbers(forward["matrix"], (3, 3))
+    if not np.linalg.cond(matrix) * np.finfo(np.float64).eps < 1:
+        raise ValueError("its matrix cannot be inverted")
+    return ProjectiveCorrection(name, matrix)
 
 
 def _polynomial(name: str, forward: Mapping[str, Any]) -> Correction:
     (low, high), centre = _numbers(forward["box"], (2, 2)), _numbers(forward["centre"], (2,))
+    order = int(forward["order"])
+    if not 1 <= order <= MAX_ORDER:  # before its terms are counted, which could be more than fit into memory
+        raise ValueError(f"expected an order from 1 to {MAX_ORDER}, found {order}")
     basis = PolynomialBasis(
-        order=int(forward["order"]),
+        order=order,
         centre_px=(float(centre[0]), float(centre[1])),
-        radius_px=float(forward["radius"]),
+        radius_px=_length(forward["radius"]),
         low_px=(float(low[0]), float(low[1])),
         high_px=(float(high[0]), float(high[1])),
     )
@@ -143,11 +373,21 @@ def _polynomial(name: str, forward: Mapping[str, Any]) -> Correction:
 
 def _spline(name: str, forward: Mapping[str, Any]) -> Correction:
     origin, (cols, rows) = _numbers(forward["origin"], (2,)), forward["cells"]
-    grid = SplineGrid((float(origin[0]), float(origin[1])), float(forward["spacing"]), (int(cols), int(rows)))
+    if not min(int(cols), int(rows)) >= 1:
+        raise ValueError(f"expected at least one cell along each axis, found {cols} x {rows}")
+    spacing = _length(forward["spacing"])
+    grid = SplineGrid((float(origin[0]), float(origin[1])), spacing, (int(cols), int(rows)))
     return SplineCorrection(name, grid, _numbers(forward["coefficients"], (*grid.shape, 2)))
 
 
-def _numbers(values: object, shape: tuple[int, ...]) -> Array:
+def _length(value: float | str) -> float:
+    length = float(value)
+    if not 0.0 < length < float("inf"):
+        raise ValueError(f"expected a length above zero, found {length}")
+    return length
+
+
+def _numbers(values: object, shape: tuple[int, ...]) -> Float64:
     array = np.asarray(values, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"expected finite numbers of shape {shape}, found shape {array.shape}")
@@ -160,3 +400,26 @@ _READERS = {
     "polynomial": _polynomial,
     "bicubic_spline": _spline,
 }
+
+
+CELLS = 160
+"""Number of cells along the longer side whose orientation is tested, four per cell of the finest spline."""
+
+
+def has_foldover(correction: Correction, low_px: Float64, high_px: Float64) -> bool:
+    """Return whether a correction has a foldover, or no value, anywhere in a box of predicted pixels.
+
+    Parameters
+    ----------
+    low_px, high_px : (2,) array of float
+        Corners of the box (col, row), px.
+    """
+    lattice = Lattice.over(low_px, high_px, float((high_px - low_px).max()) / CELLS)
+    moved = correction.forward(lattice.nodes_px()).reshape(*lattice.shape, 2)
+    along_cols, along_rows = np.diff(moved, axis=1), np.diff(moved, axis=0)
+    for cols in (along_cols[:-1], along_cols[1:]):
+        for rows in (along_rows[:, :-1], along_rows[:, 1:]):
+            area = cols[..., 0] * rows[..., 1] - cols[..., 1] * rows[..., 0]
+            if not (area > 0).all():
+                return True
+    return False

@@ -6,49 +6,51 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from pcwlad_geo.correction.cross_validation import SharedNoise, left_out_errors
-from pcwlad_geo.correction.fit import CANDIDATES, FITS, Fit, fit_tps, predicted_sigma
-from pcwlad_geo.correction.folding import folds
-from pcwlad_geo.correction.folds import spatial_folds
+from pcwlad_geo.correction.fit import CANDIDATES, FITS
+from pcwlad_geo.correction.fitted import Fit, predicted_sigma
+from pcwlad_geo.correction.models import has_foldover
+from pcwlad_geo.correction.points import SharedNoise, cross_validation_blocks, left_out_errors
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.types import Bool, Float64
 
-Array = NDArray[np.float64]
-
-FEWEST_BLOCKS = 4
+MIN_BLOCKS = 4
+"""Least number of blocks with which models are compared by cross-validation."""
 SIGNIFICANCE = 1.0
-"""Standard errors by which the affine has to predict better than the shift."""
+"""Number of standard errors by which the affine must predict better than the shift."""
 CLEAR_SHARE = 0.25
-"""Share of the simpler model's mean squared error. What leaves less of it is better whatever the standard
-error, which a few blocks that no model follows make large,"""
+"""A model whose mean squared error is at most this share of a simpler one's is clearly better, whatever the
+standard error, which a few blocks that no model follows can make large; so is an affine by the median of the
+blocks, as it bends to no cluster of wrong points, which would spoil the mean."""
 CLEAR_BLOCKS = 0.75
-"""if it is better in this share of the blocks,"""
+"""Least share of the blocks in which a clearly better model must have the smaller error."""
 CLEAR_GAIN_PX = 0.5
-"""and takes out so much more, radial RMS."""
+"""Least radial RMS by which a clearly better model must reduce the error."""
 DENSE_SIGNIFICANCE = 0.0
-"""The same between models that both need resampling: the simpler one is worth nothing there, and blocks left
-out count against a spline, which interpolates over shorter ways than that."""
+"""Number of standard errors by which a model must predict better than a simpler one if both need resampling:
+simplicity has no value there, and cross-validation disfavours a spline, which interpolates over shorter
+distances than a block."""
 LOSSLESS = ("shift", "drift", "affine")
-"""Models that need no resampling. What replaces them by one that does has to earn it:"""
+"""Models that need no resampling."""
 RESAMPLING_SIGNIFICANCE = 2.5
-"""standard errors by which it predicts better."""
-LEAST_GAIN_PX = 0.05
-"""Radial RMS displacement that a model has to take out beyond one of these. An affine costs users the axes of
-the map, as its geotransform turns; on pairs displaced by a shift alone it gained up to 0.04 px by chance."""
+"""Number of standard errors by which a model that needs resampling must predict better than one without."""
+MIN_GAIN_PX = 0.05
+"""Least radial RMS by which a model must reduce the error of one that needs no resampling. An affine rotates
+the axes of the map; on pairs displaced by a shift alone it gained up to 0.04 px by chance."""
 WINDOWS_PER_PARAMETER = 3.0
-"""Separate matching windows for each parameter of an axis: a model which resamples has to rest on so many,
-or to take out more than it leaves. Errors that neighbours share look like detail to a cross-validation."""
+"""Least number of separate matching windows per parameter of an axis for a model that needs resampling,
+unless it removes more error than it leaves. Errors that neighbours share look like detail to a
+cross-validation."""
 CHANCE = 0.05
-"""Probability with which errors alone may change the correction as much as a model has to."""
+"""Largest probability that errors alone explain the change of the correction by a more complex model."""
 COMMON_SIGMA = 0.6
-"""Error that the points of a scene have in common, in sigmas of a point: from scenes of exact truth.
+"""Error that all points of a scene have in common, in sigmas of a point, measured on scenes of exact truth.
 Residuals do not show it, and no number of points averages it out."""
 COMMON_CHANGE = 0.5
-"""Share of its variance that changes from place to place, as a deformation does."""
+"""Share of the variance of that error which changes from place to place, as a deformation does."""
 SAMPLE = 64
-"""Points at which the precisions of two fits are compared."""
+"""Number of points at which the precisions of two fits are compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +61,12 @@ class CandidateScore:
     parameters: float
     """Number of parameters, both axes (effective number of a smoothed model); NaN where it was not fitted."""
     rmse_px: float
-    """Cross-validated radial RMSE, px; NaN where there are too few points to tell."""
+    """Cross-validated radial RMSE, px; NaN where there are too few points."""
     rmse_standard_error_px: float
     """Its standard error, from the scatter of the blocks, px."""
     chosen: bool
     note: str
-    """Why the model was not chosen, or could not be judged; empty for a model chosen by cross-validation."""
+    """Why the model was not chosen or not compared; empty for a model chosen by cross-validation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,62 +78,67 @@ class Selection:
     candidates: tuple[CandidateScore, ...]
     """In the order of the candidates."""
     misfit_px2: tuple[float, float]
-    """Variance (col, row) of what a thin-plate spline finds that the model does not follow, beyond chance."""
+    """Variance (col, row) of the difference between a thin-plate spline and the model, beyond chance."""
 
     common_px2: tuple[float, float]
     """Variance (col, row) of the error that all points have in common, as far as it is known."""
 
-    def covariance(self, at_px: Array) -> Array:
-        """Return the (n, 2, 2) covariance of the correction at (n, 2) predicted px, px².
+    def covariance(self, at_px: Float64) -> Float64:
+        """Return the (n, 2, 2) covariance of the correction at the (n, 2) predicted `at_px`, px².
 
-        That of the fit, of what the model does not follow, and of what all points err alike.
+        It is the sum of those of the fit, of the misfit of the model, and of the error common to all points.
         """
         alike = np.add(self.misfit_px2, self.common_px2)
         return np.asarray(self.fit.covariance(at_px) + np.diag(alike))
 
-    def sigma(self, at_px: Array) -> Array:
-        """Return the standard deviation (col, row) of the correction at (n, 2) predicted px: (n, 2), px.
+    def sigma(self, at_px: Float64) -> Float64:
+        """Return the (n, 2) standard deviation (col, row), px, of the correction at the (n, 2) `at_px`.
 
-        It holds for displacements as smooth as the spline can follow, not for what single points show.
+        It holds for displacements as smooth as the spline can follow, not for detail of single points.
         """
         return np.sqrt(np.diagonal(self.covariance(at_px), axis1=1, axis2=2))
 
-    def extrapolated(self, at_px: Array) -> NDArray[np.bool_]:
-        """Return whether (n, 2) predicted px lie beyond the tie points, or in a wide hole between them."""
+    def extrapolated(self, at_px: Float64) -> Bool:
+        """Return the (n,) mask of the (n, 2) predicted `at_px` beyond the tie points or in a wide hole."""
         return self.fit.support.extrapolated(at_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Points:
-    predicted_px: Array
-    observed_px: Array
-    covariance_px2: Array
+    predicted_px: Float64
+    observed_px: Float64
+    covariance_px2: Float64
     footprint_px: float
+
+    def fit(self, name: str) -> Fit:
+        given = self.predicted_px, self.observed_px, self.covariance_px2
+        return FITS[name](*given, footprint_px=self.footprint_px)
 
 
 def choose(
-    predicted_px: Array,
-    observed_px: Array,
-    covariance_px2: Array,
+    predicted_px: Float64,
+    observed_px: Float64,
+    covariance_px2: Float64,
     footprint_px: float,
     candidates: Sequence[str] = CANDIDATES,
     *,
-    box_px: tuple[Array, Array] | None = None,
+    box_px: tuple[Float64, Float64] | None = None,
 ) -> Selection:
     """Choose the simplest model that no other beats significantly in predicting blocks left out.
 
     The points are divided into compact blocks of equal numbers, one matching window wide, and each block is
-    predicted by a fit to the others (see `folds.spatial_folds`). What overlapping windows share across the
-    border of a block flatters the prediction; the flattery expected is added (see
-    `cross_validation.left_out_errors`). A model replaces a simpler one when (1) the mean of the paired
-    differences of the blocks' squared errors is larger than its standard error (than nothing, where both
-    need resampling), or its errors are less than half as large and smaller in three of four blocks, and (2)
-    the correction changes by more than the uncertainty of the fits, and what all points err alike, explains
-    to 95 %. Shift and affine need no resampling: to replace them, also the shift by the affine, whose
-    geotransform turns the axes of the map, a model has to take out at least 0.05 px more. One that resamples
-    has to be better by 2.5 standard errors as well, and to rest on three separate windows for each parameter
-    of an axis or to take out more than it leaves. Squared errors are weighted by the points' variance;
-    points that are outliers to every model do not count. A model that folds the image is never chosen.
+    predicted by a fit to the others (see `points.cross_validation_blocks`). Errors that overlapping windows
+    share across the border of a block are allowed for (see `points.left_out_errors`). A model replaces a
+    simpler one when (1) the mean of the paired differences of the blocks' squared errors is larger than its
+    standard error (than zero, where both need resampling), or its errors, by the mean of the blocks (for the
+    affine also by the median), are less than half as large, and smaller in three of four blocks, and (2) the
+    correction changes by more than the uncertainty of the fits and the error common to all points explain at
+    95 %. Shift and affine need no resampling: to replace them, also the shift by the affine, whose
+    geotransform rotates the axes of the map, a model must reduce the error by at least 0.05 px. One that
+    resamples must also be better by 2.5 standard errors, and have three separate windows for each parameter
+    of an axis or remove more error than it leaves. Squared errors are weighted by the points' variance;
+    points that are outliers to every model do not count. A model with a foldover is never chosen. Raises
+    `InputError` if no candidate can be fitted (with the reason of the first one), or there is none.
 
     Parameters
     ----------
@@ -144,13 +151,8 @@ def choose(
     candidates : sequence of str
         Names in `FITS`, the simplest first.
     box_px : ((2,) array, (2,) array), optional
-        Corners (col, row) of the predicted px to be corrected, where no model may fold; by default the box of
-        the points.
-
-    Raises
-    ------
-    InputError
-        If no candidate can be fitted (the first one's reason), or there is none.
+        Corners (col, row) of the box of predicted px in which no model may have a foldover; by default the
+        box of the points.
     """
     points = _Points(predicted_px, observed_px, covariance_px2, footprint_px)
     notes: dict[str, str] = {}
@@ -166,20 +168,15 @@ def choose(
 def _fits(
     points: _Points,
     candidates: Sequence[str],
-    box_px: tuple[Array, Array] | None,
+    box_px: tuple[Float64, Float64] | None,
     notes: dict[str, str],
 ) -> dict[str, Fit]:
     fits: dict[str, Fit] = {}
     for name in candidates:
         try:
-            fit = FITS[name](
-                points.predicted_px,
-                points.observed_px,
-                points.covariance_px2,
-                footprint_px=points.footprint_px,
-            )
+            fit = points.fit(name)
             low, high = box_px or (points.predicted_px.min(axis=0), points.predicted_px.max(axis=0))
-            if folds(fit.correction, low, high):
+            if has_foldover(fit.correction, low, high):
                 raise InputError(f"the {name} model would fold the image: use another model")
             fits[name] = fit
         except InputError as error:
@@ -187,14 +184,14 @@ def _fits(
     return fits
 
 
-def _block_errors(points: _Points, fits: dict[str, Fit], notes: dict[str, str]) -> dict[str, Array]:
-    """Return the weighted mean squared error of every block that counts, predicted from the others, px²."""
+def _block_errors(points: _Points, fits: dict[str, Fit], notes: dict[str, str]) -> dict[str, Float64]:
+    """Return, by model, the weighted mean squared error of every block predicted from the others, px²."""
     weight = _weight(points, fits)
-    errors: dict[str, Array] = {}
+    errors: dict[str, Float64] = {}
     n = len(points.predicted_px)
-    division = spatial_folds(points.predicted_px, points.footprint_px)
+    division = cross_validation_blocks(points.predicted_px, points.footprint_px)
     counted, block = np.unique(division.block[weight > 0], return_inverse=True)
-    if len(counted) < FEWEST_BLOCKS:
+    if len(counted) < MIN_BLOCKS:
         notes.update(dict.fromkeys(fits, f"{n} tie points are too few for a cross-validation"))
         return errors
     flexible = fits[next(reversed(fits))]
@@ -210,7 +207,7 @@ def _block_errors(points: _Points, fits: dict[str, Fit], notes: dict[str, str]) 
     return errors
 
 
-def _weight(points: _Points, fits: dict[str, Fit]) -> Array:
+def _weight(points: _Points, fits: dict[str, Fit]) -> Float64:
     """Return (n,) inverse variances, 0 for points that are outliers to every model."""
     floor = min(fit.variance_floor_px2 for fit in fits.values())
     variance = np.trace(points.covariance_px2, axis1=1, axis2=2) / 2 + floor
@@ -221,7 +218,7 @@ def _weight(points: _Points, fits: dict[str, Fit]) -> Array:
 
 
 def _score(
-    name: str, fits: dict[str, Fit], errors: dict[str, Array], chosen: bool, notes: dict[str, str]
+    name: str, fits: dict[str, Fit], errors: dict[str, Float64], chosen: bool, notes: dict[str, str]
 ) -> CandidateScore:
     rmse = standard_error = np.nan
     if name in errors:
@@ -236,22 +233,21 @@ def _score(
 
 
 def _simplest_unbeaten(
-    points: _Points, fits: dict[str, Fit], errors: dict[str, Array], notes: dict[str, str]
+    points: _Points, fits: dict[str, Fit], errors: dict[str, Float64], notes: dict[str, str]
 ) -> str:
     chosen, windows = next(iter(fits)), _windows(points)
     for name in errors:
         if chosen not in errors or name == chosen:
             continue
-        gain = errors[chosen] - errors[name]
-        standard_error = gain.std(ddof=1) / np.sqrt(len(gain))
+        gain = _gain(errors[name], errors[chosen], _significance(chosen, name), by_median=name in LOSSLESS)
         resampling = chosen in LOSSLESS and name not in LOSSLESS
-        significant = gain.mean() > _significance(chosen, name) * standard_error
-        if not significant and not _clearly_better(errors[name], errors[chosen]):
+        few_windows = windows < WINDOWS_PER_PARAMETER * fits[name].freedom / 2
+        if gain is None:
             notes[name] = f"does not predict significantly better than {chosen}"
-        elif resampling and _rests_on_little(fits[name], windows) and gain.mean() < errors[name].mean():
+        elif resampling and few_windows and gain < errors[name].mean():
             notes[name] = f"has too many parameters for {windows} separate matching windows"
-        elif chosen in LOSSLESS and gain.mean() < LEAST_GAIN_PX**2:
-            notes[name] = f"takes out only {np.sqrt(gain.mean()):.2f} px more than {chosen}"
+        elif chosen in LOSSLESS and gain < MIN_GAIN_PX**2:
+            notes[name] = f"takes out only {np.sqrt(gain):.2f} px more than {chosen}"
         elif not _differs(fits[chosen], fits[name], points):
             notes[name] = f"differs from {chosen} by no more than its uncertainty"
         else:
@@ -260,45 +256,44 @@ def _simplest_unbeaten(
     return chosen
 
 
-def _clearly_better(error_px2: Array, simpler_px2: Array) -> bool:
-    """Return whether a model leaves so much less in so many blocks that no standard error is needed."""
+def _gain(error_px2: Float64, simpler_px2: Float64, significance: float, *, by_median: bool) -> float | None:
+    """Return by how much a model reduces the squared error of the blocks; None if not significantly.
+
+    A model that is so much better in so many blocks that no standard error is needed is so by the mean of the
+    blocks or, if `by_median`, by the median: a cluster of wrong points that agree spoils the mean of all.
+    """
     gain = simpler_px2 - error_px2
-    return bool(
-        error_px2.mean() <= CLEAR_SHARE * simpler_px2.mean()
-        and (gain > 0).mean() >= CLEAR_BLOCKS
-        and gain.mean() >= CLEAR_GAIN_PX**2
-    )
-
-
-def _rests_on_little(fit: Fit, windows: int) -> bool:
-    return windows < WINDOWS_PER_PARAMETER * fit.freedom / 2
+    if gain.mean() > significance * gain.std(ddof=1) / np.sqrt(len(gain)):
+        return float(gain.mean())
+    if (gain > 0).mean() < CLEAR_BLOCKS:
+        return None
+    for typical in (np.mean, np.median) if by_median else (np.mean,):
+        clear = typical(error_px2) <= CLEAR_SHARE * typical(simpler_px2)
+        if clear and typical(gain) >= CLEAR_GAIN_PX**2:
+            return float(typical(gain))
+    return None
 
 
 def _windows(points: _Points) -> int:
-    """Return on how many windows that share no pixels the points lie, about."""
+    """Return the approximate number of windows without common pixels that the points cover."""
     if points.footprint_px <= 0:  # points that share no window: each counts by itself
         return len(points.predicted_px)
     return len(np.unique(np.floor(points.predicted_px / points.footprint_px), axis=0))
 
 
 def _significance(simple: str, other: str) -> float:
-    """Return how many standard errors better than a simpler model another one has to predict."""
+    """Return by how many standard errors a model must predict better than a simpler one."""
     if simple not in LOSSLESS:
         return DENSE_SIGNIFICANCE
     return SIGNIFICANCE if other in LOSSLESS else RESAMPLING_SIGNIFICANCE
 
 
 def _misfit(points: _Points, fits: dict[str, Fit], name: str) -> tuple[float, float]:
-    """Return by how much, beyond chance, the most flexible model differs from the one chosen, px²."""
+    """Return the variance (col, row) of the most flexible model about the chosen one, beyond chance, px²."""
     chosen, flexible = fits[name], fits.get("tps")
     if flexible is None:
         try:
-            flexible = fit_tps(
-                points.predicted_px,
-                points.observed_px,
-                points.covariance_px2,
-                footprint_px=points.footprint_px,
-            )
+            flexible = points.fit("tps")
         except InputError:
             return 0.0, 0.0
     at_px = _sample(points.predicted_px)
@@ -315,7 +310,7 @@ def _common(points: _Points, fit: Fit) -> tuple[float, float]:
     return col, row
 
 
-def _sample(predicted_px: Array) -> Array:
+def _sample(predicted_px: Float64) -> Float64:
     ordered = predicted_px[np.lexsort(predicted_px.T)]
     return ordered[np.linspace(0, len(ordered) - 1, min(len(ordered), SAMPLE)).astype(np.intp)]
 

@@ -1,1 +1,1 @@
-"""Arrays to tie points: no file, no CRS in here."""
+"""From arrays to tie points, without files and CRS."""

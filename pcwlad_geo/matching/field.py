@@ -7,38 +7,42 @@ from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pcwlad_geo.matching.field_kernel import fit_surfaces
-
-Float64 = NDArray[np.float64]
-Index = NDArray[np.intp]
+from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
+from pcwlad_geo.types import Float64, Index
 
 SIMPLER_WITHIN_PX: Final = 0.02
-"""A simpler surface is taken unless it predicts worse by more: a third of that would be its harm."""
+"""A simpler surface is preferred unless its prediction error is larger by more than this; a third of the
+difference would reach the tie points."""
 EXCLUSION: Final = 0.75
-"""Neighbours nearer than this share of the window see the same pixels: no independent witnesses."""
+"""Neighbours nearer than this share of the window see the same pixels and are not independent."""
 ALIKE: Final = 0.6
-"""Correlation of the errors of points that are less than a window apart, on average."""
+"""Mean correlation of the errors of points that are less than a window apart."""
 ROUGH: Final = 3.0
-"""Independent neighbours that predict worse than so many times the scatter of the nearest do not know."""
+"""The field is too rough where independent neighbours err by more than this many times the scatter of the
+nearest points."""
 ROUGH_FROM_PX: Final = 0.15
-MOST_NEIGHBOURS: Final = 384
-"""Of more neighbours one of several is asked: the windows of those between share their pixels with it."""
+"""The field is never called too rough where independent neighbours err by less than this."""
+MAX_NEIGHBOURS: Final = 384
+"""Largest number of neighbours that a surface is fitted to. Of more neighbours every k-th is taken, as its
+window shares pixels with those between."""
 NEAREST: Final = 12
+"""Number of neighbours whose median measures the scatter of the nearest points."""
 SAMPLE: Final = 400
+"""Largest number of points that are compared with the prediction of their neighbours."""
 CHUNK_VALUES: Final = 2_000_000
+"""Largest number of (place, neighbour) pairs that are predicted at once, which limits the memory."""
 SIGMA_OF_MEDIAN_DISTANCE: Final = 0.8493
-"""Of a round normal distribution, per axis."""
+"""Standard deviation per axis over the median distance of a circular normal distribution."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """What is laid through the neighbours of a place."""
+    """The polynomial surface that is fitted to the neighbours of a place."""
 
     count: int
-    """Neighbours."""
+    """Number of neighbours."""
     order: int
     """1: a plane, 2: a quadratic surface."""
 
@@ -53,7 +57,7 @@ SURFACES: Final = (
     Surface(48, 1),
     Surface(96, 2),
 )
-"""The simplest first: with the most neighbours for each of its parameters."""
+"""Surfaces to choose from, the simplest first: that with the most neighbours for each of its parameters."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,25 +68,25 @@ class Choice:
     residual_px: Float64
     """(m, 2), see `independent_residual`."""
     smooth: bool
-    """Whether neighbours a window away say as much about a point as the nearest ones do."""
+    """Whether neighbours a window away predict a point about as well as the nearest ones do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """What the neighbours of n places say about the displacement there."""
+    """The displacement that the neighbours of n places predict there; NaN where there are too few."""
 
     displacement_px: Float64
-    """(n, 2)."""
+    """(n, 2) displacement (col, row)."""
     slope: Float64
-    """(n, 2, 2) derivatives of the displacement (component, by x and y)."""
+    """(n, 2, 2) derivatives of the displacement (component, by x and y), px per px."""
     scatter_px: Float64
-    """(n,) robust scatter of the neighbours about their surface."""
+    """(n,) robust standard deviation per axis of the neighbours about their surface."""
     leverage: Float64
-    """(n,) variance of the prediction over that of one neighbour, all of them independent."""
+    """(n,) variance of the prediction over that of one neighbour, if their errors are independent."""
 
     @staticmethod
     def concatenate(parts: Sequence[Prediction]) -> Prediction:
-        """Return what was predicted at the places of all parts, in their order."""
+        """Return the predictions at the places of all parts, in their order."""
         return Prediction(
             *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Prediction))
         )
@@ -91,13 +95,8 @@ class Prediction:
 def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, surface: Surface) -> Prediction:
     """Predict the displacement at places from a robust surface through their nearest points.
 
-    Parameters
-    ----------
-    xy_px, displacement_px : (m, 2) arrays
-        Tie points and their displacements.
-    at_xy_px : (n, 2) array
-        Where to predict.
-    surface : Surface
+    The tie points have (m, 2) positions `xy_px` and (m, 2) displacements `displacement_px` (col, row). The
+    (n, 2) `at_xy_px` are the places, and the result is of shape (n, 2).
     """
     others, moved, thinned = _thinned(xy_px, displacement_px, surface)
     tree = cKDTree(others)
@@ -110,14 +109,10 @@ def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, surface
 
 
 def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int) -> Choice:
-    """Choose the simplest surface that predicts about as well as any.
+    """Choose the simplest surface that predicts about as well as the best one.
 
-    Parameters
-    ----------
-    xy_px, displacement_px : (m, 2) arrays
-        Tie points and their displacements.
-    window_px : int
-        Side of the matching window: points apart by less share pixels and do not count as witnesses.
+    The tie points have (m, 2) positions `xy_px` and (m, 2) displacements `displacement_px` (col, row). Those
+    within a matching window, `window_px` wide, are not independent.
     """
     n = len(xy_px)
     candidates = [surface for surface in SURFACES if surface.count < n] or [Surface(n, 1)]
@@ -139,13 +134,22 @@ def _nearest_scatter(xy: Float64, displacement: Float64) -> float:
 def independent_residual(
     xy_px: Float64, displacement_px: Float64, window_px: int, surface: Surface
 ) -> Float64:
-    """Compare a sample of points with what neighbours that share no pixels with them predict.
+    """Compare a sample of points with the prediction of neighbours that share no pixels with them.
+
+    Parameters
+    ----------
+    xy_px, displacement_px : (m, 2) arrays
+        Positions and displacements (col, row) of the tie points.
+    window_px : int
+        Side of the matching window.
+    surface : Surface
+        The surface that predicts.
 
     Returns
     -------
     (m, 2) array
-        Displacement minus prediction, less what the prediction itself errs on average: as large as the
-        point's own error. NaN outside the sample and where there are no such neighbours.
+        Displacement minus prediction, px, scaled down by the expected error of the prediction: as large as
+        the point's own error. NaN outside the sample and where there are no such neighbours.
     """
     ((residual, share),) = _against_neighbours(xy_px, displacement_px, window_px, [surface])
     return residual * share[:, None]
@@ -156,7 +160,7 @@ def _against_neighbours(
 ) -> list[tuple[Float64, Float64]]:
     """Return displacement minus prediction, (m, 2), and how much of it is the point's own error, (m,).
 
-    For each of the surfaces; neighbours are looked up once for all that are laid through the same points.
+    One pair for each of the surfaces; neighbours are searched once for all that use the same points.
     """
     sample = np.unique(np.linspace(0, len(xy) - 1, min(SAMPLE, len(xy))).astype(np.intp))
     steps = {_step(surface) for surface in surfaces}
@@ -169,7 +173,7 @@ def _against_neighbours(
         )
         for step in steps
     }
-    # points whose windows share pixels err alike: together they are little more than one witness
+    # points whose windows share pixels have correlated errors: together they say little more than one
     alike = {
         step: ALIKE * search.typical_count(window_px / np.sqrt(np.pi)) for step, search in searches.items()
     }
@@ -185,14 +189,14 @@ def _against_neighbours(
 
 
 def _thinned(xy: Float64, displacement: Float64, surface: Surface) -> tuple[Float64, Float64, Surface]:
-    """Return so many of the points that the surface's neighbours are not more than needed."""
+    """Return every k-th point, and the surface, so that it has at most `MAX_NEIGHBOURS` neighbours."""
     step = _step(surface)
     return xy[::step], displacement[::step], Surface(surface.count // step, surface.order)
 
 
 def _step(surface: Surface) -> int:
-    """Return every how many points one is a neighbour."""
-    return -(-surface.count // MOST_NEIGHBOURS)
+    """Return k, where every k-th point is used as a neighbour."""
+    return -(-surface.count // MAX_NEIGHBOURS)
 
 
 def _typical(residual: Float64) -> float:
@@ -204,12 +208,17 @@ def _typical(residual: Float64) -> float:
 def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Float64]:
     """Fit displacement = offset + linear · (xy - centre) robustly.
 
+    Parameters
+    ----------
+    xy_px, displacement_px : (m, 2) arrays
+        Positions and displacements (col, row) of the tie points.
+
     Returns
     -------
     linear : (2, 2) array
-        The deformation of the target against the reference.
+        The deformation of the target against the reference (component, by x and y), px per px.
     linear_sigma : (2, 2) array
-        Its standard error, points taken as independent.
+        Its standard error if the errors of the points are independent.
     """
     design = np.c_[np.ones(len(xy_px)), xy_px - xy_px.mean(axis=0)]
     weight = np.ones(len(xy_px))
@@ -231,20 +240,21 @@ class _Search:
     """Points near each of n places, the nearest first."""
 
     tree: cKDTree
-    """Of all points."""
+    """Tree of all points."""
     at: Float64
-    """(n, 2)."""
+    """(n, 2) places (col, row)."""
     distance: Float64
+    """(n, k) distances of the points found, px."""
     index: Index
-    """(n, k)."""
+    """(n, k) indices of the points found."""
     apart_px: float
-    """Nearer points do not count."""
+    """Points nearer than this do not count."""
     nearer: int
-    """So many of those there are, at most."""
+    """Largest number of such points at a place."""
 
     @staticmethod
     def of(tree: cKDTree, at: Float64, count: int, apart_px: float = 0.0) -> _Search:
-        """Look for so many points that count."""
+        """Search the nearest `count` points that count."""
         at, nearer = np.ascontiguousarray(at, np.float64), 0
         if apart_px and tree.n > 1 and len(at):
             nearer = int(tree.query_ball_point(at, apart_px, return_length=True).max())
@@ -252,12 +262,12 @@ class _Search:
         return _Search(tree, at, distance, index.astype(np.intp), apart_px, nearer)
 
     def typical_count(self, radius_px: float) -> float:
-        """Return how many points typically lie within a radius; 1 where there is no place."""
+        """Return the median number of points within a radius of the places; 1 if there is no place."""
         counts = self.tree.query_ball_point(self.at, radius_px, return_length=True)
         return float(np.median(counts)) if len(counts) else 1.0
 
     def predict(self, displacement: Float64, surface: Surface) -> Prediction:
-        """Lay a surface through the nearest points that count."""
+        """Fit a surface to the nearest points that count."""
         reach = min(self.tree.n, surface.count + self.nearer)
         index = np.ascontiguousarray(self.index[:, :reach])
         usable = np.ones(index.shape, bool)

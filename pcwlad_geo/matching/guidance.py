@@ -1,8 +1,4 @@
-"""What the displacement field of the first pass tells the second one, and the sigmas.
-
-The first pass finds every point on its own. All of them together show how windows deform, where the
-neighbours of a point agree, and how far the formal sigmas are from the truth.
-"""
+"""Guidance of the second pass by the displacement field of the first one, and calibrated sigmas."""
 
 from __future__ import annotations
 
@@ -11,40 +7,104 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcwlad_geo.matching import calibration, field
-from pcwlad_geo.matching.settings import TRAITS, MatchSettings
-from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.matching import field
+from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
+from pcwlad_geo.types import Bool, Float64, Index
 
-Float64 = NDArray[np.float64]
-Index = NDArray[np.intp]
+DEFAULT_SCALE: Final = 3.0
+"""Factor from formal to calibrated sigmas where a scene has too few points to estimate it."""
+SCALE_RANGE: Final = (1.5, 12.0)
+"""Range to which an estimated factor from formal to calibrated sigmas is clipped."""
+MIN_POINTS: Final = 30
+"""Least number of points with a known residual from which that factor is estimated."""
+MEDIAN_CHI_SQUARE_2: Final = 1.3863
+"""Median of the χ² distribution with two degrees of freedom, 2 ln 2."""
+MIN_SIGMA_PX: Final = 0.01
+"""Sigma per axis that is added to every tie point, in quadrature."""
 
-LEAST_DEFORMATION_PX: Final = 0.05
+
+def sigma_scale(residual_px: Float64, covariance_px2: Float64) -> float:
+    """Return the factor from formal to calibrated sigmas.
+
+    The (n, 2) `residual_px` are displacements minus the prediction of independent neighbours (col, row), NaN
+    where not known. The (n, 2, 2) `covariance_px2` are formal covariances, px².
+    """
+    known = np.isfinite(residual_px).all(axis=1)
+    if known.sum() < MIN_POINTS:
+        return DEFAULT_SCALE
+    residual, covariance = residual_px[known], covariance_px2[known] + 1e-8 * np.eye(2)
+    squared = np.einsum("ni,nij,nj->n", residual, np.linalg.inv(covariance), residual)
+    scale = float(np.sqrt(np.median(squared) / MEDIAN_CHI_SQUARE_2))
+    return float(np.clip(scale, *SCALE_RANGE))
+
+
+def shared_variance(xy_px: Float64, residual_px: Float64, window_px: int, neighbours: int) -> float:
+    """Return the variance per axis, px², of the error that the guides of a point have in common.
+
+    It is the variance of the mean over the independent windows among them: points whose mutual structure is
+    taken where their neighbours predict share the error of that prediction. The (n, 2) `xy_px` are the
+    positions of all points, and (n, 2) `residual_px` their displacements minus the prediction of independent
+    neighbours (col, row), NaN where not known. So many `neighbours` guide a point; the matching window is
+    `window_px` wide.
+    """
+    radial = np.hypot(residual_px[:, 0], residual_px[:, 1])
+    known = radial[np.isfinite(radial)]
+    if len(known) < MIN_POINTS:
+        return 0.0
+    windows = len(np.unique(np.floor(xy_px / window_px).astype(np.intp), axis=0))
+    independent = max(1.0, windows * min(1.0, neighbours / len(xy_px)))
+    return float(np.median(known) ** 2 / MEDIAN_CHI_SQUARE_2 / independent)
+
+
+def calibrated(covariance_px2: Float64, scale: float, shared_variance_px2: float | Float64 = 0.0) -> Float64:
+    """Return calibrated covariances: scaled formal ones, plus shared variance, plus the least variance.
+
+    Parameters
+    ----------
+    covariance_px2 : (n, 2, 2) array
+        Formal covariances, px².
+    scale : float
+        Factor of the sigmas, see `sigma_scale`.
+    shared_variance_px2 : float or (n,) array
+        Variance per axis of errors shared with neighbours, px².
+
+    Returns
+    -------
+    (n, 2, 2) array
+        px².
+    """
+    common = np.asarray(shared_variance_px2 + MIN_SIGMA_PX**2)
+    result: Float64 = covariance_px2 * scale**2 + common[..., None, None] * np.eye(2)
+    return result
+
+
+MIN_DEFORMATION_PX: Final = 0.05
 """Deformations are modelled where they move the corner of a window by more than this."""
-LEAST_FOR_FIELD: Final = 24
+MIN_FOR_FIELD: Final = 24
+"""Least number of consistent points that a displacement field is fitted to."""
 OUTLYING: Final = 5.0
-"""A way back so many times its limit is no chance;"""
-MOST_OUTLYING: Final = 0.005
-"""where there is a larger share of them in the sample, there are others outside."""
+"""A forward-backward error larger than this many times the method's limit counts as outlying."""
+MAX_OUTLYING: Final = 0.005
+"""Largest share of outlying errors in the sample at which no other point is matched backward."""
 LARGEST_PULL_PX: Final = 1.0
-"""A point further than this from what its neighbours say keeps its own structure."""
+"""A point further than this from the prediction of its neighbours keeps its own structure."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldGuide:
-    """What the displacement field tells the second pass about each point."""
+    """What the second pass takes from the displacement field for each of n points."""
 
     linear: Float64
     """(n, 2, 2) deformation of the windows; zeros where it is negligible."""
     structure_xy_px: Float64
     """(n, 2) shift at which mutual structure is taken; NaN: at the point's own position."""
     surface: field.Surface | None
-    """What predicts a displacement; None where there are too few points, or the field is too rough."""
+    """The surface that predicts displacements; None if there are too few points or the field is too rough."""
     shared_variance_px2: float
     """Variance, per axis, of the error that points guided by the same neighbours share."""
     one_way: bool
-    """Whether the way back from target to reference can be left out: it ends where it began."""
+    """Whether the backward match can be left out, as the forward-backward errors are negligible."""
 
     @property
     def deforms(self) -> bool:
@@ -52,46 +112,41 @@ class FieldGuide:
         return bool(self.linear.any())
 
     @property
-    def leads(self) -> NDArray[np.bool_]:
-        """(n,) whether it tells where the structure of a point is taken."""
+    def leads(self) -> Bool:
+        """(n,) whether the position at which the structure of a point is taken is given."""
         return np.asarray(np.isfinite(self.structure_xy_px).all(axis=1))
 
     def part(self, index: Index) -> FieldGuide:
-        """Return the guide of some of the points."""
+        """Return the guide of the points at the (m,) `index`."""
         return replace(self, linear=self.linear[index], structure_xy_px=self.structure_xy_px[index])
 
     def moved(self, shift_xy_px: Float64) -> FieldGuide:
-        """Return the guide with a constant (col, row) added to its shifts."""
+        """Return the guide with the constant `shift_xy_px`, (2,) (col, row), added to its shifts."""
         return replace(self, structure_xy_px=self.structure_xy_px + shift_xy_px)
 
 
 Predictor = Callable[[Float64, Float64, Float64, field.Surface], field.Prediction]
-"""`field.predict`, or what gives the same elsewhere."""
+"""Type of `field.predict`, and of functions that compute the same in other processes."""
 
 
 def guide_by_field(
     points: TiePoints, settings: MatchSettings, predict: Predictor = field.predict
 ) -> FieldGuide:
-    """Learn from all consistent points what the second pass needs.
+    """Fit the displacement field to all consistent points and derive the guidance of the second pass.
 
-    Parameters
-    ----------
-    points : TiePoints
-        Consistent points of the first pass, of the whole scene.
-    settings : MatchSettings
-    predict : callable
-        What takes most of the time.
+    The points are those of the first pass, of the whole scene. What takes most of the time is `predict`,
+    which does as `field.predict`.
     """
     nowhere = np.full((len(points), 2), np.nan)
-    if len(points) < LEAST_FOR_FIELD:
+    if len(points) < MIN_FOR_FIELD:
         return FieldGuide(np.zeros((len(points), 2, 2)), nowhere, None, 0.0, one_way=False)
     xy, moved = points.reference_xy_px, points.displacement_px
     linear, linear_sigma = field.global_affine(xy, moved)
     reach = settings.window / 2 * np.sqrt(2)
-    if np.abs(linear).max() * reach < LEAST_DEFORMATION_PX or (np.abs(linear) < 3 * linear_sigma).all():
+    if np.abs(linear).max() * reach < MIN_DEFORMATION_PX or (np.abs(linear) < 3 * linear_sigma).all():
         linear = np.zeros((2, 2))
     everywhere = np.tile(linear, (len(points), 1, 1))
-    one_way = one_way_is_enough(points.way_back_px, settings)
+    one_way = forward_is_enough(points.forward_backward_px, settings)
     choice = field.choose_surface(xy, moved, settings.window)
     surface = choice.surface if choice.smooth else None
     if settings.consensus == "off" or surface is None:
@@ -100,27 +155,31 @@ def guide_by_field(
     rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
     apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
-    shared = calibration.shared_variance(xy, choice.residual_px, settings.window, surface.count)
+    shared = shared_variance(xy, choice.residual_px, settings.window, surface.count)
     return FieldGuide(_local(everywhere, predicted, reach), structure, surface, shared, one_way)
 
 
-def one_way_is_enough(way_back_px: Float64, settings: MatchSettings) -> bool:
-    """Tell whether points, (n,), of which NaN have not been matched back, come back to where they began."""
-    walked, limit_px = way_back_px[~np.isnan(way_back_px)], TRAITS[settings.method].one_way_px
-    if len(walked) == 0 or (walked > OUTLYING * limit_px).mean() > MOST_OUTLYING:
+def forward_is_enough(forward_backward_px: Float64, settings: MatchSettings) -> bool:
+    """Return whether the forward-backward errors are small enough for matching in one direction only.
+
+    The (n,) `forward_backward_px` are NaN for points that were not matched backward. The method of the
+    settings sets the limit.
+    """
+    known, limit_px = forward_backward_px[~np.isnan(forward_backward_px)], TRAITS[settings.method].one_way_px
+    if len(known) == 0 or (known > OUTLYING * limit_px).mean() > MAX_OUTLYING:
         return False
-    return bool(np.sqrt(np.mean(walked**2)) <= limit_px)
+    return bool(np.sqrt(np.mean(known**2)) <= limit_px)
 
 
 def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Float64:
-    """Return the deformation at every point by the slopes of the field there, where these matter.
+    """Return the deformation at every point from the slopes of the field there, where these matter.
 
-    A window that is not modelled so finds the displacement of where its structure lies, not of its middle: at
-    the edge of the image, where half of it is missing, that is many pixels off.
+    Without it a window measures the displacement where its structure lies, not at its middle: at the edge of
+    the image, where half of it is missing, that is many pixels away.
     """
     size = np.abs(predicted.slope - linear).max(axis=(1, 2)) * reach_px
     by_chance = predicted.scatter_px * np.sqrt(2 * predicted.leverage)
-    if not np.nanmedian(size) > max(LEAST_DEFORMATION_PX, 5 * float(np.nanmedian(by_chance))):
+    if not np.nanmedian(size) > max(MIN_DEFORMATION_PX, 5 * float(np.nanmedian(by_chance))):
         return linear
     known = np.isfinite(predicted.slope).all(axis=(1, 2), keepdims=True)
     return np.where(known, predicted.slope, linear)
@@ -134,20 +193,14 @@ def calibrate(
 ) -> TiePoints:
     """Return consistent points of the whole scene with calibrated covariances.
 
-    Parameters
-    ----------
-    points : TiePoints
-    surface : Surface, optional
-        Of the guide; None where there was no field.
-    shared_variance_px2 : float or (n,) array
-        Of the guide.
-    settings : MatchSettings
+    The surface is that of the guide, None without a field; so is `shared_variance_px2`, a float or (n,)
+    array, the variance per axis of the error that guided points share, px².
     """
     residual = np.full((len(points), 2), np.nan)
     if surface is not None:
         residual = field.independent_residual(
             points.reference_xy_px, points.displacement_px, settings.window, surface
         )
-    scale = calibration.sigma_scale(residual, points.covariance_px2)
-    covariance = calibration.calibrated(points.covariance_px2, scale, shared_variance_px2)
+    scale = sigma_scale(residual, points.covariance_px2)
+    covariance = calibrated(points.covariance_px2, scale, shared_variance_px2)
     return replace(points, covariance_px2=covariance)

@@ -1,85 +1,120 @@
-"""FAST corners on the phase-congruency map of the reference, spread by cell or the strongest.
-
-References
-----------
-.. [1] Rosten, E. and Drummond, T. (2006), doi:10.1007/11744023_34.
-"""
+"""Candidates: FAST corners on the phase congruency of the reference, and the outcome of matching each."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.phase_congruency import EPSILON_OF_BYTE_RANGE
+from pcwlad_geo.matching.maps import EPSILON_OF_BYTE_RANGE
+from pcwlad_geo.types import Bool, Float32, Float64, Index
+
+OUTCOMES: Final = (
+    "matched",
+    "not_comparable",
+    "not_similar",
+    "at_search_border",
+    "not_converged",
+    "directions_disagree",
+)
+"""Outcomes of a candidate: a match, or the stage that rejected it, in the order of the stages."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Corners of the reference that were searched for in the target."""
+
+    reference_xy_px: Float64
+    """(n, 2) positions in the reference image (col, row), corner-based."""
+    outcome: NDArray[np.uint8]
+    """(n,) index into `OUTCOMES`."""
+
+    def __len__(self) -> int:
+        return len(self.outcome)
+
+    @property
+    def lost(self) -> Candidates:
+        """The candidates without a match."""
+        some = self.outcome > 0
+        return Candidates(self.reference_xy_px[some], self.outcome[some])
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The number of candidates, and how many each stage rejected."""
+        number = np.bincount(self.outcome, minlength=len(OUTCOMES)).tolist()
+        return {"candidates": len(self), **dict(zip(OUTCOMES[1:], number[1:], strict=True))}
+
+    def shifted(self, xy_px: Float64) -> Candidates:
+        """Return the candidates with the constant `xy_px`, (2,) (col, row), added."""
+        return replace(self, reference_xy_px=self.reference_xy_px + xy_px)
+
+    @staticmethod
+    def empty() -> Candidates:
+        """Return zero candidates."""
+        return Candidates(np.empty((0, 2)), np.empty(0, np.uint8))
+
+    @staticmethod
+    def concatenate(parts: Sequence[Candidates]) -> Candidates:
+        """Return the candidates of all parts in their order."""
+        every = [Candidates.empty(), *parts]
+        return Candidates(
+            np.concatenate([part.reference_xy_px for part in every]),
+            np.concatenate([part.outcome for part in every]),
+        )
+
 
 FULL_SCALE: Final = 0.5
-"""The map value that becomes 255: fixed, so that every tile of a scene finds the same corners."""
+"""The map value that becomes 255; it is fixed, so that every tile of a scene finds the same corners."""
 THRESHOLD: Final = 2
-"""FAST threshold on the 8-bit map: low, since cells and ranking choose among the corners."""
-LEAST_CONTRAST: Final = 0.02
+"""FAST threshold on the 8-bit map; it is low, since cells and ranking choose among the corners."""
+MIN_CONTRAST: Final = 0.02
 """Share of the scene's range below which local contrast counts as noise."""
 DETAIL_PX: Final = 3.0
+"""Sigma of the Gaussian that is subtracted to leave the local detail."""
 NEIGHBOURHOOD_PX: Final = 8.0
+"""Sigma of the Gaussian over which the energy of the detail is averaged."""
 LARGEST: Final = 1e6
-"""Deviations from the mean, in units of the least contrast, end here: their squares stay finite."""
+"""Largest deviation from the mean, in units of the least contrast, so that its square stays finite."""
 NOISE_MARGIN: Final = 1.2
-"""Noise energy is taken off with a margin for its own scatter."""
-
-Index = NDArray[np.intp]
+"""Factor on the noise energy before it is subtracted, a margin for its own scatter."""
 
 
-def contrast_weight(
-    image: NDArray[np.floating[Any]], epsilon: float, noise_sigma: float = 0.0
-) -> NDArray[np.float32]:
-    """Weigh places by their contrast: near 0 where it is below a fiftieth of the scene's range, else near 1.
+def contrast_weight(image: NDArray[np.floating[Any]], epsilon: float, noise_sigma: float = 0.0) -> Float32:
+    """Weight pixels by local contrast: near 0 where it is below a fiftieth of the scene's range, else near 1.
 
     Phase congruency without noise filter finds corners in noise and quantisation as readily as in
-    structure; corners of real structure are to be preferred.
-
-    Parameters
-    ----------
-    image : (rows, cols) array
-    epsilon : float
-        The scene's ε, which stands for its range.
-    noise_sigma : float
-        Standard deviation of the image's noise, which is no contrast.
-
-    Returns
-    -------
-    (rows, cols) float32 array
+    structure; corners of real structure are to be preferred. The (rows, cols) `image` is finite; `epsilon` is
+    the scene's ε, which stands for its range (see `maps.scene_epsilon`). Noise of standard deviation
+    `noise_sigma` does not count as contrast. The result is a (rows, cols) float32 array.
     """
-    floor = max(LEAST_CONTRAST * 255.0 / EPSILON_OF_BYTE_RANGE * epsilon, 1e-30)
+    floor = max(MIN_CONTRAST * 255.0 / EPSILON_OF_BYTE_RANGE * epsilon, 1e-30)
     scaled = np.clip((image - image.mean(dtype=np.float64)) / floor, -LARGEST, LARGEST).astype(np.float32)
     detail = scaled - cv2.GaussianBlur(scaled, (0, 0), DETAIL_PX)
     energy = cv2.GaussianBlur(np.square(detail), (0, 0), NEIGHBOURHOOD_PX)
     energy = np.maximum(energy - np.float32(NOISE_MARGIN * (noise_sigma / floor) ** 2), 0)
-    weight: NDArray[np.float32] = energy / (energy + np.float32(1.0))
+    weight: Float32 = energy / (energy + np.float32(1.0))
     return weight
 
 
-def detect_corners(
-    moment: NDArray[np.float32], usable: NDArray[np.bool_], weight: NDArray[np.float32]
-) -> tuple[Index, NDArray[np.float32]]:
+def detect_corners(moment: Float32, usable: Bool, weight: Float32) -> tuple[Index, Float32]:
     """Find FAST corners (type 9-16, non-maximum suppression).
 
     Parameters
     ----------
-    moment : (rows, cols) float32 array
-        Maximum moment of the phase congruency.
+    moment, weight : (rows, cols) float32 arrays
+        Maximum moment of the phase congruency; what multiplies the response.
     usable : (rows, cols) bool array
         Where a corner may lie.
-    weight : (rows, cols) float32 array
-        Multiplies the response.
 
     Returns
     -------
-    corners_rc : (n, 2) intp array
-        Row, column of each corner.
-    response : (n,) float32 array
+    corners_rc, response : (n, 2) intp array and (n,) float32 array
+        Row, column array index of each corner, and its FAST response times the weight.
     """
     scaled = np.clip(moment * np.float32(255 / FULL_SCALE), 0, 255).astype(np.uint8)
     detector = cv2.FastFeatureDetector.create(THRESHOLD, True, cv2.FAST_FEATURE_DETECTOR_TYPE_9_16)
@@ -92,36 +127,31 @@ def detect_corners(
     return corners_rc, response * weight[corners_rc[:, 0], corners_rc[:, 1]]
 
 
-def strongest(corners_rc: Index, response: NDArray[np.float32], count: int) -> Index:
-    """Return the `count` corners of highest response, as the paper takes them."""
+def strongest(corners_rc: Index, response: Float32, count: int) -> Index:
+    """Return at most `count` (m, 2) corners of highest response, as the paper takes them.
+
+    They are chosen of the (n, 2) `corners_rc` (row, column) by their (n,) `response`, see `detect_corners`.
+    """
     order = np.lexsort((corners_rc[:, 1], corners_rc[:, 0], -response))
     return corners_rc[order[:count]]
 
 
 def cell_side_px(features: int, per_cell: int, area_px2: float) -> int:
-    """Return the side of the cells of which so many candidates over an area need so many each."""
+    """Return the side, px, of cells with `per_cell` each of `features` candidates over `area_px2`."""
     return max(8, round(math.sqrt(per_cell * area_px2 / features)))
 
 
 def by_cell(
     corners_rc: Index,
-    response: NDArray[np.float32],
+    response: Float32,
     cell_px: int,
     origin_rc: tuple[int, int],
     per_cell: int,
 ) -> Index:
-    """Return the strongest corners of every cell of a lattice fixed to the scene.
+    """Return the (m, 2) strongest corners of every cell of a lattice fixed to the scene.
 
-    Parameters
-    ----------
-    corners_rc, response
-        As `detect_corners` returns them, in coordinates of the window.
-    cell_px : int
-        Side of a cell.
-    origin_rc : (int, int)
-        Row, column of the window's first pixel in the scene: the cells do not depend on the tile.
-    per_cell : int
-        Corners of a cell, at most.
+    The parameters are those of `rank_in_cell`, the (n, 2) `corners_rc` and their (n,) `response` among them;
+    a cell gives at most `per_cell` corners.
     """
     order, rank = rank_in_cell(corners_rc, response, cell_px, origin_rc)
     return corners_rc[order[rank < per_cell]]
@@ -130,12 +160,21 @@ def by_cell(
 def rank_in_cell(
     corners_rc: Index, response: NDArray[np.floating[Any]], cell_px: int, origin_rc: tuple[int, int]
 ) -> tuple[Index, Index]:
-    """Return the order of corners by cell, the strongest of each first, and so ordered the rank in its cell.
+    """Sort corners by cell, the strongest of each cell first.
 
     Parameters
     ----------
-    corners_rc, response, cell_px, origin_rc
-        As for `by_cell`.
+    corners_rc, response : (n, 2) intp array and (n,) array
+        Row, column array indices in the window; what the corners of a cell are ranked by.
+    cell_px : int
+        Side of a cell.
+    origin_rc : (int, int)
+        Row, column of the window's first pixel in the scene, so that the cells do not depend on the tile.
+
+    Returns
+    -------
+    order, rank : (n,) intp arrays
+        Indices that sort the corners; the rank of each corner so sorted in its cell, from 0.
     """
     cells = (corners_rc + np.asarray(origin_rc)) // cell_px
     order = np.lexsort((corners_rc[:, 1], corners_rc[:, 0], -response, cells[:, 1], cells[:, 0]))

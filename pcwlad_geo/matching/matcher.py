@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final, Literal
 
 import cv2
@@ -12,49 +13,40 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import keypoints
-from pcwlad_geo.matching.candidates import FATES, Candidates
-from pcwlad_geo.matching.guidance import (
-    FieldGuide,
-    calibrate,
-    guide_by_field,
-    one_way_is_enough,
-)
-from pcwlad_geo.matching.noise import measure_noise
+from pcwlad_geo.matching.coarse import match_coarsely
+from pcwlad_geo.matching.guidance import FieldGuide, calibrate, forward_is_enough, guide_by_field
+from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
+from pcwlad_geo.matching.maps import scene_epsilon
+from pcwlad_geo.matching.mutual_structure import passes_paper, shared_structure
 from pcwlad_geo.matching.outliers import consistent
-from pcwlad_geo.matching.phase_congruency import scene_epsilon
-from pcwlad_geo.matching.prepare import Image, PreparedPair, StackPair, prepare
+from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, measure_noise, prepare
 from pcwlad_geo.matching.refinement import Refined, Start, refine
-from pcwlad_geo.matching.settings import TRAITS, MatchSettings, MethodTraits
-from pcwlad_geo.matching.similarity import match_coarsely
-from pcwlad_geo.matching.structure_filter import passes_paper, shared_structure
-from pcwlad_geo.matching.tie_points import TiePoints
-
-Float64 = NDArray[np.float64]
-Index = NDArray[np.intp]
-Bool = NDArray[np.bool_]
+from pcwlad_geo.matching.types import TRAITS, MatchSettings, MethodTraits, TiePoints
+from pcwlad_geo.types import Bool, Float64, Index
 
 DISAGREEMENT_PX: Final = 0.5
-"""Largest difference between the forward and the backward match."""
+"""Largest difference between the forward and the backward match of a point that is accepted."""
 COARSE_SIGMA_PX: Final = 0.35
+"""Sigma per axis of a match at a whole pixel, as method `coarse` ends with."""
 SAMPLED: Final = 5
-"""One of so many points is of the sample that is matched back, from target to reference (they are ordered by
-cell and rank: a divisor of a cell's points would sample one rank only);"""
-LEAST_TO_SAMPLE: Final = 16
-"""all are where they are fewer, unless a sample was asked for."""
+"""One of this many points is in the sample that is also matched backward. The points are ordered by cell and
+rank, so that a divisor of the points of a cell would sample one rank only."""
+MIN_TO_SAMPLE: Final = 16
+"""With fewer points than this all are matched backward, unless a sample was asked for."""
 
 Back = Literal["never", "sample", "as needed", "always"]
 
 
 @dataclass(frozen=True, slots=True)
 class Core:
-    """The part of a window whose corners are wanted; the rest is halo. Row, column, stops in array index."""
+    """The part of a window, in array indices, whose corners are wanted; the rest is halo."""
 
     row: int
     col: int
     row_stop: int
     col_stop: int
     origin_rc: tuple[int, int]
-    """Window's first pixel minus the first of all cores: there the cells begin, whatever the tiles."""
+    """Row, column of the window's first pixel minus that of all cores, where the lattice of cells begins."""
 
 
 def match_arrays(
@@ -104,36 +96,34 @@ def match_arrays(
     core = Core(margin, margin, margin + rows, margin + cols, (-margin, -margin))
     first, _ = match_candidates(pair, core, settings)
     kept = first[consistent_points(first, settings)]
-    final = second_pass(pair.stacks, kept, settings)
+    final = second_pass(pair.channels, kept, settings)
     return final.shifted(np.array([-margin, -margin]), np.array([-margin, -margin]))
 
 
 def to_index(points: TiePoints) -> Index:
-    """Return row, column array indices of the reference points: the pixel whose centre they are."""
+    """Return the (n, 2) row, column array indices of the pixels whose centres the reference points are."""
     return np.floor(points.reference_xy_px[:, ::-1]).astype(np.intp)
 
 
 def margin_px(settings: MatchSettings) -> int:
-    """Return how far beyond a corner the windows reach, search included."""
+    """Return how far beyond a corner the windows reach, search included, px."""
     return max(settings.template, settings.window) // 2 + settings.search_radius + 16
 
 
 def match_candidates(pair: PreparedPair, core: Core, settings: MatchSettings) -> tuple[TiePoints, Candidates]:
-    """First pass: every candidate on its own.
+    """Run the first pass: match every candidate independently.
 
     Parameters
     ----------
-    pair : PreparedPair
     core : Core
         Where corners are taken.
-    settings : MatchSettings
 
     Returns
     -------
     points : TiePoints
         In pixel coordinates of the two arrays; not yet checked against one another, covariances formal.
     candidates : Candidates
-        All corners looked for, and the stage that lost each.
+        All corners that were searched, and the stage that rejected each.
     """
     traits = _traits(settings)
     corners = _corners(pair, core, settings)
@@ -148,55 +138,57 @@ def match_candidates(pair: PreparedPair, core: Core, settings: MatchSettings) ->
     compared = coarse.ssim > -1.0
     similar = compared & (coarse.ssim >= settings.ssim_min)
     inside = similar & ~coarse.at_border
-    fate = np.select(
+    outcome = np.select(
         [~compared, ~similar, coarse.at_border],
-        [FATES.index(name) for name in ("not_comparable", "not_similar", "at_search_border")],
+        [OUTCOMES.index(name) for name in ("not_comparable", "not_similar", "at_search_border")],
     ).astype(np.uint8)
-    # the paper begins at the whole pixel; nearer to the place fewer steps are needed
+    # the paper starts at the whole pixel; a start at the fitted peak needs fewer steps
     whole = coarse.offset_rc[:, ::-1].astype(np.float64)
     shift = coarse.shift_xy_px if traits.structure == "local" else whole
     index, score = np.flatnonzero(inside), coarse.distinctness
     if not traits.refined:
         covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(index), 1, 1))
-        way_back = np.full(len(index), np.nan)
-        points = _points(corners[index], shift[index], covariance, score[index], way_back)
-        return points, Candidates(_centres(corners), fate)
+        forward_backward = np.full(len(index), np.nan)
+        points = _points(corners[index], shift[index], covariance, score[index], forward_backward)
+        return points, Candidates(_centres(corners), outcome)
 
     def match(some: Index) -> tuple[TiePoints, Bool]:
         start = Start(shift[some], np.zeros((len(some), 2, 2)))
-        refined, agree, way_back = _refine_both(
-            pair.stacks, corners[some], start, settings, settings.backward
+        refined, agree, forward_backward = _refine_both(
+            pair.channels, corners[some], start, settings, settings.backward
         )
-        fate[some] = np.select(
+        outcome[some] = np.select(
             [~refined.converged, ~agree],
-            [FATES.index(name) for name in ("not_converged", "directions_disagree")],
+            [OUTCOMES.index(name) for name in ("not_converged", "directions_disagree")],
         )
-        points = _points(corners[some], refined.shift_xy_px, refined.covariance_px2, score[some], way_back)
+        points = _points(
+            corners[some], refined.shift_xy_px, refined.covariance_px2, score[some], forward_backward
+        )
         found = refined.converged & agree
         return points[found], found
 
     if settings.spare == 0 or settings.features_area_px2 is None:
-        return match(index)[0], Candidates(_centres(corners), fate)
+        return match(index)[0], Candidates(_centres(corners), outcome)
     cell_px = keypoints.cell_side_px(settings.features, settings.per_cell, settings.features_area_px2)
     order, rank = keypoints.rank_in_cell(corners[index], score[index], cell_px, core.origin_rc)
     points, unneeded = _match_in_turns(match, index[order], rank, settings.per_cell - settings.spare)
     tried = np.delete(np.arange(len(corners)), unneeded)
-    return points, Candidates(_centres(corners[tried]), fate[tried])
+    return points, Candidates(_centres(corners[tried]), outcome[tried])
 
 
 def _match_in_turns(
     match: Callable[[Index], tuple[TiePoints, Bool]], candidates: Index, rank: Index, wanted: int
 ) -> tuple[TiePoints, Index]:
-    """Match the best candidates of every cell, then one more for each of these that fails, if there is one.
+    """Match the best candidates of every cell, then, where there is one, another for each that fails.
 
     Parameters
     ----------
     match : callable
-        Matches some candidates; returns the points found, and for which candidates.
+        Matches some candidates; returns the points found, and a mask of the candidates they belong to.
     candidates, rank : (n,) intp arrays
-        By cell, the best of each first, and the rank in the cell.
+        Candidates by cell, the best of each cell first, and the rank in the cell.
     wanted : int
-        Matches of a cell.
+        Number of matches wanted of a cell.
 
     Returns
     -------
@@ -212,26 +204,24 @@ def _match_in_turns(
     return TiePoints.concatenate([points, more]), candidates[~first & ~second]
 
 
-def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
-    """Second pass: points again, with the deformation and the structure that the field gives.
+def rematch(pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
+    """Run the second pass: match points again, with the deformation and structure given by the field.
 
     Parameters
     ----------
-    pair : StackPair
     points : TiePoints
         In pixel coordinates of the arrays.
     guide : FieldGuide
-        Of these points.
-    settings : MatchSettings
+        Guidance of these points.
 
     Returns
     -------
     TiePoints
-        As many, covariances formal; a point that fails here keeps its first position.
+        The same points in their order, covariances formal; a point that fails keeps its first position.
     """
     target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
     again, led = matched_again(guide, settings), guide.leads
-    # the two directions differ where each follows its own structure, hardly where the field says which
+    # the two directions differ where each follows its own structure, hardly where the field gives it
     own: Back = "never" if guide.one_way else "always"
     given: Back = "sample" if settings.backward == "sample" and not guide.one_way else own
     for some, structure, back in ((again & ~led, None, own), (again & led, guide.structure_xy_px, given)):
@@ -250,15 +240,15 @@ def rematch(pair: StackPair, points: TiePoints, guide: FieldGuide, settings: Mat
 
 
 def matched_again(guide: FieldGuide, settings: MatchSettings) -> Bool:
-    """Tell which points the second pass matches again, (n,); for the others the guide says nothing new."""
+    """Return the (n,) mask of the points of `guide` that the second pass with `settings` matches again."""
     traits = _traits(settings)
     if not (traits.refined and traits.structure == "local"):
         return np.zeros_like(guide.leads)
     return guide.leads | (guide.deforms or (settings.backward == "sample" and not guide.one_way))
 
 
-def second_pass(pair: StackPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
-    """Guide, rematch, check and calibrate the points of one prepared pair."""
+def second_pass(pair: ChannelPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
+    """Guide, match again, check and calibrate the `points` of one `pair` with `settings`."""
     guide = guide_by_field(points, settings)
     again = rematch(pair, points, guide, settings)
     good = again[consistent_points(again, settings)]
@@ -266,13 +256,13 @@ def second_pass(pair: StackPair, points: TiePoints, settings: MatchSettings) -> 
 
 
 def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
-    """Tell which points agree with their neighbours, see `outliers.consistent`."""
+    """Return the (n,) mask of the `points` that agree with their neighbours in windows of `settings`."""
     sigma = np.sqrt(np.trace(points.covariance_px2, axis1=1, axis2=2))
     return consistent(points.reference_xy_px, points.displacement_px, sigma, settings.window)
 
 
 def _refine_both(
-    pair: StackPair, corners: Index, start: Start, settings: MatchSettings, back: Back
+    pair: ChannelPair, corners: Index, start: Start, settings: MatchSettings, back: Back
 ) -> tuple[Refined, Bool, Float64]:
     """Refine forward and, where the method asks for it, backward.
 
@@ -282,49 +272,55 @@ def _refine_both(
         The mean of both directions where there are two.
     agree : (n,) bool array
         Whether the two agree.
-    way_back_px : (n,) array
-        By how much they differ; infinite where only one was found, NaN where only one was looked for.
+    forward_backward_px : (n,) array
+        Their difference; infinite where the backward match failed, NaN where it was not made.
     """
     forward = _refine_one_way(pair, corners, start, settings)
-    way_back = np.full(len(corners), np.nan)
+    forward_backward = np.full(len(corners), np.nan)
     if not _traits(settings).backward:
         ok = np.ones(len(corners), bool)
         if settings.method == "pcwlad":
             ok = passes_paper(pair, corners, start, forward, settings.window, settings.ssim_min)
-        return forward, ok, way_back
+        return forward, ok, forward_backward
     mean, covariance = forward.shift_xy_px.copy(), forward.covariance_px2.copy()
 
-    def walk_back(some: Index) -> None:
+    def match_backward(some: Index) -> None:
         there, moved = forward.shift_xy_px[some], forward.linear[some]
         structure = None if start.structure_xy_px is None else start.structure_xy_px[some]
         returned, backward = _refine_back(pair, corners[some], there, moved, structure, settings)
         mean[some] = (there + returned) / 2
         covariance[some] = (covariance[some] + backward.covariance_px2) / 2
-        way_back[some] = np.where(backward.converged, np.linalg.norm(there - returned, axis=1), np.inf)
+        forward_backward[some] = np.where(
+            backward.converged, np.linalg.norm(there - returned, axis=1), np.inf
+        )
 
-    # what did not converge on its way there needs no way back
+    # points whose forward match did not converge need no backward match
     arrived = np.flatnonzero(forward.converged)
-    all_of_them = back == "always" or (back == "as needed" and len(arrived) < LEAST_TO_SAMPLE)
+    all_of_them = back == "always" or (back == "as needed" and len(arrived) < MIN_TO_SAMPLE)
     if back != "never":
-        walk_back(arrived[:: 1 if all_of_them else SAMPLED])
-    if back == "as needed" and not one_way_is_enough(way_back, settings):
-        walk_back(arrived[np.isnan(way_back[arrived])])
-    converged = forward.converged & ~np.isinf(way_back)
-    return Refined(mean, forward.linear, covariance, converged), ~(way_back >= DISAGREEMENT_PX), way_back
+        match_backward(arrived[:: 1 if all_of_them else SAMPLED])
+    if back == "as needed" and not forward_is_enough(forward_backward, settings):
+        match_backward(arrived[np.isnan(forward_backward[arrived])])
+    converged = forward.converged & ~np.isinf(forward_backward)
+    return (
+        Refined(mean, forward.linear, covariance, converged),
+        ~(forward_backward >= DISAGREEMENT_PX),
+        forward_backward,
+    )
 
 
 def _refine_back(
-    pair: StackPair,
+    pair: ChannelPair,
     corners: Index,
     shift_xy: Float64,
     linear: Float64,
     structure_xy: Float64 | None,
     settings: MatchSettings,
 ) -> tuple[Float64, Refined]:
-    """Refine from the target back to where the corners came from; the shifts as seen forward, and all."""
+    """Refine from target to reference; return the shifts, as seen forward, and the whole result."""
     landed = corners + np.round(shift_xy[:, ::-1]).astype(np.intp)
-    # the backward window sits on a whole target pixel; the field between it and the true landing place
-    # differs by deformation times the remainder
+    # the backward window is centred on a whole target pixel; between that and the exact target position the
+    # field differs by deformation times the remainder
     remainder = (landed - corners)[:, ::-1] - shift_xy
     deformation = np.einsum("nij,nj->ni", linear, remainder)
     start = Start(
@@ -337,36 +333,26 @@ def _refine_back(
     return -backward.shift_xy_px - deformation, backward
 
 
-def _refine_one_way(pair: StackPair, corners: Index, start: Start, settings: MatchSettings) -> Refined:
+def _refine_one_way(pair: ChannelPair, corners: Index, start: Start, settings: MatchSettings) -> Refined:
     traits = _traits(settings)
     if traits.structure == "filter":
         start = replace(start, structure=shared_structure(pair, corners, start, settings.window))
-    result = refine(
+    refined = partial(
+        refine,
         pair.reference,
         pair.target,
         corners,
-        start,
         window_px=settings.window,
-        use_structure=traits.structure == "local",
-        robust=traits.robust,
         affine=traits.affine,
         iterations=settings.iterations,
         least_valid=settings.least_valid,
     )
+    result = refined(start, use_structure=traits.structure == "local", robust=traits.robust)
     if traits.structure == "filter":
         # taken once, at the whole-pixel match, the structure would pull the answer towards that pixel
         moved = Start(result.shift_xy_px, result.linear)
         moved = replace(moved, structure=shared_structure(pair, corners, moved, settings.window))
-        result = refine(
-            pair.reference,
-            pair.target,
-            corners,
-            moved,
-            window_px=settings.window,
-            affine=traits.affine,
-            iterations=settings.iterations,
-            least_valid=settings.least_valid,
-        )
+        result = refined(moved)
     return result
 
 
@@ -396,10 +382,10 @@ def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
 
 
 def _points(
-    corners: Index, shift_xy: Float64, covariance: Float64, score: Float64, way_back_px: Float64
+    corners: Index, shift_xy: Float64, covariance: Float64, score: Float64, forward_backward_px: Float64
 ) -> TiePoints:
     centre = _centres(corners)
-    return TiePoints(centre, centre + shift_xy, covariance, score, way_back_px)
+    return TiePoints(centre, centre + shift_xy, covariance, score, forward_backward_px)
 
 
 def _centres(corners: Index) -> Float64:

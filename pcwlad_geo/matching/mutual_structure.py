@@ -1,4 +1,4 @@
-"""Mutual-structure filter: keeps the structure that two windows share, smooths away what only one has.
+"""Mutual-structure filter: keeps the structure that two windows share and smooths the rest.
 
 With I the target and G the reference window, N the pixels of a square neighbourhood and I0, G0 the
 input, the filter minimises
@@ -7,7 +7,7 @@ input, the filter minimises
             + |N(p)| (epsilon_I a1_p^2 + epsilon_G b1_p^2) }
     + lambda_I |I - I0|^2 + lambda_G |G - G0|^2
 
-by exact steps in turn: the local lines a, b for given images, then both images for given lines. So the
+by alternating exact steps: the local lines a, b for given images, then both images for given lines. So the
 energy cannot rise. Neighbourhoods are cut off at the border of the window.
 
 References
@@ -22,15 +22,26 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from pcwlad_geo.matching.coarse import ssim
+from pcwlad_geo.matching.keypoints import FULL_SCALE
+from pcwlad_geo.matching.prepare import ChannelPair
+from pcwlad_geo.matching.refinement import Refined, Start
+from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 ITERATIONS: Final = 20
+"""Number of alternating steps of the filter, as published [1]_."""
 RADIUS_PX: Final = 3
+"""Half side of the square neighbourhood, as published [1]_."""
 LAMBDA_REFERENCE: Final = 30.0
+"""λ_G, the weight of the filtered reference window's distance from its input, as published [1]_."""
 LAMBDA_TARGET: Final = 1.0
+"""λ_I, the weight of the filtered target window's distance from its input, as published [1]_."""
 EPSILON_REFERENCE: Final = 5e-4
+"""ε_G, the variance below which the reference window counts as flat, as published [1]_."""
 EPSILON_TARGET: Final = 1e-4
-
-Windows = NDArray[np.float64]
+"""ε_I, the variance below which the target window counts as flat, as published [1]_."""
 
 
 def mutual_structure(
@@ -43,36 +54,34 @@ def mutual_structure(
     lambda_target: float = LAMBDA_TARGET,
     epsilon_reference: float = EPSILON_REFERENCE,
     epsilon_target: float = EPSILON_TARGET,
-) -> tuple[Windows, Windows, Windows]:
-    """Filter windows jointly and weigh each pixel by the structure that both share.
+) -> tuple[Float64, Float64, Float64]:
+    """Filter windows jointly and weight each pixel by the structure that both share.
+
+    Raises `ValueError` if the two shapes differ or are neither 2-D nor 3-D.
 
     Parameters
     ----------
     reference, target : (rows, cols) or (k, rows, cols) float array
-        Finite values in a range of about 1, which is what the published defaults expect.
+        Finite values in a range of about 1, which the published defaults expect.
     iterations : int
-        Alternating steps; 0 returns the input and its own similarity.
+        Number of alternating steps; 0 returns the input and its own similarity.
     radius : int
         Half side of the neighbourhood, px.
     lambda_reference, lambda_target : float
-        How firmly each filtered window holds to its input.
+        Weight of the distance of each filtered window from its input.
     epsilon_reference, epsilon_target : float
         Contrast (variance) below which a window counts as flat.
 
     Returns
     -------
-    filtered_reference, filtered_target : float64 arrays of the input's shape
-    weight : float64 array of the input's shape, 0 to 1
-        |ρ(filtered reference, target) · ρ(reference, filtered target)|, local correlations with each
-        variance raised by its epsilon: near 1 where structure is shared, inverted contrast included; near
-        0 where it is not, or where it is flat. A filtered window is compared with the other one as it
-        came in, because the filter copies structure from the firmly held window into the other: the two
-        filtered windows correlate at 0.95 even where only the reference had an edge.
-
-    Raises
-    ------
-    ValueError
-        If the two shapes differ or are neither 2-D nor 3-D.
+    filtered_reference, filtered_target : (rows, cols) or (k, rows, cols) array
+        Of the input's shape.
+    weight : (rows, cols) or (k, rows, cols) array
+        |ρ(filtered reference, target) · ρ(reference, filtered target)|, 0 to 1, from local correlations with
+        each variance raised by its epsilon: near 1 where structure is shared, inverted contrast included;
+        near 0 where it is not, or where it is flat. A filtered window is compared with the other input,
+        because the filter copies structure from the window of large λ into the other: the two filtered
+        windows correlate at 0.95 even where only the reference had an edge.
     """
     if reference.shape != target.shape or reference.ndim not in (2, 3):
         raise ValueError(
@@ -83,29 +92,19 @@ def mutual_structure(
     g0 = np.ascontiguousarray(reference, np.float64).reshape(stack)
     i0 = np.ascontiguousarray(target, np.float64).reshape(stack)
     g, i, weight = g0.copy(), i0.copy(), np.empty_like(g0)
-    _filter_windows(
-        g0,
-        i0,
-        g,
-        i,
-        weight,
-        iterations,
-        radius,
-        float(lambda_reference),
-        float(lambda_target),
-        float(epsilon_reference),
-        float(epsilon_target),
-    )
+    lambdas = float(lambda_reference), float(lambda_target)
+    epsilons = float(epsilon_reference), float(epsilon_target)
+    _filter_windows(g0, i0, g, i, weight, iterations, radius, *lambdas, *epsilons)
     return g.reshape(shape), i.reshape(shape), weight.reshape(shape)
 
 
 @njit(cache=True, nogil=True)
 def _filter_windows(
-    g0: Windows,
-    i0: Windows,
-    g: Windows,
-    i: Windows,
-    weight: Windows,
+    g0: Float64,
+    i0: Float64,
+    g: Float64,
+    i: Float64,
+    weight: Float64,
     iterations: int,
     radius: int,
     lambda_g: float,
@@ -127,7 +126,7 @@ def _filter_windows(
 
 
 @njit(cache=True, nogil=True)
-def _box_sums(values: Windows, radius: int, out: Windows, column: Windows) -> Windows:
+def _box_sums(values: Float64, radius: int, out: Float64, column: Float64) -> Float64:
     """Sum over the (2·radius + 1)² neighbourhood of each pixel, cut off at the border, into `out`."""
     rows, cols = values.shape
     column[:] = 0.0
@@ -151,7 +150,7 @@ def _box_sums(values: Windows, radius: int, out: Windows, column: Windows) -> Wi
 
 
 @njit(cache=True, nogil=True)
-def _moments(g: Windows, i: Windows, radius: int, sums: Windows, products: Windows) -> None:
+def _moments(g: Float64, i: Float64, radius: int, sums: Float64, products: Float64) -> None:
     """Fill sums[0:5] with the neighbourhood sums of g, i, g², i² and gi."""
     rows, cols = g.shape
     column = np.empty(cols)
@@ -168,14 +167,14 @@ def _moments(g: Windows, i: Windows, radius: int, sums: Windows, products: Windo
 
 @njit(cache=True, nogil=True)
 def _local_lines(
-    g: Windows,
-    i: Windows,
-    area: Windows,
+    g: Float64,
+    i: Float64,
+    area: Float64,
     radius: int,
     epsilon_g: float,
     epsilon_i: float,
-    sums: Windows,
-    products: Windows,
+    sums: Float64,
+    products: Float64,
 ) -> None:
     """Put the neighbourhood sums of a1, a0, b1, b0, a1², a1·a0, b1², b1·b0 into `sums`."""
     rows, cols = g.shape
@@ -203,14 +202,14 @@ def _local_lines(
 
 @njit(cache=True, nogil=True)
 def _update_images(
-    g0: Windows,
-    i0: Windows,
-    area: Windows,
+    g0: Float64,
+    i0: Float64,
+    area: Float64,
     lambda_g: float,
     lambda_i: float,
-    sums: Windows,
-    g: Windows,
-    i: Windows,
+    sums: Float64,
+    g: Float64,
+    i: Float64,
 ) -> None:
     """Solve the 2×2 system of each pixel for g and i, the local lines given by their sums."""
     rows, cols = g.shape
@@ -229,15 +228,15 @@ def _update_images(
 
 @njit(cache=True, nogil=True)
 def _correlate(
-    g: Windows,
-    i: Windows,
-    area: Windows,
+    g: Float64,
+    i: Float64,
+    area: Float64,
     radius: int,
     epsilon_g: float,
     epsilon_i: float,
-    sums: Windows,
-    products: Windows,
-    weight: Windows,
+    sums: Float64,
+    products: Float64,
+    weight: Float64,
     multiply: bool,
 ) -> None:
     """Put |ρ| of the neighbourhoods into `weight`, or multiply it by them."""
@@ -252,3 +251,61 @@ def _correlate(
             variance_i = max(sums[3, r, c] * n - mean_i * mean_i, 0.0) + epsilon_i
             rho = min(abs(covariance) / np.sqrt(variance_g * variance_i), 1.0)
             weight[r, c] = weight[r, c] * rho if multiply else rho
+
+
+CHUNK: Final = 128
+"""Number of windows that are filtered at once, which limits the memory."""
+
+
+def shared_structure(pair: ChannelPair, corners_rc: Index, start: Start, window_px: int) -> Float32:
+    """Return the mutual structure of the windows of every corner at the position of the start.
+
+    It is an (n, window_px, window_px) float32 array of weights, 0 to 1, see `mutual_structure`. The (n, 2)
+    `corners_rc` are the window centres (row, column) in the reference; `pair` has one map of each image.
+    """
+    result = np.empty((len(corners_rc), window_px, window_px), np.float32)
+    for begin in range(0, len(corners_rc), CHUNK):
+        part = slice(begin, begin + CHUNK)
+        reference, target = _windows(
+            pair, corners_rc[part], start.shift_xy_px[part], start.linear[part], window_px
+        )
+        result[part] = mutual_structure(reference / FULL_SCALE, target / FULL_SCALE)[2]
+    return result
+
+
+def passes_paper(
+    pair: ChannelPair, corners_rc: Index, start: Start, refined: Refined, window_px: int, gate: float
+) -> Bool:
+    """Return the (n,) mask of the windows whose SSIM is above the gate and above that of the coarse match.
+
+    Parameters are those of `shared_structure`, with the (n, 2) `corners_rc`; `refined` is what the refinement
+    made of the start, `gate` the least SSIM.
+    """
+    result = np.zeros(len(corners_rc), bool)
+    for begin in range(0, len(corners_rc), CHUNK):
+        part = slice(begin, begin + CHUNK)
+        corners = corners_rc[part]
+        reference, before = _windows(pair, corners, start.shift_xy_px[part], start.linear[part], window_px)
+        _, after = _windows(pair, corners, refined.shift_xy_px[part], refined.linear[part], window_px)
+        initial = ssim(reference / FULL_SCALE, before / FULL_SCALE)
+        final = ssim(reference / FULL_SCALE, after / FULL_SCALE)
+        result[part] = (final > gate) & (final > initial)
+    return result
+
+
+def _windows(
+    pair: ChannelPair, corners_rc: Index, shift_xy: Float64, linear: Float64, window_px: int
+) -> tuple[Float64, Float64]:
+    """Return the (k, window, window) reference and sampled target windows of the one map."""
+    half = window_px // 2
+    step = np.arange(-half, half + 1)
+    y, x = np.meshgrid(step, step, indexing="ij")
+    rows = corners_rc[:, 0, None, None] + y
+    cols = corners_rc[:, 1, None, None] + x
+    reference = pair.reference.maps[0][rows, cols].astype(np.float64)
+    dx = linear[:, 0, 0, None, None] * x + linear[:, 0, 1, None, None] * y + shift_xy[:, 0, None, None]
+    dy = linear[:, 1, 0, None, None] * x + linear[:, 1, 1, None, None] * y + shift_xy[:, 1, None, None]
+    target = map_coordinates(
+        pair.target.coefficients[0], np.stack([rows + dy, cols + dx]), order=3, prefilter=False, mode="mirror"
+    )
+    return reference, target.astype(np.float64)

@@ -1,8 +1,16 @@
-"""From two images to what the matcher works on: maps of their structure, with validity."""
+"""Preparation of the images: invalid pixels are filled, noise is measured, and the maps are computed.
+
+The filling is smooth, so that filters find no edge where the data end.
+
+References
+----------
+.. [1] Gortler, S. J. et al. (1996), The Lumigraph, doi:10.1145/237170.237200 (pull-push pyramid).
+.. [2] Knutsson, H. and Westin, C.-F. (1993), doi:10.1109/CVPR.1993.341081 (normalised convolution).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeVar
 
 import cv2
@@ -10,23 +18,136 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.fill import fill_smoothly
-from pcwlad_geo.matching.gradient import oriented_gradients
+from pcwlad_geo.matching.coarse import MaskedMap
 from pcwlad_geo.matching.keypoints import FULL_SCALE, contrast_weight
-from pcwlad_geo.matching.noise import Noise, smoothing_px
-from pcwlad_geo.matching.phase_congruency import maximum_moment, oriented_phase_congruency
-from pcwlad_geo.matching.refinement import ChannelStack
-from pcwlad_geo.matching.settings import Channels
-from pcwlad_geo.matching.similarity import MaskedMap
+from pcwlad_geo.matching.maps import maximum_moment, oriented_gradients, oriented_phase_congruency
+from pcwlad_geo.matching.refinement import ChannelMaps
+from pcwlad_geo.matching.types import Channels
+from pcwlad_geo.types import Bool, Float32, Float64
 
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
+RELAXATIONS: Final = 4
+"""Number of averaging steps per level, which make the fill continue the valid values smoothly."""
+COARSEST_PX: Final = 2
+"""Longest side of the coarsest level of the pyramid, which is filled with the mean."""
+
+_NEIGHBOURS: Final = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float64) / 4
+
 Floating = NDArray[np.floating[Any]]
+
+
+def fill_smoothly(image: Floating, valid: Bool) -> Floating:
+    """Fill invalid pixels with a smooth continuation of the valid ones around them.
+
+    The values of the (rows, cols) `image` are ignored, and may be NaN, where the (rows, cols) bool array
+    `valid` is False. The result is a new (rows, cols) array, float32 for float32 input and float64 otherwise,
+    with the valid pixels unchanged; zeros if none is valid.
+    """
+    dtype = np.float32 if image.dtype == np.float32 else np.float64
+    known: Floating = np.where(valid, image, 0).astype(dtype)
+    if valid.all() or not valid.any():
+        return known
+    # Around zero, so that float32 keeps its digits and the weights' rounding does not show.
+    centre = known[valid].mean(dtype=np.float64).astype(dtype)
+    filled = _fill_level(np.where(valid, known - centre, 0).astype(np.float32), valid)
+    np.copyto(known, filled + centre, where=~valid, casting="same_kind")
+    return known
+
+
+def _fill_level(known: Float32, valid: Bool) -> Float32:
+    """Fill one level from the next coarser one, then relax what was filled; `known` is 0 where invalid."""
+    rows, cols = known.shape
+    if valid.all() or max(rows, cols) <= COARSEST_PX:
+        mean = known.sum() / max(int(valid.sum()), 1)
+        return np.where(valid, known, mean).astype(np.float32)
+    # Pull: means of the valid pixels only. Push: the coarse level is used only where this one has nothing.
+    weight = cv2.pyrDown(valid.astype(np.float32))
+    total = cv2.pyrDown(known)
+    coarse_valid = weight > np.finfo(np.float32).eps
+    coarse = np.divide(total, weight, out=np.zeros_like(total), where=coarse_valid)
+    filled = np.asarray(cv2.pyrUp(_fill_level(coarse, coarse_valid), dstsize=(cols, rows)), np.float32)
+    known_mask, unknown_mask = valid.astype(np.uint8), (~valid).astype(np.uint8)
+    cv2.copyTo(known, known_mask, filled)
+    for _ in range(RELAXATIONS):
+        smoothed = cv2.filter2D(filled, -1, _NEIGHBOURS, borderType=cv2.BORDER_REPLICATE)
+        cv2.copyTo(smoothed, unknown_mask, filled)
+    return filled
+
+
+MIN_SMOOTHING_PX: Final = 0.6
+"""Sigma of the Gaussian that smooths the maps of images without noise, enough against aliasing."""
+MAX_SMOOTHING_PX: Final = 1.5
+"""Sigma of the Gaussian that smooths the maps of the noisiest images."""
+CLEAN: Final = 0.8
+"""Noise ratio up to which an image counts as free of noise; real scenes show 0.2 to 0.8."""
+WHITE: Final = 2.0
+"""Noise ratio of white noise."""
+MIN_PIXELS: Final = 1024
+"""Least number of valid pixels from which noise is measured."""
+DETAIL_OF_UNIT_NOISE: Final = 6 * 0.7979
+"""Mean absolute second difference of white noise of unit variance: its gain, 6, times E|z|."""
+
+_SECOND_DIFFERENCE: Final = ((1.0, -2.0, 1.0), (-2.0, 4.0, -2.0), (1.0, -2.0, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Noise of an image."""
+
+    ratio: float = 0.0
+    """Mean absolute second difference at full over half resolution: 2 for white noise, below 1 for scenes."""
+    sigma: float = 0.0
+    """Standard deviation of the white part, in units of the image."""
+
+    @property
+    def share(self) -> float:
+        """How much of the finest detail is noise, 0 to 1."""
+        return float(np.clip((self.ratio - CLEAN) / (WHITE - CLEAN), 0, 1))
+
+
+def measure_noise(image: NDArray[np.floating[Any]], valid: Bool) -> Noise:
+    """Measure noise by comparing the finest detail with that at half the resolution, where noise is averaged.
+
+    The (rows, cols) `image` is at full resolution, and the (rows, cols) bool array `valid` says which pixels
+    count. All is zero where these are too few.
+    """
+    rows, cols = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
+    fine = np.where(valid, image, 0.0)[:rows, :cols].astype(np.float64)
+    fine_valid = np.asarray(valid[:rows, :cols])
+    half = cols // 2, rows // 2
+    if min(half) == 0:
+        return Noise()
+    coarse = np.asarray(cv2.resize(fine, half, interpolation=cv2.INTER_AREA), np.float64)
+    coarse_valid = (
+        fine_valid[::2, ::2] & fine_valid[1::2, ::2] & fine_valid[::2, 1::2] & fine_valid[1::2, 1::2]
+    )
+    detail, coarse_detail = _mean_detail(fine, fine_valid), _mean_detail(coarse, coarse_valid)
+    if coarse_detail <= 0:
+        return Noise()
+    noise = Noise(ratio=detail / coarse_detail)
+    return replace(noise, sigma=noise.share * detail / DETAIL_OF_UNIT_NOISE)
+
+
+def smoothing_px(*noises: Noise) -> float:
+    """Return the Gaussian sigma for the maps of a pair from the noise of its images."""
+    share = max((noise.share for noise in noises), default=0.0)
+    return MIN_SMOOTHING_PX + (MAX_SMOOTHING_PX - MIN_SMOOTHING_PX) * share
+
+
+def _mean_detail(image: Float64, valid: Bool) -> float:
+    inner = cv2.erode(valid.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
+    count = cv2.countNonZero(inner)
+    if count < MIN_PIXELS:
+        return 0.0
+    detail = cv2.filter2D(image, -1, np.array(_SECOND_DIFFERENCE))
+    return cv2.norm(detail, cv2.NORM_L1, mask=inner) / count
+
+
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 NO_NOISE: Final = Noise()
+"""The noise of an image without noise."""
 EDGE_PX: Final = 4
-"""Maps are not trusted this near to nodata and image edges: the filling shows through."""
+"""Maps count as invalid this near to nodata and image edges, as the filled values influence them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,37 +159,37 @@ class Image:
     valid: Bool
     """(rows, cols)."""
     epsilon: float
-    """The scene's ε, see `phase_congruency.scene_epsilon`."""
+    """The scene's ε, see `maps.scene_epsilon`."""
     noise: Noise = NO_NOISE
     """The scene's noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StackPair:
-    """What is refined: the channels of two images of the same shape."""
+class ChannelPair:
+    """The channels of two images of the same shape, on which matches are refined."""
 
-    reference: ChannelStack
-    target: ChannelStack
+    reference: ChannelMaps
+    target: ChannelMaps
 
     @property
-    def turned(self) -> StackPair:
-        """The same pair seen from the target."""
-        return StackPair(self.target, self.reference)
+    def turned(self) -> ChannelPair:
+        """The same pair with the images exchanged."""
+        return ChannelPair(self.target, self.reference)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedPair:
     """Maps of two images of the same shape."""
 
-    stacks: StackPair
+    channels: ChannelPair
     reference_map: MaskedMap
     target_map: MaskedMap
-    contrast: NDArray[np.float32]
+    contrast: Float32
     """(rows, cols) contrast weight of the reference, see `keypoints.contrast_weight`."""
 
     @property
-    def reference_moment(self) -> NDArray[np.float32]:
-        """(rows, cols) map of the reference that corners are found in."""
+    def reference_moment(self) -> Float32:
+        """(rows, cols) float32 map of the reference in which corners are found."""
         return self.reference_map.values
 
 
@@ -78,25 +199,27 @@ def prepare(reference: Image, target: Image, *, channels: Channels, halo_px: int
     Parameters
     ----------
     reference, target : Image
-        Of the same shape.
+        Images of the same shape.
     channels : {"orientations", "gradients", "moment"}
-        What is matched: the six oriented maps of phase congruency, six oriented gradients, or the one
+        Maps that are matched: the six oriented maps of phase congruency, six oriented gradients, or the one
         map M of the paper.
     halo_px : int
-        Rows and columns along all four edges that the filters need and the result leaves out.
+        Number of rows and columns along all four edges that the filters need and the result leaves out.
     """
     smooth = 0.0 if channels == "moment" else smoothing_px(reference.noise, target.noise)
     filled = fill_smoothly(reference.values, reference.valid)
     contrast = contrast_weight(filled, reference.epsilon, reference.noise.sigma)
-    ref_stack, ref_map = _maps(filled, reference, channels, smooth, halo_px)
+    reference_channels, ref_map = _maps(filled, reference, channels, smooth, halo_px)
     filled = fill_smoothly(target.values, target.valid)
-    tgt_stack, tgt_map = _maps(filled, target, channels, smooth, halo_px)
-    return PreparedPair(StackPair(ref_stack, tgt_stack), ref_map, tgt_map, _inside(contrast, halo_px))
+    target_channels, tgt_map = _maps(filled, target, channels, smooth, halo_px)
+    return PreparedPair(
+        ChannelPair(reference_channels, target_channels), ref_map, tgt_map, _inside(contrast, halo_px)
+    )
 
 
 def _maps(
     filled: Floating, image: Image, channels: Channels, smooth_px: float, halo_px: int
-) -> tuple[ChannelStack, MaskedMap]:
+) -> tuple[ChannelMaps, MaskedMap]:
     if channels == "gradients":
         maps, whole = oriented_gradients(filled, image.epsilon, smooth_px)
     else:
@@ -104,13 +227,13 @@ def _maps(
         whole = maximum_moment(maps)
     maps, whole = _inside(maps, halo_px), _inside(whole, halo_px)
     valid = _inside(_eroded(image.valid), halo_px)
-    stack = ChannelStack.of(whole[None] if channels == "moment" else maps, valid)
+    stack = ChannelMaps.of(whole[None] if channels == "moment" else maps, valid)
     weight = valid.astype(np.float32)
     return stack, MaskedMap(whole * weight, weight, np.float32(FULL_SCALE))
 
 
 def _inside(plane: NDArray[Scalar], halo_px: int) -> NDArray[Scalar]:
-    """Return the last two axes without so many pixels on all sides; a copy, so that the rest is freed."""
+    """Crop the last two axes by `halo_px` on all sides; the result is a copy, so that the rest is freed."""
     if halo_px == 0:
         return plane
     return plane[..., halo_px : plane.shape[-2] - halo_px, halo_px : plane.shape[-1] - halo_px].copy()
@@ -128,7 +251,7 @@ def _phase_congruency(filled: Floating, epsilon: float, smooth_px: float) -> Flo
 
 
 def fast_even(n: int) -> int:
-    """Return the least even length from n that transforms fast."""
+    """Return the smallest even length, n or more, that has a fast Fourier transform."""
     length = int(scipy.fft.next_fast_len(n, real=False))
     while length % 2:
         length = int(scipy.fft.next_fast_len(length + 1, real=False))

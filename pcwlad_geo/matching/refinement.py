@@ -1,9 +1,8 @@
-"""Sub-pixel refinement: weighted least absolute deviation with mutual-structure weights.
+"""Sub-pixel refinement of matches on maps that are interpolated by a cubic B-spline.
 
-The model of a channel is G = h0 + h1 · I(x + shift), with I the target's map on a cubic B-spline;
-all channels share one shift and their normal equations are added, each over its residual variance.
-The weights are MS / (1 + |residual| / σ) (eq. 9 of the PCWLAD paper), MS being the squared positive
-local correlation at the current sub-pixel position: where both maps hold the same structure.
+References
+----------
+.. [1] Unser, M. (1999), Splines: a perfect fit for signal and image processing, doi:10.1109/79.799930.
 """
 
 from __future__ import annotations
@@ -11,49 +10,73 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from pcwlad_geo.matching import refinement_state as state
-from pcwlad_geo.matching.refinement_loop import refine_points
-from pcwlad_geo.matching.spline import spline_coefficients
+from pcwlad_geo.matching.kernels import steps as state
+from pcwlad_geo.matching.kernels.refinement import refine_points
+from pcwlad_geo.types import Bool, Float32, Float64, Index
+
+POLE: Final = float(np.sqrt(3.0)) - 2.0
+"""Pole of the prefilter of the cubic B-spline [1]_."""
+REACH_PX: Final = 12
+"""Half length of the prefilter's kernel: its response falls to 1e-7 of the peak within this distance."""
+
+
+def spline_coefficients(image: Float32, out: Float32) -> None:
+    """Prefilter an image for cubic B-spline interpolation [1]_, mirrored about its outermost pixels.
+
+    Parameters
+    ----------
+    image : (rows, cols) float32 array
+        Finite values.
+    out : (rows, cols) float32 array
+        Filled with what `scipy.ndimage.spline_filter` returns, to 1e-6 of its range.
+
+    Notes
+    -----
+    The recursive filter, truncated at the precision of float32, is a short symmetric kernel, which is several
+    times as fast.
+    """
+    kernel = POLE ** np.abs(np.arange(-REACH_PX, REACH_PX + 1))
+    kernel /= kernel.sum()
+    cv2.sepFilter2D(image, -1, kernel, kernel, dst=out, borderType=cv2.BORDER_REFLECT_101)
+
 
 TOLERANCE_PX: Final = 0.004
-"""The move that would follow the last one is expected to be shorter."""
+"""The iteration ends when the next move is expected to be shorter than this."""
 REACHED_BY_PX: Final = 0.05
-"""A start that is a match already counts as reached by a move of this length."""
+"""A start that is already a match counts as reached by a move of this length."""
 RELAXATION_ROBUST: Final = 1.4
-"""The weights follow the residual, so a plain step falls short by a third; the first is made longer."""
+"""Factor on the first step where weights follow the residual, as a plain step falls short by a third."""
 RELAXATION_STRUCTURE: Final = 1.4
-"""The same once more where the structure follows the position."""
+"""Further factor on the first step where the mutual structure follows the position."""
 LARGEST_MOVE_PX: Final = 3.0
+"""Points that move further than this from their start are dropped."""
 WINDOW_PER_CORRELATION_SIDE: Final = 12
+"""Side of the refinement window over the side of the window of the local correlation."""
 BLOCK_PX: Final = 16
 """Side of the blocks whose scores are taken as independent in the covariance."""
 
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
-Index = NDArray[np.intp]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChannelStack:
+class ChannelMaps:
     """Maps of one image, with the spline coefficients that interpolate them."""
 
     maps: Float32
     """(channels, rows, cols)."""
     coefficients: Float32
     """(channels, rows, cols) cubic B-spline coefficients of the maps."""
-    valid: NDArray[np.bool_]
+    valid: Bool
     """(rows, cols) pixels that count."""
 
     @staticmethod
-    def of(maps: Float32, valid: NDArray[np.bool_]) -> ChannelStack:
-        """Prefilter the maps for interpolation."""
+    def of(maps: Float32, valid: Bool) -> ChannelMaps:
+        """Prefilter the (channels, rows, cols) `maps` with their (rows, cols) mask `valid`."""
         coefficients = np.empty_like(maps)
         for plane, out in zip(maps, coefficients, strict=True):
             spline_coefficients(plane, out)
-        return ChannelStack(maps, coefficients, valid)
+        return ChannelMaps(maps, coefficients, valid)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +89,8 @@ class Refined:
     """(n, 2, 2) deformation of the window: target offset = (1 + linear) · reference offset."""
     covariance_px2: Float64
     """(n, 2, 2) sandwich covariance of the shift from block scores, before calibration."""
-    converged: NDArray[np.bool_]
-    """(n,)."""
+    converged: Bool
+    """(n,) whether the iteration converged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,22 +104,22 @@ class Start:
     structure_xy_px: Float64 | None = None
     """(n, 2) shift at which the mutual structure is taken; None: wherever the iteration is."""
     structure: Float32 | None = None
-    """(n, window, window) mutual structure given from outside."""
+    """(n, window, window) mutual structure computed beforehand, 0 to 1; None: computed here."""
     is_match: bool = False
-    """The shifts were refined before, from nearly the same pixels: one short move confirms them.
+    """Whether the shifts were refined before, from nearly the same pixels: one short move confirms them.
 
-    Not where the structure follows the position: there a short move may be the first of many.
+    This does not hold where the structure follows the position: there many short moves may follow.
     """
 
     @property
     def reached_by_px(self) -> float:
-        """Return the length of the move that has led here."""
+        """Length of the move that led to the start."""
         return REACHED_BY_PX if self.is_match else np.inf
 
 
 def refine(
-    reference: ChannelStack,
-    target: ChannelStack,
+    reference: ChannelMaps,
+    target: ChannelMaps,
     corners_rc: Index,
     start: Start,
     *,
@@ -111,7 +134,7 @@ def refine(
 
     Parameters
     ----------
-    reference, target : ChannelStack
+    reference, target : ChannelMaps
         Maps of both images.
     corners_rc : (n, 2) intp array
         Row, column of the window centres in the reference.
@@ -120,19 +143,15 @@ def refine(
     window_px : int
         Side of the window, odd.
     use_structure : bool
-        Weight by mutual structure.
+        Whether to weight by mutual structure.
     robust : bool
-        Weight by the residual (eq. 9); plain least squares otherwise.
+        Whether to weight by the residual (paper, eq. 9); plain least squares otherwise.
     affine : bool
-        Also estimate the deformation of every window; kept as given otherwise.
+        Whether to estimate the deformation of every window; it is kept as given otherwise.
     iterations : int
-        Most Gauss-Newton steps.
+        Largest number of Gauss-Newton steps.
     least_valid : float
-        Least share of the window that is valid in both images.
-
-    Returns
-    -------
-    Refined
+        Least share of the window that must be valid in both images.
     """
     n = len(corners_rc)
     results = state.Results(np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)), np.zeros(n, np.int64))
@@ -152,7 +171,7 @@ def refine(
         largest_move_px=LARGEST_MOVE_PX,
         blocks=max(4, round(window_px / BLOCK_PX)),
     )
-    # one kind of array, so that the loop is compiled once: a read-only one would be another
+    # one array type, so that the loop is compiled once: a read-only array is another type
     images = state.Images(
         np.require(reference.maps, np.float32, ("C", "W")),
         np.require(target.coefficients, np.float32, ("C", "W")),
@@ -165,7 +184,7 @@ def refine(
 
 
 def _starts(corners_rc: Index, start: Start) -> state.Starts:
-    """Return the start in the types that the compiled loop knows."""
+    """Return the start in the types that the compiled loop takes."""
     unused = np.zeros((len(corners_rc), 2)), np.zeros((1, 1, 1), np.float32)
     return state.Starts(
         corners_rc.astype(np.int64),
@@ -184,7 +203,7 @@ def correlation_half_px(window_px: int) -> int:
 
 
 def first_relaxation(robust: bool, structure_follows: bool) -> float:
-    """Return how many times as long as a plain one the first step is."""
+    """Return the factor on the first step for `robust` weights and where `structure_follows` the shift."""
     return (RELAXATION_ROBUST if robust else 1.0) * (RELAXATION_STRUCTURE if structure_follows else 1.0)
 
 

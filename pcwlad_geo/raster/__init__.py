@@ -1,1 +1,1 @@
-"""Files: bands, grids, CRS, validity, windows, warping, tie-point formats."""
+"""Raster files: opening, bands, grids, CRSs, validity masks, windows, warping and output formats."""

@@ -1,4 +1,4 @@
-"""Coordinates from one CRS to another, and how far the transformation can be trusted."""
+"""Transformation of coordinates between CRSs, with warnings where it is inaccurate."""
 
 from __future__ import annotations
 
@@ -8,26 +8,21 @@ from typing import Any
 
 import numpy as np
 import pyproj
-from numpy.typing import NDArray
 from pyproj.exceptions import ProjError
 from pyproj.transformer import TransformerGroup
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.quiet import ignoring
-
-Array = NDArray[np.float64]
+from pcwlad_geo.raster.gdal import ignoring
+from pcwlad_geo.types import Float64
 
 
 @lru_cache(maxsize=64)
 def to_pyproj(crs: CRS) -> pyproj.CRS:
     """Return the pyproj form of a rasterio CRS.
 
-    Raises
-    ------
-    InputError
-        If PROJ does not understand it.
+    Raises `InputError` if PROJ does not understand it.
     """
     try:
         # The code keeps what WKT 1 loses (datum ensembles), and with it the choice of transformation.
@@ -38,7 +33,7 @@ def to_pyproj(crs: CRS) -> pyproj.CRS:
 
 
 def name_of(crs: CRS | None) -> str:
-    """Return a short name for messages: the code, or the name in the WKT."""
+    """Return a short name of a CRS for messages: its EPSG code, or the name in its WKT."""
     if crs is None:
         return "no CRS"
     code = crs.to_epsg()
@@ -48,8 +43,11 @@ def name_of(crs: CRS | None) -> str:
     return f"'{parts[1]}'" if len(parts) > 1 else "without a name"
 
 
-def utm_zone_of(lon_lat: Array) -> CRS:
-    """Return the UTM zone (WGS 84) of a longitude and latitude, degrees; polar stereographic near a pole."""
+def utm_zone_of(lon_lat: Float64) -> CRS:
+    """Return the UTM zone (WGS 84) of `lon_lat`, a (2,) longitude and latitude in degrees.
+
+    Beyond 84 degrees of latitude it is the polar stereographic CRS.
+    """
     lon, lat = lon_lat.tolist()
     if abs(lat) > 84.0:
         return CRS.from_epsg(5041 if lat > 0 else 5042)
@@ -57,13 +55,22 @@ def utm_zone_of(lon_lat: Array) -> CRS:
     return CRS.from_epsg((32600 if lat >= 0 else 32700) + zone)
 
 
-def transform_xy(xy: Array, from_crs: CRS | None, to_crs: CRS | None) -> Array:
-    """Map (n, 2) coordinates (x, y) of one CRS to another; NaN where that is impossible.
+def transform_xy(xy: Float64, from_crs: CRS | None, to_crs: CRS | None) -> Float64:
+    """Map coordinates of one CRS to another.
 
-    Raises
-    ------
-    InputError
-        If no transformation exists between the two.
+    Raises `InputError` if no transformation exists between the two, or only one of them is None.
+
+    Parameters
+    ----------
+    xy : (n, 2) array
+        Coordinates (x, y) in the units of `from_crs`; longitude before latitude.
+    from_crs, to_crs : CRS or None
+        Equal CRSs, None included, leave the coordinates unchanged.
+
+    Returns
+    -------
+    (n, 2) array
+        Coordinates (x, y) in the units of `to_crs`; NaN where the transformation is not defined.
     """
     xy = np.asarray(xy, dtype=np.float64)
     if from_crs == to_crs:
@@ -74,27 +81,25 @@ def transform_xy(xy: Array, from_crs: CRS | None, to_crs: CRS | None) -> Array:
     return np.where(np.isfinite(moved), moved, np.nan)
 
 
-def with_arrays(method: Callable[..., Sequence[Any]], *arrays: Array) -> tuple[Array, ...]:
-    """Return what a method of pyproj makes of (n,) arrays, as arrays.
+def with_arrays(method: Callable[..., Sequence[Any]], *arrays: Float64) -> tuple[Float64, ...]:
+    """Call a `method` of pyproj on (n,) coordinate `arrays` and return its results as (n,) arrays.
 
-    Before 3.7.2, pyproj takes an array of one element for a number, of which NumPy warns.
+    Units are those of the method. Before 3.7.2, pyproj converts an array of one element to a number, for
+    which NumPy issues a warning; such an array is passed as a number.
     """
     given = [array.item() for array in arrays] if len(arrays[0]) == 1 else arrays
     return tuple(np.atleast_1d(np.asarray(made, dtype=np.float64)) for made in method(*given))
 
 
 def transformation_warnings(from_crs: CRS | None, to_crs: CRS | None) -> tuple[str, ...]:
-    """Say where the transformation between two CRSs may be off by metres.
+    """Return warnings where the transformation between `from_crs` and `to_crs` may be off by metres.
 
-    Raises
-    ------
-    InputError
-        If no transformation exists between the two.
+    Raises `InputError` if no transformation exists between the two.
     """
     if from_crs is None or to_crs is None or from_crs == to_crs:
         return ()
     _transformer(from_crs, to_crs)
-    with ignoring(UserWarning):  # pyproj's own words on missing grids
+    with ignoring(UserWarning):  # pyproj's own warning about missing grids
         group = TransformerGroup(to_pyproj(from_crs), to_pyproj(to_crs), always_xy=True)
     pair = f"from {name_of(from_crs)} to {name_of(to_crs)}"
     used = group.transformers[0] if group.transformers else None

@@ -15,20 +15,20 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Final
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.input_files import read_bytes
 from pcwlad_geo.limits import MEMBERS, TEXT_BYTES, check_count, check_unpacked
+from pcwlad_geo.text import read_bytes
 
 _ZIP: Final = (".zip",)
 _TAR: Final = (".tar", ".tar.gz", ".tgz")
 DEEPEST: Final = 6
-"""Levels of folders that are looked into."""
+"""Number of folder levels that are searched."""
 _DAMAGED: Final = (
     *(OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zlib.error, lzma.LZMAError),
     *(zipfile.BadZipFile, tarfile.TarError),
 )
-"""What Python's readers of archives raise for those that are damaged, encrypted or packed in another way."""
+"""Exceptions of Python's archive readers for damaged, encrypted or unsupported archives."""
 _SUBFILE: Final = re.compile(r"/vsisubfile/\d+_\d+_(?P<name>[^/,]+),.*", re.DOTALL)
-"""A file inside an archive by its place: GDAL passes over the name, which is there for us."""
+"""A file inside an archive by its offset: GDAL ignores the name, which only this program reads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +38,9 @@ class FileTree:
     path: Path
     """The folder or the archive."""
     names: tuple[str, ...]
-    """Relative, with forward slashes, in order."""
+    """Paths of the files relative to the root, with forward slashes, sorted."""
     prefix: str = ""
-    """What GDAL puts before an archive; empty for a folder."""
+    """GDAL's prefix for the kind of archive (/vsizip/, /vsitar/); empty for a folder."""
 
     def uri(self, name: str) -> str:
         """Return the path or GDAL URI of a file."""
@@ -50,16 +50,13 @@ class FileTree:
         if place is not None:
             unpacked = "" if self.path.name.lower().endswith(".tar") else "/vsigzip/"
             return f"/vsisubfile/{place}_{name_in(name).replace(',', '_')},{unpacked}{archive}"
-        # Braces keep GDAL from guessing where the archive's name ends.
+        # Braces mark where the archive's name ends, which GDAL would guess otherwise.
         return f"{self.prefix}/{{{archive}}}/{name}"
 
     def read_text(self, name: str) -> str:
         """Read a small text file.
 
-        Raises
-        ------
-        InputError
-            If it cannot be read.
+        Raises `InputError` if it cannot be read.
         """
         try:
             data = _member(_Archive.of(self.path), name) if self.prefix else read_bytes(self.path / name)
@@ -69,17 +66,14 @@ class FileTree:
 
 
 def is_archive(path: Path) -> bool:
-    """Whether a name is that of a .zip or .tar."""
+    """Whether a path has the suffix of a .zip or .tar archive."""
     return path.name.lower().endswith((*_ZIP, *_TAR))
 
 
 def tree_of(path: Path) -> FileTree:
     """List the files of a folder or an archive.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read.
+    Raises `InputError` if it cannot be read.
     """
     try:
         if path.is_dir():
@@ -92,7 +86,7 @@ def tree_of(path: Path) -> FileTree:
 
 @dataclass(frozen=True, slots=True)
 class _Archive:
-    """An archive as it is now."""
+    """An archive in its present version, as a key of caches."""
 
     path: Path
     changed_ns: int
@@ -109,7 +103,7 @@ class _Archive:
 
     @property
     def unpacks(self) -> bool:
-        """Whether it is longer once unpacked."""
+        """Whether the archive is compressed."""
         return not self.path.name.lower().endswith(".tar")
 
 
@@ -118,15 +112,15 @@ class _Member:
     """A file in an archive."""
 
     stored: str
-    """Its name there, which may begin with ./"""
+    """Its name in the archive, which may begin with ./"""
     place: str | None = None
-    """First byte and length, joined by _, where GDAL does not find the file by its name."""
+    """Offset and length in bytes, joined by _, where GDAL does not find the file by its name."""
 
 
 # A job asks several times, and a .tar.gz is unpacked from its beginning each time.
 @lru_cache(maxsize=16)
 def _members(archive: _Archive) -> Mapping[str, _Member]:
-    """Return the files of an archive by the names that GDAL has for them."""
+    """Return the files of an archive by the names that GDAL gives them."""
     if archive.zipped:
         with zipfile.ZipFile(archive.path) as file:
             held = file.infolist()
@@ -185,7 +179,7 @@ def _below(folder: Path, levels: int, above: str = "") -> list[str]:
 
 
 def name_in(name: str) -> str:
-    """Return the last part of a name."""
+    """Return the last component of a path with forward slashes."""
     return PurePosixPath(name).name
 
 

@@ -1,4 +1,4 @@
-"""Lengths on the ground: pixel sizes and displacements in metres, on the ellipsoid of whatever CRS."""
+"""Lengths on the ground: pixel sizes and displacements in metres, on the ellipsoid of any CRS."""
 
 from __future__ import annotations
 
@@ -7,47 +7,34 @@ from functools import lru_cache
 
 import numpy as np
 import pyproj
-from numpy.typing import NDArray
 from pyproj.exceptions import ProjError
 from rasterio.crs import CRS
 
 from pcwlad_geo.raster.crs import to_pyproj, with_arrays
 from pcwlad_geo.raster.grid import Grid
-
-Array = NDArray[np.float64]
+from pcwlad_geo.types import Float64
 
 _PROBE_M = 50.0
-"""Length of the steps along the map's axes that tell how long a map unit is on the ground."""
+"""Length of the steps along the map's axes with which the ground length of a map unit is measured."""
 _ROUNDS = 4
-"""Of the way from metres back to map units; each leaves a share of the error as small as the share by which
-the map's scale changes along the way."""
+"""Iterations of the conversion from metres to map units; each reduces the error to the share by which the
+map's scale changes along the displacement."""
 
 
-def pixel_size_m(grid: Grid, at_px: tuple[float, float] | Array) -> tuple[float, float] | None:
-    """Measure a pixel step along the columns' and the rows' axis on the ground.
+def pixel_size_m(grid: Grid, at_px: tuple[float, float] | Float64) -> tuple[float, float] | None:
+    """Measure the ground length of one pixel along the column and the row axis.
 
-    Parameters
-    ----------
-    grid : Grid
-    at_px : (col, row)
-        Where: the scale of a map changes from place to place.
-
-    Returns
-    -------
-    tuple of float or None
-        Metres per step of one column and of one row; None without a CRS.
+    Metres are returned, None without a CRS. The scale of a map varies, so they hold at `at_px`, a (2,)
+    position (col, row).
     """
     sizes = pixel_sizes_m(grid, np.asarray(at_px, dtype=np.float64).reshape(1, 2))
     return None if sizes is None else (float(sizes[0, 0]), float(sizes[0, 1]))
 
 
-def pixel_sizes_m(grid: Grid, at_px: Array) -> Array | None:
-    """Measure the pixels of a grid at (n, 2) positions (col, row), see `pixel_size_m`.
+def pixel_sizes_m(grid: Grid, at_px: Float64) -> Float64 | None:
+    """Return the (n, 2) sizes of the pixels of a grid at the (n, 2) `at_px` (col, row), see `pixel_size_m`.
 
-    Returns
-    -------
-    (n, 2) array or None
-        Metres per step of one column and of one row; None without a CRS.
+    They are metres per step of one column and of one row; None without a CRS.
     """
     if grid.crs is None:
         return None
@@ -60,29 +47,18 @@ def pixel_sizes_m(grid: Grid, at_px: Array) -> Array | None:
 
 
 def middle_pixel_size_m(grid: Grid) -> tuple[float, float] | None:
-    """Measure a pixel in the middle of a grid, see `pixel_size_m`."""
-    rows, cols = grid.shape
-    return pixel_size_m(grid, (cols / 2, rows / 2))
+    """Return the pixel size in the middle of a grid, metres (column, row), see `pixel_size_m`."""
+    return pixel_size_m(grid, grid.middle_px)
 
 
-def displacement_m(xy_from: Array, xy_to: Array, crs: CRS | None) -> Array:
-    """Measure the way from one point to another on the ground, along the axes of a CRS.
+def displacement_m(xy_from: Float64, xy_to: Float64, crs: CRS | None) -> Float64:
+    """Return displacements between points on the ground, metres along the axes of a CRS.
 
-    The length is that of the geodesic. Its direction is that of the map, stretched as the map's scale along
-    and across its axes demands (the symmetric square root of the metric tensor at the middle of the way): the
-    direction in the map itself where the projection is conformal, east and north for a geographic CRS.
-
-    Parameters
-    ----------
-    xy_from, xy_to : (n, 2) arrays
-        Map coordinates (x, y).
-    crs : CRS or None
-
-    Returns
-    -------
-    (n, 2) array
-        Metres along x and y; NaN without a CRS. Where the CRS has no ellipsoid, the map is taken for the
-        ground.
+    The length is that of the geodesic. The direction is that of the displacement on the map, multiplied by
+    the symmetric square root of the metric tensor at its middle: the direction on the map itself where the
+    projection is conformal, east and north for a geographic CRS. The (n, 2) arrays `xy_from` and `xy_to` are
+    map coordinates (x, y) in the units of the CRS, and the result is (n, 2) metres along x and y, NaN without
+    a CRS. Where the CRS has no ellipsoid, map lengths count as ground lengths.
     """
     xy_from, xy_to = np.asarray(xy_from, dtype=np.float64), np.asarray(xy_to, dtype=np.float64)
     if crs is None:
@@ -92,27 +68,17 @@ def displacement_m(xy_from: Array, xy_to: Array, crs: CRS | None) -> Array:
     if ground is None:
         return np.asarray(step * _unit(to_pyproj(crs)))
     step = ground.shortest(step)
-    along: Array = np.einsum("nij,nj->ni", ground.stretch(xy_from + step / 2), step)
+    along: Float64 = np.einsum("nij,nj->ni", ground.stretch(xy_from + step / 2), step)
     length, as_long = ground.length_m(xy_from, xy_to), np.hypot(along[:, 0], along[:, 1])
     exact = np.divide(length, as_long, out=np.ones_like(length), where=as_long > 0)
     return np.asarray(along * exact[:, None])
 
 
-def moved_xy(xy: Array, along_m: Array, crs: CRS) -> Array:
-    """Return where ways on the ground lead to: the inverse of `displacement_m`.
+def moved_xy(xy: Float64, along_m: Float64, crs: CRS) -> Float64:
+    """Return the (n, 2) ends of displacements on the ground: the inverse of `displacement_m`.
 
-    Parameters
-    ----------
-    xy : (n, 2) array
-        Map coordinates (x, y) that the ways start from.
-    along_m : (n, 2) array
-        Metres along x and y, as `displacement_m` returns them.
-    crs : CRS
-
-    Returns
-    -------
-    (n, 2) array
-        Map coordinates.
+    They start at the (n, 2) map coordinates `xy` (x, y), in units of the CRS, and have the (n, 2) metres
+    `along_m` along x and y.
     """
     ground = _ground_of(crs)
     if ground is None:
@@ -125,7 +91,7 @@ def moved_xy(xy: Array, along_m: Array, crs: CRS) -> Array:
 
 
 class _Ground:
-    """The ellipsoid below a map."""
+    """Lengths on the ellipsoid of a CRS."""
 
     def __init__(self, described: pyproj.CRS, geographic: pyproj.CRS, ellipsoid: pyproj.Geod) -> None:
         self._ellipsoid = ellipsoid
@@ -139,21 +105,21 @@ class _Ground:
         self._probe = _PROBE_M / (111e3 * self._degrees if described.is_geographic else _unit(described))
         self._round = 360.0 / self._degrees if described.is_geographic else math.inf
 
-    def shortest(self, step: Array) -> Array:
-        """Return map steps the short way round the earth, where x is a longitude."""
+    def shortest(self, step: Float64) -> Float64:
+        """Return (n, 2) map steps, those in longitude reduced to at most half a turn."""
         if math.isinf(self._round):
             return step
         return step - np.column_stack([np.rint(step[:, 0] / self._round) * self._round, 0.0 * step[:, 1]])
 
-    def length_m(self, xy_from: Array, xy_to: Array) -> Array:
+    def length_m(self, xy_from: Float64, xy_to: Float64) -> Float64:
         """Return the lengths (n,) of geodesics between (n, 2) map coordinates."""
         (lon_from, lat_from), (lon_to, lat_to) = self._lon_lat(xy_from), self._lon_lat(xy_to)
         return with_arrays(self._ellipsoid.inv, lon_from, lat_from, lon_to, lat_to)[2]
 
-    def stretch(self, xy: Array) -> Array:
-        """Return (n, 2, 2): metres on the ground by map unit, symmetric, at (n, 2) map coordinates.
+    def stretch(self, xy: Float64) -> Float64:
+        """Return the (n, 2, 2) symmetric matrices of metres on the ground per map unit at (n, 2) `xy`.
 
-        The lengths of the two axes and of a diagonal are the metric tensor; this is its square root.
+        They are the square roots of the metric tensor, which is measured along both axes and both diagonals.
         """
         along_x, along_y = np.array([self._probe, 0.0]) / 2, np.array([0.0, self._probe]) / 2
         x, y, up, down = (
@@ -167,8 +133,8 @@ class _Ground:
             root = np.array([[x + area, across], [across, y + area]]) / np.sqrt(x + y + 2 * area)
         return np.moveaxis(root, 2, 0)
 
-    def _lon_lat(self, xy: Array) -> tuple[Array, Array]:
-        """Return longitudes and latitudes, degrees; NaN where the projection has none."""
+    def _lon_lat(self, xy: Float64) -> tuple[Float64, Float64]:
+        """Return (n,) longitudes and latitudes, degrees; NaN where the projection is not defined."""
         x, y = xy[:, 0], xy[:, 1]
         if self._to_lon_lat is not None:
             x, y = with_arrays(self._to_lon_lat.transform, x, y)
@@ -179,7 +145,7 @@ class _Ground:
 
 @lru_cache(maxsize=64)
 def _ground_of(crs: CRS) -> _Ground | None:
-    """Return the ellipsoid below a map; None for a plane that lies on none."""
+    """Return the ellipsoid of a CRS; None for a CRS without one."""
     described = to_pyproj(crs)
     geographic, ellipsoid = described.geodetic_crs, described.get_geod()
     if geographic is None or ellipsoid is None or described.is_geocentric:

@@ -1,63 +1,220 @@
-"""A grid: shape, geotransform and CRS of a raster; pixel coordinates to map coordinates and back."""
+"""Pixel windows, and grids: the geotransform and CRS that map pixel to map coordinates."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from affine import Affine
-from numpy.typing import NDArray
+from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 
+from pcwlad_geo.correction.dense import positions
+from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.types import Float64
 
-Array = NDArray[np.float64]
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A rectangle of whole pixels; it may extend beyond the raster."""
+
+    row: int
+    """First row; negative above the raster."""
+    col: int
+    """First column; negative left of the raster."""
+    rows: int
+    cols: int
+
+    @property
+    def row_stop(self) -> int:
+        """The first row below the window."""
+        return self.row + self.rows
+
+    @property
+    def col_stop(self) -> int:
+        """The first column right of the window."""
+        return self.col + self.cols
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of rows and columns."""
+        return self.rows, self.cols
+
+    @property
+    def area_px2(self) -> int:
+        """Number of pixels."""
+        return self.rows * self.cols
+
+    @property
+    def empty(self) -> bool:
+        """Whether the window holds no pixel."""
+        return self.rows <= 0 or self.cols <= 0
+
+    @staticmethod
+    def from_bounds(row: int, col: int, row_stop: int, col_stop: int) -> Window:
+        """Return the window from `row` and `col` to, exclusive, `row_stop` and `col_stop`.
+
+        If a stop is before the start, the window is empty.
+        """
+        return Window(row, col, max(0, row_stop - row), max(0, col_stop - col))
+
+    @staticmethod
+    def around(low_xy: Float64, high_xy: Float64) -> Window:
+        """Return the window of whole pixels from the (2,) corner `low_xy` (col, row) to `high_xy`."""
+        low, high = np.floor(low_xy).astype(int), np.ceil(high_xy).astype(int)
+        return Window.from_bounds(int(low[1]), int(low[0]), int(high[1]), int(high[0]))
+
+    @staticmethod
+    def whole(shape: tuple[int, int]) -> Window:
+        """Return the window of a whole raster of (rows, columns)."""
+        return Window(0, 0, *shape)
+
+    def intersection(self, other: Window) -> Window:
+        """Return the intersection of two windows; empty where they do not meet."""
+        return Window.from_bounds(
+            max(self.row, other.row),
+            max(self.col, other.col),
+            min(self.row_stop, other.row_stop),
+            min(self.col_stop, other.col_stop),
+        )
+
+    def clipped(self, shape: tuple[int, int]) -> Window:
+        """Return the part inside a raster of (rows, columns)."""
+        return self.intersection(Window.whole(shape))
+
+    def padded(self, margin_px: int) -> Window:
+        """Return the window grown by a margin on all sides; it may extend beyond the raster."""
+        return Window(
+            self.row - margin_px, self.col - margin_px, self.rows + 2 * margin_px, self.cols + 2 * margin_px
+        )
+
+    def moved(self, rows: int, cols: int) -> Window:
+        """Return the window moved down by `rows` and right by `cols` pixels."""
+        return Window(self.row + rows, self.col + cols, self.rows, self.cols)
+
+    def slices_in(self, outer: Window) -> tuple[slice, slice]:
+        """Return the slices (rows, columns) of this window in an array that holds the outer one."""
+        row, col = self.row - outer.row, self.col - outer.col
+        return slice(row, row + self.rows), slice(col, col + self.cols)
+
+    def halves(self) -> tuple[Window, Window]:
+        """Return two windows that make up this one, cut across its longer side."""
+        if self.rows >= self.cols:
+            half = self.rows // 2
+            return (
+                Window(self.row, self.col, half, self.cols),
+                Window(self.row + half, self.col, self.rows - half, self.cols),
+            )
+        half = self.cols // 2
+        return (
+            Window(self.row, self.col, self.rows, half),
+            Window(self.row, self.col + half, self.rows, self.cols - half),
+        )
+
+
+MIN_POINTS: Final = 3
+"""Least number of ground control points that determine a geotransform."""
+_FLATTEST: Final = 1e-6
+"""Ratio of the points' extents below which they count as lying on a line."""
+
+
+def geotransform_of(gcps: Sequence[GroundControlPoint]) -> tuple[Affine, float] | None:
+    """Fit a geotransform to ground control points by least squares.
+
+    Parameters
+    ----------
+    gcps : sequence of GroundControlPoint
+        Pixel and line are corner-based: (0, 0) is the top-left corner of the first pixel.
+
+    Returns
+    -------
+    transform : Affine
+    misfit_px : float
+        Largest residual of a control point, px; infinite for a geotransform that cannot be inverted.
+    None
+        Returned instead for fewer than three points, or points on a line.
+    """
+    if len(gcps) < MIN_POINTS:
+        return None
+    px = np.array([[gcp.col, gcp.row] for gcp in gcps], dtype=np.float64)
+    xy = np.array([[gcp.x, gcp.y] for gcp in gcps], dtype=np.float64)
+    if not (np.isfinite(px).all() and np.isfinite(xy).all()):
+        return None
+    if _on_a_line(px) or _on_a_line(xy):
+        return None
+    (a, b, c), (d, e, f) = affine_between(px, xy).tolist()
+    transform = Affine(a, b, c, d, e, f)
+    if not is_invertible(linear_part(transform)):
+        return transform, np.inf
+    residual_px = np.linalg.solve(linear_part(transform), (xy - apply(transform, px)).T)
+    return transform, float(np.linalg.norm(residual_px, axis=0).max())
+
+
+def _on_a_line(points: Float64) -> bool:
+    large, small = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(small <= _FLATTEST * large)
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Where the pixels of a raster lie."""
+    """The position of the pixels of a raster: shape, geotransform and CRS."""
 
     shape: tuple[int, int]
     """Rows, columns."""
     transform: Affine
     """Geotransform: (col, row), corner-based, to (x, y). Identity without georeferencing."""
     crs: CRS | None
-    """Coordinate reference system of x, y; None also where they are those of a plane without one."""
+    """Coordinate reference system of x, y; None also for a plane of unknown units."""
 
     @property
     def located(self) -> bool:
-        """Whether the pixels have a place: in a CRS, or in a plane shared with another raster."""
+        """Whether the pixels have map coordinates: in a CRS, or in a plane shared with another raster."""
         return self.crs is not None or self.transform != Affine.identity()
 
-    def to_xy(self, pixel_xy_px: Array) -> Array:
-        """Map (n, 2) pixel coordinates (col, row) to (n, 2) map coordinates (x, y)."""
+    @property
+    def middle_px(self) -> Float64:
+        """The middle of the raster as a (1, 2) array (col, row), px."""
+        return np.array([[self.shape[1] / 2, self.shape[0] / 2]])
+
+    def lattice_px(self, points_per_side: int) -> Float64:
+        """Return (n, 2) pixels (col, row) spread evenly over the raster, `points_per_side` ** 2 of them."""
+        rows, cols = self.shape
+        return positions(np.linspace(0, cols, points_per_side), np.linspace(0, rows, points_per_side))
+
+    def to_xy(self, pixel_xy_px: Float64) -> Float64:
+        """Map (n, 2) pixel coordinates `pixel_xy_px` (col, row) to (n, 2) map coordinates (x, y)."""
         return apply(self.transform, pixel_xy_px)
 
-    def to_px(self, xy: Array) -> Array:
-        """Map (n, 2) map coordinates (x, y) to (n, 2) pixel coordinates (col, row)."""
+    def to_px(self, xy: Float64) -> Float64:
+        """Map (n, 2) map coordinates `xy` (x, y) to (n, 2) pixel coordinates (col, row)."""
         return apply_inverse(self.transform, xy)
 
     def part(self, origin_px: tuple[float, float], shape: tuple[int, int]) -> Grid:
-        """Return the grid of the same pixels that starts at (col, row) and has another shape."""
-        return self.remade(((1.0, 0.0), (0.0, 1.0)), origin_px, shape)
+        """Return the grid of the same pixels from `origin_px` (col, row) on, with `shape` (rows, columns)."""
+        return self.resampled_grid(((1.0, 0.0), (0.0, 1.0)), origin_px, shape)
 
     def scaled(self, shape: tuple[int, int]) -> Grid:
-        """Return the grid of the same extent with another number of pixels."""
+        """Return the grid of the same extent with another shape (rows, columns)."""
         factors = (self.shape[1] / shape[1], self.shape[0] / shape[0])
-        return self.remade(((factors[0], 0.0), (0.0, factors[1])), (0.0, 0.0), shape)
+        return self.resampled_grid(((factors[0], 0.0), (0.0, factors[1])), (0.0, 0.0), shape)
 
-    def remade(
+    def resampled_grid(
         self,
         linear: tuple[tuple[float, float], tuple[float, float]],
         origin_px: tuple[float, float],
         shape: tuple[int, int],
     ) -> Grid:
-        """Return the grid whose pixel p lies at linear · p + origin of this grid's pixels (col, row)."""
+        """Return the grid of `shape` (rows, columns) whose pixel p is `linear` · p + `origin_px` in this one.
+
+        All pixel coordinates are (col, row).
+        """
         return Grid(shape, composed(self.transform, linear, origin_px), self.crs)
 
-    def boundary_px(self, points_per_side: int = 32) -> Array:
-        """Return (n, 2) points around the outer edge of the pixels, in order, not closed."""
+    def boundary_px(self, points_per_side: int = 32) -> Float64:
+        """Return (n, 2) points (col, row) around the outer edge of the pixels, px, in order, not closed."""
         rows, cols = self.shape
         corners = np.array([[0, 0], [cols, 0], [cols, rows], [0, rows]], dtype=np.float64)
         steps = np.linspace(0, 1, points_per_side, endpoint=False)[:, None]
@@ -65,19 +222,27 @@ class Grid:
         return np.concatenate(sides)
 
 
-def linear_part(transform: Affine) -> Array:
-    """Return the (2, 2) linear part of a geotransform."""
+def linear_part(transform: Affine) -> Float64:
+    """Return the (2, 2) linear part of a geotransform: map units (x, y) per pixel (col, row)."""
     return np.array([[transform.a, transform.b], [transform.d, transform.e]])
 
 
-def apply(transform: Affine, points_xy: Array) -> Array:
-    """Map (n, 2) points by an affine transformation."""
+def is_invertible(matrix: Float64) -> bool:
+    """Return whether the (2, 2) `matrix` is finite and maps no direction to nothing, whatever its unit."""
+    largest = np.abs(matrix).max()
+    if not 0.0 < largest < np.inf:
+        return False
+    return bool(np.linalg.det(matrix / largest) != 0.0)  # squares of huge numbers are infinite
+
+
+def apply(transform: Affine, points_xy: Float64) -> Float64:
+    """Map (n, 2) points `points_xy` by the affine `transform`, usually px to map units, to (n, 2) points."""
     points_xy = np.asarray(points_xy, dtype=np.float64)
     return np.asarray(points_xy @ linear_part(transform).T + np.array([transform.c, transform.f]))
 
 
-def apply_inverse(transform: Affine, points_xy: Array) -> Array:
-    """Map (n, 2) points by the inverse of an affine transformation."""
+def apply_inverse(transform: Affine, points_xy: Float64) -> Float64:
+    """Map (n, 2) points `points_xy`, usually map units, by the inverse of `transform` to (n, 2) points."""
     # Differences first: eastings and northings have more digits than the inverse geotransform keeps.
     origin = np.array([transform.c, transform.f])
     inverse = np.linalg.inv(linear_part(transform))
@@ -87,21 +252,29 @@ def apply_inverse(transform: Affine, points_xy: Array) -> Array:
 def composed(
     transform: Affine, linear: tuple[tuple[float, float], tuple[float, float]], origin_px: tuple[float, float]
 ) -> Affine:
-    """Return the transform of pixels p that lie at linear · p + origin of another's pixels (col, row)."""
+    """Return the transform of pixels p that are pixels `linear` · p + `origin_px` of the given `transform`.
+
+    All pixel coordinates are (col, row).
+    """
     a, b, d, e = (linear_part(transform) @ np.array(linear)).ravel().tolist()
     x, y = apply(transform, np.array([origin_px], dtype=np.float64))[0].tolist()
     return Affine(a, b, x, d, e, y)
 
 
-def map_px(points_px: Array, from_grid: Grid, to_grid: Grid) -> Array:
-    """Map (n, 2) pixel coordinates (col, row) of one grid to the same ground in another.
+def map_px(points_px: Float64, from_grid: Grid, to_grid: Grid) -> Float64:
+    """Map pixel coordinates of one grid to those of the same ground in another.
 
-    NaN where the CRSs cannot be transformed at that place.
+    Raises `InputError` if no transformation exists between the CRSs, or only one grid has a CRS.
 
-    Raises
-    ------
-    InputError
-        If no transformation exists between the CRSs, or only one grid has a CRS.
+    Parameters
+    ----------
+    points_px : (n, 2) array
+        Pixels (col, row) of `from_grid`, corner-based.
+
+    Returns
+    -------
+    (n, 2) array
+        Pixels (col, row) of `to_grid`; NaN where the transformation between the CRSs is not defined.
     """
     points_px = np.asarray(points_px, dtype=np.float64)
     plain = type(from_grid) is Grid and type(to_grid) is Grid
@@ -110,8 +283,22 @@ def map_px(points_px: Array, from_grid: Grid, to_grid: Grid) -> Array:
     return to_grid.to_px(transform_xy(from_grid.to_xy(points_px), from_grid.crs, to_grid.crs))
 
 
-def jacobian(points_px: Array, from_grid: Grid, to_grid: Grid) -> Array:
-    """Return (n, 2, 2): how `map_px` moves the pixel per pixel of step, [i, j] = d(to)_i / d(from)_j."""
+def jacobian(points_px: Float64, from_grid: Grid, to_grid: Grid) -> Float64:
+    """Return the Jacobian of `map_px`, by central differences over one pixel.
+
+    Raises `InputError` if no transformation exists between the CRSs, or only one grid has a CRS.
+
+    Parameters
+    ----------
+    points_px : (n, 2) array
+        Pixels (col, row) of `from_grid`, corner-based.
+
+    Returns
+    -------
+    (n, 2, 2) array
+        Element [i, j] is the derivative of coordinate i in `to_grid` by coordinate j in `from_grid`, px per
+        px, in the order (col, row); NaN where `map_px` is.
+    """
     points_px = np.asarray(points_px, dtype=np.float64)
     steps = np.array([[0.5, 0.0], [0.0, 0.5]])
     sides = [

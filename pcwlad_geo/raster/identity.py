@@ -1,4 +1,4 @@
-"""Which files a raster is read from, and whether they change: looked at before the work and after it."""
+"""Identities of the files that a raster is read from, to detect changes while a job runs or after it."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ import hashlib
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.named_files import HEAD_BYTES, kind_of_head
 from pcwlad_geo.raster.source import open_raster, plain_uri
 
 HEADER_BYTES: Final = 65536
-"""So many bytes from the beginning of a file count as its header."""
-MOST_FILES: Final = 200
-"""Of one input: a mosaic of more sources is told by the first of them."""
+"""Number of bytes at the beginning of a file that count as its header."""
+MAX_FILES: Final = 200
+"""Largest number of files identified per input; a mosaic of more sources is identified by the first."""
 PATIENCE_S: Final = 10.0
-"""How long a server may take to name a version."""
+"""Timeout of a request for the version of a file on a server."""
 _REMOTE: Final = re.compile(r"(?:/vsicurl/)?(?P<url>https?://.+)", re.DOTALL)
 _NO_PIXELS: Final = (".aux.xml",)
 """Endings of files that other programs write beside a raster at any time: statistics, as QGIS keeps them."""
@@ -26,35 +27,31 @@ _NO_PIXELS: Final = (".aux.xml",)
 
 @dataclass(frozen=True, slots=True)
 class FileIdentity:
-    """What tells one content of a file from another, as far as can be seen without reading all of it."""
+    """The version of a file, as far as it can be determined without reading all of it."""
 
     path: str
-    """Absolute path, or URL; of what lies in an archive, the archive."""
-    size: int | None
-    """Bytes; None where a server does not tell."""
+    """Absolute path, or URL; for a file in an archive, the path of the archive."""
+    size: Annotated[int, ("minimum", 0)] | None
+    """Bytes; None where a server does not report it."""
     modified_ns: int | None
     """Time of the last change, ns since 1970."""
     inode: int | None = None
     device: int | None = None
     """None for a file on a server."""
     etag: str | None = None
-    """What the server calls this version of the file; None for a file on a disk."""
-    header_sha256: str | None = None
-    """Of the first `HEADER_BYTES` bytes, of all bytes of a shorter file; None for a file on a server."""
+    """The server's entity tag of this version of the file; None for a file on a disk."""
+    header_sha256: Annotated[str, ("pattern", "^[0-9a-f]{64}$")] | None = None
+    """SHA-256, in hexadecimal digits, of the first `HEADER_BYTES` bytes; None for a file on a server."""
 
     @staticmethod
     def from_json(values: Mapping[str, Any]) -> FileIdentity:
-        """Build an identity from its entry in report.json, other keys aside."""
+        """Build an identity from its entry in report.json; other keys are ignored."""
         return FileIdentity(**{name: values[name] for name in FileIdentity.__slots__})
 
-    def to_json(self) -> dict[str, object]:
-        """Return the entry of report.json."""
-        return asdict(self)
-
     def difference(self, now: FileIdentity | None) -> str | None:
-        """Say how a file differs from what it was; None where nothing shows that it does.
+        """Describe how a file has changed since; None where no change is detected.
 
-        A file's number (inode) counts on the same device only: devices are numbered anew at each start.
+        Inodes are compared on the same device only: device numbers change at each start of a machine.
         """
         if now is None:
             return "it is gone"
@@ -72,30 +69,26 @@ class FileIdentity:
 def identify(uri: str | os.PathLike[str], *, raster: bool = True) -> tuple[FileIdentity, ...]:
     """Identify the files that an input is read from.
 
+    Raises `InputError` if the raster, or one that a VRT names, cannot be opened.
+
     Parameters
     ----------
-    uri : path or GDAL URI
     raster : bool
-        Whether it is a raster: then the files that belong to it count too (headers, overviews, masks, the
-        sources of a VRT and of those that it names), save statistics beside it (.aux.xml), which hold no
-        pixels and which other programs write as they please.
+        Whether it is a raster. Then the files that belong to it are included (headers, overviews, masks, the
+        sources of a VRT and of the VRTs among them), except statistics beside it (.aux.xml), which hold no
+        pixels and which other programs may rewrite at any time.
 
     Returns
     -------
     tuple of FileIdentity
-        Empty for what is neither a file nor on a web server (databases, object stores).
-
-    Raises
-    ------
-    InputError
-        If a raster cannot be opened, or one that a VRT names.
+        Empty for inputs that are neither files nor on a web server (databases, object stores).
     """
     uri = os.fspath(uri)
     found: dict[str, FileIdentity] = {}
-    # opened first: what may not be opened is not asked for either
+    # opened first: a server is not asked for a file that may not be opened
     waiting = [uri, *_files_of(uri)] if raster else [uri]
     seen: set[str] = set()
-    while waiting and len(found) < MOST_FILES:
+    while waiting and len(found) < MAX_FILES:
         each = waiting.pop(0)
         if each in seen or each.endswith(_NO_PIXELS):
             continue
@@ -109,7 +102,7 @@ def identify(uri: str | os.PathLike[str], *, raster: bool = True) -> tuple[FileI
 
 
 def first_difference(before: Iterable[FileIdentity]) -> str | None:
-    """Look at files again; return a sentence on the first that has changed, None where none has."""
+    """Identify files again and describe the first that has changed; None where none has."""
     for each in before:
         difference = each.difference(_identify(each.path))
         if difference is not None:
@@ -118,12 +111,9 @@ def first_difference(before: Iterable[FileIdentity]) -> str | None:
 
 
 def check_unchanged(before: Iterable[FileIdentity]) -> None:
-    """Raise where a file is not what it was when the work began.
+    """Check that no file has changed since the work began.
 
-    Raises
-    ------
-    InputError
-        Then: the results may be of the one content in part, and in part of the other.
+    Raises `InputError` if a file has changed: the results may then mix both versions.
     """
     difference = first_difference(before)
     if difference is not None:
@@ -133,14 +123,14 @@ def check_unchanged(before: Iterable[FileIdentity]) -> None:
 
 
 def same(before: Sequence[FileIdentity], now: Sequence[FileIdentity]) -> bool:
-    """Whether two lists tell of the same files with the same content."""
+    """Whether `before` and `now` list the same files with the same content."""
     return len(before) == len(now) and all(
         a.path == b.path and a.difference(b) is None for a, b in zip(before, now, strict=True)
     )
 
 
 def digest(files: Iterable[FileIdentity]) -> str:
-    """Return a short text that is the same for the same content of the same files."""
+    """Return 16 hexadecimal digits that are equal for the same content of the same files."""
     return hashlib.sha256(repr([*files]).encode()).hexdigest()[:16]
 
 
@@ -172,7 +162,7 @@ def _identify(uri: str, *, ask_servers: bool = True) -> FileIdentity | None:
 
 
 def file_on_disk(uri: str) -> Path | None:
-    """Return the file that a path or GDAL URI leads to, an archive for what lies in it, or None."""
+    """Return the file of a path or GDAL URI, the archive for a file inside one; None where there is none."""
     uri = re.sub(r"^(/vsi(zip|tar|gzip|7z|rar)/|/vsisubfile/[^,]*,)+", "", uri)
     braced = re.match(r"\{(?P<archive>[^}]+)\}", uri)
     place = Path(braced["archive"] if braced else uri)
@@ -186,7 +176,7 @@ def file_on_disk(uri: str) -> Path | None:
 
 
 def _of_server(url: str) -> FileIdentity | None:
-    """Ask a web server for the version of a file; what it does not tell is None."""
+    """Ask a web server for the version of a file; fields that it does not report are None."""
     import urllib.request  # slow to load, and most files lie on a disk
     from email.utils import parsedate_to_datetime
     from http.client import HTTPException
@@ -207,7 +197,7 @@ def _of_server(url: str) -> FileIdentity | None:
 
 
 def _is_vrt(uri: str) -> bool:
-    """Whether a file that a raster is made of is itself made of others."""
+    """Whether a file that a raster is made of is a VRT, which refers to other files."""
     if uri.lower().endswith(".vrt"):
         return True
     path = Path(uri)
@@ -215,18 +205,15 @@ def _is_vrt(uri: str) -> bool:
         if not path.is_file():
             return False
         with path.open("rb") as file:
-            return b"<VRTDataset" in file.read(1024)
+            return kind_of_head(file.read(HEAD_BYTES)) == "vrt"
     except (OSError, ValueError):
         return False
 
 
 def _files_of(uri: str) -> list[str]:
-    """Return what GDAL reads a raster from.
+    """Return the files that GDAL reads a raster from.
 
-    Raises
-    ------
-    InputError
-        If it cannot be opened.
+    Raises `InputError` if the raster cannot be opened.
     """
     with open_raster(uri) as dataset:
         return list(dataset.files)

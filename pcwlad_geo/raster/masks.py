@@ -1,97 +1,335 @@
-"""Which pixels of a file count: nodata, NaN, internal mask, alpha, per-dataset mask, user's mask file."""
+"""What is no data: kinds of masks and the pixels they exclude, and constant borders that nothing marks."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final, Literal, get_args
+
 import numpy as np
+import shapely
 from numpy.typing import NDArray
-from rasterio.enums import ColorInterp, MaskFlags, Resampling
-from rasterio.io import DatasetReader
-from rasterio.vrt import WarpedVRT
-from rasterio.windows import Window as FileWindow
+from shapely.geometry.polygon import orient
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.gdal import GDAL_ERRORS
-from pcwlad_geo.raster.mask_kinds import accepted, bands_of
-from pcwlad_geo.raster.source import RasterInfo, mask_on_pixels, open_raster
-from pcwlad_geo.raster.windows import Window
+from pcwlad_geo.raster.file_tree import name_of_uri
+from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.types import Bool, Float64
 
-Bool = NDArray[np.bool_]
+MaskKind = Literal["zeros", "QA_PIXEL", "SCL", "MSK_CLASSI"]
+"""zeros: 0 = excluded; the other kinds have the names that the products give them."""
+
+QA_PIXEL_BITS: Final = (0, 1, 2, 3, 4)
+"""Bits of Landsat Collection 2 whose pixels are excluded: fill, dilated cloud, cirrus, cloud, shadow."""
+SCL_CLASSES: Final = (0, 1, 3, 8, 9, 10)
+"""Excluded classes of Sentinel-2 L2A: no data, defective, cloud shadow, medium or high cloud, cirrus."""
+CLASSI_BANDS: Final = (1, 2)
+"""Bands of the Sentinel-2 mask whose nonzero pixels are excluded: opaque clouds, cirrus (3 is snow)."""
+
+_ENDINGS: Final = r"(_\d+m)?(\.\w+)?$"
+_NAMES: Final[dict[MaskKind, str]] = {
+    "QA_PIXEL": rf"(^|_)QA_PIXEL{_ENDINGS}",
+    "SCL": rf"(^|_)SCL{_ENDINGS}",
+    "MSK_CLASSI": rf"(^|_)MSK_CLASSI(_B00)?{_ENDINGS}",
+}
+_OTHERS: Final = re.compile(
+    rf"(^|_)(BQA|QA_RADSAT|QA_AEROSOL|CLOUD_QA|ST_QA|MSK_(?!CLASSI)[A-Z]+(_B\w\w)?|CLD|SNW){_ENDINGS}",
+    re.IGNORECASE,
+)
+"""Quality rasters with values of another meaning; as masks of zeros they would exclude the wrong pixels."""
 
 
-def valid_in_file(
-    dataset: DatasetReader, band: int, values: NDArray[np.generic], file_window: FileWindow
-) -> Bool:
-    """Say which values of a window the file itself counts as data: every kind of mask it has, taken together.
+def kind_of(uri: str, descriptions: Sequence[str | None], dtypes: Sequence[str]) -> MaskKind:
+    """Return the kind of a mask by the ending of its file name, else by the description of its first band.
 
-    Parameters
-    ----------
-    dataset : rasterio dataset
-        Open for reading.
-    band : int
-        From 1.
-    values : (rows, cols) array
-        The window's values in the band's own dtype.
-    file_window : rasterio window
-        Inside the raster.
+    Raises `InputError` if the name is that of an unsupported quality raster, or the bands do not fit the
+    name. The `uri` is a path or a GDAL URI; descriptions and data types are those of its bands.
     """
-    valid = np.isfinite(values) & ~_equals(values, dataset.nodatavals[band - 1])
-    # GDAL lets nodata hide a mask, and a mask an alpha band; here they add up.
-    flags = dataset.mask_flag_enums[band - 1]
-    if MaskFlags.all_valid not in flags and flags != [MaskFlags.nodata]:
-        valid &= dataset.read_masks(band, window=file_window) != 0
-    alphas = [i for i, colour in enumerate(dataset.colorinterp, start=1) if colour == ColorInterp.alpha]
-    if alphas and band not in alphas and MaskFlags.alpha not in flags:
-        valid &= dataset.read(alphas[0], window=file_window) != 0
-    return np.asarray(valid)
+    names = [name_of_uri(uri.replace("\\", "/")), (descriptions[0] or "") if descriptions else ""]
+    for name in names:
+        for kind in get_args(MaskKind)[1:]:
+            if re.search(_NAMES[kind], name, re.IGNORECASE):
+                _check(kind, uri, dtypes)
+                return kind  # type: ignore[no-any-return]  # get_args has no types
+    if _OTHERS.search(names[0]):
+        raise InputError(
+            f"the mask {uri} is a quality raster whose values are not read: give QA_PIXEL, SCL, MSK_CLASSI, "
+            "or a mask of your own (0 = excluded) under another name"
+        )
+    return "zeros"
 
 
-def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
-    """Read the mask given for a raster on a window inside it: (rows, cols), False = excluded.
+def bands_of(kind: MaskKind) -> tuple[int, ...]:
+    """Return the numbers of the bands, from 1, that a kind of mask consists of."""
+    return CLASSI_BANDS if kind == "MSK_CLASSI" else (1,)
 
-    A mask of another grid is taken at the pixel centres (nearest); outside of it nothing is valid.
 
-    Raises
-    ------
-    InputError
-        If the mask file cannot be read.
+def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
+    """Return the pixels that a mask does not exclude.
+
+    The (bands, rows, cols) `values` are those of the bands of `bands_of`, with the dtype of the file; NaN
+    excludes. The result is a (rows, cols) array of bool.
     """
-    if info.mask_uri is None or info.mask_grid is None:
-        return np.ones(window.shape, dtype=bool)
-    file_window = FileWindow(window.col, window.row, window.cols, window.rows)
-    bands = list(bands_of(info.mask_kind))
-    with open_raster(info.mask_uri) as dataset:
-        try:
-            if mask_on_pixels(info, info.mask_grid):
-                values = dataset.read(bands, window=file_window)
-                inside = valid_in_file(dataset, bands[0], values[0], file_window)
-                return np.asarray(inside & accepted(info.mask_kind, values))
-            rows, cols = info.grid.shape
-            with WarpedVRT(
-                dataset,
-                crs=info.grid.crs,
-                transform=info.grid.transform,
-                height=rows,
-                width=cols,
-                resampling=Resampling.nearest,
-                tolerance=0.02,
-                add_alpha=True,
-            ) as warped:
-                inside = warped.read(warped.count, window=file_window) != 0
-                return np.asarray(inside & accepted(info.mask_kind, warped.read(bands, window=file_window)))
-        except GDAL_ERRORS as error:
-            raise InputError(
-                f"the mask {info.mask_uri} cannot be read: it may be truncated or corrupt ({error})"
-            ) from error
+    if kind == "QA_PIXEL":
+        rejected = sum(1 << bit for bit in QA_PIXEL_BITS)
+        return np.asarray((values[0].astype(np.int64) & rejected) == 0)
+    if kind == "SCL":
+        return np.asarray(~np.isin(values[0], SCL_CLASSES))
+    if kind == "MSK_CLASSI":
+        return np.asarray((values == 0).all(axis=0))
+    return np.asarray((values[0] != 0) & np.isfinite(values[0]))
 
 
-def _equals(values: NDArray[np.generic], nodata: float | None) -> Bool:
-    """Compare with a nodata value that the dtype may not be able to hold."""
-    if nodata is None or np.isnan(nodata):
-        return np.zeros(values.shape, dtype=bool)
-    if np.issubdtype(values.dtype, np.integer):
+def _check(kind: MaskKind, uri: str, dtypes: Sequence[str]) -> None:
+    wanted = max(bands_of(kind))
+    if len(dtypes) < wanted or any(np.dtype(dtype).kind not in "iu" for dtype in dtypes[:wanted]):
+        held = f"{len(dtypes)} band{'s' if len(dtypes) != 1 else ''} of type {', '.join(sorted(set(dtypes)))}"
+        raise InputError(
+            f"the mask {uri} is named like a {kind} raster, which has {wanted} whole-number "
+            f"band{'s' if wanted > 1 else ''}, and holds {held}: give the product's own file, or rename a "
+            "mask of your own (0 = excluded)"
+        )
+
+
+Read = Callable[[Window, tuple[int, int]], NDArray[np.generic]]
+"""A function that reads a window of a band, by nearest neighbour, into (rows, columns)."""
+
+CORNER_PX: Final = 3
+"""Side of the squares in the corners of a raster that show whether it may have a collar."""
+COLLAR_OVERVIEW_PX: Final = 1024
+"""Largest side of the overview on which the outline of the data is sought."""
+JPEG_NOISE: Final = 8
+"""Largest difference from its value of a collar of 8 bits in blocks that it shares with data; other types are
+hardly ever compressed with loss, and their collars are exactly constant."""
+ROUNDING: Final = 1
+"""Largest difference from its value of a collar of 8 bits elsewhere."""
+JPEG_REACH_PX: Final = 16
+"""Beyond this distance from the data JPEG leaves a collar constant: its blocks are that large."""
+MAX_STRAYS: Final = 0.01
+"""Largest share of other values beyond that distance."""
+OUTLINE_PX: Final = 1.5
+"""Accuracy with which the outline of the data is simplified to sides, px of the overview."""
+MIN_SIDE: Final = 0.04
+"""Least length of a side that is looked at, as a share of the larger side of the raster."""
+PLACES: Final = 32
+"""Number of places along a side at which the end of the data is located at full resolution."""
+REACH_PX: Final = 8
+"""Distance from the side of the overview within which the data must end, in px beside two of the overview."""
+STRAIGHT_PX: Final = 1.0
+"""Largest distance from a straight line at which the end of the data counts as lying on it."""
+MIN_SUPPORT: Final = 0.6
+"""Least share of the places at which the data end on a straight line. Shores touch one here and there."""
+PROTRUSION_PX: Final = 6.0
+"""Largest distance by which noise beside an edge may lie beyond a side, px beside one of the overview."""
+BLENDED_PX: Final = 1.5
+"""Width of the rim in which resampling has mixed data and collar, which counts as collar."""
+RARE: Final = 0.02
+"""Share of the pixels among the data up to which a value is hardly ever data: one straight side will do."""
+MAX_COMMON: Final = 1 / 3
+"""Largest share of the pixels among the data with the value of the collar: maps are full of theirs."""
+MIN_LENGTH_RARE: Final = 0.15
+"""Least total length of straight sides, in smaller sides of the raster, where the value is rare."""
+MIN_LENGTH_COMMON: Final = 1.0
+"""The same where the value is common: about what a frame has that is turned within its own size."""
+
+
+@dataclass(frozen=True, slots=True)
+class Collar:
+    """A constant border that nothing marks as nodata, such as the corners around a rotated frame.
+
+    It is all that lies beyond straight sides, so that every window of the raster excludes the same pixels.
+    """
+
+    shape: tuple[int, int]
+    """Rows and columns of the raster."""
+    value: float
+    sides: tuple[tuple[float, float, float], ...]
+    """(a, b, c), a² + b² = 1: the collar is where a · col + b · row > c for any of them, px of the raster."""
+    share: float = 0.0
+    """Of the raster's area."""
+
+    def valid(self, window: Window, shape: tuple[int, int]) -> Bool:
+        """Return (rows, cols), False on the collar, of a window of the raster or an overview of `shape`."""
+        col = (window.col + np.arange(window.cols) + 0.5) * (self.shape[1] / shape[1])
+        row = (window.row + np.arange(window.rows) + 0.5) * (self.shape[0] / shape[0])
+        valid = np.ones(window.shape, bool)
+        for a, b, c in self.sides:
+            if max(a * col[0], a * col[-1]) + max(b * row[0], b * row[-1]) > c:
+                valid &= a * col + (b * row)[:, None] <= c
+        return valid
+
+
+@np.errstate(over="ignore", invalid="ignore")  # differences of the largest numbers, and of infinite ones
+def find_collar(read: Read, shape: tuple[int, int]) -> Collar | None:
+    """Find the collar of a band without nodata and masks: a constant border with straight sides.
+
+    A corner of the raster must be constant, at zero or an extreme of the type or the band. Around all that
+    differs a convex outline is drawn on an overview, and each of its sides is located at full resolution,
+    where the data must end on a straight line along most of it. So nothing but the constant value lies in a
+    collar, and dark water or white roads with a shore or a kerb of their own are none. The band has `shape`
+    rows and columns and is read by `read`.
+    """
+    in_corners = _corner_value(read, shape)
+    if in_corners is None:
+        return None
+    size = max(shape)
+    small_rows, small_cols = (max(1, round(n * min(1.0, COLLAR_OVERVIEW_PX / size))) for n in shape)
+    small = small_rows, small_cols
+    overview = read(Window.whole(shape), small)
+    value = _extreme_near(in_corners, overview)
+    if value is None:
+        return None
+    if overview.shape == shape:
+        read = _from_memory(overview)
+    data = _solid(_differs(overview, value))
+    px = np.array([shape[1] / small[1], shape[0] / small[0]])
+    outline = _outline(data) * px
+    sides, length = [], 0.0
+    for begin, end in _inner_sides(outline, shape):
+        side = _straight_side(read, shape, value, begin, end, float(px.max()))
+        if side is None or (outline @ side[:2]).max() - side[2] > PROTRUSION_PX + px.max():
+            continue
+        if _is_clean(Collar(shape, value, (side,)), overview):
+            sides.append(side)
+            length += float(np.hypot(*(end - begin))) / min(shape)
+    if length < _least_length(~_differs(overview, value), data):
+        return None
+    collar = Collar(shape, value, tuple(sides))
+    return replace(collar, share=float((~collar.valid(Window.whole(small), small)).mean()))
+
+
+def _corner_value(read: Read, shape: tuple[int, int]) -> float | None:
+    """Return the commonest value of the constant corners, but for noise; None if there is none."""
+    side = min(CORNER_PX, *shape)
+    found = []
+    for row in (0, shape[0] - side):
+        for col in (0, shape[1] - side):
+            corner = read(Window(row, col, side, side), (side, side))
+            values = corner.astype(np.float64)
+            middle = float(np.median(values))
+            value = _extreme_near(middle, corner) if corner.dtype == np.uint8 else middle
+            if value is not None and np.ptp(values) <= _tolerance(corner, JPEG_NOISE):
+                found.append(value)
+    return max(found, key=found.count, default=None)
+
+
+def _tolerance(values: NDArray[np.generic], of_8_bits: float) -> float:
+    return of_8_bits if values.dtype == np.uint8 else 0.0
+
+
+def _extreme_near(value: float, values: NDArray[np.generic]) -> float | None:
+    """Return zero or the extreme of a type or, except for 8 bits, of the values, if a value is that."""
+    extremes = [0.0]
+    if values.dtype.kind in "iu":
         limits = np.iinfo(str(values.dtype))
-        if not float(nodata).is_integer() or not limits.min <= nodata <= limits.max:
-            return np.zeros(values.shape, dtype=bool)
-        return np.asarray(values == values.dtype.type(int(nodata)))
-    with np.errstate(over="ignore"):
-        return np.asarray(values == values.dtype.type(nodata))
+        extremes += [float(limits.min), float(limits.max)]
+    if values.dtype != np.uint8:
+        extremes += [float(np.fmin.reduce(values, axis=None)), float(np.fmax.reduce(values, axis=None))]
+    nearest = min(extremes, key=lambda extreme: abs(value - extreme))
+    return nearest if abs(value - nearest) <= _tolerance(values, JPEG_NOISE) else None
+
+
+def _from_memory(values: NDArray[np.generic]) -> Read:
+    return lambda window, shape: values[window.row : window.row_stop, window.col : window.col_stop]
+
+
+def _differs(values: NDArray[np.generic], value: float) -> Bool:
+    """Return where values are data, not the collar's; NaN is not data."""
+    return np.asarray(np.abs(values.astype(np.float64) - value) > _tolerance(values, JPEG_NOISE))
+
+
+def _solid(differs: Bool) -> Bool:
+    """Return the data without the specks that JPEG leaves beside an edge."""
+    from scipy.ndimage import uniform_filter
+
+    return np.asarray(differs & (uniform_filter(differs.astype(np.float32), 3, mode="nearest") > 0.5))
+
+
+def _outline(solid: Bool) -> Float64:
+    """Return the (n, 2) corners (col, row) of the convex outline of the data, the first again as the last."""
+    rows = np.flatnonzero(solid.any(axis=1))
+    if len(rows) == 0:
+        return np.empty((0, 2))
+    first, last = solid[rows].argmax(axis=1), solid.shape[1] - solid[rows, ::-1].argmax(axis=1)
+    ends = [np.column_stack([col, row]) for col in (first, last) for row in (rows, rows + 1)]
+    hull = shapely.MultiPoint(np.concatenate(ends)).convex_hull.simplify(OUTLINE_PX)
+    return np.asarray(shapely.get_coordinates(orient(hull)))
+
+
+def _inner_sides(outline_px: Float64, shape: tuple[int, int]) -> Iterator[tuple[Float64, Float64]]:
+    """Yield the ends of the longer sides of an outline that are not sides of the raster."""
+    size = np.array(shape[::-1])
+    rim = max(1.0, max(shape) / COLLAR_OVERVIEW_PX)
+    for begin, end in pairwise(outline_px):
+        at_edge = (np.maximum(begin, end) <= rim) | (np.minimum(begin, end) >= size - rim)
+        if not at_edge.any() and np.hypot(*(end - begin)) >= MIN_SIDE * size.max():
+            yield begin, end
+
+
+def _straight_side(
+    read: Read, shape: tuple[int, int], value: float, begin: Float64, end: Float64, overview_px: float
+) -> tuple[float, float, float] | None:
+    """Locate a side of the data at full resolution; None where they do not end on a straight line.
+
+    The (2,) arrays `begin` and `end` are the ends (col, row) of the side on the overview, px of the band, of
+    which a px of the overview has `overview_px`; the data lie on its left (row down).
+    """
+    length = float(np.hypot(*(end - begin)))
+    along = (end - begin) / length
+    outward = np.array([along[1], -along[0]])
+    at = np.linspace(0.04, 0.96, PLACES) * length
+    reach = round(2 * overview_px) + REACH_PX
+    depth = np.array([_data_depth(read, shape, value, begin + s * along, outward, reach) for s in at])
+    one, other = np.nonzero(at[None, :] - at[:, None] > length / 4)
+    slope = (depth[other] - depth[one]) / (at[other] - at[one])
+    off = np.abs(depth - (depth[one, None] + slope[:, None] * (at - at[one, None])))
+    on_line = off <= STRAIGHT_PX
+    best = on_line[on_line.sum(axis=1).argmax()]
+    if best.mean() < MIN_SUPPORT:
+        return None
+    slope_px, depth_px = np.polyfit(at[best], depth[best], 1)
+    normal = outward + slope_px * along
+    normal /= np.hypot(*normal)
+    a, b = normal.tolist()
+    return a, b, float(normal @ (begin - (depth_px + BLENDED_PX) * outward))
+
+
+def _data_depth(
+    read: Read, shape: tuple[int, int], value: float, at: Float64, outward: Float64, reach: int
+) -> float:
+    """Return how far inward of a place the data begin, px; NaN where they do not within `reach`."""
+    depth = np.arange(-reach, reach + 1)
+    col, row = np.floor(at[:, None] - outward[:, None] * depth).astype(int)
+    window = Window.from_bounds(row.min(), col.min(), row.max() + 1, col.max() + 1).clipped(shape)
+    if window.empty:
+        return float("nan")
+    inside = (col >= window.col) & (col < window.col_stop) & (row >= window.row) & (row < window.row_stop)
+    differs = _differs(read(window, window.shape), value)
+    data = np.zeros(len(depth) + 2, bool)
+    data[:-2][inside] = differs[row[inside] - window.row, col[inside] - window.col]
+    begins = data[:-2] & (data[1:-1] | data[2:])  # not a single speck
+    return float(depth[begins.argmax()]) if begins.any() else float("nan")
+
+
+def _is_clean(collar: Collar, overview: NDArray[np.generic]) -> bool:
+    """Whether a collar is constant where JPEG has no cause for noise."""
+    farther = tuple((a, b, c + JPEG_REACH_PX) for a, b, c in collar.sides)
+    deep = ~replace(collar, sides=farther).valid(Window.whole(overview.shape), overview.shape)
+    strays = np.abs(overview[deep].astype(np.float64) - collar.value) > _tolerance(overview, ROUNDING)
+    return not deep.any() or bool(strays.mean() <= MAX_STRAYS)
+
+
+def _least_length(constant: Bool, data: Bool) -> float:
+    """Return the length of sides that shows a collar, in smaller sides of the raster, from how rare it is."""
+    among = _between(data, 0) | _between(data, 1)
+    share = float(constant[among].mean()) if among.any() else 1.0
+    return MIN_LENGTH_RARE if share <= RARE else MIN_LENGTH_COMMON if share <= MAX_COMMON else np.inf
+
+
+def _between(data: Bool, axis: int) -> Bool:
+    """Return the pixels that have data, or are data, on both sides along an axis."""
+    before = np.logical_or.accumulate(data, axis)
+    after = np.flip(np.logical_or.accumulate(np.flip(data, axis), axis), axis)
+    return np.asarray(before & after)

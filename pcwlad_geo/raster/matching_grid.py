@@ -1,30 +1,122 @@
-"""The grid two bands are matched on: own pixels wherever possible, else the finer on the coarser's grid."""
+"""The grid that a pair is matched on: common longitudes, a common plane, pixels of one size."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from affine import Affine
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import check_pixel_ratio
 from pcwlad_geo.raster.crs import name_of, transform_xy, transformation_warnings
-from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
+from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import Resampling, View
-from pcwlad_geo.raster.windows import Window
+from pcwlad_geo.types import Float64
 
-Array = NDArray[np.float64]
+TURN: float = 360.0
+"""Degrees of longitude around the earth: 180.04 and -179.96 are the same meridian."""
+
+
+def moved_across_antimeridian(reference: RasterInfo, target: RasterInfo) -> RasterInfo:
+    """Return the reference with 360 degrees added to or subtracted from its longitudes, nearest the target's.
+
+    A reference whose CRS is not in degrees is returned unchanged. The reference is moved rather than the
+    target because no output is made of its pixels: the outputs have the longitudes of the target. Raises
+    `InputError` if the reference would have to be moved and its mask has another grid.
+    """
+    crs = reference.grid.crs
+    if crs is None or target.grid.crs is None or not crs.is_geographic:
+        return reference
+    if not crs.units_factor[0].lower().startswith("degree"):
+        return reference
+    middle = transform_xy(target.grid.to_xy(target.grid.middle_px), target.grid.crs, crs)
+    apart = float(middle[0, 0] - reference.grid.to_xy(reference.grid.middle_px)[0, 0])
+    turns = round(apart / TURN) if np.isfinite(apart) else 0
+    if turns == 0:
+        return reference
+    mask = reference.mask_grid
+    if mask is not None and mask.crs is not None and mask != reference.grid:
+        raise InputError(
+            f"{reference.uri} and {target.uri} count longitudes differently across 180 degrees, and the mask "
+            f"{reference.mask_uri} has other pixels than {reference.uri}: give a mask of the same pixels"
+        )
+    moved = _moved(reference.grid, turns)
+    return replace(reference, grid=moved, mask_grid=moved if mask == reference.grid else mask)
+
+
+def _moved(grid: Grid, turns: int) -> Grid:
+    a, b, c, d, e, f = tuple(grid.transform)[:6]
+    return replace(grid, transform=Affine(a, b, c + turns * TURN, d, e, f))
+
+
+MIN_SHARED: Final = 0.1
+"""Share of the smaller extent within the other from which coordinates are taken to be in the other's CRS."""
+
+
+def share_plane(reference: RasterInfo, target: RasterInfo) -> tuple[RasterInfo, RasterInfo, tuple[str, ...]]:
+    """Give grids to rasters whose geotransform has no CRS.
+
+    - Neither has a CRS: both geotransforms are taken to be in one plane of unknown units.
+    - One has a CRS, and the other's extent overlaps it: the other is taken to be in that CRS.
+    - Otherwise both are unchanged.
+
+    Returns
+    -------
+    reference, target : RasterInfo
+        With their new grids.
+    warnings : tuple of str
+        The assumptions made.
+    """
+    if reference.plane_transform is not None and target.plane_transform is not None:
+        warning = (
+            f"neither {reference.uri} nor {target.uri} has a CRS: their geotransforms are taken to be in one "
+            "plane, and metres are not known; assign both their CRS (gdal_edit.py -a_srs) to have them"
+        )
+        return _placed(reference, None), _placed(target, None), (warning,)
+    for lacking, other in ((reference, target), (target, reference)):
+        grid = grid_on_plane_of(lacking, other.grid)
+        if grid.crs is not None and not lacking.georeferenced:
+            warning = (
+                f"{lacking.uri} has a geotransform and no CRS: it is taken to be in {name_of(grid.crs)} as "
+                f"{other.uri}, where its coordinates lie; assign it its CRS (gdal_edit.py -a_srs)"
+            )
+            found = _placed(lacking, grid)
+            return (found, target, (warning,)) if lacking is reference else (reference, found, (warning,))
+    return reference, target, ()
+
+
+def grid_on_plane_of(info: RasterInfo, grid: Grid) -> Grid:
+    """Return the grid of a raster, its geotransform without a CRS taken to be in the plane of another grid.
+
+    This is the raster's own grid where it has no such geotransform, the other grid has no map coordinates,
+    or the two do not overlap.
+    """
+    if info.plane_transform is None or info.georeferenced or not grid.located:
+        return info.grid
+    own = Grid(info.grid.shape, info.plane_transform, grid.crs)
+    extents = [shapely.Polygon(each.to_xy(each.boundary_px())) for each in (own, grid)]
+    least = min(extent.area for extent in extents)
+    shared = extents[0].intersection(extents[1]).area
+    return own if shared >= MIN_SHARED * least > 0 else info.grid
+
+
+def _placed(info: RasterInfo, grid: Grid | None) -> RasterInfo:
+    if grid is None and info.plane_transform is not None:
+        grid = Grid(info.grid.shape, info.plane_transform, None)
+    return replace(info, grid=grid or info.grid, georeferenced=True)
+
 
 MARGIN_PX = 64
-"""How far a resampled view reaches beyond the overlap."""
+"""Margin of a resampled view around the overlap."""
 _SAME_SIZE_PX = 0.01  # what differing pixel sizes may add up to over the overlap
 _SAME_COORDINATES_PX = 0.001
 _FINER = 0.99  # the reference counts as finer below this ratio of the pixel sizes
-# File px per matching-grid px from which area averages are used. Below it their cells' edges, which fall
-# anywhere in a pixel, would shake the image by more than 0.02 px, from pixel to pixel.
+# File px per matching-grid px from which area averages are used. Below it the edges of the cells, which fall
+# anywhere in a pixel, would displace the image by more than 0.02 px, varying from pixel to pixel.
 _AVERAGE_FROM = 2.0 - 1e-6
 
 
@@ -38,31 +130,28 @@ class ViewPair:
     reference: View
     target: View
     offset_px: tuple[float, float]
-    """(col, row)."""
+    """Offset (col, row), px."""
     overlap: Window
-    """What the target covers of the reference by georeferencing: bounding box, reference-view px."""
+    """Bounding box of the overlap by georeferencing, reference-view px."""
     warnings: tuple[str, ...]
 
     @property
     def georeferenced(self) -> bool:
-        """Whether both are: otherwise their pixels are compared as they lie."""
+        """Whether both rasters are georeferenced; otherwise they are compared by pixel coordinates."""
         return self.reference.info.georeferenced and self.target.info.georeferenced
 
 
 def plan_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
-    """Decide on which grid two bands are matched.
+    """Choose the grid that two bands are matched on.
 
-    - Equal pixel sizes, axes and CRS: nothing is resampled, the grids' sub-pixel offset is kept as a number.
+    - Equal pixel sizes, axes and CRS: nothing is resampled, the grids' sub-pixel offset is recorded.
     - One of them flipped (south-up): its own pixels in the other's order.
-    - One coarser, same axes and CRS: the coarser's own pixels, the finer averaged onto them.
-    - Rotated, another CRS, or sizes that differ a little: the finer (the target where they are about
-      equal) interpolated once onto the coarser's grid.
-    - Either without georeferencing: both as they are.
+    - One coarser, same axes and CRS: the coarser band's own pixels, the finer band averaged onto them.
+    - Rotated, another CRS, or slightly different sizes: the finer band (the target where they are about
+      equal) interpolated once onto the coarser band's grid.
+    - Either without georeferencing: both on their own pixels.
 
-    Raises
-    ------
-    InputError
-        If the two do not overlap, or their CRSs cannot be transformed into one another.
+    Raises `InputError` if the two do not overlap, or their CRSs cannot be transformed into one another.
     """
     if not (reference.georeferenced and target.georeferenced):
         return _plan_by_pixels(reference, target)
@@ -96,7 +185,7 @@ def _own(info: RasterInfo) -> View:
 def _plan_own_pixels(
     reference: RasterInfo, target: RasterInfo, common: shapely.Geometry, warnings: tuple[str, ...]
 ) -> ViewPair | None:
-    """Plan for grids that differ by a shift and the direction of axes only."""
+    """Plan for grids that differ only by a shift and the direction of their axes."""
     scale = _axis_scale(reference.grid, target.grid, common)
     if scale is None:
         return None
@@ -107,7 +196,7 @@ def _plan_own_pixels(
     view = _own(target) if (signs > 0).all() else View(target, _flipped(target.grid, signs), "nearest")
     centre = _centre(common)
     offset = (map_px(centre, reference.grid, view.grid) - centre)[0]
-    # Whole-pixel offsets stay whole: map coordinates carry rounding errors.
+    # Whole-pixel offsets are rounded: map coordinates have rounding errors.
     nearest = np.rint(offset)
     col, row = np.where(np.abs(offset - nearest) < 1e-6, nearest, offset).tolist()
     overlap = _window_around(common).clipped(reference.grid.shape)
@@ -132,7 +221,7 @@ def _plan_resampled(
 
 
 def _resampled(finer: RasterInfo, coarser: Grid, box: Window, common: shapely.Geometry) -> View:
-    """Return the finer band on the coarser's own grid, around the overlap only."""
+    """Return the finer band on the coarser band's grid, limited to the overlap and a margin."""
     around = box.padded(MARGIN_PX)
     grid = coarser.part((around.col, around.row), around.shape)
     scale = _axis_scale(grid, finer.grid, shapely.box(0, 0, grid.shape[1], grid.shape[0]))
@@ -141,8 +230,8 @@ def _resampled(finer: RasterInfo, coarser: Grid, box: Window, common: shapely.Ge
     return View(finer, grid, resampling)
 
 
-def _axis_scale(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) -> Array | None:
-    """(2,): signed px of one grid per px of the other along columns and rows; None where the axes differ."""
+def _axis_scale(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) -> Float64 | None:
+    """Return (2,) signed px of a grid per px of another along columns and rows; None for other axes."""
     if not _same_coordinates(from_grid, to_grid, common):
         return None
     matrix = np.linalg.inv(linear_part(to_grid.transform)) @ linear_part(from_grid.transform)
@@ -152,7 +241,7 @@ def _axis_scale(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) -> Arr
 
 
 def _same_coordinates(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) -> bool:
-    """Whether both CRSs give the ground the same x and y: equal, or different in name only."""
+    """Whether both CRSs give the same coordinates for the same ground, under whatever name."""
     if from_grid.crs == to_grid.crs:
         return True
     dense = shapely.get_coordinates(shapely.segmentize(common, max(common.length / 64, 1.0)))
@@ -160,18 +249,18 @@ def _same_coordinates(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) 
     return bool(np.abs(map_px(dense, from_grid, to_grid) - as_if_equal).max() <= _SAME_COORDINATES_PX)
 
 
-def _flipped(grid: Grid, signs: Array) -> Grid:
+def _flipped(grid: Grid, signs: Float64) -> Grid:
     rows, cols = grid.shape
     origin = (cols if signs[0] < 0 else 0, rows if signs[1] < 0 else 0)
-    return grid.remade(((float(signs[0]), 0.0), (0.0, float(signs[1]))), origin, grid.shape)
+    return grid.resampled_grid(((float(signs[0]), 0.0), (0.0, float(signs[1]))), origin, grid.shape)
 
 
 def _overlap(reference: RasterInfo, target: RasterInfo) -> shapely.Geometry:
-    """Return what both rasters cover, a polygon in reference px."""
+    """Return the area that both rasters cover, a polygon in reference px."""
     footprint = _footprint(target.grid, reference.grid)
     if footprint is not None:
         common = footprint.intersection(_rectangle(reference.grid))
-    else:  # the target is larger than the reference's projection can show: look from the other side
+    else:  # the target exceeds the domain of the reference's projection: intersect in the target's CRS
         seen = _footprint(reference.grid, target.grid)
         if seen is None:
             raise InputError(
@@ -195,14 +284,14 @@ def _plane(grid: Grid) -> str:
 
 
 def _footprint(grid: Grid, onto: Grid) -> shapely.Geometry | None:
-    """Return the outline of a raster in another grid's px; None where that CRS cannot show all of it."""
+    """Return the outline of a raster in another grid's px; None where its CRS is not defined there."""
     outline = grid.boundary_px()
     mapped = map_px(outline, grid, onto)
     if not np.isfinite(mapped).all():
         return None
     back = map_px(mapped, onto, grid)
     polygon = shapely.Polygon(mapped)
-    # Beyond its domain a projection may fold: the way back then ends elsewhere.
+    # Outside its domain a projection may fold: mapping back then gives another point.
     if not np.allclose(back, outline, rtol=0, atol=0.5) or not polygon.is_valid:
         return None
     return polygon
@@ -214,7 +303,7 @@ def _rectangle(grid: Grid) -> shapely.Geometry:
 
 
 def _mapped(polygon: shapely.Geometry, from_grid: Grid, to_grid: Grid) -> shapely.Geometry:
-    """Map a polygon, with points along its sides so that they may bend."""
+    """Map a polygon, its sides densified so that they may become curves."""
     if polygon.is_empty:
         return polygon
     left, top, right, bottom = polygon.bounds
@@ -222,24 +311,19 @@ def _mapped(polygon: shapely.Geometry, from_grid: Grid, to_grid: Grid) -> shapel
     return shapely.transform(dense, lambda points_px: map_px(points_px, from_grid, to_grid))
 
 
-def _centre(polygon: shapely.Geometry) -> Array:
+def _centre(polygon: shapely.Geometry) -> Float64:
     point = polygon.representative_point()
     return np.array([[point.x, point.y]])
 
 
 def _window_around(polygon: shapely.Geometry) -> Window:
-    left, top, right, bottom = polygon.bounds
-    # A millionth of a pixel is rounding, not a row more.
-    return Window.from_bounds(
-        int(np.floor(top + 1e-6)),
-        int(np.floor(left + 1e-6)),
-        int(np.ceil(bottom - 1e-6)),
-        int(np.ceil(right - 1e-6)),
-    )
+    low, high = np.array(polygon.bounds).reshape(2, 2)
+    # A millionth of a pixel is a rounding error and adds no row.
+    return Window.around(low + 1e-6, high - 1e-6)
 
 
 def _extent(grid: Grid, onto: Grid) -> str:
-    """Return the extent of a raster in another's CRS, in words."""
+    """Return the extent of a raster in another's CRS, as text for messages."""
     xy = transform_xy(grid.to_xy(grid.boundary_px()), grid.crs, onto.crs)
     xy = xy[np.isfinite(xy).all(axis=1)]
     if len(xy) == 0:

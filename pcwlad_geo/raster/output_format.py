@@ -1,12 +1,17 @@
-"""The file format of an output, and whether GDAL can write it: found out before the work, on a small file."""
+"""The format of output rasters: creation options, a trial before the work, writing and verification."""
 
 from __future__ import annotations
 
+import json
 import logging
+import mmap
 import os
+import sqlite3
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import threading
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -17,27 +22,27 @@ import rasterio
 import rasterio.shutil
 from affine import Affine
 from rasterio.drivers import raster_driver_extensions
-from rasterio.errors import NotGeoreferencedWarning
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader
+from rasterio.windows import Window
 
-from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.limits import check_created_block
 from pcwlad_geo.raster import vrt
-from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
+from pcwlad_geo.raster.gdal import GDAL_ERRORS, gdal_log, ignoring, no_error_unheard, question, root_cause
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.metadata import usable_nodata
 from pcwlad_geo.raster.opening import open_own
-from pcwlad_geo.raster.quiet import ignoring
-from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.raster.source import open_raster, open_written_raster
+from pcwlad_geo.text import joined
 
 _EXTENSIONS: Final = {"COG": "tif", "GTIFF": "tif", "ENVI": "dat", "JPEG": "jpg", "VRT": "vrt"}
-"""Of formats for which GDAL knows none, or several."""
+"""File extensions of formats for which GDAL lists none, or several."""
 _BLOCK_SIDES: Final = frozenset({"BLOCKSIZE", "BLOCKXSIZE", "BLOCKYSIZE"})
-"""Creation options that are sides of blocks."""
+"""Creation options that set the side of blocks, px."""
 _SMALL_PX: Final = 64
-"""Side of the file that is tried."""
+"""Side of the raster that is written as a trial, px."""
 _TILE_BYTES: Final = 2**22
-"""All bands of a tile lie together, and each thread of the compression holds one."""
+"""Largest size of a tile with all its bands; each compression thread holds one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,16 +52,13 @@ class OutputFormat:
     driver: str = "COG"
     """GDAL's short name, in any case."""
     options: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    """Creation options of the user, names in capitals; they win over the defaults."""
+    """Creation options of the user, names in capitals; they take precedence over the defaults."""
 
     @staticmethod
     def of(driver: str, options: Sequence[str]) -> OutputFormat:
-        """Return the format of a driver and options as KEY=VALUE.
+        """Return the format of a GDAL `driver` with creation `options`, each KEY=VALUE.
 
-        Raises
-        ------
-        SettingsError
-            If one asks for blocks that no memory holds.
+        Raises `SettingsError` if an option requests blocks too large for the memory.
         """
         pairs = (option.partition("=") for option in options)
         named = {key.upper(): value for key, _, value in pairs}
@@ -66,14 +68,14 @@ class OutputFormat:
 
     @property
     def extension(self) -> str:
-        """Ending of its files, without the dot."""
+        """File extension, without the dot."""
         name = self.driver.upper()
         known = (end for end, driver in raster_driver_extensions().items() if driver.upper() == name)
         return _EXTENSIONS.get(name) or next(known, name.lower())
 
     @property
     def is_vrt(self) -> bool:
-        """Whether no pixel is written, only how to make them."""
+        """Whether the format is VRT: no pixels are written, but how to compute them."""
         return self.driver.upper() == "VRT"
 
     @property
@@ -82,16 +84,17 @@ class OutputFormat:
         return self.driver.upper() in ("COG", "GTIFF")
 
     def creation_options(self, source: DatasetReader, *, interpolated: bool) -> dict[str, str]:
-        """Return the creation options for a raster, the user's and the defaults.
+        """Return the creation options for the bands of `source`: the defaults, replaced by the user's.
 
-        DEFLATE at GDAL's level 6 is read by everything; level 9 and ZSTD make files a few per cent smaller at
-        two to six times the time, level 1 up to a tenth larger.
+        Overviews are means where `interpolated`, else nearest neighbours. DEFLATE at GDAL's level 6 is
+        universally readable; level 9 and ZSTD make files a few per cent smaller in two to six times the
+        time, level 1 up to a tenth larger. One thread compresses: where one of several lacks memory, GDAL
+        (3.10) writes zeros in the place of its block and reports nothing.
         """
         dtype = np.result_type(*source.dtypes)
         many = 512 * 512 * source.count * dtype.itemsize > _TILE_BYTES
         block = "256" if many else "512"
         common = {"COMPRESS": "DEFLATE", "BIGTIFF": "IF_SAFER", "COPY_SRC_MDD": "YES"}
-        common["NUM_THREADS"] = "ALL_CPUS"
         if self.driver.upper() == "COG":
             # Means, unlike cubic overviews, never overshoot into the nodata value.
             overviews = {"OVERVIEW_RESAMPLING": "AVERAGE" if interpolated else "NEAREST"}
@@ -103,7 +106,7 @@ class OutputFormat:
         else:
             options = {}
         if "COMPRESS" in self.options:
-            options.pop("PREDICTOR", None)  # not every compression has one
+            options.pop("PREDICTOR", None)  # not every compression supports it
         if self.options.get("TILED", "YES").upper() in ("NO", "FALSE", "OFF", "0"):
             options.pop("BLOCKXSIZE", None)
             options.pop("BLOCKYSIZE", None)
@@ -111,52 +114,42 @@ class OutputFormat:
 
 
 def raster_extensions() -> frozenset[str]:
-    """Return the endings of files that GDAL writes rasters to, without the dot, in small letters."""
+    """Return the file extensions of raster formats that GDAL writes, without the dot, in lower case."""
     return frozenset({*raster_driver_extensions(), *_EXTENSIONS.values()})
 
 
 def files_of(path: Path) -> list[Path]:
-    """Return a raster's file and those that belong to it (headers, masks, metadata), in its folder."""
+    """Return the files of a raster in its folder: its own and its headers, masks and metadata."""
     if path.suffix.lower() == ".vrt":
         return [path]
     with ignoring(NotGeoreferencedWarning), open_own(path) as dataset:
         found = [Path(name) for name in dataset.files]
-    # a file of GDAL's own that it does not list
+    # a file that GDAL writes but does not list
     found += [path.with_name(f"{path.name}.aux.xml")]
     beside = [file for file in found if file.parent == path.parent and file.name != path.name]
     return [path, *sorted({file for file in beside if file.is_file()})]
 
 
 def check_format(made: OutputFormat, source_uri: str, grid: Grid) -> None:
-    """Raise where GDAL cannot write a raster in a format: found out by writing a small one of its kind.
+    """Check that GDAL can write a raster in a format, by writing a small one with the same properties.
 
-    Parameters
-    ----------
-    made : OutputFormat
-    source_uri : str
-        The raster whose bands will be written.
-    grid : Grid
-        With the CRS and the pixels of the output.
-
-    Raises
-    ------
-    SettingsError
-        If the format is unknown, cannot be written or not for such a raster, or an option is unknown, has
-        a value that GDAL does not take, or moves the pixels.
+    Raises `SettingsError` if the format is unknown or cannot hold such a raster, or an option is unknown, has
+    an invalid value, or moves the pixels. The bands of `source_uri` will be written, on the output grid.
     """
     if made.is_vrt or made == OutputFormat():
         return
     with open_raster(source_uri) as source, tempfile.TemporaryDirectory(prefix="pcwlad-geo-") as folder:
         path = Path(folder) / f"small.{made.extension}"
         small = Grid((_SMALL_PX, _SMALL_PX), grid.transform, grid.crs)
-        with _complaints() as said:
+        with gdal_log(logging.WARNING, passes_on=False) as records:
             try:
                 _write_small(source, made, path, small)
                 wrong = _changed(path, source, small)
             except (*GDAL_ERRORS, OSError, SystemError, ValueError) as error:
                 wrong = root_cause(error)
-                # rasterio knows no words of some of GDAL's errors, but the log has them
-                wrong = said[0] if said and "Unknown GDAL Error" in wrong else wrong
+                # rasterio has no message for some of GDAL's errors, but its log has
+                wrong = _words(records[0]) if records and "Unknown GDAL Error" in wrong else wrong
+    said = map(_words, records)
     options = [text for text in said if "creation option" in text or any(key in text for key in made.options)]
     if options and made.options:
         given = ", ".join(f"{key}={value}" for key, value in made.options.items())
@@ -170,12 +163,11 @@ def check_format(made: OutputFormat, source_uri: str, grid: Grid) -> None:
 
 def _write_small(source: DatasetReader, made: OutputFormat, path: Path, grid: Grid) -> None:
     pixels = path.with_name("pixels.tif")
-    nodata = tuple(usable_nodata(source, band) for band in source.indexes)
     dtype = np.result_type(*source.dtypes)
     profile = {"driver": "GTiff", "count": source.count, "dtype": dtype.name, "transform": Affine.scale(2.0)}
     with rasterio.open(pixels, "w", height=grid.shape[0], width=grid.shape[1], **profile) as file:
         file.write(np.ones((source.count, *grid.shape), dtype))
-    tree = vrt.describe_pixels(source, vrt.PixelFile(pixels.name, True, nodata, False), grid.shape)
+    tree = vrt.describe_pixels(source, vrt.PixelFile(pixels.name, True, False), grid.shape)
     if grid.crs is not None:
         vrt.add_georeferencing(tree, grid.transform, grid.crs)
     described = path.with_name("described.vrt")
@@ -185,7 +177,7 @@ def _write_small(source: DatasetReader, made: OutputFormat, path: Path, grid: Gr
 
 
 def _changed(path: Path, source: DatasetReader, grid: Grid) -> str | None:
-    """Say what a file does not hold of what was written."""
+    """Describe what of the written raster a file does not hold; None where it is complete."""
     if not path.is_file():
         return "it writes no file"
     with ignoring(NotGeoreferencedWarning), open_own(path) as file:
@@ -201,23 +193,184 @@ def _changed(path: Path, source: DatasetReader, grid: Grid) -> str | None:
     return None
 
 
-@contextmanager
-def _complaints() -> Iterator[list[str]]:
-    """Collect what GDAL warns of, which rasterio passes on to its log only."""
-    said: list[str] = []
+def _words(record: logging.LogRecord) -> str:
+    """Return GDAL's own words of what rasterio logs."""
+    message = record.getMessage()
+    return message.partition(" in ")[2] or message
 
-    class Collector(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            said.append(record.getMessage().partition(" in ")[2] or record.getMessage())
 
-    collector, logger = Collector(logging.WARNING), logging.getLogger("rasterio._env")
-    level, passes_on = logger.level, logger.propagate
-    logger.addHandler(collector)
-    logger.setLevel(logging.WARNING)
-    logger.propagate = False
+# With COPY_SRC_MDD=YES GDAL (3.10) drops the default metadata domain of the bands, without it all other ones;
+# SRC_MDD cannot name the default, and rio-cogeo (7.0) loses the domains and the units of the bands. So the
+# band tags are stored under this name and renamed afterwards.
+_BAND_TAGS: Final = "pcwlad-geo-band-tags"
+
+
+def write_described(
+    source: DatasetReader,
+    pixels: vrt.PixelFile,
+    grid: Grid,
+    made: OutputFormat,
+    scratch: Path,
+    name: str,
+    *,
+    interpolated: bool,
+) -> list[Path]:
+    """Write an output raster: GDAL copies a VRT that combines new pixels with the source's metadata.
+
+    Parameters
+    ----------
+    source : DatasetReader
+        The raster whose tags, colours, scales and units are kept.
+    pixels : PixelFile
+        The pixels to write, in the folder `scratch`.
+    grid : Grid
+        The grid of the pixels.
+    scratch : pathlib.Path
+        The folder in which the files are written.
+    name : str
+        Name of the file to write.
+    interpolated : bool
+        Whether overviews may be means; otherwise they are nearest neighbours.
+
+    Returns
+    -------
+    list of pathlib.Path
+        The file, and the files that GDAL has written beside it.
+    """
+    description, path = scratch / "described.vrt", scratch / "made" / name
+    path.parent.mkdir()
+    tree = vrt.describe_pixels(source, pixels, grid.shape)
+    band_tags = [tags for tags in tree.findall("VRTRasterBand/Metadata") if "domain" not in tags.attrib]
+    for tags in band_tags if made.is_tiff else ():
+        tags.set("domain", _BAND_TAGS)
+    if grid.located:
+        vrt.add_georeferencing(tree, grid.transform, grid.crs)
+    vrt.write(tree, description)
+    options = made.creation_options(source, interpolated=interpolated)
+
+    def copy() -> None:
+        # Settings of GDAL belong to a thread.
+        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), no_error_unheard():
+            rasterio.shutil.copy(os.fspath(description), os.fspath(path), driver=made.driver, **options)
+            if made.driver.upper() == "COG":
+                _check_layout(path)
+
+    _interruptible(copy)
+    if band_tags and made.is_tiff:  # otherwise the whole file would be searched
+        _rename_band_tags(path)
+    return files_of(path)
+
+
+def _check_layout(path: Path) -> None:
+    """Raise where a file is no COG: GDAL does not report that it could not write the mark of one."""
+    with ignoring(NotGeoreferencedWarning), open_own(path) as file:
+        if file.tags(ns="IMAGE_STRUCTURE").get("LAYOUT") != "COG":
+            raise OSError(f"{path.name} is no cloud-optimised GeoTIFF")
+
+
+def _rename_band_tags(path: Path) -> None:
+    """Rename the stored band tags to ordinary ones in place: the layout of a COG must not change."""
+    with path.open("r+b") as file, mmap.mmap(file.fileno(), 0) as content:
+        start = content.find(b"<GDALMetadata>")
+        end = content.find(b"</GDALMetadata>", start)
+        if start >= 0 and end >= 0:
+            attribute = f' domain="{_BAND_TAGS}"'.encode()
+            # Blanks between attributes are not significant in XML.
+            content[start:end] = content[start:end].replace(attribute, b" " * len(attribute))
+
+
+def _interruptible(work: Callable[[], None]) -> None:
+    """Run a long GDAL call in a thread, so that Ctrl-C does not wait for its end."""
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            work()
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(0.1)
+    if errors:
+        raise errors[0]
+
+
+_TEXTS: Final = (".csv", ".html", ".points", ".txt")
+"""Suffixes of the text files that are written."""
+_HEADERS: Final = (".hdr", ".xml")
+"""Suffixes of text files beside a raster; some formats use them for the raster itself."""
+_TEXT_PART: Final = 2**20
+"""Number of characters that are read at a time."""
+
+
+def verify_output(path: Path) -> None:
+    """Reopen an output file and check that it is complete.
+
+    The check depends on the suffix. Rasters: the last block of every band is read; VRT and JSON: parsed;
+    GeoPackage: SQLite's integrity check; PDF: its end; other texts: UTF-8. A file beside a raster that cannot
+    be opened on its own (a header, an index) must not be empty. Raises `OutputError` if the file is not
+    complete.
+    """
+    checks: dict[str, Callable[[Path], None]] = {
+        ".tif": _verify_raster,
+        ".gpkg": _verify_database,
+        ".vrt": _verify_xml,
+        ".json": _verify_json,
+        ".pdf": _verify_pdf,
+        **dict.fromkeys((*_TEXTS, *_HEADERS), _verify_text),
+    }
     try:
-        yield said
-    finally:
-        logger.removeHandler(collector)
-        logger.setLevel(level)
-        logger.propagate = passes_on
+        if path.stat().st_size == 0:
+            raise ValueError("it is empty")
+        checks.get(path.suffix.lower(), _verify_other)(path)
+    except (OSError, ValueError, SyntaxError, sqlite3.Error, RasterioError, InputError) as error:
+        reason = joined(error)
+        raise OutputError(f"{path.name} was not written whole ({reason}): {question(reason)}") from error
+
+
+def _verify_raster(path: Path) -> None:
+    with open_written_raster(os.fspath(path)) as dataset:
+        for band, (block_rows, block_cols) in zip(dataset.indexes, dataset.block_shapes, strict=True):
+            row = (dataset.height - 1) // block_rows * block_rows
+            col = (dataset.width - 1) // block_cols * block_cols
+            window = Window(col, row, dataset.width - col, dataset.height - row)
+            dataset.read(band, window=window)
+            dataset.read_masks(band, window=window)
+
+
+def _verify_database(path: Path) -> None:
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+        (found,) = database.execute("PRAGMA integrity_check").fetchone()
+    if found != "ok":
+        raise ValueError(found)
+
+
+def _verify_xml(path: Path) -> None:
+    # Not opened: its relative path is valid from its final folder only.
+    ET.parse(path)
+
+
+def _verify_json(path: Path) -> None:
+    json.loads(path.read_text(encoding="utf-8"))
+
+
+def _verify_pdf(path: Path) -> None:
+    if not path.read_bytes().rstrip().endswith(b"%%EOF"):
+        raise ValueError("it has no end")
+
+
+def _verify_text(path: Path) -> None:
+    with path.open(encoding="utf-8") as file:
+        while file.read(_TEXT_PART):
+            pass
+
+
+def _verify_other(path: Path) -> None:
+    """Read a raster of a format other than GeoTIFF; a file beside one need not be a raster."""
+    try:
+        _verify_raster(path)
+    except (InputError, RasterioError):
+        if path.suffix.lower().removeprefix(".") in raster_extensions():
+            raise

@@ -1,4 +1,4 @@
-"""The grid of a registered raster, and the way from its pixels to those of the original."""
+"""The grids of the outputs: pixel sizes, extents, and the mapping from output to original pixels."""
 
 from __future__ import annotations
 
@@ -9,56 +9,181 @@ from typing import Final, Literal
 import numpy as np
 import shapely
 from affine import Affine
-from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import check_grid, check_output_pixel
-from pcwlad_geo.raster.crs import name_of
+from pcwlad_geo.raster.crs import name_of, to_pyproj
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
-from pcwlad_geo.raster.output_size import pixel_sizes
+from pcwlad_geo.types import Float64
 
-Array = NDArray[np.float64]
-Box = tuple[Array, Array]
-"""Lowest and highest (x, y) of a lattice."""
+_SAME: Final = 1e-6
+"""Pixel sizes whose relative difference is smaller count as equal."""
+_SAME_ACROSS_UNITS: Final = 0.02
+"""Where units differ, sizes within this share of a multiple or fraction of the reference's become that."""
+_SAME_SCALE: Final = 0.1
+"""Between two CRSs of the same unit whose scales differ by less, a pixel size is kept: 30 m stay 30 m."""
+_ALIGNED: Final = 1e-9
+"""Axes that deviate by at most this share of a pixel's side count as parallel."""
+
+
+def pixel_sizes(lattice: Grid, reference: Grid, target: Grid, rasters: Sequence[Grid]) -> list[Float64]:
+    """Return the pixel sizes of the target and other rasters of its geometry on an output grid.
+
+    Where the output has the CRS and the axes of a raster, its size is kept exactly. In another CRS of the
+    same linear unit, or on rotated axes, it is kept too (30 m), unless the scales of the maps differ by more
+    than 10 %. Otherwise pixels are as long as the target's along its finer axis: a multiple or fraction of
+    the reference's size that is within 2 %, or else a square of two significant digits. The sizes of the
+    other rasters keep their ratio to the target's. Raises `InputError` if the middle of the target cannot be
+    transformed to the output's CRS.
+
+    Parameters
+    ----------
+    lattice : Grid
+        One map unit per pixel, with the axes and the CRS of the output.
+    reference, target : Grid
+        The original grids.
+    rasters : sequence of Grid
+        Grids of the other rasters.
+
+    Returns
+    -------
+    list of (2,) arrays
+        Pixel sizes of the target and then of each raster, map units along the axes of the lattice.
+    """
+    reference_size = _lengths(reference) if reference.crs == lattice.crs else None
+    own = _own_size(lattice, target, reference_size)
+    first = _size_elsewhere(lattice, target, reference_size) if own is None else own
+    sizes = [first]
+    for raster in rasters:
+        own = _own_size(lattice, raster, reference_size)
+        sizes.append(first * _ratio(lattice, raster, target) if own is None else own)
+    return sizes
+
+
+def snapped_size(size: float, tolerance: float = _SAME_ACROSS_UNITS) -> float:
+    """Return the multiple or fraction of 1 within the relative `tolerance` of `size`, or `size` itself."""
+    whole = max(1, round(max(size, 1.0 / size)))
+    nearest = float(whole) if size >= 1.0 else 1.0 / whole
+    return nearest if abs(size / nearest - 1.0) <= tolerance else size
+
+
+def _own_size(lattice: Grid, raster: Grid, reference_size: Float64 | None) -> Float64 | None:
+    """Return the (2,) size of a raster with the output's CRS and directions of axes; None for others."""
+    if raster.crs != lattice.crs:
+        return None
+    matrix = np.abs(np.linalg.inv(linear_part(lattice.transform)) @ linear_part(raster.transform))
+    if matrix[0, 1] > matrix[0, 0]:
+        matrix = matrix[:, ::-1]  # columns along y
+    if max(matrix[0, 1], matrix[1, 0]) > _ALIGNED * matrix.max():
+        return None
+    size: Float64 = np.diagonal(matrix).copy()
+    return size if reference_size is None else _or_equal(size, reference_size)
+
+
+def _size_elsewhere(lattice: Grid, target: Grid, reference_size: Float64 | None) -> Float64:
+    """Return the (2,) pixel size of a target in another CRS, or on rotated axes."""
+    across, swapped = _steps_across(lattice, target)
+    if _same_unit(lattice, target):
+        nominal = _lengths(target)[:: -1 if swapped else 1]
+        square = abs(nominal[0] / nominal[1] - 1.0) <= _SAME
+        if (square or not _turned(lattice, target)) and np.all(np.abs(across / nominal - 1.0) <= _SAME_SCALE):
+            return nominal if reference_size is None else _or_equal(nominal, reference_size)
+    if reference_size is not None:
+        ratio = np.array([snapped_size(value) for value in across / reference_size])
+        whole = np.maximum(ratio, 1.0 / ratio)
+        if np.all(np.abs(whole - np.rint(whole)) <= _SAME):
+            return ratio * reference_size
+    side = float(f"{across.min():.1e}")
+    return np.array([side, side])
+
+
+def _same_unit(lattice: Grid, target: Grid) -> bool:
+    if target.crs is None or lattice.crs is None:
+        return target.crs == lattice.crs  # without a CRS both lie in one plane
+    return bool(to_pyproj(target.crs).axis_info[0].unit_name == to_pyproj(lattice.crs).axis_info[0].unit_name)
+
+
+def _or_equal(size: Float64, reference_size: Float64) -> Float64:
+    return np.where(np.abs(size / reference_size - 1.0) <= _SAME, reference_size, size)
+
+
+def _ratio(lattice: Grid, raster: Grid, target: Grid) -> Float64:
+    """Return the (2,) ratio of a raster's pixel size to the target's, along the axes of the output."""
+    ratio = np.array([snapped_size(value, _SAME) for value in _lengths(raster) / _lengths(target)])
+    return ratio[:: -1 if _steps_across(lattice, target)[1] else 1]
+
+
+def _steps_across(lattice: Grid, target: Grid) -> tuple[Float64, bool]:
+    """Return the (2,) steps along the output's axes that cross one pixel in the middle of the target.
+
+    The second value is whether the target's columns run along the output's second axis.
+    """
+    forward = jacobian(target.middle_px, target, lattice)[0]
+    if not np.isfinite(forward).all():
+        raise InputError(
+            f"the middle of the target cannot be transformed from {name_of(target.crs)} to "
+            f"{name_of(lattice.crs)}: crop it to where that CRS is valid, or use --grid target"
+        )
+    inverse = np.linalg.inv(forward)
+    return 1.0 / np.hypot(*inverse), bool(abs(forward[0, 0]) < abs(forward[0, 1]))
+
+
+def _turned(lattice: Grid, target: Grid) -> bool:
+    """Whether no axis of the target is near one of the output, so that its two sizes cannot be assigned."""
+    forward = np.abs(jacobian(target.middle_px, target, lattice)[0])
+    share = forward.min(axis=0) / forward.max(axis=0)
+    return bool(share.max() > np.tan(np.radians(20.0)))
+
+
+def _lengths(grid: Grid) -> Float64:
+    """Return the (2,) lengths of a pixel along columns and rows, map units."""
+    return np.asarray(np.hypot(*linear_part(grid.transform)))
+
+
+Box = tuple[Float64, Float64]
+"""Lowest and highest (x, y), two (2,) arrays in lattice px."""
 
 _SLIVER_PX: Final = 1e-3
-"""Slivers of the footprint thinner than this get no pixel of their own."""
+"""A strip of the footprint thinner than this adds no row or column of pixels."""
 _WHOLE: Final = 1e-6
-"""Ratios of pixel sizes this close to a whole number are one."""
-_MOST_PX: Final = 2**31 - 1
-"""Along a side of a raster: GDAL's limit."""
+"""Ratios of pixel sizes this close to a whole number count as that number."""
+_MAX_PX: Final = 2**31 - 1
+"""GDAL's limit of the number of pixels along a side of a raster."""
 
 
 @dataclass(frozen=True, slots=True)
 class GridRequest:
-    """What the user says of the output grid; by default the reference's alignment, the raster's pixels."""
+    """The user's request for the output grid; the default is the reference's alignment, own pixel size."""
 
     mode: Literal["reference", "reference-exact", "target"] = "reference"
     like: Grid | None = None
-    """Exactly this grid."""
+    """The exact grid to use."""
     pixel_size: tuple[float, float] | None = None
-    """Along x and y, units of the output's CRS."""
+    """Pixel size along x and y, units of the output's CRS."""
     extent: tuple[float, float, float, float] | None = None
-    """x_min, y_min, x_max, y_max in the output's CRS."""
+    """Extent (x_min, y_min, x_max, y_max) in the output's CRS."""
     crs: CRS | None = None
-    """The reference's by default."""
+    """CRS of the output; the reference's by default."""
 
     @property
     def needs_ground(self) -> bool:
-        """Whether it speaks of map coordinates."""
+        """Whether the request needs map coordinates."""
         return any(wish is not None for wish in (self.like, self.pixel_size, self.extent, self.crs))
 
     def fixed(self, reference: Grid) -> Grid | None:
-        """Return the grid where it does not depend on the raster."""
+        """Return the grid if it does not depend on the raster, else None."""
         return reference if self.mode == "reference-exact" else self.like
 
 
 def output_grid(
     reference_grid: Grid, target_grid: Grid, correction: Correction, request: GridRequest | None = None
 ) -> Grid:
-    """Return the grid of the registered target, see `output_grids`."""
+    """Return the grid of the registered target alone.
+
+    The parameters `reference_grid`, `target_grid`, `correction` and `request` are those of `output_grids`.
+    """
     return output_grids(reference_grid, target_grid, correction, request, (target_grid,))[0]
 
 
@@ -71,10 +196,12 @@ def output_grids(
 ) -> list[Grid]:
     """Return the grids of the registered target's bands: one extent for all, whatever their pixel sizes.
 
-    By default they have CRS, axes and corners of the reference and the pixel sizes of `pixel_sizes`, and
-    cover the corrected footprint of the target, rounded outwards to whole pixels of the coarsest of them and
-    the target. A raster that reaches beyond that by more than such a pixel enlarges it. Where either has no
-    CRS: the reference's pixels.
+    By default they have the CRS, the axes and the pixel corners of the reference and the sizes of
+    `pixel_sizes`, and cover the corrected footprint of the target, rounded outwards to whole pixels of the
+    coarsest raster. A raster that extends beyond that by more than such a pixel enlarges it. Where the
+    reference or the target has no map coordinates, the outputs have the reference's grid. Raises `InputError`
+    if a footprint cannot be transformed to the CRS of the output or by the correction, or the requested grid
+    has no pixel, or too many.
 
     Parameters
     ----------
@@ -82,15 +209,8 @@ def output_grids(
         The original grids.
     correction : Correction
         Maps predicted to observed target pixels.
-    request : GridRequest, optional
     rasters : sequence of Grid
-        Of the target itself, or of other rasters of its geometry.
-
-    Raises
-    ------
-    InputError
-        If a footprint cannot be transformed to the CRS of the output, or the correction has no place for it,
-        or the grid that is asked for has no pixel, or too many.
+        Grids of the target itself, or of other rasters of its geometry.
     """
     request = request or GridRequest()
     fixed = request.fixed(reference_grid)
@@ -117,18 +237,17 @@ def output_grids(
 
 
 def _check_pixel(grid: Grid, target: Grid) -> None:
-    """Raise where the pixels of an output grid are too large for those of the target."""
-    middle = np.array([[target.shape[1] / 2, target.shape[0] / 2]])
-    steps = jacobian(middle, target, grid)[0]
+    """Raise where the pixels of an output grid are too large relative to those of the target."""
+    steps = jacobian(target.middle_px, target, grid)[0]
     if np.isfinite(steps).all():
         check_output_pixel(np.linalg.svd(steps, compute_uv=False).tolist())
 
 
 def output_lattice(reference: Grid, request: GridRequest) -> Grid:
-    """Return the lattice that the pixels of an output are laid on: one map unit a pixel.
+    """Return the lattice to which the pixels of an output are aligned: one map unit per pixel.
 
-    Its corner and axes are the reference's; north up with a pixel size or an extent given, as for gdalwarp;
-    the origin of the CRS in another one than the reference's.
+    It has the corner and the axes of the reference. It is north up if a pixel size or an extent is
+    requested, as for gdalwarp, and starts at the origin of the CRS if that is not the reference's.
     """
     crs, place = request.crs or reference.crs, reference.transform
     if crs != reference.crs:
@@ -139,24 +258,14 @@ def output_lattice(reference: Grid, request: GridRequest) -> Grid:
     return Grid(reference.shape, Affine(a, b, place.c, d, e, place.f), crs)
 
 
-def lay_out(lattice: Grid, request: GridRequest, boxes: Sequence[Box], sizes: Sequence[Array]) -> list[Grid]:
+def lay_out(
+    lattice: Grid, request: GridRequest, boxes: Sequence[Box], sizes: Sequence[Float64]
+) -> list[Grid]:
     """Return the grids of rasters that share an extent.
 
-    Parameters
-    ----------
-    lattice : Grid
-        See `output_lattice`.
-    request : GridRequest
-        Its pixel size and extent count.
-    boxes : sequence of (2,), (2,) arrays
-        What the target and then each raster covers, lattice px.
-    sizes : sequence of (2,) arrays
-        Pixel sizes of the same, lattice px.
-
-    Raises
-    ------
-    InputError
-        If a grid has no pixel, or too many.
+    Raises `InputError` if a grid has no pixel, or too many. For the `lattice` see `output_lattice`; of the
+    request its pixel size and extent are used. The `boxes` are lowest and highest (x, y) of the target and
+    then of each raster, lattice px, in (2,) arrays; `sizes` are their pixel sizes (x, y), (2,) arrays too.
     """
     if request.pixel_size is not None:
         sizes = [np.array(request.pixel_size)] * len(sizes)
@@ -172,24 +281,22 @@ def lay_out(lattice: Grid, request: GridRequest, boxes: Sequence[Box], sizes: Se
     return [_laid(lattice, first * step, size, _count(steps, step, size)) for size in sizes[1:]]
 
 
-def check_covered(grid: Grid, footprint_xy: Array, footprint_crs: CRS | None, *, beyond: float = 0.0) -> None:
-    """Raise where an output grid shows nothing of a raster.
+def check_covered(
+    grid: Grid, footprint_xy: Float64, footprint_crs: CRS | None, *, beyond: float = 0.0
+) -> None:
+    """Check that an output grid overlaps a raster.
+
+    Raises `InputError` if the two do not overlap.
 
     Parameters
     ----------
-    grid : Grid
     footprint_xy : (n, 2) array
-        Around the raster, map coordinates.
+        Outline of the raster, map coordinates (x, y).
     footprint_crs : CRS or None
-        Theirs. Where it or the grid alone has none, the grid has no place, or the outline cannot be placed,
-        nothing is checked.
+        CRS of the outline. Nothing is checked if only one of this and the grid's CRS is None, the grid has no
+        map coordinates, or the outline cannot be transformed.
     beyond : float
-        How far the raster may lie from there, as a share of its larger side.
-
-    Raises
-    ------
-    InputError
-        Then.
+        Tolerated distance between the two, as a share of the raster's larger side.
     """
     if (footprint_crs is None) != (grid.crs is None) or not grid.located or not len(footprint_xy):
         return
@@ -216,38 +323,46 @@ def check_covered(grid: Grid, footprint_xy: Array, footprint_crs: CRS | None, *,
 
 def original_pixels(
     own_grid: Grid, target_grid: Grid, correction: Correction, grid: Grid
-) -> Callable[[Array], Array]:
-    """Return the mapping of (n, 2) output pixels (col, row) to the original ones that show the same ground.
+) -> Callable[[Float64], Float64]:
+    """Return the mapping from output pixels to the original pixels that show the same ground.
 
     Output pixel → predicted target pixel → observed target pixel → pixel of the raster.
 
     Parameters
     ----------
     own_grid : Grid
-        Of the raster: the target, or another one of its geometry.
+        Grid of the raster: the target, or another one of its geometry.
     target_grid : Grid
-        The grid whose pixels the correction speaks of.
+        The grid whose pixels the correction maps.
     correction : Correction
         Maps predicted to observed target pixels.
     grid : Grid
-        The output grid. Where it or the raster has no place, its pixels are the predicted ones.
+        The output grid. Where it or the raster has no map coordinates, its pixels are the predicted ones.
+
+    Returns
+    -------
+    callable
+        Maps (n, 2) output pixels (col, row) to (n, 2) pixels (col, row) of the raster.
     """
     placed = own_grid.located and grid.located
 
-    def mapping(at_px: Array) -> Array:
+    def mapping(at_px: Float64) -> Float64:
         predicted_px = map_px(at_px, grid, target_grid) if placed else at_px
         return map_px(correction.forward(predicted_px), target_grid, own_grid)
 
     return mapping
 
 
-def corrected_outline(target: Grid, correction: Correction) -> Array:
-    """Return (n, 2): map coordinates around the ground that a target shows, in its CRS."""
+def corrected_outline(target: Grid, correction: Correction) -> Float64:
+    """Return the outline of the ground that a `target` shows once corrected by `correction`.
+
+    It has (n, 2) map coordinates (x, y) in the target's CRS.
+    """
     return target.to_xy(correction.inverse(target.boundary_px()))
 
 
 def _footprint(own: Grid, target: Grid, correction: Correction, lattice: Grid) -> Box:
-    """Return what a raster covers once corrected, lattice px."""
+    """Return the bounding box of a corrected raster, lattice px."""
     observed_px = map_px(own.boundary_px(), own, target)
     around = map_px(correction.inverse(observed_px), target, lattice)
     if not np.isfinite(around).all():
@@ -258,16 +373,16 @@ def _footprint(own: Grid, target: Grid, correction: Correction, lattice: Grid) -
     return around.min(axis=0), around.max(axis=0)
 
 
-def _count(steps: Array, step: Array, size: Array) -> Array:
-    """Return how many pixels of a size so many of the coarsest ones are."""
+def _count(steps: Float64, step: Float64, size: Float64) -> Float64:
+    """Return the (2,) numbers of pixels of a size that cover a number of steps."""
     ratio = step / size
     whole = np.rint(ratio)
     exact = np.abs(ratio / whole - 1.0) <= _WHOLE
     return np.where(exact, steps * whole, np.ceil(steps * ratio - _SLIVER_PX))
 
 
-def _within(lattice: Grid, request: GridRequest, size: Array, step: Array) -> Grid:
-    """Return the grid of an extent that the user gives, as gdalwarp does: -te, with -tr or without."""
+def _within(lattice: Grid, request: GridRequest, size: Float64, step: Float64) -> Grid:
+    """Return the grid of the user's extent, as for gdalwarp: -te, with -tr or without."""
     if request.extent is None:
         raise TypeError("there is no extent")
     x_min, y_min, x_max, y_max = request.extent
@@ -281,13 +396,13 @@ def _within(lattice: Grid, request: GridRequest, size: Array, step: Array) -> Gr
     return _laid(corner, np.zeros(2), sides / counts, counts)
 
 
-def _laid(lattice: Grid, origin_px: Array, size: Array, counts: Array) -> Grid:
-    """Return so many pixels of a size from a place of the lattice on."""
-    if not (counts >= 1).all() or (counts > _MOST_PX).any():
+def _laid(lattice: Grid, origin_px: Float64, size: Float64, counts: Float64) -> Grid:
+    """Return the grid of (2,) counts of pixels of a (2,) size, from an origin on the lattice on."""
+    if not (counts >= 1).all() or (counts > _MAX_PX).any():
         raise InputError(
             f"the output grid would have {counts[0]:.0f} x {counts[1]:.0f} pixels of {size[0]:.10g} x "
             f"{size[1]:.10g}: check --te and --tr, which are in units of {name_of(lattice.crs)}"
         )
     linear = ((float(size[0]), 0.0), (0.0, float(size[1])))
     cols, rows = counts.astype(int).tolist()
-    return lattice.remade(linear, (float(origin_px[0]), float(origin_px[1])), (rows, cols))
+    return lattice.resampled_grid(linear, (float(origin_px[0]), float(origin_px[1])), (rows, cols))

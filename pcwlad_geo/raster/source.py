@@ -1,65 +1,68 @@
-"""What a raster file holds, checked before any work is done."""
+"""Descriptions of raster files (`RasterInfo`), with their checks, and the functions that open them."""
 
 from __future__ import annotations
 
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import rasterio
 from affine import Affine
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader
+from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.input_files import check_regular
 from pcwlad_geo.limits import check_coordinates, check_gcp_misfit, check_geotransform, check_latitudes
-from pcwlad_geo.raster.boundary import LIBRARY_ERRORS, reading
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
 from pcwlad_geo.raster.file_tree import name_of_uri
-from pcwlad_geo.raster.gcp_grid import geotransform_of
-from pcwlad_geo.raster.grid import Grid, linear_part
-from pcwlad_geo.raster.mask_kinds import MaskKind, kind_of
-from pcwlad_geo.raster.opening import network_settings, open_for_reading, open_own
-from pcwlad_geo.raster.quiet import ignoring
-from pcwlad_geo.raster.stored import check_dataset
+from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring, reading
+from pcwlad_geo.raster.grid import Grid, Window, geotransform_of, is_invertible, linear_part
+from pcwlad_geo.raster.masks import Collar, MaskKind, find_collar, kind_of
+from pcwlad_geo.raster.opening import check_dataset, network_settings, open_for_reading, open_own
+from pcwlad_geo.text import check_beside, check_regular, joined
 
-MOST_READ_PX: Final = 2**25
-"""A file without overviews that has more pixels is not read for a look at it alone."""
+MAX_READ_PX: Final = 2**25
+"""Largest number of pixels of a file without overviews that is read for an overview of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class RasterInfo:
-    """One band of one file, described: small and picklable."""
+    """Description of one band of one file; small and picklable."""
 
     uri: str
     """Path or GDAL URI."""
     band: int
-    """From 1."""
+    """Number of the band, from 1."""
     band_count: int
     grid: Grid
     georeferenced: bool
-    """False where the file has no geotransform (nor control points that give one) or no CRS, unless another
-    raster's tells it (see `shared_plane`)."""
+    """False without a CRS or without a geotransform (its own, or fitted to control points), unless the raster
+    was placed by the other of its pair (see `matching_grid.share_plane`)."""
     dtype: str
     nodata: float | None
     mask_uri: str | None
     """A mask file given by the user or found in a product."""
     mask_grid: Grid | None = None
-    """Where its pixels lie."""
+    """Grid of the mask file."""
     mask_kind: MaskKind = "zeros"
-    """What its values mean."""
+    """Meaning of the values of the mask."""
     gcp_misfit_px: float | None = None
-    """Largest misfit of the ground control points that the grid is made from; None: it is the file's own."""
+    """Largest residual of the control points that the grid is fitted to, px; None without such a fit."""
     plane_transform: Affine | None = None
-    """The geotransform of a file that has one and no CRS."""
+    """The geotransform of a file that has one but no CRS."""
+    collar: Collar | None = None
+    """A constant border that counts as nodata, see `without_collar`."""
     content: str = ""
-    """Tells what the files of a job hold from what they hold later (`identity.digest`); empty: not known."""
+    """Digest of the versions of the files (`identity.digest`), to detect changes; empty where unknown."""
 
 
 def describe(
@@ -67,26 +70,20 @@ def describe(
 ) -> RasterInfo:
     """Describe one band of a raster file.
 
-    A file counts as georeferenced with a CRS and a geotransform that can be inverted and is not the
-    identity, or with ground control points on the geotransform that fits them best; without them (also with
-    RPCs only) the grid has the identity and no CRS.
+    A file counts as georeferenced if it has a CRS and an invertible geotransform other than the identity, or
+    ground control points, whose best-fitting geotransform is then used. Otherwise (also with RPCs only) the
+    grid has the identity transform and no CRS. Raises `InputError` if the file is missing, no raster,
+    unreadable or empty, the band is out of range or complex, or the mask cannot be related to it.
 
     Parameters
     ----------
     path : path-like or GDAL URI
         Any raster GDAL reads.
     band : int
-        From 1.
+        Number of the band, from 1.
     mask : path-like, optional
-        A mask file, its band 1, 0 = excluded, or a quality raster (see `mask_kinds`): as large as the
-        raster (then it lies on it pixel for pixel, unless both are georeferenced), or georeferenced as the
-        raster is.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, no raster, unreadable or empty, the band is out of range or complex, or the
-        mask cannot be laid on it.
+        A mask file (band 1, 0 = excluded) or a quality raster (see `masks`). It is georeferenced as the
+        raster is, or has the raster's size and the same pixels.
     """
     uri = os.fspath(path)
     with open_raster(uri) as dataset:
@@ -115,36 +112,64 @@ def describe(
     return info
 
 
+def without_collar(info: RasterInfo) -> tuple[RasterInfo, tuple[str, ...]]:
+    """Return a band with its collar as nodata, and a note that says so if it has one.
+
+    A collar is a constant border that nothing marks (see `masks.find_collar`). A band with a nodata value, an
+    alpha band or a mask of any kind has said which of its pixels count, and is returned as it is, as is one
+    that cannot be read here: whoever reads it next reports that. Of any other band four corners are read,
+    and more of it only if one of them is constant.
+    """
+    if info.nodata is not None or info.mask_uri is not None:
+        return info, ()
+    collar = None
+    with suppress(InputError), open_raster(info.uri) as dataset:
+        marked = dataset.mask_flag_enums[info.band - 1] != [MaskFlags.all_valid]
+        if not marked and ColorInterp.alpha not in dataset.colorinterp:
+            collar = find_collar(partial(_read_nearest, dataset, info.band), dataset.shape)
+    if collar is None:
+        return info, ()
+    note = (
+        f"a constant border (value {collar.value:g}) of {100 * collar.share:.2g} % of {info.uri} is taken "
+        "for nodata; if it is data, declare another nodata value, or give a mask"
+    )
+    return replace(info, collar=collar), (note,)
+
+
+def _read_nearest(
+    dataset: DatasetReader, band: int, window: Window, shape: tuple[int, int]
+) -> NDArray[np.generic]:
+    file_window = FileWindow(window.col, window.row, window.cols, window.rows)
+    return np.asarray(dataset.read(band, window=file_window, out_shape=shape))
+
+
 def file_name(uri: str) -> str:
-    """Return the last part of a path or GDAL URI, without what a vrt:// connection adds to it."""
+    """Return the last part of a path or GDAL URI, without the prefix and options of a vrt:// connection."""
     return name_of_uri(plain_uri(uri))
 
 
 def plain_uri(uri: str) -> str:
-    """Return a path or GDAL URI without what a vrt:// connection adds to it."""
+    """Return a path or GDAL URI without the prefix and options of a vrt:// connection."""
     return uri.removeprefix("vrt://").partition("?")[0] if uri.startswith("vrt://") else uri
 
 
 def plain_name(name: str) -> str:
-    """Return a file name: a URI's may be none, "." and "/" have none, results do not hide behind a dot."""
+    """Return a name usable for output files: no reserved character, no leading dot, never empty."""
     return re.sub(r'[<>:"/\\|?*]+', "_", name).lstrip(".") or "raster"
 
 
-def is_quick_to_glance_at(info: RasterInfo) -> bool:
-    """Whether a band can be read made small without reading all of a large file.
+def has_quick_overview(info: RasterInfo) -> bool:
+    """Whether a reduced version of a band can be read without reading all of a large file.
 
-    Raises
-    ------
-    InputError
-        If it cannot be opened.
+    Raises `InputError` if the file cannot be opened.
     """
     rows, cols = info.grid.shape
     with open_raster(info.uri) as dataset:
-        return rows * cols <= MOST_READ_PX or bool(dataset.overviews(info.band))
+        return rows * cols <= MAX_READ_PX or bool(dataset.overviews(info.band))
 
 
 def same_band(a: RasterInfo, b: RasterInfo) -> bool:
-    """Whether both are the same band of the same file, however its path is written."""
+    """Whether `a` and `b` describe the same band of the same file, even under different paths."""
     if a.band != b.band:
         return False
     if a.uri == b.uri:
@@ -156,7 +181,10 @@ def same_band(a: RasterInfo, b: RasterInfo) -> bool:
 
 
 def mask_on_pixels(info: RasterInfo, mask_grid: Grid) -> bool:
-    """Whether a mask lies on a raster pixel for pixel: same grid, or same size where one lacks a place."""
+    """Whether a mask with `mask_grid` has the pixels of the raster `info`.
+
+    They have the same grid, or, where one is not georeferenced, the same size.
+    """
     if info.georeferenced and mask_grid.crs is not None:
         return info.grid == mask_grid
     return info.grid.shape == mask_grid.shape
@@ -164,10 +192,11 @@ def mask_on_pixels(info: RasterInfo, mask_grid: Grid) -> bool:
 
 @contextmanager
 def open_raster(uri: str, **options: object) -> Iterator[DatasetReader]:
-    """Open a raster for reading, with GDAL on one thread; errors of opening and reading become `InputError`.
+    """Open a raster for reading within the context, with GDAL on one thread.
 
-    What a stranger's file may make GDAL open is in `opening`. Nothing is written beside it (GDAL would keep
-    what it learns of a .gz there).
+    The files that an untrusted raster may make GDAL open are restricted, see `opening`. Nothing is written
+    beside it (GDAL would store properties of a .gz file there). Raises `InputError` if it cannot be opened,
+    or reading within the context fails. The `uri` is a path or a GDAL URI; the options are GDAL's.
     """
     _check_files(uri)
     with _opened(open_for_reading, uri, options) as dataset:
@@ -175,8 +204,8 @@ def open_raster(uri: str, **options: object) -> Iterator[DatasetReader]:
 
 
 @contextmanager
-def open_own_raster(uri: str) -> Iterator[DatasetReader]:
-    """Open what this program has just made, as `open_raster` does, wherever the pixels are that it shows."""
+def open_written_raster(uri: str) -> Iterator[DatasetReader]:
+    """Open a raster that this program has written, as `open_raster` does, wherever its sources are."""
     with _opened(open_own, uri, {}) as dataset:
         yield dataset
 
@@ -197,8 +226,8 @@ def _opened(
 
 def _check_files(uri: str) -> None:
     """Raise where GDAL could wait for a pipe for ever: the raster, or what it looks for beside it."""
-    for ending in ("", ".aux.xml", ".ovr", ".msk"):
-        check_regular(uri + ending)
+    check_regular(uri)
+    check_beside(uri)
 
 
 def _why_not_opened(uri: str, error: Exception) -> str:
@@ -214,19 +243,15 @@ def _why_not_opened(uri: str, error: Exception) -> str:
         if path.is_file():
             if not os.access(path, os.R_OK):
                 return f"{uri} cannot be read: change its permissions"
-            reason = _one_line(error)
+            reason = joined(error)
             if "not recognized" in reason:
                 reason += " (formats whose files name other files are read with --trust-vrt only)"
             return f"{uri} is not a raster that GDAL can read, or it is damaged: {reason}"
     except (OSError, ValueError):  # too long or odd for a path, as GDAL URIs may be
         pass
     if ":" in uri or uri.startswith("/vsi") or uri.startswith("<"):
-        return f"{uri} cannot be opened: {_one_line(error)}"
+        return f"{uri} cannot be opened: {joined(error)}"
     return f"{uri} does not exist: check the path"
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def _check_band(uri: str, dataset: DatasetReader, band: int) -> None:
@@ -248,25 +273,20 @@ def _check_band(uri: str, dataset: DatasetReader, band: int) -> None:
         raise InputError(f"{uri}: band {band} is {dtype}: give its magnitude, or another band")
 
 
-def _is_georeferenced(dataset: DatasetReader) -> bool:
-    return dataset.crs is not None and _has_transform(dataset)
-
-
 def _has_transform(dataset: DatasetReader) -> bool:
-    """Whether there is a geotransform that says something and can be inverted."""
+    """Whether there is an invertible geotransform other than the identity."""
     transform = dataset.transform
-    matrix = linear_part(transform)
-    if transform == Affine.identity() or not np.isfinite([*transform]).all() or not matrix.any():
+    if transform == Affine.identity() or not np.isfinite([*transform]).all():
         return False
-    return bool(np.linalg.det(matrix / np.abs(matrix).max()) != 0.0)  # squares of huge numbers are infinite
+    return is_invertible(linear_part(transform))
 
 
 def _grid_of(uri: str, dataset: DatasetReader) -> tuple[Grid, float | None]:
-    """Return the grid, and how well it fits the control points where it is made from them."""
-    if _is_georeferenced(dataset):
+    """Return the grid, and its largest residual in px where it was fitted to control points."""
+    if dataset.crs is not None and _has_transform(dataset):
         return Grid(dataset.shape, dataset.transform, dataset.crs), None
     gcps, crs = dataset.gcps
-    # Beside RPCs they are the rough corners of an image (NITF).
+    # Beside RPCs, control points are the approximate corners of an image (NITF).
     check_coordinates(uri, [value for gcp in gcps for value in (gcp.col, gcp.row, gcp.x, gcp.y)])
     found = geotransform_of(gcps) if crs is not None and not dataset.tags(ns="RPC") else None
     if found is not None:
@@ -275,7 +295,7 @@ def _grid_of(uri: str, dataset: DatasetReader) -> tuple[Grid, float | None]:
 
 
 def _plane_transform(uri: str, dataset: DatasetReader) -> Affine | None:
-    """Return the geotransform of a file that has one and no CRS."""
+    """Return the geotransform of a file that has one but no CRS."""
     if dataset.crs is not None or not _has_transform(dataset):
         return None
     transform: Affine = dataset.transform
@@ -284,7 +304,7 @@ def _plane_transform(uri: str, dataset: DatasetReader) -> Affine | None:
 
 
 def _check_place(uri: str, grid: Grid, misfit_px: float | None) -> None:
-    """Raise where the pixels lie on no map."""
+    """Raise where the georeferencing is not plausible."""
     if misfit_px is not None:
         check_gcp_misfit(uri, misfit_px, grid.shape)
     if grid.crs is None:

@@ -1,4 +1,4 @@
-"""What a damaged file still shows: blocks read by ever smaller parts, and what could not be read at all."""
+"""Reading of damaged files: blocks are read by ever smaller parts, and unreadable parts are counted."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
-from pcwlad_geo.raster.windows import Window
+from pcwlad_geo.raster.grid import Window
 
-LEAST_PART: Final = (64, 64)
-"""Rows and columns of the smallest part that is tried on its own."""
-MOST_LOST: Final = 0.5
-"""Of a raster, that is a gap; beyond it, or where less is seen than lost, the file cannot be used."""
-MOST_PARTS: Final = 2000
-"""That fail, before the file is given up."""
+MIN_PART: Final = (64, 64)
+"""Rows and columns of the smallest part that is read on its own."""
+MAX_LOST: Final = 0.5
+"""Largest share of a raster that may be unreadable; beyond it the file cannot be used."""
+MAX_PARTS: Final = 2000
+"""Largest number of unreadable parts, beyond which the file cannot be used."""
 REMOTE: Final = (
     *(f"/vsi{kind}" for kind in ("curl", "s3", "gs", "az", "adls", "oss", "swift")),
     *("http:", "https:"),
 )
-"""What cannot be read from there may be readable in a minute: no reason for a gap."""
+"""Prefixes of remote files, whose failures may be temporary and are therefore errors, not gaps."""
 _STRIDE: Final = 8
 
 Block = NDArray[np.generic]
@@ -33,27 +33,24 @@ ReadBlock = Callable[[FileWindow], Block]
 
 
 @dataclass(slots=True)
-class Gaps:
-    """Counts what of a raster cannot be read; many threads may do so."""
+class UnreadableParts:
+    """Counts the unreadable pixels of a raster; safe to use from several threads."""
 
     name: str
-    """Of the raster, for messages."""
+    """Name of the raster, for messages."""
     area_px2: int
-    """Of all that is to be read."""
+    """Number of all pixels to be read."""
     lost_px2: int = 0
     seen_px2: int = 0
-    """About so many pixels show something."""
+    """Approximate number of readable pixels with data."""
     _parts: int = 0
     _reason: str = ""
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def warning(self) -> str | None:
-        """Return what people should know, when all is read; None where all could be.
+        """Return the warning to show after all is read; None if everything was readable.
 
-        Raises
-        ------
-        InputError
-            If less is seen than lost.
+        Raises `InputError` if fewer pixels have data than are unreadable.
         """
         if self.lost_px2 == 0:
             return None
@@ -66,24 +63,25 @@ class Gaps:
         )
 
     def read(
-        self, read: ReadBlock, window: FileWindow, nothing: ReadBlock, least: tuple[int, int] = LEAST_PART
+        self, read: ReadBlock, window: FileWindow, nothing: ReadBlock, least: tuple[int, int] = MIN_PART
     ) -> Block:
-        """Return a block; parts of it that cannot be read are as `nothing` makes them.
+        """Read a block; unreadable parts of it are filled by `nothing`.
+
+        Raises `InputError` if too much of the raster is unreadable, or the raster is remote.
 
         Parameters
         ----------
         read : callable
-            Reads a block, or raises one of `GDAL_ERRORS`.
-        window : rasterio.windows.Window
+            Returns the (bands, rows, cols) block of a window, or raises one of `GDAL_ERRORS`.
         nothing : callable
-            Makes a block that shows nothing.
+            Returns the (bands, rows, cols) block of a window without data.
         least : (int, int)
             Rows and columns of parts that are not divided any further.
 
-        Raises
-        ------
-        InputError
-            If too much of the raster is lost, or it is on another machine.
+        Returns
+        -------
+        (bands, rows, cols) array
+            The dtype and the units of the bands.
         """
         try:
             block = read(window)
@@ -105,7 +103,7 @@ class Gaps:
 
     def _see(self, block: Block, nothing: Block) -> None:
         some = block[:, ::_STRIDE, ::_STRIDE]
-        same = (some == nothing) | ((some != some) & (nothing != nothing))  # NaN is as good as NaN
+        same = (some == nothing) | ((some != some) & (nothing != nothing))  # NaN counts as equal to NaN
         with self._lock:
             self.seen_px2 += int((~same.all(axis=0)).sum()) * _STRIDE**2
 
@@ -113,13 +111,13 @@ class Gaps:
         with self._lock:
             self._reason = self._reason or reason
             self._parts += 1
-        if self._parts > MOST_PARTS or self.name.startswith(REMOTE):
+        if self._parts > MAX_PARTS or self.name.startswith(REMOTE):
             raise self._error()
 
     def _lose(self, window: FileWindow) -> None:
         with self._lock:
             self.lost_px2 += int(window.width * window.height)
-        if self.lost_px2 > MOST_LOST * self.area_px2:
+        if self.lost_px2 > MAX_LOST * self.area_px2:
             raise self._error()
 
     def _error(self) -> InputError:
@@ -127,7 +125,7 @@ class Gaps:
 
 
 def filled(values: list[float], dtype: np.dtype[Any]) -> ReadBlock:
-    """Return what makes blocks that hold one value a band."""
+    """Return a function that fills a (bands, rows, cols) block of `dtype` with one of `values` per band."""
 
     def nothing(window: FileWindow) -> Block:
         column = np.array(values).astype(dtype)[:, None, None]

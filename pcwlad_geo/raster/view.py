@@ -1,4 +1,4 @@
-"""One band seen on a grid: read by windows, resampled at most once from the original, with validity."""
+"""One band on a grid: read by windows, resampled at most once from the original, with validity."""
 
 from __future__ import annotations
 
@@ -12,76 +12,76 @@ from rasterio.windows import Window as FileWindow
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import UNREAD_PARTS
 from pcwlad_geo.raster.gdal import GDAL_ERRORS
-from pcwlad_geo.raster.grid import Grid, jacobian, map_px
-from pcwlad_geo.raster.masks import valid_in_file, valid_in_mask_file
-from pcwlad_geo.raster.resample import block_mean, box_average, cell_means, sample_positions, spline_samples
-from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled, positions_on
+from pcwlad_geo.raster.grid import Grid, Window, jacobian, map_px
+from pcwlad_geo.raster.pixels import (
+    block_mean,
+    box_average,
+    cell_means,
+    sample_positions,
+    spline_samples,
+    valid_in_file,
+    valid_in_mask_file,
+)
+from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, positions_on
 from pcwlad_geo.raster.source import RasterInfo, open_raster
-from pcwlad_geo.raster.windows import Window
+from pcwlad_geo.types import Bool, Float32, Float64
 
-Array = NDArray[np.float64]
 Resampling = Literal["none", "nearest", "average", "cubic"]
 
-LEAST_VALID_AVERAGE = 0.5
-"""An averaged pixel is valid where at least this share of its area is."""
-LEAST_VALID_CUBIC = 0.9
-"""An interpolated pixel is valid where at least this share of the pixels around it is."""
+MIN_VALID_AVERAGE = 0.5
+"""Least share of valid area from which an averaged pixel is valid."""
+MIN_VALID_CUBIC = 0.9
+"""Least share of valid neighbouring pixels from which an interpolated pixel is valid."""
 
-_MOST_PX_AT_ONCE = 1 << 23  # of the file or of samples: 64 MB as float64
-_LEAST_PART_PX = 32  # smaller parts of what cannot be read are not tried
+_MAX_PX_AT_ONCE = 1 << 23  # of the file or of samples: 64 MB as float64
+_MIN_PART_PX = 32  # unreadable parts are not divided further
 _SPLINE_REACH_PX = 16  # the prefilter's impulse response falls to 1e-9 within this distance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """A window of a view."""
+    """The pixels of a window of a view."""
 
-    values: NDArray[np.float32] | Array
-    """(rows, cols): float32 where that holds the band's values exactly, else float64; 0 where not valid."""
-    valid: NDArray[np.bool_]
-    """(rows, cols): False on nodata, NaN, masked pixels, and outside the raster."""
+    values: Float32 | Float64
+    """(rows, cols) values: float32 where that is exact for the band, else float64; 0 where not valid."""
+    valid: Bool
+    """(rows, cols) validity: False on nodata, NaN and masked pixels, and outside the raster."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """One band seen on a grid, which may be the file's own; picklable, holds no open file.
+    """One band on a grid, which may be the file's own; picklable, holds no open file.
 
-    A pixel is valid where the file's nodata value, masks and alpha band and the user's mask file all say
-    so and its value is finite; an averaged one where half of its area is valid (the mean is that of
-    the valid part), an interpolated one where 90 % of the pixels around it are.
+    A pixel is valid where its value is finite and the file's nodata value, masks and alpha band, the user's
+    mask file and the raster's collar all allow it. An averaged pixel is valid where half of its area is (the
+    mean is that of the valid part), an interpolated one where 90 % of the pixels around it are.
     """
 
     info: RasterInfo
     grid: Grid
     """The grid of the view's pixels; in the file's own coordinates where nothing is georeferenced."""
     resampling: Resampling
-    """none: own pixels; nearest: own pixels, axes flipped; average: coarser, same axes; cubic: any other."""
+    """How the pixels are made. none: own pixels; nearest: own pixels with flipped axes; average: a coarser
+    grid with the same axes; cubic: any other grid."""
 
     def read(self, window: Window) -> Patch:
-        """Read a window of the view; it may stick out of the raster.
+        """Read a window of the view, which may extend beyond the raster.
 
-        Raises
-        ------
-        InputError
-            If the file cannot be read there (truncated, corrupt).
+        Raises `InputError` if the file cannot be read there (truncated, corrupt).
         """
         return _patch(self.info.dtype, *_read(self, window, None))
 
     def read_decimated(self, max_side_px: int) -> tuple[Patch, tuple[float, float]]:
-        """Look at the whole view, averaged to at most so many pixels a side, from overviews if there are any.
+        """Read the whole view, averaged to at most `max_side_px` pixels a side, from overviews if possible.
 
-        Parts of the file that cannot be read are not valid.
+        Unreadable parts of the file are not valid. Raises `InputError` if nothing of the file can be read
+        (truncated, corrupt).
 
         Returns
         -------
         patch : Patch
         factor_xy : tuple of float
             View pixels per pixel of the patch (columns, rows): view px = patch px · factor.
-
-        Raises
-        ------
-        InputError
-            If nothing of the file can be read (truncated, corrupt).
         """
         rows, cols = self.grid.shape
         factor = max(1.0, max(rows, cols) / max_side_px)
@@ -99,22 +99,26 @@ class View:
                 raise
         return _patch(self.info.dtype, values, valid), (cols / shape[1], rows / shape[0])
 
-    def to_file_px(self, view_px: Array) -> Array:
-        """Map (n, 2) view px (col, row) to those of the original file; NaN where impossible."""
+    def to_file_px(self, view_px: Float64) -> Float64:
+        """Map (n, 2) pixels `view_px` (col, row) to (n, 2) pixels of the file; NaN where undefined."""
+        if self.resampling == "none":  # the way over the ground and back fails where heights are missing
+            return view_px
         return map_px(view_px, self.grid, self.info.grid)
 
-    def from_file_px(self, file_px: Array) -> Array:
-        """Map (n, 2) px (col, row) of the original file to those of the view; NaN where impossible."""
+    def from_file_px(self, file_px: Float64) -> Float64:
+        """Map (n, 2) pixels `file_px` (col, row) of the file to (n, 2) view pixels; NaN where undefined."""
+        if self.resampling == "none":
+            return file_px
         return map_px(file_px, self.info.grid, self.grid)
 
 
-def _read(view: View, window: Window, overview: int | None) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
+def _read(view: View, window: Window, overview: int | None) -> tuple[NDArray[np.generic], Bool]:
     """Read a window, in parts where the file's pixels below it would not fit into memory."""
     if view.resampling in ("none", "nearest"):
         return _read_own(view, window)
     source = _at_overview(view, overview)
     step = file_px_per_px(source)
-    if window.rows * window.cols * np.prod(step + 1) > _MOST_PX_AT_ONCE and max(window.shape) > 1:
+    if window.rows * window.cols * np.prod(step + 1) > _MAX_PX_AT_ONCE and max(window.shape) > 1:
         return _joined([_read(view, half, overview) for half in window.halves()], window)
     if view.resampling == "average":
         return _read_averaged(source, window, overview)
@@ -130,22 +134,22 @@ class _Tries:
 
 def _read_what_can_be(
     view: View, window: Window, overview: int | None, tries: _Tries
-) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
-    """Read a window by ever smaller parts; the smallest that cannot be read are not valid."""
+) -> tuple[NDArray[np.generic], Bool]:
+    """Read a window by ever smaller parts; the smallest unreadable parts are not valid."""
     try:
         return _read(view, window, overview)
     except InputError:
         tries.failed += 1
-        if tries.failed > UNREAD_PARTS:  # each is opened anew: all of a large file would take hours
+        if tries.failed > UNREAD_PARTS:  # each part opens the file again: all of a large one would take hours
             raise
-        if max(window.shape) <= _LEAST_PART_PX:
+        if max(window.shape) <= _MIN_PART_PX:
             return np.zeros(window.shape, view.info.dtype), np.zeros(window.shape, bool)
     return _joined([_read_what_can_be(view, half, overview, tries) for half in window.halves()], window)
 
 
 def _joined(
-    halves: list[tuple[NDArray[np.generic], NDArray[np.bool_]]], window: Window
-) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
+    halves: list[tuple[NDArray[np.generic], Bool]], window: Window
+) -> tuple[NDArray[np.generic], Bool]:
     axis = 0 if window.rows >= window.cols else 1
     return (
         np.concatenate([values for values, _ in halves], axis),
@@ -153,7 +157,7 @@ def _joined(
     )
 
 
-def _read_own(view: View, window: Window) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
+def _read_own(view: View, window: Window) -> tuple[NDArray[np.generic], Bool]:
     """Read own pixels, in the order of the view's axes."""
     corners = np.array([[window.col, window.row], [window.col_stop, window.row_stop]], dtype=np.float64)
     first, last = np.rint(view.to_file_px(corners)).astype(int)
@@ -163,31 +167,27 @@ def _read_own(view: View, window: Window) -> tuple[NDArray[np.generic], NDArray[
     return values[order], valid[order]
 
 
-def _read_averaged(source: View, window: Window, overview: int | None) -> tuple[Array, NDArray[np.bool_]]:
+def _read_averaged(source: View, window: Window, overview: int | None) -> tuple[Float64, Bool]:
     """Average the file's pixels by area, on a grid with the same axes."""
     steps = np.arange(max(window.shape) + 1)
     cells = np.column_stack([window.col + steps, window.row + steps]).astype(np.float64)
     edges = source.to_file_px(cells)
     col_edges, row_edges = edges[: window.cols + 1, 0], edges[: window.rows + 1, 1]
-    inside = Window.from_bounds(
-        int(np.floor(row_edges.min())),
-        int(np.floor(col_edges.min())),
-        int(np.ceil(row_edges.max())),
-        int(np.ceil(col_edges.max())),
-    ).clipped(source.info.grid.shape)
+    low, high = ((pick(col_edges), pick(row_edges)) for pick in (np.min, np.max))
+    inside = Window.around(np.array(low), np.array(high)).clipped(source.info.grid.shape)
     if inside.empty:
         return np.zeros(window.shape), np.zeros(window.shape, dtype=bool)
     values, valid = _read_file(source.info, inside, overview)
     average, fraction = box_average(
         values.astype(np.float64), valid, row_edges - inside.row, col_edges - inside.col
     )
-    return average, fraction >= LEAST_VALID_AVERAGE - 1e-9
+    return average, fraction >= MIN_VALID_AVERAGE - 1e-9
 
 
 def _read_interpolated(
-    source: View, window: Window, overview: int | None, step: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Sample the file by spline; where it is finer, average block means below and several samples a pixel."""
+    source: View, window: Window, overview: int | None, step: Float64
+) -> tuple[Float64, Bool]:
+    """Sample the file by spline; where it is finer, use block means and average several samples per pixel."""
     factor = max(1, int(step.min() // 2))
     per_px = max(1, int(np.ceil(step.max() / factor - 0.25)))
     positions = _positions(source, window, per_px)
@@ -198,18 +198,18 @@ def _read_interpolated(
     means, fraction = block_mean(values.astype(np.float64), valid, factor)
     origin_rc = np.array([needed.row, needed.col])[:, None, None]
     samples, shares = spline_samples(means, fraction, (positions - origin_rc) / factor)
-    return cell_means(samples, per_px), cell_means(shares, per_px) >= LEAST_VALID_CUBIC
+    return cell_means(samples, per_px), cell_means(shares, per_px) >= MIN_VALID_CUBIC
 
 
-def _positions(source: View, window: Window, per_px: int) -> Array:
-    """Return where the samples of a window lie in the file: (2, rows, cols), rows and columns."""
+def _positions(source: View, window: Window, per_px: int) -> Float64:
+    """Return the (2, rows, cols) positions (row, col) in the file of the samples of a window."""
     if isinstance(source.info.grid, RpcGrid):
         return positions_on(source.info.grid, source.grid, window, per_px)
     return sample_positions(window, per_px, source.to_file_px)
 
 
-def _around(positions_rc: Array, factor: int, shape: tuple[int, int]) -> Window:
-    """Return the window of the file that spline samples need, in whole blocks from the file's origin."""
+def _around(positions_rc: Float64, factor: int, shape: tuple[int, int]) -> Window:
+    """Return the window of the file needed for spline samples, in whole blocks from the file's origin."""
     rows, cols = (part[np.isfinite(part)] for part in positions_rc)
     if rows.size == 0 or cols.size == 0:
         return Window(0, 0, 0, 0)
@@ -221,10 +221,8 @@ def _around(positions_rc: Array, factor: int, shape: tuple[int, int]) -> Window:
     return Window.from_bounds(row, col, row_stop, col_stop)
 
 
-def _read_file(
-    info: RasterInfo, window: Window, overview: int | None
-) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
-    """Read own pixels in the band's dtype, with their validity; what is outside is not valid."""
+def _read_file(info: RasterInfo, window: Window, overview: int | None) -> tuple[NDArray[np.generic], Bool]:
+    """Read own pixels in the band's dtype, with their validity; pixels outside the raster are not valid."""
     inside = window.clipped(info.grid.shape)
     values = np.zeros(window.shape, dtype=info.dtype)
     valid = np.zeros(window.shape, dtype=bool)
@@ -243,14 +241,16 @@ def _read_file(
                 f"columns {inside.col} to {inside.col_stop}: the file may be truncated or corrupt"
             ) from error
     valid[here] &= valid_in_mask_file(info, inside)
+    if info.collar is not None:
+        valid[here] &= info.collar.valid(inside, info.grid.shape)
     values[~valid] = 0
     return values, valid
 
 
 def _overview_for(info: RasterInfo, step_px: float) -> int | None:
-    """Choose the coarsest overview that is at least twice as fine as what is wanted."""
+    """Choose the coarsest overview that is at least twice as fine as the requested pixels."""
     if info.mask_grid is not None and not (info.georeferenced and info.mask_grid.crs is not None):
-        return None  # a mask without a place of its own has the original's pixels
+        return None  # a mask without georeferencing has the original's pixels
     with open_raster(info.uri) as dataset:
         factors = dataset.overviews(info.band)
     fine_enough = [level for level, factor in enumerate(factors) if factor <= step_px / 2]
@@ -266,16 +266,15 @@ def _at_overview(view: View, overview: int | None) -> View:
     return replace(view, info=replace(view.info, grid=view.info.grid.scaled(shape)))
 
 
-def file_px_per_px(view: View) -> Array:
-    """(2,): how far a step of one view pixel along columns and rows goes in the file, file px."""
-    rows, cols = view.grid.shape
-    matrix = jacobian(np.array([[cols / 2, rows / 2]]), view.grid, levelled(view.info.grid))[0]
+def file_px_per_px(view: View) -> Float64:
+    """Return the (2,) lengths in file px of one view pixel along columns and rows."""
+    matrix = jacobian(view.grid.middle_px, view.grid, at_mean_height(view.info.grid))[0]
     lengths = np.hypot(matrix[0], matrix[1])
-    # Outside the projection's domain there is nothing to read: any finite step will do.
+    # Outside the projection's domain nothing is read, so any finite length will do.
     return np.asarray(np.where(np.isfinite(lengths), lengths, 1.0))
 
 
-def _patch(dtype: str, values: NDArray[np.generic], valid: NDArray[np.bool_]) -> Patch:
+def _patch(dtype: str, values: NDArray[np.generic], valid: Bool) -> Patch:
     """Return values in the float type that holds a band's values without loss, 0 where not valid."""
     kept = np.where(valid, values, 0)
     if dtype in ("uint8", "int8", "uint16", "int16", "float16", "float32"):

@@ -1,7 +1,8 @@
-"""VRT files: the original pixels under other georeferencing, nothing resampled."""
+"""VRTs with corrected georeferencing, and the metadata of a raster that stay valid after a correction."""
 
 from __future__ import annotations
 
+import math
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
@@ -12,35 +13,64 @@ from xml.parsers import expat
 import numpy as np
 from affine import Affine
 from rasterio.crs import CRS
-from rasterio.enums import ColorInterp
+from rasterio.dtypes import dtype_rev, typename_fwd
+from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.metadata import (
-    Tags,
-    has_mask_band,
-    kept_tags,
-    usable_nodata,
-)
 from pcwlad_geo.raster.source import open_raster
-from pcwlad_geo.raster.tie_point_table import TiePointTable
 
-_DATA_TYPES = {
-    "uint8": "Byte",
-    "int8": "Int8",
-    "uint16": "UInt16",
-    "int16": "Int16",
-    "uint32": "UInt32",
-    "int32": "Int32",
-    "uint64": "UInt64",
-    "int64": "Int64",
-    "float32": "Float32",
-    "float64": "Float64",
-    "complex_int16": "CInt16",
-    "complex64": "CFloat32",
-    "complex128": "CFloat64",
-}
+# Georeferencing that a corrected raster must not inherit, and domains that GDAL derives by itself.
+_DROPPED_DOMAINS = frozenset(
+    {"RPC", "GEOLOCATION", "IMAGE_STRUCTURE", "DERIVED_SUBDATASETS", "SUBDATASETS", "COLOR_PROFILE"}
+)
+Tags = dict[str, dict[str, str]]
+
+
+def kept_tags(source: DatasetReader, band: int = 0) -> Tags:
+    """Return the metadata domains of `source` (`band` 0) or one of its bands that a correction leaves valid.
+
+    RPC, GEOLOCATION and STATISTICS_* are left out: they describe the original pixel positions. The default
+    domain has the name "".
+    """
+    domains = ["", *sorted(set(source.tag_namespaces(band)) - _DROPPED_DOMAINS - {""})]
+    tags = {domain: _tags(source, band, domain) for domain in domains}
+    return {domain: items for domain, items in tags.items() if items}
+
+
+def _tags(source: DatasetReader, band: int, domain: str) -> dict[str, str]:
+    items = source.tags(band, ns=domain) if domain else source.tags(band)
+    return {key: str(value) for key, value in items.items() if not key.startswith("STATISTICS_")}
+
+
+def usable_nodata(source: DatasetReader, band: int = 1) -> float | None:
+    """Return the nodata value of a `band` of `source`; None if there is none or its dtype cannot hold it."""
+    value: float | None = source.nodatavals[band - 1]
+    dtype = np.dtype(source.dtypes[band - 1])
+    if value is None or dtype.kind in "fc":
+        return value
+    limits = np.iinfo(dtype)
+    fits = math.isfinite(value) and float(value).is_integer() and limits.min <= value <= limits.max
+    return value if fits else None
+
+
+def has_alpha(source: DatasetReader) -> bool:
+    """Return whether one of the bands is an alpha band."""
+    return ColorInterp.alpha in source.colorinterp
+
+
+def has_mask_band(source: DatasetReader) -> bool:
+    """Return whether the dataset has its own mask (internal or .msk), other than alpha and nodata."""
+    flags = source.mask_flag_enums[0]
+    return MaskFlags.per_dataset in flags and MaskFlags.alpha not in flags
+
+
+def is_paletted(source: DatasetReader) -> bool:
+    """Return whether a band holds indices into a colour table, which must not be interpolated."""
+    return ColorInterp.palette in source.colorinterp
+
+
 # Where GDAL's names of colour interpretations differ from rasterio's by more than case.
 _COLOUR_NAMES = {
     ColorInterp.Y: "YCbCr_Y",
@@ -53,21 +83,21 @@ _PIXEL_PLANE = Affine.scale(1.0, -1.0)
 
 @dataclass(frozen=True, slots=True)
 class PixelFile:
-    """Where a VRT finds its pixels."""
+    """The file from which a VRT reads its pixels."""
 
     name: str
-    """A path or a GDAL URI."""
+    """Path or GDAL URI of the file."""
     relative: bool
-    """True where the path is relative to the VRT's folder."""
-    nodata: tuple[float | None, ...]
-    """Per band."""
+    """Whether the path is relative to the VRT's folder."""
     has_mask: bool
-    """True where the file has a mask of its own that the VRT passes on."""
+    """Whether the file has its own mask, which the VRT passes on."""
+    nodata: tuple[float | None, ...] | None = None
+    """Nodata value of each band; None: those of the raster that the VRT describes."""
 
 
 def compose(*transforms: Affine) -> Affine:
-    """Return the product of affine transformations, the last applied first."""
-    # Through matrices: the operator for it differs between the releases of affine.
+    """Return the product of affine transformations; the last is applied first."""
+    # By matrices: the operator differs between releases of affine.
     matrix = np.eye(3)
     for transform in transforms:
         matrix = matrix @ np.array(tuple(transform)).reshape(3, 3)
@@ -75,10 +105,10 @@ def compose(*transforms: Affine) -> Affine:
 
 
 def corrected_transform(target_grid: Grid, correction: AffineCorrection) -> Affine:
-    """Return the geotransform that puts the original target pixels where they belong.
+    """Return the corrected geotransform of the original target pixels.
 
-    A pixel observed at p shows the ground that the original geotransform T places at A⁻¹(p),
-    where A maps predicted to observed target pixels; so the new one is T · A⁻¹.
+    A pixel observed at p shows the ground that the original geotransform T places at A⁻¹(p), where A maps
+    predicted to observed target pixels. The corrected geotransform is therefore T · A⁻¹.
     """
     (a, b, c), (d, e, f) = np.asarray(correction.matrix, dtype=np.float64)
     return compose(target_grid.transform, ~Affine(a, b, c, d, e, f))
@@ -87,103 +117,54 @@ def corrected_transform(target_grid: Grid, correction: AffineCorrection) -> Affi
 def write_corrected_vrt(
     path: Path, target_path: str | Path, correction: AffineCorrection, target_grid: Grid, *, final_path: Path
 ) -> None:
-    """Write the target's pixels with their corrected geotransform.
+    """Write a VRT of the target's pixels with their corrected geotransform.
 
     Parameters
     ----------
     path : pathlib.Path
-        Where the file is written now.
+        Path to which the file is written now.
     target_path : str or pathlib.Path
         The original target: a path or a GDAL URI.
     correction : AffineCorrection
         Maps predicted to observed target pixels.
     target_grid : Grid
-        The target's grid; without a CRS and with identity transform the result lies in the
-        pixel plane of the reference, y = -row.
+        The target's grid. Without a CRS and with the identity transform the result is in the pixel plane of
+        the reference, y = -row.
     final_path : pathlib.Path
-        Where the file will live: the path to the target is relative to its folder.
+        Final path of the file: the path to the target is relative to its folder.
     """
     transform = corrected_transform(target_grid, correction)
     if target_grid.crs is None and target_grid.transform == Affine.identity():
         transform = compose(_PIXEL_PLANE, transform)
-    with open_raster(os.fspath(target_path)) as target:
-        tree = describe_pixels(target, reference_to(target, final_path), target.shape)
+    tree = describe_file(target_path, final_path)
     add_georeferencing(tree, transform, target_grid.crs)
     write(tree, path)
 
 
 def write_rpc_vrt(path: Path, target_path: str | Path, rpc: Mapping[str, str], *, final_path: Path) -> None:
-    """Write the target's pixels with another RPC.
+    """Write a VRT of the target's pixels with another RPC.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Where the file is written now.
-    target_path : str or pathlib.Path
-        The original target: a path or a GDAL URI.
-    rpc : mapping
-        Items of GDAL's metadata domain RPC.
-    final_path : pathlib.Path
-        Where the file will live: the path to the target is relative to its folder.
+    It is written to `path` now; the path in it to the target, a path or a GDAL URI, is relative to the folder
+    of `final_path`. The items of `rpc` are those of GDAL's metadata domain RPC.
     """
-    with open_raster(os.fspath(target_path)) as target:
-        tree = describe_pixels(target, reference_to(target, final_path), target.shape)
+    tree = describe_file(target_path, final_path)
     _add_tags(tree, {"RPC": dict(rpc)})
     write(tree, path)
 
 
-def write_gcps_vrt(
-    path: Path, target_path: str | Path, table: TiePointTable, crs: CRS | None, *, final_path: Path
-) -> None:
-    """Write the target's pixels with the tie points as ground control points (rejected ones left out).
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Where the file is written now.
-    target_path : str or pathlib.Path
-        The original target: a path or a GDAL URI.
-    table : TiePointTable
-        Pixel, line = `target_px`; X, Y = `xy`.
-    crs : rasterio.crs.CRS or None
-        The CRS of `xy`; None for the pixel plane, y = -row.
-    final_path : pathlib.Path
-        Where the file will live: the path to the target is relative to its folder.
-    """
-    with open_raster(os.fspath(target_path)) as target:
-        tree = describe_pixels(target, reference_to(target, final_path), target.shape)
-    # Copies of a file with GCPs and AREA_OR_POINT=Point would be moved by a pixel.
-    for item in tree.iter("MDI"):
-        if item.get("key") == "AREA_OR_POINT":
-            item.text = "Area"
-    tree.insert(0, _gcp_list(table[table.status != "rejected"].placed, crs))
-    write(tree, path)
-
-
-def _gcp_list(table: TiePointTable, crs: CRS | None) -> ET.Element:
-    gcps = ET.Element("GCPList")
-    if crs is not None:
-        gcps.set("Projection", crs.to_wkt(version="WKT2_2019"))
-    for number, (pixel, xy) in enumerate(zip(table.target_px, table.xy, strict=True), start=1):
-        attributes = {"Id": str(number), "Pixel": f"{pixel[0]:.6f}", "Line": f"{pixel[1]:.6f}"}
-        ET.SubElement(gcps, "GCP", attributes, X=repr(float(xy[0])), Y=repr(float(xy[1])))
-    return gcps
+def describe_file(path: str | Path, final_path: Path) -> ET.Element:
+    """Return the VRT of the raster `path` without georeferencing, which refers to it from `final_path`."""
+    with open_raster(os.fspath(path)) as source:
+        return describe_pixels(source, reference_to(source, final_path), source.shape)
 
 
 def describe_pixels(source: DatasetReader, pixels: PixelFile, shape: tuple[int, int]) -> ET.Element:
     """Return the VRT of a raster without georeferencing, its pixels read from a file.
 
-    Everything the source carries beside its pixels is kept, except RPC, GEOLOCATION and
-    STATISTICS_* (see `metadata.kept_tags`).
-
-    Parameters
-    ----------
-    source : rasterio.io.DatasetReader
-        Whose bands, tags, scales, units, colours and nodata are described.
-    pixels : PixelFile
-        Where the pixels are; its bands correspond to those of the source.
-    shape : tuple of int
-        Rows, columns of the pixel file.
+    GDAL's own writer of VRTs (3.10) keeps the default metadata domain alone, names what a VRT consists of
+    instead of the VRT, and knows no pixels but the source's.
+    All metadata of the source are kept, except RPC, GEOLOCATION and STATISTICS_* (see `kept_tags`). Bands of
+    the file, of `shape` rows and columns, correspond to those of the source.
     """
     tree = ET.Element("VRTDataset", rasterXSize=str(shape[1]), rasterYSize=str(shape[0]))
     _add_tags(tree, kept_tags(source))
@@ -196,20 +177,14 @@ def describe_pixels(source: DatasetReader, pixels: PixelFile, shape: tuple[int, 
 
 
 def with_rpc(source: DatasetReader, rpc: Mapping[str, str], *, mask_as_alpha: bool) -> ET.Element:
-    """Return the VRT of an open raster with another RPC, wherever it is opened.
+    """Return the VRT of an open raster with another RPC, with an absolute path to the raster.
 
-    Parameters
-    ----------
-    source : DatasetReader
-    rpc : mapping
-        Items of GDAL's metadata domain RPC.
-    mask_as_alpha : bool
-        Add the raster's mask (from nodata, or a mask band) as an alpha band.
+    The items of `rpc` are those of GDAL's metadata domain RPC. If `mask_as_alpha`, the raster's mask (from
+    nodata, or a mask band) is added as an alpha band.
     """
     file = Path(source.name)
-    nodata = tuple(usable_nodata(source, band) for band in source.indexes)
     name = str(file.absolute()) if file.exists() else source.name
-    pixels = PixelFile(name, False, nodata, has_mask_band(source) and not mask_as_alpha)
+    pixels = PixelFile(name, False, has_mask_band(source) and not mask_as_alpha)
     tree = describe_pixels(source, pixels, source.shape)
     _add_tags(tree, {"RPC": dict(rpc)})
     if mask_as_alpha:
@@ -221,8 +196,9 @@ def with_rpc(source: DatasetReader, rpc: Mapping[str, str], *, mask_as_alpha: bo
 
 def _band(source: DatasetReader, band: int, pixels: PixelFile, shape: tuple[int, int]) -> ET.Element:
     index = band - 1
-    element = ET.Element("VRTRasterBand", dataType=_DATA_TYPES[source.dtypes[index]], band=str(band))
-    nodata = pixels.nodata[index]
+    element = ET.Element("VRTRasterBand", dataType=typename_fwd[dtype_rev[source.dtypes[index]]])
+    element.set("band", str(band))
+    nodata = usable_nodata(source, band) if pixels.nodata is None else pixels.nodata[index]
     texts = {
         "Description": source.descriptions[index],
         "NoDataValue": None if nodata is None else _number(nodata),
@@ -272,7 +248,7 @@ def _add_tags(element: ET.Element, tags: Tags) -> None:
 
 
 def _parse_verbatim(text: str) -> ET.Element | None:
-    """Parse a document with its namespace declarations left where they are; None where it is no XML."""
+    """Parse a document, its namespace declarations kept in place; None if it is not XML."""
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate()
     parser.StartElementHandler = builder.start
@@ -286,39 +262,38 @@ def _parse_verbatim(text: str) -> ET.Element | None:
 
 
 def add_georeferencing(tree: ET.Element, transform: Affine, crs: CRS | None) -> None:
-    """Add a geotransform and a CRS to a VRT."""
+    """Add the geotransform `transform` and the CRS `crs` to the VRT `tree`."""
     geotransform = ET.Element("GeoTransform")
     geotransform.text = ", ".join(repr(float(value)) for value in transform.to_gdal())
     tree.insert(0, geotransform)
     if crs is not None:
-        # Without a mapping of axes GDAL takes x, y in the order east, north: ours.
+        # Without a mapping of axes GDAL takes x, y in the order east, north, as here.
         srs = ET.Element("SRS")
         srs.text = crs.to_wkt(version="WKT2_2019")
         tree.insert(0, srs)
 
 
 def reference_to(source: DatasetReader, final_path: Path) -> PixelFile:
-    """Return how a VRT at final_path refers to a raster: relatively below a common parent."""
-    nodata = tuple(usable_nodata(source, band) for band in source.indexes)
+    """Return how a VRT at `final_path` refers to the raster `source`: relatively below a common parent."""
     mask = has_mask_band(source)
-    # vrt:// and remote files: what GDAL opened
+    # vrt:// and remote files: the name that GDAL opened
     name = source.files[0] if "://" in source.name and source.files else source.name
     file = Path(name)
     if not file.exists():  # a GDAL URI: a subdataset, an archive, a remote file
-        return PixelFile(name, False, nodata, mask)
+        return PixelFile(name, False, mask)
     folder = final_path.parent.resolve()
     file = file.parent.resolve() / file.name
     if not _share_a_parent(file.parent, folder):
-        return PixelFile(str(file), False, nodata, mask)
-    return PixelFile(Path(os.path.relpath(file, folder)).as_posix(), True, nodata, mask)
+        return PixelFile(str(file), False, mask)
+    return PixelFile(Path(os.path.relpath(file, folder)).as_posix(), True, mask)
 
 
 def _share_a_parent(first: Path, second: Path) -> bool:
-    """Tell whether two folders have a common parent other than the root of the file system."""
+    """Return whether two folders have a common parent other than the root of the file system."""
     return len(first.parts) > 1 and len(second.parts) > 1 and first.parts[:2] == second.parts[:2]
 
 
 def write(tree: ET.Element, path: Path) -> None:
-    """Write a VRT, UTF-8, names escaped."""
+    """Write the VRT `tree` to `path` in UTF-8, with names escaped."""
     ET.indent(tree)
     path.write_bytes(ET.tostring(tree, encoding="utf-8") + b"\n")

@@ -1,21 +1,23 @@
-"""The registered raster: all bands of the original target, resampled once, onto the output grid."""
+"""Warping of rasters: resampling once onto the output grid, block by block, with validity and metadata."""
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
 from affine import Affine
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
-from rasterio.io import DatasetReader
+from rasterio.io import DatasetReader, DatasetWriter
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
@@ -24,23 +26,52 @@ from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import name_of
-from pcwlad_geo.raster.dense_view import write_dense_view
-from pcwlad_geo.raster.described_copy import write_described
-from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause, small_block_cache
+from pcwlad_geo.raster.gdal import GDAL_ERRORS, no_error_unheard, question, root_cause, small_block_cache
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
-from pcwlad_geo.raster.metadata import is_paletted
-from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.raster.matching_grid import grid_on_plane_of
+from pcwlad_geo.raster.output_format import OutputFormat, write_described
 from pcwlad_geo.raster.output_grid import original_pixels
-from pcwlad_geo.raster.shared_plane import grid_beside
-from pcwlad_geo.raster.source import describe, open_own_raster, open_raster
-from pcwlad_geo.raster.unread import Block, Gaps
-from pcwlad_geo.raster.validity import fill, validity
-from pcwlad_geo.raster.warped_blocks import warped_blocks
-from pcwlad_geo.raster.warped_vrt import write_warped_vrt
+from pcwlad_geo.raster.source import describe, open_raster, open_written_raster
+from pcwlad_geo.raster.unread import Block, UnreadableParts
+from pcwlad_geo.raster.vrt import has_alpha, has_mask_band, is_paletted, usable_nodata
+from pcwlad_geo.raster.warped_views import warped_blocks, write_dense_view, write_warped_vrt
+from pcwlad_geo.types import Bool, Float64
 
-Array = NDArray[np.float64]
+
+def validity(source: DatasetReader) -> tuple[float | None, bool, bool]:
+    """Return the nodata value of the output, whether it is filled in here, and whether a mask is written."""
+    nodata = _output_nodata(source)
+    # GDAL's warper is almost three times as slow if it fills in nodata itself, but does so band by band
+    fills = nodata is not None and source.count == 1 and not has_alpha(source)
+    return nodata, fills, nodata is None and not has_alpha(source)
+
+
+def _output_nodata(source: DatasetReader) -> float | None:
+    nodata = usable_nodata(source)
+    if nodata is None and not has_alpha(source) and not has_mask_band(source):
+        floating = np.result_type(*source.dtypes).kind == "f"
+        return math.nan if floating else None
+    return nodata
+
+
+def fill(values: NDArray[Any], valid: Bool, nodata: float) -> None:
+    """Write the nodata value where a band is not valid, and only there, in place.
+
+    A valid pixel with that value becomes the next larger value, or the next smaller at the end of the range.
+    The (rows, cols) `values`, in the dtype and unit of the band, are changed in place; `valid` is a (rows,
+    cols) array of bool.
+    """
+    if values.dtype.kind == "f":
+        beside = np.nextafter(values.dtype.type(nodata), values.dtype.type(np.inf))
+    else:
+        beside = int(nodata) + (1 if nodata < np.iinfo(values.dtype).max else -1)
+    values[values == nodata] = beside
+    values[~valid] = nodata
+
+
 ProgressCallback = Callable[[int, int], None]
 COG = OutputFormat()
+"""The default format, a cloud-optimised GeoTIFF."""
 # GDAL interpolates the transformation along scan lines to this error, and each block does so anew: blocks fit
 # to twice as much. Its default is 0.125 px; this costs no more.
 _TOLERANCE_PX = 0.001
@@ -48,9 +79,9 @@ _TOLERANCE_PX = 0.001
 _COARSER = 0.95
 _BLOCK_PX = 1024
 _BLOCK_BYTES = 2**24
-# The same of corrections that are evaluated on a lattice.
+# The tolerance of corrections that are evaluated on a lattice.
 _DENSE_TOLERANCE_PX = 0.01
-# Pixels as map units, for mappings that end in pixels; unit pixels without a flip rasterio takes for none.
+# Pixels as map units, for mappings between pixels; rasterio takes unit pixels without a flip for none.
 _PIXELS = Affine.scale(1.0, -1.0)
 # A view of the warped raster that a thread opens for itself.
 View = Callable[[], AbstractContextManager[DatasetReader]]
@@ -59,19 +90,19 @@ Blocks = Generator[tuple[Window, Block], None, None]
 
 @dataclass(frozen=True, slots=True)
 class BlockRequest:
-    """Which blocks of a warped raster are wanted, and how they tell what is valid."""
+    """The requested blocks of a warped raster, and how they mark validity."""
 
     windows: Sequence[Window]
     nodata: float | None
     as_alpha: bool
-    """By an additional alpha band, or else by the nodata value where nothing is known."""
+    """Whether validity is marked by an additional alpha band, rather than by the nodata value."""
     scratch: Path
-    """Folder for files that are needed until the last block."""
-    gaps: Gaps
-    """Takes note of what cannot be read."""
+    """Folder for temporary files that are needed until the last block."""
+    unreadable: UnreadableParts
+    """Counts the parts that cannot be read."""
 
     def options(self) -> dict[str, object]:
-        """Return what is valid as options of `rasterio.vrt.WarpedVRT`."""
+        """Return the options of `rasterio.vrt.WarpedVRT` that mark validity."""
         options: dict[str, object] = {"add_alpha": self.as_alpha}
         if self.nodata is not None:
             options |= {"src_nodata": self.nodata}
@@ -96,13 +127,14 @@ def warp(
 ) -> str | None:
     """Resample all bands of a raster once onto the output grid and write it, as a COG by default.
 
-    The inverse of georeferencing ∘ correction: output pixel → predicted target pixel → observed
-    target pixel → sample, exact to 0.001 px. Data type, nodata, alpha, mask, scales, units,
-    descriptions, colours and tags are kept. What the raster does not cover is nodata where it has
-    a nodata value, transparent where it has an alpha band, NaN in floating-point bands, and
-    masked by an internal mask otherwise: no nodata value is invented. Bands with a colour table
-    are resampled nearest neighbour. Blocks are read and warped in a few threads; memory does not
-    grow with the raster. Parts of a damaged file that cannot be read are left empty.
+    Each output pixel is mapped to its predicted and then to its observed target pixel, to 0.001 px, and
+    sampled there. Data type, nodata, alpha, mask, scales, units, descriptions, colours and tags are kept.
+    Pixels that the raster does not cover are nodata if it has a nodata value, transparent if it has an alpha
+    band, NaN in floating-point bands, and otherwise excluded by an internal mask: no nodata value is
+    introduced. Bands with a colour table are resampled by nearest neighbour. Blocks are read and warped in a
+    few threads; memory does not grow with the raster. Unreadable parts of a damaged file are left empty.
+    Raises `InputError` if the source, or half of it, cannot be read, or its CRS is not that of target_grid,
+    or a VRT cannot represent the correction; `OutputError` if the result cannot be written.
 
     Parameters
     ----------
@@ -113,33 +145,25 @@ def warp(
     correction : Correction
         Maps predicted to observed target pixels.
     grid : Grid
-        The output grid. Where it or the source has no place, its pixels are the predicted ones.
+        The output grid. Where it or the source has no map coordinates, its pixels are the predicted ones.
     resampling : str
         A name of `rasterio.enums.Resampling`.
     target_grid : Grid, optional
-        The grid whose pixels the correction speaks of; that of source_path by default.
+        The grid whose pixels the correction maps; that of source_path by default.
     made : OutputFormat
-        A VRT holds no pixels, but how to warp those of the source by a shift or an affine.
+        The format; a VRT holds no pixels but warps those of the source by a shift or an affine correction.
     final_path : pathlib.Path, optional
-        Where the file will live, if not where it is written: a VRT's path to the source is relative to that.
+        Final path of the file if it differs from out_path: a VRT's path to the source is relative to it.
     progress : callable, optional
-        Receives done, total after each block; what it raises ends the work.
+        Receives (done, total) after each block; an exception that it raises ends the work.
 
     Returns
     -------
     str or None
         A warning where parts of the source could not be read.
-
-    Raises
-    ------
-    InputError
-        If the source, or half of it, cannot be read, or lies in another CRS than target_grid, or the
-        correction is too much for a VRT.
-    OutputError
-        If the result cannot be written.
     """
     info = describe(os.fspath(source_path))
-    own_grid = info.grid if target_grid is None else grid_beside(info, target_grid)
+    own_grid = info.grid if target_grid is None else grid_on_plane_of(info, target_grid)
     target_grid = target_grid or own_grid
     check_geometry(source_path, own_grid, target_grid)
     grids = (own_grid, target_grid, grid)
@@ -149,7 +173,7 @@ def warp(
 
     def blocks_of(source: DatasetReader, method: Resampling, request: BlockRequest) -> Blocks:
         view = _view(source, grids, correction, method, request)
-        return warped_blocks(request.gaps, view, request.windows)
+        return warped_blocks(request.unreadable, view, request.windows)
 
     return write_warped(source_path, out_path, grid, resampling, blocks_of, progress, made=made)
 
@@ -164,26 +188,23 @@ def write_warped(
     *,
     made: OutputFormat = COG,
 ) -> str | None:
-    """Write the blocks of a warped raster with all that the raster carries beside its pixels.
+    """Write the blocks of a warped raster with the metadata of its source.
+
+    Raises `InputError` if the source, or half of it, cannot be read, and `OutputError` if the result cannot
+    be written.
 
     Parameters
     ----------
     source_path, out_path, grid, resampling, progress, made
-        As for `warp`; not a VRT.
+        As for `warp`; the format is not a VRT.
     blocks_of : callable
-        Resamples the windows of the output that it is asked for.
+        Yields windows of the output with their (bands, rows, cols) blocks, given the open source, the
+        resampling and a `BlockRequest`.
 
     Returns
     -------
     str or None
         A warning where parts of the source could not be read.
-
-    Raises
-    ------
-    InputError
-        If the source, or half of it, cannot be read.
-    OutputError
-        If the result cannot be written.
     """
     with (
         open_raster(os.fspath(source_path)) as source,
@@ -191,9 +212,11 @@ def write_warped(
         small_block_cache(),
     ):
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
-        gaps = Gaps(source.name, grid.shape[0] * grid.shape[1])
-        pixels = _write_pixels(source, scratch / "pixels.tif", gaps, grid.shape, method, blocks_of, progress)
-        warning = gaps.warning()
+        unreadable = UnreadableParts(source.name, grid.shape[0] * grid.shape[1])
+        pixels = _write_pixels(
+            source, scratch / "pixels.tif", unreadable, grid.shape, method, blocks_of, progress
+        )
+        warning = unreadable.warning()
         interpolated = method != Resampling.nearest
         files = write_described(source, pixels, grid, made, scratch, out_path.name, interpolated=interpolated)
         for file in reversed(files):  # the raster itself last
@@ -202,12 +225,9 @@ def write_warped(
 
 
 def check_geometry(source_path: str | Path, own: Grid, target: Grid) -> None:
-    """Check that a correction of the target's pixels can speak of a raster's.
+    """Check that a correction of the target's pixels can be applied to a raster.
 
-    Raises
-    ------
-    InputError
-        If the two are in different CRSs, or have different sizes and no CRS.
+    Raises `InputError` if the two are in different CRSs, or have different sizes and no CRS.
     """
     if own.crs != target.crs:
         raise InputError(
@@ -233,7 +253,7 @@ def _view(
     method: Resampling,
     request: BlockRequest,
 ) -> View:
-    """Return how to open the warped raster; the grids are the source's own, the target's, the output's."""
+    """Return a function that opens the warped raster; the grids are those of source, target and output."""
     uri = source.name
     if isinstance(correction, AffineCorrection):
         options = _affine_options(source, grids, correction, method) | request.options()
@@ -248,17 +268,16 @@ def _view(
     options = _warp_options(source, own_px, out_px, method, step) | request.options()
     dense = dense_mapping(mapping, (0.0, 0.0), (cols, rows), tolerance_px=_DENSE_TOLERANCE_PX)
     path = os.fspath(write_dense_view(source, request.scratch, dense, options))
-    return lambda: open_own_raster(path)
+    return lambda: open_written_raster(path)
 
 
 def _affine_options(
     source: DatasetReader, grids: tuple[Grid, Grid, Grid], correction: AffineCorrection, method: Resampling
 ) -> dict[str, object]:
-    """Return how GDAL's warper applies a correction that a geotransform holds."""
+    """Return the options by which GDAL's warper applies a correction that a geotransform can represent."""
     own, target, out = grids
     placed = _corrected_grid(own, target, correction, out)
-    centre_px = np.array([[own.shape[1] / 2, own.shape[0] / 2]])
-    step = jacobian(map_px(centre_px, placed, out), out, placed)[0]
+    step = jacobian(map_px(own.middle_px, placed, out), out, placed)[0]
     return _warp_options(source, placed, out, method, step)
 
 
@@ -277,7 +296,7 @@ def _write_vrt(
     with open_raster(os.fspath(source_path)) as source:
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
         nodata, _, needs_mask = validity(source)
-        request = BlockRequest((), nodata, needs_mask, path.parent, Gaps(source.name, 1))
+        request = BlockRequest((), nodata, needs_mask, path.parent, UnreadableParts(source.name, 1))
         options = _affine_options(source, grids, correction, method) | request.options()
         write_warped_vrt(path, source, options, final_path=final_path)
 
@@ -289,7 +308,7 @@ def _warped(uri: str, options: dict[str, object]) -> Iterator[DatasetReader]:
 
 
 def _corrected_grid(own: Grid, target: Grid, correction: AffineCorrection, out: Grid) -> Grid:
-    """Return the source's pixels where they belong, in the CRS of the source or of the output."""
+    """Return the corrected grid of the source's pixels, in the CRS of the source or of the output."""
     if not (own.located and out.located):
         # Without georeferencing the predicted target pixel is the output pixel.
         target = Grid(target.shape, out.transform, out.crs)
@@ -310,21 +329,35 @@ def _scratch_folder(out_path: Path) -> Iterator[Path]:
     try:
         yield folder
     except (*GDAL_ERRORS, OSError) as error:
-        raise OutputError(f"cannot write {out_path}: {root_cause(error)}; is the disk full?") from error
+        reason = root_cause(error)
+        raise OutputError(f"cannot write {out_path}: {reason}; {question(reason)}") from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _sink(path: Path, profile: Mapping[str, Any]) -> Iterator[DatasetWriter]:
+    """Open a raster to write to, and raise where its last blocks cannot be written as it is closed."""
+    sink = rasterio.open(path, "w", **profile)
+    try:
+        yield sink
+    except BaseException:
+        sink.close()
+        raise
+    with no_error_unheard():
+        sink.close()
 
 
 def _write_pixels(
     source: DatasetReader,
     path: Path,
-    gaps: Gaps,
+    unreadable: UnreadableParts,
     shape: tuple[int, int],
     method: Resampling,
     blocks_of: BlocksOf,
     progress: ProgressCallback | None,
 ) -> vrt.PixelFile:
-    """Write the resampled pixels, and nothing else, block by block."""
+    """Write the resampled pixels without metadata, block by block."""
     nodata, fills, needs_mask = validity(source)
     dtype = np.result_type(*source.dtypes)
     profile = {
@@ -339,31 +372,33 @@ def _write_pixels(
         "blockysize": 256,
         "interleave": "band",
         "BIGTIFF": "IF_SAFER",
-        # Any but unit pixels, about which rasterio warns; the true one is in the VRT.
+        # Not unit pixels, for which rasterio issues a warning; the true transform is in the VRT.
         "transform": Affine.scale(2.0, -2.0),
     }
     windows = list(_blocks(shape, (source.count + 1) * dtype.itemsize))
-    request = BlockRequest(windows, nodata, needs_mask or fills, path.parent, gaps)
+    request = BlockRequest(windows, nodata, needs_mask or fills, path.parent, unreadable)
     with (
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
-        rasterio.open(path, "w", **profile) as sink,
+        _sink(path, profile) as sink,
         closing(blocks_of(source, method, request)) as blocks,
     ):
         for done, (window, block) in enumerate(blocks, start=1):
             if fills and nodata is not None:
                 fill(block[0], block[1] != 0, nodata)
-            sink.write(block[: source.count], window=window)
-            if needs_mask:
-                sink.write_mask(np.where(block[source.count] != 0, 255, 0).astype(np.uint8), window=window)
+            with no_error_unheard():
+                sink.write(block[: source.count], window=window)
+                if needs_mask:
+                    mask = np.where(block[source.count] != 0, 255, 0).astype(np.uint8)
+                    sink.write_mask(mask, window=window)
             if progress is not None:
                 progress(done, len(windows))
-    return vrt.PixelFile(path.name, True, (nodata,) * source.count, needs_mask)
+    return vrt.PixelFile(path.name, True, needs_mask, (nodata,) * source.count)
 
 
 def _warp_options(
-    source: DatasetReader, placed: Grid, grid: Grid, method: Resampling, step: Array
+    source: DatasetReader, placed: Grid, grid: Grid, method: Resampling, step: Float64
 ) -> dict[str, object]:
-    """Return what GDAL's warper needs to know; `step` is how far a source pixel goes per output pixel."""
+    """Return the options of GDAL's warper; `step` is the (2, 2) source px per output px."""
     return {
         "src_transform": placed.transform,
         "src_crs": placed.crs,
@@ -377,12 +412,16 @@ def _warp_options(
     }
 
 
-def kernel(method: Resampling, step: Array) -> dict[str, object]:
+def kernel(method: Resampling, step: Float64) -> dict[str, object]:
     """Return the resampling with GDAL's XSCALE, YSCALE: below 1 the kernel is widened against aliasing.
 
-    Lanczos becomes cubic there: GDAL's aliases however wide. Left to itself GDAL derives scales per block,
-    with seams, and from bounding boxes, which blurs rotated grids. `step` is (2, 2): source (col, row) by
-    output (col, row), NaN where unknown.
+    Lanczos becomes cubic in that case, because GDAL's widened Lanczos kernel still aliases. By default GDAL
+    derives the scales per block, which leaves seams, and from bounding boxes, which blurs rotated grids.
+
+    Parameters
+    ----------
+    step : (2, 2) array
+        Derivatives of source (col, row) by output (col, row), px per px; NaN where unknown.
     """
     x, y = (1.0 / np.fmax(1.0, np.hypot(*row)) for row in step)
     x, y = (scale if scale < _COARSER else 1.0 for scale in (x, y))

@@ -1,1 +1,1 @@
-"""The job, up to its result: pre-align, plan tiles, match, merge, fit, judge."""
+"""The registration of a pair up to its result: initial alignment, plan, matching, verdict and fit."""

@@ -1,23 +1,75 @@
-"""Tie points to correction: hold check points out, choose a model, fit, figures."""
+"""Tie points, matched or the user's, to a correction with its figures, and how good that is."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import MappingProxyType
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcwlad_geo.correction.accuracy import Accuracy
-from pcwlad_geo.correction.check_points import hold_out
+from pcwlad_geo.correction.error_statistics import Accuracy, Residuals, expected_ce90
 from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.models import Correction
+from pcwlad_geo.correction.points import agreement, hold_out
 from pcwlad_geo.correction.selection import Selection, choose
-from pcwlad_geo.raster.tie_point_table import TiePointTable
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.registration.judge import Verdict
+from pcwlad_geo.tiepoints.readers import read_tie_points
+from pcwlad_geo.tiepoints.table import TiePointTable
+from pcwlad_geo.types import Float64
 
-Float64 = NDArray[np.float64]
+SIGMA_PX: Final = 1.0
+"""Taken for points without a sigma that are too few to tell."""
+MAX_UNEXPLAINED: Final = 0.1
+"""Scatter about an affine, as a share of the points' spread, beyond which they do not describe the pair."""
+DENSE: Final = 100
+"""From so many on, points are taken to come from overlapping matching windows; fewer were set one by one."""
+
+
+def user_points(path: Path | str, pair: ViewPair) -> tuple[TiePointTable, Verdict, dict[str, int]]:
+    """Return the tie points of a file, those that their neighbours contradict ``rejected``.
+
+    Points without a sigma get the one that their agreement with their neighbours shows. Raises `InputError`
+    if the file cannot be read, is of another pair, or its points mirror the target.
+    """
+    table = read_tie_points(path, pair)
+    enabled = np.flatnonzero(table.status == "matched")
+    counts = {"in_the_file": len(table), "switched_off": len(table) - len(enabled)}
+    if len(enabled) == 0:
+        raise InputError(f"{path}: all {len(table)} points are switched off: enable some")
+    found = agreement(
+        table.predicted_px[enabled], table.target_px[enabled], np.hypot(*table.sigma_px[enabled].T)
+    )
+    if np.linalg.det(found.linear) < 0:
+        raise InputError(
+            f"{path}: the points mirror the target: the columns x and y (col, row) of one side are exchanged"
+        )
+    status = table.status.copy()
+    status[enabled[~found.kept]] = "rejected"
+    kept = status == "matched"
+    counts |= {"inconsistent": int((~found.kept).sum()), "tie_points": int(kept.sum())}
+    reason = None
+    if found.unexplained > MAX_UNEXPLAINED:
+        reason = (
+            f"the {len(enabled)} points of {path} describe no common displacement (they scatter "
+            f"by {found.unexplained:.0%} of their spread): check their columns, and whose they are"
+        )
+    verdict = Verdict(reason is None, reason, 0, 0, 0.0)
+    sigma_px = SIGMA_PX if np.isnan(found.sigma_px) else found.sigma_px
+    known = np.asarray(np.isfinite(table.covariance_px2).all(axis=(1, 2), keepdims=True))
+    covariance_px2 = np.where(known, table.covariance_px2, sigma_px**2 * np.eye(2))
+    return replace(table, status=status, covariance_px2=covariance_px2), verdict, counts
+
+
+def footprint_px(table: TiePointTable, window_px: float) -> float:
+    """Return the side of the window that neighbouring points share, target px; 0 for a few set by hand."""
+    return window_px if np.count_nonzero(table.status == "matched") >= DENSE else 0.0
+
 
 ORDERS: Mapping[str, tuple[str, ...]] = MappingProxyType({"polynomial": ("polynomial2", "polynomial3")})
 """Candidates of the option that leaves the order open."""
@@ -38,6 +90,22 @@ class Fitted:
         return self.selection.fit.correction
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class AssessedFit:
+    """A fitted correction, and how good it is."""
+
+    fitted: Fitted
+    quality: Quality
+    refusal: str | None
+    """Why no corrected raster should be made; None where one may."""
+    settings: Settings
+    """What it was fitted with."""
+    warnings: tuple[str, ...]
+    """Of all steps up to this one."""
+    seconds: dict[str, float]
+    """Likewise."""
+
+
 def fit_correction(
     table: TiePointTable,
     settings: Settings,
@@ -52,7 +120,6 @@ def fit_correction(
     ----------
     table : TiePointTable
         Status ``matched`` or ``rejected``.
-    settings : Settings
     footprint_px : float
         Side of the matching window in target px.
     sizes_m : (n, 2) array, optional
@@ -89,3 +156,217 @@ def _accuracy(table: TiePointTable, sizes_m: Float64 | None) -> dict[str, Accura
         result[f"{status}_px"] = Accuracy.of(table.residual_px[chosen])
         result[f"{status}_m"] = Accuracy.of(residual_m[chosen])
     return result
+
+
+Grade = Literal["good", "fair", "poor"]
+GRADES: Final[tuple[Grade, ...]] = ("poor", "fair", "good")
+"""All grades, the worst first."""
+
+GOOD_PX: Final = 0.5
+"""Largest CE90 of a good registration, target px."""
+FAIR_PX: Final = 1.0
+"""Largest CE90 of a fair registration, target px."""
+NOTICEABLE_PX: Final = 0.25
+"""CE90 at the check points up to which a registration is good whatever their sigmas, target px."""
+MANY_SIGMAS: Final = 3.0
+"""Largest ratio of residuals to their sigmas at which the sigmas still explain them."""
+UNSURPRISING: Final = 1.25
+"""Largest ratio of residuals to their sigmas that is expected of correct sigmas."""
+SHARED_SIGMAS: Final = 2.0
+"""Least ratio of residuals to their sigmas with which they may be local displacements."""
+MOSTLY: Final = 0.5
+"""Largest share of extrapolated common ground in a good registration."""
+NEARLY_ALL: Final = 0.8
+"""Share of extrapolated common ground beyond which a poor registration is refused."""
+FEW_KEPT: Final = 1 / 3
+"""Share of the matches that agree with their neighbours below which a poor registration is refused."""
+
+NEIGHBOURS: Final = 12
+"""Number of neighbours whose residuals are compared with that of a point."""
+NOISE_SHARE: Final = 0.75
+"""Residuals that differ from those around by at least this share of their size are not shared with them:
+noise differs by its whole size, and displacements change over a window, too."""
+SAMPLE: Final = 500
+"""Largest number of points that are compared with their neighbours."""
+SIGMA_68: Final = 1.51
+"""Radius that holds 68 % of a circular normal distribution, in sigmas of an axis."""
+SIGMA_90: Final = 2.146
+"""Radius that holds 90 % of a circular normal distribution, in sigmas of an axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Something that keeps a registration from being good."""
+
+    grade: Grade
+    """The best grade that it allows."""
+    text: str
+    """A sentence with the figure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """The quality of a registration."""
+
+    grade: Grade
+    """good: 90 % of the common ground is expected to lie within 0.5 target px, and nothing contradicts it;
+    fair: within 1 px; poor: neither."""
+    reasons: tuple[Reason, ...]
+    """Why it is not good; empty if it is."""
+    expected_ce90_px: float
+    """Error within which 90 % of the common ground is expected to lie in the corrected raster, target px."""
+    extrapolated_share: float
+    """Share of the common ground that lies beyond the tie points."""
+    kept_share: float
+    """Share of the matches that agree with their neighbours."""
+
+    @property
+    def refusal(self) -> str | None:
+        """Why no corrected raster should be made; None if one may be.
+
+        Good points are never refused because of the ground beyond them; a poor correction is refused if
+        hardly any of the matches or of the ground support it.
+        """
+        little_kept, little_seen = self.kept_share < FEW_KEPT, self.extrapolated_share > NEARLY_ALL
+        if self.grade != "poor" or not (little_kept or little_seen):
+            return None
+        share = self.kept_share if little_kept else self.extrapolated_share
+        what = (
+            "of the matches agree with their neighbours"
+            if little_kept
+            else "of the common ground lies beyond the tie points"
+        )
+        return (
+            f"{'only ' if little_kept else ''}{100 * share:.0f} % {what}, and the correction does not hold: "
+            f"{self.reasons[0].text}. Mask what moves, or choose images that are alike in what they show and "
+            "taken from nearby viewpoints"
+        )
+
+
+def assess(
+    table: TiePointTable,
+    matches: TiePointTable,
+    selection: Selection,
+    places_px: Float64,
+    footprint_px: float,
+) -> Quality:
+    """Grade a registration.
+
+    Parameters
+    ----------
+    table : TiePointTable
+        The tie points, with residuals and statuses of a fit.
+    matches : TiePointTable
+        All matches from which the tie points were taken, with status ``rejected`` or another.
+    selection : Selection
+        The correction, and its precision.
+    places_px : (m, 2) array of float
+        Predicted target px (col, row) spread evenly over the common ground; if there are none, the matches
+        are used instead.
+    footprint_px : float
+        Side of the matching window, target px.
+    """
+    if len(places_px) == 0:
+        places_px = matches.predicted_px
+    left_px = matches.target_px - selection.fit.correction.forward(matches.predicted_px)
+    kept = matches.status != "rejected"
+    residuals = Residuals(matches.predicted_px, left_px, kept)
+    expected_px = expected_ce90(selection, residuals, places_px, footprint_px)
+    beyond = float(selection.extrapolated(places_px).mean())
+    reasons = (
+        *_inaccurate(expected_px, selection.name),
+        *_check_points_off(table, selection.name, footprint_px),
+        *_beyond_the_points(beyond),
+    )
+    worst_first = tuple(sorted(reasons, key=lambda reason: GRADES.index(reason.grade)))
+    grade: Grade = worst_first[0].grade if worst_first else "good"
+    return Quality(grade, worst_first, expected_px, beyond, float(kept.mean()))
+
+
+def shared_residual_px(table: TiePointTable, footprint_px: float) -> float:
+    """Return the size of the residuals (68 % are below), px, if neighbours share them; 0 if they are noise.
+
+    Neighbours are points whose windows do not overlap: noise of the images is the same in windows that do.
+    The window is `footprint_px` wide, px of the target.
+    """
+    points = table.select("fit", "check")
+    if len(points) <= NEIGHBOURS:
+        return 0.0
+    size = float(np.percentile(np.linalg.norm(points.residual_px, axis=1), 68))
+    if size < SHARED_SIGMAS * SIGMA_68 * _typical_sigma_px(points):
+        return 0.0
+    sample = points[np.linspace(0, len(points) - 1, min(len(points), SAMPLE)).astype(np.intp)]
+    around = np.array([_plane_beside(points, at_px, footprint_px) for at_px in sample.predicted_px])
+    noise = np.percentile(np.linalg.norm(sample.residual_px - around, axis=1), 68)
+    return size if noise < NOISE_SHARE * size else 0.0
+
+
+def _plane_beside(points: TiePointTable, at_px: Float64, footprint_px: float) -> Float64:
+    """Return the (2,) value there of a plane fitted to the residuals of the nearest points a window away."""
+    apart = np.abs(points.predicted_px - at_px).max(axis=1)
+    beside = np.flatnonzero((apart >= footprint_px) & (apart > 0))
+    nearest = beside[np.argsort(apart[beside], kind="stable")[:NEIGHBOURS]]
+    if len(nearest) < NEIGHBOURS:
+        return np.zeros(2)
+    design = np.column_stack([np.ones(NEIGHBOURS), points.predicted_px[nearest] - at_px])
+    return np.asarray(np.linalg.lstsq(design, points.residual_px[nearest], rcond=None)[0][0])
+
+
+def _typical_sigma_px(points: TiePointTable) -> float:
+    return float(np.sqrt((points.sigma_px**2).mean()))
+
+
+def _inaccurate(expected_px: float, model: str) -> Iterator[Reason]:
+    if expected_px > GOOD_PX:
+        yield Reason(
+            "fair" if expected_px <= FAIR_PX else "poor",
+            f"a tenth of the common ground is expected to lie more than {expected_px:.1f} px off after the "
+            f"{model} correction: clouds that moved, relief, parallax, or too few tie points",
+        )
+
+
+def _check_points_off(table: TiePointTable, model: str, footprint_px: float) -> Iterator[Reason]:
+    """Yield a reason if the residuals of the check points are larger than good ones, or than their sigmas."""
+    checked = table.select("check")
+    if len(checked) == 0:
+        return
+    ce90_px = float(np.percentile(np.linalg.norm(checked.residual_px, axis=1), 90))
+    times = ce90_px / max(SIGMA_90 * _typical_sigma_px(checked), 1e-9)
+    if ce90_px <= GOOD_PX and (ce90_px <= NOTICEABLE_PX or times <= MANY_SIGMAS):
+        return
+    yield Reason(
+        "fair" if ce90_px <= FAIR_PX else "poor",
+        f"a tenth of the {len(checked)} check points lies more than {ce90_px:.2f} px off the correction, "
+        f"{times:.1f} times what their sigmas say: {_cause(table, model, footprint_px, times)}",
+    )
+
+
+def _cause(table: TiePointTable, model: str, footprint_px: float, times: float) -> str:
+    """Return the probable cause of residuals that are `times` as large as their sigmas."""
+    shared_px = shared_residual_px(table, footprint_px)
+    if shared_px > 0:
+        return (
+            f"local displacements of {shared_px:.1f} px (68 % of the points) remain that the {model} model "
+            "does not take out: parallax of another viewpoint, relief or sensor jitter"
+        )
+    if times <= UNSURPRISING:
+        return "the matching is no more precise on this pair"
+    if _most_hold(table):
+        return "most of them fit; the others lie on what moved, such as clouds, or at another depth"
+    return "noise of the images, or displacements smaller than a matching window"
+
+
+def _most_hold(table: TiePointTable) -> bool:
+    """Return whether the residuals of two thirds of the check points are explained by their sigmas."""
+    checked = table.select("check")
+    size_px = np.linalg.norm(checked.residual_px, axis=1)
+    return bool(np.percentile(size_px, 68) <= MANY_SIGMAS * SIGMA_68 * _typical_sigma_px(checked))
+
+
+def _beyond_the_points(share: float) -> Iterator[Reason]:
+    if share > MOSTLY:
+        yield Reason(
+            "fair",
+            f"{100 * share:.0f} % of the common ground lies beyond the tie points: there the correction is "
+            "extrapolated, and nothing checks it",
+        )

@@ -1,20 +1,66 @@
-"""What the user names, a raster or a product, to the band files that a job opens."""
+"""The inputs that the user names, and the output grid, resolved and checked before the matching."""
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
 
-from pcwlad_geo.errors import InputError
+import numpy as np
+from rasterio.crs import CRS
+
+from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.options import FILE_OPTIONS, Settings
+from pcwlad_geo.products.detect import find_product, no_product
+from pcwlad_geo.products.product import Product, ProductBand
+from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
+from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import FileIdentity, identify
-from pcwlad_geo.raster.product import Product, ProductBand
-from pcwlad_geo.raster.products import find_product
-from pcwlad_geo.raster.unknown_products import no_product
-from pcwlad_geo.registration.settings import FILE_OPTIONS, Settings
+from pcwlad_geo.raster.matching_grid import share_plane
+from pcwlad_geo.raster.output_format import OutputFormat, check_format
+from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_lattice
+from pcwlad_geo.raster.rpc.grid import RpcGrid
+from pcwlad_geo.raster.rpc.view import ground_grid
+from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
+from pcwlad_geo.registration.rpc import place_reference, place_target
+from pcwlad_geo.types import PathLike
 
-PathLike = str | os.PathLike[str]
+ONE_TILE: Final = 1.3
+"""Largest side, in tile sizes, of a scene that is matched as one tile."""
+
+
+def tiles_along(length_px: int, tile_size: int) -> int:
+    """Return the number of about equal tiles, of at most `ONE_TILE` × `tile_size`, along `length_px`."""
+    return 1 if length_px <= ONE_TILE * tile_size else math.ceil(length_px / tile_size)
+
+
+def estimate_tile_count(
+    reference: str | os.PathLike[str], target: str | os.PathLike[str], settings: Settings
+) -> int:
+    """Return about how many tiles `reference` and `target` make with `settings`; 0 if it is not known.
+
+    If both show the same ground, the coarser one counts, as matching happens on its grid. Remote files and
+    products are not opened; the job reports what cannot be read.
+    """
+    if not (Path(reference).is_file() and Path(target).is_file()):
+        return 0
+    shapes = []
+    with suppress(InputError):
+        for path in (reference, target):
+            with open_raster(os.fspath(path)) as dataset:
+                shapes.append(dataset.shape)
+        least = map(min, zip(*shapes, strict=True))
+        return math.prod(tiles_along(length, settings.tile_size) for length in least)
+    return 0
+
+
 Side = Literal["ref", "tgt"]
+INLINE: Final = {"inline": True}
+"""Metadata of a field whose own fields take its place in JSON."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,31 +69,21 @@ class Inputs:
 
     reference: str
     target: str
-    """Paths or GDAL URIs."""
+    """Path or GDAL URI, as that of the reference."""
     settings: Settings
-    """Bands are numbers; masks are those of the products where the user gives none."""
+    """Settings in which bands are numbers, and masks those of the products if the user gives none."""
     notes: tuple[str, ...] = ()
-    """What to warn of."""
+    """Warnings to be sent."""
     other_bands: tuple[ProductBand, ...] = ()
-    """Of the target's product, to be corrected as well."""
+    """Other bands of the target's product that are to be corrected."""
 
 
 def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_bands: bool = False) -> Inputs:
     """Find the bands and masks of a pair.
 
-    Parameters
-    ----------
-    reference, target : path
-        A raster or a product, see `products.find_product`.
-    settings : Settings
-        Its bands are names where a side is a product.
-    all_bands : bool
-        The other bands of the target are wanted too, all of them.
-
-    Raises
-    ------
-    InputError
-        If a product, or a band of it, is missing or cannot be used.
+    Raises `InputError` if a product, or a band of it, is missing or cannot be used. The two are rasters or
+    products (see `products.detect.find_product`), of which bands have names in the settings. With
+    `all_bands`, all others of the target are to be corrected too.
     """
     ref = _side(reference, "ref", settings)
     tgt = _side(target, "tgt", settings)
@@ -65,17 +101,17 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """A file that a job reads, as it was when the job began."""
+    """A file that a job reads, and its identity at the begin of the job."""
 
-    role: str
-    """`reference`, `target`, `band` (another one of the target's product), or the option that names it."""
-    identity: FileIdentity
+    role: Annotated[str, ("enum", ("reference", "target", "band", *FILE_OPTIONS))]
+    """What it was read as: `band` is another one of the target's product, others are options that name it."""
+    identity: FileIdentity = field(metadata=INLINE)
 
 
 def identify_inputs(inputs: Inputs) -> tuple[InputFile, ...]:
-    """Identify all files that a job reads, those that rasters are made of among them.
+    """Identify all files that a job reads, including those that rasters consist of.
 
-    What has no identity is left out: databases, object stores, names of PROJ's own grids.
+    Inputs without an identity are left out: databases, object stores, names of PROJ's own grids.
     """
     named = {name: getattr(inputs.settings, name) for name in FILE_OPTIONS}
     read = [("reference", inputs.reference), ("target", inputs.target)]
@@ -89,7 +125,7 @@ def identify_inputs(inputs: Inputs) -> tuple[InputFile, ...]:
 
 
 def band_file(path: PathLike, band: int | str) -> str:
-    """Return the path or GDAL URI that is opened for a band: the path itself where it is no product."""
+    """Return the path or GDAL URI that is opened for `band` of `path`: `path` itself if it is no product."""
     product = find_product(path)
     return os.fspath(path) if product is None else product.band(band).uri
 
@@ -97,7 +133,7 @@ def band_file(path: PathLike, band: int | str) -> str:
 @dataclass(frozen=True, slots=True)
 class _Side:
     uri: str
-    """What is opened."""
+    """Path or GDAL URI that is opened."""
     file: str
     """The band's file."""
     changes: dict[str, Any]
@@ -117,3 +153,109 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
     band = product.band(name)
     changes = {f"{side}_band": 1, f"{side}_mask": given or product.mask}
     return _Side(band.opened_as(), band.uri, changes, product.notes(given is not None), product)
+
+
+BEYOND = 1.0
+"""Largest distance of a target from the position of its georeferencing, as a share of its size."""
+
+
+def grid_request(
+    mode: Literal["reference", "reference-exact", "target"],
+    like: Path | str | None,
+    tr: tuple[float, float] | None,
+    te: tuple[float, float, float, float] | None,
+    t_srs: str | None,
+) -> GridRequest:
+    """Return the output grid that the options `mode` (--grid), `like`, `tr`, `te` and `t_srs` request.
+
+    Raises `SettingsError` if `t_srs` is no CRS, and `InputError` if the raster `like` cannot be read, or has
+    no georeferencing.
+    """
+    crs = None
+    if t_srs is not None:
+        try:
+            crs = CRS.from_user_input(t_srs)
+        except LIBRARY_ERRORS as error:
+            raise SettingsError(f"t_srs = {t_srs!r}: give a CRS such as EPSG:32633 ({error})") from error
+    found = None if like is None else describe(os.fspath(like))
+    if found is not None and not found.georeferenced:
+        raise InputError(
+            f"{found.uri} has no georeferencing (CRS and geotransform): --like needs a raster with"
+        )
+    return GridRequest(mode, found.grid if found else None, tr, te, crs)
+
+
+def requested_grid(settings: Settings) -> GridRequest:
+    """Return the output grid that settings request, see `grid_request`."""
+    return grid_request(settings.grid, settings.like, settings.tr, settings.te, settings.t_srs)
+
+
+def check_output(reference: PathLike, target: PathLike, settings: Settings) -> None:
+    """Check the options of the registered raster in `settings` before `reference` and `target` are matched.
+
+    Raises `SettingsError` if format or creation options cannot be used, and `InputError` if a raster cannot
+    be read, lacks georeferencing that the grid needs, or lies far from that grid.
+    """
+    request = requested_grid(settings)
+    made = OutputFormat.of(settings.of, settings.co)
+    if request == GridRequest(settings.grid) and made == OutputFormat():
+        return
+    inputs = resolve(reference, target, settings)
+    ref, tgt = _as_placed(describe(inputs.reference), describe(inputs.target), inputs.settings)
+    ground = ground_grid(ref.grid)
+    check_placed(request, {ref.uri: ref.georeferenced, tgt.uri: tgt.georeferenced}, ground)
+    if made.is_vrt and isinstance(tgt.grid, RpcGrid):
+        raise SettingsError("of = 'VRT': a VRT cannot hold the correction of an RPC; give --of COG or GTiff")
+    check_near(request, ground, tgt.grid)
+    check_format(made, tgt.uri, request.fixed(ground) or (tgt.grid if request.mode == "target" else ground))
+
+
+def _as_placed(
+    reference: RasterInfo, target: RasterInfo, settings: Settings
+) -> tuple[RasterInfo, RasterInfo]:
+    """Return both rasters as the job places them: by RPCs that are used, or in one plane."""
+    reference_by_rpc, _ = place_reference(reference, target, settings)
+    reference = reference_by_rpc.info if reference_by_rpc else reference
+    placed, _ = place_target(reference, target, settings)
+    if placed or reference_by_rpc:
+        return reference, placed.info if placed else target
+    return share_plane(reference, target)[:2]
+
+
+def check_placed(request: GridRequest, georeferenced: Mapping[str, bool], reference: Grid) -> None:
+    """Raise an error if the output grid needs map coordinates that a pair does not have.
+
+    Raises `InputError` if one of them is not georeferenced, or a CRS is needed and missing. The output grid
+    is requested; `georeferenced` says of the reference and the target, by their names, whether they are.
+    Without a CRS of the reference both lie in a plane.
+    """
+    if not request.needs_ground:
+        return
+    for name, has_place in georeferenced.items():
+        if not has_place:
+            raise InputError(
+                f"{name} has no georeferencing (CRS and geotransform, or an RPC with --dem), which --like, "
+                "--tr, --te and --t-srs need: leave them out, and the output has the reference's pixels"
+            )
+    if reference.crs is None and (request.like is not None or request.crs is not None):
+        raise InputError(
+            f"neither {' nor '.join(georeferenced)} has a CRS, which --like and --t-srs need: assign both "
+            "theirs (gdal_edit.py -a_srs), or give --tr and --te in the units of their geotransforms"
+        )
+
+
+def check_near(request: GridRequest, reference: Grid, target: Grid) -> None:
+    """Raise an error if the grid of `request` lies far from the position of `target` by its georeferencing.
+
+    Raises `InputError` if the distance is more than `BEYOND` times the size of the target. `reference` gives
+    the alignment.
+    """
+    grid, place = request.fixed(reference), output_lattice(reference, request)
+    if grid is None and request.extent is not None:
+        x_min, y_min, x_max, y_max = request.extent
+        corners_px = place.to_px(np.array([[x_min, y_max], [x_max, y_min]]))
+        (left, top), (right, bottom) = corners_px.tolist()
+        one = ((right - left, 0.0), (0.0, bottom - top))
+        grid = place.resampled_grid(one, (left, top), (1, 1))
+    if grid is not None:
+        check_covered(grid, target.to_xy(target.boundary_px()), target.crs, beyond=BEYOND)

@@ -1,4 +1,4 @@
-"""Is the pair registered? Enough points that agree, and many more than chance would make agree."""
+"""The verdict on a pair: enough tie points must agree, and many more than would agree by chance."""
 
 from __future__ import annotations
 
@@ -6,69 +6,74 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcwlad_geo.matching.chance import evidence_against_chance
-from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.matching.shift_search import evidence_against_chance
+from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.registration.prealign import Prealignment
+from pcwlad_geo.types import Bool, Float64
 
-Float64 = NDArray[np.float64]
-
-LEAST_POINTS: Final = 12
-LEAST_CELLS: Final = 4
-"""Separate places (one matching window each) that must agree."""
+MIN_POINTS: Final = 12
+"""Least number of consistent tie points of an accepted pair."""
+MIN_CELLS: Final = 4
+"""Least number of separate cells that must agree in an accepted pair."""
 CELL_PER_WINDOW: Final = 0.75
-"""Side of the cells that count as independent witnesses, in windows."""
+"""Side of the cells that count as independent witnesses, in window sides."""
 AGREE_PX: Final = 2.0
-LEAST_SIGNIFICANCE: Final = 6.0
-"""-log10 of the probability that unrelated images show such agreement."""
+"""Largest distance of a cell's displacement from the common one with which it agrees."""
+MIN_SIGNIFICANCE: Final = 6.0
+"""Least significance of an accepted pair: -log10 of the probability of such agreement by chance."""
+MIN_OWN_SIGNIFICANCE: Final = 2.0
+"""Least significance of the points themselves from which the evidence of a search is added to it."""
 MOSTLY: Final = 0.75
-"""Where such a share of the places agrees, it is their number that does not suffice."""
+"""Least share of agreeing cells with which a refusal says that they are too few, not that they disagree."""
 AT_BORDER: Final = 0.25
-"""Share of the candidates whose best match lies on the edge of the search that is many."""
+"""Share of candidates matched on the edge of the search above which a larger search radius is advised."""
 CHANCE_FACTOR: Final = 2.0
-"""Matches of unrelated images are not uniform over the search window: more chance is allowed for."""
+"""Factor on the chance of agreement, as matches of unrelated images are not uniform over the search."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether the points can be trusted, and by what evidence."""
+    """Whether the tie points of a pair are accepted, and the evidence."""
 
     accepted: bool
     reason: str | None
-    """What was found, where that is not enough."""
+    """Why the pair was refused; None if it was accepted."""
     cells: int
-    """Separate places with a match of any kind."""
+    """Number of cells with a match of any kind."""
     agreeing_cells: int
+    """Number of cells that agree with the common displacement."""
     significance: float
+    """-log10 of the probability that unrelated images agree as much."""
     beyond: bool | None = None
     """Whether many best matches lie on the edge of the search; None unless the points agree by chance."""
 
 
 def judge(
-    matches: TiePoints, kept: NDArray[np.bool_], counts: dict[str, int], window_px: int, radius_px: int
+    matches: TiePoints,
+    kept: Bool,
+    counts: dict[str, int],
+    window_px: int,
+    radius_px: int,
+    *,
+    evidence: float = 0.0,
 ) -> Verdict:
-    """Judge the first pass.
+    """Judge the first pass by an a contrario test (Desolneux et al. 2000, doi:10.1023/A:1026593302236).
 
-    Parameters
-    ----------
-    matches : TiePoints
-        All matches, each found on its own, consistent or not.
-    kept : (n,) bool array
-        The consistent ones.
-    counts : dict
-        What the stages counted.
-    window_px : int
-        Side of the matching window: one cell is one independent witness.
-    radius_px : int
-        Search radius of the coarse match.
+    All n matches were found independently, consistent or not; the (n,) bool array `kept` is the mask of the
+    consistent ones. The `counts` are of candidates and of those that each stage rejected. The window is
+    `window_px` wide, and the coarse match searched `radius_px` around. The `evidence` of the
+    start, see `Prealignment.odds`, counts if the points say something themselves.
     """
     cells, agreeing = _witnesses(matches, kept, CELL_PER_WINDOW * window_px)
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
-    # the best of 1 / share different common displacements is looked at
+    # the common displacement is the best of 1 / share different ones
     found = evidence_against_chance(agreeing, cells, min(0.5, CHANCE_FACTOR * share))
     significance = max(0.0, found + float(np.log10(share)))
-    enough = kept.sum() >= LEAST_POINTS and agreeing >= LEAST_CELLS
-    accepted = bool(enough and significance >= LEAST_SIGNIFICANCE)
+    enough = kept.sum() >= MIN_POINTS and agreeing >= MIN_CELLS
+    if evidence < 0 or significance >= MIN_OWN_SIGNIFICANCE:
+        significance = max(0.0, significance + evidence)
+    accepted = bool(enough and significance >= MIN_SIGNIFICANCE)
     if accepted:
         return Verdict(True, None, cells, agreeing, significance)
     missing = _nothing_to_match(counts) or _too_few(int(kept.sum()), agreeing, cells)
@@ -81,7 +86,7 @@ def judge(
     return Verdict(False, by_chance, cells, agreeing, significance, _beyond(counts))
 
 
-def _witnesses(matches: TiePoints, kept: NDArray[np.bool_], cell_px: float) -> tuple[int, int]:
+def _witnesses(matches: TiePoints, kept: Bool, cell_px: float) -> tuple[int, int]:
     """Count cells with matches, and those whose typical match agrees with the common displacement."""
     if len(matches) == 0:
         return 0, 0
@@ -94,12 +99,12 @@ def _witnesses(matches: TiePoints, kept: NDArray[np.bool_], cell_px: float) -> t
     return len(total), int((share >= 0.5).sum())
 
 
-def _common_displacement(xy: Float64, moved: Float64, kept: NDArray[np.bool_]) -> Float64:
-    """Return what the consistent points say everywhere: (n, 2), a plane where they are many."""
+def _common_displacement(xy: Float64, moved: Float64, kept: Bool) -> Float64:
+    """Return the (n, 2) common displacement of the consistent points: a plane if they are many."""
     if not kept.any():
         return np.median(moved, axis=0)[None].repeat(len(moved), 0)
     centre = xy[kept].mean(axis=0)
-    if kept.sum() < 3 * LEAST_POINTS:
+    if kept.sum() < 3 * MIN_POINTS:
         return np.median(moved[kept], axis=0)[None].repeat(len(moved), 0)
     design = np.c_[np.ones(int(kept.sum())), xy[kept] - centre]
     solution = np.linalg.lstsq(design, moved[kept], rcond=None)[0]
@@ -108,7 +113,7 @@ def _common_displacement(xy: Float64, moved: Float64, kept: NDArray[np.bool_]) -
 
 
 def _nothing_to_match(counts: dict[str, int]) -> str | None:
-    """Return why hardly a candidate could be matched at all; None where they could."""
+    """Return why hardly any candidate could be matched; None if many could."""
     candidates = counts.get("candidates", 0)
     if candidates == 0:
         return (
@@ -120,15 +125,58 @@ def _nothing_to_match(counts: dict[str, int]) -> str | None:
 
 
 def _too_few(points: int, agreeing: int, cells: int) -> str | None:
-    """Return why points that agree are too few all the same; None where they do not agree."""
+    """Return why points that agree are too few; None if they do not agree."""
     if agreeing < MOSTLY * cells or agreeing == 0:
         return None
     return (
         f"{points} tie points agree, in {agreeing} of {cells} separate places, and so few say too little "
-        f"(at least {LEAST_POINTS} points are needed, and some more places than {LEAST_CELLS}): use rasters "
+        f"(at least {MIN_POINTS} points are needed, and some more places than {MIN_CELLS}): use rasters "
         "that share more ground, masks that exclude less, or a smaller --window"
     )
 
 
 def _beyond(counts: dict[str, int]) -> bool:
     return counts.get("at_search_border", 0) > AT_BORDER * counts["candidates"]
+
+
+ELSE = "clouds may hide the ground, or the two may not show the same place"
+"""Possible causes of a refusal beside a too small search radius, for messages."""
+
+
+def refusal(verdict: Verdict, start: Prealignment) -> str:
+    """Return why a pair was refused, and what to try.
+
+    The verdict is that on the last start; `start` says whether the whole image has been searched.
+    """
+    reason = verdict.reason or ""
+    if verdict.beyond is None:
+        return reason
+    return f"{reason}: {_advice(start, verdict.beyond)}"
+
+
+def _advice(start: Prealignment, beyond: bool) -> str:
+    radius_px = start.search_radius_px
+    edge = f"many best matches lie on the edge of the search radius of {radius_px} px"
+    if not start.searched:
+        if beyond:
+            return (
+                f"{edge}: raise --search-radius, or give --prealign search, unless the two do not show the "
+                "same place"
+            )
+        return (
+            f"the displacement may exceed the search radius of {radius_px} px (raise --search-radius), the "
+            f"two may be turned against each other (give --prealign search), or {ELSE}"
+        )
+    if start.pose is not None:
+        return (
+            f"this is the best of {start.tried} starts, which a search over all rotations, scales and shifts "
+            f"found at {start.pose}; {ELSE}; check bands and masks"
+        )
+    if start.method != "search":
+        return f"a search over the whole image found no start that holds: {ELSE}; check bands and masks"
+    if beyond:
+        return (
+            f"{edge} around the shift that a search over the whole image found: give --prealign search with "
+            f"--search-radius {2 * radius_px}, unless the two do not show the same place"
+        )
+    return f"this is from the shift that a search over the whole image found; {ELSE}; check bands and masks"

@@ -1,4 +1,9 @@
-"""Which parts of a scene are matched: tiles that cover it, or small windows where they serve."""
+"""The plan of the matching: tiles that cover the scene, or small windows where it has structure.
+
+Phase congruency costs the same for a lake as for a town. An overview shows which small windows have
+structure in both bands, and are neither masked nor beyond the edge: for each place of a lattice the best one
+is matched.
+"""
 
 from __future__ import annotations
 
@@ -8,48 +13,215 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
+import cv2
 import numpy as np
 
-from pcwlad_geo.matching.keypoints import cell_side_px
-from pcwlad_geo.matching.settings import MatchSettings
+from pcwlad_geo.matching.keypoints import cell_side_px, contrast_weight
+from pcwlad_geo.matching.prepare import fast_even, fill_smoothly
+from pcwlad_geo.matching.types import MatchSettings
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.windows import Window
-from pcwlad_geo.registration.forecast import tiles_along
-from pcwlad_geo.registration.prealign import Look
-from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.registration.sites import find_sites, lattice_places, lattice_shape, small_window
+from pcwlad_geo.raster.view import Patch
+from pcwlad_geo.registration.inputs import tiles_along
+from pcwlad_geo.registration.prealign import Overviews
 from pcwlad_geo.registration.tiles import TileJob, TileResult
+from pcwlad_geo.types import Float32, Float64, Index
+
+MIN_WINDOWS: Final = 64
+"""Least number of places of the lattice."""
+CANDIDATES_PER_WINDOW: Final = 20
+"""Number of candidates at which a small window aims."""
+CELLS_ACROSS: Final = 2
+"""Number of cells of candidates across a small window."""
+MIN_CORE_PX: Final = 80
+"""Least side of the core of a small window."""
+WINDOWS_PER_SITE: Final = 4
+"""Largest number of windows of a place: the first choice and those that may follow it."""
+MIN_VALID: Final = 0.75
+"""Least share of a window, including the margin for the matching, that must be valid in both bands."""
+MIN_TEXTURE: Final = 0.05
+"""Least share of a window that must have more than faint contrast in both bands."""
+CENTRE_PREFERENCE: Final = 0.3
+"""Share of its score that a window in the corner of its place loses, so that the points are well spread."""
+
+
+def lattice_shape(region: Window, candidates: int) -> tuple[int, int]:
+    """Return the numbers of rows and columns of places into which `region` is divided for `candidates`."""
+    count = max(MIN_WINDOWS, round(candidates / CANDIDATES_PER_WINDOW))
+    rows = max(1, round(np.sqrt(count * region.rows / region.cols)))
+    return rows, int(np.ceil(count / rows))
+
+
+def lattice_places(region: Window, candidates: int) -> list[Window]:
+    """Return the places into which `region` is divided for so many `candidates`, row by row."""
+    shape = lattice_shape(region, candidates)
+    return [_place(region, shape, row, col) for row in range(shape[0]) for col in range(shape[1])]
+
+
+def small_window(base: TileJob, candidates: int, wanted: int) -> TileJob:
+    """Return a small window in the corner of the region whose core consists of whole cells of candidates.
+
+    All windows have so many `candidates` together, of which tie points are `wanted`: those beyond that
+    replace others that fail.
+    """
+    rows, cols = lattice_shape(base.region, candidates)
+    around = replace(base, core=Window(0, 0, 0, 0)).read_window.rows
+    cell = (fast_even(around + MIN_CORE_PX) - around) // CELLS_ACROSS
+    cells = rows * cols * CELLS_ACROSS**2
+    per_cell = int(np.ceil(candidates / cells))
+    settings = replace(
+        base.settings,
+        features=per_cell * CELLS_ACROSS**2,
+        per_cell=per_cell,
+        spare=max(0, per_cell - int(np.ceil(wanted / cells))),
+        features_area_px2=float((CELLS_ACROSS * cell) ** 2),
+    )
+    core = Window(base.region.row, base.region.col, CELLS_ACROSS * cell, CELLS_ACROSS * cell)
+    return replace(base, settings=settings, core=core)
+
+
+def find_sites(window: TileJob, overviews: Overviews, candidates: int) -> tuple[tuple[TileJob, ...], ...]:
+    """Return, for every place of the lattice, the windows that show structure, best first.
+
+    The window is one of `small_window`; all first windows have so many `candidates` together.
+    """
+    region = window.region
+    texture, valid = _merged(window, overviews)
+    step = window.core.rows // CELLS_ACROSS
+    sites: list[tuple[TileJob, ...]] = []
+    count = 0
+    for place in lattice_places(region, candidates):
+        chosen = _best_windows(place, window, step, texture, valid, overviews.factor)
+        sites.append(tuple(replace(window, id=count + k, core=core) for k, core in enumerate(chosen)))
+        count += len(chosen)
+    return tuple(sites)
+
+
+def _place(region: Window, shape: tuple[int, int], row: int, col: int) -> Window:
+    edges = [
+        np.linspace(0, length, count + 1).round().astype(int)
+        for length, count in zip(region.shape, shape, strict=True)
+    ]
+    return Window.from_bounds(
+        region.row + int(edges[0][row]),
+        region.col + int(edges[1][col]),
+        region.row + int(edges[0][row + 1]),
+        region.col + int(edges[1][col + 1]),
+    )
+
+
+def _best_windows(
+    place: Window, window: TileJob, step: int, texture: Float64, valid: Float64, factor: float
+) -> list[Window]:
+    """Return the windows of a place in the order of their score; they do not share pixels."""
+    side, region = window.core.rows, window.region
+    reach = (window.window.rows - side) // 2
+    # cores begin where cells of the scene's lattice begin, so that no cell reaches beyond its core
+    rows = _starts(place.row - region.row, place.rows, side, step) + region.row
+    cols = _starts(place.col - region.col, place.cols, side, step) + region.col
+    corners = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
+    middle = corners + side / 2
+    off_centre = np.abs((middle - [place.row, place.col]) / place.shape - 0.5).max(axis=1) * 2
+    seen = _mean_in(valid, corners - reach, side + 2 * reach, factor)
+    score = _mean_in(texture, corners, side, factor)
+    good = (seen >= MIN_VALID) & (score >= MIN_TEXTURE)
+    score = score * seen * (1 - CENTRE_PREFERENCE * off_centre)
+    chosen: list[int] = []
+    for index in np.argsort(-np.where(good, score, -np.inf), kind="stable"):
+        apart = all(np.abs(corners[index] - corners[other]).max() >= side for other in chosen)
+        if good[index] and apart:
+            chosen.append(int(index))
+        if len(chosen) == WINDOWS_PER_SITE:
+            break
+    return [Window(int(corners[k, 0]), int(corners[k, 1]), side, side) for k in chosen]
+
+
+def _starts(begin: int, length: int, side: int, step: int) -> Index:
+    """Return the multiples of the step at which cores lie within a range, or begin in it if it is narrow."""
+    first, last = -(-begin // step), (begin + max(length - side, step - 1)) // step
+    return np.arange(first, max(first, last) + 1) * step
+
+
+def _merged(window: TileJob, overviews: Overviews) -> tuple[Float64, Float64]:
+    """Return integral images of the texture and validity of both bands, on the reference's overview."""
+    scenes = (window.reference_scene, window.target_scene)
+    textures, valids = [], []
+    for patch, scene in zip((overviews.reference, overviews.target), scenes, strict=True):
+        textures.append(texture_of(patch, scene.epsilon))
+        valids.append(patch.valid.astype(np.float32))
+    shape = textures[0].shape
+    offset = np.round(np.asarray(window.target_offset_px) / overviews.factor).astype(int)
+    textures[1], valids[1] = (_moved(plane, offset, shape) for plane in (textures[1], valids[1]))
+    merged = np.minimum(*textures), np.minimum(*valids)
+    texture, valid = (np.asarray(cv2.integral(plane, sdepth=cv2.CV_64F), np.float64) for plane in merged)
+    return texture, valid
+
+
+def texture_of(patch: Patch, epsilon: float) -> Float32:
+    """Return the (rows, cols) float32 contrast weight of `patch`, 0 to 1, for the scene's `epsilon`."""
+    filled = fill_smoothly(np.where(patch.valid, patch.values, 0), patch.valid)
+    return contrast_weight(filled, epsilon) * patch.valid
+
+
+def _moved(plane: Float32, offset_xy: Index, shape: tuple[int, ...]) -> Float32:
+    """Return result[r, c] = plane[r + offset, c + offset], 0 outside."""
+    result = np.zeros(shape, np.float32)
+    col, row = offset_xy.tolist()
+    rows = slice(max(0, -row), max(0, min(shape[0], plane.shape[0] - row)))
+    cols = slice(max(0, -col), max(0, min(shape[1], plane.shape[1] - col)))
+    if rows.stop > rows.start and cols.stop > cols.start:
+        result[rows, cols] = plane[rows.start + row : rows.stop + row, cols.start + col : cols.stop + col]
+    return result
+
+
+def _mean_in(integral: Float64, corners_rc: Index, side: int, factor: float) -> Float64:
+    """Return the mean of a plane over squares given in view px; pixels outside count as 0."""
+    limits = np.array(integral.shape) - 1
+    begin, end = corners_rc / factor, (corners_rc + side) / factor
+    first = np.clip(np.round(begin), 0, limits).astype(np.intp)
+    last = np.clip(np.maximum(np.round(end), np.round(begin) + 1), 0, limits).astype(np.intp)
+    total = (
+        integral[last[:, 0], last[:, 1]]
+        - integral[first[:, 0], last[:, 1]]
+        - integral[last[:, 0], first[:, 1]]
+        + integral[first[:, 0], first[:, 1]]
+    )
+    area = np.maximum(np.round(end) - np.round(begin), 1).prod(axis=1)
+    return np.asarray(total / area)
+
 
 FEATURE_AREA_PX: Final = 1024
-"""`features` candidates lie in a square of this side, or in the scene where that is smaller."""
+"""Side of the square over which `features` candidates are spread, or the scene if that is smaller."""
 POINTS_OF_A_SCENE: Final = 1000
-"""Tie points of a scene of several tiles, where the user does not say."""
+"""Number of tie points wanted of a scene of several tiles if the user does not give it."""
 CANDIDATES_PER_POINT: Final = 1.25
+"""Number of candidates for each tie point wanted."""
 POOR: Final = 1 / 3
 """A small window in which a smaller share of the candidates agrees is followed by another."""
 ENOUGH: Final = 0.95
-"""Of the points wanted."""
+"""Share of the tie points wanted that is enough to end the matching."""
 AGREE_PX: Final = 1.0
-"""Of the typical displacement in a small window."""
+"""Largest distance of a displacement from the median of its small window with which the point agrees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """The tiles to match first, and what may follow."""
+    """The tiles to match first, and the windows that may follow."""
 
     first: list[TileJob]
     wanted: int | None = None
-    """Tie points wanted from small windows; None: the tiles cover the scene."""
+    """Number of tie points wanted from small windows; None if the tiles cover the scene."""
     sites: tuple[tuple[TileJob, ...], ...] = ()
     """Small windows: one tuple for each place of the lattice, the best window first."""
-    barren: tuple[Window, ...] = ()
+    without_structure: tuple[Window, ...] = ()
     """Places of the lattice that show no structure, so that they have no window."""
 
     def following(self, results: Sequence[TileResult]) -> list[TileJob]:
-        """Return the windows to match next, given what all so far gave.
+        """Return the windows to match next, given all results so far.
 
-        A window that gave little is followed by the next of its place. Where that cannot be enough, places
-        that gave most get another window.
+        A window with few points is followed by the next of its place. If that cannot be enough, the places
+        with most points get another window.
         """
         if self.wanted is None:
             return []
@@ -71,7 +243,7 @@ class Plan:
 
 
 def agreeing(result: TileResult) -> int:
-    """Count the points of a small window that moved alike."""
+    """Return the number of points of a small window whose displacements agree."""
     moved = result.points.displacement_px
     if len(moved) == 0:
         return 0
@@ -79,29 +251,36 @@ def agreeing(result: TileResult) -> int:
 
 
 def plan(
-    pair: ViewPair, look: Look, target_offset_px: tuple[int, int], matching: MatchSettings, settings: Settings
+    pair: ViewPair,
+    overviews: Overviews,
+    target_offset_px: tuple[int, int],
+    matching: MatchSettings,
+    settings: Settings,
 ) -> Plan:
     """Decide which windows of the overlap are matched.
 
-    A scene of one tile is matched whole, and so is one of which all points are wanted. Else as many
+    A scene of one tile is matched whole, as is one of which all points are wanted. Otherwise as many
     candidates as the points need are spread over tiles that cover the scene, or over small windows,
     whichever has fewer pixels to filter.
 
     Parameters
     ----------
     pair : ViewPair
-    look : Look
-        Both bands at a glance.
+        Both bands on the matching grid.
+    overviews : Overviews
+        Overviews of both bands.
     target_offset_px : (int, int)
         (col, row) from reference view to target view, pre-alignment included.
     matching : MatchSettings
         Its `features_area_px2` is the usable area; the plan replaces the number and spread of candidates.
     settings : Settings
-        Its `points`, `features` and `tile_size` count.
+        Its `points`, `features` and `tile_size` are used.
     """
     region = common_region(pair, target_offset_px)
     area = matching.features_area_px2 or float(max(region.area_px2, 1))
-    base = TileJob(0, pair.reference, pair.target, region, region, target_offset_px, *look.scenes, matching)
+    base = TileJob(
+        0, pair.reference, pair.target, region, region, target_offset_px, *overviews.scenes, matching
+    )
     wanted = POINTS_OF_A_SCENE if settings.points is None else settings.points
     candidates = np.inf if wanted == "all" else CANDIDATES_PER_POINT * wanted
     densest = settings.features / min(area, FEATURE_AREA_PX**2)
@@ -114,20 +293,20 @@ def plan(
     count = int(np.prod(lattice_shape(region, round(candidates))))
     if count * window.read_window.area_px2 >= sum(job.read_window.area_px2 for job in tiles):
         return Plan(tiles)
-    sites = find_sites(window, look, round(candidates))
+    sites = find_sites(window, overviews, round(candidates))
     places = lattice_places(region, round(candidates))
-    barren = tuple(place for place, site in zip(places, sites, strict=True) if not site)
-    return Plan([site[0] for site in sites if site], int(wanted), sites, barren)
+    without_structure = tuple(place for place, site in zip(places, sites, strict=True) if not site)
+    return Plan([site[0] for site in sites if site], int(wanted), sites, without_structure)
 
 
 def count_tiles(pair: ViewPair, settings: Settings) -> int:
-    """Return about how many tiles a pair makes at least, before it is known where to start."""
+    """Return the approximate least number of tiles of `pair` with `settings`, before the start is known."""
     region = common_region(pair, (round(pair.offset_px[0]), round(pair.offset_px[1])))
     return math.prod(tiles_along(length, settings.tile_size) for length in region.shape)
 
 
 def common_region(pair: ViewPair, target_offset_px: tuple[int, int]) -> Window:
-    """Return the part of the reference view that the target view covers at an offset."""
+    """Return the part of the reference view of `pair` that the target view covers at `target_offset_px`."""
     col, row = target_offset_px
     rows, cols = pair.reference.grid.shape
     target_rows, target_cols = pair.target.grid.shape
@@ -136,8 +315,14 @@ def common_region(pair: ViewPair, target_offset_px: tuple[int, int]) -> Window:
     return Window(top, left, max(0, bottom - top), max(0, right - left))
 
 
+def farthest_px(pair: ViewPair, target_offset_px: tuple[int, int]) -> int:
+    """Return the largest displacement, px, from `target_offset_px` where the views of `pair` still touch."""
+    rows_cols = zip(pair.reference.grid.shape, pair.target.grid.shape, target_offset_px[::-1], strict=True)
+    return max(1, *(max(reference + shift, target - shift) for reference, target, shift in rows_cols))
+
+
 def _cover(base: TileJob, density: float, tile_size: int) -> list[TileJob]:
-    """Cover the region with tiles that hold so many candidates a square pixel."""
+    """Cover the region with tiles of a given density of candidates, 1/px²."""
     settings = replace(base.settings, features_area_px2=base.settings.features / density)
     margin = cell_side_px(settings.features, settings.per_cell, settings.features / density)
     cores = [

@@ -1,59 +1,143 @@
-"""Rough alignment: by the georeferencing, or by a pyramid search where that is absent or too coarse."""
+"""Initial alignment: by the georeferencing, or by a pyramid search where that is absent or too coarse."""
 
 from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Annotated, Final
 
 import numpy as np
+from affine import Affine
 
+from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.global_search import SearchResult, search_shift
-from pcwlad_geo.matching.noise import Noise, measure_noise
-from pcwlad_geo.matching.phase_congruency import scene_epsilon
-from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.matching.maps import scene_epsilon
+from pcwlad_geo.matching.pose import search_pose
+from pcwlad_geo.matching.prepare import Noise, measure_noise
+from pcwlad_geo.matching.shift_search import SearchResult, search_shift
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.grid import Grid, Window, map_px
+from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import Patch, View
-from pcwlad_geo.raster.windows import Window
-from pcwlad_geo.registration.result import Prealignment
 from pcwlad_geo.registration.tiles import Scene
+from pcwlad_geo.types import Float64
 
-LOOK_SIDE_PX: Final = 1024
-"""The overview that the search and the ε are taken from has at most so many pixels a side."""
+OVERVIEW_SIDE_PX: Final = 1024
+"""Largest side of the overview from which the shift is searched and ε is measured."""
 RADIUS_PX: Final = 12
-"""Search radius around a georeferencing that is believed."""
+"""Search radius around the position of the georeferencing."""
 RADIUS_AFTER_SEARCH_PX: Final = 8
+"""Search radius after a search for the shift, to which the uncertainty of that is added."""
 SAMPLE_PX: Final = 256
+"""Side of the samples at full resolution on which the noise is measured."""
 SAMPLES_ACROSS: Final = 3
-"""The noise is judged on so many by so many samples at full resolution."""
+"""Number of these samples along each axis."""
+POSE_ERROR_PX: Final = 1.0
+"""Uncertainty of a pose that a search finds beside the spread of its patches, in pixels of the overview."""
+POSE_NODES: Final = 9
+"""Places along each axis at which a pose is told to the geotransform."""
 SEARCH_ERROR_PX: Final = 2.0
-"""Of the overview's pixels."""
+"""Uncertainty of the shift that a search finds, in pixels of the overview."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """An affine transformation from reference to target file px, in terms that one can imagine."""
+
+    rotation_deg: float
+    """Clockwise rotation from reference to target, as both are seen on a screen, degrees."""
+    scale: tuple[float, float]
+    """Target px per reference px along columns and rows; the second is negative if mirrored."""
+    shear_deg: float
+    """By how much the angle between columns and rows differs from a right one, degrees."""
+    shift_px: tuple[float, float]
+    """(col, row) displacement of the middle of the reference, target px."""
+
+    @staticmethod
+    def of(matrix: Float64, shape: tuple[int, int]) -> Pose:
+        """Return the pose of a matrix.
+
+        Parameters
+        ----------
+        matrix : (3, 3) array
+            Target px = matrix · reference px, corner-based (col, row).
+        shape : (int, int)
+            Rows and columns of the reference.
+        """
+        (a, b), (c, d) = matrix[:2, :2].tolist()
+        across = math.hypot(a, c)
+        down = (a * d - b * c) / across
+        middle = np.array([shape[1] / 2, shape[0] / 2, 1.0])
+        col, row = (matrix @ middle - middle)[:2].tolist()
+        return Pose(
+            math.degrees(math.atan2(c, a)),
+            (across, down),
+            math.degrees(math.atan2((a * b + c * d) / across, abs(down))),
+            (col, row),
+        )
+
+    def __str__(self) -> str:
+        return (
+            f"rotation {self.rotation_deg:.1f} degrees, scale {self.scale[0]:.3f} x {self.scale[1]:.3f}, "
+            f"shear {self.shear_deg:.1f} degrees"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Prealignment:
+    """The initial alignment from which the matching started."""
+
+    method: str
+    """georeferencing, search, pose, none, or identity (neither is georeferenced)."""
+    shift_px: tuple[float, float]
+    """(col, row) added to the predicted target pixel, matching-grid px."""
+    search_radius_px: Annotated[int, ("minimum", 0)]
+    """Radius of the coarse match around it, matching-grid px."""
+    searched: bool = False
+    """Whether the whole image was searched, even if no shift was found."""
+    pose: Pose | None = None
+    """Of the target, if a search found that; the shift is part of it."""
+    evidence: float = 0.0
+    """-log10 of the probability that a search finds a start like this in unrelated images."""
+    tried: int = 1
+    """Number of starts that the matching tried, this one included."""
+
+    @property
+    def odds(self) -> float:
+        """The evidence, less what the number of starts takes from it: of many, one agrees by chance."""
+        return self.evidence - math.log10(self.tried)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
-    """Both bands at a glance, at one resolution."""
+class Start:
+    """What the matching may start from: an alignment, and the views that it is of."""
+
+    prealignment: Prealignment
+    pair: ViewPair
+    overviews: Overviews
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overviews:
+    """Overviews of both bands at one resolution."""
 
     reference: Patch
     target: Patch
     factor: float
-    """View pixels per pixel of the look."""
+    """View pixels per pixel of the overviews."""
     scenes: tuple[Scene, Scene]
-    """Reference and target."""
+    """The scene of the reference and of the target."""
 
 
-def look_at(pair: ViewPair) -> Look:
+def read_overviews(pair: ViewPair) -> Overviews:
     """Read an overview of both views.
 
-    Raises
-    ------
-    InputError
-        If one of them has no valid pixel, or is constant.
+    Raises `InputError` if one of them has no valid pixel, or is constant.
     """
     sides = max(pair.reference.grid.shape), max(pair.target.grid.shape)
-    factor = max(1.0, max(sides) / LOOK_SIDE_PX)
+    factor = max(1.0, max(sides) / OVERVIEW_SIDE_PX)
     patches = [
         view.read_decimated(max(1, round(side / factor)))[0]
         for view, side in zip((pair.reference, pair.target), sides, strict=True)
@@ -63,43 +147,142 @@ def look_at(pair: ViewPair) -> Look:
         epsilon = scene_epsilon(patch.values, patch.valid)
         _check_content(patch, view.info, epsilon)
         scenes.append(Scene(epsilon, _noise(view)))
-    return Look(patches[0], patches[1], factor, (scenes[0], scenes[1]))
+    return Overviews(patches[0], patches[1], factor, (scenes[0], scenes[1]))
 
 
 def by_georeferencing(search_radius: int | None) -> Prealignment:
-    """Believe the georeferencing (pixel coordinates where there is none)."""
+    """Return the alignment by the georeferencing (by pixel coordinates where there is none)."""
     return Prealignment("georeferencing", (0.0, 0.0), search_radius or RADIUS_PX)
 
 
+def searches_first(pair: ViewPair, settings: Settings) -> bool:
+    """Return whether the matching starts from a search over the whole image."""
+    return settings.prealign == "search" or (settings.prealign == "auto" and not pair.georeferenced)
+
+
+def direct_start(pair: ViewPair, settings: Settings) -> Prealignment:
+    """Return the start that needs no search: the georeferencing, or the pixels as they lie."""
+    start = by_georeferencing(settings.search_radius)
+    if settings.prealign == "none":
+        return replace(start, method="none")
+    return start if pair.georeferenced else replace(start, method="identity")
+
+
 def by_search(
-    pair: ViewPair, look: Look, search_radius: int | None
+    pair: ViewPair, overviews: Overviews, search_radius: int | None
 ) -> tuple[Prealignment | None, SearchResult]:
-    """Search the shift on the overview; None where nothing credible is found.
+    """Search the shift on the overviews; the alignment is None if no shift is accepted.
 
     Parameters
     ----------
     pair : ViewPair
-    look : Look
+        Both bands on the matching grid.
+    overviews : Overviews
+        Their overviews.
     search_radius : int, optional
-        Radius of the coarse match afterwards; chosen from the search's precision if not given.
+        Radius of the coarse match afterwards; by default it follows from the precision of the search.
     """
     found = search_shift(
-        look.reference.values.astype(np.float64),
-        look.target.values.astype(np.float64),
-        look.reference.valid,
-        look.target.valid,
+        overviews.reference.values.astype(np.float64),
+        overviews.target.values.astype(np.float64),
+        overviews.reference.valid,
+        overviews.target.valid,
     )
     if not found.accepted:
         return None, found
-    absolute = np.asarray(found.shift_xy) * look.factor
+    absolute = np.asarray(found.shift_xy) * overviews.factor
     shift = absolute - np.asarray(pair.offset_px)
-    uncertainty = SEARCH_ERROR_PX * (look.factor - 1) + found.spread_px * look.factor
+    uncertainty = SEARCH_ERROR_PX * (overviews.factor - 1) + found.spread_px * overviews.factor
     radius = search_radius or RADIUS_AFTER_SEARCH_PX + math.ceil(uncertainty)
     return Prealignment("search", (float(shift[0]), float(shift[1])), radius), found
 
 
+def by_pose_search(pair: ViewPair, overviews: Overviews, search_radius: int | None) -> Start | None:
+    """Search the pose on the overviews; None if no pose is accepted.
+
+    Parameters
+    ----------
+    pair : ViewPair
+        Both bands on the matching grid.
+    overviews : Overviews
+        Their overviews.
+    search_radius : int, optional
+        Radius of the coarse match afterwards; by default it follows from the precision of the search.
+    """
+    reference, target = overviews.reference, overviews.target
+    found = search_pose(reference.values, target.values, reference.valid, target.valid)
+    if found is None or not found.accepted:
+        return None
+    # from array indices of the overviews to corner-based px of the views
+    to_view = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1 / overviews.factor]])
+    matrix = to_view @ np.vstack([found.matrix, [0.0, 0.0, 1.0]]) @ np.linalg.inv(to_view)
+    coarse_px = overviews.factor * max(1.0, found.scale) * (found.spread_px + POSE_ERROR_PX)
+    radius = search_radius or RADIUS_AFTER_SEARCH_PX + math.ceil(coarse_px)
+    try:
+        return posed_start(pair, matrix, radius, found.evidence)
+    except InputError:  # too little in common to be matched
+        return None
+
+
+def posed_start(pair: ViewPair, matrix: Float64, search_radius_px: int, evidence: float = 0.0) -> Start:
+    """Return a start from a pose, the target placed by it and both on a new matching grid.
+
+    Parameters
+    ----------
+    pair : ViewPair
+        Of two rasters with plain geotransforms, or none.
+    matrix : (3, 3) array
+        Target-view px = matrix · reference-view px, corner-based (col, row).
+    search_radius_px : int
+    evidence : float
+        See `Prealignment`.
+
+    Raises
+    ------
+    InputError
+        If the two do not overlap in this pose, or an overview cannot be read.
+    """
+    reference, target = pair.reference.info, pair.target.info
+    grid = _posed_grid(target.grid, pair, matrix)
+    mask_grid = target.mask_grid
+    if mask_grid == target.grid:
+        mask_grid = grid
+    elif mask_grid is not None and mask_grid.crs is not None:
+        mask_grid = _posed_grid(mask_grid, pair, matrix)
+    placed = replace(target, grid=grid, mask_grid=mask_grid, georeferenced=True)
+    views = plan_views(replace(reference, georeferenced=True), placed)
+    pose = Pose.of(_between(reference.grid, grid), reference.grid.shape)
+    start = Prealignment("pose", (0.0, 0.0), search_radius_px, True, pose, evidence)
+    return Start(start, views, read_overviews(views))
+
+
+def _posed_grid(grid: Grid, pair: ViewPair, matrix: Float64) -> Grid:
+    """Return a grid of the target moved by a pose, in the CRS of the reference."""
+    places = grid.lattice_px(POSE_NODES)
+    target_px = map_px(places, grid, pair.target.grid)
+    inverse = np.linalg.inv(matrix)
+    reference_px = pair.reference.to_file_px(target_px @ inverse[:2, :2].T + inverse[:2, 2])
+    if not np.isfinite(reference_px).all():
+        raise InputError("the pose places the target where the CRS of the reference is not defined")
+    affine = affine_between(places, pair.reference.info.grid.to_xy(reference_px))
+    return Grid(grid.shape, Affine(*affine.ravel().tolist()), pair.reference.info.grid.crs)
+
+
+def _between(reference: Grid, target: Grid) -> Float64:
+    """Return the (3, 3) matrix from px of one grid to those of another of the same CRS."""
+    matrix = np.eye(3)
+    corners = map_px(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), reference, target)
+    matrix[:2] = np.column_stack([corners[1] - corners[0], corners[2] - corners[0], corners[0]])
+    return matrix
+
+
+def can_be_posed(pair: ViewPair) -> bool:
+    """Return whether a pose can be given to the target: both have plain geotransforms, or none."""
+    return type(pair.reference.info.grid) is Grid and type(pair.target.info.grid) is Grid
+
+
 def target_offset_px(pair: ViewPair, prealignment: Prealignment) -> tuple[int, int]:
-    """Return the whole-pixel (col, row) offset from reference view to target view to start from."""
+    """Return the offset (col, row), whole px, between the views of `pair` with `prealignment` applied."""
     col, row = np.round(np.asarray(pair.offset_px) + prealignment.shift_px).astype(int)
     return int(col), int(row)
 
@@ -111,7 +294,7 @@ def _noise(view: View) -> Noise:
     found = []
     for row in np.unique(np.linspace(0, rows - side_r, SAMPLES_ACROSS).astype(int)):
         for col in np.unique(np.linspace(0, cols - side_c, SAMPLES_ACROSS).astype(int)):
-            with suppress(InputError):  # the tile that holds it tells what cannot be read
+            with suppress(InputError):  # the tile that holds it reports what cannot be read
                 patch = view.read(Window(int(row), int(col), side_r, side_c))
                 noise = measure_noise(patch.values, patch.valid)
                 found += [noise] if noise.ratio > 0 else []

@@ -1,40 +1,349 @@
-"""The result of a job: everything the report and the output files are made from."""
+"""Where the matching looked, and what it lost where: why there are no tie points at a place."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Literal
 
-from pcwlad_geo.correction.accuracy import Accuracy
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.correction.dense import positions
+from pcwlad_geo.correction.error_statistics import Accuracy
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.selection import Selection
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.raster.tie_point_table import TiePointTable
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching.keypoints import Candidates
+from pcwlad_geo.matching.types import MatchSettings
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.grid import Grid, Window
+from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster.rpc.view import RpcPlacement
+from pcwlad_geo.raster.source import RasterInfo, file_name, has_quick_overview
+from pcwlad_geo.registration.fitting import Quality
+from pcwlad_geo.registration.inputs import InputFile
+from pcwlad_geo.registration.judge import Verdict
+from pcwlad_geo.registration.planning import MIN_TEXTURE, texture_of
+from pcwlad_geo.registration.prealign import Overviews, Prealignment, direct_start, searches_first
+from pcwlad_geo.registration.rpc import RpcRegistration
+from pcwlad_geo.registration.tiles import TileJob, TileResult
 from pcwlad_geo.requirements import RequirementResult
+from pcwlad_geo.text import html_table, one_line_of
+from pcwlad_geo.tiepoints.table import TiePointTable
+from pcwlad_geo.types import Bool, Float64
 
-if TYPE_CHECKING:
-    from pcwlad_geo.registration.inputs import InputFile
-    from pcwlad_geo.registration.match_record import MatchRecord
-    from pcwlad_geo.registration.quality import Quality
-    from pcwlad_geo.registration.rpc_target import RpcRegistration
+GROUND: Final = ("usable", "no_texture", "edge", "reference_without_data", "target_without_data")
+"""Whether a place can be matched: `no_texture` has faint contrast at most in one of the two, `edge` too many
+pixels without data within a window around it."""
+LATTICE_SIDE: Final = 120
+"""Along the longer side of the reference, where that is asked."""
+NODES: Final = 5
+"""Along a side of a window, where its place in the file is asked."""
+GLANCE_OVERVIEW_PX: Final = 512
+"""Side of the overviews that are read where there was no matching."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchRecord:
+    """What the matching did where, in px (col, row) of the reference file."""
+
+    ground: NDArray[np.uint8]
+    """(rows, cols) index into `GROUND` of places spread evenly over the reference."""
+    windows_px: Float64
+    """(k, 4) col, row, col_stop, row_stop of the parts whose corners were candidates."""
+    unread: Bool
+    """(k,) whether such a part could not be read."""
+    without_structure_px: Float64
+    """(b, 4) likewise, the parts left out for want of structure."""
+    lost: Candidates
+    """The candidates that gave no match; positions in reference px."""
+    thinned_px: Float64 = field(default_factory=lambda: np.empty((0, 2)))
+    """(t, 2) tie points left out because fewer were wanted."""
+
+    def common_px(self, shape: tuple[int, int]) -> Float64:
+        """Return (n, 2) places (col, row) spread over a reference of this shape that both bands show."""
+        places, _ = _places(shape)
+        return places[self.ground.ravel() < GROUND.index("reference_without_data")]
+
+    @property
+    def searched(self) -> bool:
+        """Whether anything was matched; the points are another's otherwise."""
+        return len(self.windows_px) > 0
+
+
+def record_matching(
+    pair: ViewPair,
+    overviews: Overviews,
+    target_offset_px: tuple[int, int],
+    settings: MatchSettings,
+    without_structure: Sequence[Window],
+    jobs: Sequence[TileJob],
+    results: Sequence[TileResult],
+) -> MatchRecord:
+    """Record the first pass of a scene.
+
+    Parameters
+    ----------
+    overviews : Overviews
+        Both bands at a glance.
+    target_offset_px : (int, int)
+        (col, row) from reference view to target view, pre-alignment included.
+    without_structure : sequence of Window
+        Parts of the reference view without a tile, for want of structure.
+    jobs, results : sequences of TileJob, TileResult
+        Of the same order.
+    """
+    side = max(settings.template, settings.window)
+    contents = [
+        _Content(patch.valid, texture_of(patch, scene.epsilon) >= MIN_TEXTURE)
+        for patch, scene in zip((overviews.reference, overviews.target), overviews.scenes, strict=True)
+    ]
+    ground = _ground(pair, contents, overviews.factor, target_offset_px, side, settings.least_valid)
+    lost = Candidates.concatenate([result.lost for result in results])
+    return MatchRecord(
+        ground,
+        _boxes(pair, [job.core for job in jobs]),
+        np.array([result.status == "failed" for result in results], dtype=bool),
+        _boxes(pair, without_structure),
+        Candidates(pair.reference.to_file_px(lost.reference_xy_px), lost.outcome),
+    )
+
+
+def record_ground(pair: ViewPair) -> MatchRecord | None:
+    """Record where a pair can be compared at all, without any matching.
+
+    None where that would take long or cannot be read.
+    """
+    sides = max(pair.reference.grid.shape), max(pair.target.grid.shape)
+    factor = max(1.0, max(sides) / GLANCE_OVERVIEW_PX)
+    try:
+        if not all(has_quick_overview(view.info) for view in (pair.reference, pair.target)):
+            return None
+        seen = [
+            view.read_decimated(max(1, round(side / factor)))[0].valid
+            for view, side in zip((pair.reference, pair.target), sides, strict=True)
+        ]
+    except InputError:
+        return None
+    col, row = pair.offset_px
+    contents = [_Content(valid, np.ones_like(valid)) for valid in seen]
+    ground = _ground(pair, contents, factor, (round(col), round(row)), 1, 0.5)
+    nothing = np.empty((0, 4))
+    return MatchRecord(ground, nothing, np.empty(0, bool), nothing, Candidates.empty())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Content:
+    """A band made small."""
+
+    valid: Bool
+    textured: Bool
+
+
+def _ground(
+    pair: ViewPair,
+    contents: Sequence[_Content],
+    factor: float,
+    target_offset_px: tuple[int, int],
+    window_px: int,
+    least_valid: float,
+) -> NDArray[np.uint8]:
+    """Tell, for places spread over the reference, whether both bands show something there and around.
+
+    `contents` are of the reference and the target, `factor` view px a pixel of theirs.
+    """
+    places, shape = _places(pair.reference.info.grid.shape)
+    with np.errstate(invalid="ignore"):
+        at = pair.reference.from_file_px(places) / factor
+    at_target = at + np.asarray(target_offset_px) / factor
+    reference, target = contents
+    here, there = _value_at(reference.valid, at), _value_at(target.valid, at_target)
+    # a resampled view of the reference ends a little beyond what the target covers
+    seen = _value_at(np.ones_like(reference.valid), at)
+    textured = _value_at(reference.textured, at) & _value_at(target.textured, at_target)
+    around = cv2.blur(
+        (here & there).reshape(shape).astype(np.float32),
+        _odd_sides(pair, window_px, shape),
+        borderType=cv2.BORDER_CONSTANT,
+    )
+    reasons = [seen & ~here, ~(seen & there), around.ravel() < least_valid, ~textured]
+    names = ("reference_without_data", "target_without_data", "edge", "no_texture")
+    ground = np.select(reasons, [GROUND.index(name) for name in names], default=0)
+    return ground.reshape(shape).astype(np.uint8)
+
+
+def _places(frame: tuple[int, int]) -> tuple[Float64, tuple[int, int]]:
+    """Return the middles of about square places of a frame (rows, cols), and how many there are."""
+    step = max(1.0, max(frame) / LATTICE_SIDE)
+    rows, cols = (max(1, round(side / step)) for side in frame)
+    down = (np.arange(rows) + 0.5) * frame[0] / rows
+    across = (np.arange(cols) + 0.5) * frame[1] / cols
+    return positions(across, down), (rows, cols)
+
+
+def _odd_sides(pair: ViewPair, window_px: int, shape: tuple[int, int]) -> tuple[int, int]:
+    """Return the sides (across, down) of a window of the view, in places, odd."""
+    rows, cols = pair.reference.info.grid.shape
+    reach = pair.reference.to_file_px(np.array([[0.0, 0.0], [window_px, window_px]]))
+    sides_px = np.abs(np.diff(reach, axis=0)[0])
+    half = np.floor(sides_px * [shape[1] / cols, shape[0] / rows] / 2)
+    across, down = (2 * np.nan_to_num(half) + 1).astype(int).tolist()
+    return across, down
+
+
+def _value_at(mask: Bool, xy: Float64) -> Bool:
+    """Return (n,) the value of a mask at positions (col, row); False outside."""
+    known: Bool = np.asarray(np.isfinite(xy).all(axis=1))
+    col, row = np.floor(np.where(known[:, None], xy, -1.0)).astype(np.intp).T
+    rows, cols = mask.shape
+    inside = known & (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    found = np.zeros(len(xy), dtype=bool)
+    found[inside] = mask[row[inside], col[inside]]
+    return found
+
+
+def _boxes(pair: ViewPair, windows: Sequence[Window]) -> Float64:
+    """Return (k, 4) the boxes around windows of the reference view, px of its file."""
+    if not windows:
+        return np.empty((0, 4))
+    edges = np.array([(each.col, each.row, each.col_stop, each.row_stop) for each in windows], np.float64)
+    parts = np.linspace(0.0, 1.0, NODES)
+    places = edges[:, None, :2] + positions(parts, parts) * (edges[:, None, 2:] - edges[:, None, :2])
+    mapped = pair.reference.to_file_px(places.reshape(-1, 2)).reshape(places.shape)
+    # corners of a view of the ground may have no place in the file: fmin and fmax leave those out
+    return np.concatenate([np.fmin.reduce(mapped, axis=1), np.fmax.reduce(mapped, axis=1)], axis=1)
+
 
 Status = Literal["registered", "rejected", "matched"]
 
 
-@dataclass(frozen=True, slots=True)
-class Prealignment:
-    """The rough alignment that the matching started from."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """Two rasters made ready to be matched: where they lie, and on which pixels they are compared."""
 
-    method: str
-    """georeferencing, search, none, or identity (neither is georeferenced)."""
-    shift_px: tuple[float, float]
-    """(col, row) added to the predicted target pixel, matching-grid px."""
-    search_radius_px: int
-    """Radius of the coarse match around it, matching-grid px."""
-    searched: bool = False
-    """Whether the whole image was searched, also where that found nothing."""
+    reference: RasterInfo
+    target: RasterInfo
+    """As the matching takes them: placed by an RPC, or in one plane, where the files alone do not tell."""
+    views: ViewPair
+    """Both on the pixels of the matching grid."""
+    settings: Settings
+    """All options; bands are numbers, masks those of the products where none is given."""
+    warnings: tuple[str, ...]
+    inputs: tuple[InputFile, ...]
+    """The files that are read, as they were before any was opened."""
+    seconds: dict[str, float]
+    """Spent so far, by stage."""
+    rpc: RpcPlacement | None = None
+    """Of a target that its RPC places."""
+    scratch: object = None
+    """What keeps the files of arrays for as long as they are needed."""
+
+    @property
+    def georeferenced(self) -> bool:
+        """Whether both have a place; otherwise their pixels are compared as they lie."""
+        return self.views.georeferenced
+
+    @property
+    def matching_grid(self) -> Grid:
+        """The grid of the pixels that are compared."""
+        return self.views.reference.grid
+
+    @property
+    def prealignment(self) -> Prealignment | None:
+        """What the matching starts from; None where a search over the whole image comes first."""
+        return None if searches_first(self.views, self.settings) else direct_start(self.views, self.settings)
+
+    def __repr__(self) -> str:
+        return one_line_of(self, " <- ".join(map(_band_text, (self.reference, self.target))), *self._facts())
+
+    def _repr_html_(self) -> str:
+        rows, cols = self.matching_grid.shape
+        start = self.prealignment
+        return html_table(
+            "Pair",
+            {
+                "reference": _band_text(self.reference),
+                "target": _band_text(self.target),
+                "georeferenced": "yes" if self.georeferenced else "no",
+                "matching grid": f"{cols} x {rows} px",
+                "starts from": start.method if start else "a search",
+                "warnings": "; ".join(self.warnings) or "none",
+            },
+        )
+
+    def _facts(self) -> list[str]:
+        rows, cols = self.matching_grid.shape
+        facts = [f"matching grid {cols} x {rows} px"]
+        facts += [] if self.georeferenced else ["not georeferenced"]
+        return facts + ([f"{len(self.warnings)} warnings"] if self.warnings else [])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """The tie points of a pair, before any fit."""
+
+    pair: Pair
+    tie_points: TiePointTable
+    """Status ``matched`` or ``rejected``; no more than were wanted."""
+    verdict: Verdict
+    """Whether the pair is matched reliably, and by what evidence."""
+    counts: dict[str, int]
+    """Candidates and what became of them, stage by stage, in order."""
+    prealignment: Prealignment
+    """What the matching started from."""
+    record: MatchRecord | None
+    """What the matching did where; None where that is not known."""
+    views: ViewPair
+    """On which they were found: a target with RPC is matched again as the first result places it."""
+    every: TiePointTable
+    """All tie points, also those that were not wanted."""
+    warnings: tuple[str, ...] = ()
+    """Of all steps up to this one."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Likewise, by stage."""
+
+    def __len__(self) -> int:
+        return int(np.count_nonzero(self.tie_points.status != "rejected"))
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the tie points can be trusted, so that a correction may be fitted."""
+        return self.verdict.accepted
+
+    @property
+    def reason(self) -> str | None:
+        """Why not, and what to do; None where they can."""
+        if self.verdict.reason is None or self.pair.rpc is None:
+            return self.verdict.reason
+        return (
+            f"{self.verdict.reason}; check also that the RPC in {self.pair.rpc.source.origin} belongs to the "
+            "target as it is, not to an image that it was cropped or decimated from"
+        )
+
+    def __repr__(self) -> str:
+        return one_line_of(self, *self._facts().values())
+
+    def _repr_html_(self) -> str:
+        return html_table("Matches", self._facts() | {"warnings": "; ".join(self.warnings) or "none"})
+
+    def _facts(self) -> dict[str, str]:
+        used = self.tie_points.select("matched")
+        facts = {"status": "accepted" if self.accepted else f"rejected: {self.reason}"}
+        asked = self.counts.get("candidates", len(self.every))
+        facts["tie points"] = f"{len(used)} tie points of {asked} candidates"
+        if len(used):
+            facts["sigma"] = f"sigma {np.sqrt((used.sigma_px**2).mean()):.2f} px"
+            d_col, d_row = np.median(used.displacement_px, axis=0)
+            facts["displacement"] = f"displacement ({d_col:+.2f}, {d_row:+.2f}) px (col, row)"
+        return facts
+
+
+def _band_text(info: RasterInfo) -> str:
+    rows, cols = info.grid.shape
+    return f"{file_name(info.uri)} band {info.band} ({cols} x {rows} px)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +382,31 @@ class Registration:
     """What became of each requirement."""
     inputs: tuple[InputFile, ...] = ()
     """The files that the job read, as they were before it opened any of them."""
+    outputs: Mapping[str, Path] = field(default_factory=dict)
+    """The files written, by kind: raster, report, tiepoints, and so on; none where nothing was."""
+
+    def __repr__(self) -> str:
+        return one_line_of(self, *self._facts().values())
+
+    def _repr_html_(self) -> str:
+        more = {
+            "warnings": "; ".join(self.warnings) or "none",
+            "outputs": ", ".join(map(str, self.outputs.values())) or "none",
+        }
+        return html_table("Registration", self._facts() | more)
+
+    def _facts(self) -> dict[str, str]:
+        facts = {"status": self.status if self.reason is None else f"{self.status}: {self.reason}"}
+        pair = f"{_band_text(self.reference)} <- {_band_text(self.target)}"
+        facts |= {"pair": pair, "tie points": self.tie_points.summary()}
+        if self.correction is not None:
+            facts["model"] = self.correction.name
+        checked = self.accuracy.get("check_px")
+        if checked is not None and checked.n:
+            facts["accuracy"] = f"RMSE {checked.rmse:.2f} px at {checked.n} check points"
+        if self.quality is not None:
+            facts["quality"] = f"quality {self.quality.grade}"
+        return facts
 
     @property
     def passed(self) -> bool | None:

@@ -1,66 +1,42 @@
-"""The job, up to its result: pre-align, plan tiles, match, merge, fit, judge. Writes nothing."""
+"""The job, up to its result: open a pair, match it, fit a correction, conclude. Writes nothing."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fit import CANDIDATES
-from pcwlad_geo.correction.thinning import thin
+from pcwlad_geo.correction.points import thin
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.antimeridian import moved_beside
+from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
+from pcwlad_geo.execution.runner import InThisProcess, Runner
+from pcwlad_geo.matching.outliers import contradicted_clusters
+from pcwlad_geo.options import VRT_MODELS, Settings
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.identity import digest
-from pcwlad_geo.raster.locate import locate, overlap_middle_px, predict_target_px
-from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
-from pcwlad_geo.raster.rpc_grid import levelled
-from pcwlad_geo.raster.rpc_view import Placed, plan_rpc_views
-from pcwlad_geo.raster.shared_plane import share_plane
-from pcwlad_geo.raster.source import RasterInfo, describe, same_band
-from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.raster.matching_grid import ViewPair, moved_across_antimeridian, plan_views, share_plane
+from pcwlad_geo.raster.rpc.grid import at_mean_height
+from pcwlad_geo.raster.rpc.view import plan_rpc_views
+from pcwlad_geo.raster.source import RasterInfo, describe, same_band, without_collar
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.raster.view import file_px_per_px
-from pcwlad_geo.registration.advice import refusal
-from pcwlad_geo.registration.fitting import Fitted, fit_correction
-from pcwlad_geo.registration.given_points import footprint_px, points_of_file
+from pcwlad_geo.registration.fitting import AssessedFit, assess, fit_correction, footprint_px, user_points
 from pcwlad_geo.registration.inputs import identify_inputs, resolve
-from pcwlad_geo.registration.job_log import JobLog
-from pcwlad_geo.registration.judge import Verdict
-from pcwlad_geo.registration.kernels import load_kernels
-from pcwlad_geo.registration.match_record import MatchRecord, record_ground
 from pcwlad_geo.registration.planning import count_tiles
-from pcwlad_geo.registration.prealign import Look, by_georeferencing, by_search, look_at
-from pcwlad_geo.registration.progress import EventCallback, Progress, ignore
-from pcwlad_geo.registration.quality import Quality, assess
-from pcwlad_geo.registration.result import Prealignment, Registration
-from pcwlad_geo.registration.rpc_target import (
-    MODELS,
-    check_start,
-    corrected_rpc,
-    place_reference,
-    place_target,
-    shifted,
-)
-from pcwlad_geo.registration.scene import Matched, match_scene
-from pcwlad_geo.registration.settings import VRT_MODELS, Settings
-from pcwlad_geo.registration.tasks import InThisProcess, Runner
+from pcwlad_geo.registration.prealign import Prealignment, read_overviews
+from pcwlad_geo.registration.result import Matches, MatchRecord, Pair, Registration, Status, record_ground
+from pcwlad_geo.registration.rpc import MODELS, check_start, corrected_rpc, place_reference, place_target
+from pcwlad_geo.registration.scene import located, match_again_from_shifted_rpc, match_from_best_start
+from pcwlad_geo.registration.tiles import load_kernels
+from pcwlad_geo.tiepoints.table import overlap_middle_px, predict_target_px
+from pcwlad_geo.types import Float64, PathLike
 
 COMMON_STEP = 3
 """One of so many places of the common ground is asked what error is expected there."""
-MOST_REFERENCE_MISFIT_PX = 0.05
+MAX_REFERENCE_MISFIT_PX = 0.05
 """Of ground control points."""
-NEARER = 2
-"""Times that a target with RPC is matched again,"""
-NEAR_PX = 0.5
-"""as long as it lies farther than this from where it was taken to be, target px."""
-
-Float64 = NDArray[np.float64]
-PathLike = str | os.PathLike[str]
 
 
 def run(
@@ -72,136 +48,218 @@ def run(
     runner: Runner | None = None,
     match_only: bool = False,
 ) -> Registration:
-    """Register the target to the reference, or only match them.
+    """Register the target to the reference, or only match them: open, match, fit, conclude.
+
+    Raises `InputError` if the input cannot be used.
 
     Parameters
     ----------
     reference, target : path
         Rasters, or products (see `inputs.resolve`).
-    settings : Settings
     on_event : callable
         Receives progress and warnings; an exception that it raises ends the job.
     runner : Runner, optional
         Runs the tiles; None: this process.
     match_only : bool
         Stop at the tie points.
-
-    Raises
-    ------
-    InputError
-        If the input cannot be used.
     """
     with trusting(settings.trust):
-        return _run(reference, target, settings, JobLog(on_event), runner or InThisProcess(), match_only)
+        pair = open_pair(reference, target, settings, on_event=on_event, all_bands=not match_only)
+        matches = match(pair, runner or InThisProcess(), on_event=on_event)
+        if match_only or not matches.accepted:
+            return conclude(matches)
+        return conclude(matches, fit(matches, on_event=on_event))
 
 
-def _run(
+def open_pair(
     reference: PathLike,
     target: PathLike,
     settings: Settings,
-    log: JobLog,
-    runner: Runner,
-    match_only: bool,
-) -> Registration:
+    *,
+    on_event: EventCallback = ignore,
+    all_bands: bool = False,
+) -> Pair:
+    """Describe two rasters and decide on which pixels they are compared.
+
+    No pixel is read, but for those that tell whether a raster without nodata and mask has a constant border.
+    Raises `InputError` if the input cannot be used, or the two do not overlap.
+
+    Parameters
+    ----------
+    reference, target : path
+        Rasters, or products (see `inputs.resolve`).
+    on_event : callable
+        Receives warnings.
+    all_bands : bool
+        The other bands of the target's product are inputs too.
+    """
+    log = JobLog(on_event)
     with log.stage("reading"):
-        inputs = resolve(reference, target, settings, all_bands=not match_only)
+        inputs = resolve(reference, target, settings, all_bands=all_bands)
         settings = inputs.settings
         files = identify_inputs(inputs)  # before any of them is read
         ref = describe(inputs.reference, band=int(settings.ref_band), mask=settings.ref_mask)
         tgt = describe(inputs.target, band=int(settings.tgt_band), mask=settings.tgt_mask)
+        (ref, ref_collar), (tgt, tgt_collar) = without_collar(ref), without_collar(tgt)
         content = digest(file.identity for file in files)
         ref, tgt = replace(ref, content=content), replace(tgt, content=content)
-        placed_reference, told = place_reference(ref, tgt, settings)
-        ref = placed_reference.info if placed_reference else ref
+        reference_by_rpc, reference_warnings = place_reference(ref, tgt, settings)
+        ref = reference_by_rpc.info if reference_by_rpc else ref
         placed, warnings = place_target(ref, tgt, settings)
         if placed:
             tgt = placed.info
-        elif not placed_reference:
-            ref, tgt, shared = share_plane(moved_beside(ref, tgt), tgt)
+        elif not reference_by_rpc:
+            ref, tgt, shared = share_plane(moved_across_antimeridian(ref, tgt), tgt)
             warnings = (*warnings, *shared)
-        for warning in (*inputs.notes, *_control_point_notes(ref, tgt), *told, *warnings):
+        notes = (*inputs.notes, *ref_collar, *tgt_collar, *_control_point_notes(ref, tgt))
+        for warning in (*notes, *reference_warnings, *warnings):
             log.warn(warning)
-        pair = plan_rpc_views(ref, tgt) if placed or placed_reference else plan_views(ref, tgt)
-        for warning in pair.warnings:
+        views = plan_rpc_views(ref, tgt) if placed or reference_by_rpc else plan_views(ref, tgt)
+        for warning in views.warnings:
             log.warn(warning)
         if same_band(ref, tgt):
             log.warn(
                 "reference and target are the same file and band: the displacement is zero by construction"
             )
-    found, pair = (
-        (_from_file(pair, settings.tie_points, log), pair)
-        if settings.tie_points
-        else _by_matching(pair, placed, settings, log, runner)
-    )
-    every, found = found.table, _only_wanted(found, settings)
-    table = found.table
-    px_m = pixel_size_m(levelled(tgt.grid), overlap_middle_px(pair, tgt))
-    verdict = found.verdict
-    fitted: Fitted | None = None
-    quality: Quality | None = None
-    if verdict.accepted and not match_only:
-        with log.stage("fitting"):
-            log.on_event(Progress("fitting", 0, 1))
-            footprint = settings.window * float(file_px_per_px(pair.target)[0])
-            if settings.tie_points:
-                footprint = footprint_px(every, footprint)
-            candidates = MODELS if placed else VRT_MODELS if settings.of.upper() == "VRT" else CANDIDATES
-            sizes_m = pixel_sizes_m(levelled(tgt.grid), table.predicted_px)
-            fitted = fit_correction(table, settings, footprint, sizes_m, tgt.grid.shape, candidates)
-            places = _common_px(found.record, pair, tgt)
-            quality = assess(fitted.table, every, fitted.selection, places, footprint)
-            log.on_event(Progress("fitting", 1, 1))
-        if quality.refusal and not settings.tie_points:
-            verdict = replace(verdict, accepted=False, reason=quality.refusal)
-            fitted = None
-        else:
-            for reason in quality.reasons:
-                log.warn(reason.text)
-    status = "rejected" if not verdict.accepted else "matched" if match_only else "registered"
+    return Pair(ref, tgt, views, settings, tuple(log.warnings), files, log.seconds, placed)
+
+
+def match(pair: Pair, runner: Runner, *, on_event: EventCallback = ignore) -> Matches:
+    """Find the tie points of a pair, or read those of the file that its settings name.
+
+    Raises `InputError` if the input cannot be read or holds nothing to match.
+
+    Parameters
+    ----------
+    runner : Runner
+        Runs the tiles.
+    on_event : callable
+        Receives progress and warnings; an exception that it raises ends the work.
+    """
+    log = JobLog(on_event, list(pair.warnings), dict(pair.seconds))
+    path = pair.settings.tie_points
+    found = _from_file(pair, path, log) if path else _without_clusters(_by_matching(pair, log, runner), log)
+    return replace(_only_wanted(found), warnings=tuple(log.warnings), seconds=log.seconds)
+
+
+def fit(
+    matches: Matches, settings: Settings | None = None, *, on_event: EventCallback = ignore
+) -> AssessedFit:
+    """Fit a correction to tie points that were accepted, and grade it.
+
+    Raises `InputError` if the model cannot be fitted to these points.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        Those of the pair by default; their model counts here.
+    on_event : callable
+        Receives progress and warnings.
+    """
+    settings = settings or matches.pair.settings
+    log = JobLog(on_event, list(matches.warnings), dict(matches.seconds))
+    target, table = matches.pair.target, matches.tie_points
+    with log.stage("fitting"):
+        log.on_event(Progress("fitting", 0, 1))
+        footprint = settings.window * float(file_px_per_px(matches.views.target)[0])
+        if settings.tie_points:
+            footprint = footprint_px(matches.every, footprint)
+        candidates = (
+            MODELS if matches.pair.rpc else VRT_MODELS if settings.of.upper() == "VRT" else CANDIDATES
+        )
+        sizes_m = pixel_sizes_m(at_mean_height(target.grid), table.predicted_px)
+        fitted = fit_correction(table, settings, footprint, sizes_m, target.grid.shape, candidates)
+        places = _common_px(matches.record, matches.views, target)
+        quality = assess(fitted.table, matches.every, fitted.selection, places, footprint)
+        log.on_event(Progress("fitting", 1, 1))
+    refusal = None if settings.tie_points else quality.refusal
+    for reason in () if refusal else quality.reasons:
+        log.warn(reason.text)
+    return AssessedFit(fitted, quality, refusal, settings, tuple(log.warnings), log.seconds)
+
+
+def conclude(matches: Matches, fit: AssessedFit | None = None) -> Registration:
+    """Judge what was found: registered, rejected with a reason, or matched where nothing was fitted.
+
+    Parameters
+    ----------
+    fit : AssessedFit, optional
+        Of these tie points.
+    """
+    pair = matches.pair
+    rejected = not matches.accepted or (fit is not None and fit.refusal is not None)
+    status: Status = "rejected" if rejected else "registered" if fit else "matched"
+    fitted = None if fit is None or rejected else fit.fitted
+    correction = fitted.correction if fitted else None
+    grid = at_mean_height(pair.target.grid)
     return Registration(
-        status=status,  # type: ignore[arg-type]  # one of three literals
-        reason=verdict.reason if quality else _reason(verdict, placed),
-        warnings=tuple(log.warnings),
-        reference=ref,
-        target=tgt,
-        matching_grid=pair.reference.grid,
-        px_m=px_m,
-        prealignment=found.prealignment,
-        tie_points=fitted.table if fitted else table,
-        correction=fitted.correction if fitted else None,
+        status=status,
+        reason=fit.refusal if fit else matches.reason,
+        warnings=fit.warnings if fit else matches.warnings,
+        reference=pair.reference,
+        target=pair.target,
+        matching_grid=matches.views.reference.grid,
+        px_m=pixel_size_m(grid, overlap_middle_px(matches.views, pair.target)),
+        prealignment=matches.prealignment,
+        tie_points=fitted.table if fitted else matches.tie_points,
+        correction=correction,
         accuracy=fitted.accuracy if fitted else {},
-        counts=found.counts,
-        seconds=log.seconds,
-        settings=settings,
+        counts=matches.counts,
+        seconds=fit.seconds if fit else matches.seconds,
+        settings=fit.settings if fit else pair.settings,
         selection=fitted.selection if fitted else None,
-        quality=quality,
-        record=found.record,
-        rpc=corrected_rpc(placed, fitted.correction if fitted else None) if placed else None,
-        inputs=files,
+        quality=fit.quality if fit else None,
+        record=matches.record,
+        rpc=corrected_rpc(pair.rpc, correction) if pair.rpc else None,
+        inputs=pair.inputs,
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """Tie points, wherever they come from, before any fit."""
+def _without_clusters(found: Matches, log: JobLog) -> Matches:
+    """Reject clusters of tie points that contradict what all others predict, each with a warning.
 
-    table: TiePointTable
-    verdict: Verdict
-    counts: dict[str, int]
-    prealignment: Prealignment
-    record: MatchRecord | None
+    They stay in the table as rejected, and count for the quality, as the ground may have moved there. A
+    user's own points are not asked: who knows better takes the rejected ones back in such a file.
+    """
+    if not found.accepted:
+        return found
+    table = found.tie_points
+    agreeing = np.flatnonzero(table.status == "matched")
+    unit_px = float(file_px_per_px(found.views.target).max())
+    window_px = found.pair.settings.window * unit_px
+    placed, moved = table.predicted_px[agreeing], table.displacement_px[agreeing]
+    clusters = contradicted_clusters(placed, moved, window_px, unit_px)
+    if not clusters:
+        return found
+    status = table.status.copy()
+    for cluster in clusters:
+        index = agreeing[cluster.index]
+        status[index] = "rejected"
+        (col, row), (d_col, d_row) = np.median(table.target_px[index], axis=0), cluster.offset_px
+        log.warn(
+            f"{len(index)} tie points around ({col:.0f}, {row:.0f}) px (col, row) of the target agree among "
+            f"themselves and lie ({d_col:+.1f}, {d_row:+.1f}) px off what all others predict: rejected as "
+            "wrong matches; if the ground has moved there, or is at another depth, they are right, and the "
+            "correction does not hold there"
+        )
+    rejected = int((status != table.status).sum())
+    counts = dict(found.counts)
+    counts["inconsistent"] += rejected
+    counts["tie_points"] -= rejected
+    table = replace(table, status=status)
+    return replace(found, tie_points=table, every=table, counts=counts)
 
 
-def _only_wanted(found: _Found, settings: Settings) -> _Found:
+def _only_wanted(found: Matches) -> Matches:
     """Keep as many tie points as the user wants, spread evenly, the most precise of each neighbourhood.
 
     Here and nowhere else, so that what is fitted, checked, printed and written are the same points.
     """
-    if settings.points in (None, "all") or not found.verdict.accepted:
+    wanted, table = found.pair.settings.points, found.tie_points
+    if wanted in (None, "all") or not found.accepted:
         return found
-    table = found.table
     agreeing = np.flatnonzero(table.status == "matched")
-    taken = thin(table.predicted_px[agreeing], np.hypot(*table.sigma_px[agreeing].T), int(settings.points))
+    taken = thin(table.predicted_px[agreeing], np.hypot(*table.sigma_px[agreeing].T), int(wanted))
     surplus = agreeing[~taken]
     counts = {**found.counts, "thinned": len(surplus), "tie_points": int(taken.sum())}
     record = found.record
@@ -209,120 +267,33 @@ def _only_wanted(found: _Found, settings: Settings) -> _Found:
         record = replace(record, thinned_px=table.reference_px[surplus])
     kept = np.ones(len(table), dtype=bool)
     kept[surplus] = False
-    return replace(found, table=table[kept], counts=counts, record=record)
+    return replace(found, tie_points=table[kept], counts=counts, record=record)
 
 
-def _reason(verdict: Verdict, placed: Placed | None) -> str | None:
-    """Return why a pair was rejected; an RPC of another image puts a target on other ground."""
-    if verdict.reason is None or placed is None:
-        return verdict.reason
-    return (
-        f"{verdict.reason}; check also that the RPC in {placed.source.origin} belongs to the target as it "
-        "is, not to an image that it was cropped or decimated from"
-    )
-
-
-def _from_file(pair: ViewPair, path: Path | str, log: JobLog) -> _Found:
+def _from_file(pair: Pair, path: Path | str, log: JobLog) -> Matches:
     with log.stage("reading"):
-        table, verdict, counts = points_of_file(path, pair)
-        record = record_ground(pair)
-    return _Found(table, verdict, counts, Prealignment("tie points of a file", (0.0, 0.0), 0), record)
+        table, verdict, counts = user_points(path, pair.views)
+        record = record_ground(pair.views)
+    start = Prealignment("tie points of a file", (0.0, 0.0), 0)
+    return Matches(pair, table, verdict, counts, start, record, pair.views, table)
 
 
-def _by_matching(
-    pair: ViewPair, placed: Placed | None, settings: Settings, log: JobLog, runner: Runner
-) -> tuple[_Found, ViewPair]:
-    """Return the tie points, and the views that they were found on."""
+def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
+    settings, views = pair.settings, pair.views
     with log.stage("reading"):
-        runner.expect(count_tiles(pair, settings))
+        runner.expect(count_tiles(views, settings))
         if runner.shares_kernels:
             load_kernels(settings.method, runner, log.on_event)
         log.on_event(Progress("reading", 0, 1))
-        look = look_at(pair)
+        overviews = read_overviews(views)
         log.on_event(Progress("reading", 1, 1))
-    matched = _match(pair, look, settings, log, runner)
-    original = pair.target.info
-    if placed and matched.verdict.accepted:
-        check_start(placed, matched.prealignment, pair.reference.grid, settings)
-        matched, pair = _match_from_nearer(matched, pair, settings, log, runner)
-    table = _table(matched, pair, original)
-    found = _Found(table, matched.verdict, matched.counts, matched.prealignment, matched.record)
-    return found, pair
-
-
-def _match(pair: ViewPair, look: Look, settings: Settings, log: JobLog, runner: Runner) -> Matched:
-    """Match from the best start known; where that fails and the user left it open, from a search."""
-    starts = _starts(pair, look, settings, log)
-    result: Matched | None = None
-    searched = False
-    for prealignment in starts:
-        searched |= prealignment is None or prealignment.method == "search"
-        if prealignment is None:
-            continue
-        prealignment = replace(prealignment, searched=searched)
-        result = match_scene(pair, look, prealignment, settings, log, runner)
-        if result.verdict.accepted:
-            if prealignment.method == "search" and pair.georeferenced:
-                col, row = prealignment.shift_px
-                log.warn(
-                    f"the georeferencing is off by about ({col:.0f}, {row:.0f}) px (col, row; of the "
-                    "coarser raster): found by a search"
-                )
-            return result
-    if result is None:
-        raise InputError("no start for the matching: give --prealign auto")
-    start = replace(result.prealignment, searched=searched)
-    reason = refusal(result.verdict, start)
-    return replace(result, prealignment=start, verdict=replace(result.verdict, reason=reason))
-
-
-def _starts(pair: ViewPair, look: Look, settings: Settings, log: JobLog) -> Iterator[Prealignment | None]:
-    radius = settings.search_radius
-    direct = by_georeferencing(radius)
-    if not pair.georeferenced:
-        direct = replace(direct, method="identity")
-    if settings.prealign == "none":
-        direct = replace(direct, method="none")
-    search_first = settings.prealign == "search" or (settings.prealign == "auto" and not pair.georeferenced)
-    if not search_first:
-        yield direct
-    if search_first or (settings.prealign == "auto" and radius is None):
-        with log.stage("prealignment"):
-            log.on_event(Progress("prealignment", 0, 1))
-            found, _ = by_search(pair, look, radius)
-            log.on_event(Progress("prealignment", 1, 1))
-        yield found
-    if search_first:
-        yield direct
-
-
-def _match_from_nearer(
-    matched: Matched, pair: ViewPair, settings: Settings, log: JobLog, runner: Runner
-) -> tuple[Matched, ViewPair]:
-    """Match a target with RPC again, as the shift found so far places it.
-
-    Where the RPC errs, the image is seen with the height of the ground beside: relief distorts the windows by
-    the more, the larger the error is.
-    """
-    for _ in range(NEARER):
-        table = _table(matched, pair, pair.target.info)
-        shift_px = np.median(table.select("matched").displacement_px, axis=0)
-        if np.hypot(*shift_px) < NEAR_PX:
-            break
-        target = shifted(pair.target.info, shift_px)
-        nearer = plan_rpc_views(pair.reference.info, target)
-        again = match_scene(
-            nearer, look_at(nearer), by_georeferencing(settings.search_radius), settings, log, runner
-        )
-        if not again.verdict.accepted:
-            break
-        matched, pair = replace(again, prealignment=matched.prealignment), nearer
-    return matched, pair
-
-
-def _table(matched: Matched, pair: ViewPair, original: RasterInfo) -> TiePointTable:
-    table = locate(matched.matches, pair, original)
-    return replace(table, status=np.where(matched.kept, "matched", "rejected"))
+    matched, views = match_from_best_start(views, overviews, settings, log, runner)
+    if pair.rpc and matched.verdict.accepted:
+        check_start(pair.rpc, matched.prealignment, views.reference.grid, settings)
+        matched, views = match_again_from_shifted_rpc(matched, views, settings, log, runner)
+    table = located(matched, views, (pair.views.reference.info, pair.target))
+    start = matched.prealignment
+    return Matches(pair, table, matched.verdict, matched.counts, start, matched.record, views, table)
 
 
 def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo) -> Float64:
@@ -338,13 +309,13 @@ def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo) -
 def _control_point_notes(reference: RasterInfo, target: RasterInfo) -> list[str]:
     """Tell how well control points are fitted by a geotransform; the reference's must be."""
     off_px = reference.gcp_misfit_px
-    if off_px is not None and off_px > MOST_REFERENCE_MISFIT_PX:
+    if off_px is not None and off_px > MAX_REFERENCE_MISFIT_PX:
         raise InputError(
             f"{reference.uri} is georeferenced by ground control points that no geotransform fits (off by "
             f"up to {off_px:.2f} px): a reference must be on a map grid; warp it first (gdalwarp -tps)"
         )
     off_px = target.gcp_misfit_px
-    if off_px is None or off_px <= MOST_REFERENCE_MISFIT_PX:
+    if off_px is None or off_px <= MAX_REFERENCE_MISFIT_PX:
         return []
     return [
         f"{target.uri} is georeferenced by ground control points: displacements count from the geotransform "

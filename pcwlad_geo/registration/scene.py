@@ -9,38 +9,60 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.events import Event, EventCallback, JobLog, Progress, Warned
+from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.matching.field import Prediction, Surface, predict
 from pcwlad_geo.matching.guidance import calibrate, guide_by_field
 from pcwlad_geo.matching.matcher import consistent_points, matched_again
-from pcwlad_geo.matching.settings import MatchSettings
-from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.matching.pose import mean_distance_px
+from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.registration.job_log import JobLog
-from pcwlad_geo.registration.judge import Verdict, judge
-from pcwlad_geo.registration.match_record import MatchRecord, record_matching
-from pcwlad_geo.registration.planning import Plan, common_region, plan
-from pcwlad_geo.registration.prealign import Look, target_offset_px
-from pcwlad_geo.registration.progress import Event, EventCallback, Warned
-from pcwlad_geo.registration.result import Prealignment
-from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.registration.tasks import Runner
+from pcwlad_geo.raster.rpc.view import plan_rpc_views
+from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.registration.judge import Verdict, judge, refusal
+from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, plan
+from pcwlad_geo.registration.prealign import (
+    Overviews,
+    Prealignment,
+    Start,
+    by_georeferencing,
+    by_pose_search,
+    by_search,
+    can_be_posed,
+    direct_start,
+    posed_start,
+    read_overviews,
+    searches_first,
+    target_offset_px,
+)
+from pcwlad_geo.registration.result import MatchRecord, record_matching
+from pcwlad_geo.registration.rpc import shifted
 from pcwlad_geo.registration.tiles import Guided, TileJob, TileResult, match_tile, rematch_tile
+from pcwlad_geo.tiepoints.table import TiePointTable, locate
+from pcwlad_geo.types import Bool, Float64, Index
 
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
-Index = NDArray[np.intp]
-
-LEAST_WINDOW_PX: Final = 41
+MIN_WINDOW_PX: Final = 41
+"""Smallest side of a matching window, and of a common area that is matched, px."""
 WINDOWS_ACROSS: Final = 1.6
 """An overlap narrower than this many windows gets smaller ones."""
 PLACES_PER_CALL: Final = 2000
-MOST_CALLS: Final = 64
-"""Of the predictions of a field: each takes all its points along."""
-MOST_WAVES: Final = 3
+"""Smallest number of places whose displacement is predicted by one call."""
+MAX_CALLS: Final = 64
+"""Largest number of such calls, as each is sent all points of the field."""
+MAX_WAVES: Final = 3
 """Of small windows: the first choices, and what follows where they give too little."""
+SHIFTED_ROUNDS: Final = 2
+"""Number of times that a target with RPC is matched again at the shift found."""
+POSED_ROUNDS: Final = 3
+"""Largest number of times that a target is matched again in the pose found."""
+STILL_PX: Final = 0.1
+"""Mean movement of the target by a new pose below which it is not matched again, px."""
+NEAR_PX: Final = 0.5
+"""A target that was found nearer than this to where it was assumed is not matched again, target px."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,26 +109,34 @@ class _FirstPass:
 
 
 def match_scene(
-    pair: ViewPair, look: Look, prealignment: Prealignment, settings: Settings, log: JobLog, runner: Runner
+    pair: ViewPair,
+    overviews: Overviews,
+    prealignment: Prealignment,
+    settings: Settings,
+    log: JobLog,
+    runner: Runner,
 ) -> Matched:
     """Match all tiles of a scene from one start, and judge what they gave."""
     offset = target_offset_px(pair, prealignment)
     matching = _match_settings(pair, offset, prealignment, settings, log)
-    planned = plan(pair, look, offset, matching, settings)
+    planned = plan(pair, overviews, offset, matching, settings)
     with log.stage("matching"):
         first = _first_pass(planned, log, runner)
     matches, counts = first.matches, _sum_counts(first.results)
     kept = consistent_points(matches, matching) if len(matches) else np.zeros(0, bool)
-    verdict = judge(matches, kept, counts, matching.window, prealignment.search_radius_px)
+    radius_px, odds = prealignment.search_radius_px, prealignment.odds
+    verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=odds)
     if verdict.accepted:
         with log.stage("refining"):
             again = _second_pass(first, matches, kept, matching, log, runner)
             matches, kept = _checked(again, matches, kept, matching)
         if again.lost.any():  # do the others suffice?
-            verdict = judge(first.matches, kept, counts, matching.window, prealignment.search_radius_px)
+            verdict = judge(first.matches, kept, counts, matching.window, radius_px, evidence=odds)
     counts["inconsistent"] = int((~kept).sum())
     counts["tie_points"] = int(kept.sum())
-    record = record_matching(pair, look, offset, matching, planned.barren, first.jobs, first.results)
+    record = record_matching(
+        pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results
+    )
     return Matched(matches, kept, counts, verdict, prealignment, record)
 
 
@@ -114,11 +144,13 @@ def _first_pass(planned: Plan, log: JobLog, runner: Runner) -> _FirstPass:
     """Match the tiles planned, and small windows of second choice where the first gave too little."""
     first = _FirstPass([], [], [])
     upcoming = planned.first
-    for _ in range(MOST_WAVES):
-        if runner.heeds_affinity:
+    for _ in range(MAX_WAVES):
+        if runner.honours_affinity:
             upcoming = [replace(job, returns=not job.guides_itself) for job in upcoming]
-        ran = runner.run(match_tile, [(job,) for job in upcoming], "matching", log.on_event)
-        first = _FirstPass(first.jobs + upcoming, first.results + ran.results, first.workers + ran.workers)
+        call_results = runner.run(match_tile, [(job,) for job in upcoming], "matching", log.on_event)
+        first = _FirstPass(
+            first.jobs + upcoming, first.results + call_results.results, first.workers + call_results.workers
+        )
         upcoming = planned.following(first.results)
         if not upcoming:
             break
@@ -210,7 +242,7 @@ def _predict_on(
         if isinstance(event, Warned):
             on_event(event)
 
-    size = max(PLACES_PER_CALL, -(-len(at) // MOST_CALLS))
+    size = max(PLACES_PER_CALL, -(-len(at) // MAX_CALLS))
     if len(at) <= size:
         return predict(xy, moved, at, surface)
     calls = [(xy, moved, at[begin : begin + size], surface) for begin in range(0, len(at), size)]
@@ -222,16 +254,16 @@ def _match_settings(
 ) -> MatchSettings:
     region = common_region(pair, offset)
     rows, cols = region.rows, region.cols
-    if prealignment.method == "georeferencing":  # a resampled view reaches beyond the overlap
+    if prealignment.method in ("georeferencing", "pose"):  # a resampled view reaches beyond the overlap
         rows, cols = min(rows, pair.overlap.rows), min(cols, pair.overlap.cols)
     narrow = min(rows, cols)
-    if narrow < LEAST_WINDOW_PX:
+    if narrow < MIN_WINDOW_PX:
         raise InputError(
             f"the common area is {cols} x {rows} px of the matching grid: too small to match "
-            f"(at least {LEAST_WINDOW_PX} px a side); use rasters that share more ground"
+            f"(at least {MIN_WINDOW_PX} px a side); use rasters that share more ground"
         )
     template, window = settings.template, settings.window
-    most = max(LEAST_WINDOW_PX, int(narrow / WINDOWS_ACROSS) // 2 * 2 - 1)
+    most = max(MIN_WINDOW_PX, int(narrow / WINDOWS_ACROSS) // 2 * 2 - 1)
     if max(template, window) > most:
         template, window = min(template, most), min(window, most)
         log.warn(
@@ -246,7 +278,7 @@ def _match_settings(
         features_area_px2=float(max((rows - margin) * (cols - margin), 1)),
         template=template,
         window=window,
-        search_radius=prealignment.search_radius_px,
+        search_radius=min(prealignment.search_radius_px, farthest_px(pair, offset)),
         ssim_min=settings.ssim_min,
         iterations=settings.iterations,
         consensus=settings.consensus,
@@ -268,3 +300,144 @@ def _warn_of_failures(results: Sequence[TileResult], log: JobLog) -> None:
         raise InputError(failed[0].reason or "no tile could be read")
     for result in failed:
         log.warn(f"tile {result.id} left out: {result.reason}")
+
+
+def match_from_best_start(
+    pair: ViewPair, overviews: Overviews, settings: Settings, log: JobLog, runner: Runner
+) -> tuple[Matched, ViewPair]:
+    """Match from the best start known; where that fails and the user left it open, from searches.
+
+    Returns
+    -------
+    matched : Matched
+    pair : ViewPair
+        The views that were matched: those given, or others where the target was found in another pose.
+    """
+    best: tuple[Matched, Start] | None = None
+    searched, tried = False, 0
+    for start in _starts(pair, overviews, settings, log):
+        searched |= start is None or start.prealignment.searched
+        if start is None:
+            continue
+        tried += 1
+        prealignment = replace(start.prealignment, searched=searched, tried=tried)
+        try:
+            result = match_scene(start.pair, start.overviews, prealignment, settings, log, runner)
+        except InputError:
+            if prealignment.pose is None:
+                raise
+            continue  # a pose in which too little is common
+        if result.verdict.accepted:
+            if prealignment.pose is not None:
+                result, start = _match_again_in_pose(result, start, settings, log, runner)
+            _warn_of_georeferencing(pair, prealignment, log)
+            return result, start.pair
+        if best is None or result.verdict.significance >= best[0].verdict.significance:
+            best = result, start
+    if best is None:
+        raise InputError("no start for the matching: give --prealign auto")
+    result, used = best
+    final = replace(result.prealignment, searched=searched, tried=tried)
+    reason = refusal(result.verdict, final)
+    return replace(result, prealignment=final, verdict=replace(result.verdict, reason=reason)), used.pair
+
+
+def _starts(pair: ViewPair, overviews: Overviews, settings: Settings, log: JobLog) -> Iterator[Start | None]:
+    """Yield what to start from, the best first; None where a search finds nothing credible."""
+    radius = settings.search_radius
+    direct = Start(direct_start(pair, settings), pair, overviews)
+    search_first = searches_first(pair, settings)
+    if not search_first:
+        yield direct
+    if not (search_first or (settings.prealign == "auto" and radius is None)):
+        return
+    with log.stage("prealignment"):
+        log.on_event(Progress("prealignment", 0, 1))
+        found, _ = by_search(pair, overviews, radius)
+        log.on_event(Progress("prealignment", 1, 1))
+    yield None if found is None else Start(found, pair, overviews)
+    if can_be_posed(pair):
+        with log.stage("prealignment"):
+            posed = by_pose_search(pair, overviews, radius)
+        yield posed
+    if search_first:
+        yield direct
+
+
+def _match_again_in_pose(
+    matched: Matched, start: Start, settings: Settings, log: JobLog, runner: Runner
+) -> tuple[Matched, Start]:
+    """Match a target again in the pose that the tie points tell, until that no longer moves.
+
+    The first pose is only as good as the search: in it the windows are turned and scaled by some percent.
+    """
+    for _ in range(POSED_ROUNDS):
+        points = matched.matches[matched.kept]
+        pair, rows_cols = start.pair, start.pair.reference.grid.shape
+        matrix = np.eye(3)
+        matrix[:2] = affine_between(points.reference_xy_px, points.target_xy_px)
+        as_it_is = np.eye(3)
+        as_it_is[:2, 2] = pair.offset_px
+        again = posed_start(pair, matrix, matched.prealignment.search_radius_px)
+        prealignment = replace(matched.prealignment, pose=again.prealignment.pose)
+        found = match_scene(again.pair, again.overviews, prealignment, settings, log, runner)
+        if not found.verdict.accepted:
+            break
+        matched, start = found, again
+        if mean_distance_px(matrix, as_it_is, rows_cols) < STILL_PX:
+            break
+    return matched, start
+
+
+def _warn_of_georeferencing(pair: ViewPair, prealignment: Prealignment, log: JobLog) -> None:
+    if prealignment.method == "search" and pair.georeferenced:
+        col, row = prealignment.shift_px
+        log.warn(
+            f"the georeferencing is off by about ({col:.0f}, {row:.0f}) px (col, row; of the "
+            "coarser raster): found by a search"
+        )
+    elif prealignment.pose is not None and pair.georeferenced:
+        log.warn(f"the georeferencing is off: a search found the target at {prealignment.pose}")
+
+
+def match_again_from_shifted_rpc(
+    matched: Matched, pair: ViewPair, settings: Settings, log: JobLog, runner: Runner
+) -> tuple[Matched, ViewPair]:
+    """Match a target with RPC again, as the shift found so far places it.
+
+    Where the RPC errs, the image is seen with the height of the ground beside: relief distorts the windows by
+    the more, the larger the error is.
+    """
+    for _ in range(SHIFTED_ROUNDS):
+        table = located(matched, pair, (pair.reference.info, pair.target.info))
+        shift_px = np.median(table.select("matched").displacement_px, axis=0)
+        if np.hypot(*shift_px) < NEAR_PX:
+            break
+        target = shifted(pair.target.info, shift_px)
+        shifted_pair = plan_rpc_views(pair.reference.info, target)
+        again = match_scene(
+            shifted_pair,
+            read_overviews(shifted_pair),
+            by_georeferencing(settings.search_radius),
+            settings,
+            log,
+            runner,
+        )
+        if not again.verdict.accepted:
+            break
+        matched, pair = replace(again, prealignment=matched.prealignment), shifted_pair
+    return matched, pair
+
+
+def located(matched: Matched, pair: ViewPair, originals: tuple[RasterInfo, RasterInfo]) -> TiePointTable:
+    """Return the matches in px of the original files, those that were not kept ``rejected``.
+
+    Parameters
+    ----------
+    pair : ViewPair
+        The views that they were found on.
+    originals : (RasterInfo, RasterInfo)
+        Reference and target as their own georeferencing places them.
+    """
+    table = locate(matched.matches, pair, originals)
+    return replace(table, status=np.where(matched.kept, "matched", "rejected"))

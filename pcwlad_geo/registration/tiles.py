@@ -1,53 +1,106 @@
-"""Tiles: what one task needs to match a part of the scene, and the task itself."""
+"""Tiles: the tasks that each match a part of the scene, their input and their results."""
 
 from __future__ import annotations
 
-import time
+import threading
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.candidates import Candidates
-from pcwlad_geo.matching.field import Surface
+from pcwlad_geo.events import EventCallback, Warned
+from pcwlad_geo.execution.runner import Runner
+from pcwlad_geo.matching.field import Surface, predict
 from pcwlad_geo.matching.guidance import FieldGuide, guide_by_field
+from pcwlad_geo.matching.kernels.compiled import can_be_cached, is_cached
+from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
+from pcwlad_geo.matching.kernels.phase_congruency import combine_orientations, combine_scales, filter_rows
+from pcwlad_geo.matching.kernels.refinement import refine_points
+from pcwlad_geo.matching.keypoints import Candidates
 from pcwlad_geo.matching.matcher import (
     Core,
     consistent_points,
     margin_px,
+    match_arrays,
     match_candidates,
     rematch,
 )
-from pcwlad_geo.matching.noise import Noise
-from pcwlad_geo.matching.prepare import Image, PreparedPair, StackPair, prepare
-from pcwlad_geo.matching.settings import TRAITS, MatchSettings
-from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.matching.prepare import ChannelPair, Image, Noise, PreparedPair, prepare
+from pcwlad_geo.matching.refinement import ChannelMaps
+from pcwlad_geo.matching.types import TRAITS, MatchSettings, Method, TiePoints
+from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.raster.windows import Window
-from pcwlad_geo.registration.kept_pairs import KeptPairs
+from pcwlad_geo.types import Bool, Float32, Float64, Index
 
-_KEPT = KeptPairs()
+MAX_BYTES: Final = 240 << 20
+"""Largest size of the maps that a worker's tile cache holds."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Maps:
+    """The maps of an image without their spline coefficients, which are quickly computed again."""
+
+    maps: Float32
+    valid: Bool
+
+    @property
+    def nbytes(self) -> int:
+        return self.maps.nbytes + self.valid.nbytes
+
+
+@dataclass(slots=True)
+class TileCache:
+    """Cache of the prepared pairs of one scene by tile; pairs that would exceed the limit are not stored."""
+
+    most_bytes: int = MAX_BYTES
+    _scene: Hashable = None
+    _pairs: dict[int, tuple[_Maps, _Maps]] = field(default_factory=dict)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def keep(self, scene: Hashable, tile: int, pair: ChannelPair) -> None:
+        """Store the `pair` of `tile` if there is room, and remove those of any other `scene`."""
+        reference, target = (_Maps(stack.maps, stack.valid) for stack in (pair.reference, pair.target))
+        with self._lock:
+            if scene != self._scene:
+                self._scene = scene
+                self._pairs.clear()
+            so_far = sum(maps.nbytes for kept in self._pairs.values() for maps in kept)
+            if so_far + reference.nbytes + target.nbytes <= self.most_bytes:
+                self._pairs[tile] = reference, target
+
+    def take(self, scene: Hashable, tile: int) -> ChannelPair | None:
+        """Return the pair of `tile` of `scene` and remove it; None if it is not stored."""
+        with self._lock:
+            kept = self._pairs.pop(tile, None) if scene == self._scene else None
+        return (
+            None if kept is None else ChannelPair(*(ChannelMaps.of(each.maps, each.valid) for each in kept))
+        )
+
+
+_CACHE = TileCache()
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What all tiles of a band have in common, measured once."""
+    """Properties of a band that all its tiles have in common, measured once."""
 
     epsilon: float
+    """ε of the phase congruency, see `maps.scene_epsilon`."""
     noise: Noise
+    """Noise of the band."""
 
 
 @dataclass(frozen=True, slots=True)
 class TileJob:
-    """A tile: small and picklable, no arrays, no open files."""
+    """The task of matching a tile: small and picklable, without arrays and open files."""
 
     id: int
     reference: View
     target: View
     region: Window
-    """What all tiles cover together; the cells of the corners are laid out from its first pixel."""
+    """Window that all tiles cover together; the lattice of the cells of corners begins at its first pixel."""
     core: Window
     """Part of the reference view whose corners are matched."""
     target_offset_px: tuple[int, int]
@@ -56,15 +109,15 @@ class TileJob:
     target_scene: Scene
     settings: MatchSettings
     guides_itself: bool = False
-    """It holds enough neighbours for its own second pass."""
+    """Whether the tile has enough neighbours for its own second pass."""
     returns: bool = False
-    """Its second pass comes to the same worker, which keeps the maps if it can."""
+    """Whether the second pass goes to the same worker, which caches the maps if it can."""
     cell_margin_px: int = 0
-    """How far a cell of candidates that begins in the core may reach beyond it."""
+    """Largest distance by which a cell of candidates that begins in the core extends beyond it."""
 
     @property
     def scene(self) -> tuple[View, View, tuple[int, int], Window, MatchSettings]:
-        """What tells the tiles of one scene and start from others of the same number."""
+        """What identifies the tiles of one scene and start, beside their number."""
         return self.reference, self.target, self.target_offset_px, self.region, self.settings
 
     @property
@@ -74,7 +127,7 @@ class TileJob:
 
     @property
     def read_window(self) -> Window:
-        """The part of the reference view that is read: with the halo of the filters."""
+        """The part of the reference view that is read, including the halo of the filters."""
         return self.window.padded(TRAITS[self.settings.method].halo_px)
 
 
@@ -82,10 +135,10 @@ class TileJob:
 class Guided:
     """Second pass of a tile that guides itself."""
 
-    index: NDArray[np.intp]
-    """(n,) which of the tile's points."""
+    index: Index
+    """(n,) indices of the consistent points among those of the tile."""
     points: TiePoints
-    """n, covariances formal."""
+    """The n points matched again, covariances formal."""
     surface: Surface | None
     """See `guidance.FieldGuide`."""
     shared_variance_px2: float
@@ -93,31 +146,27 @@ class Guided:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TileResult:
-    """What a tile gave, in pixel coordinates of the two views."""
+    """The result of a tile, in pixel coordinates of the two views."""
 
     id: int
     status: Literal["matched", "empty", "failed"]
     points: TiePoints
-    """Each found on its own, or the second pass of the points given."""
+    """Points each matched independently, or the second pass of given points."""
     counts: dict[str, int]
     reason: str | None
-    seconds: float
     guided: Guided | None = None
     lost: Candidates = field(default_factory=Candidates.empty)
-    """Of the first pass: those that found no match, reference-view px."""
+    """Candidates of the first pass without a match, reference-view px."""
 
 
 def match_tile(job: TileJob) -> TileResult:
-    """First pass of a tile; the second one too where the tile guides itself."""
-    begun = time.perf_counter()
+    """Run the first pass of a tile, and the second one if the tile guides itself."""
     try:
         pair = _prepare(job)
     except InputError as error:
-        return TileResult(job.id, "failed", TiePoints.empty(), {}, str(error), time.perf_counter() - begun)
+        return TileResult(job.id, "failed", TiePoints.empty(), {}, str(error))
     if pair is None:
-        return TileResult(
-            job.id, "empty", TiePoints.empty(), {}, "no valid pixels", time.perf_counter() - begun
-        )
+        return TileResult(job.id, "empty", TiePoints.empty(), {}, "no valid pixels")
     window, core = job.window, job.core
     inside = Core(
         core.row - window.row,
@@ -128,7 +177,7 @@ def match_tile(job: TileJob) -> TileResult:
     )
     points, candidates = match_candidates(pair, inside, job.settings)
     if job.returns and len(points):
-        _KEPT.keep(job.scene, job.id, pair.stacks)
+        _CACHE.keep(job.scene, job.id, pair.channels)
     guided = _guided(job, pair, points) if job.guides_itself else None
     return TileResult(
         job.id,
@@ -136,43 +185,41 @@ def match_tile(job: TileJob) -> TileResult:
         points.shifted(*_origins(job)),
         candidates.counts,
         None,
-        time.perf_counter() - begun,
         guided,
         candidates.lost.shifted(_origins(job)[0]),
     )
 
 
 def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide) -> TileResult:
-    """Second pass of a tile: its consistent points again, guided by the displacement field."""
-    begun = time.perf_counter()
+    """Run the second pass of the tile `job`: match its consistent `points` again, with their `guide`."""
     try:
-        stacks = _KEPT.take(job.scene, job.id) or _stacks(job)
+        channels = _CACHE.take(job.scene, job.id) or _stacks(job)
     except InputError as error:
-        return TileResult(job.id, "failed", points, {}, str(error), time.perf_counter() - begun)
-    if stacks is None:
-        return TileResult(job.id, "empty", points, {}, "no valid pixels", time.perf_counter() - begun)
+        return TileResult(job.id, "failed", points, {}, str(error))
+    if channels is None:
+        return TileResult(job.id, "empty", points, {}, "no valid pixels")
     reference_origin, target_origin = _origins(job)
     inside = points.shifted(-reference_origin, -target_origin)
-    # shifts inside the arrays leave out the offset between the two windows
+    # shifts inside the arrays do not include the offset between the two windows
     between = target_origin - reference_origin
-    again = rematch(stacks, inside, guide.moved(-between), job.settings)
+    again = rematch(channels, inside, guide.moved(-between), job.settings)
     moved = again.shifted(reference_origin, target_origin)
-    return TileResult(job.id, "matched", moved, {}, None, time.perf_counter() - begun)
+    return TileResult(job.id, "matched", moved, {}, None)
 
 
 def _guided(job: TileJob, pair: PreparedPair, points: TiePoints) -> Guided:
     reference_origin, target_origin = _origins(job)
-    # in pixels of the views: which points agree must not depend on where the tile begins
+    # in pixels of the views: the points that agree must not depend on where the tile begins
     seen = points.shifted(reference_origin, target_origin)
     index = np.flatnonzero(consistent_points(seen, job.settings))
     guide = guide_by_field(seen[index], job.settings)
-    again = rematch(pair.stacks, points[index], guide.moved(reference_origin - target_origin), job.settings)
+    again = rematch(pair.channels, points[index], guide.moved(reference_origin - target_origin), job.settings)
     moved = again.shifted(reference_origin, target_origin)
     return Guided(index, moved, guide.surface, guide.shared_variance_px2)
 
 
 def _prepare(job: TileJob) -> PreparedPair | None:
-    """Read and prepare the tile's window; None where a band shows nothing of it."""
+    """Read and prepare the tile's window; None if a band has no valid pixel there."""
     window, traits = job.read_window, TRAITS[job.settings.method]
     reference = job.reference.read(window)
     target = job.target.read(window.moved(job.target_offset_px[1], job.target_offset_px[0]))
@@ -186,11 +233,95 @@ def _prepare(job: TileJob) -> PreparedPair | None:
     )
 
 
-def _stacks(job: TileJob) -> StackPair | None:
+def _stacks(job: TileJob) -> ChannelPair | None:
     pair = _prepare(job)
-    return None if pair is None else pair.stacks
+    return None if pair is None else pair.channels
 
 
-def _origins(job: TileJob) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _origins(job: TileJob) -> tuple[Float64, Float64]:
     reference = np.array([job.window.col, job.window.row], np.float64)
     return reference, reference + job.target_offset_px
+
+
+COMPILED_ONCE: Final = "first start: the inner loops are compiled now, which takes about half a minute, once"
+"""Warning before kernels are compiled and cached on disk."""
+COMPILED_ALWAYS: Final = (
+    "the inner loops are compiled at every start, which takes about half a minute, as there is no folder "
+    "to keep them in: set NUMBA_CACHE_DIR to one that can be written"
+)
+"""Warning before kernels are compiled that cannot be cached on disk."""
+
+
+def load_kernels(method: Method, runner: Runner, on_event: EventCallback) -> None:
+    """Have the workers load the kernels of a method; kernels not on disk are compiled here before.
+
+    Parameters
+    ----------
+    method : str
+        Matching method.
+    runner : Runner
+        Has the workers.
+    on_event : callable
+        Receives a warning before anything is compiled.
+    """
+    if not kernels_are_cached(method):
+        on_event(Warned(COMPILED_ONCE if kernels_can_be_cached(method) else COMPILED_ALWAYS))
+        compile_kernels(method)
+    runner.prepare(compile_kernels, (method,))
+
+
+def load_own_kernel() -> None:
+    """Load the kernel that this process itself calls between the passes, while the workers match."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [2.0, 0.0], [0.0, 2.0]])
+    predict(corners, corners, corners[:1], Surface(6, 1))
+
+
+SIDE_PX: Final = 128
+"""Side of the synthetic images that are matched to compile the kernels."""
+WINDOW_PX: Final = 21
+"""Side of the template and of the refinement window in that match."""
+POINTS: Final = 60
+"""Candidates in that match, enough for a displacement field to be fitted to the tie points."""
+
+
+def kernels_are_cached(method: Method) -> bool:
+    """Return whether all kernels of a method are in the cache on disk, so that starting is quick."""
+    return all(is_cached(kernel) for kernel in kernels_of(method))
+
+
+def kernels_can_be_cached(method: Method) -> bool:
+    """Tell whether the kernels of a method are kept on disk once they are compiled."""
+    return all(can_be_cached(kernel) for kernel in kernels_of(method))
+
+
+def kernels_of(method: Method) -> tuple[Callable[..., Any], ...]:
+    """Return the kernels that a method may call."""
+    always = (refine_points, fit_surfaces)
+    phase = (filter_rows, combine_scales, combine_orientations)
+    return always if TRAITS[method].channels == "gradients" else always + phase
+
+
+def compile_kernels(method: Method) -> None:
+    """Match a small pair of images, so that every kernel of the method is compiled or loaded.
+
+    Parameters
+    ----------
+    method : str
+        Matching method.
+    """
+    settings = MatchSettings(
+        method=method,
+        template=WINDOW_PX,
+        window=WINDOW_PX,
+        features=POINTS,
+        search_radius=3,
+        consensus="auto",
+    )
+    match_arrays(_blobs(0.0), _blobs(0.4), settings=settings)
+
+
+def _blobs(shift_px: float) -> Float64:
+    """Return an image with corners everywhere."""
+    row, col = np.mgrid[:SIDE_PX, :SIDE_PX] + shift_px
+    wave = np.sin(0.031 * row * col) + np.sin(0.4 * row + 0.1 * col) * np.cos(0.5 * col)
+    return np.asarray(np.tanh(2 * wave))

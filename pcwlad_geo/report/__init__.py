@@ -1,1 +1,1 @@
-"""From numbers to figures to the page that people read."""
+"""The report of a registration: statistics, figures, the page and report.json."""

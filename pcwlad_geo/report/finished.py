@@ -1,4 +1,4 @@
-"""A finished registration, read back from its folder: enough to apply its correction again."""
+"""A finished registration, read from its output folder, so that its correction can be applied again."""
 
 from __future__ import annotations
 
@@ -14,47 +14,49 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from pcwlad_geo.correction.models import Correction, from_json
-from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.input_files import read_text
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.limits import check_geotransform, check_shape
+from pcwlad_geo.raster.grid import Grid, is_invertible, linear_part
 from pcwlad_geo.raster.identity import FileIdentity
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest
-from pcwlad_geo.registration.output_wishes import grid_request
-from pcwlad_geo.registration.rpc_sibling import CorrectedRpc
+from pcwlad_geo.raster.rpc.dem import Dem, Vertical
+from pcwlad_geo.raster.rpc.model import RpcModel
+from pcwlad_geo.raster.rpc.view import ground_grid
+from pcwlad_geo.registration.inputs import grid_request, requested_grid
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.rpc import CorrectedRpc, RpcRegistration
 from pcwlad_geo.report.summary import SCHEMA_VERSION
+from pcwlad_geo.text import read_text
 
 NUMBERS = "report.json"
+"""Name of the file in an output folder that describes the registration."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinishedRegistration:
-    """What `pcwlad-geo register` has found."""
+    """The result of an earlier `pcwlad-geo register`."""
 
     correction: Correction
     """Maps predicted to observed pixels of `target_grid`."""
     reference_grid: Grid
     target_grid: Grid
     request: GridRequest
-    """The output grid that was asked for."""
+    """The output grid that was requested."""
     made: OutputFormat
     """The format of the registered raster."""
     resampling: str
     rpc: CorrectedRpc | None = None
-    """Of a target with RPC; its siblings are corrected by this."""
+    """RPCs of a target with one, by which other images taken with it are corrected."""
     inputs: tuple[FileIdentity, ...] = ()
-    """The files that it was made from; empty in reports of earlier versions."""
+    """Identities of the input files; empty in reports of earlier versions."""
 
 
 def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
     """Read a registration from its output folder, or from its report.json.
 
-    Raises
-    ------
-    InputError
-        If there is no report.json of a finished registration, or the registration does not meet its
-        requirements and was not kept all the same.
+    Raises `InputError` if there is no report.json of a finished registration, or the registration does not
+    meet its requirements and was made without `keep`.
     """
     path = Path(folder)
     path = path / NUMBERS if path.is_dir() else path
@@ -64,22 +66,60 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
         settings = report["settings"]
         return FinishedRegistration(
             correction=from_json(report["model"]),
-            reference_grid=_grid(report["reference"].get("ground") or report["reference"]),
-            target_grid=_grid(report["target"]),
-            request=_request(report),
+            reference_grid=_grid(path, report["reference"].get("ground") or report["reference"]),
+            target_grid=_grid(path, report["target"]),
+            request=_request(path, report),
             made=OutputFormat.of(settings.get("of", "COG"), settings.get("co", ())),
             resampling=str(settings["resampling"]),
             rpc=_rpc(report["rpc"], report["target"], settings) if report.get("rpc") else None,
             inputs=tuple(FileIdentity.from_json(each) for each in report.get("inputs", ())),
         )
-    except (KeyError, TypeError, ValueError, CRSError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, CRSError) as error:
         raise InputError(
             f"{path} is damaged ({type(error).__name__}: {error}): register the pair again"
         ) from error
 
 
+def finished(registration: Registration) -> FinishedRegistration:
+    """Return what `read_registration` reads, from a registration in memory.
+
+    Raises `InputError` if it holds no correction.
+    """
+    settings, rpc = registration.settings, registration.rpc
+    if registration.correction is None:
+        raise InputError(f"a pair that is {registration.status} has no correction: fit one first")
+    return FinishedRegistration(
+        correction=registration.correction,
+        reference_grid=ground_grid(registration.reference.grid),
+        target_grid=registration.target.grid,
+        request=requested_grid(settings),
+        made=OutputFormat.of(settings.of, settings.co),
+        resampling=settings.resampling,
+        rpc=None if rpc is None else _corrected_rpc(rpc, registration),
+        inputs=tuple(file.identity for file in registration.inputs),
+    )
+
+
+def _corrected_rpc(rpc: RpcRegistration, registration: Registration) -> CorrectedRpc:
+    heights, settings = rpc.original.heights, registration.settings
+    dem = heights if isinstance(heights, Dem) else None
+    return CorrectedRpc(
+        original=rpc.original.rpc,
+        corrected=rpc.corrected_grid.rpc,
+        shape=registration.target.grid.shape,
+        dem=dem.uri if dem else None,
+        dem_vertical=_vertical(settings.dem_vertical) if dem else None,
+        height_m=None if isinstance(heights, Dem) else heights.height_m,
+        trusted=settings.trust_rpc,
+    )
+
+
+def _vertical(given: float | Path | str | None) -> Vertical:
+    return os.fspath(given) if isinstance(given, Path) else given
+
+
 def _report(path: Path) -> Mapping[str, Any]:
-    """Return the content of a report.json that tells a registration."""
+    """Return the content of the report.json of a registration."""
     try:
         report = json.loads(read_text(path))
     except OSError as error:
@@ -110,7 +150,7 @@ def _report(path: Path) -> Mapping[str, Any]:
 
 
 def _check_requirements(path: Path, report: Mapping[str, Any]) -> None:
-    """Raise where the registration itself was given no corrected raster: its siblings get none either."""
+    """Raise if the registration has no corrected raster because it does not meet its requirements."""
     if report.get("passed") is not False or report["settings"].get("keep"):
         return
     missed = "; ".join(each["message"] for each in report["requirements"] if not each["met"])
@@ -120,11 +160,11 @@ def _check_requirements(path: Path, report: Mapping[str, Any]) -> None:
     )
 
 
-def _request(report: Mapping[str, Any]) -> GridRequest:
-    """Return the output grid that was asked for; where another raster gave it, that raster is not needed."""
+def _request(path: Path, report: Mapping[str, Any]) -> GridRequest:
+    """Return the requested output grid; a raster that defined it is not needed again."""
     settings = report["settings"]
     if settings.get("like") is not None:
-        return GridRequest(like=_grid(report["output_grid"]))
+        return GridRequest(like=_grid(path, report["output_grid"]))
     size, extent = (settings.get(name) for name in ("tr", "te"))
     return grid_request(
         settings["grid"],
@@ -156,8 +196,13 @@ def _model(numbers: Mapping[str, Any]) -> RpcModel:
     return RpcModel(**values)
 
 
-def _grid(raster: Mapping[str, Any]) -> Grid:
-    rows, cols = raster["shape"]
+def _grid(path: Path, raster: Mapping[str, Any]) -> Grid:
+    """Return the grid that a report gives, which is bounded as one that a raster gives."""
+    rows, cols = (int(count) for count in raster["shape"])
     crs = raster["crs"]
     place = Affine(*(float(value) for value in raster["transform"]))
-    return Grid((int(rows), int(cols)), place, None if crs is None else CRS.from_string(crs))
+    if min(rows, cols) < 1 or not is_invertible(linear_part(place)):
+        raise ValueError(f"a raster of {cols} x {rows} pixels, or a geotransform without an inverse")
+    check_shape(str(path), (rows, cols), 1)
+    check_geotransform(str(path), tuple(place)[:6], (rows, cols))
+    return Grid((rows, cols), place, None if crs is None else CRS.from_string(crs))

@@ -1,87 +1,304 @@
-"""Error statistics of a registration, before and after its correction, in three units."""
+"""Statistics of a registration: errors, predicted sigma, coverage, and what they are required to be."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
+from pcwlad_geo.correction.selection import Selection
+from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
+from pcwlad_geo.products.detect import native_per_px, native_px_m
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
-from pcwlad_geo.raster.native_pixels import native_per_px, native_px_m
-from pcwlad_geo.raster.rpc_grid import levelled
+from pcwlad_geo.raster.rpc.grid import at_mean_height
 from pcwlad_geo.raster.source import RasterInfo, file_name
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.result import GROUND, MatchRecord, Registration
+from pcwlad_geo.requirements import Requirement, RequirementResult, value_of
+from pcwlad_geo.tiepoints.table import TiePointTable
+from pcwlad_geo.types import Bool, Float64
 
-KEPT: Final = ("fit", "check", "unused", "matched")
-"""Statuses of the tie points that the displacement statistics count."""
-GROUPS: Final[Mapping[str, tuple[str, ...]]] = {"all": KEPT, "fit": ("fit",), "check": ("check",)}
+COMPILED_ONCE: Final = ("fit", "check", "unused", "matched")
+"""Statuses of the tie points that are included in displacement statistics."""
+Group = Literal["all", "fit", "check"]
+GROUPS: Final[Mapping[Group, tuple[str, ...]]] = {"all": COMPILED_ONCE, "fit": ("fit",), "check": ("check",)}
 """Statuses of the tie points of a group, by its name."""
 DIGITS: Final = 5
+"""Number of decimal places of statistics."""
 When = Literal["before", "after"]
-WHEN: Final[tuple[When, ...]] = ("before", "after")
-
-Array = NDArray[np.float64]
+"""State of the registration for which statistics are given: before or after the correction."""
 
 
-def error_statistics(registration: Registration) -> dict[str, object]:
-    """Return the statistics of displacements (before) and residuals (after) of all, fit and check points.
-
-    Returns
-    -------
-    dict
-        `before` and `after`, each with the groups `all`, `fit`, `check`: None, or `n` and, by unit (`px` of
-        the target, `native_px`, `m`), `col`, `row`, `radial` and `net` (without the matching noise) as
-        `ErrorStatistics` has them. Metres are target px times the size of the pixel on the ground at each
-        point, along its columns and rows; a unit that is not known is None. `native_px_m` is the coarser
-        native pixel of the two, None where none is known.
-    """
-    found: dict[str, object] = {
-        when: {group: _plain(statistics_of(registration, when, group)) for group in GROUPS} for when in WHEN
-    }
-    return {"native_px_m": native_size_m(registration.reference, registration.target), **found}
-
-
-def statistics_of(registration: Registration, when: When, group: str) -> dict[str, ErrorStatistics | None]:
-    """Return the statistics of one of the `GROUPS` before or after the correction, by unit."""
+def statistics_of(registration: Registration, when: When, group: Group) -> dict[str, ErrorStatistics | None]:
+    """Return the statistics by unit of a `group` of `GROUPS` of a `registration`; `when`: before or after."""
     points = registration.tie_points.select(*GROUPS[group])
-    native = native_size_m(registration.reference, registration.target)
-    sizes_m = pixel_sizes_m(levelled(registration.target.grid), points.predicted_px)
+    native_m, px_m = native_size_m(registration.reference, registration.target), registration.px_m
+    native = None if px_m is None or native_m is None else native_per_px(px_m, native_m)
+    sizes_m = pixel_sizes_m(at_mean_height(registration.target.grid), points.predicted_px)
     errors_px = points.displacement_px if when == "before" else points.residual_px
-    return in_units(errors_px, points.sigma_px, _factors(registration.px_m, sizes_m, native))
+    return in_units(errors_px, points.sigma_px, {"px": np.ones(2), "native_px": native, "m": sizes_m})
 
 
 def native_size_m(*rasters: RasterInfo) -> float | None:
-    """Return the coarsest pixel that the sensors recorded, as far as file names tell, metres."""
+    """Return the coarsest native pixel size of rasters in metres, if file names determine it, else None."""
     sizes = [native_px_m(Path(file_name(info.uri)).stem, None) for info in rasters]
     return max((size for size in sizes if size is not None), default=None)
 
 
-def _factors(
-    px_m: tuple[float, float] | None, sizes_m: Array | None, native_m: float | None
-) -> dict[str, Array | None]:
-    native = None if px_m is None or native_m is None else native_per_px(px_m, native_m)
-    return {"px": np.ones(2), "native_px": native, "m": sizes_m}
+LATTICE_SIDE = 80
+"""Number of nodes along the longer side of the target."""
 
 
-def _plain(by_unit: Mapping[str, ErrorStatistics | None]) -> dict[str, object] | None:
-    in_px = by_unit["px"]
-    if in_px is None:
-        return None
-    return {"n": in_px.n} | {
-        unit: None if found is None else rounded({k: v for k, v in asdict(found).items() if k != "n"})
-        for unit, found in by_unit.items()
-    }
+@dataclass(frozen=True, slots=True, eq=False)
+class PrecisionMap:
+    """Sigma on a lattice over the target."""
+
+    target_shape: tuple[int, int]
+    """Rows and columns of the target."""
+    places_px: Float64
+    """(rows, columns, 2) positions (col, row), target px."""
+    sigma_px: Float64
+    """(rows, columns, 2) standard deviation (col, row), target px."""
+    extrapolated: Bool
+    """(rows, columns) array, True where the correction extrapolates beyond the tie points."""
+
+    @classmethod
+    def of(cls, selection: Selection, target_shape: tuple[int, int]) -> PrecisionMap:
+        """Evaluate the sigma of a `selection` on a lattice over a target of `target_shape` (rows, cols)."""
+        step = max(target_shape) / LATTICE_SIDE
+        rows, cols = ((np.arange(count) + 0.5) * side / count for side, count in _counts(target_shape, step))
+        places = np.stack(np.meshgrid(cols, rows), axis=-1)
+        flat = places.reshape(-1, 2)
+        return cls(
+            target_shape,
+            places,
+            selection.sigma(flat).reshape(places.shape),
+            selection.extrapolated(flat).reshape(places.shape[:2]),
+        )
 
 
-def rounded(value: object) -> object:
-    """Return numbers, also those within, without the digits that say nothing."""
-    if isinstance(value, float):
-        return round(value, DIGITS)
-    if isinstance(value, Mapping):
-        return {name: rounded(item) for name, item in value.items()}
-    return [rounded(item) for item in value] if isinstance(value, list | tuple) else value
+def precision_of(registration: Registration) -> PrecisionMap | None:
+    """Return the predicted sigma of a registration's correction; None if there is no correction."""
+    selection = registration.selection
+    return None if selection is None else PrecisionMap.of(selection, registration.target.grid.shape)
+
+
+def _counts(shape: tuple[int, int], step: float) -> list[tuple[int, int]]:
+    return [(side, max(round(side / step), 1)) for side in shape]
+
+
+SQUARES: Final = 12
+"""Largest number of squares along the longer side of the reference."""
+MIN_DATA: Final = 0.1
+"""Least share of a square that can be matched; with less the square counts as without data."""
+LOST: Final = (*OUTCOMES[1:], "rejected")
+"""Reasons from rejected candidates: the stage that rejected most of those in the square."""
+REASONS: Final = (*GROUND[1:], "unread", "not_asked", *LOST, "unknown")
+"""Reasons for which a square has no tie point."""
+NO_DATA: Final = ("reference_without_data", "target_without_data")
+"""Reasons for which no tie point can be expected."""
+
+SHARE_DIGITS: Final = 3
+"""Number of decimal places of shares in the report."""
+JOINED: Final = 0.5
+"""Share of their extent that windows must exceed to count as contiguous tiles."""
+TINY: Final = 1e-9
+"""Tolerance of rounding errors in units of squares."""
+
+Counts = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coverage:
+    """Number of tie points by square of the reference."""
+
+    shape_px: tuple[int, int]
+    """Rows and columns of the reference."""
+    points: Counts
+    """(rows, columns) number of tie points that are not rejected."""
+    reason: NDArray[np.str_]
+    """(rows, columns) one of `REASONS` where there is no tie point; empty elsewhere."""
+
+    @property
+    def without(self) -> dict[str, int]:
+        """Number of squares without tie point by reason, for reasons that occur."""
+        return {name: int(count) for name in REASONS if (count := np.count_nonzero(self.reason == name))}
+
+    @property
+    def empty_share(self) -> float:
+        """Share of the squares with data that have no tie point.
+
+        A square in which none was requested counts as covered if a neighbouring square has one.
+        """
+        with_data = ~np.isin(self.reason, NO_DATA)
+        near = binary_dilation(self.points > 0, np.ones((3, 3)))
+        missing = with_data & (self.points == 0) & ~(near & np.isin(self.reason, ("not_asked", "unknown")))
+        return float(missing.sum() / max(int(with_data.sum()), 1))
+
+
+def coverage_of(table: TiePointTable, shape_px: tuple[int, int], record: MatchRecord | None) -> Coverage:
+    """Count the tie points of each square, and determine the reason where there are none.
+
+    The reason is the first that applies: no data in one of the images, too near to an edge, no structure,
+    an unreadable part, no window or fewer points requested, the stage that rejected most candidates.
+
+    Parameters
+    ----------
+    shape_px : (rows, cols)
+        Size of the reference, px.
+    record : MatchRecord, optional
+        Spatial record of the matching.
+    """
+    step = max(max(shape_px) / SQUARES, _spacing_px(record))
+    frame = _Frame(shape_px, (max(1, round(shape_px[0] / step)), max(1, round(shape_px[1] / step))))
+    points = frame.count(table.select(*COMPILED_ONCE).reference_px)
+    reason = np.full(frame.squares, "unknown", dtype="<U24")
+    if record is not None:
+        # from the weakest reason to the strongest
+        rejected = frame.count(table.select("rejected").reference_px)
+        if record.searched:
+            reason = _by_matching(record, rejected, frame)
+        reason = np.where(frame.count(record.thinned_px) > 0, "not_asked", reason)
+        ground = _by_ground(record.ground, frame)
+        reason = np.where(ground == "", reason, ground)
+    return Coverage(shape_px, points, np.where(points > 0, "", reason))
+
+
+def _spacing_px(record: MatchRecord | None) -> float:
+    """Return the spacing of separate windows, the least side of a square, px; 0 for contiguous tiles."""
+    if record is None or not record.searched:
+        return 0.0
+    first, last = record.windows_px[:, :2], record.windows_px[:, 2:]
+    region = float(np.prod(np.nanmax(last, axis=0) - np.nanmin(first, axis=0)))
+    covered = float(np.nansum((last - first).prod(axis=1)))
+    return (region / len(first)) ** 0.5 if covered < JOINED * region else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """The squares of an image."""
+
+    shape_px: tuple[int, int]
+    squares: tuple[int, int]
+
+    def count(self, at_px: Float64) -> Counts:
+        """Return the (rows, columns) number of (n, 2) positions `at_px` (col, row), px, in each square."""
+        rows, cols = self.squares
+        at_px = at_px[np.isfinite(at_px).all(axis=1)]
+        scale = np.array([cols / self.shape_px[1], rows / self.shape_px[0]])
+        col, row = np.clip((at_px * scale).astype(int), 0, [cols - 1, rows - 1]).T
+        return np.bincount(row * cols + col, minlength=rows * cols).reshape(rows, cols)
+
+    def touched(self, boxes_px: Float64) -> Bool:
+        """Return the squares that a box of (n, 4) `boxes_px` overlaps by half a side of either."""
+        found = np.zeros(self.squares, bool)
+        scale = np.array([self.squares[1] / self.shape_px[1], self.squares[0] / self.shape_px[0]])
+        for box in boxes_px[np.isfinite(boxes_px).all(axis=1)]:
+            first, last = box[:2] * scale, box[2:] * scale
+            half = np.minimum(last - first, 1.0) / 2
+            begin = np.maximum(np.ceil(first + half - 1.0 - TINY), 0).astype(int)
+            end = np.maximum(np.floor(last - half + TINY) + 1, 0).astype(int)
+            found[begin[1] : end[1], begin[0] : end[0]] = True
+        return found
+
+
+def _by_ground(ground: NDArray[np.uint8], frame: _Frame) -> NDArray[np.str_]:
+    """Return the reason why a square cannot be matched at all; empty where it can."""
+    usable, flat, edge, *without = (_share(ground == index, frame.squares) for index in range(len(GROUND)))
+    reason = np.where(usable < MIN_DATA, "no_texture", "")
+    reason = np.where(usable + flat < MIN_DATA, "edge", reason)
+    worst = np.array(GROUND[3:])[np.argmax(without, axis=0)]
+    return np.where(usable + flat + edge < MIN_DATA, worst, reason)
+
+
+def _by_matching(record: MatchRecord, rejected: Counts, frame: _Frame) -> NDArray[np.str_]:
+    """Return the reasons from the matching for squares without tie points."""
+    lost = [_lost_to(record.lost, index, frame) for index in range(1, len(OUTCOMES))]
+    losses = np.array([*lost, rejected])
+    reason = np.array(LOST, dtype="<U24")[losses.argmax(axis=0)]
+    no_candidate = losses.sum(axis=0) == 0
+    asked, without_structure = frame.touched(record.windows_px), frame.touched(record.without_structure_px)
+    reason = np.where(no_candidate, np.where(asked | without_structure, "no_texture", "not_asked"), reason)
+    unread = frame.touched(record.windows_px[record.unread])
+    return np.where(no_candidate & unread, "unread", reason)
+
+
+def _lost_to(lost: Candidates, outcome: int, frame: _Frame) -> Counts:
+    return frame.count(lost.reference_xy_px[lost.outcome == outcome])
+
+
+def _share(mask: Bool, squares: tuple[int, int]) -> Float64:
+    """Return the share of True in each square of a mask."""
+    parts = [np.array_split(half, squares[1], axis=1) for half in np.array_split(mask, squares[0], axis=0)]
+    return np.array([[part.mean() if part.size else 1.0 for part in row] for row in parts])
+
+
+NO_CHECK_POINTS: Final = "there are too few tie points to keep some out of the fit as check points"
+"""Reason why the accuracy at check points is not known."""
+NO_METRES: Final = "metres are not known without a CRS"
+"""Reason why a length in metres is not known."""
+NO_NATIVE_PX: Final = "the native pixel is not known: the file names do not tell it"
+"""Reason why a length in native pixels is not known."""
+
+
+def judge_requirements(
+    registration: Registration, requirements: Sequence[Requirement]
+) -> tuple[RequirementResult, ...]:
+    """Compare a finished job with its requirements.
+
+    Parameters
+    ----------
+    registration : Registration
+        With status ``registered`` or ``matched``; a rejected one meets no requirement.
+    requirements : sequence of Requirement
+        Requirements for the command ``register`` or ``match``.
+    """
+    return tuple(_judge(registration, requirement) for requirement in requirements)
+
+
+def _judge(registration: Registration, requirement: Requirement) -> RequirementResult:
+    if registration.status == "rejected":
+        return RequirementResult(requirement, None, "the pair was refused")
+    if requirement.unit is not None:
+        found = _length(registration, requirement)
+        value, reason = (None, found) if isinstance(found, str) else (round(found, DIGITS), None)
+        return RequirementResult(requirement, value, reason)
+    figure = _figure(registration, requirement.statistic)
+    return RequirementResult(requirement, figure, None if figure is not None else "it is not known")
+
+
+def _figure(registration: Registration, name: str) -> float | str | None:
+    """Return a dimensionless figure, or the reason why it is not known."""
+    table = registration.tie_points
+    if name == "points":
+        return len(table.select(*COMPILED_ONCE))
+    if name == "coverage":
+        empty = coverage_of(table, registration.reference.grid.shape, registration.record).empty_share
+        return round(1.0 - empty, SHARE_DIGITS)
+    if name == "model":
+        return registration.correction.name.rstrip("23") if registration.correction else None
+    return registration.quality.grade if registration.quality else None
+
+
+def _length(registration: Registration, requirement: Requirement) -> float | str:
+    """Return a figure in its unit, of displacements or of residuals, or the reason why it is not known."""
+    name, unit = requirement.statistic, str(requirement.unit).replace(" ", "_")
+    of_all = name in ("displacement", "sigma")
+    group: Group = "all" if of_all else requirement.group or "check"
+    by_unit = statistics_of(registration, "before" if of_all else "after", group)
+    if by_unit["px"] is None:
+        return NO_CHECK_POINTS if group == "check" else "there are no tie points"
+    statistics = by_unit[unit]
+    if statistics is None:
+        return NO_METRES if unit == "m" else NO_NATIVE_PX
+    if name == "displacement":
+        return math.hypot(statistics.col.median, statistics.row.median)
+    if name == "sigma":
+        return max(statistics.net.noise_xy)
+    return value_of(requirement, statistics)

@@ -1,4 +1,4 @@
-"""Small parts of the two images, laid on each other before and after the correction."""
+"""Small views of the two images, superimposed before and after the correction."""
 
 from __future__ import annotations
 
@@ -12,59 +12,63 @@ from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.grid import jacobian, map_px
-from pcwlad_geo.raster.source import RasterInfo, is_quick_to_glance_at, open_raster
-from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.raster.grid import Window, jacobian, map_px
+from pcwlad_geo.raster.source import RasterInfo, has_quick_overview, open_raster
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.raster.windows import Window
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.statistics import KEPT
+from pcwlad_geo.report.statistics import COMPILED_ONCE
+from pcwlad_geo.tiepoints.table import TiePointTable
+from pcwlad_geo.types import Bool, Float64
 
 SIDE_PX: Final = 360
-"""Of a view on the page."""
+"""Side of a view on the page."""
 SHOWN_PX: Final = (48.0, 400.0)
-"""Least and most pixels of the target along a side of a view."""
+"""Least and largest number of target pixels along a side of a view."""
 SIDES_PER_DISPLACEMENT: Final = 60.0
-"""A view is so many displacements wide, as far as its limits allow: then they can be seen."""
+"""Width of a view in displacements, within the limits, so that displacements are visible."""
 BACKDROP_PX: Final = 350
+"""Longer side of the image behind maps."""
 NODES: Final = 25
-"""Along a side, where the mapping is evaluated; linear between."""
+"""Number of nodes along a side at which the mapping is evaluated; it is linear between them."""
 MARGIN_PX: Final = 8
-"""Read around what is sampled."""
-MOST_SOURCE_PX: Final = 3000
+"""Margin of the pixels read around the samples."""
+MAX_SOURCE_PX: Final = 3000
+"""Largest side of the part of a file that is read for a view."""
 SQUARES: Final = 8
-"""Of a checkerboard, along a side."""
+"""Number of squares along a side of a checkerboard."""
 MOSTLY_VALID: Final = 0.99
-"""Share of valid pixels around a sample: what is not valid must not shine through."""
+"""Least share of valid pixels around a sample for it to be valid."""
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairView:
-    """A part of the pair: square images of the same ground, grey, 0 where there is no data."""
+    """Square grey-value images of a part of the pair on the same ground, 0 where there is no data."""
 
     title: str
-    """Why this place."""
+    """Reason for the choice of the place."""
     centre_px: tuple[float, float]
-    """(col, row), reference px."""
+    """Middle of the view (col, row), reference px."""
     shown_px: float
-    """Pixels of the target along a side."""
+    """Length of a side, target px."""
     reference: Image
     before: Image
-    """The target where its georeferencing puts it."""
+    """The target placed by its georeferencing."""
     after: Image | None
     """The target corrected; None without a correction."""
 
 
 def read_backdrop(info: RasterInfo) -> Image | None:
-    """Read a raster made small, 0 where it has no data; None where that would take long or cannot be done."""
+    """Return a reduced raster as a (rows, cols) array of uint8 grey values, 0 where it has no data.
+
+    The longer side has at most `BACKDROP_PX` pixels. The result is None if reading fails or would take long.
+    """
     rows, cols = info.grid.shape
     factor = max(1.0, max(rows, cols) / BACKDROP_PX)
     shape = (max(1, round(rows / factor)), max(1, round(cols / factor)))
     try:
-        if not is_quick_to_glance_at(info):
+        if not has_quick_overview(info):
             return None
         with open_raster(info.uri) as dataset:
             values = dataset.read(info.band, out_shape=shape).astype(np.float64)
@@ -75,9 +79,9 @@ def read_backdrop(info: RasterInfo) -> Image | None:
 
 
 def pair_views(registration: Registration) -> list[PairView]:
-    """Return views around the best match and the largest residual, or of the middle without any match.
+    """Return views around the best match and the largest residual, or of the middle without matches.
 
-    There are none where the files cannot be read.
+    The list is empty if the files cannot be read.
     """
     views = []
     rows, cols = registration.reference.grid.shape
@@ -92,8 +96,11 @@ def pair_views(registration: Registration) -> list[PairView]:
     return views
 
 
-def stretched(values: Array, valid: NDArray[np.bool_]) -> Image:
-    """Return grey values, the middle 96 % of the valid ones over the whole range; 0 where not valid."""
+def stretched(values: Float64, valid: Bool) -> Image:
+    """Return (rows, cols) uint8 grey values from 1 to 255, 0 where not valid.
+
+    The middle 96 % of the (rows, cols) `values` where the (rows, cols) bool `valid` is True fill the range.
+    """
     if not valid.any():
         return np.zeros(values.shape, dtype=np.uint8)
     low, high = np.percentile(values[valid], [2, 98])
@@ -102,13 +109,13 @@ def stretched(values: Array, valid: NDArray[np.bool_]) -> Image:
 
 
 def checkered(one: Image, other: Image) -> Image:
-    """Return two views of the same size in alternate squares, the first in the corner."""
+    """Return the (n, n) uint8 images `one` and `other` in alternate squares, the first in the corner."""
     rows, cols = (np.arange(side) * SQUARES // side for side in one.shape)
     return np.where((rows[:, None] + cols) % 2 == 0, one, other)
 
 
-def _places(table: TiePointTable) -> list[tuple[str, Array]]:
-    kept = table.select(*KEPT)
+def _places(table: TiePointTable) -> list[tuple[str, Float64]]:
+    kept = table.select(*COMPILED_ONCE)
     if len(kept) == 0:
         return []
     best = int(np.nanargmax(np.nan_to_num(kept.score)))
@@ -119,7 +126,7 @@ def _places(table: TiePointTable) -> list[tuple[str, Array]]:
     return places
 
 
-def _view(registration: Registration, title: str, centre_px: Array) -> PairView | None:
+def _view(registration: Registration, title: str, centre_px: Float64) -> PairView | None:
     reference, target = registration.reference, registration.target
     predict = _prediction(registration)
     side_px, shown_px = _side(registration, centre_px)
@@ -144,42 +151,45 @@ def _view(registration: Registration, title: str, centre_px: Array) -> PairView 
     )
 
 
-def _prediction(registration: Registration) -> Callable[[Array], Array]:
-    """Return what maps reference px to the target px that the georeferencing predicts."""
+def _prediction(registration: Registration) -> Callable[[Float64], Float64]:
+    """Return the function that maps (n, 2) reference px to the target px predicted by georeferencing."""
     reference, target = registration.reference, registration.target
     if not (reference.georeferenced and target.georeferenced):
         return np.asarray
     return lambda at_px: map_px(at_px, reference.grid, target.grid)
 
 
-def _side(registration: Registration, centre_px: Array) -> tuple[float, float]:
-    """Return the side of a view, px of the reference and px of the target."""
+def _side(registration: Registration, centre_px: Float64) -> tuple[float, float]:
+    """Return the length of a side of a view in reference px and in target px."""
     reference, target = registration.reference, registration.target
     target_px_per_px = 1.0
     if reference.georeferenced and target.georeferenced:
         found = abs(np.linalg.det(jacobian(centre_px[None], reference.grid, target.grid)[0])) ** 0.5
         target_px_per_px = float(found) if np.isfinite(found) and found > 0 else 1.0
-    lengths = np.hypot(*registration.tie_points.select(*KEPT).displacement_px.T)
+    lengths = np.hypot(*registration.tie_points.select(*COMPILED_ONCE).displacement_px.T)
     wanted = SIDES_PER_DISPLACEMENT * float(np.median(lengths)) if len(lengths) else sum(SHOWN_PX) / 2
     shown = float(np.clip(wanted, *SHOWN_PX))
     return shown / target_px_per_px, shown
 
 
-def _dense(nodes: Array) -> Array:
-    """Interpolate (n, n, 2) nodes linearly to the pixels' centres of a view."""
+def _dense(nodes: Float64) -> Float64:
+    """Interpolate (n, n, 2) nodes linearly at the pixel centres of a view."""
     at = (np.arange(SIDE_PX) + 0.5) / SIDE_PX * (NODES - 1)
     weights = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(NODES)))
     return np.asarray(np.einsum("ra,abk,cb->rck", weights, nodes, weights, optimize=True))
 
 
-def _sampled(info: RasterInfo, at_px: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Sample a band at (n, n, 2) places (col, row)."""
+def _sampled(info: RasterInfo, at_px: Float64) -> tuple[Float64, Bool]:
+    """Return (n, n) samples of a band at (n, n, 2) positions (col, row), and their validity."""
+    nothing = np.zeros(at_px.shape[:2])
+    if np.isnan(at_px).any():  # beyond the horizon of the correction
+        return nothing, nothing > 0
+    at_px = np.clip(at_px, -1.0, np.array(info.grid.shape[::-1]) + 1.0)  # beyond whole numbers, far outside
     low = np.floor(at_px.min(axis=(0, 1))).astype(int) - MARGIN_PX
     high = np.ceil(at_px.max(axis=(0, 1))).astype(int) + MARGIN_PX
     window = Window.from_bounds(int(low[1]), int(low[0]), int(high[1]), int(high[0]))
     window = window.intersection(Window.whole(info.grid.shape))
-    nothing = np.zeros(at_px.shape[:2])
-    if window.empty or max(window.shape) > MOST_SOURCE_PX:
+    if window.empty or max(window.shape) > MAX_SOURCE_PX:
         return nothing, nothing > 0
     patch = View(info, info.grid, "none").read(window)
     at = (at_px - [window.col, window.row] - 0.5).astype(np.float32)

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import csv
 import os
+import subprocess
+import sys
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rasterio.errors import RasterioIOError
 
 import pcwlad_geo
 from pcwlad_geo.batches import run as batches
 from pcwlad_geo.batches.run import BatchResult
 from pcwlad_geo.errors import CancelledError, InputError, OutputError, SettingsError
-from pcwlad_geo.registration.progress import Event, Progress, Warned
-from pcwlad_geo.registration.tasks import InThisProcess
+from pcwlad_geo.events import Event, Progress, Warned
+from pcwlad_geo.execution.runner import InThisProcess
+from pcwlad_geo.outputs.places import HOST
+from tests.patience import PATIENCE_S
 from tests.registration.calls import Counting
 from tests.scenes import make_grid, render, write
 
@@ -147,6 +152,17 @@ def test_every_kind_of_trouble_stays_with_its_pair(calls: list[str], work: Path)
     assert Warned("good.tif (line 4): odd") in events
 
 
+def test_what_libraries_raise_is_told_as_of_a_single_pair(
+    calls: list[str], work: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(TROUBLE, "large", MemoryError("Unable to allocate 4 TiB"))
+    monkeypatch.setitem(TROUBLE, "odd", RasterioIOError("odd directory"))
+    result = pcwlad_geo.batch(table(work, "large", "odd", "good"))
+    assert statuses(result) == [("unusable", False), ("unusable", False), ("registered", False)]
+    assert "more memory than there is (Unable to allocate 4 TiB)" in (result.pairs[0].reason or "")
+    assert "cannot be used: odd directory" in (result.pairs[1].reason or "")
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), CancelledError("gone"), ValueError("mine")])
 @pytest.mark.parametrize("event", [Progress("pairs", 1, 3), Warned("second.tif (line 3): odd")])
 def test_an_exception_of_the_callback_ends_the_batch_and_keeps_what_is_done(
@@ -171,6 +187,18 @@ def test_a_bad_table_or_option_does_nothing(calls: list[str], work: Path) -> Non
         pcwlad_geo.batch(table(work, "good"), window=80)
     assert calls == []
     assert not (work / "pairs_registered").exists()
+
+
+def test_what_a_killed_batch_left_of_its_summary_is_swept(calls: list[str], work: Path) -> None:
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait(PATIENCE_S)
+    out_dir = work / "out"
+    out_dir.mkdir()
+    left = [out_dir / f".summary.csv.{HOST}-{process}" for process in (ended.pid, os.getppid())]
+    for file in left:
+        file.write_text("half")
+    pcwlad_geo.batch(table(work, "good"), out_dir=out_dir)
+    assert [file.exists() for file in left] == [False, True]
 
 
 def test_a_file_of_that_name_is_not_overwritten(calls: list[str], work: Path) -> None:

@@ -1,4 +1,4 @@
-"""The command line in a process of its own, the workflow replaced by a stand-in where that is enough."""
+"""The command line in a process of its own, the job replaced by a stand-in where that is enough."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.patience import PATIENCE_S
 Result = subprocess.CompletedProcess[str]
 
 STAND_IN = """
-import sys, types
+import contextlib, sys, types
 from pathlib import Path
 import pcwlad_geo
 from pcwlad_geo.__main__ import main
@@ -29,13 +29,15 @@ def output_paths(target, job, *, out_dir=None, **elsewhere):
     folder = Path(out_dir or output_folder(target, job))
     return dict(numbers=folder / "report.json", report=folder / "report.html", raster=folder / "absent.tif")
 
-workflow = types.ModuleType("pcwlad_geo.workflow")
-workflow.register = register
-workflow.output_paths, workflow.output_folder = output_paths, output_folder
-pcwlad_geo.workflow = sys.modules["pcwlad_geo.workflow"] = workflow
+job = types.ModuleType("pcwlad_geo.job")
+job.register = register
+job.output_paths, job.output_folder = output_paths, output_folder
+job.products_found_once = contextlib.nullcontext
+job.open_job_runner = lambda settings, executor, on_event: contextlib.nullcontext()
+pcwlad_geo.job = sys.modules["pcwlad_geo.job"] = job
 main()
 """
-"""The command line with a workflow that needs no libraries: its tests start many processes."""
+"""The command line with a job that needs no libraries: its tests start many processes."""
 
 TIMERS_RUN_OUT = "threading.Timer.start = lambda timer: timer.function()"
 """A statement that makes of any machine one so slow that every timer has run out at once."""
@@ -53,7 +55,7 @@ def command(work: str | None) -> list[str]:
     ----------
     work : str, optional
         Body of a function ``register(reference, target, *, on_event, **keywords)`` that stands in for the
-        workflow's.
+        job's.
     """
     if work is None:
         return [sys.executable, "-m", "pcwlad_geo"]

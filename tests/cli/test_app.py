@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 import pcwlad_geo
-from pcwlad_geo.cli import options
 from pcwlad_geo.cli.app import run
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import WORDS, Settings
 
 NOT_ON_THE_COMMAND_LINE = {"tile_size"}
 
@@ -45,7 +44,7 @@ def test_help_names_every_setting_of_the_command(command: str, capsys: pytest.Ca
 
 def test_words_stand_for_none() -> None:
     defaults = {field.name: field.default for field in fields(Settings)}
-    assert all(defaults[name] is None for name in options.WORDS)
+    assert all(defaults[name] is None for name in WORDS)
 
 
 @pytest.mark.parametrize(

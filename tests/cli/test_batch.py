@@ -22,7 +22,7 @@ Cli = Callable[..., Result]
 WORK = """
     import json, time
     from pcwlad_geo import errors
-    from pcwlad_geo.registration.progress import Progress
+    from pcwlad_geo.events import Progress
     name, folder = Path(target).stem, keywords["out_dir"]
     on_event(Progress("matching", 0, 2))
     if name == "bad":

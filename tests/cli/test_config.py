@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from pcwlad_geo.cli.app import run
-from pcwlad_geo.cli.config import collect
+from pcwlad_geo.cli.options import collect, read_config
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import Settings
 
 
 def write(folder: Path, text: str) -> Path:
@@ -44,6 +44,11 @@ def test_words_and_numbers(given: dict[str, object], expected: dict[str, object]
     assert collect(given, None) == expected
 
 
+def test_values_nested_without_end_are_told(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="not valid TOML"):
+        read_config(write(tmp_path, "window = " + "[" * 100_000))
+
+
 def test_requirements_of_a_file(tmp_path: Path) -> None:
     config = write(tmp_path, 'require = ["CE90<=0.5px", "points>=100"]\nkeep = true\n')
     settings = Settings.from_options(collect({"require": None}, config))
@@ -54,10 +59,10 @@ def test_requirements_of_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "function"),
     [
-        (("register", "a.tif", "b.tif"), "workflow.register"),
-        (("match", "a.tif", "b.tif"), "workflow.match"),
+        (("register", "a.tif", "b.tif"), "job.register"),
+        (("match", "a.tif", "b.tif"), "job.match_files"),
         (("batch", "pairs.csv"), "batches.run.batch"),
-        (("qa", "a.tif", "b.tif"), "stacks.run.qa"),
+        (("qa", "a.tif", "b.tif"), "bandqa.run.qa"),
     ],
     ids=lambda each: each[0] if isinstance(each, tuple) else "",
 )

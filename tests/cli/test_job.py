@@ -22,7 +22,7 @@ Cli = Callable[..., Result]
 
 DONE = """
     import json
-    from pcwlad_geo.registration.progress import Progress, Warned
+    from pcwlad_geo.events import Progress, Warned
     on_event(Warned("two\\nlines"))
     on_event(Progress("matching", 1, 2))
     axes = {"mean": [1.0, 2.0], "median": [1.25, -0.5], "std": [0.1, 0.1]}
@@ -37,7 +37,7 @@ DONE = """
 """
 SLOW = """
     import time
-    from pcwlad_geo.registration.progress import Progress
+    from pcwlad_geo.events import Progress
     try:
         on_event(Progress("matching", 0, 2))
         time.sleep(36_000)
@@ -46,15 +46,15 @@ SLOW = """
 """
 STUCK = """
     import ctypes
-    from pcwlad_geo.registration.progress import Progress
+    from pcwlad_geo.events import Progress
     on_event(Progress("matching", 0, 2))
     while True:
         ctypes.CDLL(None).usleep(60_000_000)  # goes on after a signal's handler, as native code does
 """
 WITH_WORKERS = """
     import ctypes, time
-    from pcwlad_geo.registration.progress import Progress
-    from pcwlad_geo.registration.runners import OwnProcesses
+    from pcwlad_geo.events import Progress
+    from pcwlad_geo.execution.processes import OwnProcesses
     def begin(event):
         Path("workers").write_text(" ".join(map(str, runner.process_ids)))
         on_event(event)
@@ -228,7 +228,7 @@ def test_native_code_cannot_put_the_end_off(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_a_forced_end_leaves_nothing_half_written(tmp_path: Path) -> None:
     work = """
-    from pcwlad_geo.staging import OutputFolder
+    from pcwlad_geo.outputs.folder import OutputFolder
     with OutputFolder("b_registered") as folder:
         (folder.stage / "half.tif").touch()
     """
@@ -273,7 +273,7 @@ def test_standard_input_that_ends_is_nothing_without_the_option(cli: Cli) -> Non
 def test_a_reader_that_goes_away_cancels(tmp_path: Path) -> None:
     work = """
     import time
-    from pcwlad_geo.registration.progress import Progress
+    from pcwlad_geo.events import Progress
     while True:
         on_event(Progress("matching", 0, 600))
         time.sleep(0.05)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from pcwlad_geo.cli.outcome import Outcome
-from pcwlad_geo.report.summary import summarise
-from tests.registrations import make_registration, without_crs
+from tests.registrations import json_of, make_registration, without_crs
 
 
 def test_the_table_has_displacement_before_and_residuals_after() -> None:
     made = make_registration()
-    lines = Outcome(summarise(made, []), {"numbers": Path("report.json")}).text().splitlines()
+    lines = Outcome(json_of(made), {"numbers": Path("report.json")}).text().splitlines()
     header, before, fit, check = (
         line for line in lines if line.startswith((" ", "displacement", "residual"))
     )
@@ -27,7 +26,7 @@ def test_the_table_has_displacement_before_and_residuals_after() -> None:
 
 def test_there_is_no_column_of_metres_where_they_are_not_known() -> None:
     made = without_crs(make_registration())
-    text = Outcome(summarise(made, []), {"numbers": Path("report.json")}).text()
+    text = Outcome(json_of(made), {"numbers": Path("report.json")}).text()
     (header,) = (line for line in text.splitlines() if line.startswith(" "))
     assert header.split()[-3:] == ["RMSE", "CE90", "net"]
     check = next(line for line in text.splitlines() if line.startswith("residual after, check"))
@@ -35,8 +34,8 @@ def test_there_is_no_column_of_metres_where_they_are_not_known() -> None:
 
 
 def test_what_was_only_matched_has_no_residuals() -> None:
-    lines = Outcome(summarise(make_registration("matched"), []), {"numbers": Path("report.json")}).text()
+    lines = Outcome(json_of(make_registration("matched")), {"numbers": Path("report.json")}).text()
     assert "displacement before" in lines
     assert "residual" not in lines
-    without = summarise(make_registration("rejected", n=0), [])
+    without = json_of(make_registration("rejected", n=0))
     assert "LE90" not in Outcome(without, {"numbers": Path("report.json")}).text()

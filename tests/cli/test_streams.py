@@ -15,8 +15,8 @@ BOTH = ("register", "a.tif", "b.tif")
 TALK = """
     import logging, os, subprocess, sys, warnings
     from pcwlad_geo.errors import InputError
-    from pcwlad_geo.registration.progress import Warned
-    from pcwlad_geo.registration.runners import OwnProcesses
+    from pcwlad_geo.events import Warned
+    from pcwlad_geo.execution.processes import OwnProcesses
     warnings.simplefilter("default")
     warnings.warn("a warning of a library")
     logging.getLogger("library").warning("a log line of a library")

@@ -6,9 +6,9 @@ import io
 
 import pytest
 
+from pcwlad_geo.cli.outcome import table
 from pcwlad_geo.cli.progress import show_error
-from pcwlad_geo.cli.table import table
-from pcwlad_geo.cli.visible import one_line, visible
+from pcwlad_geo.text import one_line, visible
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.correction.models import (
     AffineCorrection,
+    PolynomialBasis,
     PolynomialCorrection,
     ProjectiveCorrection,
     SplineCorrection,
+    SplineGrid,
 )
-from pcwlad_geo.correction.polynomial import PolynomialBasis
-from pcwlad_geo.correction.spline import SplineGrid
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.accuracy import Accuracy
+from pcwlad_geo.correction.error_statistics import Accuracy
 
 
 def test_figures_of_four_residuals() -> None:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.check_points import hold_out
+from pcwlad_geo.correction.points import hold_out
 
 from .points import scattered
 

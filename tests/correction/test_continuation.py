@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from pcwlad_geo.correction.models import PolynomialCorrection, SplineCorrection
-from pcwlad_geo.correction.spline import cubic_b_splines
+from pcwlad_geo.correction.models import PolynomialCorrection, SplineCorrection, cubic_b_splines
 
 from .points import inside, polynomial, scattered, spline
 

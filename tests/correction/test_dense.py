@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcwlad_geo.correction.dense import dense_mapping
-from pcwlad_geo.correction.lattice import Lattice
+from pcwlad_geo.correction.dense import Lattice, dense_mapping
 from pcwlad_geo.correction.models import Correction
 
 from .points import affine, polynomial, projective, scattered, spline

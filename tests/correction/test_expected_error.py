@@ -5,37 +5,38 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.expected_error import (
+from pcwlad_geo.correction.error_statistics import (
     CELLS_PER_WINDOW,
     Residuals,
     expected_ce90,
     left_by_correction,
 )
-from pcwlad_geo.correction.selection import Array, Selection, choose
+from pcwlad_geo.correction.selection import Selection, choose
+from pcwlad_geo.types import Float64
 
 SIGMA_PX = 0.1
 WINDOW_PX = 40.0
 
 
-def points(n: int = 400, side_px: float = 500.0, seed: int = 1) -> Array:
+def points(n: int = 400, side_px: float = 500.0, seed: int = 1) -> Float64:
     return np.random.default_rng(seed).uniform(0, side_px, (n, 2))
 
 
-def noise(n: int, seed: int = 2) -> Array:
+def noise(n: int, seed: int = 2) -> Float64:
     return np.random.default_rng(seed).normal(0, SIGMA_PX, (n, 2))
 
 
-def fitted(xy: Array, moved: Array, model: str) -> Selection:
+def fitted(xy: Float64, moved: Float64, model: str) -> Selection:
     covariance = np.tile(SIGMA_PX**2 * np.eye(2), (len(xy), 1, 1))
     return choose(xy, xy + moved, covariance, WINDOW_PX, (model,))
 
 
-def residuals_of(selection: Selection, xy: Array, moved: Array, kept: Array | None = None) -> Residuals:
+def residuals_of(selection: Selection, xy: Float64, moved: Float64, kept: Float64 | None = None) -> Residuals:
     left = xy + moved - selection.fit.correction.forward(xy)
     return Residuals(xy, left, np.ones(len(xy), bool) if kept is None else kept.astype(bool))
 
 
-def grid(side_px: float = 500.0) -> Array:
+def grid(side_px: float = 500.0) -> Float64:
     axis = np.arange(5.0, side_px, 10.0)
     return np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
 
@@ -52,7 +53,7 @@ def test_a_shift_that_fits_is_expected_to_hold() -> None:
 def test_displacements_that_the_model_does_not_follow_are_expected() -> None:
     """Waves of 2 px on which a shift is fitted: the truth is known everywhere."""
 
-    def waves(at: Array) -> Array:
+    def waves(at: Float64) -> Float64:
         return np.asarray(2 * np.sin(2 * np.pi * at[:, ::-1] / 400))
 
     xy = points()
@@ -90,7 +91,7 @@ def test_many_points_of_one_place_are_one_witness() -> None:
 
 
 def test_a_bending_correction_is_expected_to_err_beyond_its_points() -> None:
-    def waves(at: Array) -> Array:
+    def waves(at: Float64) -> Float64:
         return np.asarray(2 * np.sin(2 * np.pi * at[:, ::-1] / 300))
 
     xy = points(300, 200.0)

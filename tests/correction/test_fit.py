@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcwlad_geo.correction.fit import FITS, fit_affine, fit_shift, predicted_sigma
+from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fitted import predicted_sigma
 from pcwlad_geo.correction.models import Correction, ProjectiveCorrection
 from pcwlad_geo.errors import InputError
 
@@ -39,7 +40,7 @@ def test_a_noise_free_shift_is_recovered(name: str) -> None:
 def test_a_noise_free_affine_is_recovered() -> None:
     predicted = scattered(0, 50)
     truth = affine(3.0)
-    fit = fit_affine(predicted, truth.forward(predicted), isotropic(50, 0.1))
+    fit = FITS["affine"](predicted, truth.forward(predicted), isotropic(50, 0.1))
     np.testing.assert_allclose(fit.correction.forward(CORNERS_PX), truth.forward(CORNERS_PX), atol=1e-8)
     assert fit.inlier.all()
 
@@ -68,14 +69,14 @@ def test_forty_percent_outliers_do_not_take_over_an_affine() -> None:
     predicted, truth = scattered(1, 500), affine(8.0)
     observed = truth.forward(predicted) + noise(1, 500, 0.1)
     observed[:200] += np.random.default_rng(1).uniform(-60, 60, (200, 2))
-    fit = fit_affine(predicted, observed, isotropic(500, 0.1))
+    fit = FITS["affine"](predicted, observed, isotropic(500, 0.1))
     np.testing.assert_allclose(fit.correction.forward(CORNERS_PX), truth.forward(CORNERS_PX), atol=0.06)
 
 
 def test_precise_points_count_more() -> None:
     predicted, sigma = scattered(2, 400), np.repeat([0.02, 0.5], 200)
     fitted = [
-        fit_shift(
+        FITS["shift"](
             predicted,
             predicted + noise(seed, 400, 1.0) * sigma[:, None],
             isotropic(400, 1.0) * sigma[:, None, None] ** 2,
@@ -94,7 +95,7 @@ def test_the_full_covariance_counts() -> None:
     turn = np.where(np.arange(n) % 2, 1.0, -1.0) * np.pi / 4
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]).transpose(2, 0, 1)
     covariance = rotation @ np.diag([1e-4, 1.0]) @ rotation.transpose(0, 2, 1)
-    fit = fit_shift(predicted, predicted + np.einsum("iab,ib->ia", rotation, error), covariance)
+    fit = FITS["shift"](predicted, predicted + np.einsum("iab,ib->ia", rotation, error), covariance)
     # The variances of each point per axis alone, all 0.5 px², would give 0.05 px.
     np.testing.assert_allclose(fit.correction.forward(np.zeros((1, 2))), 0, atol=0.005)
 
@@ -104,14 +105,14 @@ def test_points_of_tiny_formal_sigma_do_not_decide_alone() -> None:
     sigma[:5] = 1e-5
     error = noise(4, 300, 0.2)
     error[:5] = [0.3, 0.3]
-    fit = fit_shift(predicted, predicted + error, isotropic(300, 1.0) * sigma[:, None, None] ** 2)
+    fit = FITS["shift"](predicted, predicted + error, isotropic(300, 1.0) * sigma[:, None, None] ** 2)
     np.testing.assert_allclose(fit.correction.forward(np.zeros((1, 2))), 0, atol=0.04)
     assert np.sqrt(fit.variance_floor_px2) == pytest.approx(np.sqrt(0.2**2 - 0.05**2), rel=0.1)
 
 
 def test_there_is_no_variance_floor_where_the_covariances_say_it_all() -> None:
     predicted = scattered(5, 500)
-    fit = fit_shift(predicted, predicted + noise(5, 500, 0.1), isotropic(500, 0.12))
+    fit = FITS["shift"](predicted, predicted + noise(5, 500, 0.1), isotropic(500, 0.12))
     assert fit.variance_floor_px2 == 0
 
 
@@ -134,20 +135,21 @@ def test_predicted_sigma_holds_with_independent_and_with_shared_errors(name: str
 def test_overlapping_windows_are_worth_fewer_points() -> None:
     predicted = scattered(6, 400)
     observed = predicted + 0.1 * window_noise(6, predicted, 512, 81)
-    fit = fit_shift(predicted, observed, isotropic(400, 0.1), footprint_px=81)
-    assert 20 < fit.effective_points < 80  # (512 / 81)² = 40 windows side by side
-    assert fit_shift(predicted, observed, isotropic(400, 0.1)).effective_points == fit.inlier.sum()
+    fit = FITS["shift"](predicted, observed, isotropic(400, 0.1), footprint_px=81)
+    alone = FITS["shift"](predicted, observed, isotropic(400, 0.1))
+    ratio = fit.covariance(predicted[:1])[0, 0, 0] / alone.covariance(predicted[:1])[0, 0, 0]
+    assert 400 / 80 < ratio < 400 / 20  # (512 / 81)² = 40 windows side by side
 
 
 def test_shift_covariance_of_independent_points() -> None:
     predicted = scattered(7, 400)
-    fit = fit_shift(predicted, predicted + noise(7, 400, 0.1), isotropic(400, 0.1))
+    fit = FITS["shift"](predicted, predicted + noise(7, 400, 0.1), isotropic(400, 0.1))
     np.testing.assert_allclose(predicted_sigma(fit, CORNERS_PX), 0.1 / np.sqrt(400), rtol=0.1)
 
 
 def test_affine_sigma_grows_outwards() -> None:
     predicted = scattered(8, 400)
-    fit = fit_affine(predicted, predicted + noise(8, 400, 0.1), isotropic(400, 0.1))
+    fit = FITS["affine"](predicted, predicted + noise(8, 400, 0.1), isotropic(400, 0.1))
     # At a corner: centre, col and row terms of 256 px over a spread of 512/√12 each.
     np.testing.assert_allclose(predicted_sigma(fit, CORNERS_PX), 0.005 * np.sqrt(1 + 3 + 3), rtol=0.2)
 
@@ -248,12 +250,12 @@ def test_not_finite_points() -> None:
     observed = predicted.copy()
     observed[3, 1] = np.nan
     with pytest.raises(InputError, match="not finite"):
-        fit_shift(predicted, observed, isotropic(20, 0.1))
+        FITS["shift"](predicted, observed, isotropic(20, 0.1))
 
 
 def test_wrong_shape() -> None:
     with pytest.raises(InputError, match="shapes"):
-        fit_shift(scattered(0, 20), scattered(0, 20), np.ones((20, 2)))
+        FITS["shift"](scattered(0, 20), scattered(0, 20), np.ones((20, 2)))
 
 
 @pytest.mark.parametrize("name", FITS)

@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.folding import folds
-from pcwlad_geo.correction.models import AffineCorrection, ProjectiveCorrection
+from pcwlad_geo.correction.models import AffineCorrection, ProjectiveCorrection, has_foldover
 
 from .points import affine, polynomial, projective, spline
 
@@ -13,25 +12,25 @@ BOX = np.zeros(2), np.array([512.0, 512.0])
 
 @pytest.mark.parametrize("correction", [affine(3.0), projective(), polynomial(3), spline()])
 def test_small_displacements_do_not_fold(correction: AffineCorrection) -> None:
-    assert not folds(correction, *BOX)
+    assert not has_foldover(correction, *BOX)
 
 
 def test_a_mirror_turns_the_image_over() -> None:
-    assert folds(AffineCorrection("affine", np.array([[-1.0, 0, 512], [0, 1, 0]])), *BOX)
+    assert has_foldover(AffineCorrection("affine", np.array([[-1.0, 0, 512], [0, 1, 0]])), *BOX)
 
 
 def test_a_half_turn_does_not() -> None:
-    assert not folds(AffineCorrection("affine", np.array([[-1.0, 0, 512], [0, -1, 512]])), *BOX)
+    assert not has_foldover(AffineCorrection("affine", np.array([[-1.0, 0, 512], [0, -1, 512]])), *BOX)
 
 
 def test_a_horizon_in_the_image() -> None:
     matrix = np.array([[1.0, 0, 0], [0, 1, 0], [-1 / 400, 0, 1]])
-    assert folds(ProjectiveCorrection("projective", matrix), *BOX)
-    assert not folds(ProjectiveCorrection("projective", matrix), np.zeros(2), np.array([390.0, 512.0]))
+    assert has_foldover(ProjectiveCorrection("projective", matrix), *BOX)
+    assert not has_foldover(ProjectiveCorrection("projective", matrix), np.zeros(2), np.array([390.0, 512.0]))
 
 
 def test_a_fold_of_one_spline_cell() -> None:
     correction = spline(size_px=0.0, cells=40)
-    assert not folds(correction, *BOX)
+    assert not has_foldover(correction, *BOX)
     correction.coefficients_px[20, 20] = [120.0, 0.0]
-    assert folds(correction, *BOX)
+    assert has_foldover(correction, *BOX)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.folds import spatial_blocks, spatial_folds
+from pcwlad_geo.correction.points import cross_validation_blocks, spatial_blocks
 
 from .points import scattered
 
@@ -27,18 +27,21 @@ def test_blocks_are_compact_and_equal() -> None:
     ],
 )
 def test_number_of_blocks(n: int, side: float, window: int, blocks: int) -> None:
-    folds = spatial_folds(scattered(0, n, side), window)
-    assert len(np.unique(folds.block)) == blocks
-    assert len(folds.tests) == min(blocks, 16)
-    np.testing.assert_array_equal(np.sum(folds.tests, axis=0), 1)
+    has_foldover = cross_validation_blocks(scattered(0, n, side), window)
+    assert len(np.unique(has_foldover.block)) == blocks
+    assert len(has_foldover.tests) == min(blocks, 16)
+    np.testing.assert_array_equal(np.sum(has_foldover.tests, axis=0), 1)
 
 
 def test_the_blocks_of_a_fold_lie_apart() -> None:
     points = scattered(1, 4000, 4000)
-    folds = spatial_folds(points, 81)
+    has_foldover = cross_validation_blocks(points, 81)
     nearest = []
-    for test in folds.tests:
-        centres = [points[folds.block == number].mean(axis=0) for number in np.unique(folds.block[test])]
+    for test in has_foldover.tests:
+        centres = [
+            points[has_foldover.block == number].mean(axis=0)
+            for number in np.unique(has_foldover.block[test])
+        ]
         distance = np.abs(np.array(centres)[:, None] - np.array(centres)[None]).max(axis=2)
         nearest += np.sort(distance, axis=1)[:, 1].tolist()
     assert np.percentile(nearest, 5) > 200  # blocks of 125 px

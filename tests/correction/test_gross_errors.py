@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.gross_errors import agreement
+from pcwlad_geo.correction.points import agreement
 
 RNG = np.random.default_rng(11)
 

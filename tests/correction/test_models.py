@@ -99,6 +99,12 @@ def test_the_numbers_of_a_polynomial_can_be_read_by_hand() -> None:
     np.testing.assert_allclose(moved, correction.forward(points), atol=1e-10)
 
 
+def stored(correction: Correction, **changes: object) -> dict[str, Any]:
+    """Return a correction as report.json holds it, with other numbers."""
+    document: dict[str, Any] = correction.to_dict()
+    return document | {"forward": document["forward"] | changes}
+
+
 @pytest.mark.parametrize(
     "document",
     [
@@ -110,6 +116,19 @@ def test_the_numbers_of_a_polynomial_can_be_read_by_hand() -> None:
         {"name": "affine", "forward": {"type": "affine", "matrix": [[1, 0, None], [0, 1, 0]]}},
         {"name": "affine", "forward": {"type": "affine", "matrix": [[1, 0, float("nan")], [0, 1, 0]]}},
         {"name": "tps", "forward": {"type": "bicubic_spline", "origin": [0, 0], "spacing": 1, "cells": [4]}},
+        {"name": "affine", "forward": {"type": "affine", "matrix": [[1, 1, 0], [1, 1, 0]]}},
+        {"name": "affine", "forward": {"type": "affine", "matrix": [[1e200, 0, 0], [0, 1e200, 0]]}},
+        {"name": "affine", "forward": {"type": "affine", "matrix": [[1, 0, 0], [0, 1e-9, 0]]}},
+        {"name": "projective", "forward": {"type": "projective", "matrix": [[1, 1, 1]] * 3}},
+        {"name": "projective", "forward": {"type": "projective", "matrix": [[0, 0, 0]] * 3}},
+        stored(polynomial(2), order=10**9),
+        stored(polynomial(2), order=0),
+        stored(polynomial(2), radius=0.0),
+        stored(polynomial(2), radius=float("nan")),
+        stored(spline(), spacing=0.0),
+        stored(spline(), spacing=float("inf")),
+        stored(spline(), cells=[10**400, 1]),
+        stored(spline(), cells=[-3, -3], coefficients=np.zeros((0, 0, 2)).tolist()),
     ],
 )
 def test_what_is_no_model_is_refused(document: dict[str, Any]) -> None:

@@ -4,9 +4,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.plate import MOST_CELLS, Plate, Successive, bending, grid_of, mean_precision
-from pcwlad_geo.correction.spline import SplineCorrection, SplineGrid
-from pcwlad_geo.correction.windows import probes_of
+from pcwlad_geo.correction.estimation import probes_of
+from pcwlad_geo.correction.models import SplineCorrection, SplineGrid
+from pcwlad_geo.correction.thin_plate_system import (
+    MAX_CELLS,
+    Successive,
+    ThinPlateSystem,
+    bending,
+    grid_of,
+    mean_precision,
+)
 
 from .points import noise, scattered
 
@@ -44,7 +51,7 @@ def test_a_plane_does_not_bend() -> None:
 def test_the_grid_covers_the_points_and_stays_small(n: int, side: float, window: int) -> None:
     points = scattered(0, n, side) * [1.0, 0.6] + [1e5, -300.0]
     grid = grid_of(points, window)
-    assert max(grid.cells) <= MOST_CELLS
+    assert max(grid.cells) <= MAX_CELLS
     low = np.array(grid.origin_px)
     high = low + grid.spacing_px * np.array(grid.cells)
     assert (low <= points.min(axis=0) + 1e-6).all()
@@ -57,46 +64,46 @@ def test_points_on_a_line_have_a_grid_too() -> None:
     assert grid.cells[1] == 1
 
 
-def dense_fit(plate: Plate, precision: Array, smoothing: float, values: Array) -> Array:
+def dense_fit(system: ThinPlateSystem, precision: Array, smoothing: float, values: Array) -> Array:
     """Return the (2 k,) coefficients by dense algebra: the plain twin of the sparse solution."""
-    design = plate.design.toarray()
+    design = system.design.toarray()
     both = np.einsum("ik,ab->iakb", design, np.eye(2)).transpose(0, 1, 3, 2).reshape(len(design), 2, -1)
     normal = np.einsum("iap,iab,ibq->pq", both, precision, both)
-    energy = np.kron(np.eye(2), plate.energy.toarray())
+    energy = np.kron(np.eye(2), system.energy.toarray())
     right = np.einsum("iap,iab,ib->p", both, precision, values)
     return np.linalg.solve(normal + smoothing * energy, right)
 
 
 def test_the_sparse_solution_is_the_dense_one() -> None:
     points, values = scattered(1, 80), noise(1, 80, 1.0)
-    plate = Plate.of(points, 81)
+    system = ThinPlateSystem.of(points, 81)
     roots = np.random.default_rng(1).normal(size=(80, 2, 2))
     precision = roots @ roots.transpose(0, 2, 1)
     right = np.einsum("iab,ib->ia", precision, values)
-    right = (plate.design.T @ right).T.reshape(-1, 1)
-    found = plate.factor(plate.normal(precision), 3.0).solve(right)[:, 0]
-    np.testing.assert_allclose(found, dense_fit(plate, precision, 3.0, values), rtol=1e-6, atol=1e-8)
+    right = (system.design.T @ right).T.reshape(-1, 1)
+    found = system.factor(system.normal(precision), 3.0).solve(right)[:, 0]
+    np.testing.assert_allclose(found, dense_fit(system, precision, 3.0, values), rtol=1e-6, atol=1e-8)
 
 
 def test_one_axis_is_half_of_two_equal_ones() -> None:
     points, values = scattered(2, 80), noise(2, 80, 1.0)
-    plate, weights = Plate.of(points, 81), np.random.default_rng(2).uniform(0.5, 2, 80)
-    single = plate.factor(plate.normal(weights), 3.0).solve(plate.design.T @ (weights[:, None] * values))
-    both = dense_fit(plate, weights[:, None, None] * np.eye(2), 3.0, values)
+    system, weights = ThinPlateSystem.of(points, 81), np.random.default_rng(2).uniform(0.5, 2, 80)
+    single = system.factor(system.normal(weights), 3.0).solve(system.design.T @ (weights[:, None] * values))
+    both = dense_fit(system, weights[:, None, None] * np.eye(2), 3.0, values)
     np.testing.assert_allclose(single.T.ravel(), both, rtol=1e-6, atol=1e-8)
 
 
 def test_stiffness_says_how_many_parameters_there_are() -> None:
-    plate = Plate.of(scattered(3, 400), 81)
+    system = ThinPlateSystem.of(scattered(3, 400), 81)
     probes = probes_of(scattered(3, 400))
-    stiff, soft = plate.freedom(1e9, probes), plate.freedom(1e-3, probes)
+    stiff, soft = system.freedom(1e9, probes), system.freedom(1e-3, probes)
     assert stiff == pytest.approx(3, abs=0.01)  # a plane
     assert soft > 50
-    design, energy = plate.design.toarray(), plate.energy.toarray()
-    smoothing = plate.smoothing(10.0, np.ones(400))
+    design, energy = system.design.toarray(), system.energy.toarray()
+    smoothing = system.smoothing(10.0, np.ones(400))
     normal = design.T @ design
     exact = np.trace(np.linalg.solve(normal + smoothing * energy, normal))
-    assert plate.freedom(10.0, probes) == pytest.approx(exact, rel=0.05)
+    assert system.freedom(10.0, probes) == pytest.approx(exact, rel=0.05)
 
 
 def test_precision_of_a_point() -> None:
@@ -110,12 +117,12 @@ def test_successive_fits_are_those_of_a_factor_each(apart: float) -> None:
     rng = np.random.default_rng(5)
     xy = scattered(5, 300)
     values = rng.normal(0, 1, (300, 2))
-    plate = Plate.of(xy, 40.0)
-    successive = Successive(plate, values)
+    system = ThinPlateSystem.of(xy, 40.0)
+    successive = Successive(system, values)
     for _ in range(4):
         precision = np.exp(rng.normal(0, apart, 300))[:, None, None] * np.array([[2.0, 0.5], [0.5, 1.0]])
         weighted = np.einsum("iab,ib->ia", precision, values)
-        right = (plate.design.T @ weighted).T.reshape(-1, 1)
-        wanted = plate.factor(plate.normal(precision), 0.3).solve(right).reshape(2, -1).T
+        right = (system.design.T @ weighted).T.reshape(-1, 1)
+        wanted = system.factor(system.normal(precision), 0.3).solve(right).reshape(2, -1).T
         found = successive.solve(precision, 0.3)
-        np.testing.assert_allclose(plate.design @ found, plate.design @ wanted, atol=2e-6)
+        np.testing.assert_allclose(system.design @ found, system.design @ wanted, atol=2e-6)

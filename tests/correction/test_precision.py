@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.fit import FITS, fit_tps, predicted_sigma
+from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fitted import predicted_sigma
 from pcwlad_geo.correction.selection import COMMON_SIGMA, choose
+from pcwlad_geo.correction.thin_plate import fit_tps
 
 from .points import (
     affine,

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.correction.rpc_carry import carried, parallax
-from pcwlad_geo.correction.rpc_fold import covered_range, fold
-from pcwlad_geo.correction.rpc_model import RpcModel
+from pcwlad_geo.raster.rpc.model import RpcModel, apply_bias, carried, covered_range, parallax
 from tests.rpc_scene import SHAPE, decimated, make_rpc, oblique_rpc, of_a_product
 
 HEIGHTS_M = (100.0, 700.0)
@@ -30,7 +28,7 @@ def carry(
     correction: AffineCorrection, sibling: RpcModel, shape: tuple[int, int]
 ) -> tuple[AffineCorrection, float]:
     rpc = make_rpc()
-    corrected = fold(rpc, correction, covered_range(rpc, SHAPE, HEIGHTS_M))
+    corrected = apply_bias(rpc, correction, covered_range(rpc, SHAPE, HEIGHTS_M))
     return carried(rpc, corrected, sibling, shape, HEIGHTS_M)
 
 

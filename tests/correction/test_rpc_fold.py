@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.correction.rpc_fold import FOLD_TOLERANCE_PX, covered_range, fold, fold_error_px
+from pcwlad_geo.raster.rpc.model import BIAS_TOLERANCE_PX, apply_bias, bias_error_px, covered_range
 from tests.rpc_scene import SHAPE, make_rpc, of_a_product
 
 HEIGHTS_M = (0.0, 800.0)
@@ -21,10 +21,10 @@ def correction(matrix: object) -> AffineCorrection:
 )
 def test_shift_and_the_gain_of_an_axis_are_exact(matrix: object) -> None:
     rpc = make_rpc()
-    folded = fold(rpc, correction(matrix))
-    assert fold_error_px(rpc, folded, correction(matrix), SHAPE, HEIGHTS_M) < 1e-9
-    assert folded.samp_num_coeff == rpc.samp_num_coeff
-    assert folded.line_num_coeff == rpc.line_num_coeff
+    biased = apply_bias(rpc, correction(matrix))
+    assert bias_error_px(rpc, biased, correction(matrix), SHAPE, HEIGHTS_M) < 1e-9
+    assert biased.samp_num_coeff == rpc.samp_num_coeff
+    assert biased.line_num_coeff == rpc.line_num_coeff
 
 
 @settings(deadline=None)
@@ -33,7 +33,7 @@ def test_an_affine_folds_to_a_thousandth_of_a_pixel(
     a: float, b: float, d: float, e: float, col: float, row: float
 ) -> None:
     rpc, affine = make_rpc(), correction([[1 + a, b, col], [d, 1 + e, row]])
-    assert fold_error_px(rpc, fold(rpc, affine), affine, SHAPE, HEIGHTS_M) <= FOLD_TOLERANCE_PX
+    assert bias_error_px(rpc, apply_bias(rpc, affine), affine, SHAPE, HEIGHTS_M) <= BIAS_TOLERANCE_PX
 
 
 def test_the_folded_rpc_gives_observed_pixels_at_any_ground() -> None:
@@ -42,22 +42,22 @@ def test_the_folded_rpc_gives_observed_pixels_at_any_ground() -> None:
     heights = rng.uniform(*HEIGHTS_M, 300)
     pixels = rng.uniform((0, 0), SHAPE[::-1], (300, 2))
     ground = np.column_stack([rpc.to_ground(pixels, heights), heights])
-    observed = fold(rpc, affine).to_px(ground)
-    np.testing.assert_allclose(observed, affine.forward(pixels), rtol=0, atol=FOLD_TOLERANCE_PX)
+    observed = apply_bias(rpc, affine).to_px(ground)
+    np.testing.assert_allclose(observed, affine.forward(pixels), rtol=0, atol=BIAS_TOLERANCE_PX)
 
 
 def test_the_error_is_that_of_the_worst_place() -> None:
     rpc, affine = make_rpc(), correction([[1, 0, 0.25], [0, 1, 0]])
-    assert fold_error_px(rpc, rpc, affine, SHAPE, HEIGHTS_M) == pytest.approx(0.25, abs=1e-9)
+    assert bias_error_px(rpc, rpc, affine, SHAPE, HEIGHTS_M) == pytest.approx(0.25, abs=1e-9)
 
 
 def test_on_the_real_rpc(shared_data: Path) -> None:
-    from pcwlad_geo.raster.rpc_files import read_rpc
+    from pcwlad_geo.raster.rpc.files import read_rpc
 
     source = read_rpc(str(shared_data / "rpc/qb2_basic1b.tif"))
     assert source is not None
     affine = correction([[1.0003, 1e-4, 3], [-1e-4, 0.9998, -4]])
-    error = fold_error_px(source.rpc, fold(source.rpc, affine), affine, (1450, 850), (150.0, 900.0))
+    error = bias_error_px(source.rpc, apply_bias(source.rpc, affine), affine, (1450, 850), (150.0, 900.0))
     assert error < 1e-5
 
 
@@ -74,19 +74,19 @@ def test_what_an_image_covers_is_where_it_lies() -> None:
 
 def test_a_part_of_a_product_is_folded_over_the_part() -> None:
     rpc, affine = of_a_product(make_rpc()), correction([[1.0005, 1e-3, 3.3], [-1e-3, 0.9998, -7.1]])
-    folded = fold(rpc, affine, covered_range(rpc, SHAPE, HEIGHTS_M))
-    assert fold_error_px(rpc, folded, affine, SHAPE, HEIGHTS_M) < 1e-7
+    biased = apply_bias(rpc, affine, covered_range(rpc, SHAPE, HEIGHTS_M))
+    assert bias_error_px(rpc, biased, affine, SHAPE, HEIGHTS_M) < 1e-7
     # over the whole product, most of which is beside the image, it would be a hundred times as much
-    assert fold_error_px(rpc, fold(rpc, affine), affine, SHAPE, HEIGHTS_M) > 1e-6
+    assert bias_error_px(rpc, apply_bias(rpc, affine), affine, SHAPE, HEIGHTS_M) > 1e-6
 
 
 def test_on_real_parts_of_products(shared_data: Path) -> None:
-    from pcwlad_geo.raster.rpc_files import read_rpc
+    from pcwlad_geo.raster.rpc.files import read_rpc
 
     affine = correction([[1.0003, 1e-3, 3], [-1e-3, 0.9998, -4]])
     for name in ("img_01", "img_02"):
         source = read_rpc(str(shared_data / f"rpc_pair/{name}.tif"))
         assert source is not None
         covered = covered_range(source.rpc, (1102, 1031), (2270.0, 2377.0))
-        folded = fold(source.rpc, affine, covered)
-        assert fold_error_px(source.rpc, folded, affine, (1102, 1031), (2270.0, 2377.0)) < 1e-6
+        biased = apply_bias(source.rpc, affine, covered)
+        assert bias_error_px(source.rpc, biased, affine, (1102, 1031), (2270.0, 2377.0)) < 1e-6

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
 
-from pcwlad_geo.correction.rpc_model import RpcModel
-from pcwlad_geo.raster.rpc_files import read_rpc, to_gdal
+from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
+from pcwlad_geo.raster.rpc.model import RpcModel
 from tests.rpc_scene import SHAPE, make_rpc
 
 TOLERANCE_PX = 1e-6

@@ -77,6 +77,24 @@ def test_outliers_neither_hide_nor_make_an_affine() -> None:
     assert choose(predicted, stretched, isotropic(400, 0.1), 81).name == "affine"
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_cluster_that_errs_alike_does_not_hide_an_affine(seed: int) -> None:
+    """By the mean of the blocks the shift predicts better: the affine misses the cluster by more."""
+    rng = np.random.default_rng(seed)
+    predicted = scattered(seed, 252)
+    trend = (predicted - 256) * (0.02, -0.02)
+    cluster = np.argsort(np.linalg.norm(predicted - (440, 70), axis=1))[:40]
+    error = rng.normal(0, 0.7, (252, 2))
+    error[cluster] -= 3 * trend[cluster].mean(axis=0)
+    selection = choose(predicted, predicted + trend + error, isotropic(252, 0.2), 81, ("shift", "affine"))
+    shift, chosen = selection.candidates
+    assert shift.rmse_px < chosen.rmse_px
+    assert selection.name == "affine"
+    others = np.setdiff1d(np.arange(252), cluster)
+    missed = selection.fit.correction.forward(predicted[others]) - (predicted + trend)[others]
+    assert np.sqrt((missed**2).sum(axis=1).mean()) < 0.3
+
+
 def test_a_strong_affine_in_a_small_image() -> None:
     predicted = scattered(4, 100, 200)
     observed = affine(3.0, 200).forward(predicted) + noise(4, 100, 0.1)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.fit import fit_tps
-from pcwlad_geo.correction.plate import Plate
-from pcwlad_geo.correction.smoothing import Trials
-from pcwlad_geo.correction.windows import Overlaps, probes_of
+from pcwlad_geo.correction.estimation import Overlaps, probes_of
+from pcwlad_geo.correction.thin_plate import fit_tps
+from pcwlad_geo.correction.thin_plate_system import ThinPlateSystem, Trials
 
 from .points import inside, isotropic, noise, scattered, waves, window_noise
 
@@ -19,7 +18,7 @@ def trials_of(points: Array, values: Array, side_px: float, outliers: int = 0) -
     whitener = np.broadcast_to(10 * np.eye(2), (len(points), 2, 2))
     weight = np.where(np.arange(len(points)) < outliers, 0.0, 0.7)
     overlaps, probes = Overlaps.of(points, side_px), probes_of(points)
-    return Trials.of(Plate.of(points, 81), overlaps, probes, values, whitener, weight)
+    return Trials.of(ThinPlateSystem.of(points, 81), overlaps, probes, values, whitener, weight)
 
 
 @pytest.mark.parametrize("stiffness", [0.3, 30.0, 3e3])
@@ -29,7 +28,7 @@ def test_the_information_used_up_is_that_of_dense_algebra(outliers: int, stiffne
     trials = trials_of(points, noise(0, 200, 0.1), 81, outliers)
     smoothing = trials.smoothing(stiffness)
     trial = trials.at(smoothing)
-    design, energy = trials.plate.design.toarray()[outliers:], trials.plate.energy.toarray()
+    design, energy = trials.system.design.toarray()[outliers:], trials.system.energy.toarray()
     precision = trials.precision[outliers:]
     np.testing.assert_allclose(precision, 100)  # inliers count in full
     hat = design @ np.linalg.solve((design.T * precision) @ design + smoothing * energy, design.T * precision)
@@ -78,13 +77,13 @@ def test_waves_are_followed_about_as_well_as_can_be() -> None:
     def rmse(moved: Array) -> float:
         return float(np.sqrt(((moved - truth) ** 2).sum(axis=1).mean()))
 
-    plate = Plate.of(points, 81)
+    system = ThinPlateSystem.of(points, 81)
     errors = []
     for step in range(12):
         stiffness = 2e4 / 4.0**step
         precision = np.full(500, 100.0)
-        factor = plate.factor(plate.normal(precision), plate.smoothing(stiffness, precision))
-        found = factor.solve(plate.design.T @ (100 * (observed - points)))
-        errors.append(rmse(places + plate.grid.design(places) @ found))
+        factor = system.factor(system.normal(precision), system.smoothing(stiffness, precision))
+        found = factor.solve(system.design.T @ (100 * (observed - points)))
+        errors.append(rmse(places + system.grid.design(places) @ found))
     assert rmse(fit.correction.forward(places)) < 1.25 * min(errors)
     assert min(errors) < 0.3 * max(errors)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.support import Support
+from pcwlad_geo.correction.fitted import Support
 
 from .points import inside, scattered
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcwlad_geo.correction.thinning import thin
+from pcwlad_geo.correction.points import thin
 
 from .points import scattered
 

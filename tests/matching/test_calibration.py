@@ -1,13 +1,7 @@
 import numpy as np
 import pytest
 
-from pcwlad_geo.matching.calibration import (
-    DEFAULT_SCALE,
-    LEAST_SIGMA_PX,
-    SCALE_RANGE,
-    calibrated,
-    sigma_scale,
-)
+from pcwlad_geo.matching.guidance import DEFAULT_SCALE, MIN_SIGMA_PX, SCALE_RANGE, calibrated, sigma_scale
 
 
 def formal(n: int, seed: int = 0) -> np.ndarray:
@@ -60,5 +54,5 @@ def test_calibrated_intervals_hold() -> None:
 def test_no_sigma_is_below_the_floor_and_correlations_stay() -> None:
     covariance = np.array([[[0.04, 0.02], [0.02, 0.09]], [[0.0, 0.0], [0.0, 0.0]]])
     found = calibrated(covariance, 2.0)
-    np.testing.assert_allclose(found[0], 4 * covariance[0] + LEAST_SIGMA_PX**2 * np.eye(2))
-    np.testing.assert_allclose(found[1], LEAST_SIGMA_PX**2 * np.eye(2))
+    np.testing.assert_allclose(found[0], 4 * covariance[0] + MIN_SIGMA_PX**2 * np.eye(2))
+    np.testing.assert_allclose(found[1], MIN_SIGMA_PX**2 * np.eye(2))

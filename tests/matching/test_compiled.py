@@ -1,4 +1,4 @@
-"""Kernels run whether or not they can be kept on disk; what is kept is used, and dropped when outdated."""
+"""Kernels run whether or not they can be kept on disk; what is kept is used, unless it is outdated."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 KERNEL = """
-from pcwlad_geo.matching.compiled import compiled
+from pcwlad_geo.matching.kernels.compiled import compiled
 from part import twice
 
 @compiled(fastmath=True)
@@ -20,7 +20,7 @@ def kernel(x):
     return twice(x) + 1.0
 """
 PART = """
-from pcwlad_geo.matching.compiled import compiled_part
+from pcwlad_geo.matching.kernels.compiled import compiled_part
 
 @compiled_part()
 def twice(x):
@@ -28,9 +28,9 @@ def twice(x):
 """
 SCRIPT = """
 from kernel import kernel
-from pcwlad_geo.matching.compiled import can_be_kept, is_kept
+from pcwlad_geo.matching.kernels.compiled import can_be_cached, is_cached
 
-print(can_be_kept(kernel), is_kept(kernel), kernel(3.0))
+print(can_be_cached(kernel), is_cached(kernel), kernel(3.0))
 """
 
 
@@ -60,9 +60,9 @@ def test_a_kernel_is_kept_for_the_next_process(package: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_kernel_is_compiled_again_when_a_part_of_it_has_changed(package: Path) -> None:
+def test_a_kernel_is_compiled_again_when_its_file_has_changed(package: Path) -> None:
     run(package)
-    (package / "part.py").write_text(PART.replace("2.0", "5.0"))
+    (package / "kernel.py").write_text(KERNEL.replace("1.0", "10.0"))
     assert run(package) == "True False 16.0"
     assert run(package) == "True True 16.0"
 
@@ -81,7 +81,7 @@ def test_kernels_run_without_numba_s_compiler(package: Path) -> None:
 MAPS = """
 import hashlib
 import numpy as np
-from pcwlad_geo.matching.phase_congruency import scene_epsilon
+from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.prepare import Image, prepare
 
 rng = np.random.default_rng(1)
@@ -91,7 +91,7 @@ for _ in range(2):
     images.append(Image(values, values < 150, scene_epsilon(values)))
 pair = prepare(*images, channels="orientations")
 digest = hashlib.sha256()
-for stack, whole in ((pair.stacks.reference, pair.reference_map), (pair.stacks.target, pair.target_map)):
+for stack, whole in ((pair.channels.reference, pair.reference_map), (pair.channels.target, pair.target_map)):
     for array in (stack.maps, stack.coefficients, whole.values, pair.contrast):
         digest.update(np.ascontiguousarray(array).tobytes())
 print(digest.hexdigest())
@@ -104,9 +104,9 @@ def test_maps_do_not_depend_on_whether_the_kernels_were_compiled_or_loaded(tmp_p
     first = run(REPOSITORY, MAPS, NUMBA_CACHE_DIR=cache)
     kept = list(Path(cache).rglob("*.nbi"))
     assert {path.name.split("-")[0] for path in kept} >= {
-        "phase_kernels.filter_rows",
-        "phase_kernels.combine_scales",
-        "phase_kernels.combine_orientations",
+        "phase_congruency.filter_rows",
+        "phase_congruency.combine_scales",
+        "phase_congruency.combine_orientations",
     }
     assert run(REPOSITORY, MAPS, NUMBA_CACHE_DIR=cache) == first
     assert len(list(Path(cache).rglob("*.nbi"))) == len(kept)

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.field import Surface, predict
-from pcwlad_geo.matching.field_kernel import fit_surfaces
-from pcwlad_geo.matching.field_plain import fit_surfaces_plain
+from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
+from tests.oracles.local_surfaces import fit_surfaces_plain
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -5,23 +5,25 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import threading
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
-from pcwlad_geo.matching.first_start import _FirstCompilation
+from pcwlad_geo.registration.tiles import COMPILED_ONCE
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-TELL = "from pcwlad_geo.matching.first_start import compile_kernels; compile_kernels('coarse', print)"
+TELL = """
+from pcwlad_geo.execution.runner import InThisProcess
+from pcwlad_geo.registration.tiles import load_kernels
+load_kernels("coarse", InThisProcess(), lambda event: print(event.message))
+"""
 
 COMPLETE = """
 import sys
 import numpy as np
-from pcwlad_geo.matching.first_start import compile_kernels
+from pcwlad_geo.registration.tiles import compile_kernels
 from pcwlad_geo.matching.matcher import match_arrays
-from pcwlad_geo.matching.settings import MatchSettings
+from pcwlad_geo.matching.types import MatchSettings
 from tests.matching.landscape import Landscape
 
 LANDSCAPE = Landscape()
@@ -36,7 +38,7 @@ def signatures():
     }
 
 for method in ("oriented", "pcwlad"):
-    compile_kernels(method, lambda kept: None)
+    compile_kernels(method)
     before = signatures()
     assert sum(before.values()) >= 2, before
     for dtype in (np.float32, np.float64, np.uint16):
@@ -62,24 +64,7 @@ def python(code: str, **environment: str) -> str:
 
 @pytest.mark.slow
 def test_the_first_start_tells_and_the_second_does_not(tmp_path: Path) -> None:
-    assert [python(TELL, NUMBA_CACHE_DIR=str(tmp_path)) for _ in range(2)] == ["True\n", ""]
-
-
-def test_it_tells_once_and_whether_the_result_is_kept() -> None:
-    told: list[bool] = []
-    listener = _FirstCompilation(told.append)
-
-    def event(folder: str | None) -> SimpleNamespace:
-        return SimpleNamespace(data={"dispatcher": SimpleNamespace(stats=SimpleNamespace(cache_path=folder))})
-
-    other = threading.Thread(target=listener.on_start, args=(event("folder"),))  # somebody else's kernel
-    other.start()
-    other.join()
-    assert told == []
-    for folder in (None, "folder"):
-        listener.on_start(event(folder))
-        listener.on_end(event(folder))
-    assert told == [False]
+    assert [python(TELL, NUMBA_CACHE_DIR=str(tmp_path)) for _ in range(2)] == [f"{COMPILED_ONCE}\n", ""]
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 import rasterio
 from scipy.spatial import cKDTree
 
-from pcwlad_geo.matching.global_search import SearchResult, search_shift
+from pcwlad_geo.matching.shift_search import SearchResult, search_shift
 
 SCENE_PX = 640
 

@@ -3,9 +3,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from pcwlad_geo.matching import gradient
-from pcwlad_geo.matching.gradient import oriented_gradients
-from pcwlad_geo.matching.phase_congruency import scene_epsilon
+from pcwlad_geo.matching import maps as gradient
+from pcwlad_geo.matching.maps import oriented_gradients, scene_epsilon
 from tests.matching.landscape import Landscape
 
 SIDE = 120
@@ -25,7 +24,7 @@ def test_the_maps_are_those_of_the_formula(image: NDArray) -> None:
     low, high = np.percentile(image, (0.05, 99.95))
     dx, dy = (ndimage.sobel(image / (high - low), axis, mode="mirror") for axis in (1, 0))
     square = ndimage.gaussian_filter((dx**2 + dy**2) / 2, gradient.NEIGHBOURHOOD_PX, mode="mirror")
-    local = np.sqrt(square) + gradient.LEAST_STRENGTH
+    local = np.sqrt(square) + gradient.MIN_STRENGTH
     maps, strength = maps_of(image)
     for orientation, found in enumerate(maps):
         theta = orientation * np.pi / 6

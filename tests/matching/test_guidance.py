@@ -6,8 +6,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching.guidance import guide_by_field
 from pcwlad_geo.matching.matcher import matched_again
-from pcwlad_geo.matching.settings import MatchSettings
-from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.matching.types import MatchSettings, TiePoints
 
 SIDE = 1000.0
 SETTINGS = MatchSettings()

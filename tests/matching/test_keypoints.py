@@ -3,7 +3,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.keypoints import by_cell, contrast_weight, detect_corners, strongest
-from pcwlad_geo.matching.phase_congruency import maximum_moment, oriented_phase_congruency, scene_epsilon
+from pcwlad_geo.matching.maps import maximum_moment, oriented_phase_congruency, scene_epsilon
 from tests.matching.landscape import Landscape
 
 SIDE = 200

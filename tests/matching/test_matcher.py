@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import matcher
+from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.matcher import Core, match_arrays, match_candidates, to_index
-from pcwlad_geo.matching.phase_congruency import scene_epsilon
 from pcwlad_geo.matching.prepare import Image, prepare
-from pcwlad_geo.matching.settings import MatchSettings
-from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from tests.matching.landscape import Landscape, constant
 
 SIDE = 230
@@ -164,13 +163,13 @@ def test_masked_and_missing_pixels_have_no_say() -> None:
 
 def test_all_points_go_back_where_a_sample_does_not_come_back_to_where_it_began() -> None:
     alike = match_arrays(image(0), image(0, SHIFT_XY), settings=SMALL)
-    share = np.isfinite(alike.way_back_px).mean()
+    share = np.isfinite(alike.forward_backward_px).mean()
     assert 0.2 < share < 0.3
-    assert np.nanmax(alike.way_back_px) < 0.02
+    assert np.nanmax(alike.forward_backward_px) < 0.02
     noisy = image(1, SHIFT_XY) + np.random.default_rng(5).normal(0, 0.6 * np.std(image(1)), (SIDE, SIDE))
     different = match_arrays(image(0), noisy, settings=SMALL)
-    assert np.isfinite(different.way_back_px).all()
-    assert np.sqrt((different.way_back_px**2).mean()) > 0.02
+    assert np.isfinite(different.forward_backward_px).all()
+    assert np.sqrt((different.forward_backward_px**2).mean()) > 0.02
 
 
 def test_the_second_pass_goes_back_where_the_first_one_did_not_come_back(

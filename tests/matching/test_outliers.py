@@ -2,7 +2,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.outliers import NEIGHBOURS, SCATTERS, axis_sigma_px, consistent
+from pcwlad_geo.matching.outliers import (
+    MAX_CLUSTERED,
+    NEIGHBOURS,
+    SCATTERS,
+    axis_sigma_px,
+    consistent,
+    contradicted_clusters,
+)
 
 SIDE, WINDOW, SIGMA = 800.0, 81, 0.05
 
@@ -114,3 +121,120 @@ def test_the_narrow_limit_is_so_many_of_them() -> None:
         shifted[tested] = [factor * SCATTERS * about_px, 0.0]
         kept = consistent(xy, shifted, np.full(4000, 0.05), 41)
         assert kept[tested].all() if stays else not kept[tested].any()
+
+
+FRAME = np.array([640.0, 512.0])
+AFFINE = np.array([[0.966 - 1, -0.02], [0.02, 0.966 - 1]])
+"""A pose that the start has missed: displacements up to 14 px, and 1.1 px of noise beside them."""
+
+
+def with_cluster(
+    seed: int, members: int = 26, off_px: float = 15.0, n: int = 226, radius_px: float = 70.0
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Positions and displacements of an affine with a round cluster beside it, and which are the cluster."""
+    rng = np.random.default_rng(seed)
+    centre = rng.uniform(0.15, 0.85, 2) * FRAME
+    others = rng.uniform(0, FRAME, (3 * n, 2))
+    others = others[np.linalg.norm(others - centre, axis=1) > radius_px][:n]
+    angle, share = rng.uniform(0, 2 * np.pi, members), rng.random(members)
+    inside = centre + radius_px * np.sqrt(share)[:, None] * np.c_[np.cos(angle), np.sin(angle)]
+    xy = np.concatenate([others, inside])
+    displacement = (xy - FRAME / 2) @ AFFINE.T + (3.0, -2.0) + rng.normal(0, 0.8, xy.shape)
+    direction = rng.uniform(0, 2 * np.pi)
+    displacement[n:] += off_px * np.array([np.cos(direction), np.sin(direction)])
+    return xy, displacement, np.arange(len(xy)) >= n
+
+
+def rejected(xy: NDArray, displacement: NDArray, unit_px: float = 1.0) -> NDArray:
+    mask = np.zeros(len(xy), bool)
+    for cluster in contradicted_clusters(xy, displacement, WINDOW * unit_px, unit_px):
+        mask[cluster.index] = True
+    return mask
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("members", "radius_px"), [(9, 40.0), (26, 70.0), (26, 120.0), (50, 90.0)])
+def test_a_cluster_beside_what_all_others_predict_is_found(seed: int, members: int, radius_px: float) -> None:
+    xy, displacement, wrong = with_cluster(seed, members, radius_px=radius_px)
+    np.testing.assert_array_equal(rejected(xy, displacement), wrong)
+
+
+def test_it_survives_the_neighbours_and_is_told_with_its_offset() -> None:
+    survived = 0
+    for seed in range(6):
+        xy, displacement, wrong = with_cluster(seed, 60, n=500, radius_px=110.0)
+        kept = consistent(xy, displacement, np.full(len(xy), 1.1), WINDOW)
+        if np.count_nonzero(kept & wrong) < 6:
+            continue
+        survived += 1
+        (cluster,) = contradicted_clusters(xy[kept], displacement[kept], WINDOW)
+        np.testing.assert_array_equal(np.flatnonzero(kept)[cluster.index], np.flatnonzero(kept & wrong))
+        beside = displacement - (xy - FRAME / 2) @ AFFINE.T - (3.0, -2.0)
+        truth = np.median(beside[wrong], axis=0)
+        assert np.linalg.norm(cluster.offset_px - truth) < 0.5
+    assert survived >= 3
+
+
+def test_two_clusters_are_told_apart() -> None:
+    xy, displacement, wrong = with_cluster(0, 15, n=300)
+    far = np.linalg.norm(xy - xy[wrong].mean(axis=0), axis=1)
+    second = np.linalg.norm(xy - xy[far.argmax()], axis=1) < 60
+    assert 6 <= second.sum() <= 30
+    displacement[second] -= 12.0
+    found = contradicted_clusters(xy, displacement, WINDOW)
+    assert sorted(len(cluster.index) for cluster in found) == sorted([wrong.sum(), second.sum()])
+
+
+@pytest.mark.parametrize("off_px", [0.0, 2.0])
+def test_a_small_offset_is_no_contradiction(off_px: float) -> None:
+    xy, displacement, _ = with_cluster(1, off_px=off_px)
+    assert contradicted_clusters(xy, displacement, WINDOW) == []
+
+
+def test_the_least_offset_counts_in_pixels_of_the_matching() -> None:
+    xy, displacement, wrong = with_cluster(2, off_px=15.0)
+    np.testing.assert_array_equal(rejected(xy * 4, displacement * 4, 4.0), wrong)
+    assert not rejected(xy, displacement, 6.0).any()  # 15 px are two and a half of them
+
+
+@pytest.mark.parametrize("size_px", [5.0, 15.0])
+@pytest.mark.parametrize("radius_px", [80.0, 150.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_ground_that_bends_smoothly_is_kept(size_px: float, radius_px: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, SIDE, (900, 2))
+    squared = ((xy - rng.uniform(200, 600, 2)) ** 2).sum(axis=1) / radius_px**2
+    bend = size_px * np.exp(-squared / 2)
+    displacement = np.c_[bend, -0.4 * bend] + 0.01 * xy + rng.normal(0, 0.2, xy.shape)
+    assert contradicted_clusters(xy, displacement, WINDOW) == []
+
+
+@pytest.mark.parametrize("wavelength_px", [200, 500, 1000])
+def test_a_rough_field_is_kept(wavelength_px: float) -> None:
+    xy, noise = scene(700)
+    waves = 12 * np.sin(2 * np.pi * xy[:, ::-1] / wavelength_px)
+    assert contradicted_clusters(xy, waves + noise, WINDOW) == []
+
+
+@pytest.mark.parametrize(("strait_px", "kept"), [(100.0, False), (600.0, True)])
+def test_an_island_contradicts_nobody(strait_px: float, kept: bool) -> None:
+    xy, noise = scene(300)
+    island = np.arange(len(xy)) < 40
+    xy[island] = (SIDE + strait_px, 300.0) + xy[island] / 6
+    noise[island] += 9.0
+    assert (contradicted_clusters(xy, noise, WINDOW) == []) is kept
+
+
+def test_a_part_that_is_no_minority_is_kept() -> None:
+    """A block beyond a fault: more than a fifth of the scene is not outvoted."""
+    xy, noise = scene(500)
+    for share in (MAX_CLUSTERED + 0.05, 0.5):
+        block = xy[:, 0] < share * SIDE
+        assert contradicted_clusters(xy, np.where(block[:, None], 9.0, 0.0) + noise, WINDOW) == []
+
+
+@pytest.mark.parametrize("n", [0, 1, 5, 30])
+def test_clusters_of_few_matches_or_on_a_line(n: int) -> None:
+    line = np.column_stack([np.arange(2.0 * n), np.zeros(2 * n)])
+    moved = np.where(line[:, :1] > 1.8 * n, 20.0, 0.0) + np.zeros((2 * n, 2))
+    assert contradicted_clusters(line, moved, WINDOW) == []

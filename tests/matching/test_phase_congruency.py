@@ -8,21 +8,26 @@ import rasterio
 from numpy.typing import NDArray
 from phasepack import phasecong
 
-from pcwlad_geo.matching.filter_bank import SCALES, filter_bank, wedge
-from pcwlad_geo.matching.phase_congruency import (
+from pcwlad_geo.matching.kernels.phase_congruency import (
+    SCALES,
+    combine_scales,
+    filter_bank,
+    filter_rows,
+    wedge,
+)
+from pcwlad_geo.matching.maps import (
     EPSILON_OF_BYTE_RANGE,
     maximum_moment,
     oriented_phase_congruency,
     scene_epsilon,
 )
-from pcwlad_geo.matching.phase_congruency_plain import (
+from tests.matching.landscape import Landscape
+from tests.oracles.phase_congruency import (
     combine_scales_plain,
     maximum_moment_plain,
     oriented_phase_congruency_plain,
     transfer_functions,
 )
-from pcwlad_geo.matching.phase_kernels import combine_scales, filter_rows
-from tests.matching.landscape import Landscape
 
 SIDE = 160
 

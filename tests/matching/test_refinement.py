@@ -6,24 +6,24 @@ import pytest
 from numpy.typing import NDArray
 from scipy.fft import fft2, fftfreq, ifft2
 
-from pcwlad_geo.matching.phase_congruency import scene_epsilon
-from pcwlad_geo.matching.prepare import Image, StackPair, prepare
-from pcwlad_geo.matching.refinement import ChannelStack, Start, correlation_half_px, refine
-from pcwlad_geo.matching.refinement_plain import refine_plain
+from pcwlad_geo.matching.maps import scene_epsilon
+from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
+from pcwlad_geo.matching.refinement import ChannelMaps, Start, correlation_half_px, refine
 from tests.matching.landscape import Field, Landscape, constant
+from tests.oracles.refinement import refine_plain
 
 SIDE = 200
 
 
 def prepared(
     reference: NDArray, target: NDArray, *, oriented: bool = True, valid: NDArray | None = None
-) -> StackPair:
+) -> ChannelPair:
     everything = np.ones(reference.shape, bool)
     images = (
         Image(image, valid if valid is not None else everything, scene_epsilon(image))
         for image in (reference, target)
     )
-    return prepare(*images, channels="orientations" if oriented else "moment").stacks
+    return prepare(*images, channels="orientations" if oriented else "moment").channels
 
 
 def start_at(shift_xy: tuple[float, float], n: int, **more: NDArray) -> Start:
@@ -44,7 +44,7 @@ def periodic_texture(side: int, seed: int) -> NDArray:
 
 
 @cache
-def cross_modal(oriented: bool, with_holes: bool) -> StackPair:
+def cross_modal(oriented: bool, with_holes: bool) -> ChannelPair:
     scene = Landscape(5)
     valid = np.ones((SIDE, SIDE), bool)
     if with_holes:
@@ -226,17 +226,17 @@ def test_invalid_pixels_have_no_say() -> None:
     valid = np.ones((SIDE, SIDE), bool)
     valid[90:, 70:100] = False
     garbage = np.random.default_rng(0).normal(127, 60, target.shape)
-    stacks = []
+    channels = []
     for image in (reference, target):
         maps = prepared(image, image).reference.maps.copy()
-        stacks.append(ChannelStack.of(maps, valid))
+        channels.append(ChannelMaps.of(maps, valid))
     corners = np.array([[95, 100]])
-    clean = refine(*stacks, corners, start_at((0, 0), 1), window_px=61, use_structure=False)
-    spoilt = stacks[0].maps.copy()
+    clean = refine(*channels, corners, start_at((0, 0), 1), window_px=61, use_structure=False)
+    spoilt = channels[0].maps.copy()
     spoilt[:, ~valid] = garbage[~valid]
     again = refine(
-        ChannelStack.of(spoilt, valid),
-        stacks[1],
+        ChannelMaps.of(spoilt, valid),
+        channels[1],
         corners,
         start_at((0, 0), 1),
         window_px=61,
@@ -258,7 +258,7 @@ def test_windows_with_too_little_valid_are_not_refined() -> None:
 
 def test_a_window_without_structure_does_not_converge() -> None:
     flat = np.zeros((1, 160, 160), np.float32)
-    stack = ChannelStack.of(flat, np.ones((160, 160), bool))
+    stack = ChannelMaps.of(flat, np.ones((160, 160), bool))
     found = refine(stack, stack, np.array([[80, 80]]), start_at((0, 0), 1), window_px=61)
     assert not found.converged.any()
     assert np.isfinite(found.shift_xy_px).all()

@@ -20,13 +20,13 @@ DIGEST = """
 import hashlib
 import cv2
 import numpy as np
-from pcwlad_geo.matching.refinement import ChannelStack, Start, refine
+from pcwlad_geo.matching.refinement import ChannelMaps, Start, refine
 
 rng = np.random.default_rng(1)
 noise = rng.normal(size=(3, 150, 150)).astype(np.float32)
 noise = np.stack([np.abs(cv2.GaussianBlur(plane, (0, 0), 2)) for plane in noise])
 valid = rng.random((150, 150)) > 0.1
-stacks = [ChannelStack.of(noise[:, i : 140 + i, i : 140 + i], valid[:140, :140]) for i in (0, 1)]
+stacks = [ChannelMaps.of(noise[:, i : 140 + i, i : 140 + i], valid[:140, :140]) for i in (0, 1)]
 corners = rng.integers(45, 95, (40, 2))
 digest = hashlib.sha256()
 for window, linear, affine, fixed in (
@@ -89,7 +89,7 @@ def test_a_kernel_from_disk_gives_what_the_one_just_compiled_gave(tmp_path: Path
         return done.stdout
 
     compiled = run()
-    kept = list((tmp_path / "cache").rglob("refinement_loop.refine_points-*.nb*"))
+    kept = list((tmp_path / "cache").rglob("refinement.refine_points-*.nb*"))
     assert len(kept) == 2, "one index, one kernel: parts are not kept by themselves"
     assert run() == compiled
     assert all(int(line) > 0 for line in compiled.split()[:-1])

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.similarity import MaskedMap, match_coarsely, parabola_top, peak_distinctness, ssim
+from pcwlad_geo.matching.coarse import MaskedMap, match_coarsely, parabola_top, peak_distinctness, ssim
 
 TEMPLATE, RADIUS = 21, 4
 

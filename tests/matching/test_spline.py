@@ -3,7 +3,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter
 
-from pcwlad_geo.matching import spline
+from pcwlad_geo.matching import refinement as spline
 
 
 def spline_coefficients(image: NDArray) -> NDArray:

@@ -3,11 +3,10 @@ from functools import cache
 import numpy as np
 
 from pcwlad_geo.matching.keypoints import FULL_SCALE
-from pcwlad_geo.matching.mutual_structure import mutual_structure
-from pcwlad_geo.matching.phase_congruency import scene_epsilon
-from pcwlad_geo.matching.prepare import Image, StackPair, prepare
+from pcwlad_geo.matching.maps import scene_epsilon
+from pcwlad_geo.matching.mutual_structure import mutual_structure, passes_paper, shared_structure
+from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
 from pcwlad_geo.matching.refinement import Refined, Start
-from pcwlad_geo.matching.structure_filter import passes_paper, shared_structure
 from tests.matching.landscape import Landscape, constant
 
 SIDE, WINDOW = 160, 41
@@ -15,12 +14,12 @@ CORNERS = np.array([[80, 70], [75, 90], [90, 84]])
 
 
 @cache
-def pair() -> StackPair:
+def pair() -> ChannelPair:
     scene = Landscape(11)
     images = (scene.image(SIDE), scene.image(SIDE, 0, constant(2.0, -3.0)))
     return prepare(
         *(Image(i, np.ones(i.shape, bool), scene_epsilon(i)) for i in images), channels="moment"
-    ).stacks
+    ).channels
 
 
 def start_at(dx: float, dy: float) -> Start:

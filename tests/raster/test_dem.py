@@ -8,11 +8,10 @@ from rasterio.crs import CRS
 from rasterio.shutil import copy
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster import dem as module
 from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.dem import WGS84, Dem, Undulation
-from pcwlad_geo.raster.dem_vertical import open_dem
 from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.rpc import dem as module
+from pcwlad_geo.raster.rpc.dem import WGS84, Dem, Undulation, open_dem
 from tests.rpc_scene import dem_grid, dem_values, write_dem
 from tests.scenes import CRS_OF_SCENE, write
 
@@ -64,7 +63,7 @@ def test_a_large_dem_is_read_in_parts(tmp_path: Path, monkeypatch: pytest.Monkey
     dem = open_dem(write_dem(tmp_path / "dem.tif"), 0.0, BOUNDS)
     at = lon_lat_of(dem, np.random.default_rng(1).uniform(0, 200, (400, 2)))
     whole = dem.at(at)
-    monkeypatch.setattr(module, "MOST_PX_AT_ONCE", 500)
+    monkeypatch.setattr(module, "MAX_PX_AT_ONCE", 500)
     np.testing.assert_array_equal(dem.at(at), whole)
 
 

@@ -5,8 +5,7 @@ import pytest
 from affine import Affine
 from rasterio.control import GroundControlPoint
 
-from pcwlad_geo.raster.gcp_grid import geotransform_of
-from pcwlad_geo.raster.grid import apply
+from pcwlad_geo.raster.grid import apply, geotransform_of
 
 TRANSFORM = Affine(8.0, 3.0, 512_345.25, 2.5, -9.0, 5_123_456.75)
 RNG = np.random.default_rng(3)
@@ -43,3 +42,11 @@ def test_the_misfit_is_in_pixels() -> None:
 def test_too_few_or_on_a_line(px: list[list[float]]) -> None:
     at = np.array(px, float)
     assert geotransform_of(gcps(at, apply(TRANSFORM, at))) is None
+
+
+def test_points_that_determine_no_direction_are_missed_without_bound() -> None:
+    """Not on a line, in the image or on the map; yet the best geotransform turns rows into nothing."""
+    col, row = (axis.ravel() for axis in np.meshgrid([0.0, 48.0, 96.0], [0.0, 48.0, 96.0]))
+    found = geotransform_of(gcps(np.column_stack([col, row]), np.column_stack([30 * col, (col - 48.0) ** 2])))
+    assert found is not None
+    assert not found[1] <= 96.0

@@ -17,9 +17,9 @@ from pyproj import Geod
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import OutputError
-from pcwlad_geo.raster import geopackage, tie_point_csv
 from pcwlad_geo.raster.geodesy import displacement_m
-from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.tiepoints import geopackage, text_files
+from pcwlad_geo.tiepoints.table import TiePointTable
 
 
 def table(crs: CRS | None, xy: np.ndarray, displacement_m: np.ndarray) -> TiePointTable:
@@ -62,7 +62,7 @@ def test_points_lines_and_attributes(tmp_path: Path) -> None:
     assert CRS.from_user_input(meta["crs"]) == UTM_TABLE.crs
     assert shapely.get_coordinates(shapely.from_wkb(geometry)) == pytest.approx(UTM_TABLE.xy)
     values = dict(zip(meta["fields"], fields, strict=True))
-    assert tuple(values) == tie_point_csv.COLUMNS
+    assert tuple(values) == text_files.COLUMNS
     assert list(values["id"]) == [1, 2, 3]
     assert list(values["status"]) == ["fit", "check", "rejected"]
     assert values["d_row"] == pytest.approx([-0.5] * 3)
@@ -118,10 +118,47 @@ def test_every_layer_has_a_default_style(tmp_path: Path) -> None:
     assert "ArrowLine" in arrows[0]
 
 
+def test_a_layer_that_gdal_has_not_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    really = pyogrio.raw.write
+
+    def write_one(path: str, *, layer: str, **options: object) -> None:
+        if layer == "displacements":
+            really(path, layer=layer, **options)
+
+    monkeypatch.setattr("pyogrio.raw.write", write_one)
+    with pytest.raises(OutputError, match=r"there is no layer tie_points in it; is the disk full\?"):
+        geopackage.write(UTM_TABLE, tmp_path / "t.gpkg")
+
+
 def test_the_same_points_make_the_same_file(tmp_path: Path) -> None:
     for name in ("a.gpkg", "b.gpkg"):
         geopackage.write(UTM_TABLE, tmp_path / name)
     assert (tmp_path / "a.gpkg").read_bytes() == (tmp_path / "b.gpkg").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gpkg", "b.gpkg"]
+
+
+def test_the_file_does_not_depend_on_how_gdal_laid_out_its_pages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    geopackage.write(UTM_TABLE, tmp_path / "a.gpkg")
+    really = pyogrio.raw.write
+
+    def write_with_gaps(path: str, **options: object) -> None:
+        really(path, **options)
+        with closing(sqlite3.connect(path)) as database, database:
+            database.execute("CREATE TABLE for_a_while (text TEXT)")
+            database.execute("INSERT INTO for_a_while VALUES (hex(randomblob(5000)))")
+            database.execute("DROP TABLE for_a_while")
+
+    monkeypatch.setattr("pyogrio.raw.write", write_with_gaps)
+    geopackage.write(UTM_TABLE, tmp_path / "b.gpkg")
+    assert _without_counters(tmp_path / "a.gpkg") == _without_counters(tmp_path / "b.gpkg")
+
+
+def _without_counters(path: Path) -> bytes:
+    """Return the bytes of a database but for the counter of its schema's changes, which a dropped table moves."""
+    data = path.read_bytes()
+    return data[:40] + data[44:]
 
 
 def test_older_programs_know_its_version(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import tarfile
 import threading
 import zipfile
 from collections.abc import Iterator
+from dataclasses import asdict
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import ClassVar
@@ -21,7 +22,7 @@ import rasterio.shutil
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.identity import (
     HEADER_BYTES,
-    MOST_FILES,
+    MAX_FILES,
     FileIdentity,
     check_unchanged,
     file_on_disk,
@@ -66,7 +67,7 @@ def test_a_file_is_told_by_size_times_number_and_header(tmp_path: Path) -> None:
         etag=None,
         header_sha256=hashlib.sha256(path.read_bytes()[:HEADER_BYTES]).hexdigest(),
     )
-    assert FileIdentity.from_json({"role": "target", **found.to_json()}) == found
+    assert FileIdentity.from_json({"role": "target", **asdict(found)}) == found
 
 
 def test_every_kind_of_change_is_told(tmp_path: Path) -> None:
@@ -104,7 +105,7 @@ def test_every_kind_of_change_is_told(tmp_path: Path) -> None:
 
 def test_on_another_device_the_number_does_not_count(tmp_path: Path) -> None:
     (found,) = identify(raster(tmp_path / "a.tif"))
-    elsewhere = FileIdentity(**{**found.to_json(), "device": 1, "inode": 2})  # type: ignore[arg-type]
+    elsewhere = FileIdentity(**{**asdict(found), "device": 1, "inode": 2})  # type: ignore[arg-type]
     assert same([found], [elsewhere])
     assert not same([found], [])
     assert not same([found], identify(raster(tmp_path / "b.tif")))
@@ -136,8 +137,8 @@ def test_a_vrt_that_names_itself_ends(tmp_path: Path) -> None:
 
 def test_mosaics_are_told_by_their_first_files(tmp_path: Path) -> None:
     source = raster(tmp_path / "0.tif")
-    copies = [Path(shutil.copy(source, tmp_path / f"{number}.tif")) for number in range(1, MOST_FILES + 9)]
-    assert len(identify(vrt_of(tmp_path / "all.vrt", *copies))) == MOST_FILES
+    copies = [Path(shutil.copy(source, tmp_path / f"{number}.tif")) for number in range(1, MAX_FILES + 9)]
+    assert len(identify(vrt_of(tmp_path / "all.vrt", *copies))) == MAX_FILES
 
 
 @pytest.mark.parametrize("ending", ["zip", "tar", "tar.gz"])

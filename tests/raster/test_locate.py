@@ -8,11 +8,11 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
-from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.raster.grid import Grid, map_px
-from pcwlad_geo.raster.locate import locate
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.tiepoints.table import locate
 
 Array = NDArray[np.float64]
 UTM33, UTM34, WGS84 = CRS.from_epsg(32633), CRS.from_epsg(32634), CRS.from_epsg(4326)

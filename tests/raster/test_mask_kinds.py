@@ -10,13 +10,12 @@ from rasterio.crs import CRS
 from rasterio.warp import transform as transform_points
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.mask_kinds import accepted, kind_of
-from pcwlad_geo.raster.masks import valid_in_mask_file
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.grid import Grid, Window
+from pcwlad_geo.raster.masks import accepted, kind_of
+from pcwlad_geo.raster.pixels import valid_in_mask_file
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.windows import Window
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.settings import Settings
 from tests.scenes import make_grid, render
 from tests.scenes import write as write_scene
 

@@ -9,9 +9,9 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.windows import Window as FileWindow
 
-from pcwlad_geo.raster.masks import valid_in_file, valid_in_mask_file
+from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.raster.pixels import valid_in_file, valid_in_mask_file
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.windows import Window
 
 GDAL_NAMES = {"uint8": "Byte", "int16": "Int16"}
 TRANSFORM = Affine(10, 0, 500_000, 0, -10, 5_000_000)

@@ -13,10 +13,9 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster.grid import Grid, Window, map_px
 from pcwlad_geo.raster.matching_grid import MARGIN_PX, ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo, describe
-from pcwlad_geo.raster.windows import Window
 
 UTM33, UTM34, WGS84 = CRS.from_epsg(32633), CRS.from_epsg(32634), CRS.from_epsg(4326)
 ENGINEERING = CRS.from_wkt('LOCAL_CS["mine",UNIT["metre",1]]')

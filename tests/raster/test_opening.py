@@ -15,10 +15,10 @@ import rasterio
 
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, TrustError
-from pcwlad_geo.raster.dem_vertical import open_dem
+from pcwlad_geo.raster.rpc.dem import open_dem
 from pcwlad_geo.raster.source import describe, open_raster
-from pcwlad_geo.raster.tie_point_readers import read_point_file
 from pcwlad_geo.raster.trust import Trust, current_trust, trusting
+from pcwlad_geo.tiepoints.readers import read_point_file
 from tests.hostile_rasters import Server, raw_vrt, serving, vrt, wms
 from tests.scenes import make_grid, write
 

@@ -120,6 +120,15 @@ def test_creation_options_have_their_effect(source: Path, tmp_path: Path) -> Non
     assert OutputFormat.of("ENVI", ()).creation_options(rasterio.open(source), interpolated=True) == {}
 
 
+@pytest.mark.parametrize("driver", ["COG", "GTiff"])
+def test_one_thread_compresses_unless_the_user_wants_several(source: Path, driver: str) -> None:
+    """GDAL does not report the blocks that its other threads lose."""
+    with rasterio.open(source) as file:
+        assert "NUM_THREADS" not in OutputFormat.of(driver, ()).creation_options(file, interpolated=True)
+        several = OutputFormat.of(driver, ("NUM_THREADS=2",)).creation_options(file, interpolated=True)
+    assert several["NUM_THREADS"] == "2"
+
+
 @pytest.mark.parametrize("nodata", [True, False])
 def test_a_vrt_warps_what_it_is_read_of(source: Path, tmp_path: Path, nodata: bool) -> None:
     if not nodata:

@@ -9,8 +9,8 @@ import pytest
 import rasterio
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.product import Product
-from pcwlad_geo.raster.products import find_product, stem_of
+from pcwlad_geo.products.detect import find_product, stem_of
+from pcwlad_geo.products.product import Product
 from pcwlad_geo.raster.source import describe, file_name
 from tests.products import LANDSAT, SAFE, packed, write_landsat, write_safe
 

@@ -13,9 +13,9 @@ import pytest
 from PIL import Image
 from rasterio.crs import CRS
 
-from pcwlad_geo.raster import geopackage
-from pcwlad_geo.raster.qgis_styles import COLOURS, LIMITS_PX, arrows_style, enlargement, points_style
-from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.tiepoints import geopackage
+from pcwlad_geo.tiepoints.geopackage import COLOURS, LIMITS_PX, arrows_style, enlargement, points_style
+from pcwlad_geo.tiepoints.table import TiePointTable
 
 DRAWS = Path(__file__).with_name("draw_with_qgis.py")
 SIDE_M = 6000.0

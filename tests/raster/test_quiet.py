@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 
-from pcwlad_geo.raster.quiet import ignoring
+from pcwlad_geo.raster.gdal import ignoring
 from tests.patience import PATIENCE_S
 
 

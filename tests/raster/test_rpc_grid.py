@@ -1,14 +1,16 @@
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pcwlad_geo.raster.dem import ConstantHeight
-from pcwlad_geo.raster.grid import map_px
-from pcwlad_geo.raster.rpc_grid import RpcGrid, levelled, positions_on
-from pcwlad_geo.raster.windows import Window
-from tests.rpc_scene import SHAPE, make_rpc, relief, rpc_grid, write_dem
+from pcwlad_geo.raster.grid import Window, map_px
+from pcwlad_geo.raster.rpc.dem import ConstantHeight
+from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, positions_on
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster.view import View
+from tests.rpc_scene import SHAPE, dem_grid, dem_values, make_rpc, relief, rpc_grid, write_dem, write_image
 from tests.scenes import CRS_OF_SCENE, make_grid
 
 
@@ -64,11 +66,26 @@ def test_an_overviews_grid_is_the_same_ground(grid: RpcGrid) -> None:
 
 
 def test_levelled_has_no_relief(grid: RpcGrid) -> None:
-    assert levelled(grid) == RpcGrid.of_file(SHAPE, make_rpc(), ConstantHeight(400.0))
+    assert at_mean_height(grid) == RpcGrid.of_file(SHAPE, make_rpc(), ConstantHeight(400.0))
     plain = make_grid()
-    assert levelled(plain) is plain
+    assert at_mean_height(plain) is plain
 
 
 def test_it_travels_small(grid: RpcGrid) -> None:
     assert pickle.loads(pickle.dumps(grid)) == grid
     assert len(pickle.dumps(grid)) < 5000
+
+
+def test_own_pixels_need_no_ground(tmp_path: Path) -> None:
+    """The file's own pixels are read where the DEM has no heights, from which they could be placed."""
+    nowhere = dem_values(dem_grid())
+    nowhere[:, :90] = np.nan
+    values = np.arange(SHAPE[0] * SHAPE[1], dtype=np.uint32).reshape(SHAPE)
+    path = write_image(tmp_path / "raw.tif", values, make_rpc())
+    grid = rpc_grid(write_dem(tmp_path / "dem.tif", nowhere))
+    corner = np.array([[0.0, 0.0]])
+    assert np.isnan(grid.to_xy(corner)).all()
+    view = View(replace(describe(path), grid=grid), grid, "none")
+    np.testing.assert_array_equal(view.read(Window(0, 0, 20, 30)).values, values[:20, :30])
+    np.testing.assert_array_equal(view.to_file_px(corner), corner)
+    np.testing.assert_array_equal(view.from_file_px(corner), corner)

@@ -8,12 +8,11 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.raster import warping
-from pcwlad_geo.raster.dem import ConstantHeight, Dem, Undulation
-from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster.grid import Grid, Window, map_px
 from pcwlad_geo.raster.output_grid import GridRequest
-from pcwlad_geo.raster.rpc_grid import RpcGrid, positions_on
-from pcwlad_geo.raster.rpc_warping import ortho_grid, orthorectify, requested_ortho_grids
-from pcwlad_geo.raster.windows import Window
+from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem, Undulation
+from pcwlad_geo.raster.rpc.grid import RpcGrid, positions_on
+from pcwlad_geo.raster.rpc.ortho import ortho_grid, orthorectify, requested_ortho_grids
 from tests.rpc_scene import (
     SHAPE,
     UNDULATION_M,

@@ -7,7 +7,7 @@ import rasterio
 from affine import Affine
 from rasterio.crs import CRS
 
-from pcwlad_geo.raster import sigma_raster
+from pcwlad_geo.outputs import write as sigma_raster
 from pcwlad_geo.raster.grid import Grid, apply
 
 UTM33 = CRS.from_epsg(32633)
@@ -26,7 +26,7 @@ class Sloping:
 
 def test_every_pixel_tells_the_sigma_of_its_place(tmp_path: Path) -> None:
     output = TARGET.part((100.0, -50.0), (1500, 2400))
-    sigma_raster.write(tmp_path / "s.tif", Sloping(), TARGET, output)
+    sigma_raster.write_sigma(tmp_path / "s.tif", Sloping(), TARGET, output)
     with rasterio.open(tmp_path / "s.tif") as file:
         values = file.read()
         rows, cols = np.indices(file.shape) + 0.5
@@ -44,7 +44,7 @@ def test_every_pixel_tells_the_sigma_of_its_place(tmp_path: Path) -> None:
 
 def test_without_a_crs_it_lies_on_the_pixel_plane(tmp_path: Path) -> None:
     flat = Grid((300, 400), Affine.identity(), None)
-    sigma_raster.write(tmp_path / "s.tif", Sloping(), flat, flat)
+    sigma_raster.write_sigma(tmp_path / "s.tif", Sloping(), flat, flat)
     with rasterio.open(tmp_path / "s.tif") as file:
         assert file.shape == (300, 400)
         assert file.read(1)[0, 7] == np.float32(7.5 / 1000)

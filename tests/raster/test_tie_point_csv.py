@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from rasterio.crs import CRS
 
-from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster import tie_point_csv
-from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.tiepoints import text_files
+from pcwlad_geo.tiepoints.table import TiePointTable
+from tests.tables import read_table
 
 HEADER = (
     "id,ref_col,ref_row,tgt_col,tgt_row,x,y,d_col,d_row,d_x_m,d_y_m,"
@@ -37,8 +36,8 @@ def table(n: int = 40, crs: CRS | None = None) -> TiePointTable:
 
 def test_what_was_written_is_read_back(tmp_path: Path) -> None:
     written = table()
-    tie_point_csv.write(written, tmp_path / "tiepoints.csv")
-    read = tie_point_csv.read(tmp_path / "tiepoints.csv", crs=CRS.from_epsg(32633))
+    text_files.write_csv(written, tmp_path / "tiepoints.csv")
+    read = read_table(tmp_path / "tiepoints.csv", CRS.from_epsg(32633))
     for name in ("reference_px", "target_px", "predicted_px", "displacement_m", "residual_px", "score"):
         assert np.abs(getattr(read, name) - getattr(written, name)).max() < 1.1e-6, name
     assert np.abs(read.xy - written.xy).max() < 1e-8
@@ -60,32 +59,13 @@ def test_the_text_is_exactly_this(tmp_path: Path) -> None:
         status=np.array(["matched"]),
         crs=None,
     )
-    tie_point_csv.write(one, tmp_path / "t.csv")
+    text_files.write_csv(one, tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_bytes().decode() == (
         HEADER + "\n1,10.500000,20.250000,11.000000,19.000000,500000.1,-33.123456789012,0.250000,0.000000,,,"
         "0.200000,0.300000,0.500000,0.000000,,matched\n"
     )
 
 
-def test_an_empty_table_and_foreign_line_ends(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    tie_point_csv.write(table()[:0], path)
-    assert len(tie_point_csv.read(path)) == 0
-    tie_point_csv.write(table(3), path)
-    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
-    assert np.abs(tie_point_csv.read(path).target_px - table(3).target_px).max() < 1e-6
-
-
-def test_errors_say_where(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    with pytest.raises(InputError, match="cannot be read"):
-        tie_point_csv.read(path)
-    path.write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match="ref_col"):
-        tie_point_csv.read(path)
-    tie_point_csv.write(table(2), path)
-    lines = path.read_text().splitlines()
-    lines[2] = lines[2].replace("2,", "2,oops", 1)
-    path.write_text("\n".join(lines))
-    with pytest.raises(InputError, match="line 3: ref_col is 'oops"):
-        tie_point_csv.read(path)
+def test_an_empty_table_is_a_header(tmp_path: Path) -> None:
+    text_files.write_csv(table()[:0], tmp_path / "t.csv")
+    assert (tmp_path / "t.csv").read_text() == HEADER + "\n"

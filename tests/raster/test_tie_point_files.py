@@ -16,13 +16,12 @@ from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster import gcp_files, tie_point_csv, vrt
 from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.locate import place
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.tie_point_files import read_tie_points
-from pcwlad_geo.raster.tie_point_table import TiePointTable
+from pcwlad_geo.tiepoints import text_files
+from pcwlad_geo.tiepoints.readers import read_tie_points
+from pcwlad_geo.tiepoints.table import TiePointTable, place
 from tests.scenes import make_grid, write
 
 REFERENCE, TARGET = make_grid((300, 400)), make_grid((280, 420), offset_m=(90, -45))
@@ -62,13 +61,13 @@ def write_as(kind: str, table: TiePointTable, pair: ViewPair, folder: Path) -> P
     target, reference = pair.target.info, pair.reference.info
     path = folder / {"csv": "t.csv", "qgis": "t.points", "envi": "t.pts", "gcps": "t_gcps.vrt"}[kind]
     if kind == "csv":
-        tie_point_csv.write(table, path)
+        text_files.write_csv(table, path)
     elif kind == "qgis":
-        gcp_files.write_points(table, path, target.georeferenced, target.grid)
+        text_files.write_points(table, path, target.georeferenced, target.grid)
     elif kind == "envi":
-        gcp_files.write_envi(table, path, reference.uri, target.uri)
+        text_files.write_envi(table, path, reference.uri, target.uri)
     else:
-        vrt.write_gcps_vrt(path, target.uri, table, table.crs, final_path=path)
+        text_files.write_gcps_vrt(path, target.uri, table, table.crs, final_path=path)
     return path
 
 
@@ -176,7 +175,7 @@ def test_pixels_instead_of_layer_coordinates_are_understood(pair: ViewPair, tmp_
     """As programs write them that do not ask whether the source is georeferenced."""
     table = make_table(pair)
     path = tmp_path / "t.points"
-    gcp_files.write_points(table, path, False, TARGET)
+    text_files.write_points(table, path, False, TARGET)
     check_same(read_tie_points(path, pair), table)
 
 

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from pcwlad_geo.bandqa.bands import expand
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.products import find_product
-from pcwlad_geo.raster.unknown_products import no_product
+from pcwlad_geo.options import Settings
+from pcwlad_geo.products.detect import find_product, no_product
 from pcwlad_geo.registration.inputs import resolve
-from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.stacks.inputs import expand
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from rasterio.errors import RasterioIOError
 from rasterio.windows import Window
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.unread import LEAST_PART, Block, Gaps, filled
+from pcwlad_geo.raster.unread import MIN_PART, Block, UnreadableParts, filled
 
 SIDE = 700
 BAD = (310, 295)
@@ -28,26 +31,26 @@ def read(window: Window) -> Block:
 
 
 def test_only_a_small_part_about_the_damage_is_lost() -> None:
-    gaps = Gaps("a.tif", SIDE * SIDE)
+    unreadable = UnreadableParts("a.tif", SIDE * SIDE)
     whole = Window(0, 0, SIDE, SIDE)
-    block = gaps.read(read, whole, filled([-7.0], np.dtype(np.int32)))
+    block = unreadable.read(read, whole, filled([-7.0], np.dtype(np.int32)))
     lost = block[0] == -7
     np.testing.assert_array_equal(block[0][~lost], pixels(whole)[0][~lost])
     assert lost[BAD]
-    assert lost.sum() == gaps.lost_px2 <= LEAST_PART[0] * LEAST_PART[1]
+    assert lost.sum() == unreadable.lost_px2 <= MIN_PART[0] * MIN_PART[1]
     rows, cols = np.nonzero(lost)
-    assert max(np.ptp(rows), np.ptp(cols)) < LEAST_PART[0]
-    warning = gaps.warning()
+    assert max(np.ptp(rows), np.ptp(cols)) < MIN_PART[0]
+    warning = unreadable.warning()
     assert warning is not None
     assert "a.tif cannot be read there" in warning
     assert "damaged" in warning
 
 
 def test_nothing_is_said_of_a_sound_file() -> None:
-    gaps = Gaps("a.tif", 100)
+    unreadable = UnreadableParts("a.tif", 100)
     window = Window(300, 0, 10, 10)
-    np.testing.assert_array_equal(gaps.read(read, window, filled([0.0], np.dtype(int))), pixels(window))
-    assert gaps.warning() is None
+    np.testing.assert_array_equal(unreadable.read(read, window, filled([0.0], np.dtype(int))), pixels(window))
+    assert unreadable.warning() is None
 
 
 def test_what_is_mostly_lost_is_an_error() -> None:
@@ -55,7 +58,9 @@ def test_what_is_mostly_lost_is_an_error() -> None:
         raise RasterioIOError("no such block")
 
     with pytest.raises(InputError, match=r"a\.tif cannot be read: no such block"):
-        Gaps("a.tif", SIDE * SIDE).read(fail, Window(0, 0, SIDE, SIDE), filled([0.0], np.dtype(int)))
+        UnreadableParts("a.tif", SIDE * SIDE).read(
+            fail, Window(0, 0, SIDE, SIDE), filled([0.0], np.dtype(int))
+        )
 
 
 @pytest.mark.parametrize("nodata", [0.0, np.nan])
@@ -69,11 +74,11 @@ def test_what_is_lost_without_anything_seen_is_an_error(nodata: float) -> None:
             raise RasterioIOError("no such block")
         return nothing(window)
 
-    gaps = Gaps("a.tif", SIDE * SIDE)
-    gaps.read(edge_only, Window(0, 0, SIDE, SIDE), nothing)
-    assert 0 < gaps.lost_px2 < 0.1 * SIDE**2
+    unreadable = UnreadableParts("a.tif", SIDE * SIDE)
+    unreadable.read(edge_only, Window(0, 0, SIDE, SIDE), nothing)
+    assert 0 < unreadable.lost_px2 < 0.1 * SIDE**2
     with pytest.raises(InputError, match=r"a\.tif cannot be read: no such block"):
-        gaps.warning()
+        unreadable.warning()
 
 
 @pytest.mark.parametrize(
@@ -85,9 +90,56 @@ def test_what_is_lost_without_anything_seen_is_an_error(nodata: float) -> None:
     ],
 )
 def test_a_file_elsewhere_has_no_gaps(place: str) -> None:
-    gaps = Gaps(place, SIDE * SIDE)
+    unreadable = UnreadableParts(place, SIDE * SIDE)
     with pytest.raises(InputError, match="damaged"):
-        gaps.read(read, Window(0, 0, SIDE, SIDE), filled([0.0], np.dtype(int)))
+        unreadable.read(read, Window(0, 0, SIDE, SIDE), filled([0.0], np.dtype(int)))
+
+
+def test_a_file_in_an_archive_on_this_machine_may_have_gaps() -> None:
+    unreadable = UnreadableParts("/vsizip/products.zip/a.tif", SIDE * SIDE)
+    unreadable.read(read, Window(0, 0, SIDE, SIDE), filled([0.0], np.dtype(int)))
+    assert unreadable.lost_px2 > 0
+
+
+@pytest.mark.parametrize(
+    ("shape", "least", "lost"),
+    [
+        ((64, 64), MIN_PART, (64, 64)),
+        ((65, 64), MIN_PART, (32, 64)),
+        ((64, 65), MIN_PART, (64, 32)),
+        ((20, 40), (20, 40), (20, 40)),
+        ((40, 20), (20, 40), (20, 20)),
+        ((80, 40), (20, 40), (20, 40)),
+    ],
+)
+def test_parts_are_halved_until_they_are_small_on_both_sides(
+    shape: tuple[int, int], least: tuple[int, int], lost: tuple[int, int]
+) -> None:
+    def corner_is_bad(window: Window) -> Block:
+        if window.row_off == window.col_off == 0:
+            raise RasterioIOError("damaged")
+        return pixels(window)
+
+    unreadable = UnreadableParts("a.tif", 10 * shape[0] * shape[1])
+    block = unreadable.read(
+        corner_is_bad, Window(0, 0, shape[1], shape[0]), filled([0.0], np.dtype(int)), least
+    )
+    expected = pixels(Window(0, 0, shape[1], shape[0]))
+    expected[0, : lost[0], : lost[1]] = 0
+    np.testing.assert_array_equal(block, expected)
+    assert unreadable.lost_px2 == lost[0] * lost[1]
+
+
+def test_the_first_error_tells_what_is_damaged() -> None:
+    errors = ["no such block", *["it is closed"] * 9999]
+
+    def fail(window: Window) -> Block:
+        raise RasterioIOError(errors.pop(0))
+
+    with pytest.raises(InputError, match="no such block"):
+        UnreadableParts("a.tif", SIDE * SIDE).read(
+            fail, Window(0, 0, SIDE, SIDE), filled([0.0], np.dtype(int))
+        )
 
 
 def test_hopeless_files_are_given_up() -> None:
@@ -98,8 +150,10 @@ def test_hopeless_files_are_given_up() -> None:
         raise RasterioIOError("no such block")
 
     with pytest.raises(InputError):
-        Gaps("a.tif", 10**9).read(fail, Window(0, 0, 30000, 30000), filled([0.0], np.dtype(np.uint8)))
-    assert len(tried) < 2100
+        UnreadableParts("a.tif", 10**9).read(
+            fail, Window(0, 0, 30000, 30000), filled([0.0], np.dtype(np.uint8))
+        )
+    assert len(tried) == 2001
 
 
 def test_nothing_is_a_value_a_band() -> None:
@@ -109,36 +163,91 @@ def test_nothing_is_a_value_a_band() -> None:
     block[0] = 1  # the caller's own
 
 
-def lose(gaps: Gaps, lost: int, seen: int) -> None:
+def lose(unreadable: UnreadableParts, lost: int, seen: int) -> None:
     """Read so many smallest parts that fail, then so many that show something."""
 
     def fail(window: Window) -> Block:
         raise RasterioIOError("no such block")
 
-    rows, cols = LEAST_PART
+    rows, cols = MIN_PART
     for number, read_part in enumerate([fail] * lost + [pixels] * seen):
-        gaps.read(read_part, Window(number * cols, 0, cols, rows), filled([0.0], np.dtype(np.int32)))
+        unreadable.read(read_part, Window(number * cols, 0, cols, rows), filled([0.0], np.dtype(np.int32)))
 
 
-@pytest.mark.parametrize(("lost", "seen", "share"), [(1, 3, "25"), (1, 15, "6.2"), (8, 8, "50")])
+@pytest.mark.parametrize(
+    ("lost", "seen", "share"), [(1, 3, "25"), (1, 9, "10"), (1, 15, "6.2"), (8, 8, "50")]
+)
 def test_the_share_that_is_lost_is_told(lost: int, seen: int, share: str) -> None:
-    gaps = Gaps("a.tif", (lost + seen) * LEAST_PART[0] * LEAST_PART[1])
-    lose(gaps, lost, seen)
-    assert (gaps.warning() or "").startswith(f"about {share} % of the warped raster is empty")
+    unreadable = UnreadableParts("a.tif", (lost + seen) * MIN_PART[0] * MIN_PART[1])
+    lose(unreadable, lost, seen)
+    assert (unreadable.warning() or "").startswith(f"about {share} % of the warped raster is empty")
 
 
 def test_half_of_a_raster_may_be_lost_and_no_part_more() -> None:
-    gaps = Gaps("a.tif", 16 * LEAST_PART[0] * LEAST_PART[1])
-    lose(gaps, 8, 0)
+    unreadable = UnreadableParts("a.tif", 16 * MIN_PART[0] * MIN_PART[1])
+    lose(unreadable, 8, 0)
     with pytest.raises(InputError, match=r"a\.tif cannot be read: no such block"):
-        lose(gaps, 1, 0)
+        lose(unreadable, 1, 0)
 
 
 def test_less_may_be_lost_than_is_seen_or_as_much() -> None:
     """Where the raster is a small part of what is read."""
-    gaps = Gaps("a.tif", 1000 * LEAST_PART[0] * LEAST_PART[1])
-    lose(gaps, 3, 3)
-    assert "about 50 %" in (gaps.warning() or "")
-    lose(gaps, 1, 0)
+    unreadable = UnreadableParts("a.tif", 1000 * MIN_PART[0] * MIN_PART[1])
+    lose(unreadable, 3, 3)
+    assert "about 50 %" in (unreadable.warning() or "")
+    lose(unreadable, 1, 0)
     with pytest.raises(InputError, match="no such block"):
-        gaps.warning()
+        unreadable.warning()
+
+
+def test_one_pixel_that_is_lost_is_too_many_where_none_is_seen() -> None:
+    def fail(window: Window) -> Block:
+        raise RasterioIOError("no such block")
+
+    unreadable = UnreadableParts("a.tif", 1000)
+    unreadable.read(fail, Window(0, 0, 1, 1), filled([0.0], np.dtype(int)), (1, 1))
+    with pytest.raises(InputError, match="no such block"):
+        unreadable.warning()
+
+
+@pytest.mark.parametrize(
+    ("nothing", "values", "seen"),
+    [
+        ((np.nan,), (3.0,), True),
+        ((0.0, 0.0), (0.0, 3.0), True),
+        ((0.0, 0.0), (0.0, 0.0), False),
+        ((np.nan, 0.0), (np.nan, 0.0), False),
+    ],
+    ids=["beside NaN", "in the second band", "in no band", "in no band, one of them NaN"],
+)
+def test_a_pixel_is_seen_that_shows_something_in_any_band(
+    nothing: tuple[float, ...], values: tuple[float, ...], seen: bool
+) -> None:
+    unreadable = UnreadableParts("a.tif", SIDE * SIDE)
+    dtype = np.dtype(np.float32)
+    unreadable.read(filled([*values], dtype), Window(0, 0, 64, 64), filled([*nothing], dtype))
+    assert unreadable.seen_px2 == (64 * 64 if seen else 0)
+
+
+def test_threads_count_together() -> None:
+    """A count that another thread overtakes would be lost."""
+    parts = 2000
+    unreadable = UnreadableParts("a.tif", 10 * parts * 64)
+    nothing = filled([0.0], np.dtype(np.int32))
+
+    def every_other_fails(window: Window) -> Block:
+        if window.row_off % 2:
+            raise RasterioIOError("damaged")
+        return pixels(window)
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(8) as threads:
+            for _ in threads.map(
+                lambda row: unreadable.read(every_other_fails, Window(0, row, 8, 8), nothing), range(parts)
+            ):
+                pass
+    finally:
+        sys.setswitchinterval(interval)
+    assert unreadable.lost_px2 == unreadable.seen_px2 == parts // 2 * 64

@@ -16,10 +16,9 @@ from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import view as view_module
-from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster.grid import Grid, Window, map_px
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.raster.windows import Window
 
 Array = NDArray[np.float64]
 UTM33, UTM34, WGS84 = CRS.from_epsg(32633), CRS.from_epsg(32634), CRS.from_epsg(4326)
@@ -406,9 +405,7 @@ def test_a_window_shows_what_the_whole_shows(
     here = Window(11, 17, 21, 13).slices_in(Window(-5, -5, 70, 70))
     np.testing.assert_array_equal(part.valid, whole.valid[here])
     np.testing.assert_allclose(part.values, whole.values[here], atol=1e-5)
-    monkeypatch.setattr(
-        view_module, "_MOST_PX_AT_ONCE", 500
-    )  # in many parts, as a scene too large for memory
+    monkeypatch.setattr(view_module, "_MAX_PX_AT_ONCE", 500)  # in many parts, as a scene too large for memory
     in_parts = view.read(Window(-5, -5, 70, 70))
     np.testing.assert_array_equal(in_parts.valid, whole.valid)
     np.testing.assert_allclose(in_parts.values, whole.values, atol=1e-5)

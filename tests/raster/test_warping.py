@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import subprocess
 import sys
 import textwrap
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +21,11 @@ from pcwlad_geo.correction.models import (
     Correction,
     ProjectiveCorrection,
     SplineCorrection,
+    SplineGrid,
 )
-from pcwlad_geo.correction.spline import SplineGrid
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.gdal import no_error_unheard
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_grid import GridRequest, output_grid
 from pcwlad_geo.raster.vrt import compose
@@ -569,7 +572,22 @@ def test_a_file_without_band_tags_is_not_searched_for_them(
     def fail(path: Path) -> None:
         raise AssertionError(f"{path} is searched")
 
-    monkeypatch.setattr("pcwlad_geo.raster.described_copy._rename_band_tags", fail)
+    monkeypatch.setattr("pcwlad_geo.raster.output_format._rename_band_tags", fail)
     source = write(tmp_path / "a.tif", np.ones(GRID.shape, np.uint8), GRID)
     warp(source, tmp_path / "out.tif", shift(0.3, -0.3), GRID)
     assert (tmp_path / "out.tif").exists()
+
+
+@pytest.mark.parametrize("level", [logging.INFO, logging.ERROR])
+def test_what_gdal_reports_while_it_closes_a_file_is_an_error(level: int) -> None:
+    """As when the disk is full: rasterio logs it, and the file lacks its pixels."""
+    logger, words = logging.getLogger("rasterio._env"), "TIFFLinkDirectory:Error writing directory link"
+    signalled = words if level == logging.ERROR else f"GDAL signalled an error: err_no=1, msg='{words}'"
+    with pytest.raises(OSError, match=f"^{words}$"), no_error_unheard():
+        logger.log(level, signalled)
+    with no_error_unheard():
+        logger.info("all is well")
+    elsewhere = threading.Thread(target=logger.error, args=("of another thread",))
+    with no_error_unheard():
+        elsewhere.start()
+        elsewhere.join()

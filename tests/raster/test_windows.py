@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcwlad_geo.raster.windows import Window
+from pcwlad_geo.raster.grid import Window
 
 
 def test_clipped_padded_intersection() -> None:
@@ -11,8 +11,8 @@ def test_clipped_padded_intersection() -> None:
     assert window.padded(3).clipped((8, 9)) == Window(0, 0, 8, 9)
     assert window.clipped((4, 4)) == Window(2, 3, 2, 1)
     assert window.clipped((2, 9)).empty
-    assert window.intersects(Window(5, 7, 1, 1))
-    assert not window.intersects(Window(6, 3, 1, 1))
+    assert window.intersection(Window(5, 7, 1, 1)) == Window(5, 7, 1, 1)
+    assert window.intersection(Window(6, 3, 1, 1)).empty
 
 
 def test_slices_pick_the_window_out_of_an_outer_one() -> None:
@@ -26,7 +26,7 @@ def test_slices_pick_the_window_out_of_an_outer_one() -> None:
 def test_halves_make_up_the_whole() -> None:
     for window in (Window(1, 2, 5, 3), Window(1, 2, 3, 5), Window(0, 0, 1, 2)):
         first, second = window.halves()
-        assert not first.intersects(second)
+        assert first.intersection(second).empty
         assert first.rows * first.cols + second.rows * second.cols == window.rows * window.cols
         assert first.intersection(window) == first
         assert second.intersection(window) == second

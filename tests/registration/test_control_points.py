@@ -68,7 +68,7 @@ def test_it_is_registered_and_warped(tmp_path: Path) -> None:
 def test_what_no_geotransform_fits_is_warned_of(tmp_path: Path) -> None:
     reference = write(tmp_path / "ref.tif", render(GRID), GRID)
     target = write_target(tmp_path / "tgt.tif", bend_px=0.4)
-    found = pcwlad_geo.match(reference, target, out_dir=tmp_path / "out", **SMALL)
+    found = pcwlad_geo.match_files(reference, target, out_dir=tmp_path / "out", **SMALL)
     assert ["ground control points" in warning for warning in found.warnings] == [True]
     with pytest.raises(InputError, match=r"tgt\.tif.*must be on a map grid; warp it first"):
-        pcwlad_geo.match(target, reference, out_dir=tmp_path / "other", **SMALL)
+        pcwlad_geo.match_files(target, reference, out_dir=tmp_path / "other", **SMALL)

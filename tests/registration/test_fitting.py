@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.tie_point_table import Array, TiePointTable
+from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.fitting import fit_correction
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.tiepoints.table import TiePointTable
+from pcwlad_geo.types import Float64
 from tests.registrations import make_registration
 
 MATRIX = np.array([[1.003, -0.002, 1.25], [0.001, 0.996, -0.5]])
 
 
-def table_of(n: int = 300, *, noise_px: float = 0.1, matrix: Array = MATRIX, seed: int = 1) -> TiePointTable:
+def table_of(
+    n: int = 300, *, noise_px: float = 0.1, matrix: Float64 = MATRIX, seed: int = 1
+) -> TiePointTable:
     """Return matched points of an affine displacement, every tenth rejected and 5 px off."""
     made = make_registration("matched", n=n).tie_points
     rng = np.random.default_rng(seed)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.registration.forecast import likely_tiles, tiles_along
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import Settings
+from pcwlad_geo.registration.inputs import estimate_tile_count, tiles_along
 from tests.scenes import make_grid, write
 
 
@@ -23,8 +23,8 @@ def test_the_coarser_file_counts(tmp_path: Path) -> None:
     fine = write(tmp_path / "fine.tif", np.ones((900, 700), np.uint8), make_grid((900, 700)))
     coarse = write(tmp_path / "coarse.tif", np.ones((450, 300), np.uint8), make_grid((450, 300)))
     settings = Settings(tile_size=256)
-    assert likely_tiles(fine, fine, settings) == 4 * 3
-    assert likely_tiles(fine, coarse, settings) == likely_tiles(coarse, fine, settings) == 2 * 1
+    assert estimate_tile_count(fine, fine, settings) == 4 * 3
+    assert estimate_tile_count(fine, coarse, settings) == estimate_tile_count(coarse, fine, settings) == 2 * 1
 
 
 def test_what_cannot_be_known_is_none(tmp_path: Path) -> None:
@@ -32,4 +32,4 @@ def test_what_cannot_be_known_is_none(tmp_path: Path) -> None:
     text = tmp_path / "text.tif"
     text.write_text("no raster")
     for other in (text, tmp_path, tmp_path / "missing.tif", "/vsicurl/https://example.com/image.tif"):
-        assert likely_tiles(image, other, Settings(tile_size=256)) == 0
+        assert estimate_tile_count(image, other, Settings(tile_size=256)) == 0

@@ -11,13 +11,12 @@ import pytest
 
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
-from pcwlad_geo.raster import tie_point_csv
-from pcwlad_geo.raster.locate import place
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.tie_point_table import TiePointTable
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.tiepoints import text_files
+from pcwlad_geo.tiepoints.table import TiePointTable, place
 from tests.scenes import make_grid, render, write
 
 GRID = make_grid((240, 320))
@@ -45,7 +44,7 @@ def make_table(
 
 
 def write_table(table: TiePointTable, path: Path, columns: int = 17) -> Path:
-    tie_point_csv.write(table, path)
+    text_files.write_csv(table, path)
     lines = [line.split(",") for line in path.read_text().splitlines()]
     path.write_text("".join(",".join(cells[:columns]) + "\n" for cells in lines))
     return path
@@ -114,7 +113,7 @@ def test_a_registration_from_its_own_points_is_the_same(tmp_path: Path) -> None:
         write(tmp_path / "ref.tif", render(GRID), GRID),
         write(tmp_path / "tgt.tif", 255 - render(GRID, displacement_px=SHIFT_PX), GRID),
     )
-    first = pcwlad_geo.match(*paths, out_dir=tmp_path / "first", template=61, window=41, features=150)
+    first = pcwlad_geo.match_files(*paths, out_dir=tmp_path / "first", template=61, window=41, features=150)
     assert first.status == "matched"
     shifts = []
     for name in ("tiepoints.csv", "tgt.tif.points", "tgt.pts", "tgt_gcps.vrt"):

@@ -10,13 +10,13 @@ import pytest
 from affine import Affine
 from rasterio.crs import CRS
 
+from pcwlad_geo.bandqa.bands import list_bands
+from pcwlad_geo.bandqa.pairs import statistics_by_unit
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.settings import Settings
 from pcwlad_geo.report.summary import summarise
-from pcwlad_geo.stacks.bands import list_bands
-from pcwlad_geo.stacks.pairs import statistics_by_unit
 from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, render, write
 
 MERCATOR = CRS.from_epsg(3857)
@@ -52,9 +52,10 @@ def test_a_web_mercator_pair_is_measured_in_metres_of_the_ground(folder: Path) -
     for group in ("fit", "check"):
         px, m = found.accuracy[f"{group}_px"], found.accuracy[f"{group}_m"]
         assert m.ce90 == pytest.approx(px.ce90 * np.mean(true_px_m), rel=0.01)
-    summary = summarise(found, [])
-    before = summary["statistics"]["before"]["all"]  # type: ignore[index,call-overload]
-    assert before["m"]["radial"]["rmse"] == pytest.approx(np.hypot(*SHIFT_PX) * 30, rel=0.02)
+    before = summarise(found, []).statistics.before["all"]
+    assert before is not None
+    assert before.m is not None
+    assert before.m.radial.rmse == pytest.approx(np.hypot(*SHIFT_PX) * 30, rel=0.02)
 
     reference, target = list_bands([folder / "ref.tif", folder / "tgt.tif"])
     assert target.px_m == pytest.approx(true_px_m, rel=2e-3)

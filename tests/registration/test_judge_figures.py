@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.registration import judge as judging
 from pcwlad_geo.registration.judge import Verdict, judge
 
@@ -56,7 +56,7 @@ def test_four_separate_places_must_agree() -> None:
     """However significant three would be: the search is so wide that two would do."""
     for cells, accepted in ((3, False), (4, True), (5, True)):
         found = verdict([[RIGHT] * 8] * cells, radius_px=500)
-        assert found.significance > judging.LEAST_SIGNIFICANCE
+        assert found.significance > judging.MIN_SIGNIFICANCE
         assert found.accepted is accepted
         assert found.agreeing_cells == cells
 
@@ -70,7 +70,7 @@ def test_the_significance_decides_where_places_are_enough() -> None:
 
 def test_a_significance_at_the_limit_suffices(monkeypatch: pytest.MonkeyPatch) -> None:
     cells = [[RIGHT] * 4] * 6
-    monkeypatch.setattr(judging, "LEAST_SIGNIFICANCE", verdict(cells).significance)
+    monkeypatch.setattr(judging, "MIN_SIGNIFICANCE", verdict(cells).significance)
     assert verdict(cells).accepted
 
 

@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.matching.prepare import Image, StackPair, prepare
-from pcwlad_geo.registration.kept_pairs import KeptPairs
+from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
+from pcwlad_geo.registration.tiles import TileCache
 
 NBYTES = 64 * 64 * 2 * (6 * 4 + 1)
 """Of each image six maps as float32, and the mask."""
 
 
 @pytest.fixture(scope="module")
-def pair() -> StackPair:
+def pair() -> ChannelPair:
     images = [
         Image(np.random.default_rng(seed).normal(size=(64, 64)), np.ones((64, 64), bool), 1e-4)
         for seed in (0, 1)
     ]
-    return prepare(*images, channels="orientations").stacks
+    return prepare(*images, channels="orientations").channels
 
 
-def assert_same(found: StackPair | None, wanted: StackPair) -> None:
+def assert_same(found: ChannelPair | None, wanted: ChannelPair) -> None:
     assert found is not None
     for mine, its in ((found.reference, wanted.reference), (found.target, wanted.target)):
         np.testing.assert_array_equal(mine.maps, its.maps)
@@ -29,23 +29,23 @@ def assert_same(found: StackPair | None, wanted: StackPair) -> None:
         np.testing.assert_array_equal(mine.valid, its.valid)
 
 
-def test_a_pair_is_taken_once_and_is_what_it_was(pair: StackPair) -> None:
-    kept = KeptPairs()
+def test_a_pair_is_taken_once_and_is_what_it_was(pair: ChannelPair) -> None:
+    kept = TileCache()
     kept.keep("scene", 3, pair)
     assert kept.take("scene", 2) is None
     assert_same(kept.take("scene", 3), pair)
     assert kept.take("scene", 3) is None
 
 
-def test_what_exceeds_the_limit_is_not_kept(pair: StackPair) -> None:
-    kept = KeptPairs(most_bytes=2 * NBYTES)
+def test_what_exceeds_the_limit_is_not_kept(pair: ChannelPair) -> None:
+    kept = TileCache(most_bytes=2 * NBYTES)
     for tile in range(3):
         kept.keep("scene", tile, pair)
     assert [kept.take("scene", tile) is None for tile in range(3)] == [False, False, True]
 
 
-def test_another_scene_takes_the_place_of_the_last(pair: StackPair) -> None:
-    kept = KeptPairs(most_bytes=NBYTES)
+def test_another_scene_takes_the_place_of_the_last(pair: ChannelPair) -> None:
+    kept = TileCache(most_bytes=NBYTES)
     kept.keep("first", 0, pair)
     kept.keep("second", 0, pair)
     assert kept.take("first", 0) is None

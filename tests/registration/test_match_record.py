@@ -11,15 +11,14 @@ import pytest
 import rasterio
 from rasterio.enums import Resampling
 
-from pcwlad_geo.matching.candidates import FATES, Candidates
+from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import source
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.match_record import GROUND, record_ground
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.result import GROUND, Registration, record_ground
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.report.coverage import coverage_of
+from pcwlad_geo.report.statistics import coverage_of
 from tests.scenes import make_grid, render, write
 
 SETTINGS = Settings(template=41, window=41, search_radius=6, features=600, prealign="georef")
@@ -70,8 +69,8 @@ def test_every_candidate_is_accounted_for(found: Registration) -> None:
     record = found.record
     assert record is not None
     assert record.searched
-    for index, name in enumerate(FATES[1:], start=1):
-        assert np.count_nonzero(record.lost.fate == index) == found.counts[name]
+    for index, name in enumerate(OUTCOMES[1:], start=1):
+        assert np.count_nonzero(record.lost.outcome == index) == found.counts[name]
     assert len(record.lost) + len(found.tie_points) == found.counts["candidates"]
     assert (record.lost.reference_xy_px > 0).all()
     assert (record.lost.reference_xy_px < 400).all()
@@ -124,7 +123,7 @@ def test_large_files_without_overviews_are_not_read_for_it(
     grid = make_grid((120, 120))
     path = write(tmp_path / "ref.tif", render(grid), grid)
     pair = plan_views(describe(path), describe(path))
-    monkeypatch.setattr(source, "MOST_READ_PX", 120 * 120 - 1)
+    monkeypatch.setattr(source, "MAX_READ_PX", 120 * 120 - 1)
     assert record_ground(pair) is None
     with rasterio.open(path, "r+") as file:
         file.build_overviews([2], Resampling.average)
@@ -132,8 +131,8 @@ def test_large_files_without_overviews_are_not_read_for_it(
 
 
 def test_candidates_count_and_join() -> None:
-    fate = np.array([0, 1, 3, 3, 0], np.uint8)
-    some = Candidates(np.arange(10.0).reshape(5, 2), fate)
+    outcome = np.array([0, 1, 3, 3, 0], np.uint8)
+    some = Candidates(np.arange(10.0).reshape(5, 2), outcome)
     assert some.counts == {
         "candidates": 5,
         "not_comparable": 1,

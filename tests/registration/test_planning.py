@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.settings import MatchSettings
-from pcwlad_geo.matching.tie_points import TiePoints
+from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.windows import Window
-from pcwlad_geo.registration.planning import Plan, common_region, plan
-from pcwlad_geo.registration.prealign import look_at
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, plan
+from pcwlad_geo.registration.prealign import read_overviews
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 from tests.scenes import make_grid, write
 
@@ -41,14 +40,14 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> ViewPair:
 
 
 def planned(pair: ViewPair, **options: object) -> Plan:
-    return plan(pair, look_at(pair), OFFSET, MATCHING, Settings.from_options(options))
+    return plan(pair, read_overviews(pair), OFFSET, MATCHING, Settings.from_options(options))
 
 
 def result(job: TileJob, count: int) -> TileResult:
     """Return what a window gives in which so many points move alike."""
     xy = np.random.default_rng(job.id).uniform(0, 50, (count, 2))
     points = TiePoints(xy, xy + 1.0, np.tile(np.eye(2), (count, 1, 1)), np.ones(count), np.zeros(count))
-    return TileResult(job.id, "matched" if count else "empty", points, {"candidates": count}, None, 0.0)
+    return TileResult(job.id, "matched" if count else "empty", points, {"candidates": count}, None)
 
 
 def test_common_region(tmp_path: Path) -> None:
@@ -60,6 +59,8 @@ def test_common_region(tmp_path: Path) -> None:
     assert common_region(pair, (-20, -10)) == Window(10, 20, 210, 220)
     assert common_region(pair, (30, 5)) == Window(0, 0, 215, 210)
     assert common_region(pair, (500, 0)).empty
+    assert farthest_px(pair, (-20, -10)) == 260  # the first column of the target on the last of the reference
+    assert farthest_px(pair, (30, 5)) == 270
 
 
 @pytest.mark.parametrize("tile_size", [512, 700, 1024])
@@ -142,7 +143,7 @@ def test_few_points_of_a_small_scene_are_spread_over_tiles_that_cover_it(tmp_pat
 
 
 def test_what_the_target_does_not_show_gets_no_window(pair: ViewPair) -> None:
-    look = look_at(pair)
+    look = read_overviews(pair)
     hidden = look.target.valid.copy()
     hidden[:, hidden.shape[1] * 3 // 4 :] = False
     half = replace(look, target=replace(look.target, valid=hidden))

@@ -12,14 +12,14 @@ from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.prealign import (
-    LOOK_SIDE_PX,
+    OVERVIEW_SIDE_PX,
     RADIUS_PX,
+    Prealignment,
     by_georeferencing,
     by_search,
-    look_at,
+    read_overviews,
     target_offset_px,
 )
-from pcwlad_geo.registration.result import Prealignment
 from tests.scenes import Array, make_grid, render, write
 
 GRID = make_grid((240, 260))
@@ -41,7 +41,7 @@ def test_georeferencing_is_believed_within_a_radius() -> None:
 def test_search_finds_the_shift(georeferenced: bool, shift_px: tuple[float, float], tmp_path: Path) -> None:
     target = render(GRID, "thermal", displacement_px=shift_px)
     pair = views(tmp_path, target, GRID if georeferenced else None)
-    found, result = by_search(pair, look_at(pair), None)
+    found, result = by_search(pair, read_overviews(pair), None)
     assert found is not None
     assert result.accepted
     assert found.method == "search"
@@ -54,7 +54,7 @@ def test_search_is_on_top_of_the_georeferencing(tmp_path: Path) -> None:
     grid = make_grid((240, 260), offset_m=(1215, -300))
     pair = views(tmp_path, render(grid, displacement_px=(25.0, 14.0)), grid)
     assert pair.offset_px == (-40.5, 10.0)
-    found, _ = by_search(pair, look_at(pair), None)
+    found, _ = by_search(pair, read_overviews(pair), None)
     assert found is not None
     np.testing.assert_allclose(found.shift_px, (25, 14), atol=2)
     np.testing.assert_allclose(target_offset_px(pair, found), (-15.5, 24), atol=2.6)
@@ -62,14 +62,14 @@ def test_search_is_on_top_of_the_georeferencing(tmp_path: Path) -> None:
 
 def test_search_finds_nothing_in_another_scene(tmp_path: Path) -> None:
     pair = views(tmp_path, render(GRID, seed=9))
-    found, result = by_search(pair, look_at(pair), None)
+    found, result = by_search(pair, read_overviews(pair), None)
     assert found is None
     assert not result.accepted
 
 
 def test_a_given_radius_is_kept_after_the_search(tmp_path: Path) -> None:
     pair = views(tmp_path, render(GRID, displacement_px=(30.0, 10.0)))
-    found, _ = by_search(pair, look_at(pair), 5)
+    found, _ = by_search(pair, read_overviews(pair), 5)
     assert found is not None
     assert found.search_radius_px == 5
 
@@ -80,21 +80,21 @@ def test_the_look_has_one_resolution_and_is_small(tmp_path: Path) -> None:
         describe(write(tmp_path / "ref.tif", render(GRID), GRID)),
         describe(write(tmp_path / "tgt.tif", render(wide), wide)),
     )
-    look = look_at(pair)
-    assert look.factor == pytest.approx(2300 / LOOK_SIDE_PX)
-    assert max(look.target.values.shape) <= LOOK_SIDE_PX
+    look = read_overviews(pair)
+    assert look.factor == pytest.approx(2300 / OVERVIEW_SIDE_PX)
+    assert max(look.target.values.shape) <= OVERVIEW_SIDE_PX
     for patch, view in ((look.reference, pair.reference), (look.target, pair.target)):
         np.testing.assert_allclose(np.array(view.grid.shape) / patch.values.shape, look.factor, rtol=0.02)
 
 
 def test_nothing_to_match_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"tgt\.tif is constant where the two overlap.*another band"):
-        look_at(views(tmp_path, np.full(GRID.shape, 7.0)))
+        read_overviews(views(tmp_path, np.full(GRID.shape, 7.0)))
     empty = np.full(GRID.shape, np.nan)
     first = write(tmp_path / "ref.tif", empty, GRID, dtype="float32")
     pair = plan_views(describe(first), describe(write(tmp_path / "tgt.tif", render(GRID), GRID)))
     with pytest.raises(InputError, match=r"ref\.tif has no valid pixel.*nodata"):
-        look_at(pair)
+        read_overviews(pair)
 
 
 @pytest.mark.parametrize("shift_px", [(0.4, -0.4), (3.6, 2.2)])

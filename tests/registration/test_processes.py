@@ -16,13 +16,11 @@ import pytest
 import rasterio
 
 from pcwlad_geo.errors import ExecutionError, OutputError
-from pcwlad_geo.registration import forks, processes
-from pcwlad_geo.registration.environment import gdal_settings
-from pcwlad_geo.registration.processes import ATTEMPTS, available_cores
-from pcwlad_geo.registration.progress import Event, Progress, Warned
-from pcwlad_geo.registration.runners import OnExecutor, OwnProcesses
-from pcwlad_geo.registration.tasks import InThisProcess
-from pcwlad_geo.staging import OutputFolder
+from pcwlad_geo.events import Event, Progress, Warned
+from pcwlad_geo.execution import processes
+from pcwlad_geo.execution.processes import ATTEMPTS, OwnProcesses, available_cores
+from pcwlad_geo.execution.runner import InThisProcess, OnExecutor, gdal_settings
+from pcwlad_geo.outputs.folder import OutputFolder
 from tests.patience import PATIENCE_S
 from tests.registration.calls import (
     Shuffled,
@@ -47,45 +45,18 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 CALLS = [(value,) for value in range(8)]
 
 
-OWN_FORK = "PCWLAD_GEO_TEST_OWN_FORK"
-ALONE_HERE = OWN_FORK in os.environ
 NO_FORKS = pytest.mark.skipif(not processes.CAN_FORK, reason="no forks here")
 
 
 @pytest.fixture(
     autouse=True,
-    params=["own fork"] if ALONE_HERE else [pytest.param("forks", marks=NO_FORKS), "fresh"],
+    params=[pytest.param("forks", marks=NO_FORKS), "fresh"],
 )
 def source(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Where the processes come from: a fork of this one forks them, a fresh one does, or all are fresh."""
+    """Where the processes come from: a fork server forks them, or each is a fresh interpreter."""
     if request.param == "fresh":
         monkeypatch.setattr(processes, "CAN_FORK", False)
-    if request.param != "own fork":
-        monkeypatch.setattr(forks, "_may_fork", lambda: False)
     return str(request.param)
-
-
-@pytest.mark.slow
-@NO_FORKS
-def test_all_of_this_holds_for_forks_of_the_process_itself(source: str) -> None:
-    """In a process of its own: in this one, libraries of other tests have threads that a fork would miss."""
-    if source == "own fork":
-        assert forks._may_fork()
-        return
-    if source == "fresh":
-        pytest.skip("once is enough")
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", OWN_FORK: "1"}
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "", __file__]
-    done = subprocess.run(
-        command,
-        cwd=REPOSITORY,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout
 
 
 def test_jobs_are_other_processes_and_the_same_in_every_stage() -> None:
@@ -142,10 +113,9 @@ def test_no_worker_outlives_its_runner() -> None:
 
 ORPHANS = """
 import sys
-from pcwlad_geo.registration import forks, processes
+from pcwlad_geo.execution import processes
 processes.CAN_FORK &= sys.argv[1] != "fresh"
-forks._may_fork = lambda: sys.argv[1] == "own fork"
-from pcwlad_geo.registration.runners import OwnProcesses
+from pcwlad_geo.execution.processes import OwnProcesses
 from tests.registration.calls import sleep
 with OwnProcesses(2, preload="") as runner:
     runner.expect(2)
@@ -215,8 +185,7 @@ def test_workers_have_one_thread_a_library_and_the_parents_settings_of_gdal(
     assert here["CPL_VSIL_CURL_CACHE_SIZE"] == 123456
     for each in found:
         assert (each["cv2"], each["blas"]) == (1, "1")
-        if source != "own fork":  # numba has read the parent's; none of its kernels here is parallel
-            assert each["numba"] == 1
+        assert each["numba"] == 1
         assert (each["GDAL_NUM_THREADS"], each["CPL_VSIL_CURL_CACHE_SIZE"]) == (1, 123456)
 
 
@@ -293,13 +262,11 @@ def test_a_fork_keeps_no_pipe_of_its_parent_open() -> None:
 
 LOCKED = """
 import sys
-from pcwlad_geo.registration import forks
-from pcwlad_geo.registration.runners import OwnProcesses
-from pcwlad_geo.staging import OutputFolder
+from pcwlad_geo.execution.processes import OwnProcesses
+from pcwlad_geo.outputs.folder import OutputFolder
 from pathlib import Path
 from tests.patience import FOR_EVER_S
 from tests.registration.calls import sleep
-forks._may_fork = lambda: True
 with OutputFolder(Path(sys.argv[1]), overwrite=True), OwnProcesses(2, preload="") as runner:
     runner.expect(2)
     runner.prepare(sleep, (FOR_EVER_S,))
@@ -336,42 +303,6 @@ def wait_for_folder(out_dir: Path) -> bool:
             return True
         time.sleep(0.1)
     return False
-
-
-@NO_FORKS
-def test_what_cannot_be_forked_is_started_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail() -> int:
-        raise BlockingIOError
-
-    monkeypatch.setattr(os, "fork", fail)
-    with OwnProcesses(2, preload="") as runner:
-        runner.expect(2)
-        assert len({*runner.process_ids, os.getpid()}) == 3
-        assert set(runner.run(process_of, CALLS, "processes").results) <= set(runner.process_ids)
-
-
-ALONE = """
-import sys
-from threading import Event, Thread
-from pcwlad_geo.cli.interrupt import cancellable
-from pcwlad_geo.registration.forks import _may_fork
-from pcwlad_geo.cli.progress import reporter
-with reporter(sys.argv[1]), cancellable(lambda: None):
-    import pcwlad_geo.registration.tiles
-    print(_may_fork())
-    Thread(target=Event().wait, daemon=True).start()
-    print(_may_fork())
-"""
-
-
-@NO_FORKS
-@pytest.mark.parametrize("progress", ["bar", "json", "none"])
-def test_the_command_line_forks_itself_and_nothing_that_has_other_threads_does(progress: str) -> None:
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-c", ALONE, progress]
-    done = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, check=True)
-    said = done.stderr if progress == "json" else done.stdout
-    assert said.split() == [b"True", b"False"]
 
 
 @NO_FORKS

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcwlad_geo.raster.tie_point_table import Array, TiePointTable
-from pcwlad_geo.registration.fitting import fit_correction
-from pcwlad_geo.registration.quality import Quality, assess, shared_residual_px
-from pcwlad_geo.registration.settings import Model, Settings
+from pcwlad_geo.options import Model, Settings
+from pcwlad_geo.registration.fitting import Quality, assess, fit_correction, shared_residual_px
+from pcwlad_geo.tiepoints.table import TiePointTable
+from pcwlad_geo.types import Float64
 from tests.registrations import make_registration
 
 WINDOW_PX = 40.0
@@ -18,7 +18,11 @@ SIGMA_PX = 0.1
 
 
 def table_of(
-    displacement_px: Array | float, *, n: int = 400, noise_px: float = SIGMA_PX, rejected: Array | None = None
+    displacement_px: Float64 | float,
+    *,
+    n: int = 400,
+    noise_px: float = SIGMA_PX,
+    rejected: Float64 | None = None,
 ) -> TiePointTable:
     """Return matched points over 600 x 400 px with a displacement each, and sigmas of 0.1 px."""
     made = make_registration("matched", n=n).tie_points
@@ -34,21 +38,21 @@ def table_of(
     )
 
 
-def graded(table: TiePointTable, model: Model = "auto", places: Array | None = None) -> Quality:
+def graded(table: TiePointTable, model: Model = "auto", places: Float64 | None = None) -> Quality:
     fitted = fit_correction(table, Settings(model=model), WINDOW_PX, None)
     places = everywhere() if places is None else places
     return assess(fitted.table, table, fitted.selection, places, WINDOW_PX)
 
 
-def everywhere(cols: float = 600.0, rows: float = 400.0) -> Array:
+def everywhere(cols: float = 600.0, rows: float = 400.0) -> Float64:
     return np.stack(np.meshgrid(np.arange(5, cols, 10), np.arange(5, rows, 10)), axis=-1).reshape(-1, 2)
 
 
-def places_of(n: int = 400) -> Array:
+def places_of(n: int = 400) -> Float64:
     return make_registration("matched", n=n).tie_points.predicted_px
 
 
-def waves(at: Array, size_px: float, wavelength_px: float) -> Array:
+def waves(at: Float64, size_px: float, wavelength_px: float) -> Float64:
     return np.asarray(size_px * np.sin(2 * np.pi * at[:, ::-1] / wavelength_px))
 
 
@@ -143,7 +147,7 @@ def test_a_poor_correction_of_good_points_is_not_refused() -> None:
     assert quality.refusal is None
 
 
-def residuals(displacement_px: Array | float, noise_px: float = SIGMA_PX) -> TiePointTable:
+def residuals(displacement_px: Float64 | float, noise_px: float = SIGMA_PX) -> TiePointTable:
     table = table_of(displacement_px, noise_px=noise_px)
     return replace(table, residual_px=table.displacement_px, status=np.full(len(table), "fit", dtype="<U8"))
 

@@ -5,18 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.rpc_model import RpcModel
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.dem import Dem, Undulation
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, map_px
-from pcwlad_geo.raster.rpc_files import read_rpc
-from pcwlad_geo.raster.rpc_grid import RpcGrid
-from pcwlad_geo.raster.rpc_view import Placed, place_by_rpc
-from pcwlad_geo.raster.rpc_warping import ortho_grid
+from pcwlad_geo.raster.rpc.dem import Dem, Undulation
+from pcwlad_geo.raster.rpc.files import read_rpc
+from pcwlad_geo.raster.rpc.grid import RpcGrid
+from pcwlad_geo.raster.rpc.model import RpcModel
+from pcwlad_geo.raster.rpc.ortho import ortho_grid
+from pcwlad_geo.raster.rpc.view import RpcPlacement, place_by_rpc
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.rpc_target import place_target
+from pcwlad_geo.registration.rpc import place_target
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.settings import Settings
 from tests.rpc_scene import (
     SHAPE,
     UNDULATION_M,
@@ -54,7 +54,7 @@ def test_a_part_cut_from_a_product_is_registered(tmp_path: Path) -> None:
     pair = scene(tmp_path, of_a_product(make_rpc()), dem, dem_grid())
     found = run(*pair, Settings(dem=dem, dem_vertical=UNDULATION_M, jobs=1))
     np.testing.assert_allclose(found.correction.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.02)
-    assert found.rpc.fold_error_px < 1e-3
+    assert found.rpc.bias_error_px < 1e-3
     assert found.warnings == ()
 
 
@@ -67,7 +67,7 @@ def far_below(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Pat
     return *pair, write_dem(folder / "dem.tif", dem_values(NEAR_DEM), NEAR_DEM)
 
 
-def place(image: Path, dem: Path) -> Placed:
+def place(image: Path, dem: Path) -> RpcPlacement:
     source = read_rpc(str(image))
     assert source is not None
     return place_by_rpc(describe(image), source, str(dem), UNDULATION_M)

@@ -10,16 +10,16 @@ import pytest
 import rasterio
 
 import pcwlad_geo
-from pcwlad_geo.outputs import output_grids_of
+from pcwlad_geo.options import Settings
+from pcwlad_geo.outputs.write import output_grids_of
 from pcwlad_geo.raster.crs import transform_xy, utm_zone_of
-from pcwlad_geo.raster.dem import WGS84
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.rpc_view import ground_grid
+from pcwlad_geo.raster.rpc.dem import WGS84
+from pcwlad_geo.raster.rpc.view import ground_grid
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.output_wishes import check_output
-from pcwlad_geo.registration.rpc_target import place_reference
+from pcwlad_geo.registration.inputs import check_output
+from pcwlad_geo.registration.rpc import place_reference
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.settings import Settings
 from tests.rpc_scene import UNDULATION_M, make_rpc, oblique_rpc, rpc_grid, write_dem, write_image
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write
 

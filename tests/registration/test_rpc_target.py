@@ -13,16 +13,16 @@ from rasterio.rpc import RPC
 
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.raster.rpc_files import read_rpc, to_gdal
-from pcwlad_geo.raster.rpc_view import plan_rpc_views
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
+from pcwlad_geo.raster.rpc.view import plan_rpc_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.trust import Trust, trusting
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.raster.windows import Window
-from pcwlad_geo.registration.result import Prealignment
-from pcwlad_geo.registration.rpc_target import MOST_BIAS_M, check_start, place_target
+from pcwlad_geo.registration.prealign import Prealignment
+from pcwlad_geo.registration.rpc import MAX_BIAS_M, check_start, place_target
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.settings import Settings
 from tests.cli.process import run_cli
 from tests.rpc_scene import (
     PX_PER_M,
@@ -79,7 +79,7 @@ def test_points_are_seen_in_the_original_image(registered: Registered, pair: Pai
 
 def rpc_lon_lat(xy: np.ndarray) -> np.ndarray:
     from pcwlad_geo.raster.crs import transform_xy
-    from pcwlad_geo.raster.dem import WGS84
+    from pcwlad_geo.raster.rpc.dem import WGS84
     from tests.scenes import CRS_OF_SCENE
 
     return transform_xy(xy, CRS_OF_SCENE, WGS84)
@@ -218,7 +218,7 @@ def test_an_affine_error_is_folded_too(pair: Pair, tmp_path: Path) -> None:
     image = write_image(tmp_path / "image.tif", values, make_rpc())
     found = run(pair[0], image, Settings(dem=pair[2], dem_vertical=UNDULATION_M, jobs=1))
     assert found.correction.name == "affine"
-    assert found.rpc.fold_error_px < 1e-3
+    assert found.rpc.bias_error_px < 1e-3
     corners = np.array([[0.0, 0.0], [320.0, 0.0], [320.0, 300.0], [0.0, 300.0]])
     expected = corners @ linear.T + (1.0, -0.5)
     np.testing.assert_allclose(found.correction.forward(corners), expected, rtol=0, atol=0.05)
@@ -366,7 +366,7 @@ def test_the_rpc_of_an_image_that_was_cropped_is_an_error(pair: Pair) -> None:
     settings = Settings(dem=pair[2], dem_vertical=0.0)
     placed, _ = place_target(reference, image, settings)
     assert placed is not None
-    px = MOST_BIAS_M / 30.0
+    px = MAX_BIAS_M / 30.0
     for shift, good in (((0.9 * px, 0.0), True), ((0.8 * px, 0.8 * px), False)):
         start = Prealignment("search", shift, 8)
         if good:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -16,16 +17,16 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 from scipy.spatial import cKDTree
 
+from pcwlad_geo.events import Event, Progress, Warned
+from pcwlad_geo.execution.processes import OwnProcesses
+from pcwlad_geo.execution.runner import OnExecutor, Runner
+from pcwlad_geo.options import Model, Settings
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.registration import run as run_module
-from pcwlad_geo.registration.progress import Event, Progress, Warned
-from pcwlad_geo.registration.quality import Quality, Reason
+from pcwlad_geo.registration.fitting import Quality, Reason
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.runners import OnExecutor, OwnProcesses
-from pcwlad_geo.registration.settings import Model, Settings
-from pcwlad_geo.registration.tasks import Runner
 from pcwlad_geo.report.summary import summarise
 from tests.registration.calls import Shuffled
 from tests.scenes import CRS_OF_SCENE, Array, make_grid, render, write
@@ -119,6 +120,28 @@ def test_recovers_the_displacement_on_any_pair_of_grids(name: str, tmp_path: Pat
     check(found, shift_px, within_px=0.05 * scale)
     assert found.prealignment.method == "georeferencing"
     assert found.warnings == ()
+
+
+def test_a_part_that_has_moved_is_told_and_kept_out_of_the_correction(tmp_path: Path) -> None:
+    """A slide of 8 px over an eighth of the ground: its tie points are rejected, not lost."""
+    grid = make_grid((260, 260))
+    slide_px = np.array([7.0, -4.0])
+
+    def slides(at: Array) -> Mask:
+        return np.asarray(np.abs(at - (150, 110)).max(axis=1) < 48)
+
+    moved = render(grid, displacement_px=SHIFT_PX, local=lambda at: slides(at)[:, None] * slide_px)
+    pair = Pair(write(tmp_path / "a.tif", render(grid), grid), write(tmp_path / "b.tif", 255 - moved, grid))
+    found = pair.run(features=240)
+    assert found.status == "registered", found.reason
+    check(found)
+    (told,) = [warning for warning in found.warnings if "agree among themselves" in warning]
+    assert re.search(r"around \((\d+), (\d+)\) px", told)
+    left_out = found.tie_points.select("rejected")
+    inside = slides(left_out.target_px - SHIFT_PX)
+    beside = left_out.displacement_px[inside] - SHIFT_PX - slide_px
+    assert np.count_nonzero(np.hypot(*beside.T) < 0.5) >= 10  # with the displacement that they measured
+    assert found.counts["tie_points"] == len(found.tie_points.select("fit", "check", "unused"))
 
 
 def test_displacement_in_metres_runs_along_the_reference_axes(tmp_path: Path) -> None:
@@ -485,4 +508,4 @@ def test_a_correction_that_does_not_hold_is_refused_with_its_figures(
     assert "13.40 px" in found.reason
     assert found.quality == poor
     assert found.correction is None
-    assert summarise(found, [])["quality"]
+    assert summarise(found, []).quality

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.options import Settings
 
 
 def test_the_defaults_are_valid_and_cannot_be_changed() -> None:

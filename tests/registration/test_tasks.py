@@ -11,10 +11,11 @@ from multiprocessing import get_context
 import pytest
 
 from pcwlad_geo.errors import ExecutionError
-from pcwlad_geo.registration.progress import Event, Progress
-from pcwlad_geo.registration.runners import IN_FLIGHT, OnExecutor, OwnProcesses, open_runner
-from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.registration.tasks import InThisProcess, Runner, drive
+from pcwlad_geo.events import Event, Progress
+from pcwlad_geo.execution.processes import OwnProcesses
+from pcwlad_geo.execution.runner import IN_FLIGHT, InThisProcess, OnExecutor, Runner, run_calls
+from pcwlad_geo.job import open_job_runner
+from pcwlad_geo.options import Settings
 from tests.patience import PATIENCE_S
 from tests.registration.calls import Counting, Shuffled, die, fail_at_three, slow_square
 
@@ -36,9 +37,9 @@ def runner(request: pytest.FixtureRequest) -> Iterator[Runner]:
 
 
 def test_results_come_in_the_order_of_the_calls(runner: Runner) -> None:
-    ran = runner.run(slow_square, CALLS, "squares")
-    assert ran.results == SQUARES
-    assert len(ran.workers) == len(CALLS)
+    call_results = runner.run(slow_square, CALLS, "squares")
+    assert call_results.results == SQUARES
+    assert len(call_results.workers) == len(CALLS)
 
 
 def test_one_runner_serves_many_stages(runner: Runner) -> None:
@@ -125,7 +126,7 @@ def test_calls_go_to_the_slot_they_ask_for() -> None:
         return future
 
     wanted = [2, None, 2, 0, None, 7]  # there is no slot 7: a hint that cannot be followed
-    results, slots = drive(submit, wanted, 3, "stage", lambda event: None)
+    results, slots = run_calls(submit, wanted, 3, "stage", lambda event: None)
     assert results == list(range(6))
     assert slots == [given[index] for index in range(6)]
     assert (given[0], given[2], given[3]) == (2, 2, 0)
@@ -133,12 +134,12 @@ def test_calls_go_to_the_slot_they_ask_for() -> None:
 
 def test_the_settings_choose_the_runner() -> None:
     def kind(settings: Settings, executor: Executor | Runner | None) -> type:
-        with open_runner(settings, executor, lambda event: None) as runner:
+        with open_job_runner(settings, executor, lambda event: None) as runner:
             return type(runner)
 
     assert kind(Settings(), None) is OwnProcesses
     with ThreadPoolExecutor(1) as pool:
         assert kind(Settings(jobs=2), pool) is OnExecutor
     here = InThisProcess()
-    with nullcontext(here), open_runner(Settings(jobs=2), here, lambda event: None) as runner:
+    with nullcontext(here), open_job_runner(Settings(jobs=2), here, lambda event: None) as runner:
         assert runner is here

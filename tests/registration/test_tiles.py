@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.matcher import guide_by_field
-from pcwlad_geo.matching.noise import Noise
-from pcwlad_geo.matching.phase_congruency import scene_epsilon
-from pcwlad_geo.matching.settings import MatchSettings
+from pcwlad_geo.matching.prepare import Noise
+from pcwlad_geo.matching.types import MatchSettings
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.planning import plan as plan_scene
-from pcwlad_geo.registration.prealign import look_at
-from pcwlad_geo.registration.settings import Settings
+from pcwlad_geo.registration.prealign import read_overviews
 from pcwlad_geo.registration.tiles import Scene, TileJob, match_tile, rematch_tile
 from tests.scenes import make_grid, render, write
 
@@ -38,7 +38,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> ViewPair:
 
 def plan(pair: ViewPair, tile_size: int) -> list[TileJob]:
     scene = Scene(scene_epsilon(np.arange(255.0)), Noise())
-    look = replace(look_at(pair), scenes=(scene, scene))
+    look = replace(read_overviews(pair), scenes=(scene, scene))
     settings = replace(Settings(points="all", features=80), tile_size=128)
     object.__setattr__(settings, "tile_size", tile_size)  # smaller than users may ask for
     return plan_scene(pair, look, (-20, -10), SETTINGS, settings).first

@@ -1,18 +1,15 @@
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from pcwlad_geo.matching.candidates import FATES, Candidates
-from pcwlad_geo.registration.match_record import GROUND, MatchRecord
-from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.coverage import REASONS, Coverage, coverage_of
-from pcwlad_geo.report.figures.coverage import KINDS, coverage_figure, missing_kinds
+from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
+from pcwlad_geo.registration.result import GROUND, MatchRecord, Registration
+from pcwlad_geo.report.charts import KINDS, coverage_figure, missing_kinds
+from pcwlad_geo.report.statistics import REASONS, Coverage, coverage_of
 from pcwlad_geo.report.summary import summarise
 
 Make = Callable[..., Registration]
@@ -23,7 +20,7 @@ SHAPE = (400, 600)
 def record_of(
     ground: np.ndarray | None = None,
     windows: list[tuple[float, ...]] | None = None,
-    barren: list[tuple[float, ...]] | None = None,
+    without_structure: list[tuple[float, ...]] | None = None,
     lost: list[tuple[float, float, str]] | None = None,
     unread: list[bool] | None = None,
 ) -> MatchRecord:
@@ -33,10 +30,10 @@ def record_of(
         np.zeros((80, 120), np.uint8) if ground is None else ground,
         np.array(windows, float).reshape(-1, 4),
         np.array(unread or [False] * len(windows), bool),
-        np.array(barren or [], float).reshape(-1, 4),
+        np.array(without_structure or [], float).reshape(-1, 4),
         Candidates(
             np.array([each[:2] for each in lost], float).reshape(-1, 2),
-            np.array([FATES.index(each[2]) for each in lost], np.uint8),
+            np.array([OUTCOMES.index(each[2]) for each in lost], np.uint8),
         ),
     )
 
@@ -103,7 +100,9 @@ def test_windows_that_were_not_asked_for_are_told_from_flat_ground(registration:
     windows = [(110.0, 110.0, 140.0, 140.0)] + [
         (200.0, 200.0, 300.0, 250.0)
     ] * 3  # joined: squares stay small
-    record = record_of(windows=windows, barren=[(0.0, 0.0, 100.0, 100.0)], unread=[False, True, True, True])
+    record = record_of(
+        windows=windows, without_structure=[(0.0, 0.0, 100.0, 100.0)], unread=[False, True, True, True]
+    )
     reason = coverage_of(table, SHAPE, record).reason
     assert reason[2, 2] == "no_texture"  # asked, no candidate
     assert (reason[:2, :2] == "no_texture").all()  # never asked, as there is nothing
@@ -158,12 +157,11 @@ def test_every_reason_has_a_kind_once() -> None:
 @pytest.mark.parametrize("n", [0, 300])
 def test_summary_holds_it_and_the_figure_reads_the_summary(registration: Make, n: int) -> None:
     made = registration("registered" if n else "rejected", n=n)
-    lost = [(25.0 + 50 * k, 25.0, name) for k, name in enumerate(FATES[1:])]
-    summary: dict[str, Any] = summarise(replace(made, record=record_of(lost=lost)), [])
-    coverage = json.loads(json.dumps(summary["coverage"]))
-    assert coverage["squares"] == [8, 12]
-    assert sum(map(sum, coverage["points"])) == np.count_nonzero(made.tie_points.status != "rejected")
-    empty = [reason for row in coverage["reason"] for reason in row if reason]
-    assert coverage["without_points"] == {name: empty.count(name) for name in REASONS if name in empty}
+    lost = [(25.0 + 50 * k, 25.0, name) for k, name in enumerate(OUTCOMES[1:])]
+    coverage = summarise(replace(made, record=record_of(lost=lost)), []).coverage
+    assert coverage.squares == (8, 12)
+    assert sum(map(sum, coverage.points)) == np.count_nonzero(made.tie_points.status != "rejected")
+    empty = [reason for row in coverage.reason for reason in row if reason]
+    assert coverage.without_points == {name: empty.count(name) for name in REASONS if name in empty}
     assert sum(count for _, count in missing_kinds(coverage)) == len(empty)
     assert coverage_figure(coverage, SHAPE).startswith(b"\x89PNG")

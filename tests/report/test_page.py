@@ -14,9 +14,8 @@ import pytest
 
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.page import render, warp_line
+from pcwlad_geo.report.page import MARKS, compose, headline, on_screen, warp_line
 from pcwlad_geo.report.summary import summarise
-from pcwlad_geo.report.verdict import headline
 from tests.chromium import show
 from tests.registrations import of_files, write_pair
 
@@ -54,7 +53,8 @@ class Reader(HTMLParser):
 
 
 def page_of(made: Registration, gcps_vrt: str | None = "b10_gcps.vrt") -> str:
-    return render(made, summarise(made, OUTPUTS), gcps_vrt)
+    report = summarise(made, OUTPUTS)
+    return on_screen(report, compose(made, report, gcps_vrt))
 
 
 def read(made: Registration, gcps_vrt: str | None = "b10_gcps.vrt") -> Reader:
@@ -178,7 +178,7 @@ def test_the_slider_moves_in_chromium_without_a_complaint(registration: Make, tm
 def test_the_headline_is_that_of_the_grade(status: Any, grade: Any, text: str, state: str) -> None:
     made = headline(status, grade)
     assert (made.text, made.state) == (text, state)
-    assert made.mark
+    assert MARKS[made.state]
 
 
 def test_good_and_bad_pages_differ_at_a_glance(registration: Make) -> None:

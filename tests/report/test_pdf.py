@@ -17,13 +17,13 @@ import pytest
 
 import pcwlad_geo
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.raster import tie_point_csv
-from pcwlad_geo.raster.verification import verify_output
+from pcwlad_geo.raster.output_format import verify_output
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.page import compose, on_paper, on_screen
-from pcwlad_geo.report.pdf import check_pdf, to_pdf
+from pcwlad_geo.report.rendering import check_pdf, to_pdf
 from pcwlad_geo.report.summary import summarise
 from pcwlad_geo.report.views import checkered
+from pcwlad_geo.tiepoints import text_files
 from tests.registrations import of_files, write_pair
 
 Make = Callable[..., Registration]
@@ -39,7 +39,8 @@ def _weasyprint() -> None:
 
 
 def paper_of(made: Registration) -> str:
-    return on_paper(compose(made, summarise(made, ["report.html", "report.pdf"]), "b10_gcps.vrt"))
+    report = summarise(made, ["report.html", "report.pdf"])
+    return on_paper(report, compose(made, report, "b10_gcps.vrt"))
 
 
 @pytest.mark.usefixtures("_weasyprint")
@@ -68,7 +69,8 @@ def test_paper_has_checkerboards_for_sliders(registration: Make, tmp_path: Path)
     assert "<script" not in paper
     assert "<input" not in paper
     assert paper.count("reference and target in alternate squares") == 4
-    screen = on_screen(compose(made, summarise(made, []), None))
+    report = summarise(made, [])
+    screen = on_screen(report, compose(made, report, None))
     assert "alternate squares" not in screen
 
 
@@ -132,7 +134,7 @@ def test_missing_pango_is_told_with_what_to_install(
 def test_register_writes_and_lists_it_on_request_only(registration: Make, tmp_path: Path) -> None:
     reference, target = write_pair(tmp_path)
     points = tmp_path / "points.csv"
-    tie_point_csv.write(registration(n=200).tie_points, points)
+    text_files.write_csv(registration(n=200).tie_points, points)
     for wanted in (True, False):
         out_dir = tmp_path / str(wanted)
         pcwlad_geo.register(reference, target, tie_points=points, out_dir=out_dir, pdf=wanted)

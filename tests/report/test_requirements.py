@@ -11,7 +11,8 @@ import pytest
 
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report import page
-from pcwlad_geo.report.requirements import judge_requirements
+from pcwlad_geo.report.content import plain
+from pcwlad_geo.report.statistics import judge_requirements
 from pcwlad_geo.report.summary import summarise
 from pcwlad_geo.requirements import Command, RequirementResult, parse_requirement
 from tests.registrations import without_crs
@@ -26,7 +27,7 @@ def judged(made: Registration, text: str, command: Command = "register") -> Requ
 
 def test_each_figure_is_the_one_in_the_report(registration: Make) -> None:
     made = registration()
-    summary: Any = summarise(made, [])
+    summary: Any = plain(summarise(made, []))
     before, after = summary["statistics"]["before"]["all"], summary["statistics"]["after"]
     check, fit = after["check"], after["fit"]
     shift = math.hypot(*summary["displacement_px"]["median"])
@@ -72,7 +73,8 @@ def test_the_page_shows_them(registration: Make) -> None:
     made = registration()
     wanted = [parse_requirement(text, "register") for text in ("CE90<=0.01px", "points>=100")]
     made = replace(made, requirements=judge_requirements(made, wanted))
-    shown = page.render(made, summarise(made, []), None)
+    report = summarise(made, [])
+    shown = page.on_screen(report, page.compose(made, report, None))
     assert "Registered, but a requirement is not met" in shown
     assert "CE90 &lt;= 0.01 px: not met (" in shown
     assert "points &gt;= 100: met (108)" in shown

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,8 +11,12 @@ import pytest
 from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.models import from_json
 from pcwlad_geo.correction.selection import choose
+from pcwlad_geo.raster.identity import FileIdentity
+from pcwlad_geo.registration.inputs import InputFile
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.summary import plain, summarise, to_json
+from pcwlad_geo.report.content import plain, to_json
+from pcwlad_geo.report.summary import summarise
+from tests.registrations import json_of
 
 Make = Callable[..., Registration]
 
@@ -32,22 +37,19 @@ def test_holds_what_the_file_promises_and_is_strict_json(registration: Make) -> 
 
 
 def test_counts_and_displacement_leave_rejected_points_out(registration: Make) -> None:
-    summary = summarise(registration(), [])
+    summary = json_of(registration())
     counts = summary["tie_points"]
     assert counts == {"total": 120, "fit": 84, "check": 24, "unused": 0, "rejected": 12}
     displacement = summary["displacement_px"]
-    assert isinstance(displacement, dict)
     # 108 points of 0.1 px noise: the mean is known to 0.01 px; the 12 rejected ones would add 0.5 px
     np.testing.assert_allclose(displacement["mean"], [1.25, -0.5], atol=0.04)
     metres = summary["displacement_m"]
-    assert isinstance(metres, dict)
     np.testing.assert_allclose(metres["mean"], [37.5, 15.0], atol=1.2)  # y north
 
 
 def test_accuracy_is_the_registration_s_in_both_units(registration: Make) -> None:
     made = registration()
-    accuracy = summarise(made, [])["accuracy"]
-    assert isinstance(accuracy, dict)
+    accuracy = json_of(made)["accuracy"]
     assert accuracy["check"]["px"]["n"] == 24
     assert accuracy["check"]["px"]["ce90"] == pytest.approx(made.accuracy["check_px"].ce90, abs=1e-5)
     assert accuracy["check"]["m"]["ce90"] == pytest.approx(30 * accuracy["check"]["px"]["ce90"], abs=1e-3)
@@ -57,7 +59,7 @@ def test_model_keeps_full_precision(registration: Make) -> None:
     made = registration()
     assert made.correction is not None
     made.correction.matrix[0, 2] = 1.2345678901234567  # type: ignore[attr-defined]
-    read = json.loads(to_json(summarise(made, [])))
+    read = json_of(made)
     assert read["model"]["forward"]["matrix"][0][2] == 1.2345678901234567
 
 
@@ -66,7 +68,7 @@ def test_model_tells_what_it_was_chosen_from(registration: Make) -> None:
     points = made.tie_points.select("fit")
     selection = choose(points.predicted_px, points.target_px, points.covariance_px2, 41.0)
     made = replace(made, selection=selection, correction=selection.fit.correction)
-    model = json.loads(to_json(summarise(made, [])))["model"]
+    model = json_of(made)["model"]
     np.testing.assert_allclose(
         from_json(model).forward(points.predicted_px), selection.fit.correction.forward(points.predicted_px)
     )
@@ -79,7 +81,7 @@ def test_model_tells_what_it_was_chosen_from(registration: Make) -> None:
 
 @pytest.mark.parametrize("status", ["rejected", "matched"])
 def test_without_a_model(registration: Make, status: str) -> None:
-    summary = summarise(registration(status), [])
+    summary = json_of(registration(status))
     assert summary["model"] is None
     assert summary["accuracy"] == {"fit": {"px": None, "m": None}, "check": {"px": None, "m": None}}
     if status == "matched":
@@ -87,9 +89,8 @@ def test_without_a_model(registration: Make, status: str) -> None:
 
 
 def test_without_any_point(registration: Make) -> None:
-    summary = summarise(registration("rejected", n=0), [])
+    summary = json_of(registration("rejected", n=0))
     assert summary["displacement_px"] is None
-    to_json(summary)
 
 
 def test_plain_makes_json_types() -> None:
@@ -98,3 +99,8 @@ def test_plain_makes_json_types() -> None:
         "b": [3, None],
         "c": [[1.0]],
     }
+
+
+def test_plain_lays_marked_fields_flat_in_their_place() -> None:
+    file = InputFile("target", FileIdentity("a.tif", 1, 2))
+    assert list(cast("dict[str, object]", plain(file)))[:3] == ["role", "path", "size"]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rasterio
 
+from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.views import SIDE_PX, pair_views, read_backdrop, stretched
 from tests.registrations import SHIFT_PX, of_files
@@ -68,6 +69,23 @@ def test_what_cannot_be_read_costs_the_views_only(registration: Make, made: Regi
     assert [view.title for view in pair_views(refused)] == ["the middle"]
     only_before = pair_views(replace(made, correction=None))
     assert only_before[0].after is None
+
+
+@pytest.mark.parametrize(
+    "correction",
+    [
+        ProjectiveCorrection("projective", np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, -1]])),
+        AffineCorrection("affine", np.array([[1e300, 0.0, 0], [0, 1e300, 0]])),
+    ],
+)
+def test_a_correction_that_leads_nowhere_shows_nothing(made: Registration, correction: Correction) -> None:
+    """Positions beyond its horizon, and beyond all whole numbers."""
+    views = pair_views(replace(made, correction=correction))
+    assert len(views) == 2
+    for view in views:
+        assert view.before.any()
+        assert view.after is not None
+        assert not view.after.any()
 
 
 def test_the_backdrop_is_small_and_knows_its_valid_pixels(tmp_path: Path, registration: Make) -> None:

@@ -11,12 +11,11 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
+from pcwlad_geo.bandqa.bands import Band
+from pcwlad_geo.bandqa.pairs import PairResult, statistics_by_unit
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.locate import predict_px
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.raster.tie_point_table import TiePointTable
-from pcwlad_geo.stacks.bands import Band
-from pcwlad_geo.stacks.pairs import PairResult, statistics_by_unit
+from pcwlad_geo.tiepoints.table import TiePointTable, predict_px
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,9 @@ import pytest
 import rasterio
 from rasterio.enums import ColorInterp
 
+from pcwlad_geo.bandqa.bands import find_band, list_bands, parse_bands, split_bands, with_native_px
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.raster.native_pixels import native_px_m
-from pcwlad_geo.stacks.bands import find_band, list_bands, with_native_px
-from pcwlad_geo.stacks.inputs import parse_bands, split_bands
+from pcwlad_geo.products.detect import native_px_m
 from tests.scenes import make_grid, write
 
 
@@ -133,7 +132,7 @@ def test_native_pixels_that_the_user_tells(tmp_path: Path) -> None:
     assert own == pytest.approx((30, 30), rel=1e-3)
     assert told == (100, 100)
     assert [band.native_m for band in with_native_px(stack, ["20"])] == [(20, 20), (20, 20)]
-    assert [band.native_told for band in with_native_px(stack, ["B10=100"])] == [False, True]
+    assert [band.native_known for band in with_native_px(stack, ["B10=100"])] == [False, True]
     for text in ("B10", "B10=", "B10=-1", "B10=nan", "B10=inf", "=100m"):
         with pytest.raises(SettingsError, match="NAME=METRES"):
             with_native_px(stack, [text])

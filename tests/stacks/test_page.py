@@ -11,14 +11,11 @@ from typing import Any
 
 import pytest
 
-from pcwlad_geo.registration.settings import Settings
-from pcwlad_geo.stacks.bands import Band
-from pcwlad_geo.stacks.closure import close_triangles
-from pcwlad_geo.stacks.page import closes, crs_name, figure, render, signed
-from pcwlad_geo.stacks.pairs import PairResult
-from pcwlad_geo.stacks.requirements import judge_pairs, judge_triangles, read_requirement
-from pcwlad_geo.stacks.run import QaResult
-from pcwlad_geo.stacks.summary import summarise
+from pcwlad_geo.bandqa.bands import Band
+from pcwlad_geo.bandqa.page import closes, crs_name, figure, render, signed
+from pcwlad_geo.bandqa.pairs import PairResult, close_triangles
+from pcwlad_geo.bandqa.summary import QaResult, judge_pairs, judge_triangles, read_requirement, summarise
+from pcwlad_geo.options import Settings
 from tests.chromium import show
 from tests.stacks.stack import make_band, make_pair, refused
 
@@ -153,6 +150,13 @@ def test_native_pixels_and_missing_metres() -> None:
     assert "native px" in page_of(thermal, [make_pair(*thermal)]).text
     bare = [make_band("red", georeferenced=False), make_band("nir", georeferenced=False)]
     assert "Without a CRS there are no metres" in page_of(bare, [make_pair(*bare)]).text
+
+
+def test_native_pixels_of_unknown_size_are_left_out() -> None:
+    bands = [make_band("red"), make_band("b10", native_m=100.0)]
+    pair = make_pair(*bands)
+    unknown = replace(pair, statistics={**pair.statistics, "native px": None, "m": None})
+    assert "native px" not in page_of(bands, [unknown]).text
 
 
 def test_many_triangles_are_cut_to_the_worst() -> None:

@@ -13,12 +13,11 @@ import pytest
 import rasterio
 
 import pcwlad_geo
+from pcwlad_geo.bandqa.bands import expand, find_band, list_bands, split_bands
+from pcwlad_geo.bandqa.run import qa_folder
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.registration.progress import Event, Warned
-from pcwlad_geo.stacks.bands import find_band, list_bands
-from pcwlad_geo.stacks.inputs import expand, split_bands
-from pcwlad_geo.stacks.run import qa_folder
+from pcwlad_geo.events import Event, Warned
 from tests.products import LANDSAT, SAFE, packed, write_landsat, write_safe
 from tests.stacks.stack import schema_file
 
@@ -42,7 +41,7 @@ def test_a_landsat_folder_is_a_stack(landsat: Path) -> None:
     bands = list_bands([landsat])
     assert [band.name for band in bands] == ["B8", "B4", "B10"]  # the finest first
     assert [band.native_m for band in bands] == [(15.0, 15.0), (30.0, 30.0), (100.0, 100.0)]
-    assert all(band.native_told for band in bands)
+    assert all(band.native_known for band in bands)
     assert {Path(str(band.info.mask_uri)).name for band in bands} == {f"{LANDSAT}_QA_PIXEL.TIF"}
     assert all(band.info.mask_kind == "QA_PIXEL" for band in bands)
     assert find_band(bands, "b04").name == "B4"

@@ -6,10 +6,8 @@ import math
 
 import pytest
 
-from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.requirements import Requirement
-from pcwlad_geo.stacks.closure import Triangle
-from pcwlad_geo.stacks.requirements import (
+from pcwlad_geo.bandqa.pairs import Triangle
+from pcwlad_geo.bandqa.summary import (
     BandRequirement,
     Judged,
     check_applicable,
@@ -18,6 +16,8 @@ from pcwlad_geo.stacks.requirements import (
     preset_requirements,
     read_requirement,
 )
+from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.requirements import Requirement
 from tests.stacks.stack import make_band, make_pair, refused
 
 RED, NIR = make_band("red"), make_band("nir")

@@ -14,11 +14,14 @@ import numpy as np
 import pytest
 
 import pcwlad_geo
+from pcwlad_geo.bandqa.run import write_results
+from pcwlad_geo.bandqa.summary import QaResult
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
-from pcwlad_geo.registration.progress import Event, Progress, Warned
-from pcwlad_geo.report.pdf import check_pdf
-from pcwlad_geo.stacks.run import QaResult, write_results
-from pcwlad_geo.staging import OutputFolder
+from pcwlad_geo.events import Event, Progress, Warned
+from pcwlad_geo.outputs.folder import OutputFolder
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.run import run as run_pair
+from pcwlad_geo.report.rendering import check_pdf
 from tests.scenes import make_grid, render, write
 from tests.stacks.stack import schema_file
 
@@ -175,6 +178,23 @@ def test_bands_without_common_ground_are_a_refused_pair(folder: Path) -> None:
     assert result.passed is None
     assert [pair.status for pair in result.refused] == ["refused"]
     assert "overlap" in str(result.refused[0].reason)
+
+
+def test_a_band_that_cannot_be_read_is_tried_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    damaged = folder / "damaged.tif"
+    damaged.write_bytes((folder / "b4.tif").read_bytes()[:600])
+    matched = []
+
+    def run(reference: str, target: str, *arguments: Any, **options: Any) -> Registration:
+        matched.append((Path(reference).stem, Path(target).stem))
+        return run_pair(reference, target, *arguments, **options)
+
+    monkeypatch.setattr("pcwlad_geo.registration.run.run", run)
+    files = [damaged, folder / "b4.tif", folder / "b5.tif"]
+    result = pcwlad_geo.qa(files, out_dir=folder / "damaged", **OPTIONS)
+    assert [pair.status for pair in result.pairs] == ["refused", "refused", "measured"]
+    assert all("band 1 cannot be read" in str(pair.reason) for pair in result.refused)
+    assert matched == [("damaged", "b4"), ("b4", "b5")]
 
 
 def test_a_mask_holds_for_both_bands(folder: Path) -> None:

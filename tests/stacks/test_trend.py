@@ -10,13 +10,12 @@ from typing import Any
 
 import pytest
 
+from pcwlad_geo.bandqa.summary import summarise
+from pcwlad_geo.bandqa.trend import Axis, date_in, has_risen, nice_ticks, trend, without_dates
 from pcwlad_geo.errors import InputError, OutputError
-from pcwlad_geo.registration.progress import Event, Warned
+from pcwlad_geo.events import Event, Warned
+from pcwlad_geo.report.content import to_json
 from pcwlad_geo.report.summary import summarise as summarise_registration
-from pcwlad_geo.report.summary import to_json
-from pcwlad_geo.stacks.summary import summarise
-from pcwlad_geo.stacks.trend import date_in, trend, without_dates
-from pcwlad_geo.stacks.trend_page import Axis, has_risen, nice_ticks
 from tests.registrations import make_registration
 from tests.stacks.stack import make_band, make_pair
 from tests.stacks.test_page import make_result, read
@@ -32,6 +31,14 @@ def write_qa(folder: Path, date: str, mean: float, **changes: Any) -> None:
         band["path"] = f"/data/{LANDSAT.format(date=date, band=band['name'])}.TIF"
     folder.mkdir(parents=True)
     (folder / "qa.json").write_text(to_json({**summary, **changes}), encoding="utf-8")
+
+
+def test_a_report_nested_without_end_is_none_of_ours(tmp_path: Path) -> None:
+    for number, date in enumerate(("20230105", "20230601")):
+        write_qa(tmp_path / "reports" / str(number), date, 0.1)
+    (tmp_path / "reports/2").mkdir()
+    (tmp_path / "reports/2/qa.json").write_text("[" * 100_000)
+    assert trend(tmp_path / "reports", out_dir=tmp_path / "out").reports == 2
 
 
 def test_a_series_in_the_order_of_its_dates(tmp_path: Path) -> None:

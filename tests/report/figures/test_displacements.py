@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from pcwlad_geo.raster.tie_point_table import TiePointTable
-from pcwlad_geo.report.figures.displacements import displacement_figure, nice_number
+from pcwlad_geo.report.figures import displacement_figure, nice_number
+from pcwlad_geo.tiepoints.table import TiePointTable
 
 
 def table(reference_px: list[list[float]], displacement: list[list[float]], status: str) -> TiePointTable:

@@ -1,0 +1,466 @@
+"""The steps of a registration, to be composed: open_pair, match, fit, and a correction that warps.
+
+`job.register` does the same four steps for two files and writes the folder.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rasterio.control import GroundControlPoint
+from rasterio.io import DatasetReader
+
+from pcwlad_geo.band_warping import WarpOptions, WarpOutput, apply, requested_output
+from pcwlad_geo.correction.error_statistics import Accuracy
+from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
+from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
+from pcwlad_geo.events import EventCallback, ignore
+from pcwlad_geo.execution.runner import InThisProcess, Runner
+from pcwlad_geo.job import PairOptions, open_job_runner
+from pcwlad_geo.options import Model, Resampling, Settings
+from pcwlad_geo.raster.arrays import (
+    DataArrayLike,
+    Raster,
+    RasterLike,
+    Scratch,
+    is_dataset,
+    like_the_source,
+    read_raster,
+    to_raster,
+)
+from pcwlad_geo.raster.identity import check_unchanged
+from pcwlad_geo.raster.rpc.grid import RpcGrid
+from pcwlad_geo.raster.trust import trusting
+from pcwlad_geo.registration import run
+from pcwlad_geo.registration.fitting import Quality
+from pcwlad_geo.registration.result import Matches, Pair, Registration
+from pcwlad_geo.registration.rpc import check_model
+from pcwlad_geo.report.finished import finished
+from pcwlad_geo.text import html_table, one_line_of
+from pcwlad_geo.tiepoints.table import TiePointTable
+from pcwlad_geo.types import Float64, PathLike
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+
+OF_THE_FOLDER: Final = ("require", "keep", "pdf", "write_sigma")
+"""Options about the files of `register` alone."""
+GRID_OPTIONS: Final = ("grid", "like", "tr", "te", "t_srs")
+"""Options that ask for another output grid than the reference's."""
+
+
+def open_pair(
+    reference: RasterLike,
+    target: RasterLike,
+    *,
+    ref_mask: RasterLike | None = None,
+    tgt_mask: RasterLike | None = None,
+    on_event: EventCallback = ignore,
+    **options: Unpack[PairOptions],
+) -> Pair:
+    """Describe two rasters and decide on which pixels they are compared; nothing is computed yet.
+
+    Parameters
+    ----------
+    reference, target : path, rasterio dataset, array, Raster or xarray.DataArray
+        Raster that stays, raster that moves; products by their path. What is in memory is written to a
+        temporary file that lives as long as the pair or what is made of it. A NumPy array has no
+        georeferencing: `Raster` gives it one.
+    ref_mask, tgt_mask : as reference, optional
+        0 = excluded, or a quality raster (QA_PIXEL, SCL, MSK_CLASSI).
+    on_event : callable
+        Receives `Warned` events; the warnings are in the result too.
+    **options
+        The other fields of `Settings`, but those about the files of `register`.
+
+    Returns
+    -------
+    Pair
+        Files, grids, what the matching starts from, warnings.
+
+    Raises
+    ------
+    InputError
+        If a raster or an option cannot be used, or the two do not overlap.
+    """
+    default = Settings()
+    for name in OF_THE_FOLDER:
+        if options.get(name, getattr(default, name)) != getattr(default, name):
+            raise SettingsError(f"{name} is about the files that register writes: give it there")
+    scratch = Scratch()
+    masks = {"ref_mask": ref_mask, "tgt_mask": tgt_mask}
+    files = {name: scratch.file_of(mask, name) for name, mask in masks.items() if mask is not None}
+    settings = Settings.from_options(options | files)
+    with trusting(settings.trust):
+        uris = scratch.file_of(reference, "reference"), scratch.file_of(target, "target")
+        return replace(run.open_pair(*uris, settings, on_event=on_event), scratch=scratch)
+
+
+def match(
+    pair: Pair, *, executor: Executor | Runner | None = None, on_event: EventCallback = ignore
+) -> Matches:
+    """Find the tie points of a pair, each with the covariance of its position.
+
+    Parameters
+    ----------
+    pair : Pair
+        Of `open_pair`.
+    executor : concurrent.futures.Executor or Runner, optional
+        Runs the tiles; None = as many processes as the pair's option `jobs` says, or the workers of its
+        `scheduler`.
+    on_event : callable
+        Receives `Progress` and `Warned` events; an exception that it raises ends the work.
+
+    Returns
+    -------
+    Matches
+        `accepted` tells whether the pair is matched reliably, `reason` why not.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, was changed meanwhile, or holds nothing to match.
+    ExecutionError
+        If what the tiles run on cannot be used or is lost.
+    """
+    if not isinstance(pair, Pair):
+        raise InputError(
+            "match takes the pair that open_pair returns: match(open_pair(reference, target)); "
+            "match_files(reference, target) writes tie points and report into a folder"
+        )
+    settings = pair.settings
+    # points of a file leave workers nothing to do
+    chosen = InThisProcess() if settings.tie_points else executor
+    with trusting(settings.trust), open_job_runner(settings, chosen, on_event) as runner:
+        matches = run.match(pair, runner, on_event=on_event)
+        check_unchanged(file.identity for file in pair.inputs)
+        return matches
+
+
+def fit(
+    matches: Matches, model: Model | None = None, *, on_event: EventCallback = ignore
+) -> FittedCorrection:
+    """Fit a correction to the tie points of a pair.
+
+    Parameters
+    ----------
+    matches : Matches
+        Of `match`.
+    model : {"auto", "shift", "affine", "projective", "polynomial", "tps", "rpc"}, optional
+        By default what the pair was opened with: ``"auto"``, the simplest model that no other beats in
+        predicting blocks of points left out.
+    on_event : callable
+        Receives `Progress` and `Warned` events.
+
+    Raises
+    ------
+    RegistrationRejectedError
+        If the tie points, or the correction, are not reliable; its `registration` holds the figures.
+    InputError
+        If the model cannot be fitted, or is not one.
+    """
+    if not isinstance(matches, Matches):
+        raise InputError(
+            "fit takes the tie points that match returns: fit(match(open_pair(reference, target)))"
+        )
+    pair = matches.pair
+    settings = pair.settings if model is None else replace(pair.settings, model=model)
+    if pair.rpc is not None:
+        check_model(settings.model)
+    elif settings.model == "rpc":
+        raise SettingsError(
+            "model = 'rpc': the pair was opened without the target's RPC: open it with model='rpc'"
+        )
+    with trusting(settings.trust):
+        found = run.fit(matches, settings, on_event=on_event) if matches.accepted else None
+        registration = run.conclude(matches, found)
+    if registration.status == "rejected":
+        raise RegistrationRejectedError(str(registration.reason), registration)
+    return FittedCorrection(registration, pair.scratch)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedCorrection:
+    """A correction fitted to tie points, with its precision, and what can be made of it.
+
+    It maps the target pixel that the original georeferencing predicts for a place on the ground (without
+    georeferencing: the reference's pixel) to the one where the target shows that place. Pixel coordinates are
+    (col, row) of the original target, corner-based: the centre of the first pixel is (0.5, 0.5).
+    """
+
+    registration: Registration
+    """All that is known of the pair, as `register` returns it."""
+    scratch: object = None
+    """What keeps the files of arrays for as long as they are needed."""
+
+    @property
+    def name(self) -> str:
+        """The model chosen: shift, drift, affine, projective, polynomial2, polynomial3 or tps."""
+        return self.model.name
+
+    @property
+    def model(self) -> Correction:
+        """The model with its parameters."""
+        if self.registration.correction is None:
+            raise InputError(f"a pair that is {self.registration.status} has no correction: fit one first")
+        return self.registration.correction
+
+    @property
+    def accuracy(self) -> Mapping[str, Accuracy]:
+        """Statistics of the residuals: keys fit_px, check_px (target px), fit_m, check_m (metres)."""
+        return self.registration.accuracy
+
+    @property
+    def quality(self) -> Quality | None:
+        """Grade, reasons and the error expected over the common ground."""
+        return self.registration.quality
+
+    @property
+    def tie_points(self) -> TiePointTable:
+        """The tie points with residuals; status fit, check, unused or rejected."""
+        return self.registration.tie_points
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was warned of, from opening the pair on."""
+        return self.registration.warnings
+
+    def forward(self, xy_px: ArrayLike) -> Float64:
+        """Map (n, 2) predicted target px (col, row) to (n, 2) observed ones; NaN where the model has none."""
+        return self.model.forward(_points(xy_px))
+
+    def inverse(self, xy_px: ArrayLike) -> Float64:
+        """Map (n, 2) observed target px (col, row) to (n, 2) predicted ones; NaN where the model has none."""
+        return self.model.inverse(_points(xy_px))
+
+    def sigma(self, xy_px: ArrayLike) -> Float64:
+        """Return the (n, 2) standard deviation (col, row) at (n, 2) predicted target px (col, row), px."""
+        if self.registration.selection is None:
+            raise InputError(
+                f"a pair that is {self.registration.status} has no sigma: fit a correction first"
+            )
+        return self.registration.selection.sigma(_points(xy_px))
+
+    def to_gcps(self) -> list[GroundControlPoint]:
+        """Return the tie points, all but the rejected ones, as ground control points of the target.
+
+        `col` and `row` are px of the original target, corner-based; `x` and `y` map coordinates in the
+        reference's CRS (`tie_points.crs`), without one px of the reference, y = -row.
+        """
+        table = self.tie_points
+        used = table[table.status != "rejected"].placed
+        return [
+            GroundControlPoint(row=row, col=col, x=x, y=y, id=str(number))
+            for number, ((col, row), (x, y)) in enumerate(
+                zip(used.target_px.tolist(), used.xy.tolist(), strict=True), start=1
+            )
+        ]
+
+    def to_skimage(self) -> Any:  # noqa: ANN401  # of scikit-image, which has no types
+        """Return the correction as a transform of scikit-image, in its coordinates.
+
+        scikit-image counts from the centre of the first pixel, this package from its corner: what `forward`
+        maps from (0.5, 0.5) to (1.5, 0.5), the transform maps from (0, 0) to (1, 0). It takes and returns
+        (n, 2) arrays of (col, row), and ``skimage.transform.warp(target, transform)`` is the corrected target
+        on its own pixels.
+
+        Returns
+        -------
+        skimage.transform.AffineTransform, ProjectiveTransform, or a callable like these
+            Shift, drift and affine; projective; other models, exactly, with the attribute `inverse`.
+
+        Raises
+        ------
+        InputError
+            If scikit-image is not installed.
+        """
+        try:
+            from skimage import transform  # an optional dependency
+        except ImportError as error:
+            raise InputError(
+                f"to_skimage needs scikit-image: pip install 'pcwlad-geo[skimage]' ({error})"
+            ) from error
+        model = self.model
+        to_corner = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+        if isinstance(model, AffineCorrection):
+            matrix = np.vstack([model.matrix, [0.0, 0.0, 1.0]])
+            return transform.AffineTransform(matrix=np.linalg.inv(to_corner) @ matrix @ to_corner)
+        if isinstance(model, ProjectiveCorrection):
+            return transform.ProjectiveTransform(matrix=np.linalg.inv(to_corner) @ model.matrix @ to_corner)
+        return PixelCentreTransform(model)
+
+    @overload
+    def warp(
+        self,
+        src: RasterLike,
+        dst: PathLike,
+        *,
+        resampling: Resampling | None = None,
+        overwrite: bool = False,
+        on_event: EventCallback = ignore,
+        **output: Unpack[WarpOptions],
+    ) -> Path: ...
+
+    @overload
+    def warp(
+        self,
+        src: NDArray[Any],
+        dst: None = None,
+        *,
+        resampling: Resampling | None = None,
+        overwrite: bool = False,
+        on_event: EventCallback = ignore,
+        **output: Unpack[WarpOptions],
+    ) -> np.ma.MaskedArray[Any, Any]: ...
+
+    @overload
+    def warp(
+        self,
+        src: Raster | DatasetReader,
+        dst: None = None,
+        *,
+        resampling: Resampling | None = None,
+        overwrite: bool = False,
+        on_event: EventCallback = ignore,
+        **output: Unpack[WarpOptions],
+    ) -> Raster: ...
+
+    @overload
+    def warp(
+        self,
+        src: DataArrayLike,
+        dst: None = None,
+        *,
+        resampling: Resampling | None = None,
+        overwrite: bool = False,
+        on_event: EventCallback = ignore,
+        **output: Unpack[WarpOptions],
+    ) -> Any: ...  # noqa: ANN401  # xarray.DataArray
+
+    def warp(
+        self,
+        src: RasterLike,
+        dst: PathLike | None = None,
+        *,
+        resampling: Resampling | None = None,
+        overwrite: bool = False,
+        on_event: EventCallback = ignore,
+        **output: Unpack[WarpOptions],
+    ) -> Any:
+        """Warp a raster of the target's geometry by the correction, once, from its original pixels.
+
+        Parameters
+        ----------
+        src : path, rasterio dataset, array, Raster or xarray.DataArray
+            The target, or another band of it. An array of (rows, cols) or (bands, rows, cols), and a `Raster`
+            or DataArray without georeferencing, has the target's pixels.
+        dst : path, optional
+            The file to write; by default the result is returned as `src` is given, which is no path then.
+        resampling : str, optional
+            As for `register`; what the pair was opened with by default.
+        overwrite : bool
+            Replace `dst` where it exists.
+        on_event : callable
+            Receives `Progress` and `Warned` events.
+        **output
+            `grid`, `like`, `tr`, `te`, `t_srs`, `of`, `co` as `pcwlad_geo.warp` takes them. By default a
+            file gets what the pair was opened with, and what is returned has exactly the reference's grid.
+
+        Returns
+        -------
+        pathlib.Path, numpy.ma.MaskedArray, Raster or xarray.DataArray
+            Masked where the target shows nothing; a `Raster` has such an array. In a DataArray that is
+            `_FillValue` where `src` has one and NaN otherwise, so that whole numbers become float.
+
+        Raises
+        ------
+        InputError
+            If the raster or an option cannot be used.
+        OutputError
+            If `dst` cannot be written; nothing is left half-written.
+        """
+        if dst is None and isinstance(src, str | os.PathLike):
+            raise InputError(
+                f"warp({os.fspath(src)!r}) has no place to write to: give the file, warp(src, dst)"
+            )
+        scratch = Scratch()
+        place = scratch.folder / "warped.tif" if dst is None else Path(dst)
+        wishes: WarpOptions = {**output}
+        if dst is None:
+            wishes |= {"of": "GTiff", "co": ()}
+            if all(output.get(name) is None for name in GRID_OPTIONS):
+                wishes["grid"] = "reference-exact"
+        with trusting(self.registration.settings.trust):
+            done = finished(self.registration)
+            request, made = requested_output(done, wishes)
+            wanted = WarpOutput(done.reference_grid, request, made, resampling or done.resampling)
+            uri = scratch.file_of(self._placed(src), "array")
+            apply(done, [uri], [place], wanted, False, overwrite, on_event)
+        return place if dst is not None else like_the_source(read_raster(place), src)
+
+    def _placed(self, src: RasterLike) -> RasterLike:
+        """Return what has no place of its own as a raster on the target's pixels; the rest as it is."""
+        if isinstance(src, str | os.PathLike) or is_dataset(src):
+            return src
+        raster, grid = to_raster(src), self.registration.target.grid
+        if raster.transform is not None or raster.crs is not None:
+            return raster
+        if raster.shape != grid.shape:
+            (rows, cols), (wanted_rows, wanted_cols) = raster.shape, grid.shape
+            raise InputError(
+                f"the array has {cols} x {rows} px, the target {wanted_cols} x {wanted_rows}: give one of "
+                "that size, or pcwlad_geo.Raster(array, transform, crs)"
+            )
+        if isinstance(grid, RpcGrid) or not grid.located:
+            return raster
+        return replace(raster, transform=grid.transform, crs=grid.crs)
+
+    def __repr__(self) -> str:
+        return one_line_of(self, *self._facts().values())
+
+    def _repr_html_(self) -> str:
+        return html_table("FittedCorrection", self._facts())
+
+    def _facts(self) -> dict[str, str]:
+        facts = {"model": self.name, "tie points": self.tie_points.summary()}
+        checked = self.accuracy["check_px"]
+        figure, what = (checked, "check") if checked.n else (self.accuracy["fit_px"], "fit")
+        facts["accuracy"] = f"RMSE {figure.rmse:.2f} px at {figure.n} {what} points"
+        if self.quality is not None:
+            facts["quality"] = f"quality {self.quality.grade}"
+        return facts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelCentreTransform:
+    """A correction in the coordinates of scikit-image: (col, row), (0, 0) the centre of the first pixel."""
+
+    model: Correction
+    inverted: bool = False
+    """Whether it maps observed to predicted px."""
+
+    def __call__(self, coords: ArrayLike) -> Float64:
+        """Map (n, 2) coordinates (col, row)."""
+        way = self.model.inverse if self.inverted else self.model.forward
+        return way(_points(coords) + 0.5) - 0.5
+
+    @property
+    def inverse(self) -> PixelCentreTransform:
+        """The transform the other way."""
+        return replace(self, inverted=not self.inverted)
+
+
+def _points(xy_px: ArrayLike) -> Float64:
+    """Return positions as an (n, 2) array."""
+    points = np.asarray(xy_px, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError(f"positions of shape {points.shape}: give an (n, 2) array of (col, row)")
+    return points

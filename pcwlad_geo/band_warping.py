@@ -1,0 +1,346 @@
+"""Application of a finished registration to other bands of the target, by warping or by its RPC."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypedDict
+
+from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.errors import InputError, OutputError, SettingsError
+from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
+from pcwlad_geo.options import OutputGrid, Resampling, Settings
+from pcwlad_geo.outputs.folder import place_file, place_with_files, stage_inside
+from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band, warp_band
+from pcwlad_geo.raster import warping
+from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
+from pcwlad_geo.raster.matching_grid import grid_on_plane_of
+from pcwlad_geo.raster.output_format import OutputFormat, check_format
+from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_grids
+from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
+from pcwlad_geo.raster.rpc.ortho import requested_ortho_grids
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster.trust import Trust, trusting
+from pcwlad_geo.raster.vrt import write_rpc_vrt
+from pcwlad_geo.registration.inputs import check_placed, requested_grid
+from pcwlad_geo.registration.rpc import CorrectedRpc, RpcRegistration, correct_other_image
+from pcwlad_geo.report.finished import FinishedRegistration, read_registration
+from pcwlad_geo.types import PathLike
+
+
+@dataclass(frozen=True, slots=True)
+class WarpOutput:
+    """How warped rasters are written."""
+
+    reference_grid: Grid
+    """Grid to which outputs are aligned unless another is requested."""
+    request: GridRequest
+    format: OutputFormat
+    resampling: str
+    """A name of `rasterio.enums.Resampling`."""
+
+
+WriteBand = Callable[[int, Mapping[str, Path]], None]
+"""Writes the files of a raster, given its number and their staged paths by kind."""
+
+
+def _by_rpc(
+    sources: Sequence[str],
+    places: Sequence[Mapping[str, Path]],
+    target: CorrectedRpc,
+    made: WarpOutput,
+    on_event: EventCallback,
+) -> WriteBand:
+    """Transfer the correction of the registered RPC to other rasters; return what orthorectifies them."""
+    if made.request.mode == "target":
+        raise SettingsError("grid = 'target': the pixels of an image with RPC are no grid on the ground")
+    if made.format.is_vrt:
+        raise SettingsError("of = 'VRT': a VRT cannot hold an orthorectified image; give --of COG or GTiff")
+    siblings: list[RpcRegistration] = []
+    for source in sources:
+        sibling, warnings = correct_other_image(source, target)
+        siblings.append(sibling)
+        for warning in warnings:
+            on_event(Warned(warning))
+    grids = _ortho_grids(target, siblings, made)
+    for source, grid in zip(sources, grids, strict=True):
+        check_format(made.format, source, grid)
+
+    def write(number: int, staged: Mapping[str, Path]) -> None:
+        corrected = siblings[number].corrected_grid
+        how = BandOutput(grids[number], made.resampling, made.format, places[number]["raster"])
+        orthorectify_band(sources[number], staged["raster"], corrected, how, on_event)
+        if "rpc" in staged:
+            final_path = places[number]["rpc"]
+            write_rpc_vrt(staged["rpc"], sources[number], to_gdal(corrected.rpc), final_path=final_path)
+        if "rpc_text" in staged:
+            write_rpc_text(corrected.rpc, staged["rpc_text"])
+
+    return write
+
+
+def _ortho_grids(target: CorrectedRpc, siblings: Sequence[RpcRegistration], made: WarpOutput) -> list[Grid]:
+    """Return the output grids: one extent for all, the target's; raise where one shows nothing."""
+    own = [sibling.corrected_grid for sibling in siblings]
+    registered = replace(own[0], shape=target.shape, rpc=target.corrected)
+    grids = requested_ortho_grids(made.reference_grid, registered, made.request, own)
+    if made.request.needs_ground or made.request.fixed(made.reference_grid):
+        for raster, grid in zip(own, grids, strict=True):
+            check_covered(grid, raster.to_xy(raster.boundary_px()), raster.crs)
+    return grids
+
+
+class WarpOptions(TypedDict, total=False):
+    """What may be asked of a warped raster; None and what is absent: as in the registration."""
+
+    grid: OutputGrid | None
+    like: PathLike | None
+    tr: tuple[float, float] | None
+    te: tuple[float, float, float, float] | None
+    t_srs: str | None
+    of: str | None
+    co: Sequence[str] | None
+
+
+def warp(
+    registration: PathLike,
+    rasters: Sequence[PathLike],
+    *,
+    out_dir: PathLike | None = None,
+    output_raster: PathLike | None = None,
+    grid: OutputGrid | None = None,
+    like: PathLike | None = None,
+    tr: tuple[float, float] | None = None,
+    te: tuple[float, float, float, float] | None = None,
+    t_srs: str | None = None,
+    of: str | None = None,
+    co: Sequence[str] | None = None,
+    resampling: Resampling | None = None,
+    overwrite: bool = False,
+    allow_remote: bool = False,
+    trust_vrt: bool = False,
+    on_event: EventCallback = ignore,
+) -> tuple[Path, ...]:
+    """Apply a finished registration to other bands of the target, also with other pixel sizes.
+
+    Each raster is warped once from its original pixels by the correction of the registration. Nothing is
+    matched, and the registered pair is not needed. If the target has an RPC, the correction is transferred to
+    the RPC of each raster, and ``<raster stem>_rpc.vrt`` and ``_rpc_RPC.TXT`` are written beside the
+    orthorectified raster; the DEM is needed again.
+
+    Parameters
+    ----------
+    registration : path
+        The output folder of `register`.
+    rasters : sequence of path
+        Rasters of the target's geometry, in its CRS or without georeferencing and of its size; for a target
+        with an RPC, images taken with it that have their own RPCs.
+    out_dir : path, optional
+        Folder of ``<raster stem>_registered.tif``; the working folder by default.
+    output_raster : path, optional
+        Path of the only raster instead, with no other files.
+    grid : {"reference", "reference-exact", "target"}, optional
+        Output grid: the reference's CRS and alignment with the raster's own pixel size, exactly the
+        reference's grid, or the raster's own. With the reference's alignment all rasters share the extent of
+        the corrected target, in whole pixels of the coarsest raster.
+    like, tr, te, t_srs : optional
+        As for `register`. If neither these nor `grid` are given, the output grid is as in the registration.
+    of, co : optional
+        Format and creation options as for `register`; by default as in the registration.
+    resampling : str, optional
+        Resampling; by default as in the registration.
+    overwrite : bool
+        Replace files that exist.
+    allow_remote, trust_vrt : bool
+        As for `register`.
+    on_event : callable
+        Receives `Progress` events; an exception that it raises ends the work.
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The files written, in the order of the rasters.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no finished registration, or one that does not meet its requirements and was made
+        without `keep`, or a raster cannot be used; raised before anything is written.
+    OutputError
+        If a result cannot be written; those before it are kept.
+    """
+    wishes: WarpOptions = {"grid": grid, "like": like, "tr": tr, "te": te, "t_srs": t_srs, "of": of, "co": co}
+    with trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
+        finished = read_registration(registration)
+        sources = [os.fspath(raster) for raster in rasters]
+        request, made = requested_output(finished, wishes)
+        places = _warped_paths(sources, out_dir, output_raster, made.extension)
+        wanted = WarpOutput(finished.reference_grid, request, made, resampling or finished.resampling)
+        return apply(finished, sources, places, wanted, output_raster is None, overwrite, on_event)
+
+
+def apply(
+    finished: FinishedRegistration,
+    sources: Sequence[str],
+    places: Sequence[Path],
+    wanted: WarpOutput,
+    rpc_beside: bool,
+    overwrite: bool,
+    on_event: EventCallback,
+) -> tuple[Path, ...]:
+    """Warp rasters of the target's geometry by a registration, each to its place.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        Paths or GDAL URIs.
+    places : sequence of pathlib.Path
+        Where each goes.
+    wanted : WarpOutput
+        Grid, format and resampling.
+    rpc_beside : bool
+        Where the target has an RPC, write those of the rasters beside them.
+    overwrite : bool
+        Replace files that exist.
+    on_event : callable
+        Receives `Progress` and `Warned` events.
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The files written, in the order of the rasters.
+
+    Raises
+    ------
+    InputError, OutputError
+        As `warp` does.
+    """
+    if not sources:
+        raise InputError("no raster to warp: give at least one")
+    inputs = [identify(source) for source in sources]
+    _warn_of_changes(inputs, finished, on_event)
+    files = _rpc_paths(sources, places, beside=rpc_beside and finished.rpc is not None)
+    every = [place for each in files for place in each.values()]
+    _check_places(sources, every, overwrite=overwrite)
+    if finished.rpc is None:
+        write = _by_correction(sources, files, finished, wanted, on_event)
+    else:
+        write = _by_rpc(sources, files, finished.rpc, wanted, on_event)
+    with stage_inside(places[0].parent) as stage:
+        for number, each in enumerate(files):
+            on_event(Progress("rasters", number, len(sources)))
+            staged = {kind: stage / place.name for kind, place in each.items()}
+            write(number, staged)
+            check_unchanged(inputs[number])
+            for kind, place in each.items():
+                put = place_with_files if kind == "raster" else place_file
+                put(staged[kind], place, overwrite=overwrite)
+    on_event(Progress("rasters", len(sources), len(sources)))
+    return tuple(every)
+
+
+def _warn_of_changes(
+    files: Sequence[Sequence[FileIdentity]], finished: FinishedRegistration, on_event: EventCallback
+) -> None:
+    """Warn about a raster that has changed since it was registered itself."""
+    registered = {each.path: each for each in finished.inputs}
+    for each in (identity for identities in files for identity in identities):
+        before = registered.get(each.path)
+        difference = before.difference(each) if before else None
+        if difference is not None:
+            on_event(
+                Warned(
+                    f"{each.path} was changed ({difference}) since the registration was made: register it "
+                    "again unless its pixels lie as they did"
+                )
+            )
+
+
+def requested_output(finished: FinishedRegistration, wishes: WarpOptions) -> tuple[GridRequest, OutputFormat]:
+    """Return the output grid and the format that are asked for, else those of the registration.
+
+    Raises `SettingsError` if an option has no such value, or two contradict each other.
+    """
+    of, co = wishes.get("of"), wishes.get("co")
+    options = {name: value for name, value in wishes.items() if value is not None and name != "co"}
+    if wishes.get("like"):
+        options["like"] = str(wishes["like"])
+    settings = Settings.from_options(options | ({} if co is None else {"co": tuple(co)}))
+    request = requested_grid(settings) if set(options) - {"of"} else finished.request
+    if of is None:
+        return request, finished.made if co is None else OutputFormat.of(finished.made.driver, settings.co)
+    return request, OutputFormat.of(of, settings.co)
+
+
+def _by_correction(
+    sources: Sequence[str],
+    places: Sequence[Mapping[str, Path]],
+    finished: FinishedRegistration,
+    wanted: WarpOutput,
+    on_event: EventCallback,
+) -> WriteBand:
+    """Return what warps the rasters; raise if one cannot be used, shows nothing or cannot be written so."""
+    correction, target, request = finished.correction, finished.target_grid, wanted.request
+    own = [grid_on_plane_of(describe(source), target) for source in sources]
+    for source, raster in zip(sources, own, strict=True):
+        warping.check_geometry(source, raster, target)
+    if wanted.format.is_vrt and not isinstance(correction, AffineCorrection):
+        raise SettingsError(
+            f"of = 'VRT': a VRT cannot hold the {correction.name} correction of this registration; give --of "
+            "COG or GTiff"
+        )
+    located = {"the reference": finished.reference_grid.located, "the target": target.located}
+    check_placed(request, located, finished.reference_grid)
+    grids = output_grids(finished.reference_grid, target, correction, request, own)
+    for source, raster, grid in zip(sources, own, grids, strict=True):
+        if request.needs_ground or request.fixed(finished.reference_grid):
+            observed_px = map_px(raster.boundary_px(), raster, target)
+            check_covered(grid, target.to_xy(correction.inverse(observed_px)), target.crs)
+        check_format(wanted.format, source, grid)
+
+    def write(number: int, staged: Mapping[str, Path]) -> None:
+        how = BandOutput(grids[number], wanted.resampling, wanted.format, places[number]["raster"])
+        warp_band(sources[number], staged["raster"], correction, target, how, on_event)
+
+    return write
+
+
+def _warped_paths(
+    rasters: Sequence[str],
+    out_dir: PathLike | None,
+    output_raster: PathLike | None,
+    extension: str,
+) -> tuple[Path, ...]:
+    """Return the paths of the warped rasters, in order; of the only one, where the user wants it."""
+    if output_raster is None:
+        names = [NAMES["raster"].format(stem=Path(raster).stem, ending=extension) for raster in rasters]
+        return tuple(Path(out_dir or ".") / name for name in names)
+    if len(rasters) > 1:
+        raise SettingsError(
+            f"--output-raster names one file, and there are {len(rasters)} rasters: give --out-dir"
+        )
+    return (Path(output_raster),)
+
+
+def _rpc_paths(sources: Sequence[str], rasters: Sequence[Path], *, beside: bool) -> list[dict[str, Path]]:
+    """Return the output paths by kind of each source, with those of its corrected RPC beside the raster."""
+    kinds = ("rpc", "rpc_text") if beside else ()
+    return [
+        {"raster": raster}
+        | {kind: raster.with_name(NAMES[kind].format(stem=Path(source).stem)) for kind in kinds}
+        for source, raster in zip(sources, rasters, strict=True)
+    ]
+
+
+def _check_places(sources: Sequence[str], places: Sequence[Path], *, overwrite: bool) -> None:
+    """Raise where an output would replace an input, another output, or a file that may not be replaced."""
+    for place in places:
+        if places.count(place) > 1:
+            raise InputError(f"two of the rasters would be written to {place}: warp them into two folders")
+        if any(place.exists() and Path(source).exists() and place.samefile(source) for source in sources):
+            raise OutputError(f"the output {place} is an input too: choose another output folder")
+        if place.exists() and not overwrite:
+            raise OutputError(f"{place} exists: give --overwrite to replace it, or another folder")

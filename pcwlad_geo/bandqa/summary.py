@@ -1,0 +1,336 @@
+"""Requirements on pairs and triangles of bands, and the content of `qa.json` and `qa.csv`."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from pcwlad_geo.bandqa.bands import Band
+from pcwlad_geo.bandqa.pairs import PairResult, Triangle, local_means
+from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.options import Settings
+from pcwlad_geo.products.detect import TIRS_M
+from pcwlad_geo.raster.identity import FileIdentity
+from pcwlad_geo.report.content import plain, rounded
+from pcwlad_geo.report.summary import versions
+from pcwlad_geo.requirements import Requirement, Unit, parse_requirement, value_of
+from pcwlad_geo.text import cell
+
+Scope = Literal["all", "no thermal", "one thermal", "both thermal"]
+Preset = Literal["sentinel2", "landsat-oli", "landsat-tirs"]
+
+
+@dataclass(frozen=True, slots=True)
+class BandRequirement:
+    """A requirement, and the pairs of bands to which it applies."""
+
+    rule: Requirement
+    scope: Scope = "all"
+    """Pairs to which the requirement applies."""
+    preset: Preset | None = None
+    """Preset that contains the requirement; None if it is the user's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """The evaluation of a requirement."""
+
+    requirement: BandRequirement
+    values: dict[str, float]
+    """Values by pair or triangle, for those that the requirement applies to and that were measured."""
+    unmeasured: tuple[str, ...] = ()
+    """Refused pairs to which the requirement applies."""
+    failed: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        rule = self.requirement.rule
+        over = [name for name, value in self.values.items() if not rule.is_met(value)]
+        object.__setattr__(self, "failed", (*over, *self.unmeasured))
+
+    @property
+    def passed(self) -> bool:
+        """Whether all values meet the requirement; without any value it is not met."""
+        return bool(self.values) and not self.failed
+
+    @property
+    def worst(self) -> tuple[str, float] | None:
+        """The pair or triangle with the largest value."""
+        if not self.values:
+            return None
+        name = max(self.values, key=lambda each: self.values[each])
+        return name, self.values[name]
+
+
+def _net(statistic: str, limit: float, unit: Unit, scope: Scope, preset: Preset) -> BandRequirement:
+    return BandRequirement(Requirement(statistic, limit, unit, net=True), scope, preset)
+
+
+PRESETS: Final[dict[Preset, tuple[BandRequirement, ...]]] = {
+    "sentinel2": (_net("CE99.7", 0.3, "native px", "all", "sentinel2"),),
+    "landsat-oli": (_net("LE90", 4.5, "m", "no thermal", "landsat-oli"),),
+    "landsat-tirs": (
+        _net("LE90", 18.0, "m", "both thermal", "landsat-tirs"),
+        _net("LE90", 30.0, "m", "one thermal", "landsat-tirs"),
+    ),
+}
+"""Band-to-band requirements of the missions; they concern the sensor, so matching noise is removed."""
+
+
+def read_requirement(text: str) -> BandRequirement:
+    """Parse a requirement of the user on all pairs; see `parse_requirement`."""
+    return BandRequirement(parse_requirement(text, "qa"))
+
+
+def preset_requirements(name: str) -> tuple[BandRequirement, ...]:
+    """Return the requirements of a preset.
+
+    Raises `SettingsError` if there is no preset of that name.
+    """
+    for preset, requirements in PRESETS.items():
+        if preset == name:
+            return requirements
+    raise SettingsError(f"preset = {name!r}: give one of {', '.join(PRESETS)}")
+
+
+def is_about(requirement: BandRequirement, reference: Band, target: Band) -> bool:
+    """Whether `requirement` applies to the pair of bands `reference` and `target`."""
+    if requirement.rule.statistic == "closure":
+        return False
+    thermal = sum(band.native_m is not None and min(band.native_m) >= TIRS_M for band in (reference, target))
+    return requirement.scope in ("all", ("no thermal", "one thermal", "both thermal")[thermal])
+
+
+def check_applicable(
+    requirements: Sequence[BandRequirement], planned: Sequence[tuple[Band, Band]], triangles: bool
+) -> list[BandRequirement]:
+    """Return the requirements that apply to the planned pairs.
+
+    A requirement of a preset that applies to no pair is left out if another one of the preset does. Raises
+    `SettingsError` if one cannot be judged: metres without a CRS, closure without triangles, a preset for
+    other bands.
+    """
+    kept = []
+    for requirement in requirements:
+        if requirement.rule.statistic == "closure":
+            if not triangles:
+                raise SettingsError(
+                    "a limit on closure needs all pairs of three bands or more: give more bands, without "
+                    "--against, or leave out that requirement"
+                )
+            about = list(planned)
+        else:
+            about = [pair for pair in planned if is_about(requirement, *pair)]
+        if requirement.rule.unit == "m" and any(target.px_m is None for _, target in about):
+            raise SettingsError(
+                f"{requirement.rule.text}: a band has no CRS, so metres are not known: give px"
+            )
+        if about:
+            kept.append(requirement)
+    for preset in {requirement.preset for requirement in requirements if requirement.preset}:
+        if not any(requirement.preset == preset for requirement in kept):
+            what = "a thermal band" if preset == "landsat-tirs" else "two bands that are not thermal"
+            raise SettingsError(
+                f"the preset {preset} needs {what}, and the names tell of none: check the bands, or say "
+                "which are thermal with --native-px NAME=100"
+            )
+    return kept
+
+
+def judge_pairs(requirement: BandRequirement, pairs: Sequence[PairResult]) -> Judged:
+    """Compare the `pairs` with a `requirement`."""
+    values, unmeasured = {}, []
+    for pair in pairs:
+        if not is_about(requirement, pair.reference, pair.target):
+            continue
+        statistics = pair.statistics.get(str(requirement.rule.unit))
+        if statistics is None:
+            unmeasured.append(pair.name)
+        else:
+            values[pair.name] = value_of(requirement.rule, statistics)
+    return Judged(requirement, values, tuple(unmeasured))
+
+
+def judge_triangles(requirement: BandRequirement, triangles: Sequence[Triangle]) -> Judged:
+    """Compare the `triangles` with a `requirement` on the closure error, of the larger axis of each."""
+    values = {}
+    for triangle in triangles:
+        gap = triangle.mean_m if requirement.rule.unit == "m" else triangle.mean_px
+        values[triangle.name] = math.nan if gap is None else max(abs(gap[0]), abs(gap[1]))
+    return Judged(requirement, values)
+
+
+SCHEMA_VERSION: Final = 1
+"""Version of the structure of qa.json."""
+UNITS: Final = {"px": "px", "native_px": "native px", "m": "m"}
+"""Units by their names in files."""
+AXIS_STATISTICS: Final = ("mean", "median", "std", "rmse", "min", "max", "le90")
+"""Statistics per axis, by their names in files."""
+RADIAL_STATISTICS: Final = ("rmse", "ce90", "ce95", "ce99_7")
+"""Radial statistics, by their names in files."""
+
+Summary = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QaResult:
+    """The result of a band QA."""
+
+    bands: tuple[Band, ...]
+    against: Band | None
+    """Band with which all others are compared; None for all pairs."""
+    pairs: tuple[PairResult, ...]
+    triangles: tuple[Triangle, ...]
+    verdicts: tuple[Judged, ...]
+    """Evaluations of the requirements."""
+    settings: Settings
+    seconds: float
+    out_dir: Path
+    """Folder of `qa.json`, `qa.csv` and `qa.html`."""
+    inputs: tuple[FileIdentity, ...] = ()
+    """Identities, before the matching, of the files of the bands and masks."""
+
+    @property
+    def refused(self) -> tuple[PairResult, ...]:
+        """Pairs that could not be matched reliably."""
+        return tuple(pair for pair in self.pairs if pair.status == "refused")
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether all requirements are met and no pair was refused; None without requirements."""
+        if not self.verdicts:
+            return None
+        return not self.refused and all(verdict.passed for verdict in self.verdicts)
+
+
+def summarise(result: QaResult, outputs: Sequence[str]) -> Summary:
+    """Return the content of `qa.json`.
+
+    It holds JSON types only: NaN and infinity are None. The `outputs` are names of the files in the output
+    folder.
+    """
+    summary = {
+        "schema_version": SCHEMA_VERSION,
+        "kind": "qa",
+        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "passed": result.passed,
+        "requirements": [_verdict(verdict) for verdict in result.verdicts],
+        "against": result.against.name if result.against else None,
+        "bands": [_band(band) for band in result.bands],
+        "inputs": list(result.inputs),
+        "pairs": [_pair(pair, result.verdicts) for pair in result.pairs],
+        "closure": [_triangle(triangle) for triangle in result.triangles],
+        "seconds": round(result.seconds, 3),
+        "settings": asdict(result.settings),
+        "versions": versions(),
+        "outputs": list(outputs),
+    }
+    return {name: plain(rounded(value)) for name, value in summary.items()}
+
+
+def to_csv(summary: Mapping[str, Any]) -> str:
+    """Return the text of `qa.csv`: one line per pair; cells without a value are empty."""
+    rows = [{name: cell(value) for name, value in _row(pair).items()} for pair in summary["pairs"]]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _verdict(judged: Judged) -> Summary:
+    requirement, rule = judged.requirement, judged.requirement.rule
+    worst = judged.worst
+    return {
+        "text": rule.text,
+        "statistic": rule.statistic,
+        "net": rule.net,
+        "limit": rule.limit,
+        "unit": rule.unit,
+        "scope": requirement.scope,
+        "preset": requirement.preset,
+        "passed": judged.passed,
+        "worst": {"name": worst[0], "value": worst[1]} if worst else None,
+        "judged": len(judged.values) + len(judged.unmeasured),
+        "failed": list(judged.failed),
+    }
+
+
+def _band(band: Band) -> Summary:
+    return {
+        "name": band.name,
+        "path": band.file,
+        "product": band.product,
+        "band": band.info.band,
+        "description": band.description,
+        "shape": list(band.info.grid.shape),
+        "px_m": band.px_m,
+        "native_px_m": band.native_m,
+        "native_told": band.native_known,
+        "crs": band.info.grid.crs.to_string() if band.info.grid.crs else None,
+        "mask": band.info.mask_uri,
+    }
+
+
+def _pair(pair: PairResult, verdicts: Sequence[Judged]) -> Summary:
+    judged = [verdict for verdict in verdicts if pair.name in (*verdict.values, *verdict.unmeasured)]
+    by_unit = {name: pair.statistics.get(unit) for name, unit in UNITS.items()}
+    met = None if not judged else not any(pair.name in verdict.failed for verdict in judged)
+    return {
+        "name": pair.name,
+        "reference": pair.reference.name,
+        "target": pair.target.name,
+        "status": pair.status,
+        "reason": pair.reason,
+        "passed": False if verdicts and pair.status == "refused" else met,
+        "warnings": list(pair.warnings),
+        "n": len(pair.points) if pair.points else 0,
+        "rejected": pair.rejected,
+        "px_m": pair.target.px_m,
+        "native_px_m": pair.native_m,
+        "local": local_means(pair.points, pair.target.info.grid.shape) if pair.points else [],
+        "displacement": {name: found and found.of_unit for name, found in by_unit.items()},
+    }
+
+
+def _triangle(triangle: Triangle) -> Summary:
+    return {
+        "bands": list(triangle.bands),
+        "name": triangle.name,
+        "cells": triangle.cells,
+        "mean_px": triangle.mean_px,
+        "error_px": triangle.error_px,
+        "rms_px": triangle.rms_px,
+        "mean_m": triangle.mean_m,
+        "px_m": triangle.px_m,
+    }
+
+
+def _row(pair: Mapping[str, Any]) -> dict[str, object]:
+    passed = pair["passed"]
+    row: dict[str, object] = {name: pair[name] for name in ("reference", "target", "status")}
+    row["passed"] = "" if passed is None else "yes" if passed else "no"
+    row |= {name: pair[name] for name in ("n", "rejected")}
+    for unit, statistics in pair["displacement"].items():
+        row |= {f"{name}_{unit}": value for name, value in _flat(statistics).items()}
+    return {**row, "reason": pair["reason"]}
+
+
+def _flat(statistics: Mapping[str, Any] | None) -> dict[str, float | None]:
+    """Return all statistics of one unit by name: `mean_col`, `ce90`, `net_ce90`, `noise_row`."""
+    found = statistics or {}
+    flat = {
+        f"{name}_{axis}": found.get(axis, {}).get(name) for axis in ("col", "row") for name in AXIS_STATISTICS
+    }
+    flat |= {name: found.get("radial", {}).get(name) for name in RADIAL_STATISTICS}
+    net = found.get("net", {})
+    flat |= {f"net_{name}": net.get(name) for name in RADIAL_STATISTICS}
+    for entry, name in (("noise_xy", "noise"), ("std_xy", "net_std"), ("le90_xy", "net_le90")):
+        values = net.get(entry) or (None, None)
+        flat |= {f"{name}_{axis}": value for axis, value in zip(("col", "row"), values, strict=True)}
+    return flat

@@ -1,0 +1,428 @@
+"""The jobs: the four steps of `registration.run`, then the folder. The command line and Python share them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from threading import Thread
+from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict
+
+from pcwlad_geo import options as s
+from pcwlad_geo.errors import OutputError, RegistrationRejectedError, RequirementError
+from pcwlad_geo.events import Event, EventCallback, Progress, ignore
+from pcwlad_geo.execution.processes import open_runner
+from pcwlad_geo.execution.runner import InThisProcess, Runner
+from pcwlad_geo.limits import NAME_BYTES
+from pcwlad_geo.options import Settings
+from pcwlad_geo.outputs.folder import OutputFolder, place_file, place_with_files
+from pcwlad_geo.outputs.write import OUTPUTS, write
+from pcwlad_geo.products.detect import products_found_once as products_found_once
+from pcwlad_geo.products.detect import stem_of
+from pcwlad_geo.raster.arrays import file_of
+from pcwlad_geo.raster.identity import check_unchanged
+from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.raster.source import file_name, plain_name
+from pcwlad_geo.raster.trust import trusting
+from pcwlad_geo.registration.inputs import band_file, check_output, estimate_tile_count, resolve
+from pcwlad_geo.report.rendering import check_pdf
+from pcwlad_geo.requirements import parse_requirements
+from pcwlad_geo.types import PathLike
+
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
+    from typing_extensions import Unpack
+
+    from pcwlad_geo.products.product import ProductBand
+    from pcwlad_geo.registration.result import Registration
+
+Job = Literal["registered", "matched"]
+TASKS_MODULE: Final = "pcwlad_geo.registration.tiles"
+"""Worker processes import it before their first call."""
+
+
+class PairOptions(TypedDict, total=False):
+    """The fields of `Settings` but the masks, as keywords."""
+
+    ref_band: int | str
+    tgt_band: int | str
+    tie_points: Path | str | None
+    dem: Path | str | None
+    dem_vertical: float | Path | str | None
+    trust_rpc: bool
+    method: s.Method
+    points: int | Literal["all"] | None
+    features: int
+    keypoints: s.Keypoints
+    template: int
+    window: int
+    search_radius: int | None
+    ssim_min: float
+    iterations: int
+    consensus: s.Consensus
+    prealign: s.Prealign
+    model: s.Model
+    grid: s.OutputGrid
+    like: Path | str | None
+    tr: tuple[float, float] | None
+    te: tuple[float, float, float, float] | None
+    t_srs: str | None
+    of: str
+    co: tuple[str, ...]
+    resampling: s.Resampling
+    write_sigma: bool
+    pdf: bool
+    require: str | Sequence[str]
+    keep: bool
+    tile_size: int
+    allow_remote: bool
+    trust_vrt: bool
+    jobs: int | None
+    scheduler: str | None
+
+
+class Options(PairOptions, total=False):
+    """The fields of `Settings`, as keywords."""
+
+    ref_mask: Path | str | None
+    tgt_mask: Path | str | None
+
+
+class OutputPlaces(TypedDict, total=False):
+    """Where outputs go, as keywords."""
+
+    out_dir: PathLike | None
+    output_raster: PathLike | None
+    output_tiepoints: PathLike | None
+    output_report: PathLike | None
+    output_points: PathLike | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """What is registered or matched, and what is written."""
+
+    command: Literal["register", "match"]
+    inputs: tuple[str, str]
+    """Reference and target: paths, GDAL URIs or products."""
+    settings: Settings
+    places: Mapping[str, Path]
+    """Where each kind of output goes."""
+    overwrite: bool
+
+
+@products_found_once()
+def register(
+    reference: PathLike | DatasetReader,
+    target: PathLike | DatasetReader,
+    *,
+    out_dir: PathLike | None = None,
+    overwrite: bool = False,
+    on_event: EventCallback = ignore,
+    executor: Executor | Runner | None = None,
+    output_raster: PathLike | None = None,
+    output_tiepoints: PathLike | None = None,
+    output_report: PathLike | None = None,
+    output_points: PathLike | None = None,
+    **options: Unpack[Options],
+) -> Registration:
+    """Register the target to the reference and write tie points, corrected raster and report.
+
+    Parameters
+    ----------
+    reference : path or rasterio dataset
+        Raster that stays, or a product with `ref_band` the name of a band.
+    target : path or rasterio dataset
+        Raster that moves, or a product: all its bands are corrected as `tgt_band` is.
+    out_dir : path, optional
+        Output folder; ``<target stem>_registered`` in the working folder by default.
+    overwrite : bool
+        Replace the results of an earlier run in `out_dir`.
+    on_event : callable
+        Receives `Progress` and `Warned` events; an exception that it raises ends the job.
+    executor : concurrent.futures.Executor or Runner, optional
+        Runs the tiles; None = `jobs` processes, or the workers of `scheduler`.
+    output_raster, output_tiepoints, output_report, output_points : path, optional
+        Write the registered raster, the tie points CSV, the report page, the QGIS points there instead of
+        into `out_dir`.
+    **options
+        The fields of `Settings`.
+
+    Returns
+    -------
+    Registration
+        Its tie points are in pixels (col, row) of the original files, corner-based; its `outputs` are the
+        files written, by kind.
+
+    Raises
+    ------
+    InputError
+        If a raster or an option cannot be used; nothing is written.
+    OutputError
+        If the results cannot be written; nothing is left half-written.
+    ExecutionError
+        If what the job runs on cannot be used or is lost; nothing is written.
+    RegistrationRejectedError
+        If the pair cannot be registered reliably; the report is written, a registered raster is not.
+    RequirementError
+        If a requirement (`require`) is not met; the report is written, corrected files only with `keep`.
+    """
+    places: OutputPlaces = {
+        "out_dir": out_dir,
+        "output_raster": output_raster,
+        "output_tiepoints": output_tiepoints,
+        "output_report": output_report,
+        "output_points": output_points,
+    }
+    job = _job("register", (file_of(reference), file_of(target)), overwrite, places, options)
+    return _run_and_write(job, executor, on_event)
+
+
+@products_found_once()
+def match_files(
+    reference: PathLike | DatasetReader,
+    target: PathLike | DatasetReader,
+    *,
+    out_dir: PathLike | None = None,
+    overwrite: bool = False,
+    on_event: EventCallback = ignore,
+    executor: Executor | Runner | None = None,
+    output_tiepoints: PathLike | None = None,
+    output_report: PathLike | None = None,
+    output_points: PathLike | None = None,
+    **options: Unpack[Options],
+) -> Registration:
+    """Match the target to the reference and write the tie points and a report; nothing is fitted or warped.
+
+    Parameters, errors and result are those of `register`; `out_dir` is ``<target stem>_matched`` by default,
+    and the result has no correction.
+    """
+    places: OutputPlaces = {
+        "out_dir": out_dir,
+        "output_tiepoints": output_tiepoints,
+        "output_report": output_report,
+        "output_points": output_points,
+    }
+    job = _job("match", (file_of(reference), file_of(target)), overwrite, places, options)
+    return _run_and_write(job, executor, on_event)
+
+
+def _job(
+    command: Literal["register", "match"],
+    inputs: tuple[str, str],
+    overwrite: bool,
+    places: OutputPlaces,
+    options: Options,
+) -> _Job:
+    settings = Settings.from_options(options)
+    kind: Job = "registered" if command == "register" else "matched"
+    paths = output_paths(inputs[1], kind, tgt_band=settings.tgt_band, of=settings.of, **places)
+    return _Job(command, inputs, settings, paths, overwrite)
+
+
+def output_paths(
+    target: PathLike,
+    job: Job,
+    *,
+    tgt_band: int | str = 1,
+    of: str = "COG",
+    **places: Unpack[OutputPlaces],
+) -> dict[str, Path]:
+    """Return where each kind of output goes that a job may write.
+
+    Parameters
+    ----------
+    target : path
+        Path or GDAL URI of the target, or a product.
+    job : {"registered", "matched"}
+        Ending of the default output folder.
+    tgt_band : int or str
+        Band of the target: the files are named after that of a product.
+    of : str
+        Format of the registered raster.
+    **places
+        `out_dir` and the paths of single outputs, as `register` takes them.
+    """
+    name = plain_name(file_name(band_file(target, tgt_band)))
+    stem = Path(name).stem
+    given: dict[str, Any] = {**places}
+    folder = Path(given.pop("out_dir", None) or output_folder(target, job))
+    ending = OutputFormat(of).extension
+    paths = {
+        output.kind: folder / output.name.format(name=name, stem=stem, ending=ending)
+        for output in OUTPUTS
+        if job == "registered" or not output.when.corrected
+    }
+    return paths | {name.removeprefix("output_"): Path(path) for name, path in given.items() if path}
+
+
+def output_folder(target: PathLike, job: Job) -> Path:
+    """Return the default output folder of a job, in the working folder."""
+    return Path(f"{plain_name(stem_of(target))}_{job}")
+
+
+def open_job_runner(
+    settings: Settings, executor: Executor | Runner | None, on_event: EventCallback
+) -> AbstractContextManager[Runner]:
+    """Open what runs the tiles of a job, or of many: the caller's executor, a cluster, or own processes.
+
+    Parameters
+    ----------
+    settings : Settings
+        `scheduler` and `jobs` choose it where there is no executor.
+    executor : concurrent.futures.Executor or Runner, optional
+        A runner is open already, and stays so.
+    on_event : callable
+        Receives warnings about it.
+
+    Raises
+    ------
+    ExecutionError
+        If the scheduler cannot be used.
+    """
+    return open_runner(
+        executor, on_event, jobs=settings.jobs, scheduler=settings.scheduler, preload=TASKS_MODULE
+    )
+
+
+def _run_and_write(job: _Job, executor: Executor | Runner | None, on_event: EventCallback) -> Registration:
+    """Check the outputs, run the job, write its files beside their places, then put them there at once."""
+    requirements = parse_requirements(job.settings.require, job.command)
+    with trusting(job.settings.trust):
+        inside, elsewhere = _check_outputs(job)
+        with OutputFolder(job.places["numbers"].parent, overwrite=job.overwrite) as folder:
+            staged = {
+                kind: folder.stage / inside[kind].name
+                if kind in elsewhere
+                else folder.path(inside[kind].name)
+                for kind in job.places
+            }
+            bands = _band_paths(job, folder)
+            registration = _run(job, executor, _preloading(on_event))
+            # inside: slow to load, which `_preloading` may have done
+            from pcwlad_geo.report.statistics import judge_requirements
+
+            registration = replace(registration, requirements=judge_requirements(registration, requirements))
+            with folder.writing():
+                kinds, warnings = write(registration, staged, job.places, elsewhere, bands, on_event)
+            check_unchanged(file.identity for file in registration.inputs)
+            for kind in kinds:
+                if kind in elsewhere:
+                    put = place_with_files if kind == "raster" else place_file
+                    put(staged[kind], elsewhere[kind], overwrite=job.overwrite)
+            folder.commit()
+    outputs = {kind: job.places[kind] for kind in kinds} | {
+        f"raster {band.name}": job.places["numbers"].with_name(path.name)
+        for band, path in bands.items()
+        if "raster" in kinds
+    }
+    warnings = registration.warnings + warnings
+    return _accepted(replace(registration, warnings=warnings, outputs=outputs), job.places)
+
+
+def _check_outputs(job: _Job) -> tuple[dict[str, Path], dict[str, Path]]:
+    """Raise where an output cannot be made; return where each would be in the folder, and those elsewhere."""
+    if job.settings.pdf:
+        check_pdf()
+    inside = output_paths(
+        job.inputs[1],
+        "registered",
+        tgt_band=job.settings.tgt_band,
+        of=job.settings.of,
+        out_dir=job.places["numbers"].parent,
+    )
+    elsewhere = {kind: path for kind, path in job.places.items() if path != inside[kind]}
+    _check_places(job.places, elsewhere, [*job.inputs, *job.settings.files], job.overwrite)
+    OutputFormat.of(job.settings.of, job.settings.co)
+    if "raster" in job.places:
+        check_output(*job.inputs, job.settings)
+    return inside, elsewhere
+
+
+def _band_paths(job: _Job, folder: OutputFolder) -> dict[ProductBand, Path]:
+    """Return where the other bands of the target's product are written."""
+    extension = OutputFormat.of(job.settings.of, job.settings.co).extension
+    resolved = resolve(*job.inputs, job.settings, all_bands="raster" in job.places)
+    return {
+        band: folder.path(plain_name(f"{Path(file_name(band.uri)).stem}_registered.{extension}"))
+        for band in resolved.other_bands
+    }
+
+
+def _run(job: _Job, executor: Executor | Runner | None, on_event: EventCallback) -> Registration:
+    """Run a job where its settings say, or on what the caller gives."""
+    settings = job.settings
+    # points of a file leave workers nothing to do
+    with open_job_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
+        runner.expect(estimate_tile_count(*job.inputs, settings))
+        from pcwlad_geo.registration.run import run  # slow to load; workers may be loading it too
+
+        match_only = job.command == "match"
+        return run(*job.inputs, settings, on_event=on_event, runner=runner, match_only=match_only)
+
+
+def _accepted(registration: Registration, places: Mapping[str, Path]) -> Registration:
+    """Raise where the pair was rejected or a requirement is not met; return the registration otherwise."""
+    out_dir = places["numbers"].parent
+    if registration.status == "rejected":
+        message = f"{registration.reason} (report: {places['report']})"
+        raise RegistrationRejectedError(message, registration, out_dir)
+    if registration.passed is False:
+        missed = "; ".join(each.text for each in registration.requirements if not each.met)
+        raise RequirementError(f"{missed} (report: {places['report']})", registration, out_dir)
+    return registration
+
+
+def _preloading(on_event: EventCallback) -> EventCallback:
+    """Return what passes events on, and loads what comes after the matching once that has begun."""
+    threads: list[Thread] = []
+
+    def load() -> None:
+        with suppress(Exception):  # whoever needs it will say it
+            import_module("pcwlad_geo.registration.tiles").load_own_kernel()
+            import_module("pcwlad_geo.report.page")
+
+    def tell(event: Event) -> None:
+        if isinstance(event, Progress) and event.stage == "matching" and not threads:
+            threads.append(Thread(target=load))
+            threads[0].start()
+        on_event(event)
+
+    return tell
+
+
+def _check_name(place: Path) -> None:
+    """Raise where no file of this name can be made, or GDAL cannot make it."""
+    try:
+        sizes = [len(part.encode()) for part in place.parts]
+    except UnicodeEncodeError as error:
+        raise OutputError(
+            f"the output {str(place)!r} has a name that is not UTF-8, which GDAL needs: rename the target, "
+            "or give another folder (-o)"
+        ) from error
+    if max(sizes) > NAME_BYTES:
+        raise OutputError(
+            f"the output {place} has a name of {max(sizes)} bytes, and at most {NAME_BYTES} are possible: "
+            "give the target a shorter name, or another folder (-o)"
+        )
+
+
+def _check_places(
+    places: Mapping[str, Path],
+    elsewhere: Mapping[str, Path],
+    inputs: Iterable[PathLike | None],
+    overwrite: bool,
+) -> None:
+    """Raise where an output would replace an input, or a file that may not be replaced."""
+    for place in places.values():
+        _check_name(place)
+    files = [Path(file) for file in inputs if file is not None and Path(file).exists()]
+    for place in places.values():
+        if place.exists() and any(place.samefile(file) for file in files):
+            raise OutputError(f"the output {place} is an input too: choose another output folder or name")
+    for place in elsewhere.values():
+        if place.exists() and not overwrite:
+            raise OutputError(f"{place} exists: give --overwrite to replace it, or another name")

@@ -1,0 +1,272 @@
+"""Coarse match: the integer offset of highest structural similarity (SSIM), and how it stands out.
+
+References
+----------
+.. [1] Wang, Z. et al. (2004), doi:10.1109/TIP.2003.819861: luminance, contrast and structure; the
+   exponents are those of the PCWLAD paper (eq. 3-4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.types import Bool, Float32, Float64, Index
+
+LUMINANCE_EXPONENT: Final = 0.5
+"""Exponent α of the luminance term in the SSIM of the paper (eq. 3-4)."""
+CONTRAST_EXPONENT: Final = 0.8
+"""Exponent β of the contrast term in the SSIM of the paper (eq. 3-4)."""
+STRUCTURE_EXPONENT: Final = 1.3
+"""Exponent γ of the structure term in the SSIM of the paper (eq. 3-4)."""
+C_LUMINANCE: Final = 0.01**2
+"""C₁ stabilises the luminance term of the SSIM where both means are near 0 (maps have a range of 1)."""
+C_CONTRAST: Final = 0.03**2
+"""C₂ stabilises the contrast term of the SSIM where both windows are flat; half of it the structure term."""
+PEAK_CLEARANCE_PX: Final = 3
+"""Offsets within this distance of the peak, per axis, belong to it and are not taken for the second peak."""
+MAX_AT_ONCE: Final = 16
+"""Largest number of corners whose SSIM surfaces are computed at once."""
+VALUES_AT_ONCE: Final = 10_000
+"""Largest number of SSIM values computed at once, so that they stay in the processor's cache."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseMatches:
+    """The best integer offset of each corner."""
+
+    offset_rc: Index
+    """(n, 2) row, column offset from reference to target index."""
+    ssim: Float64
+    """(n,) SSIM at the peak; -1 where nothing could be compared."""
+    distinctness: Float64
+    """(n,) how far the peak stands above the second one, 0 (not at all) to 1."""
+    at_border: Bool
+    """(n,) the peak lies on the edge of the search window: the true one may lie beyond."""
+    shift_xy_px: Float64
+    """(n, 2) the offset as (col, row), to a fraction of a pixel: top of a parabola through the peak."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MaskedMap:
+    """A map with its validity mask; the values are 0 where it is not valid."""
+
+    values: Float32
+    """(rows, cols)."""
+    valid: Float32
+    """(rows, cols) 1 or 0."""
+    scale: np.float32
+    """Divides the values: the constants of the SSIM expect a range of 1."""
+
+
+def match_coarsely(
+    reference: MaskedMap,
+    target: MaskedMap,
+    corners_rc: Index,
+    template_px: int,
+    radius_px: int,
+    least_valid: float,
+) -> CoarseMatches:
+    """Find the offset of highest SSIM within a radius for each corner.
+
+    Parameters
+    ----------
+    reference, target : MaskedMap
+        Maps of the same shape.
+    corners_rc : (n, 2) intp array
+        Row, column array indices of corners whose template window lies inside the reference.
+    template_px : int
+        Side of the template, odd.
+    radius_px : int
+        Largest offset per axis.
+    least_valid : float
+        Share of the template that must be valid in both maps.
+    """
+    n = len(corners_rc)
+    found = CoarseMatches(
+        np.zeros((n, 2), np.intp), np.full(n, -1.0), np.zeros(n), np.zeros(n, bool), np.zeros((n, 2))
+    )
+    search = _Search(reference, target, template_px, radius_px, least_valid)
+    at_once = max(1, min(MAX_AT_ONCE, VALUES_AT_ONCE // (2 * radius_px + 1) ** 2))
+    for begin in range(0, n, at_once):
+        some = np.arange(begin, min(begin + at_once, n))
+        surfaces = search.surfaces(corners_rc[some])
+        compared = surfaces.max(axis=(1, 2)) > -1.0
+        if compared.any():
+            _fill_peaks(surfaces[compared], some[compared], found)
+    return found
+
+
+def _fill_peaks(surfaces: Float32, index: Index, found: CoarseMatches) -> None:
+    """Fill in the peaks of (n, side, side) surfaces at the indices of their corners."""
+    side = surfaces.shape[1]
+    row, col = np.divmod(surfaces.reshape(len(surfaces), -1).argmax(axis=1), side)
+    found.offset_rc[index] = np.stack([row, col], axis=1) - side // 2
+    found.shift_xy_px[index] = found.offset_rc[index, ::-1]
+    found.ssim[index] = surfaces[np.arange(len(surfaces)), row, col]
+    found.at_border[index] = np.minimum.reduce([row, col, side - 1 - row, side - 1 - col]) == 0
+    for place, surface, r, c in zip(index, surfaces, row, col, strict=True):
+        if not found.at_border[place]:
+            across, down = surface[r, c - 1 : c + 2], surface[r - 1 : r + 2, c]
+            found.shift_xy_px[place] += parabola_top(across), parabola_top(down)
+    found.distinctness[index] = peak_distinctness(surfaces, row, col)
+
+
+def parabola_top(values: NDArray[np.floating[Any]]) -> float:
+    """Return the offset of the top of the parabola through the (3,) `values`, middle one largest: ±0.5."""
+    before, peak, after = values.tolist()
+    if min(before, after) < 0.0:  # not comparable, or a ridge beside a gap
+        return 0.0
+    return parabola_offset(before, peak, after)
+
+
+def parabola_offset(before: float, peak: float, after: float) -> float:
+    """Return where the parabola through three equidistant values is highest, -0.5 to 0.5."""
+    curvature = before - 2.0 * peak + after
+    return float((before - after) / (2.0 * curvature)) if curvature < 0.0 else 0.0
+
+
+def peak_distinctness(surfaces: Float32, row: Index, col: Index) -> Float64:
+    """Return how far each peak stands out, 0 to 1: (peak - second peak) / (peak - median).
+
+    The (n, side, side) float32 `surfaces` are the SSIM at every offset (row, column); the (n,) indices `row`
+    and `col` are those of their highest values. The result is of shape (n,).
+    """
+    n, size = len(surfaces), surfaces[0].size
+    peak = surfaces[np.arange(n), row, col].astype(np.float64)
+    # of an odd number of values, as a search window has; np.median takes six times as long
+    median = np.partition(surfaces.reshape(n, size), size // 2, axis=1)[:, size // 2].astype(np.float64)
+    others = surfaces.copy()
+    k = PEAK_CLEARANCE_PX
+    for plane, r, c in zip(others, row, col, strict=True):
+        plane[max(r - k, 0) : r + k + 1, max(c - k, 0) : c + k + 1] = -np.inf
+    second = np.maximum(others.max(axis=(1, 2)), median)
+    height = peak - median
+    return np.where(height > 0, (peak - second) / np.where(height > 0, height, 1.0), 0.0)
+
+
+class _Search:
+    """Computes the SSIM of templates at all offsets; holds the memory that this needs."""
+
+    def __init__(
+        self, reference: MaskedMap, target: MaskedMap, template_px: int, radius_px: int, least_valid: float
+    ) -> None:
+        self.reference, self.target = reference, target
+        self.half, self.radius = template_px // 2, radius_px
+        self.least = least_valid * template_px**2
+        search_px = template_px + 2 * radius_px
+        # multiples of 16 are the quick ones: 128 takes a third of 125
+        side = cv2.getOptimalDFTSize(-(-search_px // 16) * 16)
+        self.padded = np.zeros((2, side, side), np.float32)
+
+    def surfaces(self, corners_rc: Index) -> Float32:
+        """Return the SSIM at every offset, (n, 2·radius+1, 2·radius+1), -1 where too little is valid."""
+        side = 2 * self.radius + 1
+        sums = np.zeros((len(corners_rc), 6, side, side))
+        for (row, col), out in zip(corners_rc.tolist(), sums, strict=True):
+            self._fill_sums(row, col, out)
+        comparable = sums[:, 0] >= max(self.least, 1.0)
+        return np.where(comparable, self._ssim(sums), -1.0).astype(np.float32)
+
+    def _ssim(self, sums: Float64) -> Float64:
+        n = np.maximum(sums[:, 0], 1.0)
+        to_t, to_s = n * self.reference.scale, n * self.target.scale
+        mean_t, mean_s = sums[:, 1] / to_t, sums[:, 3] / to_s
+        var_t = np.maximum(sums[:, 2] / (to_t * self.reference.scale) - mean_t**2, 0)
+        var_s = np.maximum(sums[:, 4] / (to_s * self.target.scale) - mean_s**2, 0)
+        covariance = sums[:, 5] / (to_t * self.target.scale) - mean_t * mean_s
+        return _combine(mean_t, mean_s, var_t, var_s, covariance)
+
+    def _fill_sums(self, row: int, col: int, out: Float64) -> None:
+        """Fill in the number of pixels valid in both and their sums of t, t², s, s² and t·s at every offset.
+
+        Sums over a template or a search window that is valid throughout need no correlation with the mask.
+        """
+        inner, outer = self._window(row, col, self.half), self._window(row, col, self.half + self.radius)
+        template, template_valid = self.reference.values[inner], self.reference.valid[inner]
+        search, search_valid = self.target.values[outer], self.target.valid[outer]
+        good = cv2.countNonZero(template_valid)
+        if good < self.least:
+            return
+        of_search, of_template = self._spectrum(search, 0), self._spectrum(template, 1)
+        out[5] = self._cross(of_search, of_template)
+        whole_template = good == template.size
+        whole_search = cv2.countNonZero(search_valid) == search.size
+        if not whole_search:
+            mask = self._spectrum(search_valid, 0)
+            out[1] = self._cross(mask, of_template)
+            out[2] = self._cross(mask, self._spectrum(template**2, 1))
+        else:
+            out[1], out[2] = cv2.sumElems(template)[0], cv2.norm(template, cv2.NORM_L2SQR)
+        if not whole_template:
+            template_mask = self._spectrum(template_valid, 1)
+            out[0] = good if whole_search else np.round(self._cross(mask, template_mask))
+            out[3] = self._cross(of_search, template_mask)
+            out[4] = self._cross(self._spectrum(search**2, 0), template_mask)
+        else:
+            out[0] = good if whole_search else _box_sums(search_valid, template.shape[0])[0]
+            out[3], out[4] = _box_sums(search, template.shape[0])
+
+    def _spectrum(self, window: Float32, which: int) -> Float32:
+        """Return the packed Fourier transform of a padded window; `which` of the two sizes it has."""
+        padded = self.padded[which]
+        padded[: window.shape[0], : window.shape[1]] = window
+        return np.asarray(cv2.dft(padded), np.float32)
+
+    def _cross(self, search: Float32, template: Float32) -> Float32:
+        """Return the correlation of two windows from their spectra at every offset."""
+        side = 2 * self.radius + 1
+        product = cv2.mulSpectrums(search, template, 0, conjB=True)
+        plane = cv2.idft(product, flags=cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT)
+        return np.asarray(plane[:side, :side], np.float32)
+
+    @staticmethod
+    def _window(row: int, col: int, reach: int) -> tuple[slice, slice]:
+        return slice(row - reach, row + reach + 1), slice(col - reach, col + reach + 1)
+
+
+def _box_sums(search: Float32, side: int) -> tuple[Float64, Float64]:
+    plain, square = cv2.integral2(search, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
+    return window_sums(np.asarray(plain, np.float64), side), window_sums(np.asarray(square, np.float64), side)
+
+
+def window_sums(integral: Float64, side: int) -> Float64:
+    """Return the sums over all windows of `side` pixels from its (rows + 1, cols + 1) `integral`."""
+    result: Float64 = (
+        integral[side:, side:] - integral[:-side, side:] - integral[side:, :-side] + integral[:-side, :-side]
+    )
+    return result
+
+
+def ssim(first: Float64, second: Float64) -> Float64:
+    """Return the (n,) SSIM (paper, eq. 3-4) of the (n, rows, cols) windows `first` and `second`, range 1."""
+    axes = (1, 2)
+    mean_f, mean_s = first.mean(axes), second.mean(axes)
+    var_f, var_s = first.var(axes), second.var(axes)
+    covariance = ((first - mean_f[:, None, None]) * (second - mean_s[:, None, None])).mean(axes)
+    return _combine(mean_f, mean_s, var_f, var_s, covariance)
+
+
+def _combine(
+    mean_f: Float64,
+    mean_s: Float64,
+    var_f: Float64,
+    var_s: Float64,
+    covariance: Float64,
+) -> Float64:
+    """Return luminance^α · contrast^β · structure^γ, the sign of the structure kept."""
+    deviation = np.sqrt(var_f * var_s)
+    luminance = (2 * mean_f * mean_s + C_LUMINANCE) / (mean_f**2 + mean_s**2 + C_LUMINANCE)
+    contrast = (2 * deviation + C_CONTRAST) / (var_f + var_s + C_CONTRAST)
+    structure = (covariance + C_CONTRAST / 2) / (deviation + C_CONTRAST / 2)
+    result: Float64 = (
+        luminance**LUMINANCE_EXPONENT
+        * contrast**CONTRAST_EXPONENT
+        * np.sign(structure)
+        * np.abs(structure) ** STRUCTURE_EXPONENT
+    )
+    return result

@@ -1,0 +1,1 @@
+"""Compiled inner loops; `tests/oracles` has plain versions of them."""

@@ -1,0 +1,240 @@
+"""The filter bank of the phase congruency, and its compiled loops.
+
+The filters and their parameters are those of the paper's authors (log-Gabor filters of Kovesi 1999).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from pcwlad_geo.matching.kernels.compiled import compiled, compiled_part
+from pcwlad_geo.types import Float32, Float64
+
+SCALES: Final = 4
+"""Number of scales of the filters."""
+ORIENTATIONS: Final = 6
+"""Number of orientations of the filters, π / 6 apart."""
+MIN_WAVELENGTH_PX: Final = 3.0
+"""Wavelength of the finest scale."""
+WAVELENGTH_FACTOR: Final = 1.6
+"""Ratio of the wavelengths of successive scales."""
+SIGMA_ON_F: Final = 0.75
+"""Ratio of the standard deviation of a log-Gabor filter to its centre frequency."""
+LOW_PASS_CUT_OFF: Final = 0.45
+"""Cut-off frequency of the low-pass filter, cycles per pixel."""
+LOW_PASS_POWER: Final = 30
+"""Exponent of the low-pass filter."""
+NEGLIGIBLE: Final = 1e-7
+"""Transfer that counts as zero, below the rounding of float32."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterBank:
+    """Transfer functions for images of (n, m) pixels, in one quadrant; the first axis is the halved one."""
+
+    radial: Float32
+    """(scales, n // 2 + 1, m // 2 + 1)."""
+    inverse_radius: Float32
+    """(n // 2 + 1, m // 2 + 1) 1 / frequency in cycles per pixel; 1 at zero frequency."""
+    reach: tuple[int, ...]
+    """First row of the quadrant from which a scale is zero; falls from scale to scale."""
+
+
+@lru_cache(maxsize=4)
+def filter_bank(n: int, m: int) -> FilterBank:
+    """Return the radial filters for images of (`n`, `m`) pixels, the first axis being the halved one."""
+    across, along = (np.abs(frequencies(length))[: length // 2 + 1] for length in (n, m))
+    radius = np.hypot(across[:, None], along)
+    radius[0, 0] = 1.0
+    log_radius = np.log(radius)
+    low_pass = 1.0 / (1.0 + np.exp(LOW_PASS_POWER * (log_radius - np.log(LOW_PASS_CUT_OFF))))
+    radial = np.empty((SCALES, *radius.shape), np.float32)
+    for scale in range(SCALES):
+        log_centre = -np.log(MIN_WAVELENGTH_PX * WAVELENGTH_FACTOR**scale)
+        radial[scale] = low_pass * np.exp(-((log_radius - log_centre) ** 2) / (2 * np.log(SIGMA_ON_F) ** 2))
+    radial[:, 0, 0] = 0.0
+    reach = tuple(int(np.flatnonzero(rows > NEGLIGIBLE).max(initial=-1)) + 1 for rows in radial.max(axis=2))
+    return FilterBank(radial, (1.0 / radius).astype(np.float32), reach)
+
+
+def frequencies(length: int) -> Float64:
+    """Return the (length,) frequencies of a transform, cycles per pixel, in the order of the FFT.
+
+    Odd lengths are divided by length - 1, as the authors' filters do.
+    """
+    half = (length - length % 2) // 2
+    steps = np.arange(-half, half + length % 2)
+    result: Float64 = scipy.fft.ifftshift(steps) / (2.0 * max(half, 1))
+    return result
+
+
+def wedge(orientation: int, axis: int, shape: tuple[int, int]) -> tuple[Float32, Float32] | None:
+    """Describe an angular filter in the half plane of positive frequencies along an image axis.
+
+    Parameters
+    ----------
+    orientation : int
+        Index of the filter; its direction is orientation · π/6 from the column axis towards smaller rows.
+    axis : int
+        Image axis whose frequencies are halved, 0 or 1.
+    shape : (int, int)
+        Rows, columns of the image.
+
+    Returns
+    -------
+    (n // 2 + 1,) and (m,) float32 arrays, or None
+        Parts of the frequency vector along the filter's direction, from the halved axis and from the other:
+        their sum over the radius is the cosine of the angle between the two. None where the filter
+        does not fit into this half plane.
+
+    Notes
+    -----
+    A filter that lies in the other half plane is rotated by 180°. That changes the sign of the odd response,
+    on which phase congruency does not depend.
+    """
+    theta = orientation * np.pi / ORIENTATIONS
+    direction = -np.sin(theta), np.cos(theta)
+    if abs(direction[axis]) < abs(direction[1 - axis]):
+        return None
+    across, along = frequencies(shape[axis]), frequencies(shape[1 - axis])
+    if direction[axis] < 0:
+        # element by element, since the Nyquist frequency is its own mirror image
+        across, along = across[-np.arange(len(across))], along[-np.arange(len(along))]
+    half = len(across) // 2 + 1
+    return (
+        (direction[axis] * across[:half]).astype(np.float32),
+        (direction[1 - axis] * along).astype(np.float32),
+    )
+
+
+SPREAD_CUT_OFF: Final = 0.5
+"""Frequency spread at which the weight of the phase congruency is one half."""
+SPREAD_GAIN: Final = 3.0
+"""Gain of the sigmoid that weights the phase congruency by the frequency spread."""
+MOMENT_EPSILON: Final = 1e-4
+"""The ε that is added to the maximum moment, as in the authors' maps."""
+
+Complex64 = NDArray[np.complex64]
+
+
+@compiled(fastmath=True)
+def filter_rows(
+    spectrum: Complex64,
+    radial: Float32,
+    inverse_radius: Float32,
+    across: Float32,
+    along: Float32,
+    start: int,
+    out: Complex64,
+) -> None:
+    """Multiply rows of half a spectrum by one angular filter and by the radial ones.
+
+    Parameters
+    ----------
+    spectrum : (n, m) complex64 array
+        Half of the spectrum of an image.
+    radial, inverse_radius : (scales, n, m // 2 + 1) and (n, m // 2 + 1) float32 arrays
+        See `FilterBank`.
+    across, along : (n,) and (m,) float32 arrays
+        See `wedge`.
+    start : int
+        First row.
+    out : (k, rows, m) complex64 array
+        Filled for the first k scales.
+    """
+    m = along.size
+    angular = np.empty(m, np.float32)
+    mirrored = np.empty(m, np.float32)
+    for row in range(out.shape[1]):
+        _mirror(inverse_radius[start + row], mirrored)
+        for col in range(m):
+            cosine = (across[start + row] + along[col]) * mirrored[col]
+            # (1 + cos 3Δ) / 2 up to Δ = 60°, as a polynomial in cos Δ
+            beyond = max(np.float32(2.0) * cosine - np.float32(1.0), np.float32(0.0))
+            angular[col] = np.float32(0.5) * (np.float32(1.0) + cosine) * beyond * beyond
+        for scale in range(out.shape[0]):
+            _mirror(radial[scale, start + row], mirrored)
+            source = spectrum[start + row]
+            target = out[scale, row]
+            for col in range(m):
+                target[col] = source[col] * (angular[col] * mirrored[col])
+
+
+@compiled_part(fastmath=True)
+def _mirror(half: Float32, full: Float32) -> None:
+    """Copy the values at positive frequencies to the negative ones."""
+    for col in range(half.size):
+        full[col] = half[col]
+    for col in range(1, full.size - half.size + 1):
+        full[full.size - col] = half[col]
+
+
+@compiled(fastmath=True)
+def combine_scales(responses: Complex64, epsilon: np.float32, out: Float32) -> None:
+    """Combine the responses of one orientation into its phase congruency (Kovesi 1999), 0 to 1.
+
+    The `responses` are a (4, n) complex64 array, even (real) and odd (imaginary) by scale; `epsilon` is
+    positive, in units of the image (see `maps.scene_epsilon`); the (n,) float32 array `out` is filled.
+    """
+    one = np.float32(1.0)
+    for i in range(out.size):
+        even = np.float32(0.0)
+        odd = np.float32(0.0)
+        amplitude_sum = np.float32(0.0)
+        amplitude_max = np.float32(0.0)
+        for scale in range(SCALES):
+            response = responses[scale, i]
+            amplitude = np.sqrt(response.real * response.real + response.imag * response.imag)
+            even += response.real
+            odd += response.imag
+            amplitude_sum += amplitude
+            amplitude_max = max(amplitude_max, amplitude)
+        across = np.float32(0.0)
+        for scale in range(SCALES):
+            response = responses[scale, i]
+            across += abs(response.real * odd - response.imag * even)
+        square = even * even + odd * odd
+        energy = max((square - across) / (np.sqrt(square) + epsilon), np.float32(0.0))
+        width = (amplitude_sum / (amplitude_max + epsilon) - one) / np.float32(SCALES - 1)
+        out[i] = _sigmoid(width) * energy / (amplitude_sum + epsilon)
+
+
+@compiled_part(fastmath=True)
+def _sigmoid(width: np.float32) -> np.float32:
+    """Return 1 / (1 + exp(gain · (cut-off - width))): by the continued fraction of tanh, good to 1e-7.
+
+    A call of exp in the loop would keep it from the vector units.
+    """
+    t = np.float32(SPREAD_GAIN / 2) * (width - np.float32(SPREAD_CUT_OFF))
+    square = t * t
+    above = np.float32(135135.0) + square * (np.float32(17325.0) + square * (np.float32(378.0) + square))
+    below = np.float32(135135.0) + square * (
+        np.float32(62370.0) + square * (np.float32(3150.0) + np.float32(28.0) * square)
+    )
+    return np.float32(0.5) + np.float32(0.5) * t * above / below
+
+
+@compiled(fastmath=True)
+def combine_orientations(maps: Float32, coefficients: Float32, out: Float32) -> None:
+    """Fill `out`, an (n,) float32 array, with the maximum moment of oriented maps (Kovesi 1999).
+
+    The (6, n) float32 `maps` are phase congruency by orientation; the (3, 6) float32 `coefficients` are
+    factors of their squares in the terms c, s and cs of the covariance.
+    """
+    for i in range(out.size):
+        c = np.float32(0.0)
+        s = np.float32(0.0)
+        cs = np.float32(0.0)
+        for orientation in range(ORIENTATIONS):
+            square = maps[orientation, i] * maps[orientation, i]
+            c += coefficients[0, orientation] * square
+            s += coefficients[1, orientation] * square
+            cs += coefficients[2, orientation] * square
+        root = np.sqrt(cs * cs + (c - s) * (c - s))
+        out[i] = np.float32(0.5) * (c + s + root + np.float32(MOMENT_EPSILON))

@@ -1,0 +1,162 @@
+"""Types of the matching: its settings, the traits of its methods, and the tie points it returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Literal
+
+import numpy as np
+
+from pcwlad_geo.text import html_table, one_line_of
+from pcwlad_geo.types import Bool, Float64, Index
+
+Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
+Keypoints = Literal["cells", "strongest"]
+Consensus = Literal["auto", "off"]
+Backward = Literal["as needed", "sample"]
+Channels = Literal["orientations", "gradients", "moment"]
+
+
+@dataclass(frozen=True, slots=True)
+class MatchSettings:
+    """Settings of the matching of two images; lengths are in pixels of the images given."""
+
+    method: Method = "oriented"
+    features: int = 1000
+    """Number of candidates; with cells this sets their density over `features_area_px2`."""
+    per_cell: int = 4
+    """Largest number of candidates of a cell."""
+    spare: int = 0
+    """How many of these are matched only where others of their cell fail; needs `features_area_px2`."""
+    keypoints: Keypoints = "cells"
+    features_area_px2: float | None = None
+    """Area over which `features` candidates are spread; None: the usable area of the image."""
+    template: int = 101
+    """Side of the coarse window, odd."""
+    window: int = 81
+    """Side of the refinement window, odd."""
+    search_radius: int = 10
+    """Largest displacement per axis that is searched."""
+    ssim_min: float = 0.0
+    """Least SSIM of a coarse match; the paper's gate is 0.4."""
+    iterations: int = 20
+    consensus: Consensus = "auto"
+    backward: Backward = "as needed"
+    """Points also matched backward: a sample, or, as needed, all if the sample shows a difference."""
+    least_valid: float = 0.6
+    """Least share of a window that must be valid in both images."""
+
+
+@dataclass(frozen=True, slots=True)
+class MethodTraits:
+    """What distinguishes the fine matching methods."""
+
+    channels: Channels = "moment"
+    """Maps that are matched: six of phase congruency, six of the gradient, or the paper's one map M."""
+    structure: Literal["none", "local", "filter"] = "none"
+    """Mutual-structure weights: none, local correlation, or the filter of Shen et al."""
+    robust: bool = False
+    """Whether to estimate by weighted least absolute deviation; otherwise by least squares."""
+    affine: bool = False
+    """Whether each window is deformed freely; otherwise by the displacement field of the scene."""
+    backward: bool = False
+    """Whether points are also matched from target to reference and averaged; see `MatchSettings.backward`."""
+    one_way_px: float = 0.0
+    """RMS forward-backward error up to which the backward match adds no information."""
+    refined: bool = True
+    """Whether matches are refined to a fraction of a pixel."""
+    halo_px: int = 64
+    """Context that the maps need around a window: beyond it they change by less than 4e-4."""
+
+
+TRAITS: dict[str, MethodTraits] = {
+    "oriented": MethodTraits(
+        channels="orientations", structure="local", robust=True, backward=True, one_way_px=0.02
+    ),
+    "gradient": MethodTraits(
+        channels="gradients", structure="local", robust=True, backward=True, one_way_px=0.035, halo_px=16
+    ),
+    "pcwlad": MethodTraits(structure="filter", robust=True, affine=True),
+    "pclad": MethodTraits(robust=True, affine=True),
+    "pclsm": MethodTraits(affine=True),
+    "coarse": MethodTraits(refined=False),
+}
+"""The traits of each matching method, by name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TiePoints:
+    """Matched points of two images on the same matching grid.
+
+    All coordinates are GDAL pixel coordinates, (col, row) with (0, 0) at the top-left
+    corner of the top-left pixel, in matching-grid pixels.
+    """
+
+    reference_xy_px: Float64
+    """(n, 2) positions (col, row) in the reference image."""
+    target_xy_px: Float64
+    """(n, 2) observed positions (col, row) in the target image."""
+    covariance_px2: Float64
+    """(n, 2, 2) calibrated covariance of the observed target position (col, row), px²."""
+    score: Float64
+    """(n,) match quality, 0 to 1, higher is better: how far the coarse peak stands out."""
+    forward_backward_px: Float64
+    """(n,) forward-backward error in the first pass; NaN if there was no backward match."""
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    def __repr__(self) -> str:
+        return one_line_of(self, *self._facts().values())
+
+    def _repr_html_(self) -> str:
+        return html_table("TiePoints", self._facts())
+
+    def _facts(self) -> dict[str, str]:
+        facts = {"tie points": f"{len(self)} tie points"}
+        if len(self):
+            d_col, d_row = np.median(self.displacement_px, axis=0)
+            facts["displacement"] = f"displacement ({d_col:+.2f}, {d_row:+.2f}) px (col, row)"
+            facts["sigma"] = f"sigma {np.sqrt((self.sigma_px**2).mean()):.2f} px"
+        return facts
+
+    @property
+    def displacement_px(self) -> Float64:
+        """(n, 2) target minus reference position (col, row)."""
+        return self.target_xy_px - self.reference_xy_px
+
+    @property
+    def sigma_px(self) -> Float64:
+        """(n, 2) standard deviation per axis (col, row)."""
+        return np.sqrt(np.diagonal(self.covariance_px2, axis1=1, axis2=2))
+
+    def __getitem__(self, index: Bool | Index | slice) -> TiePoints:
+        return TiePoints(*(getattr(self, field.name)[index] for field in fields(self)))
+
+    def shifted(self, reference_xy_px: Float64, target_xy_px: Float64) -> TiePoints:
+        """Return the points with a constant added to either side.
+
+        Parameters
+        ----------
+        reference_xy_px, target_xy_px : (2,) array
+            Added to the reference positions, and to the target positions, (col, row).
+        """
+        return replace(
+            self,
+            reference_xy_px=self.reference_xy_px + reference_xy_px,
+            target_xy_px=self.target_xy_px + target_xy_px,
+        )
+
+    @staticmethod
+    def empty() -> TiePoints:
+        """Return zero tie points."""
+        return TiePoints(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0))
+
+    @staticmethod
+    def concatenate(parts: list[TiePoints]) -> TiePoints:
+        """Return the points of all parts in their order."""
+        if not parts:
+            return TiePoints.empty()
+        return TiePoints(
+            *(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(TiePoints))
+        )

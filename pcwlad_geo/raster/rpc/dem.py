@@ -1,0 +1,343 @@
+"""Heights of the ground above the WGS 84 ellipsoid: a DEM with its vertical datum, or one height."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyproj
+import shapely
+from pyproj.exceptions import ProjError
+from pyproj.transformer import TransformerGroup
+from rasterio.crs import CRS
+from rasterio.windows import Window as FileWindow
+
+from pcwlad_geo.correction.dense import positions
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.crs import name_of, to_pyproj, transform_xy, with_arrays
+from pcwlad_geo.raster.gdal import GDAL_ERRORS, ignoring, root_cause
+from pcwlad_geo.raster.grid import Grid, Window
+from pcwlad_geo.raster.pixels import valid_in_file
+from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
+from pcwlad_geo.types import Float64
+
+WGS84: Final = CRS.from_epsg(4326)
+"""CRS of longitudes and latitudes, in this order in all arrays."""
+MAX_PX_AT_ONCE: Final = 1 << 22
+"""Largest number of pixels of a DEM that is read at a time."""
+ROUNDING_PX: Final = 1e-6
+"""Tolerance of the rounding errors of map coordinates."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantHeight:
+    """The same height everywhere."""
+
+    height_m: float
+    """Height above the ellipsoid."""
+
+    def at(self, lon_lat: Float64) -> Float64:
+        """Return the (n,) heights in metres above the ellipsoid at (n, 2) `lon_lat`, degrees."""
+        return np.full(len(lon_lat), self.height_m)
+
+    def nearest(self, lon_lat: Float64) -> Float64:
+        """Return the (n,) heights in metres as `at`, at (n, 2) `lon_lat` in degrees: there is no edge."""
+        return self.at(lon_lat)
+
+
+@dataclass(frozen=True, slots=True)
+class Undulation:
+    """Undulations, added to the heights of a DEM to give ellipsoidal heights: a coarse, picklable lattice."""
+
+    west: float
+    south: float
+    """Longitude and latitude of the first node, degrees."""
+    step: tuple[float, float]
+    """Spacing of the nodes in longitude and latitude, degrees."""
+    shape: tuple[int, int]
+    """Number of nodes in latitude and in longitude."""
+    values_m: tuple[float, ...]
+    """Undulations row by row, from south to north and from west to east."""
+
+    @staticmethod
+    def constant(value_m: float) -> Undulation:
+        """Return an undulation that is the same everywhere."""
+        return Undulation(0.0, 0.0, (1.0, 1.0), (1, 1), (float(value_m),))
+
+    @staticmethod
+    def sampled(
+        function: Callable[[Float64], Float64], bounds: tuple[float, float, float, float], step_deg: float
+    ) -> Undulation:
+        """Sample a function on a lattice.
+
+        Parameters
+        ----------
+        function : callable
+            Returns the (n,) undulations in metres at (n, 2) longitudes and latitudes in degrees.
+        bounds : (west, south, east, north)
+            Extent of the lattice, degrees.
+        step_deg : float
+            Largest spacing of the nodes; a lattice has at most 65 nodes a side.
+        """
+        west, south, east, north = bounds
+        counts = [int(np.ceil((north - south) / step_deg)) + 1, int(np.ceil((east - west) / step_deg)) + 1]
+        rows, cols = np.clip(counts, 2, 65).tolist()
+        nodes = positions(np.linspace(west, east, cols), np.linspace(south, north, rows))
+        values: list[float] = function(nodes).tolist()
+        step = ((east - west) / (cols - 1), (north - south) / (rows - 1))
+        return Undulation(west, south, step, (rows, cols), tuple(values))
+
+    def at(self, lon_lat: Float64) -> Float64:
+        """Return the (n,) bilinear undulations in metres at (n, 2) `lon_lat`, degrees; NaN at NaN."""
+        if len(self.values_m) == 1:
+            return np.full(len(lon_lat), self.values_m[0])
+        index = (lon_lat - [self.west, self.south]) / self.step
+        index = np.clip(index, 0, np.array(self.shape[::-1]) - 1.0)  # the lattice covers the scene
+        known = np.isfinite(index).all(axis=1)  # a position outside the DEM has no coordinates
+        found = np.full(len(index), np.nan)
+        found[known] = _bilinear(np.array(self.values_m).reshape(self.shape), index[known])
+        return found
+
+    @property
+    def mean_m(self) -> float:
+        """Mean of the undulations."""
+        return float(np.mean(self.values_m))
+
+
+@dataclass(frozen=True, slots=True)
+class Dem:
+    """A raster of heights; picklable, holds no open file."""
+
+    uri: str
+    grid: Grid
+    """Grid with the horizontal part of the DEM's CRS."""
+    metres_per_unit: float
+    undulation: Undulation
+
+    def at(self, lon_lat: Float64) -> Float64:
+        """Return the (n,) heights in metres above the ellipsoid at (n, 2) `lon_lat`; NaN where unknown.
+
+        Longitude and latitude are in degrees, WGS 84. Raises `InputError` if the file cannot be read there.
+        """
+        return self.at_px(self.to_px(lon_lat), lon_lat)
+
+    def nearest(self, lon_lat: Float64) -> Float64:
+        """Return the (n,) heights in metres at the points of the DEM nearest to (n, 2) `lon_lat`, degrees.
+
+        They are NaN in holes of the DEM.
+        """
+        return self.at_px(np.clip(self.to_px(lon_lat), 0.0, np.array(self.grid.shape[::-1])), lon_lat)
+
+    def to_px(self, lon_lat: Float64) -> Float64:
+        """Map (n, 2) `lon_lat` in degrees to (n, 2) pixels of the DEM (col, row), corner-based."""
+        return self.grid.to_px(transform_xy(lon_lat, WGS84, self.grid.crs))
+
+    def at_px(self, dem_px: Float64, lon_lat: Float64) -> Float64:
+        """Return the (n,) heights as `at`, given (n, 2) `dem_px` (col, row) and (n, 2) `lon_lat`, degrees."""
+        return self._own(dem_px) * self.metres_per_unit + self.undulation.at(lon_lat)
+
+    def ellipsoidal(self, window: Window) -> Float64:
+        """Return the (rows, cols) heights above the ellipsoid, m, of a window of the file; NaN in holes."""
+        cols, rows = np.arange(window.col, window.col_stop), np.arange(window.row, window.row_stop)
+        pixels = positions(cols + 0.5, rows + 0.5)
+        added = self.undulation.at(transform_xy(self.grid.to_xy(pixels), self.grid.crs, WGS84))
+        return self._read(window) * self.metres_per_unit + added.reshape(window.shape)
+
+    def missing_in(self, window: Window, outline_px: shapely.Geometry) -> int:
+        """Count the pixels without height in `window` whose centres are within `outline_px` (col, row)."""
+        if window.area_px2 > MAX_PX_AT_ONCE and max(window.shape) > 1:
+            return sum(self.missing_in(half, outline_px) for half in window.halves())
+        row, col = np.nonzero(np.isnan(self._read(window)))
+        return int(shapely.contains_xy(outline_px, col + window.col + 0.5, row + window.row + 0.5).sum())
+
+    def _own(self, dem_px: Float64) -> Float64:
+        """Return (n,) heights in the file's unit, bilinear between pixel centres; NaN if one is missing."""
+        heights = np.full(len(dem_px), np.nan)
+        size = np.array(self.grid.shape[::-1])
+        with np.errstate(invalid="ignore"):
+            inside = np.flatnonzero(((dem_px >= -ROUNDING_PX) & (dem_px <= size + ROUNDING_PX)).all(axis=1))
+        if len(inside) == 0:
+            return heights
+        # the outer half of the outermost pixels has the height of their centres
+        index = np.clip(dem_px[inside] - 0.5, 0, size - 1.0)
+        first = np.floor(index.min(axis=0)).astype(int)
+        last = np.minimum(np.floor(index.max(axis=0)).astype(int) + 2, size)
+        window = Window.from_bounds(int(first[1]), int(first[0]), int(last[1]), int(last[0]))
+        if window.area_px2 > MAX_PX_AT_ONCE and max(window.shape) > 2:
+            axis = 0 if window.cols >= window.rows else 1
+            near = index[:, axis] < first[axis] + max(window.shape) // 2
+            for half in (inside[near], inside[~near]):
+                heights[half] = self._own(dem_px[half])
+            return heights
+        heights[inside] = _bilinear(self._read(window), index - first)
+        return heights
+
+    def _read(self, window: Window) -> Float64:
+        file_window = FileWindow(window.col, window.row, window.cols, window.rows)
+        with open_raster(self.uri) as dataset:
+            try:
+                values = dataset.read(1, window=file_window)
+                valid = valid_in_file(dataset, 1, values, file_window)
+            except GDAL_ERRORS as error:
+                raise InputError(f"the DEM {self.uri} cannot be read: {root_cause(error)}") from error
+            scaled = values.astype(np.float64) * dataset.scales[0] + dataset.offsets[0]
+        return np.where(valid, scaled, np.nan)
+
+
+def _bilinear(values: Float64, index_xy: Float64) -> Float64:
+    """Interpolate (rows, cols) values at (n, 2) indices inside; NaN if a neighbour with a weight is NaN."""
+    rows, cols = values.shape
+    low = np.minimum(np.floor(index_xy).astype(np.intp), np.maximum([cols - 2, rows - 2], 0))
+    (x, y), (col, row) = (index_xy - low).T, low.T
+    result = np.zeros(len(index_xy))
+    for down in (0, 1):
+        for right in (0, 1):
+            weight = (x if right else 1 - x) * (y if down else 1 - y)
+            neighbour = values[np.minimum(row + down, rows - 1), np.minimum(col + right, cols - 1)]
+            result += np.where(weight > 0, weight * neighbour, 0.0)
+    return result
+
+
+Bounds = tuple[float, float, float, float]
+Vertical = float | str | os.PathLike[str] | None
+
+STEP_DEG: Final = 0.02
+"""Spacing of the nodes of an undulation; geoid grids have 0.016 to 0.25 degrees."""
+ELLIPSOIDAL: Final = pyproj.CRS.from_epsg(4979)
+"""CRS of longitude, latitude and height above the WGS 84 ellipsoid."""
+_UNITS_M: Final = {
+    **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
+    **dict.fromkeys(("us survey foot", "us-ft", "ftus", "us foot", "foot_us"), 1200 / 3937),
+}
+
+
+def open_dem(path: str | os.PathLike[str], vertical: Vertical, bounds: Bounds) -> Dem:
+    """Describe a DEM and determine its vertical datum.
+
+    Raises `InputError` if the DEM cannot be used, or its vertical datum is not known or cannot be
+    transformed.
+
+    Parameters
+    ----------
+    path : path-like or GDAL URI
+        Band 1 holds the heights, in metres unless its CRS or its unit says feet.
+    vertical : float, path-like or None
+        Height of the DEM's vertical datum above the ellipsoid in metres (a geoid's undulation; 0 for
+        ellipsoidal heights), a raster of such heights, or None: the vertical datum of the DEM's CRS.
+    bounds : (west, south, east, north)
+        Extent of the scene, degrees.
+    """
+    info = describe(path)
+    if not info.georeferenced or info.grid.crs is None:
+        raise InputError(f"the DEM {info.uri} has no georeferencing (CRS and geotransform): assign it")
+    crs = to_pyproj(info.grid.crs)
+    return Dem(
+        info.uri,
+        Grid(info.grid.shape, info.grid.transform, _horizontal(info.grid.crs, crs)),
+        _metres_per_unit(info, crs),
+        _undulation(info, crs, vertical, bounds),
+    )
+
+
+def _horizontal(crs: CRS, described: pyproj.CRS) -> CRS:
+    if not described.is_compound:
+        return crs
+    horizontal = described.sub_crs_list[0]
+    code = horizontal.to_epsg()
+    return CRS.from_epsg(code) if code else CRS.from_wkt(horizontal.to_wkt())
+
+
+def _metres_per_unit(info: RasterInfo, crs: pyproj.CRS) -> float:
+    vertical = crs.sub_crs_list[1] if crs.is_compound else crs
+    up = [axis for axis in vertical.axis_info if axis.direction == "up"]
+    if up:
+        return float(up[0].unit_conversion_factor)
+    with open_raster(info.uri) as dataset:
+        unit = (dataset.units[0] or "").strip().lower()
+    return _UNITS_M.get(unit, 1.0)
+
+
+def _undulation(info: RasterInfo, crs: pyproj.CRS, vertical: Vertical, bounds: Bounds) -> Undulation:
+    if isinstance(vertical, int | float):
+        return Undulation.constant(vertical)
+    if vertical is not None:
+        return _from_grid(os.fspath(vertical), bounds)
+    if crs.is_compound:
+        return _from_crs(info, crs, bounds)
+    if any(axis.direction == "up" for axis in crs.axis_info):  # three-dimensional: ellipsoidal
+        return Undulation.constant(0.0)
+    raise InputError(
+        f"the CRS of the DEM {info.uri} ({name_of(info.grid.crs)}) does not say what its heights are above: "
+        "give --dem-vertical 0 if it is the WGS 84 ellipsoid, else the geoid's height above the ellipsoid "
+        "there in metres (about -100 to 85), or a geoid grid file"
+    )
+
+
+def _from_grid(path: str, bounds: Bounds) -> Undulation:
+    """Sample a file of undulations, whose longitudes may extend to 180 or to 360 degrees."""
+    if not Path(path).exists() and ":" not in path and not path.startswith("/vsi"):
+        raise InputError(f"--dem-vertical {path}: neither a number of metres nor a file that exists")
+    info = describe(path)
+    if not info.georeferenced:
+        raise InputError(f"the geoid grid {path} has no georeferencing (CRS and geotransform): assign it")
+    geoid = Dem(info.uri, info.grid, 1.0, Undulation.constant(0.0))
+
+    def at(lon_lat: Float64) -> Float64:
+        found = geoid.at(lon_lat)
+        for turn in (360.0, -360.0):
+            if info.grid.crs is not None and info.grid.crs.is_geographic:
+                around = geoid.at_px(info.grid.to_px(lon_lat + np.array([turn, 0.0])), lon_lat)
+                found = np.where(np.isnan(found), around, found)
+        return found
+
+    undulation = Undulation.sampled(at, bounds, STEP_DEG)
+    if not np.isfinite(undulation.values_m).all():
+        raise InputError(
+            f"the geoid grid {path} does not cover the target ({in_words(bounds)}): give one that does, or "
+            "the undulation in metres"
+        )
+    if np.abs(undulation.values_m).max() > 150.0:
+        raise InputError(
+            f"the geoid grid {path} holds {np.abs(undulation.values_m).max():.0f} m: no geoid is as far from "
+            "the ellipsoid; give a file of undulations, not of heights"
+        )
+    return undulation
+
+
+def _from_crs(info: RasterInfo, crs: pyproj.CRS, bounds: Bounds) -> Undulation:
+    """Determine the height of the vertical datum above the ellipsoid by PROJ, never by a ballpark one."""
+    advice = (
+        "give --dem-vertical: the geoid's height above the ellipsoid there in metres, or a geoid grid file"
+    )
+    what = f"the heights of the DEM {info.uri} ({crs.name}) cannot be transformed to the ellipsoid"
+    # from geographic coordinates: only the vertical part is needed
+    geographic = pyproj.CRS.from_epsg(4326)
+    source = pyproj.crs.CompoundCRS("DEM", [geographic, crs.sub_crs_list[1]])
+    try:
+        with ignoring(UserWarning):  # pyproj's own warning about missing grids
+            group = TransformerGroup(source, ELLIPSOIDAL, always_xy=True, allow_ballpark=False)
+    except ProjError as error:
+        raise InputError(f"{what}: {error}; {advice}") from error
+    if not group.transformers:
+        grids = sorted({grid.short_name for op in group.unavailable_operations for grid in op.grids})
+        missing = f"PROJ lacks the grid {' or '.join(grids)}" if grids else "PROJ knows no transformation"
+        raise InputError(f"{what}: {missing} (a ballpark one would be off by the undulation); {advice}")
+    transformer = group.transformers[0]
+
+    def at(lon_lat: Float64) -> Float64:
+        return with_arrays(transformer.transform, lon_lat[:, 0], lon_lat[:, 1], np.zeros(len(lon_lat)))[2]
+
+    undulation = Undulation.sampled(at, bounds, STEP_DEG)
+    if not np.isfinite(undulation.values_m).all():
+        raise InputError(f"{what} at {in_words(bounds)}; {advice}")
+    return undulation
+
+
+def in_words(bounds: Bounds) -> str:
+    """Return west, south, east and north, degrees, as text for messages."""
+    west, south, east, north = bounds
+    return f"longitude {west:.4f} to {east:.4f}, latitude {south:.4f} to {north:.4f}"

@@ -1,0 +1,184 @@
+"""Grids whose pixels are related to the ground by an RPC and heights instead of a geotransform."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import shapely
+from affine import Affine
+from rasterio.crs import CRS
+
+from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.grid import Grid, Window, apply, apply_inverse, composed, map_px
+from pcwlad_geo.raster.pixels import sample_positions
+from pcwlad_geo.raster.rpc.dem import WGS84, ConstantHeight, Dem
+from pcwlad_geo.raster.rpc.model import RpcModel
+from pcwlad_geo.types import Float64
+
+HEIGHT_TOLERANCE_M: Final = 1e-4
+"""Change of height below which the intersection of a line of sight with the ground has converged."""
+ITERATIONS: Final = 40
+"""Largest number of iterations of that intersection."""
+MAX_POSITIONS: Final = 1 << 18
+"""Largest number of positions that are computed at a time."""
+LATTICE: Final = 65
+"""Number of points along a side of an image with which its extent on the ground is determined."""
+
+
+@dataclass(frozen=True, slots=True)
+class RpcGrid(Grid):
+    """A grid whose map coordinates, in its CRS, are those of the ground seen by its pixels."""
+
+    rpc: RpcModel
+    """RPC of the file's pixels, to which `transform` maps those of this grid (of an overview, a part)."""
+    heights: ConstantHeight | Dem
+    level_m: float
+    """Approximate height of the ground, from which lines of sight start and at which pixels are measured."""
+
+    @staticmethod
+    def of_file(
+        shape: tuple[int, int],
+        rpc: RpcModel,
+        heights: ConstantHeight | Dem,
+        *,
+        level_m: float | None = None,
+        crs: CRS = WGS84,
+    ) -> RpcGrid:
+        """Return the grid of a file's own pixels.
+
+        The ground is near `level_m` above the ellipsoid, by default the RPC's height offset; `crs` is that of
+        the map coordinates.
+        """
+        if level_m is None:
+            level_m = heights.height_m if isinstance(heights, ConstantHeight) else rpc.height_off
+        return RpcGrid(shape, Affine.identity(), crs, rpc, heights, level_m)
+
+    def to_xy(self, pixel_xy_px: Float64) -> Float64:
+        """Map (n, 2) `pixel_xy_px` (col, row) to the (n, 2) map coordinates (x, y) of the ground they see.
+
+        Beyond the edge of a DEM the height of the edge is used; NaN in holes of the DEM.
+        """
+        lon_lat, height = self.line_of_sight(pixel_xy_px)
+        return transform_xy(np.where(np.isnan(height)[:, None], np.nan, lon_lat), WGS84, self.crs)
+
+    def to_px(self, xy: Float64) -> Float64:
+        """Map (n, 2) map coordinates `xy` to the (n, 2) pixels (col, row) there; NaN without height."""
+        lon_lat = transform_xy(np.asarray(xy, dtype=np.float64), self.crs, WGS84)
+        return self.file_to_own_px(self.rpc.to_px(np.column_stack([lon_lat, self.heights.at(lon_lat)])))
+
+    def line_of_sight(self, pixel_xy_px: Float64) -> tuple[Float64, Float64]:
+        """Intersect lines of sight with the ground, starting at `level_m`.
+
+        Parameters
+        ----------
+        pixel_xy_px : (n, 2) array
+            Pixels (col, row), corner-based.
+
+        Returns
+        -------
+        lon_lat : (n, 2) array
+            Longitude and latitude of the intersections, degrees.
+        height_m : (n,) array
+            Height of the ground there above the ellipsoid, metres; beyond the edge of a DEM that of the edge,
+            NaN in holes of the DEM.
+        """
+        file_px = apply(self.transform, pixel_xy_px)
+        height = np.full(len(file_px), self.level_m)
+        lon_lat = self.rpc.to_ground(file_px, height)
+        for _ in range(ITERATIONS):
+            found = self.heights.nearest(lon_lat)
+            step = np.where(np.isnan(found), 0.0, found - height)  # a hole may be crossed
+            height = height + step
+            lon_lat = self.rpc.to_ground(file_px, height)
+            if not np.any(np.abs(step) > HEIGHT_TOLERANCE_M):
+                break
+        return lon_lat, np.where(np.isnan(found), np.nan, height)
+
+    def file_to_own_px(self, file_px: Float64) -> Float64:
+        """Map (n, 2) pixels `file_px` (col, row) of the file to (n, 2) pixels of this grid."""
+        return apply_inverse(self.transform, file_px)
+
+    def resampled_grid(
+        self,
+        linear: tuple[tuple[float, float], tuple[float, float]],
+        origin_px: tuple[float, float],
+        shape: tuple[int, int],
+    ) -> RpcGrid:
+        """Return the grid of `shape` (rows, columns) whose pixel p is `linear` · p + `origin_px` in this one.
+
+        All pixel coordinates are (col, row).
+        """
+        return replace(self, shape=shape, transform=composed(self.transform, linear, origin_px))
+
+
+def at_mean_height(grid: Grid) -> Grid:
+    """Return a grid at a constant height, whose pixel sizes do not depend on the slope of the ground."""
+    if not isinstance(grid, RpcGrid):
+        return grid
+    return replace(grid, heights=ConstantHeight(grid.level_m))
+
+
+def footprint_px(grid: Grid, onto: Grid) -> shapely.Geometry:
+    """Return the footprint of a raster on the ground, as far as heights are known.
+
+    It is a convex outline, px (col, row) of the grid `onto`; empty where there is none.
+    """
+    placed = map_px(grid.lattice_px(LATTICE), grid, onto)
+    outline = shapely.MultiPoint(placed[np.isfinite(placed).all(axis=1)]).convex_hull
+    if not (isinstance(grid, RpcGrid) and isinstance(grid.heights, Dem)):
+        return outline
+    dem = grid.heights.grid
+    known = map_px(dem.boundary_px(), dem, onto)
+    if not np.isfinite(known).all():  # the DEM covers half the earth
+        return outline
+    edge = shapely.Polygon(known)
+    return outline.intersection(edge) if edge.is_valid else outline
+
+
+def positions_on(grid: RpcGrid, view_grid: Grid, window: Window, per_px: int) -> Float64:
+    """Return the positions in an RPC raster of the pixels of a view's window.
+
+    The map projections are interpolated between nodes; heights and the RPC are evaluated at every position,
+    because relief displaces the image from pixel to pixel.
+
+    Parameters
+    ----------
+    grid : RpcGrid
+        Grid of the raster.
+    view_grid : Grid
+        Grid of the view.
+    window : Window
+        Window of the view.
+    per_px : int
+        Number of positions along a side of a view pixel.
+
+    Returns
+    -------
+    (2, rows * per_px, cols * per_px) array
+        Rows and columns in the raster, px, corner-based; NaN where no height is known.
+    """
+    # in strips: heights and the RPC need many times the memory of the positions
+    step = max(1, MAX_POSITIONS // (window.cols * per_px**2))
+    strips = [
+        Window(row, window.col, min(step, window.row_stop - row), window.cols)
+        for row in range(window.row, window.row_stop, step)
+    ]
+    return np.concatenate([_positions(grid, view_grid, strip, per_px) for strip in strips], axis=1)
+
+
+def _positions(grid: RpcGrid, view_grid: Grid, window: Window, per_px: int) -> Float64:
+    geographic = Grid(view_grid.shape, Affine.identity(), WGS84)
+
+    def sampled(onto: Grid) -> Float64:
+        rc = sample_positions(window, per_px, lambda px: map_px(px, view_grid, onto))
+        return np.stack([rc[1].ravel(), rc[0].ravel()], axis=1)
+
+    lon_lat = sampled(geographic)
+    heights = grid.heights
+    height = (
+        heights.at_px(sampled(heights.grid), lon_lat) if isinstance(heights, Dem) else heights.at(lon_lat)
+    )
+    own = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height])))
+    return np.ascontiguousarray(own[:, ::-1].T).reshape(2, window.rows * per_px, window.cols * per_px)

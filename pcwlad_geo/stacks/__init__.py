@@ -1,1 +1,0 @@
-"""Stacks of bands: measure every pair, close the triangles, judge, and write the quality report."""

@@ -1,0 +1,159 @@
+"""Text from untrusted sources: reading of files, cells of spreadsheets, lines of a terminal."""
+
+from __future__ import annotations
+
+import html
+import os
+import stat
+import unicodedata
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Final, TypeVar
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.limits import TEXT_BYTES
+
+_KINDS: Final = (
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+_METADATA: Final = (".txt", ".xml", ".imd", ".rpb", ".rpc", ".pvl", ".eph", ".att", ".pass")
+"""Endings of metadata that GDAL looks for in the folder of a raster, some whatever the raster is called."""
+
+
+def check_regular(path: str | os.PathLike[str]) -> None:
+    """Raise `InputError` if a path is a pipe, a socket or a device, as reading it may never end.
+
+    Folders and missing files are not checked here.
+    """
+    try:
+        mode = os.stat(path).st_mode  # noqa: PTH116  # a GDAL URI is no path
+    except (OSError, ValueError):
+        return
+    for is_kind, name in _KINDS:
+        if is_kind(mode):
+            raise InputError(f"{os.fspath(path)} is {name}, not a file: copy what it gives into a file")
+
+
+def check_beside(path: str | os.PathLike[str]) -> None:
+    """Raise `InputError` where a pipe, a socket or a device lies beside a raster, and GDAL would open it.
+
+    GDAL looks for georeferencing, RPCs, overviews and metadata beside a raster, by its name or by their own.
+    """
+    try:
+        folder, name = os.path.split(os.path.abspath(path))  # noqa: PTH100  # a GDAL URI is no path
+        changed_ns = os.stat(folder).st_mtime_ns  # noqa: PTH116
+        found = _no_regular_files(folder, changed_ns)
+    except (OSError, ValueError):
+        return
+    own = name.lower().partition(".")[0] or name.lower()
+    for other in found:
+        if other.lower().startswith(own) or other.lower().endswith(_METADATA):
+            check_regular(Path(folder, other))
+
+
+@lru_cache(maxsize=64)
+def _no_regular_files(folder: str, _: int) -> tuple[str, ...]:
+    """Return the names of what is neither a file nor a folder in a folder."""
+    with os.scandir(folder) as entries:
+        return tuple(entry.name for entry in entries if not (entry.is_file() or entry.is_dir()))
+
+
+def read_bytes(path: Path, most: int = TEXT_BYTES) -> bytes:
+    """Read the whole file `path` of at most `most` bytes.
+
+    Raises `InputError` if it is no regular file, or larger than `most` bytes, and `OSError` if it cannot be
+    read.
+    """
+    check_regular(path)
+    with path.open("rb") as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise InputError(f"{path} has more than {most} bytes, and at most so many are read: divide it")
+    return data
+
+
+def read_text(path: Path, *, encoding: str = "utf-8", errors: str = "strict") -> str:
+    r"""Read the whole text file `path` with all line ends as ``\n``; `encoding` and `errors` are Python's.
+
+    Raises
+    ------
+    InputError
+        If it is no regular file, or larger than `TEXT_BYTES`.
+    OSError, UnicodeDecodeError
+        If it cannot be read or decoded.
+    """
+    return read_bytes(path).decode(encoding, errors).replace("\r\n", "\n").replace("\r", "\n")
+
+
+T = TypeVar("T")
+
+_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")  # full-width ones count too
+
+
+def cell(value: T) -> T | str:
+    """Return a value for a CSV file, with an apostrophe before text that begins like a formula.
+
+    File names, names of bands and messages may come from an untrusted source. With the apostrophe, which it
+    shows or hides, a spreadsheet does not evaluate them. Numbers are returned unchanged.
+    """
+    if isinstance(value, str) and value.lstrip(" ").startswith(_FORMULA):
+        return f"'{value}"
+    return value
+
+
+HIDDEN: Final = ("Cc", "Cs", "Zl", "Zp")
+"""Unicode categories of control characters, bytes that are no text, and line and paragraph separators."""
+TURNING: Final = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+"""Characters that reverse the direction of the text after them, which could show a name backwards."""
+
+
+def visible(text: str) -> str:
+    r"""Return a text with its control characters written like ``\x1b``, except line breaks and tabs."""
+    return "".join(_seen(each) for each in text)
+
+
+def _seen(character: str) -> str:
+    hidden = unicodedata.category(character) in HIDDEN or character in TURNING
+    if character in "\n\t" or not hidden:
+        return character
+    return character.encode("unicode_escape").decode("ascii")
+
+
+def one_line(message: object) -> str:
+    """Return a message on one line, whatever line breaks and control characters it came with."""
+    return visible(joined(message))
+
+
+def joined(message: object) -> str:
+    """Return a message with each run of spaces and line breaks replaced by a space."""
+    return " ".join(str(message).split())
+
+
+def one_line_of(value: object, *facts: str) -> str:
+    """Return the `repr` of an object: its class and some facts, on one line."""
+    return f"<{type(value).__name__}: {one_line(', '.join(facts))}>"
+
+
+def html_table(title: str, facts: Mapping[str, str]) -> str:
+    """Return a small table for a notebook; all text is escaped.
+
+    Parameters
+    ----------
+    facts : mapping of str to str
+        Names and values, a row each.
+    """
+    rows = "".join(
+        f"<tr><th style='text-align:left'>{_escaped(name)}</th>"
+        f"<td style='text-align:left'>{_escaped(value)}</td></tr>"
+        for name, value in facts.items()
+    )
+    return f"<table><caption>{_escaped(title)}</caption><tbody>{rows}</tbody></table>"
+
+
+def _escaped(text: str) -> str:
+    return html.escape(one_line(text))

@@ -1,0 +1,14 @@
+"""Types that several rooms share: arrays by the type of their values, and paths."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+Index = NDArray[np.intp]
+PathLike = str | os.PathLike[str]

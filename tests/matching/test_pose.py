@@ -1,0 +1,88 @@
+"""Search for rotation, scale and shift between two modalities."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from pcwlad_geo.matching.pose import PoseProposal, mean_distance_px, search_pose
+from tests.matching.test_global_search import cover, modality
+
+SIDE_PX = 300
+REFERENCE = modality(cover(1), 10)[150:450, 150:450]
+
+
+def seen(rotation_deg: float, scale: float, shift_xy: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the thermal image of the scene in a pose, and the (2, 3) matrix from the reference to it."""
+    linear = cv2.getRotationMatrix2D((0, 0), -rotation_deg, scale)[:, :2]
+    middle = np.array([(SIDE_PX - 1) / 2] * 2)
+    matrix = np.column_stack([linear, middle + shift_xy - linear @ middle])
+    whole = modality(cover(1), 20, blur_px=2.0)
+    from_scene = matrix @ np.array([[1, 0, -150], [0, 1, -150], [0, 0, 1.0]])
+    size = (SIDE_PX, SIDE_PX)
+    return cv2.warpAffine(gentle(whole, scale), from_scene, size, flags=cv2.INTER_CUBIC), matrix
+
+
+def gentle(image: np.ndarray, scale: float) -> np.ndarray:
+    """Blur an image as a smaller picture of it is."""
+    return image if scale >= 1 else cv2.GaussianBlur(image, (0, 0), 0.5 / scale)
+
+
+def search(target: np.ndarray, **options: tuple[float, float]) -> PoseProposal | None:
+    return search_pose(
+        REFERENCE, target, np.ones(REFERENCE.shape, bool), np.ones(target.shape, bool), **options
+    )
+
+
+@pytest.mark.parametrize(
+    ("rotation_deg", "scale", "shift_xy"),
+    [
+        (94.0, 0.62, (-30.0, 8.0)),
+        pytest.param(33.0, 1.0, (20.0, -15.0), marks=pytest.mark.slow),
+        pytest.param(-178.0, 1.3, (0.0, 12.0), marks=pytest.mark.slow),
+    ],
+)
+def test_any_pose_is_found(rotation_deg: float, scale: float, shift_xy: tuple[float, float]) -> None:
+    target, matrix = seen(rotation_deg, scale, shift_xy)
+    found = search(target)
+    assert found is not None
+    assert found.accepted
+    assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 2.0 * scale
+    assert found.scale == pytest.approx(scale, rel=0.02)
+    assert found.significance > 5.0
+
+
+def test_invalid_pixels_do_not_count() -> None:
+    target, matrix = seen(-50.0, 1.0, (0.0, 0.0))
+    valid = np.ones(target.shape, bool)
+    valid[:90] = False
+    spoiled = np.where(valid, target, 1000.0 * (np.indices(target.shape).sum(axis=0) % 7 == 0))
+    found = search_pose(REFERENCE, spoiled, np.ones(REFERENCE.shape, bool), valid)
+    assert found is not None
+    assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 2.0
+
+
+@pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_nothing_stands_out_of_another_scene(seed: int) -> None:
+    other = modality(cover(seed), 20, blur_px=2.0)[100:400, 100:400]
+    found = search(other)
+    assert found is not None
+    assert not found.accepted
+
+
+def test_scales_may_be_limited() -> None:
+    target, _ = seen(20.0, 0.5, (0.0, 0.0))
+    found = search(target, scales=(0.9, 1.1))
+    assert found is not None
+    assert 0.8 < found.scale < 1.2
+    assert not found.accepted
+
+
+def test_flat_images_have_no_pose() -> None:
+    assert search(np.full((64, 64), 7.0)) is None
+
+
+def test_a_few_patches_that_agree_say_nothing() -> None:
+    assert PoseProposal(np.eye(2, 3), 1.0, 0.0, patches=7, agreeing=7).significance == 0.0
+    assert PoseProposal(np.eye(2, 3), 1.0, 0.0, patches=40, agreeing=30).significance > 10.0

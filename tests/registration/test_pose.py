@@ -1,0 +1,145 @@
+"""Targets that lie in another pose than their georeferencing says, or that have none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.registration.prealign import Pose, posed_start
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.run import run
+from tests.scenes import Array, make_grid, render, write
+
+GRID = make_grid((300, 320))
+RMSE_AS_IT_LIES_PX = 0.193
+"""Of the tie points of this scene where the target is not turned, as the first test measures."""
+
+
+def pose_of(rotation_deg: float, scale: float, *, shear: float = 0.0) -> tuple[Array, Array]:
+    """Return linear part and displacement of a pose about the middle of the grid: observed = L p + d."""
+    turn = np.radians(rotation_deg)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    linear = scale * rotation @ np.array([[1.0, shear], [0.0, 1.0]])
+    middle = np.array([160.0, 150.0])
+    return linear, middle - linear @ middle
+
+
+def register(folder: Path, linear: Array, shift: Array, *, located: bool, **options: object) -> Registration:
+    reference = write(folder / "reference.tif", render(GRID), GRID if located else None)
+    values = render(GRID, "thermal", linear=linear, displacement_px=shift)
+    target = write(folder / "target.tif", values, GRID if located else None)
+    return run(reference, target, Settings.from_options(options))
+
+
+def errors_px(found: Registration, linear: Array, shift: Array) -> Array:
+    points = found.tie_points.select("fit", "check", "matched")
+    assert len(points) > 100
+    return np.linalg.norm(points.target_px - points.reference_px @ linear.T - shift, axis=1)
+
+
+def test_a_target_as_it_lies_is_not_searched_for_a_pose(tmp_path: Path) -> None:
+    linear, shift = np.eye(2), np.zeros(2)
+    found = register(tmp_path, linear, shift, located=True)
+    assert found.prealignment.pose is None
+    error_px = np.sqrt((errors_px(found, linear, shift) ** 2).mean())
+    assert error_px == pytest.approx(RMSE_AS_IT_LIES_PX, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("located", "rotation_deg", "scale"),
+    [
+        (True, 35.0, 1.0),
+        pytest.param(False, -170.0, 1.15, marks=pytest.mark.slow),
+    ],
+)
+def test_a_turned_target_is_registered_as_precisely(
+    located: bool, rotation_deg: float, scale: float, tmp_path: Path
+) -> None:
+    linear, shift = pose_of(rotation_deg, scale)
+    found = register(tmp_path, linear, shift, located=located)
+    assert found.status == "registered"
+    assert np.sqrt((errors_px(found, linear, shift) ** 2).mean()) < 1.15 * RMSE_AS_IT_LIES_PX * scale
+    corners = np.array([[0.0, 0.0], [320.0, 0.0], [0.0, 300.0], [320.0, 300.0]])
+    assert found.correction is not None
+    np.testing.assert_allclose(found.correction.forward(corners), corners @ linear.T + shift, atol=0.3)
+    pose = found.prealignment.pose
+    assert pose is not None
+    assert pose.rotation_deg == pytest.approx(rotation_deg, abs=0.2)
+    assert pose.scale == pytest.approx((scale, scale), rel=0.005)
+    assert located == any("georeferencing is off" in warning for warning in found.warnings)
+
+
+@pytest.mark.slow
+def test_a_sheared_target_is_matched_in_its_shape(tmp_path: Path) -> None:
+    linear, shift = pose_of(60.0, 0.9, shear=0.05)
+    found = register(tmp_path, linear, shift, located=False)
+    assert found.status == "registered"
+    assert np.sqrt((errors_px(found, linear, shift) ** 2).mean()) < 1.15 * RMSE_AS_IT_LIES_PX
+    assert found.prealignment.pose is not None
+    assert found.prealignment.pose.shear_deg == pytest.approx(np.degrees(np.arctan(0.05)), abs=0.2)
+
+
+@pytest.mark.slow
+def test_another_scene_is_refused_in_every_pose(tmp_path: Path) -> None:
+    reference = write(tmp_path / "reference.tif", render(GRID), None)
+    target = write(tmp_path / "target.tif", render(GRID, "thermal", seed=9), None)
+    found = run(reference, target, Settings())
+    assert found.status == "rejected"
+    assert found.prealignment.searched
+    assert found.prealignment.pose is None
+
+
+@pytest.mark.slow
+def test_a_georeferencing_that_must_be_believed_is(tmp_path: Path) -> None:
+    linear, shift = pose_of(35.0, 1.0)
+    found = register(tmp_path, linear, shift, located=True, prealign="georef")
+    assert found.status == "rejected"
+    assert found.prealignment.pose is None
+
+
+@pytest.mark.slow
+def test_a_mask_moves_with_its_target(tmp_path: Path) -> None:
+    linear, shift = pose_of(35.0, 1.0)
+    mask = np.ones((150, 160), np.uint8)
+    mask[:, :80] = 0  # the left half of the target, in pixels of twice the size
+    grid = GRID.scaled((150, 160))
+    profile = {"driver": "GTiff", "height": 150, "width": 160, "count": 1, "dtype": "uint8"}
+    with rasterio.open(tmp_path / "mask.tif", "w", crs=grid.crs, transform=grid.transform, **profile) as file:
+        file.write(mask, 1)
+    found = register(tmp_path, linear, shift, located=True, tgt_mask=tmp_path / "mask.tif")
+    points = found.tie_points.select("fit", "check", "matched")
+    assert len(points) > 50
+    assert points.target_px[:, 0].min() > 150
+
+
+def views(folder: Path) -> ViewPair:
+    first = write(folder / "reference.tif", render(GRID), GRID)
+    return plan_views(describe(first), describe(write(folder / "target.tif", render(GRID), GRID)))
+
+
+def test_the_pose_of_a_start_is_what_was_asked_for(tmp_path: Path) -> None:
+    linear, shift = pose_of(20.0, 1.0)
+    matrix = np.vstack([np.column_stack([linear, shift]), [0, 0, 1]])
+    start = posed_start(views(tmp_path), matrix, 9)
+    assert start.prealignment.search_radius_px == 9
+    places = np.array([[100.0, 120.0], [200.0, 80.0]])
+    reference = start.pair.reference.from_file_px(places)
+    target = start.pair.target.to_file_px(reference + start.pair.offset_px)
+    np.testing.assert_allclose(target, places @ linear.T + shift, atol=1e-6)
+
+
+@pytest.mark.parametrize("rotation_deg", [-179.0, -90.0, 0.0, 12.5, 180.0])
+def test_a_pose_is_told_in_words(rotation_deg: float) -> None:
+    linear, shift = pose_of(rotation_deg, 1.5)
+    pose = Pose.of(np.vstack([np.column_stack([linear, shift]), [0, 0, 1]]), (300, 320))
+    assert abs((pose.rotation_deg - rotation_deg + 180) % 360 - 180) < 1e-9
+    assert pose.scale == pytest.approx((1.5, 1.5))
+    assert pose.shear_deg == pytest.approx(0.0, abs=1e-9)
+    assert pose.shift_px == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert "scale 1.500 x 1.500" in str(pose)
