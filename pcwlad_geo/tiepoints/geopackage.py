@@ -216,7 +216,7 @@ def write(table: TiePointTable, path: Path, target_grid: Grid | None = None) -> 
         with closing(sqlite3.connect(path)) as database:
             with database:
                 _add_styles(database, styles)
-            # A copy in SQLite's own order: how GDAL's pages came to lie depends on its version and its threads.
+            # A copy in SQLite's own order: how GDAL lays out its pages depends on its version and threads.
             database.execute("VACUUM INTO ?", (str(ordered),))
         ordered.replace(path)
     except (DataSourceError, DataLayerError, sqlite3.Error, OSError) as error:

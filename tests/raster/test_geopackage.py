@@ -156,7 +156,7 @@ def test_the_file_does_not_depend_on_how_gdal_laid_out_its_pages(
 
 
 def _without_counters(path: Path) -> bytes:
-    """Return the bytes of a database but for the counter of its schema's changes, which a dropped table moves."""
+    """Return the bytes of a database but for its counter of changed schemas, which a dropped table moves."""
     data = path.read_bytes()
     return data[:40] + data[44:]
 
