@@ -101,6 +101,15 @@ def test_the_common_displacement_is_a_plane_from_36_points_on(points: int, agree
     assert verdict([[move] for move in moves], kept=moves).agreeing_cells == agreeing
 
 
+def test_a_steep_plane_is_one_of_many_and_says_less_than_a_level_one() -> None:
+    level = verdict([[RIGHT]] * 36, kept=[RIGHT])
+    moves = [(1.5 * number, 0.0) for number in range(36)]
+    steep = verdict([[move] for move in moves], kept=moves)
+    rise_px = 1.5 * 35 / 2
+    assert steep.agreeing_cells == level.agreeing_cells == 36
+    assert level.significance - steep.significance == pytest.approx(np.log10(1 + rise_px / 2.0))
+
+
 @pytest.mark.parametrize(
     ("agreeing", "cells", "few"), [(3, 4, True), (2, 3, False), (1, 1, True), (2, 4, False)]
 )
