@@ -65,12 +65,10 @@ def judge(
     `window_px` wide, and the coarse match searched `radius_px` around. The `evidence` of the
     start, see `Prealignment.odds`, counts if the points say something themselves.
     """
-    common_px, planes = _common_displacement(matches, kept)
-    cells, agreeing = _witnesses(matches, common_px, CELL_PER_WINDOW * window_px)
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
-    # the common displacement is the best of 1 / share different ones, and of so many planes through each
-    found = evidence_against_chance(agreeing, cells, min(0.5, CHANCE_FACTOR * share))
-    significance = max(0.0, found + float(np.log10(share / planes)))
+    cells, agreeing, found = _best_witnesses(matches, kept, CELL_PER_WINDOW * window_px, share)
+    # the common displacement is the best of 1 / share different ones
+    significance = max(0.0, found + float(np.log10(share)))
     enough = kept.sum() >= MIN_POINTS and agreeing >= MIN_CELLS
     if evidence < 0 or significance >= MIN_OWN_SIGNIFICANCE:
         significance = max(0.0, significance + evidence)
@@ -87,10 +85,28 @@ def judge(
     return Verdict(False, by_chance, cells, agreeing, significance, _beyond(counts))
 
 
-def _witnesses(matches: TiePoints, common_px: Float64, cell_px: float) -> tuple[int, int]:
-    """Count cells with matches, and those whose typical match agrees with the (n, 2) common displacement."""
+def _best_witnesses(matches: TiePoints, kept: Bool, cell_px: float, share: float) -> tuple[int, int, float]:
+    """Count cells with matches, and those that agree with the common displacement, which may be a plane.
+
+    The third value is -log10 of the probability that as many agree by chance with the better of the two.
+    """
     if len(matches) == 0:
-        return 0, 0
+        return 0, 0, 0.0
+    chance = min(0.5, CHANCE_FACTOR * share)
+    middle_px = np.median(matches.displacement_px[kept if kept.any() else slice(None)], axis=0)
+    cells, agreeing = _witnesses(matches, middle_px, cell_px)
+    level = cells, agreeing, evidence_against_chance(agreeing, cells, chance)
+    if kept.sum() < 3 * MIN_POINTS:
+        return level
+    plane_px, planes = _common_plane(matches, kept)
+    cells, agreeing = _witnesses(matches, plane_px, cell_px)
+    tilted = cells, agreeing, evidence_against_chance(agreeing, cells, chance) - float(np.log10(planes))
+    cells, agreeing, found = max(level, tilted, key=lambda each: each[2])
+    return cells, agreeing, found - float(np.log10(2))
+
+
+def _witnesses(matches: TiePoints, common_px: Float64, cell_px: float) -> tuple[int, int]:
+    """Count cells with matches, and those whose typical match agrees with a (2,) or (n, 2) displacement."""
     cells = np.floor(matches.reference_xy_px / cell_px).astype(np.intp)
     cell_of = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
     agrees = np.linalg.norm(matches.displacement_px - common_px, axis=1) < AGREE_PX
@@ -99,23 +115,18 @@ def _witnesses(matches: TiePoints, common_px: Float64, cell_px: float) -> tuple[
     return len(total), int((share >= 0.5).sum())
 
 
-def _common_displacement(matches: TiePoints, kept: Bool) -> tuple[Float64, float]:
-    """Return the common displacement of the consistent points, and of how many different planes it is one.
+def _common_plane(matches: TiePoints, kept: Bool) -> tuple[Float64, float]:
+    """Return the plane through the displacements of the consistent points, and of how many it is one.
 
-    The (n, 2) displacement is a plane if the points are many. The number counts the planes that tilt no more
-    and differ by `AGREE_PX` at the border: the best of many planes agrees with more cells by chance, so a
-    plane that is nearly level is worth more than one that is steep.
+    The plane is the (n, 2) displacement at all matches. The number counts the planes that tilt no more and
+    differ by `AGREE_PX` at the border: the best of many planes agrees with more cells by chance, so a plane
+    that is nearly level says more than one that is steep.
     """
-    xy, moved = matches.reference_xy_px, matches.displacement_px
-    if kept.sum() < 3 * MIN_POINTS:
-        middle = np.median(moved[kept] if kept.any() else moved, axis=0) if len(moved) else np.zeros(2)
-        return middle[None].repeat(len(moved), 0), 1.0
-    centre = xy[kept].mean(axis=0)
-    design = np.c_[np.ones(int(kept.sum())), xy[kept] - centre]
-    solution = np.linalg.lstsq(design, moved[kept], rcond=None)[0]
-    common_px: Float64 = np.c_[np.ones(len(xy)), xy - centre] @ solution
+    xy = matches.reference_xy_px - matches.reference_xy_px[kept].mean(axis=0)
+    design = np.c_[np.ones(len(xy)), xy]
+    solution = np.linalg.lstsq(design[kept], matches.displacement_px[kept], rcond=None)[0]
     rise_px = np.abs(solution[1:]) * (np.ptp(xy, axis=0) / 2)[:, None]  # from the middle to the border
-    return common_px, float(np.prod(1 + rise_px / AGREE_PX))
+    return design @ solution, float(np.prod(1 + rise_px / AGREE_PX))
 
 
 def _nothing_to_match(counts: dict[str, int]) -> str | None:

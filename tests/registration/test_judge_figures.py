@@ -110,6 +110,12 @@ def test_a_steep_plane_is_one_of_many_and_says_less_than_a_level_one() -> None:
     assert level.significance - steep.significance == pytest.approx(np.log10(1 + rise_px / 2.0))
 
 
+def test_the_displacement_of_all_counts_where_wrong_points_tilt_the_plane() -> None:
+    far = (12.0, 0.0)
+    found = verdict([[RIGHT] * 2] * 30 + [[far] * 2] * 8, kept=[RIGHT, far])
+    assert found.agreeing_cells == 30
+
+
 @pytest.mark.parametrize(
     ("agreeing", "cells", "few"), [(3, 4, True), (2, 3, False), (1, 1, True), (2, 4, False)]
 )
