@@ -166,8 +166,8 @@ def plan_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
 def _plan_by_pixels(reference: RasterInfo, target: RasterInfo) -> ViewPair:
     lacking = [info.uri for info in (reference, target) if not info.georeferenced]
     warning = (
-        f"no georeferencing that the two share (CRS and geotransform) in {' and '.join(lacking)}: pixels "
-        "compared as they lie"
+        f"no georeferencing that the two share (CRS and geotransform) in {' and '.join(lacking)}: only "
+        "their pixels tell how the two lie"
     )
     return ViewPair(
         _own(reference),

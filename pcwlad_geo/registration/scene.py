@@ -330,7 +330,7 @@ def match_from_best_start(
         if result.verdict.accepted:
             if prealignment.pose is not None:
                 result, start = _match_again_in_pose(result, start, settings, log, runner)
-            _warn_of_georeferencing(pair, prealignment, log)
+            _warn_of_georeferencing(pair, result.prealignment, log)
             return result, start.pair
         if best is None or result.verdict.significance >= best[0].verdict.significance:
             best = result, start
@@ -378,9 +378,12 @@ def _match_again_in_pose(
         matrix[:2] = affine_between(points.reference_xy_px, points.target_xy_px)
         as_it_is = np.eye(3)
         as_it_is[:2, 2] = pair.offset_px
-        again = posed_start(pair, matrix, matched.prealignment.search_radius_px)
-        prealignment = replace(matched.prealignment, pose=again.prealignment.pose)
-        found = match_scene(again.pair, again.overviews, prealignment, settings, log, runner)
+        try:
+            again = posed_start(pair, matrix, matched.prealignment.search_radius_px)
+            prealignment = replace(matched.prealignment, pose=again.prealignment.pose)
+            found = match_scene(again.pair, again.overviews, prealignment, settings, log, runner)
+        except InputError:  # points in a corner of the overlap tell no pose of the whole
+            break
         if not found.verdict.accepted:
             break
         matched, start = found, again

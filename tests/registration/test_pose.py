@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import rasterio
 
+from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.prealign import Pose, posed_start
+from pcwlad_geo.registration.prealign import Pose, Start, posed_start
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from tests.scenes import Array, make_grid, render, write
@@ -72,7 +73,7 @@ def test_a_turned_target_is_registered_as_precisely(
     assert pose is not None
     assert pose.rotation_deg == pytest.approx(rotation_deg, abs=0.2)
     assert pose.scale == pytest.approx((scale, scale), rel=0.005)
-    assert located == any("georeferencing is off" in warning for warning in found.warnings)
+    assert located == any(f"found the target at {pose}" in warning for warning in found.warnings)
 
 
 @pytest.mark.slow
@@ -93,6 +94,20 @@ def test_another_scene_is_refused_in_every_pose(tmp_path: Path) -> None:
     assert found.status == "rejected"
     assert found.prealignment.searched
     assert found.prealignment.pose is None
+
+
+@pytest.mark.slow
+def test_a_first_match_stands_where_a_second_finds_too_little_in_common(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> Start:
+        raise InputError("the common area is 12 x 12 px")
+
+    monkeypatch.setattr("pcwlad_geo.registration.scene.posed_start", refuse)
+    linear, shift = pose_of(35.0, 1.0)
+    found = register(tmp_path, linear, shift, located=True)
+    assert found.status == "registered"
+    assert np.median(errors_px(found, linear, shift)) < 0.5
 
 
 @pytest.mark.slow
