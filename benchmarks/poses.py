@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.stats import rankdata
 
 from benchmarks.pairs import Image
 from benchmarks.runs import Array
@@ -29,6 +30,11 @@ NODES: Final = 15
 ROTATIONS_DEG: Final = (2.0, 180.0)
 SCALES: Final = (0.6, 1.7)
 MAX_SHEAR: Final = 0.05
+SMOOTHED_PX: Final = 1.0
+"""Sigma of the Gaussian that images are smoothed by before their grey values are compared."""
+GREY_BINS: Final = 16
+COLLAR_SHARE: Final = 0.03
+"""Darker values, as a share of the range, are taken for the collar of a rotated image, without meaning."""
 MAX_SHIFT: Final = 1 / 3
 """Of the sides of the image."""
 
@@ -191,3 +197,28 @@ def spread_sample(count: int, share: float, seed: int) -> list[int]:
 def share_of(flags: Sequence[bool]) -> float:
     """Return the percentage that holds; NaN of none."""
     return 100 * sum(flags) / len(flags) if flags else math.nan
+
+
+def mutual_information(reference: Image, target: Image, matrix: Array) -> float:
+    """Return how much the grey values of two images tell of each other where a pose puts the target, nats.
+
+    It uses nothing of what the tool matches, so it can tell whether a truth that disagrees is to be believed.
+
+    Parameters
+    ----------
+    reference, target : (rows, cols) array
+    matrix : (2, 3) array
+        Target px = matrix · reference px, corner-based (col, row).
+    """
+    rows, cols = reference.shape
+    row, col = np.mgrid[0:rows, 0:cols] + 0.5
+    x, y = np.tensordot(matrix, np.stack([col, row, np.ones_like(row)]), axes=1)
+    smooth = [ndimage.gaussian_filter(image.astype(float), SMOOTHED_PX) for image in (reference, target)]
+    seen = (x > 0) & (x < target.shape[1]) & (y > 0) & (y < target.shape[0])
+    values = ndimage.map_coordinates(smooth[1], [y[seen] - 0.5, x[seen] - 0.5], order=1, mode="nearest")
+    dark = values < np.ptp(values) * COLLAR_SHARE + values.min()
+    ranks = [rankdata(each[~dark]) / (~dark).sum() for each in (smooth[0][seen], values)]
+    joint = np.histogram2d(*ranks, bins=GREY_BINS)[0] / (~dark).sum()
+    alone = joint.sum(axis=1, keepdims=True) * joint.sum(axis=0, keepdims=True)
+    both = joint > 0
+    return float((joint[both] * np.log(joint[both] / alone[both])).sum())

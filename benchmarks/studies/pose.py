@@ -26,6 +26,7 @@ from benchmarks.poses import (
     inside,
     mapped,
     mean_distance_px,
+    mutual_information,
     nearest_rotation,
     read_similarity,
     share_of,
@@ -38,6 +39,7 @@ from benchmarks.studies.refusal import CRS, GRID
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from benchmarks.timing import cheapest
 from benchmarks.unrelated import PAIRINGS, REPOSITORY, Part, unrelated_parts
+from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.matching.pose import search_pose
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import map_px
@@ -95,14 +97,18 @@ class Trial:
     """Mean error of the correction on a grid; NaN where refused."""
     right_px: float = RIGHT_PX
     """Largest error of a pair that counts as registered."""
+    shared: tuple[float, float] | None = None
+    """Mutual information of the grey values where the correction puts the target, and by the truth."""
 
     @property
-    def verdict(self) -> Literal["registered", "inexact", "WRONG", "refused"]:
+    def verdict(self) -> Literal["registered", "truth off", "inexact", "WRONG", "refused"]:
         """What the pair counts as."""
         if math.isnan(self.error_px):
             return "refused"
         if self.error_px <= self.right_px:
             return "registered"
+        if self.shared is not None and self.shared[0] > self.shared[1]:
+            return "truth off"
         return "WRONG" if self.error_px > WRONG_PX else "inexact"
 
 
@@ -111,6 +117,7 @@ HEADER: Final = (
     "pairs",
     "registered %",
     "median error, px",
+    "truth off",
     "inexact",
     "WRONG",
     "refused",
@@ -125,13 +132,14 @@ def _counts(name: str, trials: Sequence[Trial]) -> list[Cell]:
         len(trials),
         f"{_registered(trials):.1f}",
         _median_px(trials),
-        *(verdicts.count(each) for each in ("inexact", "WRONG", "refused")),
+        *(verdicts.count(each) for each in ("truth off", "inexact", "WRONG", "refused")),
         f"{np.mean([trial.outcome.cpu_s for trial in trials]):.1f}",
     ]
 
 
 def _registered(trials: Sequence[Trial]) -> float:
-    return share_of([trial.verdict == "registered" for trial in trials])
+    """Return the percentage of pairs registered, without those whose truth is off."""
+    return share_of([trial.verdict == "registered" for trial in trials if trial.verdict != "truth off"])
 
 
 def _wrong(trials: Sequence[Trial]) -> int:
@@ -146,12 +154,20 @@ def _median_px(trials: Sequence[Trial]) -> float:
 def _misses(title: str, trials: Sequence[Trial]) -> Table:
     """List what was not registered, and why."""
     rows: list[list[Cell]] = [
-        [trial.name, trial.verdict, trial.error_px, _told(trial.outcome)]
+        [trial.name, trial.verdict, trial.error_px, _shared(trial), _told(trial.outcome)]
         for trial in trials
         if trial.verdict != "registered"
     ]
-    title = f"{title}: {len(trials) - len(rows)} of {len(trials)} registered"
-    return Table(title, ("not registered", "", "error, px", ""), rows)
+    title = f"{title}: {len(trials) - len(rows)} of {len(trials)} registered by the truths given"
+    return Table(title, ("not registered", "", "error, px", "", ""), rows)
+
+
+def _shared(trial: Trial) -> str:
+    """Return which of found and true pose makes grey values tell more of each other: some truths are off."""
+    if trial.shared is None:
+        return ""
+    found, true = trial.shared
+    return f"mutual information {found:.4f}, of the truth {true:.4f}"
 
 
 def _told(outcome: Outcome) -> str:
@@ -202,7 +218,7 @@ def _real_pairs(data: Path, _scratch: Path, runner: Runner, share: float) -> Ite
         chosen = [numbers[index] for index in spread_sample(len(numbers), share, SEED)]
         jobs = [_pair_job(folder, number) for number in chosen]
         of_kind[name] = [
-            Trial(f"{name} {number}", outcome, true_error_px(folder, number, outcome), kind.right_px)
+            _compared(folder, number, outcome, kind.right_px)
             for number, outcome in zip(chosen, runner(jobs), strict=True)
         ]
         yield _misses(name, of_kind[name])
@@ -222,15 +238,24 @@ def _pair_job(folder: Path, number: int) -> Job:
     return Job(folder / f"pair{number}_1.jpg", folder / f"pair{number}_2.jpg", SETTINGS, match_only=False)
 
 
-def true_error_px(folder: Path, number: int, outcome: Outcome) -> float:
-    """Return the mean error of a correction on a grid of the whole reference; NaN where refused."""
-    at_px = grid_px(read(folder / f"pair{number}_1.jpg").shape)
+def _compared(folder: Path, number: int, outcome: Outcome, right_px: float) -> Trial:
+    """Compare a correction with the truth on a grid of the whole reference."""
+    name = f"{folder.name} {number}"
+    images = [read(folder / f"pair{number}_{which}.jpg") for which in (1, 2)]
+    at_px = grid_px(images[0].shape)
     found = _corrected_px(outcome, at_px)
     if found is None:
-        return math.nan
+        return Trial(name, outcome, math.nan, right_px)
+    true = _true_px(folder, number, at_px, found)
+    shared = [mutual_information(*images, affine_between(at_px, places)) for places in (found, true)]
+    return Trial(name, outcome, mean_distance_px(found, true), right_px, (shared[0], shared[1]))
+
+
+def _true_px(folder: Path, number: int, at_px: Array, found: Array) -> Array:
+    """Return where reference px truly are in the target."""
     if folder.name == SAR:
-        return mean_distance_px(found, nearest_rotation(_resized(at_px), found, SAR_ABOUT_PX))
-    return mean_distance_px(found, mapped(read_similarity(folder / f"gt_{number}.txt"), at_px))
+        return nearest_rotation(_resized(at_px), found, SAR_ABOUT_PX)
+    return mapped(read_similarity(folder / f"gt_{number}.txt"), at_px)
 
 
 def _resized(at_px: Array) -> Array:

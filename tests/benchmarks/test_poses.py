@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from benchmarks.poses import (
     MAX_SHEAR,
@@ -16,6 +17,7 @@ from benchmarks.poses import (
     inside,
     mapped,
     mean_distance_px,
+    mutual_information,
     nearest_rotation,
     read_similarity,
     share_of,
@@ -162,3 +164,14 @@ def test_spread_sample_takes_at_least_one() -> None:
 def test_share_of_none_is_not_known() -> None:
     assert share_of([True, False, True, True]) == 75.0
     assert math.isnan(share_of([]))
+
+
+def test_the_right_pose_makes_images_tell_most_of_each_other() -> None:
+    image = ndimage.gaussian_filter(np.random.default_rng(3).normal(size=(120, 140)), 3.0)
+    inverted = np.exp(-image / image.std())  # another modality: dark where the first is bright
+    moved = np.roll(inverted, (-2, 4), axis=(0, 1))
+    at = {
+        off: mutual_information(image, moved, np.array([[1.0, 0.0, 4.0 + off], [0.0, 1.0, -2.0]]))
+        for off in (0, 1, 3)
+    }
+    assert at[0] > at[1] > at[3] > 0
