@@ -2,9 +2,10 @@
 
 `open_pair`, `match` and `fit` are the steps of a registration, and `FittedCorrection.warp` applies what they
 find; they take files, open datasets, arrays and xarray.DataArrays. `register` and `match_files` do a whole
-job, files in, folder out, and `batch` does many; `warp` applies what `register` has found to other bands;
-`qa` measures how well the bands of a stack lie on each other; `match_arrays` takes two arrays and gives their
-tie points. The heavy libraries load when a name is first used, so that ``pcwlad-geo --help`` answers at once.
+job, files in, folder out, and `batch` does many; `stack` brings many images of one ground into one frame;
+`warp` applies what `register` has found to other bands; `qa` measures how well the bands of a scene lie on
+each other; `match_arrays` takes two arrays and gives their tie points. The heavy libraries load when a name
+is first used, so that ``pcwlad-geo --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -47,6 +48,9 @@ if TYPE_CHECKING:
     from pcwlad_geo.registration.prealign import Pose, Prealignment
     from pcwlad_geo.registration.result import Matches, Pair, Registration
     from pcwlad_geo.requirements import RequirementResult
+    from pcwlad_geo.stacks.pairs import StackPair
+    from pcwlad_geo.stacks.result import Stack, StackImage
+    from pcwlad_geo.stacks.run import stack
     from pcwlad_geo.tiepoints.table import TiePointTable
 
 __version__ = "0.1.0"
@@ -86,6 +90,9 @@ __all__ = [
     "Runner",
     "Settings",
     "SettingsError",
+    "Stack",
+    "StackImage",
+    "StackPair",
     "TiePointTable",
     "TiePoints",
     "Trust",
@@ -101,6 +108,7 @@ __all__ = [
     "open_pair",
     "qa",
     "register",
+    "stack",
     "warp",
 ]
 
@@ -128,6 +136,9 @@ _NAMES = {
     "registration.prealign": ("Pose", "Prealignment"),
     "registration.result": ("Matches", "Pair", "Registration"),
     "requirements": ("RequirementResult",),
+    "stacks.pairs": ("StackPair",),
+    "stacks.result": ("Stack", "StackImage"),
+    "stacks.run": ("stack",),
     "tiepoints.table": ("TiePointTable",),
 }
 _HOMES = {name: f"pcwlad_geo.{module}" for module, names in _NAMES.items() for name in names}

@@ -33,12 +33,14 @@ BAND_NAME = re.compile(r"[A-Za-z]\w*$")
 
 _REGISTER: Final = ("register",)
 _PAIR: Final = ("register", "match")
-_MATCHING: Final = ("register", "match", "qa")
+_REPORTING: Final = ("register", "match", "qa")
+_MATCHING: Final = (*_REPORTING, "stack")
+_CORRECTING: Final = ("register", "stack")
 _WARPING: Final = ("register", "warp")
 _KEEPING: Final = ("register", "batch")
 _TABLES_TOO: Final = ("register", "match", "batch")
-_RUNNERS: Final = ("register", "match", "qa", "batch")
-_EVERYWHERE: Final = ("register", "match", "qa", "batch", "warp")
+_RUNNERS: Final = ("register", "match", "qa", "batch", "stack")
+_EVERYWHERE: Final = (*_RUNNERS, "warp")
 _NOWHERE: Final = ()
 # The commands that take an option; those of _NOWHERE are for Python, TOML files and tables alone.
 
@@ -162,7 +164,7 @@ class Settings:
     """Second pass with mutual structure taken where the neighbours agree, where the field is smooth."""
     prealign: Annotated[Prealign, Option("Rough alignment before matching.", _MATCHING)] = "auto"
     """Rough alignment: by georeferencing, a search for the pose, neither, or what the pair needs."""
-    model: Annotated[Model, Option("Correction model.", _REGISTER)] = "auto"
+    model: Annotated[Model, Option("Correction model.", _CORRECTING)] = "auto"
     """Correction model; `polynomial` is of order 2 or 3, as cross-validation says; `rpc`: the target's RPC
     counts, also beside a geotransform, and is corrected."""
     grid: Annotated[
@@ -196,15 +198,17 @@ class Settings:
     ] = None
     """CRS of the registered raster, as PROJ and GDAL understand it; None = the reference's."""
     of: Annotated[
-        str, Option("Format of the registered raster, a GDAL driver.", _REGISTER, metavar="DRIVER")
+        str, Option("Format of the registered raster, a GDAL driver.", _CORRECTING, metavar="DRIVER")
     ] = "COG"
     """Format of the registered raster: GDAL's short name of a driver."""
     co: Annotated[
         tuple[str, ...],
-        Option("Creation option of that format; may be given again.", _WARPING, metavar="KEY=VALUE"),
+        Option(
+            "Creation option of that format; may be given again.", (*_WARPING, "stack"), metavar="KEY=VALUE"
+        ),
     ] = ()
     """Creation options of that format, KEY=VALUE."""
-    resampling: Annotated[Resampling, Option("Resampling of the registered raster.", _REGISTER)] = "lanczos"
+    resampling: Annotated[Resampling, Option("Resampling of the registered raster.", _CORRECTING)] = "lanczos"
     """Resampling of the registered raster. Cubic convolution moves fine detail towards the nearest pixel,
     Lanczos does not; cubic replaces it where the output's pixels are coarser."""
     write_sigma: Annotated[
@@ -212,7 +216,7 @@ class Settings:
     ] = False
     """Write the predicted sigma of the correction as a raster too."""
     pdf: Annotated[
-        bool, Option("Write the report as PDF too; needs pip install 'pcwlad-geo[pdf]'.", _MATCHING)
+        bool, Option("Write the report as PDF too; needs pip install 'pcwlad-geo[pdf]'.", _REPORTING)
     ] = False
     """Write the report as PDF too."""
     require: Annotated[

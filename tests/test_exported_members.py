@@ -19,13 +19,13 @@ from pcwlad_geo import job as workflow
 from pcwlad_geo import options as settings
 
 FUNCTIONS = {
-    "batch", "fit", "match", "match_arrays", "match_files", "open_pair", "qa", "register", "warp",
+    "batch", "fit", "match", "match_arrays", "match_files", "open_pair", "qa", "register", "stack",
+    "warp",
 }  # fmt: skip
 RESULTS = {
     "Accuracy", "BatchResult", "Correction", "FittedCorrection", "Grid", "Matches", "Pair", "PairResult",
     "Pose", "Prealignment", "QaResult", "Quality", "RasterInfo", "Registration", "RequirementResult",
-    "TiePointTable", "TiePoints",
-    "Verdict",
+    "Stack", "StackImage", "StackPair", "TiePointTable", "TiePoints", "Verdict",
 }  # fmt: skip
 ARGUMENTS = {
     "DataArrayLike", "MatchSettings", "Options", "PairOptions", "Raster", "Runner", "Settings", "Trust",

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pcwlad_geo.batches.pairs import Pair, read_pairs
 from pcwlad_geo.errors import (
-    InputError,
     OutputError,
     PcwladGeoError,
     RegistrationRejectedError,
@@ -24,15 +22,12 @@ from pcwlad_geo.errors import (
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner, register
-from pcwlad_geo.options import RUNNING, Settings
+from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.places import HOST, disk_errors, make_folders, seal
 from pcwlad_geo.outputs.stages import of_dead_processes
 from pcwlad_geo.products.detect import products_found_once
 from pcwlad_geo.raster.gdal import explained
-from pcwlad_geo.raster.identity import FileIdentity, same
-from pcwlad_geo.raster.trust import trusting
-from pcwlad_geo.registration.inputs import Inputs, identify_inputs, resolve
-from pcwlad_geo.report.content import plain
+from pcwlad_geo.report.finished import read_report, report_of_same_job
 from pcwlad_geo.text import cell, joined
 from pcwlad_geo.types import PathLike
 
@@ -100,16 +95,6 @@ class PairOutcome:
             "seconds": round(sum(report["seconds"].values()), 1) if report else None,
             "reason": self.reason,
         }
-
-
-def read_report(out_dir: Path) -> dict[str, Any]:
-    """Return the report.json of a folder; an empty dict if there is none of this program."""
-    try:
-        report = json.loads((out_dir / "report.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    known = isinstance(report, dict) and "schema_version" in report and "settings" in report
-    return report if known else {}
 
 
 def check_summary(path: Path) -> None:
@@ -316,33 +301,10 @@ def _not_done(pair: Pair, error: Exception) -> PairOutcome:
 
 def _done_before(pair: Pair) -> PairOutcome | None:
     """Return the outcome of the pair in an earlier run, if that was the same job, else None."""
-    report = read_report(pair.out_dir)
+    report = report_of_same_job("register", (pair.reference, pair.target), pair.settings, pair.out_dir)
     status = report.get("status")
-    if status not in ("registered", "rejected"):
-        return None
-    try:
-        with trusting(pair.settings.trust):
-            inputs = resolve(pair.reference, pair.target, pair.settings, all_bands=True)
-            if not _same_inputs(inputs, report):
-                return None
-    except InputError:  # the job itself will raise it
-        return None
-    settings = {name: value for name, value in asdict(inputs.settings).items() if name not in RUNNING}
-    before = {name: value for name, value in report["settings"].items() if name not in RUNNING}
-    if before != plain(settings):
-        return None
     if status == "registered":
         return _registered(pair, report, before=True)
-    return PairOutcome(pair, status, report.get("reason"), done_before=True, report=report)
-
-
-def _same_inputs(inputs: Inputs, report: Mapping[str, Any]) -> bool:
-    """Whether a report is about these files, and none has changed since."""
-    names = [inputs.reference, inputs.target]
-    if [report[which]["path"] for which in ("reference", "target")] != names:
-        return False
-    try:
-        before = [FileIdentity.from_json(each) for each in report["inputs"]]
-    except (KeyError, TypeError):  # a report of an earlier version
-        return False
-    return same(before, [file.identity for file in identify_inputs(inputs)])
+    if status == "rejected":
+        return PairOutcome(pair, status, report.get("reason"), done_before=True, report=report)
+    return None

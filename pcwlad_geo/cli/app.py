@@ -13,6 +13,7 @@ from pcwlad_geo.cli.batch import batch
 from pcwlad_geo.cli.job import run_job
 from pcwlad_geo.cli.progress import show_error
 from pcwlad_geo.cli.qa import qa
+from pcwlad_geo.cli.stack import stack
 from pcwlad_geo.cli.warp import warp
 from pcwlad_geo.errors import InputError
 
@@ -69,6 +70,7 @@ def match(
 app.command()(warp)
 app.command()(qa)
 app.command()(batch)
+app.command()(stack)
 
 
 def _show_version(wanted: bool) -> None:

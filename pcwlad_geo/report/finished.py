@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from affine import Affine
 from rasterio.crs import CRS
@@ -16,16 +16,19 @@ from rasterio.errors import CRSError
 from pcwlad_geo.correction.models import Correction, from_json
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import check_geotransform, check_shape
+from pcwlad_geo.options import RUNNING, Settings
 from pcwlad_geo.raster.grid import Grid, is_invertible, linear_part
-from pcwlad_geo.raster.identity import FileIdentity
+from pcwlad_geo.raster.identity import FileIdentity, same
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.raster.rpc.dem import Dem, Vertical
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.view import ground_grid
-from pcwlad_geo.registration.inputs import grid_request, requested_grid
+from pcwlad_geo.raster.trust import trusting
+from pcwlad_geo.registration.inputs import Inputs, grid_request, identify_inputs, requested_grid, resolve
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.rpc import CorrectedRpc, RpcRegistration
+from pcwlad_geo.report.content import plain
 from pcwlad_geo.report.summary import SCHEMA_VERSION
 from pcwlad_geo.text import read_text
 
@@ -98,6 +101,47 @@ def finished(registration: Registration) -> FinishedRegistration:
         rpc=None if rpc is None else _corrected_rpc(rpc, registration),
         inputs=tuple(file.identity for file in registration.inputs),
     )
+
+
+def read_report(out_dir: Path) -> dict[str, Any]:
+    """Return the report.json of a folder; an empty dict if there is none of this program."""
+    try:
+        report = json.loads((out_dir / NUMBERS).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    known = isinstance(report, dict) and "schema_version" in report and "settings" in report
+    return report if known else {}
+
+
+def report_of_same_job(
+    command: Literal["register", "match"], inputs: tuple[str, str], settings: Settings, out_dir: Path
+) -> dict[str, Any]:
+    """Return the report.json of a folder if the same job wrote it, on files unchanged since; else nothing."""
+    report = read_report(out_dir)
+    if report.get("status") not in ("rejected", "registered" if command == "register" else "matched"):
+        return {}
+    try:
+        with trusting(settings.trust):
+            found = resolve(*inputs, settings, all_bands=command == "register")
+            if not _same_inputs(found, report):
+                return {}
+    except InputError:  # the job itself will raise it
+        return {}
+    before = {name: value for name, value in report["settings"].items() if name not in RUNNING}
+    wanted = {name: value for name, value in asdict(found.settings).items() if name not in RUNNING}
+    return report if before == plain(wanted) else {}
+
+
+def _same_inputs(inputs: Inputs, report: Mapping[str, Any]) -> bool:
+    """Whether a report is about these files, and none has changed since."""
+    names = [inputs.reference, inputs.target]
+    if [report[which]["path"] for which in ("reference", "target")] != names:
+        return False
+    try:
+        before = [FileIdentity.from_json(each) for each in report["inputs"]]
+    except (KeyError, TypeError):  # a report of an earlier version
+        return False
+    return same(before, [file.identity for file in identify_inputs(inputs)])
 
 
 def _corrected_rpc(rpc: RpcRegistration, registration: Registration) -> CorrectedRpc:

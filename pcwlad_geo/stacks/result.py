@@ -1,0 +1,220 @@
+"""The result of a stack, and its files of numbers."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from pcwlad_geo.correction.models import (
+    AffineCorrection,
+    Correction,
+    PolynomialBasis,
+    PolynomialCorrection,
+    affine_between,
+)
+from pcwlad_geo.options import Settings
+from pcwlad_geo.outputs.folder import place_file, stage_inside
+from pcwlad_geo.raster.geodesy import pixel_sizes_m
+from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.stacks.adjustment import Adjustment
+from pcwlad_geo.stacks.pairs import Frame, Measured, StackPair
+from pcwlad_geo.text import cell
+from pcwlad_geo.types import Float64
+
+SCHEMA_VERSION: Final = 1
+"""Of stack.json."""
+NUMBERS: Final = "stack.json"
+"""File name of all results."""
+TABLE: Final = "stack.csv"
+"""File name of the table of images."""
+NODES: Final = 15
+"""Places along each axis of an image at which its correction is fitted and its sigma averaged."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StackImage:
+    """An image, and where the adjustment says that it lies."""
+
+    name: str
+    path: str
+    shift_px: tuple[float, float]
+    """Mean displacement (col, row) over the image, target px."""
+    sigma_px: tuple[float, float]
+    """Root mean square, over the image, of the standard deviation of its position (col, row), target px."""
+    sigma_m: tuple[float, float] | None
+    """The same in metres; None without a CRS."""
+    pairs: int
+    """Number of its pairs in use."""
+    correction: Correction
+    registered: Path
+    """The corrected raster, on the grid of the frame."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stack:
+    """Images of one ground that were adjusted together."""
+
+    images: tuple[StackImage, ...]
+    pairs: tuple[StackPair, ...]
+    shared_sigma_px: float
+    """Standard deviation of the error that all points of a pair share, along an axis, px of the frame."""
+    datum: str
+    """Name of the image that stays, or `mean`."""
+    out_dir: Path
+    warnings: tuple[str, ...]
+    adjustment: Adjustment
+    unreadable: Mapping[str, str]
+    """Reason by path of the images that could not be read."""
+
+    @property
+    def left_out(self) -> tuple[StackPair, ...]:
+        """Pairs that contradict the others."""
+        return tuple(pair for pair in self.pairs if pair.status == "left out")
+
+
+def stack_of(
+    frame: Frame,
+    measured: Sequence[Measured],
+    adjustment: Adjustment,
+    order: int,
+    folder: Path,
+    settings: Settings,
+    warnings: list[str],
+    unreadable: Mapping[str, str],
+) -> Stack:
+    """Return what the adjustment says of each pair and each image."""
+    fits = iter(adjustment.edges)
+    pairs = []
+    for edge, pair in measured:
+        if edge is not None:
+            fit = next(fits)
+            reason = None
+            if not fit.used:
+                reason = f"its points lie {np.hypot(*fit.offset):.2f} px off what the other pairs tell"
+                warnings.append(f"{pair.reference} – {pair.target}: left out: {reason}")
+            pair = replace(
+                pair,
+                status="used" if fit.used else "left out",
+                reason=reason,
+                points=len(edge),
+                offset_px=fit.offset,
+                sigma_px=fit.sigma,
+                redundancy=fit.redundancy,
+                scatter_px=fit.scatter,
+            )
+        pairs.append(pair)
+    used = [pair for pair in pairs if pair.status == "used"]
+    extension = OutputFormat.of(settings.of, settings.co).extension
+    images = tuple(
+        _image(
+            frame, number, adjustment, order, folder / f"{frame.names[number]}_registered.{extension}", used
+        )
+        for number in range(len(frame.names))
+    )
+    datum = "mean" if adjustment.datum is None else frame.names[adjustment.datum]
+    return Stack(
+        images, tuple(pairs), adjustment.shared_sigma, datum, folder, tuple(warnings), adjustment, unreadable
+    )
+
+
+def _image(
+    frame: Frame, number: int, adjustment: Adjustment, order: int, registered: Path, used: Sequence[StackPair]
+) -> StackImage:
+    info, name = frame.infos[number], frame.names[number]
+    at_px = info.grid.lattice_px(NODES)
+    ground = frame.from_image(number, at_px)
+    observed_px = frame.to_image(number, ground + adjustment.displacement(number, ground))
+    scale = np.linalg.inv(frame.scale(number, at_px))
+    covariance = scale @ adjustment.covariance(number, ground) @ scale.transpose(0, 2, 1)
+    sigma_px = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0).clip(0.0))
+    sizes_m = pixel_sizes_m(info.grid, info.grid.middle_px)
+    return StackImage(
+        name=name,
+        path=info.uri,
+        shift_px=_pair(np.mean(observed_px - at_px, axis=0)),
+        sigma_px=_pair(sigma_px),
+        sigma_m=None if sizes_m is None else _pair(sigma_px * sizes_m[0]),
+        pairs=sum(name in (pair.reference, pair.target) for pair in used),
+        correction=_correction(at_px, observed_px, order),
+        registered=registered,
+    )
+
+
+def _pair(values: Float64) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def _correction(at_px: Float64, observed_px: Float64, order: int) -> Correction:
+    """Return the model in px of the file that maps places of a lattice as the adjustment does."""
+    if order == 0:
+        shift = np.mean(observed_px - at_px, axis=0)
+        return AffineCorrection("shift", np.column_stack([np.eye(2), shift]))
+    if order == 1:
+        return AffineCorrection("affine", affine_between(at_px, observed_px))
+    low, high = at_px.min(axis=0), at_px.max(axis=0)
+    radius = float((high - low).max()) / 2
+    basis = PolynomialBasis(order, _pair((low + high) / 2), radius, _pair(low), _pair(high))
+    coefficients = np.asarray(
+        np.linalg.lstsq(basis.values(at_px), observed_px - at_px, rcond=None)[0], np.float64
+    )
+    return PolynomialCorrection(basis, coefficients)
+
+
+def write_numbers(found: Stack, settings: Settings) -> None:
+    """Write the numbers and the table; each appears complete or not at all."""
+    with stage_inside(found.out_dir) as stage:
+        texts = {NUMBERS: json.dumps(_numbers(found, settings), indent=1) + "\n", TABLE: _table(found)}
+        for name, text in texts.items():
+            staged = stage / name
+            staged.write_text(text, encoding="utf-8", newline="")
+            place_file(staged, found.out_dir / name, overwrite=True)
+
+
+def _numbers(found: Stack, settings: Settings) -> dict[str, object]:
+    images = [
+        {
+            "name": image.name,
+            "path": image.path,
+            "shift_px": image.shift_px,
+            "sigma_px": image.sigma_px,
+            "sigma_m": image.sigma_m,
+            "pairs": image.pairs,
+            "model": image.correction.to_dict(),
+            "registered": image.registered.name,
+        }
+        for image in found.images
+    ]
+    pairs = [
+        {name: value for name, value in asdict(pair).items() if name != "folder"}
+        | {"folder": pair.folder.relative_to(found.out_dir).as_posix()}
+        for pair in found.pairs
+    ]
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "datum": found.datum,
+        "model": settings.model,
+        "shared_sigma_px": found.shared_sigma_px,
+        "images": images,
+        "pairs": pairs,
+        "unreadable": dict(found.unreadable),
+        "warnings": list(found.warnings),
+    }
+
+
+def _table(found: Stack) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    header = ("name", "path", "shift_col_px", "shift_row_px", "sigma_col_px", "sigma_row_px")
+    writer.writerow([*header, "sigma_x_m", "sigma_y_m", "pairs", "registered"])
+    for image in found.images:
+        metres = image.sigma_m or (None, None)
+        row = [image.name, image.path, *image.shift_px, *image.sigma_px, *metres, image.pairs]
+        writer.writerow([cell(value) for value in (*row, image.registered.name)])
+    return text.getvalue()

@@ -1,0 +1,161 @@
+"""The joint adjustment of images: exact truth, wrong pairs, datum, sigma."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.stacks.adjustment import Adjustment, Edge, adjust
+
+Array = NDArray[np.float64]
+
+SIDE = 1000.0
+GRID = np.stack(np.meshgrid(*[np.linspace(50.0, 950.0, 6)] * 2), axis=-1).reshape(-1, 2)
+RING = (1, 2, 5)
+"""Each image is paired with those that follow it by so many places."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Images with known displacements."""
+
+    terms: Array
+    """(images, 3, 2) shift, and slopes along x and y over half a side."""
+
+    def displacement(self, image: int, xy: Array) -> Array:
+        u = (xy - SIDE / 2) / (SIDE / 2)
+        return np.asarray(np.column_stack([np.ones(len(xy)), u]) @ self.terms[image])
+
+    def edge(
+        self,
+        rng: np.random.Generator,
+        one: int,
+        other: int,
+        *,
+        shared: float,
+        sigma: float,
+        off: Array | float = 0.0,
+    ) -> Edge:
+        ground = rng.uniform(0.0, SIDE, (200, 2))
+        error = rng.normal(0.0, shared, 2) + rng.normal(0.0, sigma or 1e-9, ground.shape) + off
+        covariance = np.tile(np.eye(2) * max(sigma, 0.01) ** 2, (len(ground), 1, 1))
+        first = ground + self.displacement(one, ground)
+        return Edge(one, other, first, ground + self.displacement(other, ground) + error, covariance)
+
+
+def make(rng: np.random.Generator, images: int, *, slopes: float = 0.5) -> Truth:
+    terms = rng.normal(0.0, slopes, (images, 3, 2))
+    terms[:, 0] = rng.uniform(-5.0, 5.0, (images, 2))
+    return Truth(terms)
+
+
+def ring(images: int) -> list[tuple[int, int]]:
+    found = {tuple(sorted((one, (one + step) % images))) for one in range(images) for step in RING}
+    return sorted((pair[0], pair[1]) for pair in found)
+
+
+def errors(found: Adjustment, truth: Truth, datum: int | None) -> Array:
+    """Return the (images, places, 2) errors of the displacements, up to the datum."""
+    images = len(truth.terms)
+    off = np.stack([found.displacement(k, GRID) - truth.displacement(k, GRID) for k in range(images)])
+    return off - (off.mean(axis=0) if datum is None else off[datum])
+
+
+@pytest.mark.parametrize("datum", [0, 3, None])
+def test_exact_points_give_exact_displacements(datum: int | None) -> None:
+    rng = np.random.default_rng(0)
+    truth = make(rng, 6)
+    edges = [truth.edge(rng, *pair, shared=0.0, sigma=0.0) for pair in ring(6)]
+    found = adjust(edges, 6, datum=datum)
+    # the linear part of the datum bends the frame by the product of two slopes: 1e-3 of 5 px
+    assert np.abs(errors(found, truth, datum)).max() < 0.01
+    assert all(fit.used for fit in found.edges)
+    if datum is not None:
+        assert np.abs(found.displacement(datum, GRID)).max() == 0.0
+
+
+def test_shifts_alone_are_exact() -> None:
+    rng = np.random.default_rng(1)
+    truth = make(rng, 5, slopes=0.0)
+    found = adjust([truth.edge(rng, *pair, shared=0.0, sigma=0.0) for pair in ring(5)], 5, order=0)
+    assert np.abs(errors(found, truth, 0)).max() < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_wrong_pairs_are_found_and_no_good_one_is_lost(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth, pairs = make(rng, 24), ring(24)
+    wrong = set(rng.choice(len(pairs), 6, replace=False).tolist())
+    turn = rng.uniform(0.0, 2 * np.pi, len(pairs))
+    size = rng.uniform(1.0, 8.0, len(pairs))
+    off = np.column_stack([size * np.cos(turn), size * np.sin(turn)])
+    edges = [
+        truth.edge(rng, *pair, shared=0.02, sigma=0.08, off=off[k] if k in wrong else 0.0)
+        for k, pair in enumerate(pairs)
+    ]
+    found = adjust(edges, 24, datum=None)
+    assert {k for k, fit in enumerate(found.edges) if not fit.used} == wrong
+    worst_px = np.sqrt((errors(found, truth, None) ** 2).sum(axis=-1).mean(axis=1)).max()
+    assert worst_px < 0.035
+    assert found.shared_sigma == pytest.approx(0.02, rel=0.3)
+
+
+def test_an_image_whose_wrong_pairs_are_fewer_than_its_right_ones_is_placed_by_those() -> None:
+    rng = np.random.default_rng(5)
+    truth, pairs = make(rng, 12), ring(12)
+    of_one = [k for k, pair in enumerate(pairs) if 1 in pair]
+    off = {of_one[0]: np.array([2.0, 3.0]), of_one[1]: np.array([-4.0, 1.0])}
+    edges = [
+        truth.edge(rng, *pair, shared=0.02, sigma=0.08, off=off.get(k, 0.0)) for k, pair in enumerate(pairs)
+    ]
+    found = adjust(edges, 12)
+    assert {k for k, fit in enumerate(found.edges) if not fit.used} == set(off)
+
+
+def test_sigma_covers_the_errors() -> None:
+    within = []
+    for seed in range(20):
+        rng = np.random.default_rng(100 + seed)
+        truth = make(rng, 8)
+        edges = [truth.edge(rng, *pair, shared=0.03, sigma=0.08) for pair in ring(8)]
+        found = adjust(edges, 8)
+        off = errors(found, truth, 0)
+        for image in range(1, 8):
+            sigma = np.sqrt(np.diagonal(found.covariance(image, GRID), axis1=1, axis2=2))
+            within.append(np.abs(off[image]) / sigma)
+    ratio = np.array(within)
+    assert 0.60 < (ratio < 1).mean() < 0.80
+    assert 0.91 < (ratio < 1.96).mean() < 0.99
+
+
+def test_the_relative_sigma_of_neighbours_is_smaller_than_that_of_far_images() -> None:
+    rng = np.random.default_rng(7)
+    truth = make(rng, 12)
+    edges = [
+        truth.edge(rng, k, k + step, shared=0.03, sigma=0.08) for step in (1, 2) for k in range(12 - step)
+    ]
+    found = adjust(edges, 12)
+    near, far = (np.trace(found.covariance(1, GRID, other)[0]) for other in (2, 11))
+    assert near < far / 2
+    np.testing.assert_allclose(found.covariance(4, GRID, 0), found.covariance(4, GRID))
+
+
+def test_a_pair_that_nothing_checks_is_told() -> None:
+    rng = np.random.default_rng(8)
+    truth = make(rng, 4)
+    edges = [truth.edge(rng, *pair, shared=0.02, sigma=0.05) for pair in ((0, 1), (1, 2), (0, 2), (2, 3))]
+    found = adjust(edges, 4, order=0)
+    assert found.edges[3].redundancy < 0.01
+    assert min(fit.redundancy for fit in found.edges[:3]) > 0.2
+
+
+def test_images_without_a_connection_are_named() -> None:
+    rng = np.random.default_rng(9)
+    truth = make(rng, 4)
+    edges = [truth.edge(rng, *pair, shared=0.0, sigma=0.1) for pair in ((0, 1), (2, 3))]
+    with pytest.raises(InputError, match=r"2 groups .* images \[2, 3\]"):
+        adjust(edges, 4)

@@ -1,0 +1,170 @@
+"""The stack job: files in, corrected images and numbers out; what cannot be done is told."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from pcwlad_geo.cli.app import run as run_command
+from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
+from pcwlad_geo.events import Event, Progress, Warned
+from pcwlad_geo.raster.grid import map_px
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.stacks.pairs import ALL_PAIRS, Frame, choose_pairs
+from pcwlad_geo.stacks.run import stack
+from tests.scenes import make_grid, render, write
+
+GRID = make_grid((200, 220))
+SHIFTS_PX = np.array([[0.0, 0.0], [1.7, -2.4], [-0.6, 1.3], [2.2, 0.8]])
+
+
+def write_images(folder: Path, count: int = 3) -> list[Path]:
+    return [
+        write(folder / f"date{k}.tif", render(GRID, displacement_px=SHIFTS_PX[k], noise=2.0), GRID)
+        for k in range(count)
+    ]
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.iterdir())
+        if path.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with three images and their stack, in `out put`."""
+    folder = tmp_path_factory.mktemp("a stack")
+    stack(write_images(folder), out_dir=folder / "out put", jobs=1)
+    return folder
+
+
+def test_every_image_lies_where_it_should(done: Path) -> None:
+    numbers = json.loads((done / "out put/stack.json").read_text())
+    found = np.array([image["shift_px"] for image in numbers["images"]])
+    np.testing.assert_allclose(found, SHIFTS_PX[:3], atol=0.06)
+    assert [pair["status"] for pair in numbers["pairs"]] == ["used"] * 3
+    assert numbers["images"][0]["sigma_px"] == [0.0, 0.0]
+    assert all(0 < sigma < 0.05 for image in numbers["images"][1:] for sigma in image["sigma_px"])
+
+
+def test_the_corrected_images_show_the_same_ground_on_one_grid(done: Path) -> None:
+    inner = np.s_[20:-20, 20:-20]
+    with rasterio.open(done / "date0.tif") as file:
+        reference = file.read(1).astype(float)[inner]
+    for name in ("date1", "date2"):
+        with rasterio.open(done / f"out put/{name}_registered.tif") as file:
+            assert file.transform == GRID.transform
+            assert file.crs == GRID.crs
+            assert file.shape == GRID.shape
+            values = file.read(1).astype(float)[inner]
+        assert np.corrcoef(values.ravel(), reference.ravel())[0, 1] > 0.99, name
+
+
+def test_the_table_has_a_line_an_image(done: Path) -> None:
+    with (done / "out put/stack.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == ["date0", "date1", "date2"]
+    assert float(rows[1]["shift_col_px"]) == pytest.approx(1.7, abs=0.06)
+    assert float(rows[1]["sigma_x_m"]) == pytest.approx(30 * float(rows[1]["sigma_col_px"]), rel=0.02)
+
+
+def test_a_second_run_matches_nothing_and_gives_the_same_bytes(
+    done: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError("matched again")
+
+    before = content(done / "out put")
+    monkeypatch.setattr("pcwlad_geo.stacks.pairs.match_files", fail)
+    stack([done / f"date{k}.tif" for k in range(3)], out_dir=done / "out put", jobs=1)
+    assert content(done / "out put") == before
+
+
+def test_an_image_that_cannot_be_read_is_named_and_the_rest_goes_on(done: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.tif"
+    broken.write_bytes(b"II*\0" + bytes(40))
+    events: list[Event] = []
+    images = [*(done / f"date{k}.tif" for k in range(3)), broken]
+    found = stack(images, out_dir=done / "out put", jobs=1, on_event=events.append)
+    assert list(found.unreadable) == [str(broken)]
+    assert any(isinstance(event, Warned) and "broken is left out" in event.message for event in events)
+    assert any(isinstance(event, Progress) and event.stage == "pairs" for event in events)
+    assert run_command(["stack", *map(str, images), "-o", str(done / "out put"), "--jobs", "1"]) == 2
+
+
+def test_the_command_prints_the_images(done: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = done / "images.csv"
+    table.write_text("image\ndate0.tif\ndate1.tif\ndate2.tif\n")
+    arguments = ["stack", str(table), "-o", str(done / "out put"), "--jobs", "1", "--progress", "none"]
+    assert run_command(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "date1" in printed
+    assert "3 used" in printed
+
+
+def test_what_cannot_be_stacked_is_told(tmp_path: Path) -> None:
+    one = write(tmp_path / "one.tif", render(GRID), GRID)
+    with pytest.raises(InputError, match="a stack needs two"):
+        stack([one])
+    (tmp_path / "b").mkdir()
+    with pytest.raises(InputError, match="two images are called one"):
+        stack([one, write(tmp_path / "b/one.tif", render(GRID), GRID)])
+    plain = write(tmp_path / "plain.tif", render(GRID), None)
+    with pytest.raises(InputError, match="plain without georeferencing"):
+        stack([one, plain])
+    with pytest.raises(SettingsError, match="models auto, shift, affine, polynomial"):
+        stack([one, plain], model="tps")
+    with pytest.raises(SettingsError, match="dem is about one of two rasters"):
+        stack([one, plain], dem="dem.tif")
+    with pytest.raises(InputError, match="the reference two is none of the images"):
+        stack([one, write(tmp_path / "other.tif", render(GRID), GRID)], reference="two")
+    (tmp_path / "table.csv").write_text("name\none.tif\n")
+    with pytest.raises(InputError, match="needs a column 'image'"):
+        stack([tmp_path / "table.csv"])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="holds no raster"):
+        stack([tmp_path / "empty"])
+
+
+def test_images_without_common_ground_are_refused(tmp_path: Path) -> None:
+    far = make_grid((200, 220), offset_m=(60_000.0, 0.0))
+    images = [
+        write(tmp_path / "here.tif", render(GRID), GRID),
+        write(tmp_path / "there.tif", render(far), far),
+    ]
+    with pytest.raises(RegistrationRejectedError, match=r"2 groups of images .* here; there"):
+        stack(images, out_dir=tmp_path / "out", jobs=1)
+    assert run_command(["stack", *map(str, images), "-o", str(tmp_path / "out")]) == 3
+
+
+@pytest.mark.parametrize("count", [3, ALL_PAIRS, 24, 60])
+def test_pairs_connect_every_image_several_times(tmp_path: Path, count: int) -> None:
+    info = describe(write(tmp_path / "image.tif", render(GRID), GRID))
+    frame = Frame([f"image{k}" for k in range(count)], [info] * count, GRID, True)
+    pairs = choose_pairs(frame, None)
+    assert len(set(pairs)) == len(pairs)
+    degree = np.bincount(np.ravel(pairs), minlength=count)
+    assert degree.min() >= min(count - 1, 3)
+    assert len(pairs) <= (count * (count - 1) // 2 if count <= ALL_PAIRS else 4 * count)
+    assert len(choose_pairs(frame, 2)) == 2
+
+
+def test_the_frame_maps_pixels_by_georeferencing(tmp_path: Path) -> None:
+    moved = make_grid((200, 220), offset_m=(90.0, 60.0))
+    infos = [
+        describe(write(tmp_path / f"{name}.tif", render(grid), grid))
+        for name, grid in (("a", GRID), ("b", moved))
+    ]
+    frame = Frame(["a", "b"], infos, GRID, True)
+    at_px = np.array([[10.0, 20.0]])
+    np.testing.assert_allclose(frame.from_image(1, at_px), map_px(at_px, moved, GRID))
+    np.testing.assert_allclose(frame.from_image(1, at_px), [[13.0, 22.0]])
+    np.testing.assert_allclose(frame.to_image(1, frame.from_image(1, at_px)), at_px)
