@@ -109,11 +109,15 @@ def _abandon(params: Mapping[str, Any]) -> None:
 
 
 def _ending(found: Stack) -> Ending:
-    from pcwlad_geo.stacks.result import NUMBERS, TABLE  # slow to load, unless there is a result
+    from pcwlad_geo.stacks.result import NUMBERS, PAGE, TABLE  # slow to load, unless there is a result
 
     counts = {status: sum(pair.status == status for pair in found.pairs) for status in _STATUSES}
     status = InputError.exit_status if found.unreadable else 0
-    paths = {"numbers": found.out_dir / NUMBERS, "table": found.out_dir / TABLE}
+    paths = {
+        "numbers": found.out_dir / NUMBERS,
+        "table": found.out_dir / TABLE,
+        "report": found.out_dir / PAGE,
+    }
     figures: dict[str, object] = {
         "images": len(found.images),
         "pairs": counts,
@@ -125,7 +129,7 @@ def _ending(found: Stack) -> Ending:
     lines = columns([HEADER, *(_row(image) for image in found.images)], (0,))
     lines += ["", "pairs: " + ", ".join(f"{count} {each}" for each, count in counts.items() if count)]
     lines += [f"left out: {pair.reference} - {pair.target}: {pair.reason}" for pair in found.left_out]
-    lines.append(f"corrected images, {NUMBERS} and {TABLE}: {found.out_dir}")
+    lines.append(f"report: {found.out_dir / PAGE}")
     return Ending(figures, visible("\n".join(lines)) + "\n", status)
 
 

@@ -6,16 +6,16 @@ import io
 from contextlib import redirect_stdout
 from types import ModuleType
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.raster.gdal import ignoring
 
 
 def templates_of(package: str) -> Environment:
-    """Return the templates of a subpackage; undefined names in them raise errors."""
+    """Return the templates of a subpackage and what pages share; undefined names in them raise errors."""
     return Environment(
-        loader=PackageLoader(package),
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader("pcwlad_geo.report")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -34,6 +34,8 @@ NUMBERS: Final = "stack.json"
 """File name of all results."""
 TABLE: Final = "stack.csv"
 """File name of the table of images."""
+PAGE: Final = "stack.html"
+"""File name of the page."""
 NODES: Final = 15
 """Places along each axis of an image at which its correction is fitted and its sigma averaged."""
 
@@ -167,10 +169,14 @@ def _correction(at_px: Float64, observed_px: Float64, order: int) -> Correction:
     return PolynomialCorrection(basis, coefficients)
 
 
-def write_numbers(found: Stack, settings: Settings) -> None:
-    """Write the numbers and the table; each appears complete or not at all."""
+def write_numbers(found: Stack, settings: Settings, page: str) -> None:
+    """Write the numbers, the table and the page; each appears complete or not at all."""
     with stage_inside(found.out_dir) as stage:
-        texts = {NUMBERS: json.dumps(_numbers(found, settings), indent=1) + "\n", TABLE: _table(found)}
+        texts = {
+            NUMBERS: json.dumps(_numbers(found, settings), indent=1) + "\n",
+            TABLE: _table(found),
+            PAGE: page,
+        }
         for name, text in texts.items():
             staged = stage / name
             staged.write_text(text, encoding="utf-8", newline="")

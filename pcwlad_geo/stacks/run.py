@@ -27,6 +27,7 @@ from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.registration.inputs import band_file, requested_grid
 from pcwlad_geo.report.finished import FinishedRegistration
 from pcwlad_geo.stacks.adjustment import adjust
+from pcwlad_geo.stacks.page import page
 from pcwlad_geo.stacks.pairs import Frame, check_connected, choose_pairs, measure
 from pcwlad_geo.stacks.result import Stack, stack_of, write_numbers
 from pcwlad_geo.text import check_regular
@@ -124,7 +125,7 @@ def stack(
         fixed = None if datum == "mean" else frame.names.index(reference or frame.names[0])
         adjustment = adjust(edges, len(frame.infos), order=order, datum=fixed)
         found = stack_of(frame, measured, adjustment, order, folder, settings, warnings, unreadable)
-        write_numbers(found, settings)
+        write_numbers(found, settings, page(found))
         _warp(found, frame, settings, on_event)
     return found
 

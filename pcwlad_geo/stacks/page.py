@@ -1,0 +1,129 @@
+"""The page of a stack: its images, the net of pairs, and the pairs that do not fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+from pcwlad_geo.report.rendering import templates_of
+from pcwlad_geo.stacks.pairs import StackPair
+from pcwlad_geo.stacks.result import Stack
+
+SIDE_PX: Final = 460.0
+"""Side of the drawing of the net, CSS px."""
+MARGIN_PX: Final = 60.0
+"""Margin around the ring of images for their names, CSS px."""
+BESIDE_PX: Final = 100.0
+"""Width on either side for longer names, CSS px."""
+NAME_LENGTH: Final = 24
+"""Largest number of characters of a name in the drawing."""
+CLASSES_PX: Final = (0.02, 0.05, 0.1, 0.3)
+"""Class limits of the offset of a pair for its colour, constant so that pages can be compared."""
+MAX_NAMED: Final = 40
+"""Largest number of images whose names stand in the drawing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """An image on the ring, CSS px."""
+
+    name: str
+    short: str
+    """The name, shortened to `NAME_LENGTH`."""
+    x: float
+    y: float
+    label_x: float
+    label_y: float
+    anchor: str
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A pair as a line between two images, CSS px."""
+
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+    kind: str
+    """Class of its style."""
+    title: str
+
+
+def page(found: Stack) -> str:
+    """Return the page, which holds everything that it shows."""
+    nodes = _ring([image.name for image in found.images])
+    at = {node.name: node for node in nodes}
+    order = {"left out": 0, "refused": 1, "used": 2}
+    pairs = sorted(found.pairs, key=lambda pair: (order[pair.status], -_offset_px(pair)))
+    used = [_offset_px(pair) for pair in found.pairs if pair.status == "used"]
+    sigma = [max(image.sigma_px) for image in found.images]
+    template = templates_of("pcwlad_geo.stacks").get_template("stack.html.j2")
+    return template.render(
+        images=found.images,
+        pairs=[(pair, _offset_px(pair)) for pair in pairs],
+        nodes=nodes,
+        links=[_link(pair, at) for pair in reversed(pairs)],
+        side=SIDE_PX,
+        beside=BESIDE_PX,
+        named=len(nodes) <= MAX_NAMED,
+        classes=_class_names(),
+        counts={status: sum(pair.status == status for pair in found.pairs) for status in order},
+        typical_px=_root_mean_square(used),
+        worst_sigma_px=max(sigma),
+        datum=found.datum,
+        shared_px=found.shared_sigma_px,
+        unreadable=found.unreadable,
+        unchecked=[
+            pair for pair in found.pairs if pair.redundancy is not None and pair.redundancy < UNCHECKED
+        ],
+    )
+
+
+UNCHECKED: Final = 0.01
+"""A pair of less redundancy is checked by no other."""
+
+
+def _ring(names: Sequence[str]) -> list[Node]:
+    middle, radius = SIDE_PX / 2, SIDE_PX / 2 - MARGIN_PX
+    nodes = []
+    for number, name in enumerate(names):
+        angle = 2 * math.pi * number / len(names) - math.pi / 2
+        across, down = math.cos(angle), math.sin(angle)
+        anchor = "middle" if abs(across) < 0.2 else "start" if across > 0 else "end"
+        place = [
+            round(middle + distance * side, 1)
+            for distance in (radius, radius + 12)
+            for side in (across, down)
+        ]
+        short = name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 1]}…"
+        nodes.append(Node(name, short, place[0], place[1], place[2], place[3] + 4, anchor))
+    return nodes
+
+
+def _link(pair: StackPair, at: dict[str, Node]) -> Link:
+    one, other = at[pair.reference], at[pair.target]
+    title = f"{pair.reference} – {pair.target}: {pair.status}"
+    if pair.offset_px is not None:
+        title += f", {_offset_px(pair):.3f} px off, {pair.points} points"
+    kind = (
+        f"c{sum(_offset_px(pair) > limit for limit in CLASSES_PX)}" if pair.status == "used" else pair.status
+    )
+    return Link(one.x, one.y, other.x, other.y, kind.replace(" ", "-"), title)
+
+
+def _class_names() -> list[str]:
+    limits = [f"{limit:g}" for limit in CLASSES_PX]
+    between = [f"{low} to {high} px" for low, high in pairwise(limits)]
+    return [f"up to {limits[0]} px", *between, f"over {limits[-1]} px"]
+
+
+def _offset_px(pair: StackPair) -> float:
+    return 0.0 if pair.offset_px is None else math.hypot(*pair.offset_px)
+
+
+def _root_mean_square(values: Sequence[float]) -> float:
+    return math.sqrt(sum(value**2 for value in values) / len(values)) if values else 0.0
