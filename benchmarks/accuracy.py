@@ -33,6 +33,7 @@ from benchmarks.studies.refusal import refusal
 from benchmarks.studies.robustness import robustness
 from benchmarks.studies.rpc import rpc
 from benchmarks.studies.sigma import sigma
+from benchmarks.studies.stack import stack
 from benchmarks.studies.tiles import tiles
 from benchmarks.studies.windows import windows
 from benchmarks.tables import Check, Table, as_text
@@ -56,6 +57,7 @@ STUDIES: dict[str, Study] = {
     "tiles": tiles,
     "models": models,
     "pose": pose,
+    "stack": stack,
 }
 
 
