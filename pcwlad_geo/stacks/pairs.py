@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import combinations
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -27,11 +26,9 @@ from pcwlad_geo.types import Float64
 PAIRS: Final = "pairs"
 """Folder of the pairs that were measured."""
 ALL_PAIRS: Final = 8
-"""Up to so many images every pair is measured."""
-NEXT: Final = (1, 2, 3)
-"""Of more images, each is paired with those that follow it by so many places."""
-FAR: Final = 3
-"""Of more images, each is also paired with one this part of all away, which stiffens a series."""
+"""Of the first so many images every pair is measured."""
+NEXT: Final = 3
+"""Each further one is paired with so many before it."""
 MIN_OVERLAP: Final = 0.1
 """Least common ground of a pair, as a share of the smaller image."""
 MIN_POINTS: Final = 12
@@ -87,26 +84,32 @@ class Frame:
 
 
 def choose_pairs(frame: Frame, most: int | None) -> list[tuple[int, int]]:
-    """Return the pairs worth measuring, the most useful first: all of a few images, else a redundant net."""
+    """Return the pairs worth measuring, at most so many.
+
+    All of the first images; each further one with those before it, and in steps of powers of two farther
+    back, which stiffen a long series. An image added at the end leaves the pairs of the others as they are.
+    """
     outlines = [
         shapely.Polygon(frame.from_image(number, info.grid.boundary_px()))
         for number, info in enumerate(frame.infos)
     ]
     count = len(outlines)
-    steps = range(1, count) if count <= ALL_PAIRS else sorted({*NEXT, count // FAR})
-    wanted = [(one, (one + step) % count) for step in steps for one in range(count)]
-    if count > ALL_PAIRS:  # images that follow each other may share no ground
-        wanted += list(combinations(range(count), 2))
+    wanted = [(number - step, number) for step in range(1, count) for number in range(step, count)]
     chosen: list[tuple[int, int]] = []
     degree = np.zeros(count, int)
-    for number, (one, other) in enumerate(wanted):
-        pair = (min(one, other), max(one, other))
-        needed = number < len(steps) * count or min(degree[one], degree[other]) < len(NEXT)
-        if pair in chosen or not needed or _overlap(outlines[one], outlines[other]) < MIN_OVERLAP:
-            continue
-        chosen.append(pair)
-        degree[[one, other]] += 1
+    for one, other in wanted:
+        # images that follow each other may share no ground: others are needed then
+        needed = _useful(one, other) or min(degree[one], degree[other]) < NEXT
+        if needed and _overlap(outlines[one], outlines[other]) >= MIN_OVERLAP:
+            chosen.append((one, other))
+            degree[[one, other]] += 1
     return chosen[:most]
+
+
+def _useful(one: int, other: int) -> bool:
+    step = other - one
+    power = step & (step - 1) == 0
+    return other < ALL_PAIRS or step <= NEXT or (power and other % step == 0)
 
 
 def _overlap(one: shapely.Polygon, other: shapely.Polygon) -> float:

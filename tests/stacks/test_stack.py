@@ -153,8 +153,12 @@ def test_pairs_connect_every_image_several_times(tmp_path: Path, count: int) -> 
     assert len(set(pairs)) == len(pairs)
     degree = np.bincount(np.ravel(pairs), minlength=count)
     assert degree.min() >= min(count - 1, 3)
-    assert len(pairs) <= (count * (count - 1) // 2 if count <= ALL_PAIRS else 4 * count)
+    assert len(pairs) <= (count * (count - 1) // 2 if count <= ALL_PAIRS else 4 * count + ALL_PAIRS)
     assert len(choose_pairs(frame, 2)) == 2
+    fewer = Frame(frame.names[:-1], frame.infos[:-1], GRID, True)
+    added = set(pairs) - set(choose_pairs(fewer, None))
+    assert all(count - 1 in pair for pair in added)
+    assert set(choose_pairs(fewer, None)) <= set(pairs)
 
 
 def test_the_frame_maps_pixels_by_georeferencing(tmp_path: Path) -> None:
