@@ -19,13 +19,14 @@ from pcwlad_geo.correction.models import (
     PolynomialCorrection,
     affine_between,
 )
+from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.stacks.adjustment import Adjustment
 from pcwlad_geo.stacks.pairs import Frame, Measured, StackPair
-from pcwlad_geo.text import cell
+from pcwlad_geo.text import cell, read_text
 from pcwlad_geo.types import Float64
 
 SCHEMA_VERSION: Final = 1
@@ -36,6 +37,8 @@ TABLE: Final = "stack.csv"
 """File name of the table of images."""
 PAGE: Final = "stack.html"
 """File name of the page."""
+FILES: Final = (NUMBERS, TABLE, PAGE)
+"""Files of a stack beside its rasters, in the order in which they are written."""
 NODES: Final = 15
 """Places along each axis of an image at which its correction is fitted and its sigma averaged."""
 
@@ -115,9 +118,7 @@ def stack_of(
     used = [pair for pair in pairs if pair.status == "used"]
     extension = OutputFormat.of(settings.of, settings.co).extension
     images = tuple(
-        _image(
-            frame, number, adjustment, order, folder / f"{frame.names[number]}_registered.{extension}", used
-        )
+        _image(frame, number, adjustment, order, folder / raster_name(frame.names[number], extension), used)
         for number in range(len(frame.names))
     )
     datum = "mean" if adjustment.datum is None else frame.names[adjustment.datum]
@@ -167,6 +168,22 @@ def _correction(at_px: Float64, observed_px: Float64, order: int) -> Correction:
         np.linalg.lstsq(basis.values(at_px), observed_px - at_px, rcond=None)[0], np.float64
     )
     return PolynomialCorrection(basis, coefficients)
+
+
+def raster_name(image: str, extension: str) -> str:
+    """Return the file name of a corrected image."""
+    return f"{image}_registered.{extension}"
+
+
+def is_stack(folder: Path) -> bool:
+    """Return whether a folder holds the results of a stack, which another may replace."""
+    try:
+        found = json.loads(read_text(folder / NUMBERS))
+    except (OSError, ValueError, RecursionError, InputError):
+        return False
+    return (
+        isinstance(found, dict) and {"schema_version", "shared_sigma_px", "images", "pairs"} <= found.keys()
+    )
 
 
 def write_numbers(found: Stack, settings: Settings, page: str) -> None:

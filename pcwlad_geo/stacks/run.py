@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from pcwlad_geo.band_warping import WarpOutput, apply
-from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner
@@ -29,8 +29,8 @@ from pcwlad_geo.report.finished import FinishedRegistration
 from pcwlad_geo.stacks.adjustment import adjust
 from pcwlad_geo.stacks.page import page
 from pcwlad_geo.stacks.pairs import Frame, check_connected, choose_pairs, measure
-from pcwlad_geo.stacks.result import Stack, stack_of, write_numbers
-from pcwlad_geo.text import check_regular
+from pcwlad_geo.stacks.result import FILES, Stack, is_stack, raster_name, stack_of, write_numbers
+from pcwlad_geo.text import joined, read_text
 from pcwlad_geo.types import PathLike
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def stack(
     RegistrationRejectedError
         If pairs that were refused leave images without a connection to the others.
     OutputError
-        If the results cannot be written.
+        If the results cannot be written, or would replace other files.
     """
     settings = Settings.from_options(options | {"ref_band": band, "tgt_band": band})
     order = _order(settings)
@@ -117,6 +117,7 @@ def stack(
     with trusting(settings.trust):
         readable, unreadable = _readable(images, settings, tell)
         frame = _frame(readable, reference)
+        _check_places(folder, frame, settings, images)
         chosen = choose_pairs(frame, max_pairs)
         with open_job_runner(settings, executor, on_event) as runner:
             measured = list(measure(frame, chosen, folder, settings, overwrite, tell, runner))
@@ -146,9 +147,7 @@ def _listed(images: Sequence[PathLike], band: int | str) -> Iterator[str]:
     for image in [os.fspath(each) for each in images]:
         place = Path(image)
         if image.casefold().endswith(".csv"):
-            check_regular(place)
-            with place.open(encoding="utf-8-sig", newline="") as file:
-                rows = list(islice(csv.DictReader(file), BATCH_ROWS + 1))
+            rows = _rows(place)
             check_count(image, len(rows), BATCH_ROWS, "lines")
             if not rows or not all(row.get("image") for row in rows):
                 raise InputError(f"{image} needs a column 'image' with a path in every line")
@@ -160,6 +159,14 @@ def _listed(images: Sequence[PathLike], band: int | str) -> Iterator[str]:
             yield from map(os.fspath, files)
         else:
             yield band_file(image, band)
+
+
+def _rows(table: Path) -> list[dict[str, str]]:
+    try:
+        text = read_text(table, encoding="utf-8-sig")
+        return list(islice(csv.DictReader(text.splitlines()), BATCH_ROWS + 1))
+    except (OSError, ValueError, csv.Error) as error:
+        raise InputError(f"{table} cannot be read as a table of images: {joined(error)}") from error
 
 
 def _readable(
@@ -202,6 +209,21 @@ def _frame(images: Mapping[str, RasterInfo], reference: str | None) -> Frame:
             f"{', '.join(lacking)} without georeferencing among images with it: give images of one kind"
         )
     return Frame(names, infos, images[reference or names[0]].grid, not lacking)
+
+
+def _check_places(folder: Path, frame: Frame, settings: Settings, given: Sequence[PathLike]) -> None:
+    """Raise where a result would replace an input, or a file that no earlier stack has written."""
+    extension = OutputFormat.of(settings.of, settings.co).extension
+    places = [folder / name for name in (*FILES, *(raster_name(each, extension) for each in frame.names))]
+    inputs = [Path(each) for each in [*given, *(info.uri for info in frame.infos)]]
+    there = [place for place in places if os.path.lexists(place)]
+    for place in there:
+        if any(each.exists() and place.samefile(each) for each in inputs):
+            raise OutputError(f"the output {place} is an input too: choose another output folder")
+    if there and not is_stack(folder):
+        raise OutputError(
+            f"{there[0]} is in the way, and {folder} holds no earlier stack: choose another output folder"
+        )
 
 
 def _warp(found: Stack, frame: Frame, settings: Settings, on_event: EventCallback) -> None:

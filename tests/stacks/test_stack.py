@@ -11,7 +11,7 @@ import pytest
 import rasterio
 
 from pcwlad_geo.cli.app import run as run_command
-from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
+from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError, SettingsError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.source import describe
@@ -129,9 +129,26 @@ def test_what_cannot_be_stacked_is_told(tmp_path: Path) -> None:
     (tmp_path / "table.csv").write_text("name\none.tif\n")
     with pytest.raises(InputError, match="needs a column 'image'"):
         stack([tmp_path / "table.csv"])
+    (tmp_path / "latin.csv").write_bytes(b"image\n\xe9.tif\n")
+    with pytest.raises(InputError, match="cannot be read as a table"):
+        stack([tmp_path / "latin.csv"])
+    with pytest.raises(InputError, match="cannot be read as a table"):
+        stack([tmp_path / "nowhere.csv"])
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="holds no raster"):
         stack([tmp_path / "empty"])
+
+
+def test_files_of_others_are_not_replaced(done: Path, tmp_path: Path) -> None:
+    images = [done / f"date{number}.tif" for number in range(3)]
+    (tmp_path / "stack.csv").write_text("image\n" + "".join(f"{each}\n" for each in images))
+    with pytest.raises(OutputError, match=r"stack\.csv is an input too"):
+        stack([tmp_path / "stack.csv"], out_dir=tmp_path)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/date1_registered.tif").write_text("mine")
+    with pytest.raises(OutputError, match=r"date1_registered\.tif is in the way"):
+        stack(images, out_dir=tmp_path / "mine")
+    assert (tmp_path / "mine/date1_registered.tif").read_text() == "mine"
 
 
 def test_images_without_common_ground_are_refused(tmp_path: Path) -> None:
