@@ -1,4 +1,4 @@
-"""Write the schema of report.json, made from the types of its content.
+"""Write the schemas of report.json and stack.json, made from the types of their content.
 
     python docs/make_schemas.py
 
@@ -21,10 +21,12 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.report import content
+from pcwlad_geo.stacks.result import StackNumbers
 
 FOLDER: Final = Path(__file__).resolve().parent
 ROOTS: Final = {
     "report": ("report.json of pcwlad-geo register and match", content.Report),
+    "stack": ("stack.json of pcwlad-geo stack", StackNumbers),
 }
 """By the name of the JSON file: title of its schema, and the class of its content."""
 OPEN: Final = {
@@ -38,6 +40,7 @@ OPEN: Final = {
     Prealignment,
     RpcModel,
     Settings,
+    StackNumbers,
 }
 """Classes whose objects may have further keys."""
 NAMES: Final = {str: "string", Path: "string", bool: "boolean", int: "integer", float: "number"}

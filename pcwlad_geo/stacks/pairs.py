@@ -56,6 +56,7 @@ class StackPair:
     scatter_px: float | None
     """Robust standard deviation of its points along an axis, px of the frame."""
     folder: Path
+    """Its tie points and report; in stack.json relative to that file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -84,6 +84,44 @@ class Stack:
         return tuple(pair for pair in self.pairs if pair.status == "left out")
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageEntry:
+    """An image of the stack."""
+
+    name: str
+    path: str
+    shift_px: tuple[float, float]
+    """Mean displacement (col, row) over the image, target px."""
+    sigma_px: tuple[float, float]
+    """Root mean square, over the image, of the standard deviation of its position (col, row), target px."""
+    sigma_m: tuple[float, float] | None
+    """The same in metres; null without a CRS."""
+    pairs: int
+    """Number of its pairs in use."""
+    model: Mapping[str, object]
+    """The correction, as `model` in report.json."""
+    registered: str
+    """File name of the corrected raster."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StackNumbers:
+    """The content of stack.json."""
+
+    schema_version: int
+    datum: str
+    """Name of the image that stays, or `mean`."""
+    model: str
+    """The model that was asked for."""
+    shared_sigma_px: float
+    """Standard deviation of the error that all points of a pair share, along an axis, px of the frame."""
+    images: tuple[ImageEntry, ...]
+    pairs: tuple[StackPair, ...]
+    unreadable: Mapping[str, str]
+    """Reason by path of the images that could not be read."""
+    warnings: tuple[str, ...]
+
+
 def stack_of(
     frame: Frame,
     measured: Sequence[Measured],
@@ -190,7 +228,7 @@ def write_numbers(found: Stack, settings: Settings, page: str) -> None:
     """Write the numbers, the table and the page; each appears complete or not at all."""
     with stage_inside(found.out_dir) as stage:
         texts = {
-            NUMBERS: json.dumps(_numbers(found, settings), indent=1) + "\n",
+            NUMBERS: json.dumps(asdict(_numbers(found, settings)), indent=1, default=Path.as_posix) + "\n",
             TABLE: _table(found),
             PAGE: page,
         }
@@ -200,35 +238,31 @@ def write_numbers(found: Stack, settings: Settings, page: str) -> None:
             place_file(staged, found.out_dir / name, overwrite=True)
 
 
-def _numbers(found: Stack, settings: Settings) -> dict[str, object]:
-    images = [
-        {
-            "name": image.name,
-            "path": image.path,
-            "shift_px": image.shift_px,
-            "sigma_px": image.sigma_px,
-            "sigma_m": image.sigma_m,
-            "pairs": image.pairs,
-            "model": image.correction.to_dict(),
-            "registered": image.registered.name,
-        }
+def _numbers(found: Stack, settings: Settings) -> StackNumbers:
+    images = tuple(
+        ImageEntry(
+            image.name,
+            image.path,
+            image.shift_px,
+            image.sigma_px,
+            image.sigma_m,
+            image.pairs,
+            image.correction.to_dict(),
+            image.registered.name,
+        )
         for image in found.images
-    ]
-    pairs = [
-        {name: value for name, value in asdict(pair).items() if name != "folder"}
-        | {"folder": pair.folder.relative_to(found.out_dir).as_posix()}
-        for pair in found.pairs
-    ]
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "datum": found.datum,
-        "model": settings.model,
-        "shared_sigma_px": found.shared_sigma_px,
-        "images": images,
-        "pairs": pairs,
-        "unreadable": dict(found.unreadable),
-        "warnings": list(found.warnings),
-    }
+    )
+    pairs = tuple(replace(pair, folder=pair.folder.relative_to(found.out_dir)) for pair in found.pairs)
+    return StackNumbers(
+        SCHEMA_VERSION,
+        found.datum,
+        settings.model,
+        found.shared_sigma_px,
+        images,
+        pairs,
+        found.unreadable,
+        found.warnings,
+    )
 
 
 def _table(found: Stack) -> str:
@@ -238,6 +272,7 @@ def _table(found: Stack) -> str:
     writer.writerow([*header, "sigma_x_m", "sigma_y_m", "pairs", "registered"])
     for image in found.images:
         metres = image.sigma_m or (None, None)
-        row = [image.name, image.path, *image.shift_px, *image.sigma_px, *metres, image.pairs]
+        figures = [each and round(each, 6) for each in (*image.shift_px, *image.sigma_px, *metres)]
+        row = [image.name, image.path, *figures, image.pairs]
         writer.writerow([cell(value) for value in (*row, image.registered.name)])
     return text.getvalue()

@@ -6,6 +6,7 @@ import csv
 import json
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 import rasterio
@@ -53,6 +54,13 @@ def test_every_image_lies_where_it_should(done: Path) -> None:
     assert [pair["status"] for pair in numbers["pairs"]] == ["used"] * 3
     assert numbers["images"][0]["sigma_px"] == [0.0, 0.0]
     assert all(0 < sigma < 0.05 for image in numbers["images"][1:] for sigma in image["sigma_px"])
+
+
+def test_the_numbers_are_as_their_schema_says(done: Path) -> None:
+    schema = json.loads((Path(__file__).resolve().parents[2] / "docs/stack.schema.json").read_text())
+    numbers = json.loads((done / "out put/stack.json").read_text())
+    jsonschema.validate(numbers, schema)
+    assert (done / "out put" / numbers["pairs"][0]["folder"] / "report.html").is_file()
 
 
 def test_the_corrected_images_show_the_same_ground_on_one_grid(done: Path) -> None:
