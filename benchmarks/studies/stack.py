@@ -194,6 +194,6 @@ def _checked(found: Adjustment, wrong: set[int], unused: Sequence[Edge]) -> Tabl
         ["wrong pairs", len(wrong)],
         ["pairs left out", len(out)],
         ["pairs that took no part", len(unused)],
-        ["sigma of the error that the points of a pair share, px", f"{found.shared_sigma:.4f}"],
+        ["error that the points of a pair share, in scatters of its points", f"{found.shared:.2f}"],
     ]
     return Table("Pairs", ("", ""), rows, checks)

@@ -122,7 +122,7 @@ def _ending(found: Stack) -> Ending:
         "images": len(found.images),
         "pairs": counts,
         "unreadable": list(found.unreadable),
-        "shared_sigma_px": found.shared_sigma_px,
+        "shared": found.shared,
         "exit_status": status,
         "paths": {kind: str(path.absolute()) for kind, path in paths.items()},
     }

@@ -24,7 +24,9 @@ from pcwlad_geo.types import Bool, Float64, Index
 SHARED_TERMS: Final = 3
 """Terms of the error that the points of a pair share: a shift, and slopes along x and y."""
 LEAST_SHARED: Final = 1e-3
-"""Least sigma of the shared error, in medians of the points' sigmas."""
+"""Least sigma of the shared error of a pair, in scatters of its points."""
+LEAST_SCATTER: Final = 0.1
+"""Least scatter of the points of a pair, in medians of their own sigmas."""
 ROUNDS: Final = 30
 """Number of rounds in which pairs that contradict the others lose their weight."""
 LINEARISED: Final = 3
@@ -91,8 +93,8 @@ class Adjustment:
     coefficients: Float64
     """(images, terms, 2): displacement (x, y) per term, map units."""
     edges: tuple[EdgeFit, ...]
-    shared_sigma: float
-    """Standard deviation of the error that all points of a pair share, along an axis, map units."""
+    shared: float
+    """Standard deviation of the error that all points of a pair share, in scatters of its points."""
     datum: int | None
     """Number of the image that stays; None: the mean of all images does."""
     normal: csc_array
@@ -140,8 +142,9 @@ def adjust(edges: Sequence[Edge], images: int, *, order: int = 1, datum: int | N
     """Estimate the displacements of all images from the tie points of their pairs.
 
     A pair whose points contradict all others is found and left out: pairs lose weight by their offset first
-    (L1 norm), then those far off are left out and tested again. The variance of the error that the points of
-    a pair share is estimated from what the pairs in use contradict each other (Förstner 1979).
+    (L1 norm), then those far off are left out and tested again. The error that the points of a pair share is
+    taken as proportional to their scatter, as that of matches of two sensors is; by how much, the pairs in
+    use tell by what they contradict each other (Förstner 1979).
 
     Parameters
     ----------
@@ -164,15 +167,14 @@ def adjust(edges: Sequence[Edge], images: int, *, order: int = 1, datum: int | N
         apart = np.flatnonzero(part != part[0]).tolist()
         raise InputError(f"{count} groups of images share no ground: images {apart} are not connected")
     basis = _basis(edges, order)
-    least = LEAST_SHARED * float(np.median(np.concatenate([_typical_sigma(edge) for edge in edges])))
     network = _Network(images, len(basis.exponents), datum)
     coefficients = np.zeros((images, len(basis.exponents), 2))
     used, shared = np.ones(len(edges), bool), 0.0
     for _ in range(LINEARISED):  # at the ground that the displacements so far tell
         parts = [_part(edge, basis, coefficients) for edge in edges]
-        shared = shared or _first_shared(network, parts, least)
+        shared = shared or _first_shared(network, parts)
         for _ in range(images):
-            solution, used, shared = _settled(network, parts, used, shared, least)
+            solution, used, shared = _settled(network, parts, used, shared)
             outvoted = _outvoted(network, parts, solution, used)
             if (outvoted == used).all():
                 break
@@ -184,24 +186,26 @@ def adjust(edges: Sequence[Edge], images: int, *, order: int = 1, datum: int | N
     return Adjustment(basis, coefficients, fits, shared, datum, solution.normal)
 
 
-def _first_shared(network: _Network, parts: Sequence[_Part], least: float) -> float:
-    """Return how much pairs contradict each other typically, as if each erred as much as it seems to (L1)."""
-    used = np.ones(len(parts), bool)
-    shared = np.full(len(parts), 1e3 * max(part.scatter for part in parts) + least)
+def _first_shared(network: _Network, parts: Sequence[_Part]) -> float:
+    """Return how much pairs typically contradict each other, in scatters, as if each erred as it seems."""
+    used, scatter = np.ones(len(parts), bool), np.array([part.scatter for part in parts])
+    shared = np.full(len(parts), 1e3)
     for _ in range(ROUNDS):
-        size = np.array([np.hypot(*fit.offset) for fit in network.solve(parts, used, shared).fits])
-        typical = max(float(np.median(size)), least)
+        fits = network.solve(parts, used, shared * scatter).fits
+        size = np.array([np.hypot(*fit.offset) for fit in fits]) / scatter
+        typical = max(float(np.median(size)), LEAST_SHARED)
         shared = np.sqrt(typical * np.maximum(size, typical))
     return typical
 
 
 def _settled(
-    network: _Network, parts: Sequence[_Part], used: Bool, shared: float, least: float
+    network: _Network, parts: Sequence[_Part], used: Bool, shared: float
 ) -> tuple[_Solution, Bool, float]:
     """Solve, and leave out pairs that contradict the others, until both no longer change."""
+    scatter = np.array([part.scatter for part in parts])
     for _ in range(SETTLING):
-        solution = network.solve(parts, used, np.full(len(parts), shared))
-        before, shared = shared, max(_shared_sigma(solution, used, shared), least)
+        solution = network.solve(parts, used, shared * scatter)
+        before, shared = shared, max(_shared_error(solution, used, shared), LEAST_SHARED)
         ratio = np.array([fit.ratio for fit in solution.fits]) * before / shared
         wanted = np.where(used, ratio <= WRONG, ratio <= READMITTED)
         again = _still_connected(parts, network.images, used, wanted, ratio)
@@ -233,8 +237,8 @@ def _xy(values: Float64) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def _typical_sigma(edge: Edge) -> Float64:
-    return np.asarray(np.sqrt(np.trace(edge.covariance, axis1=1, axis2=2) / 2))
+def _typical_sigma(edge: Edge) -> float:
+    return float(np.median(np.sqrt(np.trace(edge.covariance, axis1=1, axis2=2) / 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,12 +275,13 @@ def _part(edge: Edge, basis: PolynomialBasis, coefficients: Float64) -> _Part:
     values = basis.values(ground)
     observed = edge.second_xy - edge.first_xy
     left = observed - values @ (coefficients[edge.second] - coefficients[edge.first])
+    near = np.column_stack([np.ones(len(edge)), (ground - basis.centre_px) / basis.radius_px])
+    left = left - near @ np.linalg.lstsq(near, left, rcond=None)[0]
     left = left - np.median(left, axis=0)
     weights: Float64 = np.linalg.inv(edge.covariance).astype(np.float64)
     off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", left, weights, left), 1e-12))
     unit = max(1.0, float(np.median(off)) / RAYLEIGH_MEDIAN)
     weights *= (np.minimum(1.0, POINT_LIMIT * unit / off) / unit**2)[:, None, None]
-    near = np.column_stack([np.ones(len(edge)), (ground - basis.centre_px) / basis.radius_px])
     total = weights.sum(axis=0)
     each = np.trace(weights, axis1=1, axis2=2) / np.trace(total)
     return _Part(
@@ -290,7 +295,7 @@ def _part(edge: Edge, basis: PolynomialBasis, coefficients: Float64) -> _Part:
         values=each @ values,
         observed=each @ observed,
         formal=float(np.trace(np.linalg.inv(total))) / 2,
-        scatter=float(1.4826 * np.median(np.abs(left))),
+        scatter=max(float(1.4826 * np.median(np.abs(left))), LEAST_SCATTER * _typical_sigma(edge)),
     )
 
 
@@ -364,8 +369,8 @@ class _Network:
         return EdgeFit(used, _xy(offset), sigma, redundancy, part.scatter)
 
 
-def _shared_sigma(solution: _Solution, used: Bool, before: float) -> float:
-    """Return the sigma of the shared error by which the pairs in use contradict each other as they do.
+def _shared_error(solution: _Solution, used: Bool, before: float) -> float:
+    """Return the shared error, in scatters, by which the pairs in use contradict each other as they do.
 
     By the median: wrong pairs may be among them.
     """

@@ -75,7 +75,7 @@ def page(found: Stack) -> str:
         typical_px=_root_mean_square(used),
         worst_sigma_px=max(sigma),
         datum=found.datum,
-        shared_px=found.shared_sigma_px,
+        shared=found.shared,
         unreadable=found.unreadable,
         unchecked=[
             pair for pair in found.pairs if pair.redundancy is not None and pair.redundancy < UNCHECKED

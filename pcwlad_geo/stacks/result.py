@@ -68,8 +68,8 @@ class Stack:
 
     images: tuple[StackImage, ...]
     pairs: tuple[StackPair, ...]
-    shared_sigma_px: float
-    """Standard deviation of the error that all points of a pair share, along an axis, px of the frame."""
+    shared: float
+    """Standard deviation of the error that all points of a pair share, in scatters of its points."""
     datum: str
     """Name of the image that stays, or `mean`."""
     out_dir: Path
@@ -113,8 +113,8 @@ class StackNumbers:
     """Name of the image that stays, or `mean`."""
     model: str
     """The model that was asked for."""
-    shared_sigma_px: float
-    """Standard deviation of the error that all points of a pair share, along an axis, px of the frame."""
+    shared: float
+    """Standard deviation of the error that all points of a pair share, in scatters of its points."""
     images: tuple[ImageEntry, ...]
     pairs: tuple[StackPair, ...]
     unreadable: Mapping[str, str]
@@ -161,7 +161,7 @@ def stack_of(
     )
     datum = "mean" if adjustment.datum is None else frame.names[adjustment.datum]
     return Stack(
-        images, tuple(pairs), adjustment.shared_sigma, datum, folder, tuple(warnings), adjustment, unreadable
+        images, tuple(pairs), adjustment.shared, datum, folder, tuple(warnings), adjustment, unreadable
     )
 
 
@@ -219,9 +219,7 @@ def is_stack(folder: Path) -> bool:
         found = json.loads(read_text(folder / NUMBERS))
     except (OSError, ValueError, RecursionError, InputError):
         return False
-    return (
-        isinstance(found, dict) and {"schema_version", "shared_sigma_px", "images", "pairs"} <= found.keys()
-    )
+    return isinstance(found, dict) and {"schema_version", "shared", "images", "pairs"} <= found.keys()
 
 
 def write_numbers(found: Stack, settings: Settings, page: str) -> None:
@@ -257,7 +255,7 @@ def _numbers(found: Stack, settings: Settings) -> StackNumbers:
         SCHEMA_VERSION,
         found.datum,
         settings.model,
-        found.shared_sigma_px,
+        found.shared,
         images,
         pairs,
         found.unreadable,

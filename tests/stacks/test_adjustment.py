@@ -101,7 +101,7 @@ def test_wrong_pairs_are_found_and_no_good_one_is_lost(seed: int) -> None:
     assert {k for k, fit in enumerate(found.edges) if not fit.used} == wrong
     worst_px = np.sqrt((errors(found, truth, None) ** 2).sum(axis=-1).mean(axis=1)).max()
     assert worst_px < 0.035
-    assert found.shared_sigma == pytest.approx(0.02, rel=0.3)
+    assert found.shared == pytest.approx(0.02 / 0.08, rel=0.3)
 
 
 def test_an_image_whose_wrong_pairs_are_fewer_than_its_right_ones_is_placed_by_those() -> None:
