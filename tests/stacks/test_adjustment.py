@@ -144,6 +144,21 @@ def test_the_relative_sigma_of_neighbours_is_smaller_than_that_of_far_images() -
     np.testing.assert_allclose(found.covariance(4, GRID, 0), found.covariance(4, GRID))
 
 
+def test_pairs_whose_points_scatter_more_count_for_less() -> None:
+    """Images 0 to 3 are of one sensor, 4 to 7 of another: pairs across have a tenfold error."""
+    worst = []
+    for seed in range(5):
+        rng = np.random.default_rng(200 + seed)
+        truth = make(rng, 8)
+        edges = []
+        for one, other in ((one, other) for other in range(8) for one in range(other)):
+            factor = 10.0 if (one < 4) != (other < 4) else 1.0
+            edges.append(truth.edge(rng, one, other, shared=0.01 * factor, sigma=0.03 * factor))
+        off = errors(adjust(edges, 8), truth, 0)
+        worst.append(np.sqrt((off[1:4] ** 2).sum(axis=-1).mean()))
+    assert np.mean(worst) < 0.018
+
+
 def test_a_pair_that_nothing_checks_is_told() -> None:
     rng = np.random.default_rng(8)
     truth = make(rng, 4)
