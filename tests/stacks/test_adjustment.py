@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -151,7 +152,7 @@ def test_pairs_whose_points_scatter_more_count_for_less() -> None:
         rng = np.random.default_rng(200 + seed)
         truth = make(rng, 8)
         edges = []
-        for one, other in ((one, other) for other in range(8) for one in range(other)):
+        for one, other in combinations(range(8), 2):
             factor = 10.0 if (one < 4) != (other < 4) else 1.0
             edges.append(truth.edge(rng, one, other, shared=0.01 * factor, sigma=0.03 * factor))
         off = errors(adjust(edges, 8), truth, 0)
