@@ -19,6 +19,7 @@ Keypoints = Literal["cells", "strongest"]
 Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps", "rpc"]
 Prealign = Literal["auto", "georef", "search", "none"]
 Consensus = Literal["auto", "off"]
+Geometry = Literal["auto", "planar", "epipolar"]
 OutputGrid = Literal["reference", "reference-exact", "target"]
 Resampling = Literal["nearest", "bilinear", "cubic", "cubic_spline", "lanczos"]
 VRT_MODELS = ("shift", "affine")
@@ -164,6 +165,12 @@ class Settings:
     """Second pass with mutual structure taken where the neighbours agree, where the field is smooth."""
     prealign: Annotated[Prealign, Option("Rough alignment before matching.", _MATCHING)] = "auto"
     """Rough alignment: by georeferencing, a search for the pose, neither, or what the pair needs."""
+    geometry: Annotated[
+        Geometry, Option("What right matches have in common: a smooth displacement, or a viewpoint.", _PAIR)
+    ] = "auto"
+    """What right matches have in common: a smooth displacement (planar), or lines of the other viewpoint on
+    which every depth lies (epipolar: frames with parallax); auto: planar, epipolar for frames without CRS
+    that clearly hold parallax."""
     model: Annotated[Model, Option("Correction model.", _CORRECTING)] = "auto"
     """Correction model; `polynomial` is of order 2 or 3, as cross-validation says; `rpc`: the target's RPC
     counts, also beside a geotransform, and is corrected."""

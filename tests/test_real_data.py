@@ -75,6 +75,19 @@ def test_uav_pair_is_found_without_its_offset(shared_data: Path) -> None:
     assert np.hypot(*(shift_of(found) - nominal)) < 3
 
 
+@pytest.mark.slow
+def test_parallax_of_the_uav_pair_is_kept(shared_data: Path) -> None:
+    images = shared_data / "paper" / "uav_1"
+    visible, thermal = next(images.glob("*_Z.JPG")), next(images.glob("*_T.JPG"))
+    found, planar = run(visible, thermal, Settings()), run(visible, thermal, Settings(geometry="planar"))
+    assert found.geometry.name == "epipolar"
+    assert found.geometry.across_px is not None
+    assert found.geometry.across_px < 0.3
+    counts = [np.count_nonzero(each.tie_points.status != "rejected") for each in (found, planar)]
+    assert counts[0] > 1.1 * counts[1]
+    assert found.accuracy["check_px"].rmse < planar.accuracy["check_px"].rmse + 0.1
+
+
 @pytest.fixture(scope="module")
 def sensors(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Aerial, Sentinel-2 and Landsat red bands."""

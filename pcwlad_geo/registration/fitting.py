@@ -21,7 +21,7 @@ from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.registration.judge import Verdict
 from pcwlad_geo.tiepoints.readers import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable
-from pcwlad_geo.types import Float64
+from pcwlad_geo.types import Bool, Float64
 
 SIGMA_PX: Final = 1.0
 """Taken for points without a sigma that are too few to tell."""
@@ -113,6 +113,7 @@ def fit_correction(
     sizes_m: Float64 | None,
     shape: tuple[int, int] | None = None,
     candidates: tuple[str, ...] = CANDIDATES,
+    smooth: Bool | None = None,
 ) -> Fitted:
     """Fit a correction to the matched points of a table.
 
@@ -128,8 +129,12 @@ def fit_correction(
         Rows and columns of the target: no model may fold it. By default the box of the fit points counts.
     candidates : tuple of str
         Models to choose from where the settings leave it open, the simplest first.
+    smooth : (n,) bool array, optional
+        The rows that are fitted and checked; other matched ones are ``unused``. By default all are.
     """
     status = table.status.astype("<U8")
+    if smooth is not None:
+        status[(status == "matched") & ~smooth] = "unused"
     matched = np.flatnonzero(status == "matched")
     status[matched] = hold_out(table.predicted_px[matched], footprint_px)
     fit_points = table[status == "fit"]

@@ -16,6 +16,7 @@ from pcwlad_geo.correction.error_statistics import Accuracy
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching.epipolar import EpipolarGeometry, plane_residual_px
 from pcwlad_geo.matching.keypoints import Candidates
 from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.options import Settings
@@ -217,6 +218,44 @@ def _boxes(pair: ViewPair, windows: Sequence[Window]) -> Float64:
     return np.concatenate([np.fmin.reduce(mapped, axis=1), np.fmax.reduce(mapped, axis=1)], axis=1)
 
 
+@dataclass(frozen=True, slots=True)
+class PairGeometry:
+    """What right matches of a pair have in common, by which the others were rejected."""
+
+    name: Literal["planar", "epipolar"]
+    """planar: a displacement that changes smoothly; epipolar: the lines of the target on which places of the
+    reference lie whatever their depth, as in two perspective frames."""
+    fundamental: tuple[tuple[float, float, float], ...] | None = None
+    """Rows of the fundamental matrix F: (target col, row, 1) · F · (reference col, row, 1) = 0, px of the
+    files, corner-based; null if planar."""
+    across_px: float | None = None
+    """RMS distance of the tie points from their lines, target px; null if planar."""
+    along_px: float | None = None
+    """RMS displacement along the lines beside that of one plane, the parallax, target px; null if planar."""
+
+    @staticmethod
+    def of(table: TiePointTable, epipolar: bool) -> PairGeometry:
+        """Return the geometry of the matched rows of a table."""
+        points = table.select("matched")
+        lines = EpipolarGeometry.of(points.reference_px, points.target_px) if epipolar else None
+        if lines is None:
+            return PairGeometry("planar")
+        everyone = np.ones(len(points), bool)
+        beside = plane_residual_px(points.reference_px, points.target_px, everyone)
+        along = None if beside is None else (beside * lines.along(points.reference_px)).sum(axis=1)
+        across = lines.distance_px(points.reference_px, points.target_px)
+        return PairGeometry(
+            "epipolar",
+            tuple((row[0], row[1], row[2]) for row in lines.matrix.tolist()),
+            _rms(across),
+            None if along is None else _rms(along),
+        )
+
+
+def _rms(values: Float64) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
 Status = Literal["registered", "rejected", "matched"]
 
 
@@ -300,6 +339,8 @@ class Matches:
     """On which they were found: a target with RPC is matched again as the first result places it."""
     every: TiePointTable
     """All tie points, also those that were not wanted."""
+    geometry: PairGeometry = PairGeometry("planar")
+    """By what the tie points were told from wrong matches."""
     warnings: tuple[str, ...] = ()
     """Of all steps up to this one."""
     seconds: dict[str, float] = field(default_factory=dict)
@@ -372,6 +413,8 @@ class Registration:
     settings: Settings
     selection: Selection | None = None
     """How the correction was chosen, and its precision anywhere; None where there is none."""
+    geometry: PairGeometry = PairGeometry("planar")
+    """By what the tie points were told from wrong matches."""
     rpc: RpcRegistration | None = None
     """The target's RPC, where that places it."""
     quality: Quality | None = None

@@ -12,7 +12,7 @@ from pcwlad_geo.correction.points import thin
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
-from pcwlad_geo.matching.outliers import contradicted_clusters
+from pcwlad_geo.matching.outliers import consistent, contradicted_clusters
 from pcwlad_geo.options import VRT_MODELS, Settings
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.identity import digest
@@ -26,15 +26,31 @@ from pcwlad_geo.registration.fitting import AssessedFit, assess, fit_correction,
 from pcwlad_geo.registration.inputs import identify_inputs, resolve
 from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Prealignment, read_overviews
-from pcwlad_geo.registration.result import Matches, MatchRecord, Pair, Registration, Status, record_ground
+from pcwlad_geo.registration.result import (
+    Matches,
+    MatchRecord,
+    Pair,
+    PairGeometry,
+    Registration,
+    Status,
+    record_ground,
+)
 from pcwlad_geo.registration.rpc import MODELS, check_start, corrected_rpc, place_reference, place_target
 from pcwlad_geo.registration.scene import located, match_again_from_shifted_rpc, match_from_best_start
 from pcwlad_geo.registration.tiles import load_kernels
 from pcwlad_geo.tiepoints.table import overlap_middle_px, predict_target_px
-from pcwlad_geo.types import Float64, PathLike
+from pcwlad_geo.types import Bool, Float64, PathLike
 
 COMMON_STEP = 3
 """One of so many places of the common ground is asked what error is expected there."""
+LEAST_OF_A_SURFACE = 1 / 3
+"""Least share of the tie points that are a main surface, to which the correction is fitted."""
+SURFACE_ROUNDS = 2
+"""Number of times that these are compared with their neighbours, as matches are where nothing has a depth."""
+MIN_PARALLAX = 2.0
+"""Least ratio of what is found along the epipolar lines to what is found across, where nothing can be."""
+MIN_PARALLAX_PX = 0.5
+"""Least parallax that is warned of, RMS, target px."""
 MAX_REFERENCE_MISFIT_PX = 0.05
 """Of ground control points."""
 
@@ -168,7 +184,9 @@ def fit(
             MODELS if matches.pair.rpc else VRT_MODELS if settings.of.upper() == "VRT" else CANDIDATES
         )
         sizes_m = pixel_sizes_m(at_mean_height(target.grid), table.predicted_px)
-        fitted = fit_correction(table, settings, footprint, sizes_m, target.grid.shape, candidates)
+        smooth = _of_the_main_surface(matches, footprint)
+        shape = target.grid.shape
+        fitted = fit_correction(table, settings, footprint, sizes_m, shape, candidates, smooth)
         places = _common_px(matches.record, matches.views, target)
         quality = assess(fitted.table, matches.every, fitted.selection, places, footprint)
         log.on_event(Progress("fitting", 1, 1))
@@ -176,6 +194,28 @@ def fit(
     for reason in () if refusal else quality.reasons:
         log.warn(reason.text)
     return AssessedFit(fitted, quality, refusal, settings, tuple(log.warnings), log.seconds)
+
+
+def _of_the_main_surface(matches: Matches, footprint_px: float) -> Bool | None:
+    """Return the (n,) mask of the rows that agree with a smooth displacement, which a correction can follow.
+
+    None where all do, and where hardly any do. The others, right but of another depth, are in no fit.
+    """
+    if matches.geometry.name != "epipolar":
+        return None
+    table = matches.tie_points
+    unit_px = float(file_px_per_px(matches.views.target).max())
+    smooth = np.asarray(table.status == "matched")
+    least = LEAST_OF_A_SURFACE * np.count_nonzero(smooth)
+    for _ in range(SURFACE_ROUNDS):
+        index = np.flatnonzero(smooth)
+        smooth[index] = consistent(
+            table.predicted_px[index] / unit_px,
+            table.displacement_px[index] / unit_px,
+            np.zeros(len(index)),  # their sigmas hold the other depths
+            round(footprint_px / unit_px),
+        )
+    return smooth if np.count_nonzero(smooth) >= least else None
 
 
 def conclude(matches: Matches, fit: AssessedFit | None = None) -> Registration:
@@ -208,6 +248,7 @@ def conclude(matches: Matches, fit: AssessedFit | None = None) -> Registration:
         seconds=fit.seconds if fit else matches.seconds,
         settings=fit.settings if fit else pair.settings,
         selection=fitted.selection if fitted else None,
+        geometry=matches.geometry,
         quality=fit.quality if fit else None,
         record=matches.record,
         rpc=corrected_rpc(pair.rpc, correction) if pair.rpc else None,
@@ -219,9 +260,13 @@ def _without_clusters(found: Matches, log: JobLog) -> Matches:
     """Reject clusters of tie points that contradict what all others predict, each with a warning.
 
     They stay in the table as rejected, and count for the quality, as the ground may have moved there. A
-    user's own points are not asked: who knows better takes the rejected ones back in such a file.
+    user's own points are not asked: who knows better takes the rejected ones back in such a file. Nor are
+    those of an epipolar geometry, in which another depth is no contradiction.
     """
     if not found.accepted:
+        return found
+    if found.geometry.name == "epipolar":
+        _warn_of_parallax(found.geometry, log)
         return found
     table = found.tie_points
     agreeing = np.flatnonzero(table.status == "matched")
@@ -248,6 +293,17 @@ def _without_clusters(found: Matches, log: JobLog) -> Matches:
     counts["tie_points"] -= rejected
     table = replace(table, status=status)
     return replace(found, tie_points=table, every=table, counts=counts)
+
+
+def _warn_of_parallax(geometry: PairGeometry, log: JobLog) -> None:
+    across, along = geometry.across_px, geometry.along_px
+    if across is None or along is None or along < max(MIN_PARALLAX * across, MIN_PARALLAX_PX):
+        return
+    log.warn(
+        f"the displacement holds parallax: {across:.2f} px (RMS) across the epipolar lines, {along:.2f} px "
+        "along them beside what one plane gives: the tie points are right at every depth, and one smooth "
+        "correction cannot follow them all"
+    )
 
 
 def _only_wanted(found: Matches) -> Matches:
@@ -293,7 +349,9 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
         matched, views = match_again_from_shifted_rpc(matched, views, settings, log, runner)
     table = located(matched, views, (pair.views.reference.info, pair.target))
     start = matched.prealignment
-    return Matches(pair, table, matched.verdict, matched.counts, start, matched.record, views, table)
+    geometry = PairGeometry.of(table, matched.epipolar and matched.verdict.accepted)
+    verdict, record = matched.verdict, matched.record
+    return Matches(pair, table, verdict, matched.counts, start, record, views, table, geometry)
 
 
 def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo) -> Float64:

@@ -14,6 +14,7 @@ from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import Event, EventCallback, JobLog, Progress, Warned
 from pcwlad_geo.execution.runner import Runner
+from pcwlad_geo.matching.epipolar import MIN_POINTS, epipolar_evidence, on_their_lines, parallax_evidence
 from pcwlad_geo.matching.field import Prediction, Surface, predict
 from pcwlad_geo.matching.guidance import calibrate, guide_by_field
 from pcwlad_geo.matching.matcher import consistent_points, matched_again
@@ -23,7 +24,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.view import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.registration.judge import Verdict, judge, refusal
+from pcwlad_geo.registration.judge import MIN_SIGNIFICANCE, Verdict, judge, refusal
 from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, plan
 from pcwlad_geo.registration.prealign import (
     Overviews,
@@ -77,6 +78,8 @@ class Matched:
     prealignment: Prealignment
     record: MatchRecord
     """Of the first pass."""
+    epipolar: bool = False
+    """Whether the matches were kept by their epipolar lines, which allow every depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,10 +129,11 @@ def match_scene(
     kept = consistent_points(matches, matching) if len(matches) else np.zeros(0, bool)
     radius_px, odds = prealignment.search_radius_px, prealignment.odds
     verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=odds)
+    kept, verdict, epipolar = _by_geometry(matches, kept, verdict, pair, prealignment, settings, matching)
     if verdict.accepted:
         with log.stage("refining"):
             again = _second_pass(first, matches, kept, matching, log, runner)
-            matches, kept = _checked(again, matches, kept, matching)
+            matches, kept = _checked(again, matches, kept, matching, epipolar)
         if again.lost.any():  # do the others suffice?
             verdict = judge(first.matches, kept, counts, matching.window, radius_px, evidence=odds)
     counts["inconsistent"] = int((~kept).sum())
@@ -137,7 +141,36 @@ def match_scene(
     record = record_matching(
         pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results
     )
-    return Matched(matches, kept, counts, verdict, prealignment, record)
+    return Matched(matches, kept, counts, verdict, prealignment, record, epipolar)
+
+
+def _by_geometry(
+    matches: TiePoints,
+    kept: Bool,
+    verdict: Verdict,
+    pair: ViewPair,
+    prealignment: Prealignment,
+    settings: Settings,
+    matching: MatchSettings,
+) -> tuple[Bool, Verdict, bool]:
+    """Return what is kept, the verdict, and whether both are by epipolar lines instead of a smooth field.
+
+    Left open, the lines decide for frames alone that are accepted without them.
+    """
+    window_px = matching.window
+    frames = pair.reference.info.grid.crs is None and not (pair.georeferenced and prealignment.pose is None)
+    if settings.geometry == "auto":
+        open_to_both = frames and verdict.accepted
+        evidence = parallax_evidence(matches, kept, window_px) if open_to_both else 0.0
+        if evidence < MIN_SIGNIFICANCE:
+            return kept, verdict, False
+    elif settings.geometry == "planar":
+        return kept, verdict, False
+    found = on_their_lines(matches)
+    significance = epipolar_evidence(matches, window_px, prealignment.search_radius_px) + prealignment.odds
+    if not verdict.accepted and found.sum() >= MIN_POINTS and significance >= MIN_SIGNIFICANCE:
+        verdict = replace(verdict, accepted=True, reason=None, significance=significance, beyond=None)
+    return found, verdict, True
 
 
 def _first_pass(planned: Plan, log: JobLog, runner: Runner) -> _FirstPass:
@@ -180,12 +213,13 @@ def _second_pass(
 
 
 def _checked(
-    again: _Again, matches: TiePoints, kept: Bool, matching: MatchSettings
+    again: _Again, matches: TiePoints, kept: Bool, matching: MatchSettings, epipolar: bool
 ) -> tuple[TiePoints, Bool]:
     """Return the matches with those kept that still agree, where the second pass put them, calibrated."""
     index = np.flatnonzero(kept & ~again.lost)
     final = np.zeros_like(kept)
-    final[index] = consistent_points(again.points[index], matching)
+    left = again.points[index]
+    final[index] = on_their_lines(left) if epipolar else consistent_points(left, matching)
     good = calibrate(again.points[final], again.surface, again.shared_variance_px2[final], matching)
     # rejected points are listed with their formal covariance
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()

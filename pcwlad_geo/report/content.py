@@ -18,7 +18,7 @@ from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.registration.fitting import Grade
 from pcwlad_geo.registration.inputs import INLINE, InputFile
 from pcwlad_geo.registration.prealign import Prealignment
-from pcwlad_geo.registration.result import Status
+from pcwlad_geo.registration.result import PairGeometry, Status
 from pcwlad_geo.report.statistics import DIGITS, REASONS, Group
 from pcwlad_geo.requirements import Requirement
 
@@ -244,6 +244,8 @@ class Report:
     met; null for a pair that is refused or only matched."""
     prealignment: Prealignment
     """What the matching started from, matching-grid px."""
+    geometry: PairGeometry
+    """By what the tie points were told from wrong matches."""
     tie_points: Annotated[Mapping[str, Count], ("required", ["total", "rejected"])]
     """By status, and in all."""
     counts: Mapping[str, int]

@@ -79,6 +79,7 @@ def summarise(
         px_m=registration.px_m,
         output_grid=_grid(output_grid) if output_grid else None,
         prealignment=registration.prealignment,
+        geometry=registration.geometry,
         tie_points=_tie_point_counts(registration),
         counts=registration.counts,
         displacement_px=_statistics(kept.displacement_px, PX_DIGITS),

@@ -49,7 +49,8 @@ class TiePointTable:
     residual_px: Float64
     """(n, 2) observed minus model, target px; NaN before a fit."""
     status: NDArray[np.str_]
-    """(n,) fit, check, unused (too near to a check point), rejected; from `match`: matched, rejected."""
+    """(n,) fit, check, unused (too near to a check point, or of another depth), rejected; from `match`:
+    matched, rejected."""
     crs: CRS | None
     """Reference CRS."""
 
