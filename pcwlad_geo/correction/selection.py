@@ -31,6 +31,9 @@ DENSE_SIGNIFICANCE = 0.0
 """Number of standard errors by which a model must predict better than a simpler one if both need resampling:
 simplicity has no value there, and cross-validation disfavours a spline, which interpolates over shorter
 distances than a block."""
+PERSPECTIVE_SHARE = 0.5
+"""Largest part of a projective's mean squared error that a more flexible model of two frames may leave: flat
+ground is seen so, and what a polynomial predicts better beyond is mostly an error that the matches share."""
 LOSSLESS = ("shift", "drift", "affine")
 """Models that need no resampling."""
 RESAMPLING_SIGNIFICANCE = 2.5
@@ -123,6 +126,7 @@ def choose(
     candidates: Sequence[str] = CANDIDATES,
     *,
     box_px: tuple[Float64, Float64] | None = None,
+    perspective: bool = False,
 ) -> Selection:
     """Choose the simplest model that no other beats significantly in predicting blocks left out.
 
@@ -153,6 +157,9 @@ def choose(
     box_px : ((2,) array, (2,) array), optional
         Corners (col, row) of the box of predicted px in which no model may have a foldover; by default the
         box of the points.
+    perspective : bool
+        Whether both are frames of a camera: a projective is the image of flat ground then, and is left only
+        for a model of less than half its squared error.
     """
     points = _Points(predicted_px, observed_px, covariance_px2, footprint_px)
     notes: dict[str, str] = {}
@@ -160,7 +167,7 @@ def choose(
     if not fits:
         raise InputError(next(iter(notes.values()), "no correction model to choose from: name at least one"))
     errors = _block_errors(points, fits, notes)
-    name = _simplest_unbeaten(points, fits, errors, notes)
+    name = _simplest_unbeaten(points, fits, errors, notes, perspective)
     scores = tuple(_score(each, fits, errors, each == name, notes) for each in candidates)
     return Selection(name, fits[name], scores, _misfit(points, fits, name), _common(points, fits[name]))
 
@@ -233,7 +240,11 @@ def _score(
 
 
 def _simplest_unbeaten(
-    points: _Points, fits: dict[str, Fit], errors: dict[str, Float64], notes: dict[str, str]
+    points: _Points,
+    fits: dict[str, Fit],
+    errors: dict[str, Float64],
+    notes: dict[str, str],
+    perspective: bool,
 ) -> str:
     chosen, windows = next(iter(fits)), _windows(points)
     for name in errors:
@@ -248,6 +259,12 @@ def _simplest_unbeaten(
             notes[name] = f"has too many parameters for {windows} separate matching windows"
         elif chosen in LOSSLESS and gain < MIN_GAIN_PX**2:
             notes[name] = f"takes out only {np.sqrt(gain):.2f} px more than {chosen}"
+        elif (
+            perspective
+            and chosen == "projective"
+            and errors[name].mean() > PERSPECTIVE_SHARE * errors[chosen].mean()
+        ):
+            notes[name] = "leaves more than half of what projective, the image of flat ground, leaves"
         elif not _differs(fits[chosen], fits[name], points):
             notes[name] = f"differs from {chosen} by no more than its uncertainty"
         else:

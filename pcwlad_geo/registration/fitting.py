@@ -114,6 +114,7 @@ def fit_correction(
     shape: tuple[int, int] | None = None,
     candidates: tuple[str, ...] = CANDIDATES,
     smooth: Bool | None = None,
+    perspective: bool = False,
 ) -> Fitted:
     """Fit a correction to the matched points of a table.
 
@@ -131,6 +132,8 @@ def fit_correction(
         Models to choose from where the settings leave it open, the simplest first.
     smooth : (n,) bool array, optional
         The rows that are fitted and checked; other matched ones are ``unused``. By default all are.
+    perspective : bool
+        Whether both rasters are frames of a camera, see `selection.choose`.
     """
     status = table.status.astype("<U8")
     if smooth is not None:
@@ -147,6 +150,7 @@ def fit_correction(
         footprint_px,
         models,
         box_px=None if shape is None else (np.zeros(2), np.array(shape[::-1], dtype=np.float64)),
+        perspective=perspective,
     )
     residual = table.target_px - selection.fit.correction.forward(table.predicted_px)
     done = replace(table, status=status, residual_px=residual)

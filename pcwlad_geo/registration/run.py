@@ -185,8 +185,8 @@ def fit(
         )
         sizes_m = pixel_sizes_m(at_mean_height(target.grid), table.predicted_px)
         smooth = _of_the_main_surface(matches, footprint)
-        shape = target.grid.shape
-        fitted = fit_correction(table, settings, footprint, sizes_m, shape, candidates, smooth)
+        shape, frames = target.grid.shape, not matches.pair.georeferenced
+        fitted = fit_correction(table, settings, footprint, sizes_m, shape, candidates, smooth, frames)
         places = _common_px(matches.record, matches.views, target)
         quality = assess(fitted.table, matches.every, fitted.selection, places, footprint)
         log.on_event(Progress("fitting", 1, 1))

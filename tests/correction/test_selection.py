@@ -117,6 +117,27 @@ def test_points_on_a_line_leave_the_shift() -> None:
     assert np.isfinite(selection.candidates[0].rmse_px)
 
 
+LOCAL = {"polynomial2", "polynomial3", "tps"}
+
+
+@pytest.mark.parametrize(("wavy_px", "expected"), [(0.12, {"projective"}), (0.5, LOCAL)])
+def test_flat_ground_of_two_frames_is_projective(wavy_px: float, expected: set[str]) -> None:
+    """A faint bend that all matches share is no reason for a polynomial, a real distortion is."""
+    points, places = scattered(5, 400, 1024), inside(1024)
+    truth = projective(1024)
+    bend = np.sin(points[:, ::-1] * np.pi / 1024) - 0.6
+    observed = truth.forward(points) + wavy_px * bend + noise(5, 400, 0.05)
+    given = points, observed, isotropic(400, 0.1), 81
+    found, any_pair = choose(*given, perspective=True), choose(*given)
+    assert found.name in expected
+    assert any_pair.name in LOCAL
+    if expected == {"projective"}:
+        note = next(each.note for each in found.candidates if each.name == any_pair.name)
+        assert "the image of flat ground" in note
+        left = found.fit.correction.forward(places) - truth.forward(places)
+        assert np.sqrt((left**2).sum(axis=1).mean()) < wavy_px
+
+
 def test_identical_images() -> None:
     predicted = scattered(7, 60)
     selection = choose(predicted, predicted, np.zeros((60, 2, 2)), 81)
@@ -142,7 +163,6 @@ FIELDS: dict[str, Callable[[int, Array], Array]] = {
     "waves": lambda seed, xy: waves(seed, xy, 2.0, 1000),
     "faint waves": lambda seed, xy: waves(seed, xy, 0.3, 600),
 }
-LOCAL = {"polynomial2", "polynomial3", "tps"}
 
 
 EXPECTED = {"shift": {"shift"}, "affine": {"affine"}, "projective": {"projective"} | LOCAL}

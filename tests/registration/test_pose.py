@@ -133,6 +133,51 @@ def test_a_mask_moves_with_its_target(tmp_path: Path) -> None:
     assert points.target_px[:, 0].min() > 150
 
 
+@pytest.mark.parametrize(
+    ("tilt_deg", "turn_deg"), [(2.0, 0.0), pytest.param(3.0, 35.0, marks=pytest.mark.slow)]
+)
+def test_flat_ground_seen_from_the_side_is_projective(
+    tilt_deg: float, turn_deg: float, tmp_path: Path
+) -> None:
+    homography = seen_from_the_side(tilt_deg, turn_deg)
+    middle = np.array([[160.0, 150.0], [161.0, 150.0], [160.0, 151.0]])
+    seen = through(homography, middle)
+    linear = np.column_stack([seen[1] - seen[0], seen[2] - seen[0]])
+    shift = seen[0] - linear @ middle[0]
+
+    def beside(xy: Array) -> Array:
+        return np.asarray(through(homography, xy) - xy @ linear.T - shift)
+
+    reference = write(tmp_path / "reference.tif", render(GRID), None)
+    values = render(GRID, "thermal", linear=linear, displacement_px=shift, local=beside)
+    found = run(reference, write(tmp_path / "target.tif", values, None), Settings())
+    assert found.status == "registered"
+    assert (found.prealignment.pose is not None) == (turn_deg != 0)
+    assert found.correction is not None
+    assert found.correction.name == "projective"
+    places = np.array([[40.0, 40.0], [280.0, 40.0], [40.0, 260.0], [280.0, 260.0], [160.0, 150.0]])
+    error_px = np.linalg.norm(found.correction.forward(places) - through(homography, places), axis=1)
+    assert error_px.max() < 0.5
+
+
+def seen_from_the_side(tilt_deg: float, turn_deg: float, focal_px: float = 400.0) -> Array:
+    """Return the (3, 3) homography of flat ground, tilted about its columns and turned about the middle."""
+    camera = np.array([[focal_px, 0, 160.0], [0, focal_px, 150.0], [0, 0, 1]])
+    cos, sin = np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))
+    tilt = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
+    cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    seen = camera @ turn @ tilt @ np.linalg.inv(camera)
+    moved = through(seen, np.array([[160.0, 150.0]]))[0]
+    back = np.array([[1, 0, 160.0 - moved[0]], [0, 1, 150.0 - moved[1]], [0, 0, 1]])
+    return np.asarray(back @ seen)
+
+
+def through(homography: Array, xy: Array) -> Array:
+    moved = np.column_stack([xy, np.ones(len(xy))]) @ homography.T
+    return np.asarray(moved[:, :2] / moved[:, 2:])
+
+
 def views(folder: Path) -> ViewPair:
     first = write(folder / "reference.tif", render(GRID), GRID)
     return plan_views(describe(first), describe(write(folder / "target.tif", render(GRID), GRID)))
