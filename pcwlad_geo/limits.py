@@ -71,6 +71,8 @@ POINTS: Final = 250_000
 """Largest number of tie points of a file; all are held in memory and used in each fit."""
 TEXT_BYTES: Final = 2**26
 """Largest size of an unpacked text file (table, side file, metadata of a product)."""
+XMP_BYTES: Final = 2**20
+"""Largest XMP packet of a raster that is parsed; those of cameras have some kB."""
 BATCH_ROWS: Final = 100_000
 """Largest number of pairs of a batch table."""
 MEMBERS: Final = 100_000

@@ -157,3 +157,12 @@ def write(path: Path, values: NDArray[np.generic], grid: Grid | None, **options:
         with rasterio.open(path, "w", **size, **where, **profile) as file:
             file.write(bands.astype(profile["dtype"]))
     return path
+
+
+def tag_frame(path: Path, **exif: str) -> Path:
+    """Give a raster without georeferencing EXIF tags, such as FocalLength="(8.5)"."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "r+") as file:
+            file.update_tags(ns="EXIF", **{f"EXIF_{name}": value for name, value in exif.items()})
+    return path

@@ -22,6 +22,7 @@ from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import check_coordinates, check_gcp_misfit, check_geotransform, check_latitudes
+from pcwlad_geo.raster.cameras import Camera, camera_of
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
 from pcwlad_geo.raster.file_tree import name_of_uri
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring, reading
@@ -61,6 +62,8 @@ class RasterInfo:
     """The geotransform of a file that has one but no CRS."""
     collar: Collar | None = None
     """A constant border that counts as nodata, see `without_collar`."""
+    camera: Camera | None = None
+    """What a file without georeferencing says of the camera that took it."""
     content: str = ""
     """Digest of the versions of the files (`identity.digest`), to detect changes; empty where unknown."""
 
@@ -102,6 +105,7 @@ def describe(
             mask_uri=None if mask is None else os.fspath(mask),
             gcp_misfit_px=misfit_px,
             plane_transform=_plane_transform(uri, dataset),
+            camera=camera_of(dataset) if grid.crs is None else None,
         )
     if info.mask_uri is not None:
         described = describe(info.mask_uri)

@@ -13,10 +13,11 @@ from affine import Affine
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.maps import scene_epsilon
-from pcwlad_geo.matching.pose import search_pose
+from pcwlad_geo.matching.pose import SCALES, search_pose
 from pcwlad_geo.matching.prepare import Noise, measure_noise
 from pcwlad_geo.matching.shift_search import SearchResult, search_shift
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.grid import Grid, Window, map_px
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo
@@ -101,6 +102,9 @@ class Prealignment:
     """Of the target, if a search found that; the shift is part of it."""
     evidence: float = 0.0
     """-log10 of the probability that a search finds a start like this in unrelated images."""
+    expected_scale: float | None = None
+    """Target px per reference px by the data of the cameras, about which the search for a pose was made; None
+    where these are not known, or not needed."""
     tried: int = 1
     """Number of starts that the matching tried, this one included."""
 
@@ -209,19 +213,50 @@ def by_pose_search(pair: ViewPair, overviews: Overviews, search_radius: int | No
     search_radius : int, optional
         Radius of the coarse match afterwards; by default it follows from the precision of the search.
     """
-    reference, target = overviews.reference, overviews.target
-    found = search_pose(reference.values, target.values, reference.valid, target.valid)
+    expected, _ = expected_scale(pair.reference.info.camera, pair.target.info.camera)
+    if expected is None or pair.georeferenced:
+        expected, glances = None, (overviews.reference, overviews.target)
+        factors = overviews.factor, overviews.factor
+    else:  # each at its own resolution: the two may differ much
+        glances, factors = _glances(pair)
+    reference, target = glances
+    by_px = (expected or 1.0) * factors[0] / factors[1]
+    found = search_pose(
+        reference.values,
+        target.values,
+        reference.valid,
+        target.valid,
+        scales=(SCALES[0] * by_px, SCALES[1] * by_px),
+    )
     if found is None or not found.accepted:
         return None
     # from array indices of the overviews to corner-based px of the views
-    to_view = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1 / overviews.factor]])
-    matrix = to_view @ np.vstack([found.matrix, [0.0, 0.0, 1.0]]) @ np.linalg.inv(to_view)
-    coarse_px = overviews.factor * max(1.0, found.scale) * (found.spread_px + POSE_ERROR_PX)
+    to_views = [np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1 / factor]]) for factor in factors]
+    matrix = to_views[1] @ np.vstack([found.matrix, [0.0, 0.0, 1.0]]) @ np.linalg.inv(to_views[0])
+    matrix /= matrix[2, 2]
+    if expected is None:
+        coarse_px = overviews.factor * max(1.0, found.scale) * (found.spread_px + POSE_ERROR_PX)
+    else:  # of the coarser of the two
+        scale = math.sqrt(abs(float(np.linalg.det(matrix[:2, :2]))))
+        px = factors[0] * min(1.0, scale), factors[1] * min(1.0, 1 / scale)
+        coarse_px = px[0] * found.spread_px + max(px) * POSE_ERROR_PX
     radius = search_radius or RADIUS_AFTER_SEARCH_PX + math.ceil(coarse_px)
     try:
-        return posed_start(pair, matrix, radius, found.evidence)
+        start = posed_start(pair, matrix, radius, found.evidence)
+        return replace(start, prealignment=replace(start.prealignment, expected_scale=expected))
     except InputError:  # too little in common to be matched
         return None
+
+
+def _glances(pair: ViewPair) -> tuple[tuple[Patch, Patch], tuple[float, float]]:
+    """Return both views made small, each by itself, and the view px per px of each."""
+    sides = [max(view.grid.shape) for view in (pair.reference, pair.target)]
+    factors = [max(1.0, side / OVERVIEW_SIDE_PX) for side in sides]
+    reference, target = (
+        view.read_decimated(max(1, round(side / factor)))[0]
+        for view, side, factor in zip((pair.reference, pair.target), sides, factors, strict=True)
+    )
+    return (reference, target), (factors[0], factors[1])
 
 
 def posed_start(pair: ViewPair, matrix: Float64, search_radius_px: int, evidence: float = 0.0) -> Start:

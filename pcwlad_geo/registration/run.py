@@ -14,6 +14,7 @@ from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.matching.outliers import consistent, contradicted_clusters
 from pcwlad_geo.options import VRT_MODELS, Settings
+from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.identity import digest
 from pcwlad_geo.raster.matching_grid import ViewPair, moved_across_antimeridian, plan_views, share_plane
@@ -127,7 +128,13 @@ def open_pair(
         elif not reference_by_rpc:
             ref, tgt, shared = share_plane(moved_across_antimeridian(ref, tgt), tgt)
             warnings = (*warnings, *shared)
-        notes = (*inputs.notes, *ref_collar, *tgt_collar, *_control_point_notes(ref, tgt))
+        notes = (
+            *inputs.notes,
+            *_camera_notes(ref, tgt),
+            *ref_collar,
+            *tgt_collar,
+            *_control_point_notes(ref, tgt),
+        )
         for warning in (*notes, *reference_warnings, *warnings):
             log.warn(warning)
         views = plan_rpc_views(ref, tgt) if placed or reference_by_rpc else plan_views(ref, tgt)
@@ -362,6 +369,12 @@ def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo) -
     reference = pair.reference.info.grid.shape
     predicted = predict_target_px(record.common_px(reference)[::COMMON_STEP], original)
     return predicted[np.isfinite(predicted).all(axis=1)]
+
+
+def _camera_notes(reference: RasterInfo, target: RasterInfo) -> list[str]:
+    """Tell what scale the cameras' data make expect of two frames, or why they are ignored."""
+    _, note = expected_scale(reference.camera, target.camera)
+    return [] if note is None or reference.georeferenced or target.georeferenced else [note]
 
 
 def _control_point_notes(reference: RasterInfo, target: RasterInfo) -> list[str]:

@@ -15,7 +15,7 @@ from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.prealign import Pose, Start, posed_start
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
-from tests.scenes import Array, make_grid, render, write
+from tests.scenes import Array, make_grid, render, tag_frame, write
 
 GRID = make_grid((300, 320))
 RMSE_AS_IT_LIES_PX = 0.193
@@ -176,6 +176,27 @@ def seen_from_the_side(tilt_deg: float, turn_deg: float, focal_px: float = 400.0
 def through(homography: Array, xy: Array) -> Array:
     moved = np.column_stack([xy, np.ones(len(xy))]) @ homography.T
     return np.asarray(moved[:, :2] / moved[:, 2:])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("told", [True, False])
+def test_pixels_of_very_different_size_are_found_by_the_cameras(told: bool, tmp_path: Path) -> None:
+    fine = make_grid((1600, 1760), pixel_m=30.0 / 8)
+    linear, shift = pose_of(25.0, 1.0)
+    reference = write(tmp_path / "reference.tif", render(fine), None)
+    values = render(make_grid((300, 320)), "thermal", linear=linear, displacement_px=shift)
+    target = write(tmp_path / "target.tif", values, None)
+    for path, focal_px in ((reference, 8000), (target, 1000)):
+        tags = {"FocalLength": "(10)", "FocalPlaneXResolution": f"({focal_px / 10})"}
+        tags |= {"FocalPlaneResolutionUnit": "4"} | ({"GPSAltitude": "(300)"} if told else {})
+        tag_frame(path, **tags)
+    found = run(reference, target, Settings())
+    assert any("8.0 times as large" in warning for warning in found.warnings) == told
+    assert any("data are ignored" in warning for warning in found.warnings) != told
+    if told:
+        assert found.status == "registered"
+        assert found.prealignment.expected_scale == pytest.approx(1 / 8)
+        assert np.median(errors_px(found, linear / 8, shift)) < 0.3
 
 
 def views(folder: Path) -> ViewPair:

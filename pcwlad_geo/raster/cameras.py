@@ -1,0 +1,189 @@
+"""What a frame says of its camera in EXIF and XMP: from two frames the expected ratio of their pixels."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final
+from xml.parsers import expat
+
+from rasterio.io import DatasetReader
+
+from pcwlad_geo.limits import XMP_BYTES
+from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
+
+FULL_FRAME_MM: Final = math.hypot(36.0, 24.0)
+"""Diagonal of the frame that 35-mm equivalents of focal lengths are of."""
+MM_PER_UNIT: Final = {"2": 25.4, "3": 10.0, "4": 1.0, "5": 0.001}
+"""Of EXIF's FocalPlaneResolutionUnit: inch, cm; mm and µm of TIFF/EP."""
+AGREE: Final = 1.25
+"""Largest ratio of two focal lengths of one camera that do not contradict each other."""
+SAME_HEIGHT_M: Final = 1.0
+"""Largest difference of the heights above the sea of two frames taken from one height."""
+FOCAL_PX: Final = (10.0, 1e6)
+"""Smallest and largest focal length, px, that is believed."""
+HEIGHT_M: Final = (0.5, 2e4)
+"""Smallest and largest height above the ground that is believed."""
+RATIO: Final = (1 / 64, 64.0)
+"""Smallest and largest ratio of the pixels of two frames that is believed."""
+WORTH_SAYING: Final = 1.05
+"""Ratio of the pixels from which it is told."""
+_DRONE: Final = "http://www.dji.com/drone-dji/1.0/"
+_NUMBER: Final = re.compile(r"[(\s]*([+-]?\d+(?:\.\d+)?)\s*\)?\s*$")
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """What a frame says of its camera."""
+
+    focal_px: float | None
+    """Focal length in pixels of the file; None where it is not told, or told twice with different values."""
+    height_m: float | None
+    """Height above the place of start, or of the ground, as drones write it."""
+    altitude_m: float | None
+    """Height above the sea."""
+    contradicts: bool = False
+    """Whether two statements about the focal length contradict each other."""
+
+
+def camera_of(dataset: DatasetReader) -> Camera | None:
+    """Return what an open raster says of its camera; None if nothing.
+
+    Read are EXIF tags (FocalLength with the resolution of the focal plane, FocalLengthIn35mmFilm,
+    GPSAltitude) and the attribute or element RelativeAltitude of DJI's XMP.
+    """
+    exif = _tags(dataset, "EXIF")
+    relative = _relative_altitude(_tags(dataset, "xml:XMP"))
+    if not exif and relative is None:
+        return None
+    focal = [each for each in (_by_focal_plane(exif, dataset.shape), _by_35_mm(exif, dataset.shape)) if each]
+    contradicts = len(focal) == 2 and max(focal) > AGREE * min(focal)
+    believed = focal[0] if focal and not contradicts else None
+    camera = Camera(believed, relative, _number(exif, "GPSAltitude"), contradicts)
+    known = (believed, camera.height_m, camera.altitude_m)
+    return camera if contradicts or any(each is not None for each in known) else None
+
+
+def _tags(dataset: DatasetReader, domain: str) -> Mapping[str, str]:
+    """Return the tags of a domain; none where GDAL cannot read them, as the pixels may be sound."""
+    found: Mapping[str, str] = {}
+    with suppress(*LIBRARY_ERRORS):
+        found = dataset.tags(ns=domain)
+    return found
+
+
+def expected_scale(reference: Camera | None, target: Camera | None) -> tuple[float | None, str | None]:
+    """Return the expected scale, target px per reference px, and a note.
+
+    The scale is None, and the note says why, where a value lacks or contradicts another one; both are None
+    where neither frame says anything, and only the note where the scale is about 1.
+    """
+    if reference is None and target is None:
+        return None, None
+    lacking = _lacking(reference, target)
+    if lacking is not None:
+        return None, f"{lacking}: their data are ignored, and the pair is searched as any other"
+    scale = _focal_ratio(reference, target) * _height_ratio(reference, target)
+    if not RATIO[0] <= scale <= RATIO[1]:
+        return None, f"by the cameras' data the pixels differ by a factor of {scale:.3g}: they are ignored"
+    if 1 / WORTH_SAYING < scale < WORTH_SAYING:
+        return scale, None
+    size, word = (1 / scale, "large") if scale <= 1 else (scale, "small")
+    return scale, f"by the cameras' data the target's pixels are {size:.1f} times as {word}"
+
+
+def _focal_ratio(reference: Camera | None, target: Camera | None) -> float:
+    lengths = [each.focal_px if each and each.focal_px else 1.0 for each in (reference, target)]
+    return lengths[1] / lengths[0]
+
+
+def _height_ratio(reference: Camera | None, target: Camera | None) -> float:
+    heights = [each.height_m if each else None for each in (reference, target)]
+    return 1.0 if heights[0] is None or heights[1] is None else heights[0] / heights[1]
+
+
+def _lacking(reference: Camera | None, target: Camera | None) -> str | None:
+    """Return what keeps the scale from being known; None if nothing."""
+    for which, camera in (("reference", reference), ("target", target)):
+        if camera is not None and camera.contradicts:
+            return f"the {which} states two focal lengths that contradict each other"
+        if camera is None or camera.focal_px is None:
+            return f"the camera's focal length in pixels is not known of the {which}"
+    if reference is None or target is None:
+        return None
+    if reference.height_m is not None and target.height_m is not None:
+        return None
+    heights = reference.altitude_m, target.altitude_m
+    if heights[0] is None or heights[1] is None or abs(heights[0] - heights[1]) > SAME_HEIGHT_M:
+        return "the cameras' heights above the ground are not known of both frames"
+    return None
+
+
+def _by_focal_plane(exif: Mapping[str, str], shape: tuple[int, int]) -> float | None:
+    focal_mm, per_unit = _number(exif, "FocalLength"), _number(exif, "FocalPlaneXResolution")
+    unit_mm = MM_PER_UNIT.get(exif.get("EXIF_FocalPlaneResolutionUnit", "2").strip())
+    if focal_mm is None or per_unit is None or unit_mm is None:
+        return None
+    cols = _number(exif, "PixelXDimension")
+    made_smaller = shape[1] / cols if cols else 1.0
+    return _within(focal_mm * per_unit / unit_mm * made_smaller, FOCAL_PX)
+
+
+def _by_35_mm(exif: Mapping[str, str], shape: tuple[int, int]) -> float | None:
+    equivalent_mm = _number(exif, "FocalLengthIn35mmFilm")
+    if equivalent_mm is None:
+        return None
+    return _within(equivalent_mm / FULL_FRAME_MM * math.hypot(*shape), FOCAL_PX)
+
+
+def _number(exif: Mapping[str, str], name: str) -> float | None:
+    """Return a value as GDAL writes it, such as (5.5); None unless it is one positive number."""
+    found = _NUMBER.match(exif.get(f"EXIF_{name}", "")[:40])
+    return _within(float(found[1]), (1e-9, 1e9)) if found else None
+
+
+def _within(value: float, limits: tuple[float, float]) -> float | None:
+    return value if limits[0] <= value <= limits[1] else None
+
+
+class _StopReadingError(Exception):
+    """The document holds what is not read, or all that is wanted is known."""
+
+
+def _relative_altitude(tags: Mapping[str, str]) -> float | None:
+    """Return RelativeAltitude of an XMP packet, m; None where there is none.
+
+    Packets of more than `XMP_BYTES` are not parsed, nor is anything after a document type, where entities
+    would be declared.
+    """
+    text = next(iter(tags.values()), "")
+    if not text or len(text) > XMP_BYTES:
+        return None
+    name = f"{_DRONE} RelativeAltitude"
+    found: list[str] = []
+    inside: list[str] = []
+
+    def begin(element: str, attributes: Mapping[str, str]) -> None:
+        if name in attributes:
+            found.append(attributes[name])
+            raise _StopReadingError
+        inside.append(element)
+
+    def read(data: str) -> None:
+        if inside and inside[-1] == name:
+            found.append(data)
+
+    def refuse(*_: object) -> None:
+        raise _StopReadingError
+
+    parser = expat.ParserCreate(namespace_separator=" ")
+    parser.StartElementHandler, parser.CharacterDataHandler = begin, read
+    parser.EndElementHandler = lambda _: inside.pop()
+    parser.StartDoctypeDeclHandler = refuse
+    with suppress(expat.ExpatError, _StopReadingError, UnicodeEncodeError):
+        parser.Parse(text.strip("\x00\ufeff \r\n\t"), True)
+    match = _NUMBER.match("".join(found)[:40])
+    return _within(float(match[1]), HEIGHT_M) if match else None
