@@ -25,6 +25,7 @@ from benchmarks.studies.bands import bands
 from benchmarks.studies.closure import closure
 from benchmarks.studies.difference import difference
 from benchmarks.studies.field import displacement_field
+from benchmarks.studies.metrology import metrology
 from benchmarks.studies.models import models
 from benchmarks.studies.paper import paper
 from benchmarks.studies.pose import PARTS, pose
@@ -46,6 +47,7 @@ STUDIES: dict[str, Study] = {
     "paper": paper,
     "robustness": robustness,
     "difference": difference,
+    "metrology": metrology,
     "field": displacement_field,
     "sigma": sigma,
     "closure": closure,

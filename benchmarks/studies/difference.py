@@ -19,7 +19,7 @@ from benchmarks.tables import Cell, Table, at_most
 LIMIT_PX = 0.02
 
 
-def difference(data: Path, _scratch: Path, runner: Runner) -> Iterator[Table]:
+def difference(data: Path, _scratch: Path, runner: Runner, limit_px: float = LIMIT_PX) -> Iterator[Table]:
     """Yield one table."""
     rows: list[list[Cell]] = []
     checks = []
@@ -37,7 +37,7 @@ def difference(data: Path, _scratch: Path, runner: Runner) -> Iterator[Table]:
                 [f"{pair.name}, {name}", *(f"{v:+.3f}" for v in (*_shift(before), *_shift(after), *error))]
             )
             checks.append(
-                at_most(f"{pair.name}, {name}: larger axis", float(np.abs(error).max()), LIMIT_PX, "px")
+                at_most(f"{pair.name}, {name}: larger axis", float(np.abs(error).max()), limit_px, "px")
             )
     header = ("pair", "before x", "y", "after x", "y", "error x", "y")
     yield Table("Difference of two fitted shifts against the known shift, px", header, rows, checks)
