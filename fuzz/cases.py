@@ -93,7 +93,9 @@ def case(seed_number: int, number: int, only: Collection[int] | None = None) -> 
 
 def whole(reproducer: Reproducer) -> Case:
     """Return a kept input as it is."""
-    return Case(reproducer.name, reproducer.argv, reproducer.files)
+    return Case(
+        reproducer.name, reproducer.argv, reproducer.files, reproducer.places, out_dir=reproducer.out_dir
+    )
 
 
 def _of_recipe(recipe: Recipe, random: Random) -> Case:

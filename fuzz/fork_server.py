@@ -106,10 +106,11 @@ def put_files(case: Case, inside: Path) -> None:
     for name, kind in case.places.items():
         path = inside / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        _put_in_place(path, kind)
+        put_in_place(path, kind)
 
 
-def _put_in_place(path: Path, kind: str) -> None:
+def put_in_place(path: Path, kind: str) -> None:
+    """Put something else in the place of a file: one of `fuzz.cases.PLACES`."""
     if path.exists() or path.is_symlink():
         return
     if kind == "fifo":

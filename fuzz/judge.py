@@ -137,7 +137,7 @@ def _output_folders(case: Case, folder: Path) -> list[Path]:
 def _results(case: Case, outcome: Outcome, folder: Path) -> Iterator[Failure]:
     out = folder / CASE / case.out_dir
     wanted = "trend.json" if "--trend" in case.argv else RESULTS.get(case.argv[0])
-    before = any(name.startswith(f"{case.out_dir}/") for name in case.files)
+    before = any(name.startswith(f"{case.out_dir}/") for name in (*case.files, *case.places))
     written = sorted(path for path in out.rglob("*") if path.is_file()) if out.is_dir() else []
     command = case.argv[0]
     if outcome.status == 2 and command != "batch" and not before and written:

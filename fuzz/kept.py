@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Final
+
+from fuzz.recipes import OUT
 
 FOLDER: Final = Path(__file__).resolve().parent / "corpus"
 SEEDS: Final = FOLDER / "seeds"
@@ -21,6 +24,9 @@ class Reproducer:
     argv: tuple[str, ...]
     files: dict[str, bytes] = field(repr=False)
     """Content by path from the folder it is run in."""
+    places: Mapping[str, str] = field(default_factory=dict)
+    """What is in the place of a file, by path: one of `fuzz.cases.PLACES`."""
+    out_dir: str = OUT
 
 
 @cache
@@ -49,7 +55,9 @@ def reproducers(folder: Path = HOSTILE) -> tuple[Reproducer, ...]:
                 files[path.name] = (folder / "seed" / path.name).read_bytes()
                 argument = path.name
             argv.append(argument)
-        found.append(Reproducer(case["case"], tuple(argv), files))
+        found.append(
+            Reproducer(case["case"], tuple(argv), files, case.get("places", {}), case.get("out_dir", OUT))
+        )
     return tuple(found)
 
 

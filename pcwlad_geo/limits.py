@@ -75,6 +75,12 @@ XMP_BYTES: Final = 2**20
 """Largest XMP packet of a raster that is parsed; those of cameras have some kB."""
 BATCH_ROWS: Final = 100_000
 """Largest number of pairs of a batch table."""
+TREND_FIGURES: Final = 100_000
+"""Largest number of pairs in the reports of a trend; each is drawn."""
+OPTIONS_BYTES: Final = 2**14
+"""Largest size of a file of options; reading TOML takes time with the cube of its nested names."""
+RPC_BYTES: Final = 2**16
+"""Largest size of an RPC file; real ones have about three kilobytes."""
 MEMBERS: Final = 100_000
 """Largest number of files in an archive or a folder of a product."""
 UNPACKED_BYTES: Final = 2**30

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import html
+import json
 import os
 import stat
 import unicodedata
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import TEXT_BYTES
@@ -77,17 +78,35 @@ def read_bytes(path: Path, most: int = TEXT_BYTES) -> bytes:
     return data
 
 
-def read_text(path: Path, *, encoding: str = "utf-8", errors: str = "strict") -> str:
-    r"""Read the whole text file `path` with all line ends as ``\n``; `encoding` and `errors` are Python's.
+def read_text(path: Path, *, most: int = TEXT_BYTES, encoding: str = "utf-8", errors: str = "strict") -> str:
+    r"""Read the whole text file `path` with all line ends as ``\n``; `encoding` and `errors` are as Python's.
+
+    Raises
+    ------
+    InputError
+        If it is no regular file, or larger than `most` bytes.
+    OSError, UnicodeDecodeError
+        If it cannot be read or decoded.
+    """
+    return read_bytes(path, most).decode(encoding, errors).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_json(path: Path) -> Any:  # noqa: ANN401  # of any structure
+    """Read a JSON file of at most `TEXT_BYTES`, which may be of any program and damaged.
 
     Raises
     ------
     InputError
         If it is no regular file, or larger than `TEXT_BYTES`.
-    OSError, UnicodeDecodeError
-        If it cannot be read or decoded.
+    OSError
+        If it cannot be read.
+    ValueError
+        If it is no JSON in UTF-8, or nested too deeply.
     """
-    return read_bytes(path).decode(encoding, errors).replace("\r\n", "\n").replace("\r", "\n")
+    try:
+        return json.loads(read_text(path))
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
 
 
 T = TypeVar("T")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import os
 import re
@@ -18,9 +17,10 @@ from typing import Any, Final
 from pcwlad_geo.bandqa.page import environment
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
+from pcwlad_geo.limits import COORDINATE, TREND_FIGURES, check_count
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.raster.source import file_name
-from pcwlad_geo.text import cell
+from pcwlad_geo.text import cell, read_json
 from pcwlad_geo.types import PathLike
 
 NAMES: Final = {"numbers": "trend.json", "table": "trend.csv", "report": "trend.html"}
@@ -32,6 +32,8 @@ COLUMNS: Final = (
 """Columns of trend.csv."""
 SCHEMA_VERSION: Final = 1
 """Version of the structure of trend.json."""
+_DAMAGED: Final = (InputError, OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError)
+"""What a damaged report raises."""
 _DATE: Final = re.compile(
     r"(?<!\d)((?:19|20)\d\d)(-?)(0[1-9]|1[0-2])\2(0[1-9]|[12]\d|3[01])(?:T\d{6})?(?!\d)"
 )
@@ -112,10 +114,12 @@ def trend(
         file for name in ("report.json", "qa.json") for file in top.rglob(name) if _is_plain(file, top)
     )
     found: dict[tuple[str, str], list[Moment]] = {}
-    skipped = []
+    skipped, held = [], 0
     for number, file in enumerate(files):
         on_event(Progress("reading", number, len(files)))
         moments = _moments(file, top)
+        held += len(moments)
+        check_count(str(top), held, TREND_FIGURES, "pairs in its reports")
         if not moments:
             skipped.append(str(file.relative_to(top)))
             on_event(Warned(f"{file} holds no figures: it is left out"))
@@ -160,12 +164,25 @@ def _is_plain(file: Path, top: Path) -> bool:
 def _moments(file: Path, top: Path) -> list[tuple[str, str, Moment]]:
     """Return kind, series and figures of the entries of a report."""
     try:
-        report = json.loads(file.read_text(encoding="utf-8"))
+        report = read_json(file)
         if not isinstance(report, dict) or "pcwlad-geo" not in report["versions"]:
             return []
-        return list((_of_qa if file.name == "qa.json" else _of_registration)(report, file, top))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):  # of another program, or damaged
+        entries = list((_of_qa if file.name == "qa.json" else _of_registration)(report, file, top))
+        for _, _, moment in entries:
+            _check_moment(moment)
+    except _DAMAGED:  # of another program, too
         return []
+    return entries
+
+
+def _check_moment(moment: Moment) -> None:
+    """Raise `TypeError` or `ValueError` if a figure of a damaged report cannot be drawn."""
+    numbers = [moment.n, *moment.mean_px, *([] if moment.ce90_px is None else [moment.ce90_px])]
+    if len(moment.mean_px) != 2 or not all(abs(number) <= COORDINATE for number in numbers):
+        raise ValueError("a figure is not finite, or there are not two of them")
+    if moment.passed not in (None, True, False):
+        raise ValueError("whether the requirements are met is neither yes nor no")
+    _time(moment)
 
 
 def _of_qa(report: Mapping[str, Any], file: Path, top: Path) -> Iterator[tuple[str, str, Moment]]:
@@ -240,7 +257,8 @@ def _write(
         texts = {"table": _table(series), "report": render(found), "numbers": to_json(numbers)}
         with folder.writing():
             for kind, text in texts.items():
-                folder.path(NAMES[kind]).write_text(text, encoding="utf-8", newline="")
+                place = folder.path(NAMES[kind])
+                place.write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
         folder.commit()
     return found
 

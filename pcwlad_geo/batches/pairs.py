@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from pcwlad_geo.job import output_folder
 from pcwlad_geo.limits import BATCH_ROWS, check_count
 from pcwlad_geo.options import OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings, to_setting
 from pcwlad_geo.requirements import parse_requirements
-from pcwlad_geo.text import check_regular
+from pcwlad_geo.text import read_text
 from pcwlad_geo.types import PathLike
 
 COLUMNS: Final = (
@@ -66,7 +67,6 @@ def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -
         Fields of `Settings` for cells that are empty.
     """
     path = Path(table)
-    check_regular(path)
     rows = list(islice(_rows(path), BATCH_ROWS + 1))
     check_count(str(path), len(rows), BATCH_ROWS, "pairs")
     if not rows:
@@ -89,23 +89,22 @@ def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -
 def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
     """Yield the number and the nonempty cells of each nonempty line."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file, skipinitialspace=True)
-            columns = _columns(path, next(reader, []))
-            for values in reader:
-                values = [value.strip() for value in values]
-                if not any(values):
-                    continue
-                if len(values) > len(columns):
-                    raise InputError(
-                        f"{path}, line {reader.line_num} has {len(values)} cells for {len(columns)} columns: "
-                        "put values that hold a comma in quotes"
-                    )
-                cells = {name: value for name, value in zip(columns, values, strict=False) if value}
-                for name in ("reference", "target"):
-                    if name not in cells:
-                        raise InputError(f"{path}, line {reader.line_num} has no {name}")
-                yield reader.line_num, cells
+        reader = csv.reader(io.StringIO(read_text(path, encoding="utf-8-sig")), skipinitialspace=True)
+        columns = _columns(path, next(reader, []))
+        for values in reader:
+            values = [value.strip() for value in values]
+            if not any(values):
+                continue
+            if len(values) > len(columns):
+                raise InputError(
+                    f"{path}, line {reader.line_num} has {len(values)} cells for {len(columns)} columns: "
+                    "put values that hold a comma in quotes"
+                )
+            cells = {name: value for name, value in zip(columns, values, strict=False) if value}
+            for name in ("reference", "target"):
+                if name not in cells:
+                    raise InputError(f"{path}, line {reader.line_num} has no {name}")
+            yield reader.line_num, cells
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
     except (UnicodeDecodeError, csv.Error) as error:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pcwlad_geo.batches.pairs import Pair, read_pairs
 from pcwlad_geo.errors import (
+    InputError,
     OutputError,
     PcwladGeoError,
     RegistrationRejectedError,
@@ -28,7 +29,7 @@ from pcwlad_geo.outputs.stages import of_dead_processes
 from pcwlad_geo.products.detect import products_found_once
 from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.report.finished import read_report, report_of_same_job
-from pcwlad_geo.text import cell, joined
+from pcwlad_geo.text import cell, check_regular, joined
 from pcwlad_geo.types import PathLike
 
 if TYPE_CHECKING:
@@ -38,6 +39,9 @@ if TYPE_CHECKING:
 
 SUMMARY: Final = "summary.csv"
 """File name of the summary in the output folder."""
+
+_SUMMARY_START: Final = b"line,reference,target,"
+"""First bytes of the file of that name."""
 
 Status = Literal["registered", "rejected", "unusable", "failed"]
 
@@ -105,8 +109,10 @@ def check_summary(path: Path) -> None:
     if not os.path.lexists(path):
         return
     try:
-        ours = path.read_text(encoding="utf-8").startswith("line,reference,target,")
-    except (OSError, ValueError):
+        check_regular(path)
+        with path.open("rb") as file:
+            ours = file.read(len(_SUMMARY_START)) == _SUMMARY_START
+    except (OSError, InputError):
         ours = False
     if not ours:
         raise OutputError(f"{path} is in the way and no summary of a batch: choose another output folder")
@@ -137,7 +143,7 @@ def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
         for left in of_dead_processes(path.parent, start):
             left.unlink(missing_ok=True)
         try:
-            beside.write_text(text.getvalue(), encoding="utf-8", newline="")
+            beside.write_text(text.getvalue(), encoding="utf-8", errors="backslashreplace", newline="")
             seal(beside)
             beside.replace(path)
         finally:
@@ -301,6 +307,17 @@ def _not_done(pair: Pair, error: Exception) -> PairOutcome:
 
 def _done_before(pair: Pair) -> PairOutcome | None:
     """Return the outcome of the pair in an earlier run, if that was the same job, else None."""
+    try:
+        outcome = _earlier(pair)
+        if outcome is not None:
+            outcome.row()
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError):  # a damaged report
+        return None
+    return outcome
+
+
+def _earlier(pair: Pair) -> PairOutcome | None:
+    """Return the outcome that an earlier run of the same job has reported; raise where it is damaged."""
     report = report_of_same_job("register", (pair.reference, pair.target), pair.settings, pair.out_dir)
     status = report.get("status")
     if status == "registered":

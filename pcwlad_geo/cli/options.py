@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import typer
 
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.limits import OPTIONS_BYTES
 from pcwlad_geo.options import OPTIONS, SETTINGS, Option, Settings, to_setting
 from pcwlad_geo.text import read_text
 
@@ -52,7 +53,7 @@ def read_config(path: Path) -> dict[str, object]:
     Raises `SettingsError` if the file cannot be read or is not valid TOML.
     """
     try:
-        values = tomllib.loads(read_text(path))
+        values = tomllib.loads(read_text(path, most=OPTIONS_BYTES))
     except OSError as error:
         raise SettingsError(f"cannot read config file {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or nested too deeply

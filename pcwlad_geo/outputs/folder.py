@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator
@@ -12,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from pcwlad_geo.errors import OutputError
+from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.outputs.places import (
     FOLDER_MODE,
     HOST,
@@ -41,6 +40,7 @@ from pcwlad_geo.outputs.stages import (
     write_journal,
 )
 from pcwlad_geo.raster.output_format import files_of, verify_output
+from pcwlad_geo.text import read_json
 
 RESULTS: Final = "report.json"
 """The file that marks a folder with results; its entry `outputs` lists the files that belong to them."""
@@ -339,8 +339,8 @@ def abandon(out_dir: str | os.PathLike[str]) -> None:
 def _listed_outputs(folder: Path, results: str) -> frozenset[str] | None:
     """Return the file names that belong to the results in a folder; None without results of this program."""
     try:
-        report = json.loads((folder / results).read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, ValueError, RecursionError):
+        report = read_json(folder / results)
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, ValueError, InputError):
         return None
     except OSError as error:  # unknown whether it is a file of this program
         raise OutputError(

@@ -19,6 +19,7 @@ from typing import Final
 
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.outputs.places import HOST, alive, seal, sync_folder
+from pcwlad_geo.text import read_json
 
 _CONTENT: Final = re.compile(r"pcwlad-geo: process (?P<process>\d+) on (?P<host>\w+)\n")
 _MAX_BYTES: Final = 512
@@ -299,7 +300,7 @@ def discard(stage: Path, out_dir: Path) -> None:
 
 def _undo(stage: Path, out_dir: Path) -> None:
     """Remove the new files and restore the old ones; may be interrupted and repeated."""
-    steps = json.loads((stage / JOURNAL).read_text(encoding="utf-8"))
+    steps = read_json(stage / JOURNAL)
     for name in reversed(plain_names(steps["new"])):
         if not os.path.lexists(stage / name) and os.path.lexists(out_dir / name):
             (out_dir / name).replace(stage / name)

@@ -20,7 +20,7 @@ METADATA: Final = re.compile(r"MTL\.(txt|json|xml)", re.IGNORECASE)
 _BAND: Final = re.compile(
     r"(?P<name>(?:SR_|ST_)?(?P<number>B\d{1,2})(?P<gain>_VCID_\d)?)\.TIF", re.IGNORECASE
 )
-_LISTED: Final = re.compile(r"FILE_NAME_BAND_\w+\W+?(L[\w.]+\.TIF)", re.IGNORECASE)
+_LISTED: Final = re.compile(r"\bFILE_NAME_BAND_\w{1,30}\W{1,9}?(L[\w.]{1,200}\.TIF)", re.IGNORECASE)
 
 
 def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -30,7 +29,7 @@ from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.rpc import CorrectedRpc, RpcRegistration
 from pcwlad_geo.report.content import plain
 from pcwlad_geo.report.summary import SCHEMA_VERSION
-from pcwlad_geo.text import read_text
+from pcwlad_geo.text import read_json
 
 NUMBERS = "report.json"
 """Name of the file in an output folder that describes the registration."""
@@ -106,8 +105,8 @@ def finished(registration: Registration) -> FinishedRegistration:
 def read_report(out_dir: Path) -> dict[str, Any]:
     """Return the report.json of a folder; an empty dict if there is none of this program."""
     try:
-        report = json.loads((out_dir / NUMBERS).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        report = read_json(out_dir / NUMBERS)
+    except (OSError, ValueError, InputError):
         return {}
     known = isinstance(report, dict) and "schema_version" in report and "settings" in report
     return report if known else {}
@@ -127,7 +126,8 @@ def report_of_same_job(
                 return {}
     except InputError:  # the job itself will raise it
         return {}
-    before = {name: value for name, value in report["settings"].items() if name not in RUNNING}
+    told = report["settings"] if isinstance(report["settings"], dict) else {}
+    before = {name: value for name, value in told.items() if name not in RUNNING}
     wanted = {name: value for name, value in asdict(found.settings).items() if name not in RUNNING}
     return report if before == plain(wanted) else {}
 
@@ -135,11 +135,11 @@ def report_of_same_job(
 def _same_inputs(inputs: Inputs, report: Mapping[str, Any]) -> bool:
     """Whether a report is about these files, and none has changed since."""
     names = [inputs.reference, inputs.target]
-    if [report[which]["path"] for which in ("reference", "target")] != names:
-        return False
     try:
+        if [report[which]["path"] for which in ("reference", "target")] != names:
+            return False
         before = [FileIdentity.from_json(each) for each in report["inputs"]]
-    except (KeyError, TypeError):  # a report of an earlier version
+    except (KeyError, TypeError):  # a report of an earlier version, or a damaged one
         return False
     return same(before, [file.identity for file in identify_inputs(inputs)])
 
@@ -165,13 +165,13 @@ def _vertical(given: float | Path | str | None) -> Vertical:
 def _report(path: Path) -> Mapping[str, Any]:
     """Return the content of the report.json of a registration."""
     try:
-        report = json.loads(read_text(path))
+        report = read_json(path)
     except OSError as error:
         raise InputError(
             f"{path} cannot be read ({error.strerror}), so this is no finished registration: give the output "
             "folder of pcwlad-geo register"
         ) from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise InputError(
             f"{path} is no JSON ({error}): give the output folder of pcwlad-geo register"
         ) from error

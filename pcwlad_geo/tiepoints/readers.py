@@ -30,7 +30,7 @@ CRS_LINE: Final = "#CRS:"
 _HEAD_BYTES: Final = 65536
 # ENVI counts from (1, 1) at the top-left corner of the first pixel, GDAL from (0, 0).
 _ENVI_ORIGIN_PX: Final = 1.0
-_ENVI_SIDE: Final = re.compile(r"(base|warp|map|image)(?:\s+image)?\s*\(([^)]*)\)", re.IGNORECASE)
+_ENVI_SIDE: Final = re.compile(r"(base|warp|map|image)(?:\s+image)?\s*\(([^()]*)\)", re.IGNORECASE)
 _ENVI_FILE: Final = re.compile(r";\s*(base|warp) file\s*:\s*(.*\S)", re.IGNORECASE)
 _QGIS_SOURCE: Final = (("sourcex", "sourcey"), ("pixelx", "pixely"))
 _OWN: Final = ("ref_col", "ref_row", "tgt_col", "tgt_row")

@@ -20,6 +20,7 @@ from pcwlad_geo.errors import CancelledError, InputError, OutputError, SettingsE
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.outputs.places import HOST
+from pcwlad_geo.report.finished import read_report
 from tests.patience import PATIENCE_S
 from tests.registration.calls import Counting
 from tests.scenes import make_grid, render, write

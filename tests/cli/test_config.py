@@ -46,7 +46,13 @@ def test_words_and_numbers(given: dict[str, object], expected: dict[str, object]
 
 def test_values_nested_without_end_are_told(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="not valid TOML"):
-        read_config(write(tmp_path, "window = " + "[" * 100_000))
+        read_config(write(tmp_path, "window = " + "[" * 10_000))
+
+
+def test_a_file_beyond_the_size_of_options_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
+    """Nested names take tomllib minutes from some hundred thousand characters on."""
+    with pytest.raises(InputError, match="more than 16384 bytes"):
+        read_config(write(tmp_path, "window" + ".a" * 10_000 + " = 1"))
 
 
 def test_requirements_of_a_file(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from affine import Affine
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import check_rpc
+from pcwlad_geo.limits import RPC_BYTES, check_rpc
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc.model import TERMS, RpcModel
 from pcwlad_geo.raster.source import open_raster
@@ -193,7 +193,7 @@ def parse_rpc_text(path: Path) -> RpcModel:
     Raises `InputError` if the file holds no RPC, or an item is missing.
     """
     try:
-        text = read_text(path, errors="replace")
+        text = read_text(path, most=RPC_BYTES, errors="replace")
     except OSError as error:
         raise InputError(f"the RPC file {path} cannot be read: {error.strerror}") from error
     values = _rpb(text) if path.suffix.upper() == ".RPB" else _rpc_txt(text)
@@ -225,7 +225,7 @@ def _sidecars(uri: str) -> list[Path]:
 
 def _rpc_txt(text: str) -> dict[str, Any]:
     values: dict[str, Any] = {name: [np.nan] * TERMS for name in POLYNOMIALS}
-    for name, value in re.findall(rf"^\s*(\w+)\s*[:=]\s*({_NUMBER})", text, re.MULTILINE):
+    for name, value in re.findall(rf"^[ \t]*(\w+)[ \t]*[:=]\s*({_NUMBER})", text, re.MULTILINE):
         base, _, number = name.lower().rpartition("_")
         if base in POLYNOMIALS and number.isdecimal() and 1 <= int(number) <= TERMS:
             values[base][int(number) - 1] = float(value)
@@ -236,7 +236,7 @@ def _rpc_txt(text: str) -> dict[str, Any]:
 
 def _rpb(text: str) -> dict[str, Any]:
     values: dict[str, Any] = {}
-    for name, value in re.findall(r"(\w+)\s*=\s*(\([^)]*\)|[^;]*);", text):
+    for name, value in re.findall(r"\b(\w+)\s*=\s*(\([^)=]*\)|[^;=]*);", text):
         key = (
             re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
             .lower()
