@@ -81,6 +81,11 @@ OPTIONS_BYTES: Final = 2**14
 """Largest size of a file of options; reading TOML takes time with the cube of its nested names."""
 RPC_BYTES: Final = 2**16
 """Largest size of an RPC file; real ones have about three kilobytes."""
+METADATA_BYTES: Final = 2**24
+"""Largest size of a product's metadata, unpacked; those of Sentinel-2 have about a megabyte, and XML takes up
+to 40 times its bytes once it is read."""
+VRT_BYTES: Final = 2**25
+"""Largest size of a VRT; mosaics of 10,000 tiles have a few megabytes."""
 MEMBERS: Final = 100_000
 """Largest number of files in an archive or a folder of a product."""
 UNPACKED_BYTES: Final = 2**30

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import pytest
 
+from fuzz.fork_server import put_in_place
 from tests.patience import PATIENCE_S
 
 CORPUS: Final = Path(__file__).resolve().parents[1] / "fuzz" / "corpus" / "hostile"
@@ -33,6 +34,10 @@ sys.exit(ended.returncode)
 def test_hostile_files_are_refused(case: dict[str, Any], tmp_path: Path) -> None:
     for name in (case["case"], "seed"):
         shutil.copytree(CORPUS / name, tmp_path / name)
+    for name, kind in case.get("places", {}).items():
+        place = tmp_path / case["case"] / name
+        place.parent.mkdir(exist_ok=True)
+        put_in_place(place, kind)
     scratch, peak = tmp_path / "scratch", tmp_path / "peak"
     scratch.mkdir()
     before = _content(tmp_path / case["case"])

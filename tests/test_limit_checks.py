@@ -210,4 +210,6 @@ def test_limits_that_are_compared_elsewhere() -> None:
     assert (limits.SEARCH_RADIUS_PX, limits.TILE_PX, limits.FEATURES) == (1024, 4096, 100_000)
     assert (limits.ITERATIONS, limits.JOBS, limits.UNREAD_PARTS) == (1000, 1024, 500)
     assert (limits.POINTS, limits.BATCH_ROWS, limits.MEMBERS) == (250_000, 100_000, 100_000)
+    assert (limits.OPTIONS_BYTES, limits.RPC_BYTES, limits.METADATA_BYTES) == (2**14, 2**16, 2**24)
+    assert (limits.VRT_BYTES, limits.TREND_FIGURES) == (2**25, 100_000)
     assert (limits.TEXT_BYTES, limits.MIN_STORED, limits.NAME_BYTES) == (2**26, 1 / 128, 255)

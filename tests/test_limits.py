@@ -18,12 +18,14 @@ from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 
 from pcwlad_geo import limits
+from pcwlad_geo.cli.options import read_config
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import ExecutionError, InputError, OutputError, SettingsError
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.execution.cluster import LOST_AFTER_S, WARN_AFTER_S, WorkerWatch
 from pcwlad_geo.job import register
 from pcwlad_geo.options import Settings
+from pcwlad_geo.products.landsat import LISTED
 from pcwlad_geo.raster.file_tree import tree_of
 from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.raster.grid import Grid
@@ -32,7 +34,7 @@ from pcwlad_geo.raster.output_grid import GridRequest, output_grid
 from pcwlad_geo.raster.rpc.files import parse_rpc_text
 from pcwlad_geo.raster.source import describe, open_raster
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.text import read_bytes
+from pcwlad_geo.text import read_bytes, read_json
 from pcwlad_geo.tiepoints.readers import read_point_file
 from tests.cli.process import run_cli
 
@@ -198,7 +200,7 @@ def test_what_is_no_file_is_never_waited_for(
     monkeypatch.chdir(tmp_path)  # names of sockets are short
     place = Path("odd.tif")
     make(place)
-    for read in (describe, read_point_file, read_bytes):
+    for read in (describe, read_point_file, read_bytes, read_json, read_config):
         with pytest.raises(InputError, match=r"is a .*, not a file"):
             read(place)
     Path("beside.tif.aux.xml").symlink_to("odd.tif")
@@ -226,7 +228,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None
     ):
         for _ in range(65):
             member.write(bytes(2**20))
-    with pytest.raises(InputError, match=rf"unpacks to more than {limits.TEXT_BYTES} bytes"):
+    with pytest.raises(InputError, match=rf"unpacks to more than {limits.METADATA_BYTES} bytes"):
         tree_of(path).read_text("LC08_MTL.txt")
     with pytest.raises(InputError, match="at most 200 times its size"):
         limits.check_unpacked("a.zip", 2**31, 2_200_000)
@@ -369,3 +371,35 @@ def test_a_scheduler_without_workers_is_waited_for_a_bounded_time() -> None:
     now[0] += LOST_AFTER_S + 1
     with pytest.raises(ExecutionError, match="no worker for 60 s: start some"):
         watch(told.append)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["\n" * 60_000, "a=" * 30_000, "a" * 60_000, "a=(" * 20_000],
+    ids=["empty lines", "names", "one name", "brackets"],
+)
+@pytest.mark.parametrize("name", ["a.RPB", "a_RPC.TXT"])
+def test_an_rpc_file_of_nonsense_is_read_in_linear_time(name: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(InputError, match="lacks"):
+        parse_rpc_text(path)
+    path.write_text(text * 2)
+    with pytest.raises(InputError, match=f"more than {limits.RPC_BYTES} bytes"):
+        parse_rpc_text(path)
+
+
+def test_landsat_metadata_of_nonsense_are_read_in_linear_time() -> None:
+    """Where each begins of a name is followed to the end of the text, four megabytes take hours."""
+    for part in ("FILE_NAME_BAND_", "FILE_NAME_BAND_1.L.", "FILE_NAME_BAND_1 = L"):
+        assert LISTED.findall(part * 200_000) == []
+    listed = (
+        'FILE_NAME_BAND_ST_B10 = "LC08_L2SP_1_T1_ST_B10.TIF"\n<FILE_NAME_BAND_1>L_B1.TIF</FILE_NAME_BAND_1>'
+    )
+    assert LISTED.findall(listed) == ["LC08_L2SP_1_T1_ST_B10.TIF", "L_B1.TIF"]
+
+
+def test_an_envi_header_of_nonsense_is_read_in_linear_time(tmp_path: Path) -> None:
+    path = tmp_path / "points.pts"
+    path.write_text(";" + "base(" * 400_000 + "\n1 2 3 4\n")
+    assert read_point_file(path).reference.tolist() == [[0.0, 1.0]]

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,33 @@ def test_a_foreign_report_is_never_touched(tmp_path: Path, text: str) -> None:
         with pytest.raises(OutputError, match="not written by pcwlad-geo"):
             run(tmp_path, {"mine.txt": "new"}, overwrite=overwrite)
     assert content(tmp_path) == {"mine.txt": "mine", "report.json": text}
+
+
+def put_pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def put_device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def put_gigabytes(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(6 << 30)  # sparse: it takes no space
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pipes and devices among its files")
+@pytest.mark.parametrize("put", [put_pipe, put_device, put_gigabytes])
+def test_what_is_no_report_is_neither_waited_for_nor_read_to_its_end(
+    tmp_path: Path, put: Callable[[Path], None]
+) -> None:
+    put(tmp_path / "report.json")
+    for overwrite in (False, True):
+        with pytest.raises(OutputError, match="not written by pcwlad-geo"):
+            check_output_folder(tmp_path, overwrite)
+        with pytest.raises(OutputError, match="not written by pcwlad-geo"):
+            run(tmp_path, {"a.csv": "new"}, overwrite=overwrite)
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
 
 
 def test_a_failure_half_way_puts_the_old_results_back(

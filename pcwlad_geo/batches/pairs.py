@@ -75,9 +75,12 @@ def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -
     _check_places(path, rows, folder, Path(out_dir))
     given = _given_folders(path, rows, folder)
     taken = {_key(place) for place in given.values()}
+    numbers: dict[str, int] = {}
     pairs = []
     for line, cells in rows:
-        place = given.get(line) or _free(Path(out_dir) / output_folder(cells["target"], "registered"), taken)
+        place = given.get(line) or _free(
+            Path(out_dir) / output_folder(cells["target"], "registered"), taken, numbers
+        )
         taken.add(_key(place))
         try:
             pairs.append(_pair(line, cells, folder, place, options))
@@ -178,12 +181,20 @@ def _located(name: str, folder: Path) -> str:
     return name if ":" in name and not path.exists() else str(path)
 
 
-def _free(folder: Path, taken: set[str]) -> Path:
-    """Return the folder, or the first one numbered from 2 that is not taken."""
-    number, free = 1, folder
-    while _key(free) in taken:
+def _free(folder: Path, taken: set[str], numbers: dict[str, int]) -> Path:
+    """Return the folder, or the first one numbered from 2 that is not taken.
+
+    All up to `numbers` of a folder's key are known to be taken, so that many lines of one target need no more
+    than linear time; it is brought up to date.
+    """
+    key, free = _key(folder), folder
+    number = numbers.get(key, 1)
+    while number > 1 or _key(free) in taken:
         number += 1
         free = folder.with_name(f"{folder.name}_{number}")
+        if _key(free) not in taken:
+            break
+    numbers[key] = number
     return free
 
 

@@ -20,7 +20,8 @@ METADATA: Final = re.compile(r"MTL\.(txt|json|xml)", re.IGNORECASE)
 _BAND: Final = re.compile(
     r"(?P<name>(?:SR_|ST_)?(?P<number>B\d{1,2})(?P<gain>_VCID_\d)?)\.TIF", re.IGNORECASE
 )
-_LISTED: Final = re.compile(r"\bFILE_NAME_BAND_\w{1,30}\W{1,9}?(L[\w.]{1,200}\.TIF)", re.IGNORECASE)
+LISTED: Final = re.compile(r"\bFILE_NAME_BAND_\w{1,30}\W{1,9}?(L[\w.]{1,200}\.TIF)", re.IGNORECASE)
+"""Names of bands' files in the MTL; bounded, so that text of nonsense is read in linear time."""
 
 
 def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:
@@ -83,7 +84,7 @@ def _missing(tree: FileTree, identifier: str, files: dict[str, str]) -> tuple[st
     if metadata is None:
         return ()
     missing = []
-    for listed in _LISTED.findall(tree.read_text(metadata)):
+    for listed in LISTED.findall(tree.read_text(metadata)):
         match = FILE.fullmatch(listed)
         # The MTL of level 2 also lists the files of the level 1 scene that it was made from.
         if match is None or match["id"].upper() != identifier:

@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Final
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import MEMBERS, TEXT_BYTES, check_count, check_unpacked
+from pcwlad_geo.limits import MEMBERS, METADATA_BYTES, check_count, check_unpacked
 from pcwlad_geo.text import read_bytes
 
 _ZIP: Final = (".zip",)
@@ -59,7 +59,11 @@ class FileTree:
         Raises `InputError` if it cannot be read.
         """
         try:
-            data = _member(_Archive.of(self.path), name) if self.prefix else read_bytes(self.path / name)
+            data = (
+                _member(_Archive.of(self.path), name)
+                if self.prefix
+                else read_bytes(self.path / name, METADATA_BYTES)
+            )
         except (KeyError, *_DAMAGED) as error:
             raise InputError(f"{name} of {self.path} cannot be read: {error}") from error
         return data.decode("utf-8", errors="replace")
@@ -154,10 +158,10 @@ def _member(archive: _Archive, name: str) -> bytes:
 
 
 def _small(member: IO[bytes], name: str) -> bytes:
-    data = member.read(TEXT_BYTES + 1)
-    if len(data) > TEXT_BYTES:
+    data = member.read(METADATA_BYTES + 1)
+    if len(data) > METADATA_BYTES:
         raise InputError(
-            f"{name} unpacks to more than {TEXT_BYTES} bytes, and at most so many are read: get it again"
+            f"{name} unpacks to more than {METADATA_BYTES} bytes, and at most so many are read: get it again"
         )
     return data
 

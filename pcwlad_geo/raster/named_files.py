@@ -12,10 +12,9 @@ from xml.parsers import expat
 from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
 
+from pcwlad_geo.limits import VRT_BYTES
 from pcwlad_geo.raster.trust import Place, Stamp, UntrustedFileError, destination
 
-MAX_BYTES: Final = 2**26
-"""Largest size of a VRT that is read; mosaics of 10,000 tiles have a few megabytes."""
 HEAD_BYTES: Final = 2**14
 """Number of first bytes that are inspected; GDAL inspects fewer to identify the driver of a file."""
 MARK: Final = b"<VRTDataset"
@@ -111,7 +110,7 @@ def gcps_alone(path: Path) -> str | None:
             return None
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
-            text = head + file.read(MAX_BYTES) if MARK in head else b""
+            text = head + file.read(VRT_BYTES) if MARK in head else b""
         root = _parse(text)
     except (OSError, ValueError):
         return None
@@ -309,9 +308,9 @@ def _checked(file: Place, seen: set[Place], *, any_driver: bool) -> Kind:
 
 
 def _check_vrt(file: Place, seen: set[Place]) -> None:
-    text = file.read(MAX_BYTES + 1)
-    if len(text) > MAX_BYTES:
-        raise UntrustedFileError(f"{file.uri} is a VRT of more than {MAX_BYTES} bytes")
+    text = file.read(VRT_BYTES + 1)
+    if len(text) > VRT_BYTES:
+        raise UntrustedFileError(f"{file.uri} is a VRT of more than {VRT_BYTES} bytes")
     try:
         names = named_files(text)
     except UntrustedVrtError as error:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from pcwlad_geo.batches import pairs
 from pcwlad_geo.batches.pairs import COLUMNS, Pair, read_pairs
 from pcwlad_geo.errors import InputError
 
@@ -71,6 +73,30 @@ def test_a_folder_that_the_table_names_is_not_given_to_another_pair(
     first, second = read(tmp_path, "reference,target,out_dir\nr.tif,t.tif,\nr.tif,u.tif,out/t_registered\n")
     assert first.out_dir == Path("out/t_registered_2")
     assert second.out_dir == tmp_path / "out/t_registered"
+
+
+def test_many_lines_of_one_target_are_numbered_in_linear_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    asked = []
+    key = pairs._key
+    monkeypatch.setattr(pairs, "_key", lambda folder: asked.append(folder) or key(folder))
+    lines = ["r.tif,t.tif,"] * 100
+    found = read(
+        tmp_path, "reference,target,out_dir\n" + "\n".join([*lines, "r.tif,u.tif,out/t_registered_9"])
+    )
+    assert len({pair.out_dir for pair in found}) == 101
+    assert [pair.out_dir.name for pair in found[7:9]] == ["t_registered_8", "t_registered_10"]
+    assert len(asked) < 10 * len(lines)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows allocates the whole file")
+def test_a_table_of_gigabytes_is_not_read_to_its_end(tmp_path: Path) -> None:
+    with (tmp_path / "pairs.csv").open("wb") as file:
+        file.truncate(6 << 30)
+    with pytest.raises(InputError, match="more than 67108864 bytes"):
+        read_pairs(tmp_path / "pairs.csv", "out", {})
 
 
 def test_the_byte_order_mark_of_a_spreadsheet_is_no_column(tmp_path: Path) -> None:

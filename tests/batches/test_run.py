@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import subprocess
 import sys
@@ -211,6 +212,21 @@ def test_a_file_of_that_name_is_not_overwritten(calls: list[str], work: Path) ->
     assert (work / "out/summary.csv").read_text() == "mine"
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pipes among its files")
+def test_a_pipe_of_that_name_is_not_waited_for(calls: list[str], work: Path) -> None:
+    (work / "out").mkdir()
+    os.mkfifo(work / "out/summary.csv")
+    with pytest.raises(OutputError, match=r"summary\.csv is in the way"):
+        pcwlad_geo.batch(table(work, "good"), out_dir="out")
+    assert calls == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pipes among its files")
+def test_a_pipe_in_the_place_of_a_report_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "report.json")
+    assert batches.read_report(tmp_path) == {}
+
+
 # --- what is done before ---------------------------------------------------------------------------------
 
 
@@ -261,3 +277,29 @@ def test_another_job_in_the_same_folder_is_told(change: str, done: Path) -> None
     if change != "no report":
         result = pcwlad_geo.batch("pairs.csv", out_dir="out", overwrite=True, **options)
         assert statuses(result) == [("registered", False)]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"settings": []},
+        {"settings": None},
+        {"reference": None},
+        {"reference": []},
+        {"inputs": [[]]},
+        {"tie_points": 3},
+        {"tie_points": {"rejected": 1}},
+        {"displacement_px": {"median": [1]}},
+        {"seconds": None},
+        {"quality": "good"},
+        {"requirements": [{}]},
+        {"accuracy": {"check": 1}},
+    ],
+    ids=str,
+)
+def test_a_damaged_report_is_no_earlier_result(damage: dict[str, Any], done: Path) -> None:
+    path = done / "out/good_registered/report.json"
+    path.write_text(json.dumps({**json.loads(path.read_text(encoding="utf-8")), **damage}))
+    result = pcwlad_geo.batch("pairs.csv", out_dir="out", **OPTIONS)
+    assert statuses(result) == [("unusable", False)]
+    assert "give --overwrite to replace" in str(result.pairs[0].reason)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from fuzz.cases import Case
 from fuzz.fork_server import ForkServer
-from fuzz.judge import plain
-from fuzz.orders import Limits
+from fuzz.judge import judge, plain
+from fuzz.orders import CASE, Limits, Outcome
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the fork server needs Linux")
@@ -69,6 +70,17 @@ def test_an_orderly_run_is_no_failure_and_leaves_the_server_usable(server: ForkS
     assert planted(server, "orderly") == []
     assert planted(server, "crash") != []
     assert planted(server, "orderly") == []
+
+
+@pytest.mark.parametrize(("place", "failures"), [("done/report.json", 0), ("other/report.json", 2)])
+def test_what_stood_in_the_place_of_a_report_before_is_none_of_the_run(
+    place: str, failures: int, tmp_path: Path
+) -> None:
+    """An empty file is left as it was by a run that is refused; one that nobody has put there is partial."""
+    (tmp_path / CASE / "done").mkdir(parents=True)
+    (tmp_path / CASE / "done/report.json").touch()
+    case = Case("c", ("match", "r.tif", "t.tif", "--overwrite"), {}, {place: "empty"}, out_dir="done")
+    assert len(judge(case, Outcome(2, stderr="error: not written by pcwlad-geo\n"), tmp_path)) == failures
 
 
 def test_messages_of_one_cause_are_one_class() -> None:

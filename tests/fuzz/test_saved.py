@@ -6,7 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from fuzz.cases import Case
+from fuzz.cases import Case, whole
 from fuzz.judge import Failure
 from fuzz.kept import reproducers
 from fuzz.orders import Outcome
@@ -32,4 +32,14 @@ def test_kept_inputs_find_the_seeds_beside_them(tmp_path: Path) -> None:
     (found,) = reproducers(tmp_path)
     assert found.argv == ("match", "ref.tif", "t.tif", "-o", "o")
     assert found.files == {"ref.tif": b"reference", "t.tif": b"target"}
+    assert (found.places, found.out_dir) == ({}, "o")
     assert reproducers(tmp_path / "absent") == ()
+
+
+def test_kept_inputs_may_have_something_else_in_the_place_of_a_file(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    case = {"case": "one", "argv": ["qa"], "places": {"done/report.json": "fifo"}, "out_dir": "done"}
+    (tmp_path / "cases.json").write_text(json.dumps([case]))
+    (found,) = reproducers(tmp_path)
+    made = whole(found)
+    assert (made.places, made.out_dir) == ({"done/report.json": "fifo"}, "done")

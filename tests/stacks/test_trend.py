@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import os
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,64 @@ def test_a_report_nested_without_end_is_none_of_ours(tmp_path: Path) -> None:
     (tmp_path / "reports/2").mkdir()
     (tmp_path / "reports/2/qa.json").write_text("[" * 100_000)
     assert trend(tmp_path / "reports", out_dir=tmp_path / "out").reports == 2
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pipes and devices among its files")
+def test_what_is_no_report_is_neither_waited_for_nor_read_to_its_end(tmp_path: Path) -> None:
+    write_qa(tmp_path / "reports/0", "20230105", 0.1)
+    (tmp_path / "reports/1").mkdir()
+    os.mkfifo(tmp_path / "reports/1/qa.json")
+    (tmp_path / "reports/1/report.json").symlink_to("/dev/zero")
+    (tmp_path / "reports/2").mkdir()
+    with (tmp_path / "reports/2/qa.json").open("wb") as file:
+        file.truncate(6 << 30)
+    found = trend(tmp_path / "reports", out_dir=tmp_path / "out")
+    assert (found.reports, sorted(found.skipped)) == (1, ["1/qa.json", "1/report.json", "2/qa.json"])
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda report, pair: pair["displacement"]["px"]["col"].update(mean="x"),
+        lambda report, pair: pair["displacement"]["px"]["col"].update(mean=1e308),
+        lambda report, pair: pair["displacement"]["px"]["col"].update(mean=10**400),
+        lambda report, pair: pair["displacement"]["px"]["radial"].update(ce90=[]),
+        lambda report, pair: pair.update(n=None),
+        lambda report, pair: pair.update(passed="yes"),
+        lambda report, pair: report.update(bands=3),
+        lambda report, pair: (
+            [band.update(path="/x/y.tif") for band in report["bands"]] and report.update(created="soon")
+        ),
+    ],
+)
+def test_a_damaged_report_is_left_out(
+    tmp_path: Path, damage: Callable[[dict[str, Any], dict[str, Any]], object]
+) -> None:
+    for number in (0, 1):
+        write_qa(tmp_path / "reports" / str(number), "20230105", 0.1)
+    path = tmp_path / "reports/1/qa.json"
+    report = json.loads(path.read_text(encoding="utf-8"))
+    damage(report, report["pairs"][0])
+    path.write_text(json.dumps(report))
+    assert trend(tmp_path / "reports", out_dir=tmp_path / "out").skipped == ("1/qa.json",)
+
+
+def test_names_that_are_no_text_are_written_visibly(tmp_path: Path) -> None:
+    write_qa(tmp_path / "reports/0", "20230105", 0.1)
+    path = tmp_path / "reports/0/qa.json"
+    path.write_text(path.read_text(encoding="utf-8").replace('"B5"', '"B\\ud8005"'), encoding="utf-8")
+    trend(tmp_path / "reports", out_dir=tmp_path / "out")
+    written = json.loads((tmp_path / "out/trend.json").read_text(encoding="utf-8"))
+    assert written["series"][0]["name"] == "B4 – B\ud8005"
+    assert "B\\ud8005" in (tmp_path / "out/trend.csv").read_text(encoding="utf-8")
+
+
+def test_the_pairs_of_a_trend_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pcwlad_geo.bandqa.trend.TREND_FIGURES", 1)
+    for number in (0, 1):
+        write_qa(tmp_path / "reports" / str(number), "20230105", 0.1)
+    with pytest.raises(InputError, match="more than 1 pairs in its reports"):
+        trend(tmp_path / "reports", out_dir=tmp_path / "out")
 
 
 def test_a_series_in_the_order_of_its_dates(tmp_path: Path) -> None:
