@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -30,7 +31,7 @@ from pcwlad_geo.stacks.adjustment import adjust
 from pcwlad_geo.stacks.page import page
 from pcwlad_geo.stacks.pairs import Frame, check_connected, choose_pairs, measure
 from pcwlad_geo.stacks.result import FILES, Stack, is_stack, raster_name, stack_of, write_numbers
-from pcwlad_geo.text import joined, read_text
+from pcwlad_geo.text import read_text
 from pcwlad_geo.types import PathLike
 
 if TYPE_CHECKING:
@@ -147,11 +148,7 @@ def _listed(images: Sequence[PathLike], band: int | str) -> Iterator[str]:
     for image in [os.fspath(each) for each in images]:
         place = Path(image)
         if image.casefold().endswith(".csv"):
-            rows = _rows(place)
-            check_count(image, len(rows), BATCH_ROWS, "lines")
-            if not rows or not all(row.get("image") for row in rows):
-                raise InputError(f"{image} needs a column 'image' with a path in every line")
-            yield from (os.fspath(place.parent / row["image"]) for row in rows)
+            yield from (os.fspath(place.parent / name) for name in _names_in(place))
         elif place.is_dir() and find_product(image) is None:
             files = sorted(file for file in place.iterdir() if file.suffix.casefold() in RASTERS)
             if not files:
@@ -161,12 +158,19 @@ def _listed(images: Sequence[PathLike], band: int | str) -> Iterator[str]:
             yield band_file(image, band)
 
 
-def _rows(table: Path) -> list[dict[str, str]]:
+def _names_in(table: Path) -> list[str]:
+    """Return the column `image` of a CSV table."""
     try:
-        text = read_text(table, encoding="utf-8-sig")
-        return list(islice(csv.DictReader(text.splitlines()), BATCH_ROWS + 1))
-    except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"{table} cannot be read as a table of images: {joined(error)}") from error
+        text = io.StringIO(read_text(table, encoding="utf-8-sig"))
+        rows = list(islice(csv.DictReader(text), BATCH_ROWS + 1))
+    except OSError as error:
+        raise InputError(f"cannot read {table}: {error.strerror}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{table} is no CSV table in UTF-8: {error}") from error
+    check_count(str(table), len(rows), BATCH_ROWS, "lines")
+    if not rows or not all(row.get("image") for row in rows):
+        raise InputError(f"{table} needs a column 'image' with a path in every line")
+    return [row["image"] for row in rows]
 
 
 def _readable(

@@ -224,7 +224,7 @@ def test_a_pipe_of_that_name_is_not_waited_for(calls: list[str], work: Path) -> 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pipes among its files")
 def test_a_pipe_in_the_place_of_a_report_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "report.json")
-    assert batches.read_report(tmp_path) == {}
+    assert read_report(tmp_path) == {}
 
 
 # --- what is done before ---------------------------------------------------------------------------------

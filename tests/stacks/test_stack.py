@@ -138,9 +138,9 @@ def test_what_cannot_be_stacked_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="needs a column 'image'"):
         stack([tmp_path / "table.csv"])
     (tmp_path / "latin.csv").write_bytes(b"image\n\xe9.tif\n")
-    with pytest.raises(InputError, match="cannot be read as a table"):
+    with pytest.raises(InputError, match="is no CSV table in UTF-8"):
         stack([tmp_path / "latin.csv"])
-    with pytest.raises(InputError, match="cannot be read as a table"):
+    with pytest.raises(InputError, match="cannot read"):
         stack([tmp_path / "nowhere.csv"])
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="holds no raster"):
@@ -197,3 +197,26 @@ def test_the_frame_maps_pixels_by_georeferencing(tmp_path: Path) -> None:
     np.testing.assert_allclose(frame.from_image(1, at_px), map_px(at_px, moved, GRID))
     np.testing.assert_allclose(frame.from_image(1, at_px), [[13.0, 22.0]])
     np.testing.assert_allclose(frame.to_image(1, frame.from_image(1, at_px)), at_px)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"image\n\xff\xfe.tif\n", "no CSV table in UTF-8"),
+        (b'image\n"' + b"a" * 200_000, "no CSV table in UTF-8"),
+        (b"", "needs a column 'image'"),
+        (b"image,x\n,a.tif\n", "needs a column 'image'"),
+    ],
+    ids=["no text", "an endless cell", "empty", "no path"],
+)
+def test_what_is_no_table_of_images_is_told(data: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_bytes(data)
+    with pytest.raises(InputError, match=said):
+        stack([tmp_path / "table.csv"])
+
+
+def test_a_table_that_is_missing_or_a_folder_is_told(tmp_path: Path) -> None:
+    (tmp_path / "folder.csv").mkdir()
+    for name in ("folder.csv", "absent.csv"):
+        with pytest.raises(InputError, match="cannot read"):
+            stack([tmp_path / name])
