@@ -97,11 +97,11 @@ def test_the_name_of_a_file_is_written_out_once_it_is_there(
 def test_results_that_cannot_be_read_are_told_with_the_reason(
     error: OSError, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(path: Path, encoding: str) -> str:
+    def fail(path: Path) -> object:
         raise error
 
     (tmp_path / "report.json").write_text("{}")
-    monkeypatch.setattr(Path, "read_text", fail)
+    monkeypatch.setattr("pcwlad_geo.outputs.folder.read_json", fail)
     with pytest.raises(OutputError) as caught:
         check_output_folder(tmp_path, overwrite=True)
     said = f"cannot read {tmp_path / 'report.json'}: {reason}; choose another output folder"
