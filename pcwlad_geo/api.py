@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 
-OF_THE_FOLDER: Final = ("require", "keep", "pdf", "write_sigma")
+OF_THE_FOLDER: Final = ("require", "keep", "pdf", "write_sigma", "write_displacement")
 """Options about the files of `register` alone."""
 GRID_OPTIONS: Final = ("grid", "like", "tr", "te", "t_srs")
 """Options that ask for another output grid than the reference's."""

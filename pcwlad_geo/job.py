@@ -54,7 +54,7 @@ class PairOptions(TypedDict, total=False):
     dem_vertical: float | Path | str | None
     trust_rpc: bool
     method: s.Method
-    points: int | Literal["all"] | None
+    points: int | Literal["all", "dense"] | None
     features: int
     keypoints: s.Keypoints
     template: int
@@ -75,6 +75,9 @@ class PairOptions(TypedDict, total=False):
     co: tuple[str, ...]
     resampling: s.Resampling
     write_sigma: bool
+    write_displacement: bool
+    displacement_spacing: int | None
+    displacement_unit: s.DisplacementUnit
     pdf: bool
     require: str | Sequence[str]
     keep: bool

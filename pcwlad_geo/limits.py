@@ -57,6 +57,8 @@ UNREAD_PARTS: Final = 500
 """Largest number of parts of a damaged file that are tried one by one."""
 SEARCH_RADIUS_PX: Final = 1024
 """Largest search radius of the matching; every tile is read with a margin of this width."""
+SPACING_PX: Final = 10_000
+"""Largest side of a pixel of a displacement field, reference px."""
 TILE_PX: Final = 4096
 """Largest side of a tile, whose maps take about 100 bytes per pixel."""
 FEATURES: Final = 100_000

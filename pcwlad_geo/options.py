@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Final, Literal, cast, get_args, get_origin, get_type_hints
 
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.limits import FEATURES, ITERATIONS, JOBS, POINTS, SEARCH_RADIUS_PX, TILE_PX
+from pcwlad_geo.limits import FEATURES, ITERATIONS, JOBS, POINTS, SEARCH_RADIUS_PX, SPACING_PX, TILE_PX
 from pcwlad_geo.raster.trust import Trust
 
 Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
@@ -21,6 +21,7 @@ Prealign = Literal["auto", "georef", "search", "none"]
 Consensus = Literal["auto", "off"]
 Geometry = Literal["auto", "planar", "epipolar"]
 OutputGrid = Literal["reference", "reference-exact", "target"]
+DisplacementUnit = Literal["px", "m"]
 Resampling = Literal["nearest", "bilinear", "cubic", "cubic_spline", "lanczos"]
 VRT_MODELS = ("shift", "affine")
 """Correction models that a VRT can represent by its geotransform."""
@@ -110,17 +111,19 @@ class Settings:
     method: Annotated[Method, Option("Fine matching method.", _MATCHING)] = "oriented"
     """Fine matching method."""
     points: Annotated[
-        int | Literal["all"] | None,
+        int | Literal["all", "dense"] | None,
         Option(
-            "Most tie points to keep, spread evenly; auto: about 1000 of a scene, all of a small image.",
+            "Most tie points to keep, spread evenly; auto: about 1000 of a scene, all of a small image; "
+            "dense: one a quarter of a window, where there is structure.",
             _MATCHING,
-            metavar="N|all|auto",
+            metavar="N|all|dense|auto",
             none_word="auto",
             least=1,
             most=POINTS,
         ),
     ] = None
-    """Most tie points to keep, spread evenly; None = about 1000 of a scene of several tiles, else all."""
+    """Most tie points to keep, spread evenly; None = about 1000 of a scene of several tiles, else all;
+    dense = all, of one candidate for every square of a quarter of the window."""
     features: Annotated[int, Option("Candidates a tile.", _MATCHING, metavar="N", least=1, most=FEATURES)] = (
         1000
     )
@@ -222,6 +225,26 @@ class Settings:
         bool, Option("Write the predicted sigma of the correction as a raster too.", _REGISTER)
     ] = False
     """Write the predicted sigma of the correction as a raster too."""
+    write_displacement: Annotated[
+        bool, Option("Write the displacement field, its sigma and quality as a raster too.", _REGISTER)
+    ] = False
+    """Write the displacement field, its sigma and quality as a raster on the reference's grid too."""
+    displacement_spacing: Annotated[
+        int | None,
+        Option(
+            "Pixel of the displacement field, reference px; auto: a quarter of the window.",
+            _REGISTER,
+            metavar="PX|auto",
+            none_word="auto",
+            least=1,
+            most=SPACING_PX,
+        ),
+    ] = None
+    """Side of a pixel of the displacement field, reference px; None = a quarter of the window."""
+    displacement_unit: Annotated[
+        DisplacementUnit, Option("Unit of the displacement field: target px, or metres.", _REGISTER)
+    ] = "px"
+    """Unit of the displacement field: target px (y down), or metres along the axes of the reference CRS."""
     pdf: Annotated[
         bool, Option("Write the report as PDF too; needs pip install 'pcwlad-geo[pdf]'.", _REPORTING)
     ] = False
@@ -291,7 +314,15 @@ class Settings:
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
         _check("ssim_min", self.ssim_min, real, "a number from -1 to below 1")
         object.__setattr__(self, "require", _texts("require", self.require))
-        for name in ("trust_rpc", "write_sigma", "pdf", "keep", "allow_remote", "trust_vrt"):
+        for name in (
+            "trust_rpc",
+            "write_sigma",
+            "write_displacement",
+            "pdf",
+            "keep",
+            "allow_remote",
+            "trust_vrt",
+        ):
             value = getattr(self, name)
             _check(name, value, isinstance(value, bool), "true or false")
         _check_output(self)

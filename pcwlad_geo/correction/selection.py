@@ -85,6 +85,8 @@ class Selection:
 
     common_px2: tuple[float, float]
     """Variance (col, row) of the error that all points have in common, as far as it is known."""
+    footprint_px: float
+    """Side of the matching window, target px; 0 where the points do not come from windows."""
 
     def covariance(self, at_px: Float64) -> Float64:
         """Return the (n, 2, 2) covariance of the correction at the (n, 2) predicted `at_px`, px².
@@ -169,7 +171,8 @@ def choose(
     errors = _block_errors(points, fits, notes)
     name = _simplest_unbeaten(points, fits, errors, notes, perspective)
     scores = tuple(_score(each, fits, errors, each == name, notes) for each in candidates)
-    return Selection(name, fits[name], scores, _misfit(points, fits, name), _common(points, fits[name]))
+    misfit, common = _misfit(points, fits, name), _common(points, fits[name])
+    return Selection(name, fits[name], scores, misfit, common, footprint_px)
 
 
 def _fits(

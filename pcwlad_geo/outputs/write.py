@@ -10,17 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import numpy as np
-import rasterio
-from affine import Affine
-from rasterio.errors import NotGeoreferencedWarning
-
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned
+from pcwlad_geo.outputs import maps
 from pcwlad_geo.products.product import ProductBand
 from pcwlad_geo.raster import vrt, warping
-from pcwlad_geo.raster.gdal import ignoring, no_error_unheard
-from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.matching_grid import grid_on_plane_of
 from pcwlad_geo.raster.output_format import OutputFormat, files_of
 from pcwlad_geo.raster.output_grid import check_covered, corrected_outline, output_grids
@@ -35,48 +30,10 @@ from pcwlad_geo.report.rendering import to_pdf
 from pcwlad_geo.tiepoints import geopackage, text_files
 
 if TYPE_CHECKING:  # slow to load; workers are started before
-    from pcwlad_geo.correction.selection import Selection
     from pcwlad_geo.registration.result import Registration
     from pcwlad_geo.report.content import Report
     from pcwlad_geo.report.page import Drawings
     from pcwlad_geo.report.statistics import PrecisionMap
-
-
-MAX_PX = 1000
-"""Longer side of the sigma raster, px: sigma varies only on the scale of the tie point spacing."""
-DESCRIPTIONS = ("sigma along column", "sigma along row", "1 beyond the tie points, 0 among them")
-"""Descriptions of the bands of the sigma raster."""
-
-
-def write_sigma(path: Path, precision: Selection, target_grid: Grid, grid: Grid) -> None:
-    """Write the sigma of a correction over the registered raster.
-
-    Three bands of float32: sigma along the target's columns and rows, target px, and 1 where the correction
-    extrapolates. A pixel covers a square of the registered raster's pixels. If either grid has no CRS, the
-    pixels of the registered raster, on `grid`, are the predicted ones of `target_grid`.
-    """
-    factor = -(-max(grid.shape) // MAX_PX)
-    shape = (-(-grid.shape[0] // factor), -(-grid.shape[1] // factor))
-    coarse = grid.resampled_grid(((factor, 0.0), (0.0, factor)), (0.0, 0.0), shape)
-    rows, cols = np.indices(shape)
-    centres = np.asarray(np.stack([cols, rows], axis=-1).reshape(-1, 2) + 0.5, dtype=np.float64)
-    placed = grid.located and target_grid.located
-    at_px = map_px(centres, coarse, target_grid) if placed else centres * factor
-    bands = np.full((3, len(at_px)), np.nan, dtype=np.float32)
-    known = np.isfinite(at_px).all(axis=1)
-    bands[:2, known] = precision.sigma(at_px[known]).T
-    bands[2, known] = precision.extrapolated(at_px[known])
-    profile = {"driver": "GTiff", "count": 3, "dtype": "float32", "height": shape[0], "width": shape[1]}
-    # Without a CRS the pixel plane, y = -row.
-    transform = coarse.transform if placed else Affine.scale(factor, -factor)
-    options = {"compress": "deflate", "predictor": 3, "tiled": True, "nodata": np.nan}
-    with ignoring(NotGeoreferencedWarning):  # for the pixel plane
-        file = rasterio.open(path, "w", **profile, **options, crs=coarse.crs, transform=transform)
-    with no_error_unheard(), file:
-        file.write(bands.reshape(3, *shape))
-        for band, (description, unit) in enumerate(zip(DESCRIPTIONS, ("px", "px", ""), strict=True), start=1):
-            file.set_band_description(band, description)
-            file.set_band_unit(band, unit)
 
 
 def corrects(registration: Registration) -> bool:
@@ -252,7 +209,11 @@ def _raster(job: Writing, path: Path) -> None:
 def _sigma(job: Writing, path: Path) -> None:
     if job.registration.selection is None or job.grid is None:
         raise TypeError("a registration without a fit has no sigma")
-    write_sigma(path, job.registration.selection, job.registration.target.grid, job.grid)
+    maps.write_sigma(path, job.registration.selection, job.registration.target.grid, job.grid)
+
+
+def _displacement(job: Writing, path: Path) -> None:
+    maps.write_displacement(path, job.registration)
 
 
 def _rpc_text(job: Writing, path: Path) -> None:
@@ -273,6 +234,9 @@ _SHIFTED: Final = Condition(
 )
 _RPC: Final = Condition("a target with RPCs", lambda job: job.rpc is not None, corrected=True)
 _SIGMA: Final = Condition("with `--write-sigma`", lambda job: job.settings.write_sigma, corrected=True)
+_FIELD: Final = Condition(
+    "with `--write-displacement`", lambda job: job.settings.write_displacement, corrected=True
+)
 OUTPUTS: Final = (
     Output("numbers", "report.json", _ALWAYS, "the report for programs, as report.schema.json describes it"),
     Output("report", "report.html", _ALWAYS, "the report: verdict, views, figures, statistics, advice"),
@@ -295,6 +259,13 @@ OUTPUTS: Final = (
         "raster", "{stem}_registered.{ending}", _CORRECTED, "the target warped onto the output grid", _raster
     ),
     Output("sigma", "{stem}_sigma.tif", _SIGMA, "the predicted sigma of the correction", _sigma),
+    Output(
+        "displacement",
+        "{stem}_displacement.tif",
+        _FIELD,
+        "the displacement field, its sigma and quality",
+        _displacement,
+    ),
 )
 """All files that a job may write, besides the other bands of a product."""
 NAMES: Final = {output.kind: output.name for output in OUTPUTS}

@@ -261,6 +261,23 @@ def write_described(
     return files_of(path)
 
 
+def write_cog(pixels: Path, path: Path) -> None:
+    """Copy the raster `pixels` of this program to a cloud-optimised GeoTIFF.
+
+    Pixels of overviews are single pixels, not means, so that classes and numbers of one pixel stay together.
+    """
+    options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "BIGTIFF": "IF_SAFER"}
+
+    def copy() -> None:
+        with no_error_unheard(), ignoring(NotGeoreferencedWarning):
+            rasterio.shutil.copy(
+                os.fspath(pixels), os.fspath(path), driver="COG", OVERVIEW_RESAMPLING="NEAREST", **options
+            )
+            _check_layout(path)
+
+    _interruptible(copy)
+
+
 def _check_layout(path: Path) -> None:
     """Raise where a file is no COG: GDAL does not report that it could not write the mark of one."""
     with ignoring(NotGeoreferencedWarning), open_own(path) as file:

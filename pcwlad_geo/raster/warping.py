@@ -17,6 +17,7 @@ import rasterio
 from affine import Affine
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader, DatasetWriter
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
@@ -26,7 +27,14 @@ from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import name_of
-from pcwlad_geo.raster.gdal import GDAL_ERRORS, no_error_unheard, question, root_cause, small_block_cache
+from pcwlad_geo.raster.gdal import (
+    GDAL_ERRORS,
+    ignoring,
+    no_error_unheard,
+    question,
+    root_cause,
+    small_block_cache,
+)
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.matching_grid import grid_on_plane_of
 from pcwlad_geo.raster.output_format import OutputFormat, write_described
@@ -208,7 +216,7 @@ def write_warped(
     """
     with (
         open_raster(os.fspath(source_path)) as source,
-        _scratch_folder(out_path) as scratch,
+        scratch_folder(out_path) as scratch,
         small_block_cache(),
     ):
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
@@ -321,7 +329,8 @@ def _corrected_grid(own: Grid, target: Grid, correction: AffineCorrection, out: 
 
 
 @contextmanager
-def _scratch_folder(out_path: Path) -> Iterator[Path]:
+def scratch_folder(out_path: Path) -> Iterator[Path]:
+    """Make a folder beside `out_path` for its parts, gone at the end; GDAL's errors become `OutputError`."""
     try:
         folder = Path(tempfile.mkdtemp(prefix=".warping-", dir=out_path.parent))
     except OSError as error:
@@ -336,16 +345,17 @@ def _scratch_folder(out_path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _sink(path: Path, profile: Mapping[str, Any]) -> Iterator[DatasetWriter]:
+def sink(path: Path, profile: Mapping[str, Any]) -> Iterator[DatasetWriter]:
     """Open a raster to write to, and raise where its last blocks cannot be written as it is closed."""
-    sink = rasterio.open(path, "w", **profile)
+    with ignoring(NotGeoreferencedWarning):  # for pixels alone, and the pixel plane
+        file = rasterio.open(path, "w", **profile)
     try:
-        yield sink
+        yield file
     except BaseException:
-        sink.close()
+        file.close()
         raise
     with no_error_unheard():
-        sink.close()
+        file.close()
 
 
 def _write_pixels(
@@ -379,17 +389,17 @@ def _write_pixels(
     request = BlockRequest(windows, nodata, needs_mask or fills, path.parent, unreadable)
     with (
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
-        _sink(path, profile) as sink,
+        sink(path, profile) as written,
         closing(blocks_of(source, method, request)) as blocks,
     ):
         for done, (window, block) in enumerate(blocks, start=1):
             if fills and nodata is not None:
                 fill(block[0], block[1] != 0, nodata)
             with no_error_unheard():
-                sink.write(block[: source.count], window=window)
+                written.write(block[: source.count], window=window)
                 if needs_mask:
                     mask = np.where(block[source.count] != 0, 255, 0).astype(np.uint8)
-                    sink.write_mask(mask, window=window)
+                    written.write_mask(mask, window=window)
             if progress is not None:
                 progress(done, len(windows))
     return vrt.PixelFile(path.name, True, needs_mask, (nodata,) * source.count)

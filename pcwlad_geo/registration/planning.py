@@ -193,6 +193,8 @@ def _mean_in(integral: Float64, corners_rc: Index, side: int, factor: float) -> 
 
 FEATURE_AREA_PX: Final = 1024
 """Side of the square over which `features` candidates are spread, or the scene if that is smaller."""
+DENSE_PER_WINDOW: Final = 4
+"""Number of candidates along the side of a matching window where points are wanted dense."""
 POINTS_OF_A_SCENE: Final = 1000
 """Number of tie points wanted of a scene of several tiles if the user does not give it."""
 CANDIDATES_PER_POINT: Final = 1.25
@@ -259,7 +261,8 @@ def plan(
 ) -> Plan:
     """Decide which windows of the overlap are matched.
 
-    A scene of one tile is matched whole, as is one of which all points are wanted. Otherwise as many
+    A scene of one tile is matched whole, as is one of which all points are wanted; where they are wanted
+    dense, with one candidate of every square of a quarter of a window. Otherwise as many
     candidates as the points need are spread over tiles that cover the scene, or over small windows,
     whichever has fewer pixels to filter.
 
@@ -282,8 +285,11 @@ def plan(
         0, pair.reference, pair.target, region, region, target_offset_px, *overviews.scenes, matching
     )
     wanted = POINTS_OF_A_SCENE if settings.points is None else settings.points
-    candidates = np.inf if wanted == "all" else CANDIDATES_PER_POINT * wanted
+    candidates = CANDIDATES_PER_POINT * wanted if isinstance(wanted, int) else np.inf
     densest = settings.features / min(area, FEATURE_AREA_PX**2)
+    if wanted == "dense":
+        base = replace(base, settings=replace(matching, per_cell=1))
+        densest = (DENSE_PER_WINDOW / matching.window) ** 2
     one_tile = tiles_along(max(region.shape), settings.tile_size) == 1
     if one_tile or candidates >= densest * area:
         tiles = _cover(base, densest, settings.tile_size)

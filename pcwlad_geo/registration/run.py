@@ -137,6 +137,11 @@ def open_pair(
         )
         for warning in (*notes, *reference_warnings, *warnings):
             log.warn(warning)
+        if settings.write_displacement and settings.displacement_unit == "m" and ref.grid.crs is None:
+            raise InputError(
+                "the reference has no CRS, so that a displacement in metres is not known: leave out "
+                "--displacement-unit m, or give the reference a CRS (gdal_edit.py -a_srs)"
+            )
         views = plan_rpc_views(ref, tgt) if placed or reference_by_rpc else plan_views(ref, tgt)
         for warning in views.warnings:
             log.warn(warning)
@@ -319,7 +324,7 @@ def _only_wanted(found: Matches) -> Matches:
     Here and nowhere else, so that what is fitted, checked, printed and written are the same points.
     """
     wanted, table = found.pair.settings.points, found.tie_points
-    if wanted in (None, "all") or not found.accepted:
+    if not isinstance(wanted, int) or not found.accepted:
         return found
     agreeing = np.flatnonzero(table.status == "matched")
     taken = thin(table.predicted_px[agreeing], np.hypot(*table.sigma_px[agreeing].T), int(wanted))

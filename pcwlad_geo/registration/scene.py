@@ -316,7 +316,7 @@ def _match_settings(
         ssim_min=settings.ssim_min,
         iterations=settings.iterations,
         consensus=settings.consensus,
-        backward="sample" if settings.points == "all" else "as needed",
+        backward="sample" if settings.points in ("all", "dense") else "as needed",
     )
 
 
