@@ -16,7 +16,7 @@ from pcwlad_geo.raster.trust import Trust
 
 Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 Keypoints = Literal["cells", "strongest"]
-Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps", "rpc"]
+Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps", "field", "rpc"]
 Prealign = Literal["auto", "georef", "search", "none"]
 Consensus = Literal["auto", "off"]
 Geometry = Literal["auto", "planar", "epipolar"]
@@ -175,8 +175,8 @@ class Settings:
     which every depth lies (epipolar: frames with parallax); auto: planar, epipolar for frames without CRS
     that clearly hold parallax."""
     model: Annotated[Model, Option("Correction model.", _CORRECTING)] = "auto"
-    """Correction model; `polynomial` is of order 2 or 3, as cross-validation says; `rpc`: the target's RPC
-    counts, also beside a geotransform, and is corrected."""
+    """Correction model; `polynomial` is of order 2 or 3, as cross-validation says; `field`: the measured
+    field; `rpc`: the target's RPC counts, also beside a geotransform, and is corrected."""
     grid: Annotated[
         OutputGrid,
         Option(

@@ -16,6 +16,7 @@ from benchmarks.pairs import as_uint8, landsat, read, rgbnir, with_gamma, with_n
 from benchmarks.runs import Array, Job, Outcome, Runner
 from benchmarks.scenes import countryside, folds, image_pair
 from benchmarks.tables import Cell, Check, Table, at_most, within
+from pcwlad_geo.correction.fit import FITS
 from pcwlad_geo.job import register
 from pcwlad_geo.options import Settings
 
@@ -23,7 +24,9 @@ AMPLITUDE_PX: Final = 2.0
 SHIFT_PX: Final = (2.37, -1.61)
 STEP_PX: Final = 8
 FIELD_LIMIT_PX, SHIFT_LIMIT_PX, AGAIN_LIMIT_PX = 0.08, 0.01, 0.03
-LOCAL: Final = ("polynomial2", "polynomial3", "tps")
+SHORT_LIMIT_PX: Final = 0.12
+"""For the measured field, where waves of 400 px are added."""
+LOCAL: Final = ("polynomial2", "polynomial3", "tps", "field")
 SEEDS: Final = (301, 302, 303)
 PLAIN: Final = Settings(prealign="none", jobs=1)
 
@@ -33,6 +36,7 @@ PLAIN: Final = Settings(prealign="none", jobs=1)
 def models(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     """Yield tables: real targets displaced by fields and by a shift, scenes with exact truth, second runs."""
     yield from _real(data, scratch, runner)
+    yield _short(data, scratch, runner)
     yield _again(data, scratch, runner)
     yield _exact(scratch, runner)
 
@@ -118,6 +122,43 @@ def _real(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
         ("pair", "model", "points", "RMSE", "largest", "sigma", "68 %", "95 %"),
         rows,
         checks,
+    )
+
+
+def ripples(xy_px: Array) -> Array:
+    """Return waves of 1000 px (±2 px) with waves of 400 px (±1 px) added."""
+    x, y = np.moveaxis(xy_px, -1, 0)
+    k, c, s = 2 * np.pi / 400.0, np.cos(1.1), np.sin(1.1)
+    short = np.stack([np.sin(k * (c * x + s * y) + 0.9), np.sin(k * (s * x - c * y) + 1.7)], axis=-1)
+    return FIELDS["waves of 1000 px"](xy_px) + short
+
+
+def _short(data: Path, scratch: Path, runner: Runner) -> Table:
+    """Compare models, fitted to the same tie points, with a field that varies within a few windows."""
+    rows: list[list[Cell]] = []
+    checks: list[Check] = []
+    for number, source in enumerate(_sources(data, scratch)):
+        moved = write(scratch / f"ripples_{number}.tif", displace(read(source.target), ripples))
+        (outcome,) = runner([Job(source.reference, moved, PLAIN, False)])
+        base = None if source.exact else runner([Job(source.reference, source.target, PLAIN, False)])[0]
+        truth = partial(_moved, ripples) if base is None else partial(_after, base, ripples)
+        found, places = outcome.result, _places(outcome)
+        if found.correction is None or found.selection is None:
+            raise RuntimeError(f"{source.name} was refused: {outcome.reason}")
+        points = found.tie_points.select("fit")
+        given = points.predicted_px, points.target_px, points.covariance_px2
+        errors = {}
+        for name in ("affine", "polynomial3", "tps", "field"):
+            fit = FITS[name](*given, footprint_px=found.selection.footprint_px)
+            missed = fit.correction.forward(places) - truth(places)
+            errors[name] = float(np.sqrt((missed**2).sum(axis=1).mean()))
+        at_points = points.target_px - truth(points.predicted_px)
+        own = float(np.sqrt((at_points**2).sum(axis=1).mean()))
+        rows.append([source.name, found.correction.name, len(points), own, *errors.values()])
+        checks.append(at_most(f"{source.name}, 400 px: field", errors["field"], SHORT_LIMIT_PX, "px"))
+    header = ("pair", "auto", "points", "tie points", "affine", "polynomial3", "tps", "field")
+    return Table(
+        "Waves of 400 px, +-1 px, added: RMSE of models fitted to the same tie points", header, rows, checks
     )
 
 

@@ -26,7 +26,7 @@ from pcwlad_geo.correction.models import (
     PolynomialCorrection,
     ProjectiveCorrection,
 )
-from pcwlad_geo.correction.thin_plate import fit_tps
+from pcwlad_geo.correction.thin_plate import fit_field, fit_tps
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.types import Float64
 
@@ -242,6 +242,7 @@ FITS: Mapping[str, FitFunction] = MappingProxyType(
         "polynomial2": partial(fit_polynomial, name="polynomial2", order=2),
         "polynomial3": partial(fit_polynomial, name="polynomial3", order=3),
         "tps": fit_tps,
+        "field": fit_field,
     }
 )
 """The fit function of every model by its name, the simplest model first. The drift is a shift that changes

@@ -194,7 +194,7 @@ class SplineCorrection:
     """observed = predicted + bicubic spline."""
 
     name: str
-    """tps."""
+    """tps or field."""
     grid: SplineGrid
     coefficients_px: Float64
     """(rows, columns, 2) displacement coefficients (col, row)."""
@@ -402,7 +402,7 @@ _READERS = {
 }
 
 
-CELLS = 160
+CELLS = 320
 """Number of cells along the longer side whose orientation is tested, four per cell of the finest spline."""
 
 

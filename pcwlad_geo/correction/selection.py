@@ -142,9 +142,11 @@ def choose(
     95 %. Shift and affine need no resampling: to replace them, also the shift by the affine, whose
     geotransform rotates the axes of the map, a model must reduce the error by at least 0.05 px. One that
     resamples must also be better by 2.5 standard errors, and have three separate windows for each parameter
-    of an axis or remove more error than it leaves. Squared errors are weighted by the points' variance;
-    points that are outliers to every model do not count. A model with a foldover is never chosen. Raises
-    `InputError` if no candidate can be fitted (with the reason of the first one), or there is none.
+    of an axis or remove more error than it leaves. The measured field is tried where a model that resamples
+    has been chosen, and must be better than that by 2.5 standard errors. Squared errors are weighted by the
+    points' variance; points that are outliers to every model do not count. A model with a foldover is never
+    chosen. Raises `InputError` if no candidate can be fitted (with the reason of the first one), or there is
+    none.
 
     Parameters
     ----------
@@ -165,11 +167,24 @@ def choose(
     """
     points = _Points(predicted_px, observed_px, covariance_px2, footprint_px)
     notes: dict[str, str] = {}
-    fits = _fits(points, candidates, box_px, notes)
+    # The field is the costliest by far: it is tried only where a model that resamples has been chosen.
+    first = (
+        candidates if tuple(candidates) == ("field",) else [each for each in candidates if each != "field"]
+    )
+    fits = _fits(points, first, box_px, notes)
     if not fits:
         raise InputError(next(iter(notes.values()), "no correction model to choose from: name at least one"))
     errors = _block_errors(points, fits, notes)
     name = _simplest_unbeaten(points, fits, errors, notes, perspective)
+    if "field" in candidates and name != "field":
+        if name not in errors:
+            notes["field"] = notes.get(name, "")
+        elif name in LOSSLESS:
+            notes["field"] = f"not tried: {name}, which needs no resampling, is not beaten"
+        else:
+            fits |= _fits(points, ("field",), box_px, notes)
+            errors = _block_errors(points, fits, notes)
+            name = _simplest_unbeaten(points, fits, errors, notes, perspective)
     scores = tuple(_score(each, fits, errors, each == name, notes) for each in candidates)
     misfit, common = _misfit(points, fits, name), _common(points, fits[name])
     return Selection(name, fits[name], scores, misfit, common, footprint_px)
@@ -303,6 +318,8 @@ def _windows(points: _Points) -> int:
 
 def _significance(simple: str, other: str) -> float:
     """Return by how many standard errors a model must predict better than a simpler one."""
+    if other == "field":
+        return RESAMPLING_SIGNIFICANCE
     if simple not in LOSSLESS:
         return DENSE_SIGNIFICANCE
     return SIGNIFICANCE if other in LOSSLESS else RESAMPLING_SIGNIFICANCE
@@ -310,7 +327,7 @@ def _significance(simple: str, other: str) -> float:
 
 def _misfit(points: _Points, fits: dict[str, Fit], name: str) -> tuple[float, float]:
     """Return the variance (col, row) of the most flexible model about the chosen one, beyond chance, px²."""
-    chosen, flexible = fits[name], fits.get("tps")
+    chosen, flexible = fits[name], fits[name] if name == "field" else fits.get("tps")
     if flexible is None:
         try:
             flexible = points.fit("tps")

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
+from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.correction.estimation import Overlaps, SharedErrors
 from pcwlad_geo.correction.models import SplineGrid, cubic_b_splines
 from pcwlad_geo.types import Float64
@@ -19,6 +20,12 @@ MAX_CELLS = 40
 """Largest number of cells along the longer side."""
 CELL_PER_WINDOW = 0.75
 """Least side of a cell in window sides: displacements averaged over a window have no finer detail."""
+MAX_FIELD_CELLS = 80
+"""Likewise, of a field."""
+FIELD_CELL_PER_WINDOW = 0.5
+"""Likewise, of a field, whose displacements are means over the windows and show finer detail."""
+WINDOW_NODES = 4
+"""Number of places along the side of a window whose mean stands for that over the window."""
 BATCH = 4
 """Number of right sides solved at once; with more, BLAS threads wait for each other longer than they work."""
 MAX_STEPS = 12
@@ -27,11 +34,15 @@ REST = 1e-7
 """Relative residual at which the conjugate gradients end."""
 
 
-def grid_of(xy_px: Float64, footprint_px: float) -> SplineGrid:
-    """Return the grid for the (n, 2) points `xy_px` (col, row) with windows of side `footprint_px`, px."""
+def grid_of(xy_px: Float64, footprint_px: float, *, field: bool = False) -> SplineGrid:
+    """Return the grid for the (n, 2) points `xy_px` (col, row) with windows of side `footprint_px`, px.
+
+    That of a `field` has smaller cells.
+    """
+    per_window, most = (FIELD_CELL_PER_WINDOW, MAX_FIELD_CELLS) if field else (CELL_PER_WINDOW, MAX_CELLS)
     low, extent = xy_px.min(axis=0), np.maximum(np.ptp(xy_px, axis=0), 1e-6)
     finest = float(np.sqrt(np.prod(extent) / len(xy_px)))
-    spacing = max(float(extent.max()) / MAX_CELLS, CELL_PER_WINDOW * footprint_px, finest)
+    spacing = max(float(extent.max()) / most, per_window * footprint_px, finest)
     cells = np.maximum(np.ceil(extent / spacing * (1 - 1e-9)), 1).astype(int)
     # The box sits in the middle of the grid.
     origin = low - (cells * spacing - extent) / 2
@@ -50,6 +61,23 @@ def bending(grid: SplineGrid) -> Sparse:
         + scipy.sparse.kron(along_rows[2], along_cols[0])
     )
     return scipy.sparse.csc_array(energy)
+
+
+def pull(grid: SplineGrid, reach_px: float) -> Sparse:
+    """Return the (k, k) matrix of the squared size of a spline, with cells of side 1.
+
+    Beside the bending energy it lets the spline go to zero within `reach_px` where there are no points.
+    """
+    along_cols, along_rows = (_gram(cells, 0) for cells in grid.cells)
+    weight = (grid.spacing_px / reach_px) ** 4
+    return scipy.sparse.csc_array(weight * scipy.sparse.kron(along_rows, along_cols))
+
+
+def windowed_design(grid: SplineGrid, xy_px: Float64, footprint_px: float) -> scipy.sparse.csr_array:
+    """Return the (n, k) means of the B-splines over windows of side `footprint_px` at the (n, 2) `xy_px`."""
+    nodes = footprint_px * ((np.arange(WINDOW_NODES) + 0.5) / WINDOW_NODES - 0.5)
+    total = sum(grid.design(xy_px + place) for place in positions(nodes, nodes))
+    return scipy.sparse.csr_array(total / WINDOW_NODES**2)
 
 
 def _gram(cells: int, derivative: int) -> Sparse:
@@ -79,8 +107,22 @@ class ThinPlateSystem:
     def of(cls, xy_px: Float64, footprint_px: float) -> ThinPlateSystem:
         """Return the equations for the (n, 2) points `xy_px` (col, row) and windows of `footprint_px`."""
         grid = grid_of(xy_px, footprint_px)
-        energy = bending(grid)
-        return cls(grid, grid.design(xy_px), energy, scipy.sparse.block_diag([energy, energy], format="csc"))
+        return cls.on(grid, grid.design(xy_px), bending(grid))
+
+    @classmethod
+    def of_field(cls, xy_px: Float64, footprint_px: float, reach_px: float) -> ThinPlateSystem:
+        """Return those of a spline whose means over the windows are observed, and that ends in wide holes.
+
+        The (n, 2) points are `xy_px` (col, row), the windows `footprint_px` wide; the spline goes to zero
+        within `reach_px` where there are no points.
+        """
+        grid = grid_of(xy_px, footprint_px, field=True)
+        return cls.on(grid, windowed_design(grid, xy_px, footprint_px), bending(grid) + pull(grid, reach_px))
+
+    @classmethod
+    def on(cls, grid: SplineGrid, design: scipy.sparse.csr_array, energy: Sparse) -> ThinPlateSystem:
+        """Return the equations for an (n, k) `design` and a (k, k) `energy`."""
+        return cls(grid, design, energy, scipy.sparse.block_diag([energy, energy], format="csc"))
 
     def normal(self, precision: Float64) -> Sparse:
         """Return the normal matrix of one axis for an (n,) `precision`, 1/px², of both for (n, 2, 2).
