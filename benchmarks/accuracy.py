@@ -25,6 +25,7 @@ from benchmarks.studies.bands import bands
 from benchmarks.studies.closure import closure
 from benchmarks.studies.difference import difference
 from benchmarks.studies.field import displacement_field
+from benchmarks.studies.jitter import jitter
 from benchmarks.studies.metrology import metrology
 from benchmarks.studies.models import models
 from benchmarks.studies.paper import paper
@@ -58,6 +59,7 @@ STUDIES: dict[str, Study] = {
     "windows": windows,
     "tiles": tiles,
     "models": models,
+    "jitter": jitter,
     "pose": pose,
     "stack": stack,
 }

@@ -154,7 +154,7 @@ def fit(
     ----------
     matches : Matches
         Of `match`.
-    model : {"auto", "shift", "affine", "projective", "polynomial", "tps", "field", "rpc"}, optional
+    model : {"auto", "shift", "affine", "projective", "polynomial", "tps", "field", "jitter", "rpc"}, optional
         By default what the pair was opened with: ``"auto"``, the simplest model that no other beats in
         predicting blocks of points left out.
     on_event : callable

@@ -16,7 +16,7 @@ from pcwlad_geo.raster.trust import Trust
 
 Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 Keypoints = Literal["cells", "strongest"]
-Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps", "field", "rpc"]
+Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps", "field", "jitter", "rpc"]
 Prealign = Literal["auto", "georef", "search", "none"]
 Consensus = Literal["auto", "off"]
 Geometry = Literal["auto", "planar", "epipolar"]
@@ -176,7 +176,8 @@ class Settings:
     that clearly hold parallax."""
     model: Annotated[Model, Option("Correction model.", _CORRECTING)] = "auto"
     """Correction model; `polynomial` is of order 2 or 3, as cross-validation says; `field`: the measured
-    field; `rpc`: the target's RPC counts, also beside a geotransform, and is corrected."""
+    field; `jitter`: an affine and waves along rows or columns; `rpc`: the target's RPC counts, also beside a
+    geotransform, and is corrected."""
     grid: Annotated[
         OutputGrid,
         Option(

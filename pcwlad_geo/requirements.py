@@ -50,7 +50,7 @@ QUANTITIES: Final = (
         ("register",),
         ("=", "<="),
         "word",
-        ("shift", "drift", "affine", "projective", "polynomial", "tps", "field"),
+        ("shift", "drift", "affine", "projective", "polynomial", "jitter", "tps", "field"),
     ),
     Quantity("quality", ("register",), (">=", "="), "word", ("poor", "fair", "good")),
 )

@@ -19,6 +19,7 @@ from pcwlad_geo.correction.estimation import (
     weighted_least_squares,
 )
 from pcwlad_geo.correction.fitted import FitFunction, ParametricFit, checked
+from pcwlad_geo.correction.jitter import fit_jitter
 from pcwlad_geo.correction.models import (
     AffineCorrection,
     Correction,
@@ -241,6 +242,7 @@ FITS: Mapping[str, FitFunction] = MappingProxyType(
         "projective": fit_projective,
         "polynomial2": partial(fit_polynomial, name="polynomial2", order=2),
         "polynomial3": partial(fit_polynomial, name="polynomial3", order=3),
+        "jitter": fit_jitter,
         "tps": fit_tps,
         "field": fit_field,
     }
@@ -248,5 +250,5 @@ FITS: Mapping[str, FitFunction] = MappingProxyType(
 """The fit function of every model by its name, the simplest model first. The drift is a shift that changes
 from line to line, the effect of a drifting attitude on a pushbroom image (Fraser & Hanley 2005,
 doi:10.14358/PERS.71.8.909)."""
-CANDIDATES = tuple(name for name in FITS if name != "drift")
-"""Names of the models tried for any image; `drift` belongs to the geometry of a pushbroom sensor."""
+CANDIDATES = tuple(name for name in FITS if name not in ("drift", "jitter"))
+"""Names of the models tried for any image; `drift` and `jitter` belong to sensors with lines."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 import scipy.sparse
@@ -15,6 +15,8 @@ from pcwlad_geo.types import Float64, Index
 
 MAX_ORDER: Final = 3
 """Largest order of a polynomial."""
+MAX_WAVES: Final = 100
+"""Largest number of waves of a correction that is read."""
 MAX_STRETCH: Final = 1e6
 """Largest factor by which an affine correction may stretch or shrink the image; real ones have about one."""
 
@@ -313,6 +315,81 @@ class ProjectiveCorrection:
         return {"name": self.name, "forward": {"type": "projective", "matrix": self.matrix.tolist()}}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class JitterWave:
+    """A wave of the displacement that depends on one coordinate of the target alone."""
+
+    along: Literal["column", "row"]
+    """That coordinate."""
+    period_px: float
+    origin_px: float
+    """Where the phase is zero."""
+    coefficients_px: Float64
+    """(2, 2): displacement (col, row) of the cosine, then of the sine."""
+
+    def at(self, at_px: Float64) -> tuple[Float64, Float64]:
+        """Return (n, 2) displacements at the (n, 2) `at_px` (col, row), and their (n, 2) slopes, 1/px."""
+        turns = 2 * np.pi / self.period_px
+        phase = turns * (np.asarray(at_px, dtype=np.float64)[:, self.axis] - self.origin_px)
+        cosine, sine = np.cos(phase)[:, None], np.sin(phase)[:, None]
+        even, odd = self.coefficients_px
+        return cosine * even + sine * odd, turns * (cosine * odd - sine * even)
+
+    @property
+    def axis(self) -> int:
+        """Index of the coordinate."""
+        return 0 if self.along == "column" else 1
+
+    def to_dict(self) -> dict[str, object]:
+        """Return it as report.json holds it."""
+        return {
+            "along": self.along,
+            "period": self.period_px,
+            "origin": self.origin_px,
+            "coefficients": self.coefficients_px.tolist(),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JitterCorrection:
+    """observed = affine(predicted) + waves along the rows or the columns."""
+
+    affine: AffineCorrection
+    waves: tuple[JitterWave, ...]
+    """None where no wave was more than chance."""
+
+    @property
+    def name(self) -> str:
+        """The model's name."""
+        return "jitter"
+
+    def forward(self, predicted_px: Float64) -> Float64:
+        """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
+        return in_chunks(self._forward, predicted_px)
+
+    def inverse(self, observed_px: Float64) -> Float64:
+        """Map the (n, 2) `observed_px` to predicted target pixels, to 1e-8 px; NaN where there is none."""
+        return in_chunks(lambda at_px: invert(self.forward, self._slopes, at_px), observed_px)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the model as report.json holds it, which alone is enough to warp."""
+        waves = [wave.to_dict() for wave in self.waves]
+        forward = {"type": "jitter", "matrix": self.affine.matrix.tolist(), "waves": waves}
+        return {"name": self.name, "forward": forward}
+
+    def _forward(self, at_px: Float64) -> Float64:
+        moved = self.affine.forward(at_px)
+        for wave in self.waves:
+            moved = moved + wave.at(at_px)[0]
+        return moved
+
+    def _slopes(self, at_px: Float64) -> Float64:
+        slopes = np.tile(self.affine.matrix[:, :2], (len(at_px), 1, 1))
+        for wave in self.waves:
+            slopes[:, :, wave.axis] += wave.at(at_px)[1]
+        return slopes
+
+
 def _homogeneous(matrix: Float64, at_px: Float64) -> Float64:
     moved = np.asarray(at_px, dtype=np.float64) @ matrix[:, :2].T + matrix[:, 2]
     w = np.where(moved[:, 2:] > 0, moved[:, 2:], np.nan)
@@ -380,6 +457,20 @@ def _spline(name: str, forward: Mapping[str, Any]) -> Correction:
     return SplineCorrection(name, grid, _numbers(forward["coefficients"], (*grid.shape, 2)))
 
 
+def _jitter(name: str, forward: Mapping[str, Any]) -> Correction:
+    affine = _affine("affine", forward)
+    if not isinstance(affine, AffineCorrection):
+        raise TypeError("expected an affine")
+    waves = []
+    for wave in forward["waves"]:
+        along, origin = wave["along"], float(wave["origin"])
+        if along not in ("column", "row") or not np.isfinite(origin) or len(forward["waves"]) > MAX_WAVES:
+            raise ValueError("expected few waves along columns or rows, with a finite origin")
+        coefficients = _numbers(wave["coefficients"], (2, 2))
+        waves.append(JitterWave(along, _length(wave["period"]), origin, coefficients))
+    return JitterCorrection(affine, tuple(waves))
+
+
 def _length(value: float | str) -> float:
     length = float(value)
     if not 0.0 < length < float("inf"):
@@ -399,6 +490,7 @@ _READERS = {
     "projective": _projective,
     "polynomial": _polynomial,
     "bicubic_spline": _spline,
+    "jitter": _jitter,
 }
 
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
-from pcwlad_geo.report.content import CandidateEntry, CoverageEntry
+from pcwlad_geo.report.content import CandidateEntry, CoverageEntry, ProfilesEntry
 from pcwlad_geo.report.figures import (
     COL_COLOUR,
     MAX_TICKS,
@@ -176,6 +176,44 @@ def candidate_figure(candidates: Sequence[CandidateEntry]) -> bytes:
     axes.set_axisbelow(True)
     axes.set_xlabel("cross-validated RMSE, target px", fontsize=9)
     return to_png(figure)
+
+
+def profile_figure(profiles: ProfilesEntry) -> bytes:
+    """Return a PNG of the profiles along columns, rows and heights, with bands and what waves there are."""
+    named = [("target column, px", profiles.by_column, "column")]
+    named += [("target row, px", profiles.by_row, "row")]
+    if profiles.by_height is not None and profiles.by_height.place:
+        named += [("height, m", profiles.by_height, "height")]
+    height_in = 1.9 * len(named) + 0.3
+    figure = new_figure(height_in)
+    panels = np.atleast_1d(figure.subplots(len(named), 1, sharey=True))
+    top, bottom = 1 - 0.3 / height_in, 0.5 / height_in
+    figure.subplots_adjust(left=0.1, right=0.98, top=top, bottom=bottom, hspace=0.6)
+    for axes, (label, part, along) in zip(panels, named, strict=True):
+        for component, colour in enumerate((COL_COLOUR, ROW_COLOUR)):
+            mean = np.array(part.mean_px).reshape(-1, 2)[:, component]
+            band = np.array(part.band_px).reshape(-1, 2)[:, component]
+            name = f"in {('column', 'row')[component]}"
+            axes.fill_between(part.place, mean - band, mean + band, color=colour, alpha=0.2, lw=0)
+            axes.plot(part.place, mean, color=colour, lw=1.4, label=name)
+        axes.axhline(0, color="0.4", lw=0.8)
+        axes.set_title(wave_text(profiles, along), fontsize=9, loc="left")
+        axes.set_xlabel(label, fontsize=9)
+        axes.set_ylabel("displacement, px", fontsize=8)
+        few_ticks(axes)
+    panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, frameon=False, fontsize=8)
+    return to_png(figure)
+
+
+def wave_text(profiles: ProfilesEntry, along: str) -> str:
+    """Return what waves there are `along` the "column", "row" or "height"."""
+    if along == "height":
+        return "By height"
+    found = [each for each in profiles.waves if each.along == along and each.significant]
+    if not found:
+        return f"Along the {along}s: no wave beyond chance"
+    waves = (f"{each.amplitude_px:.3f} px in {each.of}, period {each.period_px:.0f} px" for each in found)
+    return f"Along the {along}s: jitter of " + "; ".join(waves)
 
 
 BINS = 12

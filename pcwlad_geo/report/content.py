@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 from pcwlad_geo.correction.error_statistics import Accuracy, Amount, Pair, UnitStatistics
+from pcwlad_geo.correction.jitter import Peak, Profile
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.registration.fitting import Grade
@@ -192,6 +193,23 @@ class StatisticsEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class ProfilesEntry:
+    """Displacement along rows and columns of the target, less its cubic trend in both: jitter, stripes."""
+
+    waves: tuple[Peak, ...]
+    """The strongest wave along the columns and along the rows, in each component; none of too few points."""
+    by_column: Profile
+    by_row: Profile
+    by_height: Profile | None
+    """Against the height of the ground, m; null without an elevation model."""
+
+    @property
+    def parts(self) -> tuple[Profile, ...]:
+        """The profiles that there are."""
+        return tuple(each for each in (self.by_column, self.by_row, self.by_height) if each is not None)
+
+
+@dataclass(frozen=True, slots=True)
 class CoverageEntry:
     """Tie points by square of the reference, row by row from its top-left corner, and why there are none."""
 
@@ -265,6 +283,8 @@ class Report:
     """What the registered raster can be trusted with. Reasons are warnings, too, or part of the reason of a
     refusal; null where nothing was fitted."""
     statistics: StatisticsEntry
+    profiles: ProfilesEntry | None
+    """Null where nothing was fitted."""
     coverage: CoverageEntry
     seconds: Mapping[str, float]
     """By stage."""

@@ -17,18 +17,22 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, Grade
 from pcwlad_geo.registration.result import Registration, Status
-from pcwlad_geo.report.charts import Kind, candidate_figure, coverage_figure, missing_kinds, trend_figure
+from pcwlad_geo.report.charts import (
+    Kind,
+    candidate_figure,
+    coverage_figure,
+    missing_kinds,
+    profile_figure,
+    trend_figure,
+)
 from pcwlad_geo.report.content import GroupStatistics, Report, plain
 from pcwlad_geo.report.figures import displacement_figure, distribution_figure, residual_figure, sigma_figure
 from pcwlad_geo.report.rendering import templates_of
-from pcwlad_geo.report.statistics import PrecisionMap, precision_of
+from pcwlad_geo.report.statistics import PrecisionMap, heights_m, precision_of
 from pcwlad_geo.report.views import PairView, checkered, pair_views, read_backdrop
-from pcwlad_geo.types import Float64
 
 ENOUGH_CHECK_POINTS: Final = 30
 """Least number of check points of the ASPRS Positional Accuracy Standards (2023)."""
@@ -159,7 +163,7 @@ def _px(value: float) -> str:
     return f"{value:.3f} px"
 
 
-OPTIONAL: Final = ("residuals", "distribution", "trends", "candidates", "sigma")
+OPTIONAL: Final = ("residuals", "distribution", "trends", "profiles", "candidates", "sigma")
 """Names of the figures that not every page has."""
 
 
@@ -276,8 +280,10 @@ def _figures(
         figures["residuals"] = residual_figure(table, shape, image)
         figures["distribution"] = distribution_figure(table, judged.px.radial.ce90)
         points = table.select("fit", "check")
-        heights = _heights_m(registration, points.predicted_px)
+        heights = heights_m(registration, points.predicted_px)
         figures["trends"] = trend_figure(points, registration.target.grid.shape, heights)
+    if report.profiles and any(part.place for part in report.profiles.parts):
+        figures["profiles"] = profile_figure(report.profiles)
     candidates = [
         each for each in (report.model.candidates if report.model else ()) if each.rmse_px is not None
     ]
@@ -286,17 +292,6 @@ def _figures(
     if precision is not None:
         figures["sigma"] = sigma_figure(precision, table.select("fit").predicted_px)
     return figures
-
-
-def _heights_m(registration: Registration, predicted_px: Float64) -> Float64 | None:
-    """Return (n,) heights of the ground, m, at (n, 2) target px; None without an elevation model."""
-    rpc = registration.rpc
-    if rpc is None or not isinstance(rpc.original.heights, Dem):
-        return None
-    try:
-        return rpc.original.heights.at(rpc.original.to_xy(predicted_px))
-    except InputError:  # the page can do without heights
-        return None
 
 
 def _data_uri(kind: str, content: bytes) -> str:

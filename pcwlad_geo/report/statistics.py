@@ -14,9 +14,11 @@ from scipy.ndimage import binary_dilation
 
 from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
 from pcwlad_geo.correction.selection import Selection
+from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.products.detect import native_per_px, native_px_m
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
+from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import at_mean_height
 from pcwlad_geo.raster.source import RasterInfo, file_name
 from pcwlad_geo.registration.result import GROUND, MatchRecord, Registration
@@ -245,6 +247,17 @@ NO_METRES: Final = "metres are not known without a CRS"
 """Reason why a length in metres is not known."""
 NO_NATIVE_PX: Final = "the native pixel is not known: the file names do not tell it"
 """Reason why a length in native pixels is not known."""
+
+
+def heights_m(registration: Registration, predicted_px: Float64) -> Float64 | None:
+    """Return (n,) heights of the ground, m, at (n, 2) target px; None without an elevation model."""
+    rpc = registration.rpc
+    if rpc is None or not isinstance(rpc.original.heights, Dem):
+        return None
+    try:
+        return rpc.original.heights.at(rpc.original.to_xy(predicted_px))
+    except InputError:  # the page can do without heights
+        return None
 
 
 def judge_requirements(

@@ -14,6 +14,7 @@ import numpy as np
 import rasterio
 
 from pcwlad_geo.correction.error_statistics import Accuracy, Pair
+from pcwlad_geo.correction.jitter import MIN_POINTS, peaks, profile, smooth_rest
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc.dem import Dem
@@ -31,6 +32,7 @@ from pcwlad_geo.report.statistics import (
     PrecisionMap,
     When,
     coverage_of,
+    heights_m,
     native_size_m,
     precision_of,
     statistics_of,
@@ -89,6 +91,7 @@ def summarise(
         accuracy={"fit": _accuracy(registration, "fit"), "check": _accuracy(registration, "check")},
         quality=_quality(registration),
         statistics=error_statistics(registration),
+        profiles=_profiles(registration),
         coverage=_coverage(registration),
         seconds=c.rounded(registration.seconds, SECONDS_DIGITS),
         settings=registration.settings,
@@ -245,6 +248,25 @@ def _predicted_sigma(precision: PrecisionMap) -> c.PredictedSigma:
         largest=_pair(sigma.max(axis=0), PX_DIGITS),
         extrapolated_share=round(float(precision.extrapolated.mean()), SHARE_DIGITS),
     )
+
+
+def _profiles(registration: Registration) -> c.ProfilesEntry | None:
+    """Return the displacement along rows and columns of the target beyond its cubic trend."""
+    points = registration.tie_points.select("fit", "check", "unused")
+    if registration.selection is None or len(points) < MIN_POINTS:
+        return None
+    window_px, at_px = registration.selection.footprint_px, points.predicted_px
+    rest = smooth_rest(at_px, points.displacement_px)
+    col, row = at_px.T
+    heights = heights_m(registration, at_px)
+    step = window_px / 2
+    found = c.ProfilesEntry(
+        peaks(at_px, rest, window_px),
+        profile(col, row, rest, step),
+        profile(row, col, rest, step),
+        None if heights is None else profile(heights, row, rest, 0.0),
+    )
+    return c.rounded(found, PX_DIGITS)
 
 
 def _coverage(registration: Registration) -> c.CoverageEntry:

@@ -28,7 +28,7 @@ def test_holds_what_the_file_promises_and_is_strict_json(registration: Make) -> 
         "schema_version", "status", "reason", "warnings", "passed", "requirements", "reference", "target",
         "inputs", "px_m", "output_grid", "prealignment", "geometry",
         "tie_points", "counts", "displacement_px", "displacement_m", "rpc", "model", "accuracy", "quality",
-        "statistics", "coverage", "seconds", "settings", "versions", "outputs",
+        "statistics", "profiles", "coverage", "seconds", "settings", "versions", "outputs",
     ]  # fmt: skip
     assert read["schema_version"] == 1
     assert read["outputs"] == ["report.json", "tiepoints.csv"]

@@ -1,0 +1,292 @@
+"""Jitter: displacement that depends on the row or the column of the sensor alone, found and fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, Literal
+
+import numpy as np
+
+from pcwlad_geo.correction.estimation import Solution, design, estimate, reweighted, weighted_least_squares
+from pcwlad_geo.correction.fitted import ParametricFit, checked
+from pcwlad_geo.correction.models import AffineCorrection, JitterCorrection, JitterWave
+from pcwlad_geo.types import Float64, Index
+
+ALONG: Final = ("column", "row")
+"""What a profile runs along, by the index of the coordinate."""
+MIN_POINTS: Final = 60
+"""Least number of tie points in which waves are looked for."""
+SHORTEST: Final = 1.5
+"""Shortest period that is looked for, in windows: of shorter ones a window leaves a third at most."""
+MOST_PER_SPACING: Final = 1.0
+"""Nor are periods shorter than so many typical spacings of the points."""
+CYCLES: Final = 2.0
+"""Least number of periods over the extent of the points; longer waves are what models take out."""
+OVERSAMPLED: Final = 4
+"""Number of frequencies that are tried for each independent one."""
+MAX_FREQUENCIES: Final = 800
+"""Largest number of frequencies along an axis."""
+DIRECTIONS: Final = np.radians([*range(20, 75, 6), *range(110, 165, 6)])
+"""Directions of waves, from the rows, that say what chance does: jitter runs along rows or columns."""
+CHANCE: Final = 1e-3
+"""Largest probability that chance makes the highest peak of all, at which it is jitter."""
+MAX_WAVES: Final = 3
+"""Largest number of waves."""
+MAX_SEARCHED: Final = 4_000
+"""Largest number of points in which waves are looked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """The strongest wave along an axis, in one component of the displacement."""
+
+    along: Literal["column", "row"]
+    """The displacement depends on this coordinate of the target."""
+    of: Literal["column", "row"]
+    """The component of the displacement."""
+    period_px: float
+    amplitude_px: float
+    """Of the ground, as far as the windows let it be known: what they average is restored."""
+    sigma_px: float
+    """Standard deviation of the amplitude."""
+    chance: float
+    """Probability that errors alone, as they are in other directions, make so high a peak anywhere."""
+    significant: bool
+    """Whether it is jitter: chance is below one in a thousand."""
+
+
+def seen_share(period_px: float, footprint_px: float) -> float:
+    """Return the share of the amplitude of a wave that is left of it in means over windows."""
+    return float(np.sinc(footprint_px / period_px))
+
+
+def smooth_rest(at_px: Float64, displacement_px: Float64) -> Float64:
+    """Return the (n, 2) displacements less their cubic trend in both coordinates, px."""
+    u = (at_px - at_px.mean(axis=0)) / max(float(np.ptp(at_px, axis=0).max()), 1e-9)
+    terms = np.stack([u[:, 0] ** i * u[:, 1] ** j for i in range(4) for j in range(4 - i)], axis=1)
+    weight = np.ones(len(u))
+    rest = displacement_px
+    for _ in range(5):
+        root = np.sqrt(weight)[:, None]
+        rest = displacement_px - terms @ np.linalg.lstsq(terms * root, displacement_px * root, rcond=None)[0]
+        size = np.linalg.norm(rest, axis=1)
+        limit = 4.0 * float(np.median(size)) or 1.0
+        weight = np.maximum(1.0 - (size / limit) ** 2, 0.0) ** 2
+    return np.where((weight > 0)[:, None], rest, 0.0)
+
+
+def peaks(at_px: Float64, rest_px: Float64, footprint_px: float) -> tuple[Peak, ...]:
+    """Return the highest peak of the periodogram along each coordinate, of each component: four or none.
+
+    The power of errors, also of those that windows share and of smooth displacements, depends on the length
+    of a wave and not on its direction: the mean power in other directions is that of chance, whose powers
+    are distributed exponentially about it.
+
+    Parameters
+    ----------
+    at_px : (n, 2) array of float
+        Positions (col, row) in the target, px.
+    rest_px : (n, 2) array of float
+        What a smooth model leaves of the displacements (col, row), px.
+    footprint_px : float
+        Side of the matching window, px.
+    """
+    every = max(1, -(-len(at_px) // MAX_SEARCHED))
+    at_px, rest_px = at_px[::every], rest_px[::every]
+    if len(at_px) < MIN_POINTS:
+        return ()
+    extent = np.ptp(at_px, axis=0)
+    spacing = float(np.sqrt(np.prod(extent) / len(at_px)))
+    shortest = max(SHORTEST * footprint_px, MOST_PER_SPACING * spacing, 4.0)
+    found = [
+        _peak(at_px, rest_px, along, of, shortest, footprint_px)
+        for along in (0, 1)
+        for of in (0, 1)
+        if extent[along] > CYCLES * shortest
+    ]
+    return tuple(found)
+
+
+def _peak(
+    at_px: Float64, rest_px: Float64, along: int, of: int, shortest_px: float, footprint_px: float
+) -> Peak:
+    extent = float(np.ptp(at_px[:, along]))
+    most = min(int(OVERSAMPLED * extent / shortest_px), MAX_FREQUENCIES * OVERSAMPLED)
+    frequency = np.arange(int(CYCLES * OVERSAMPLED), most + 1) / (OVERSAMPLED * extent)
+    values = rest_px[:, of] - rest_px[:, of].mean()
+    power = _power(at_px[:, along], values, frequency)
+    turned = np.stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)], axis=1)
+    others = np.array([_power(at_px @ direction, values, frequency) for direction in turned]).mean(axis=0)
+    noise = np.maximum(_smoothed(others, 2 * OVERSAMPLED), 1e-30)
+    index = int(np.argmax(power / noise))
+    ratio = float(power[index] / noise[index])
+    # all independent frequencies of both coordinates and both components were looked at, finer ones too
+    trials = 4 * len(frequency) / OVERSAMPLED * 2
+    chance = -float(np.expm1(trials * np.log1p(-min(np.exp(-ratio), 1 - 1e-12))))
+    best = frequency[index] + np.linspace(-1, 1, 41) / (OVERSAMPLED * extent)
+    sharp = _power(at_px[:, along], values, best)
+    period = float(1.0 / best[np.argmax(sharp)])
+    share = seen_share(period, footprint_px)
+    count = len(values)
+    amplitude = 2.0 * np.sqrt(max(float(sharp.max()) - noise[index], 0.0)) / count
+    sigma = np.sqrt(2.0 * noise[index]) / count
+    found = float(amplitude) / share, float(sigma) / share
+    return Peak(ALONG[along], ALONG[of], period, *found, chance, chance < CHANCE)
+
+
+def _power(place_px: Float64, values: Float64, frequency: Float64) -> Float64:
+    """Return the (f,) squared sums of (n,) values times waves of the (f,) frequencies, 1/px."""
+    waves = (np.exp(-2j * np.pi * each * place_px) @ values for each in frequency)
+    return np.array([abs(each) ** 2 for each in waves])
+
+
+def _smoothed(values: Float64, reach: int) -> Float64:
+    """Return running means over 2 · `reach` + 1 values, fewer at the ends."""
+    kernel = np.ones(2 * reach + 1)
+    total = np.convolve(values, kernel)[reach : reach + len(values)]
+    return np.asarray(total / np.convolve(np.ones_like(values), kernel)[reach : reach + len(values)])
+
+
+def fit_jitter(
+    predicted_px: Float64, observed_px: Float64, covariance_px2: Float64, *, footprint_px: float = 0.0
+) -> ParametricFit:
+    """Fit an affine and the waves along rows and columns that are more than chance, of up to three periods.
+
+    Without such a wave it is the affine. A displacement is taken for the mean over its window. Raises
+    `InputError` if the points are too few or do not determine the model, or an array has a wrong shape or
+    values that are not finite.
+
+    Parameters
+    ----------
+    predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays of float
+        See `fit.fit_polynomial`, also for `footprint_px`.
+    """
+    predicted, observed, covariance = checked("jitter", 5, predicted_px, observed_px, covariance_px2)
+    displacement, centre = observed - predicted, predicted.mean(axis=0)
+    waves: tuple[tuple[int, float], ...] = ()
+    rest = smooth_rest(predicted, displacement)
+    for _ in range(MAX_WAVES):
+        more = [each for each in peaks(predicted, rest, footprint_px) if each.significant]
+        if not more:
+            break
+        strongest = min(more, key=lambda each: (each.chance, -each.amplitude_px))
+        waves = (*waves, (ALONG.index(strongest.along), strongest.period_px))
+        terms = _terms(predicted, centre, waves, footprint_px)[:, 3:]
+        rest = rest - terms @ np.linalg.lstsq(terms, rest, rcond=None)[0]
+    values = _terms(predicted, centre, waves, footprint_px)
+    found = estimate(values[:, :3], displacement, covariance)
+    if waves:
+        # the affine takes waves for errors at most; they are smaller than what it rejects
+        def solve(whitener: Float64, weight: Float64) -> Solution:
+            parameters = weighted_least_squares(values, displacement, whitener, weight)
+            return Solution(parameters, values @ parameters, values.shape[1])
+
+        found = reweighted(solve, found.fitted_px, displacement, covariance)
+    return ParametricFit.of(
+        correction=_correction(found.parameters, centre, waves),
+        jacobian=partial(_jacobian, centre_px=centre, waves=waves),
+        predicted_px=predicted,
+        observed_px=observed,
+        estimate=found,
+        footprint_px=footprint_px,
+    )
+
+
+RADIUS_PX: Final = 1000.0
+"""Unit of the affine's terms, so that all terms are of one order."""
+
+
+def _terms(
+    at_px: Float64, centre_px: Float64, waves: tuple[tuple[int, float], ...], footprint_px: float
+) -> Float64:
+    """Return the (n, k) values of 1, col, row, and of cosine and sine of each wave, means over windows."""
+    place = at_px - centre_px
+    columns = [np.ones(len(at_px)), *(place / RADIUS_PX).T]
+    for along, period in waves:
+        phase, share = 2 * np.pi * place[:, along] / period, seen_share(period, footprint_px)
+        columns += [share * np.cos(phase), share * np.sin(phase)]
+    return np.stack(columns, axis=1)
+
+
+def _jacobian(at_px: Float64, *, centre_px: Float64, waves: tuple[tuple[int, float], ...]) -> Float64:
+    values = _terms(at_px, centre_px, waves, 0.0)
+    return design(values, np.broadcast_to(np.eye(2), (len(at_px), 2, 2)))
+
+
+def _correction(
+    parameters_px: Float64, centre_px: Float64, waves: tuple[tuple[int, float], ...]
+) -> JitterCorrection:
+    slopes = parameters_px[1:3].T / RADIUS_PX
+    matrix = np.column_stack([np.eye(2) + slopes, parameters_px[0] - slopes @ centre_px])
+    made = tuple(
+        JitterWave(ALONG[along], period, float(centre_px[along]), parameters_px[3 + 2 * k : 5 + 2 * k])
+        for k, (along, period) in enumerate(waves)
+    )
+    return JitterCorrection(AffineCorrection("affine", matrix), made)
+
+
+BINS: Final = 48
+"""Largest number of intervals of a profile."""
+PARTS: Final = 8
+"""Number of parts across the profile whose scatter gives its confidence band."""
+MIN_IN_BIN: Final = 5
+"""Least number of points of an interval, and least number of parts with points in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Means of what a smooth model leaves of the displacement, by intervals of one quantity."""
+
+    place: tuple[float, ...]
+    """Middles of the intervals, px or m."""
+    mean_px: tuple[tuple[float, float], ...]
+    """Displacement (col, row)."""
+    band_px: tuple[tuple[float, float], ...]
+    """Half width of the 95 % confidence band (col, row): from the scatter of eight parts across."""
+
+
+def profile(along: Float64, across: Float64, rest_px: Float64, least_step: float) -> Profile:
+    """Return the profile of (n, 2) values along one quantity.
+
+    Parameters
+    ----------
+    along, across : (n,) arrays of float
+        The quantity, and another that divides the points into parts whose errors are independent.
+    rest_px : (n, 2) array of float
+        What a smooth model leaves of the displacements (col, row), px.
+    least_step : float
+        Least length of an interval, unit of `along`.
+    """
+    known = np.isfinite(along)
+    along, across, rest_px = along[known], across[known], rest_px[known]
+    if len(along) < MIN_POINTS or np.ptp(along) <= 0:
+        return Profile((), (), ())
+    count = int(np.clip(np.ptp(along) / max(least_step, 1e-9), 1, BINS))
+    edges = np.linspace(along.min(), along.max(), count + 1)
+    interval = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, count - 1)
+    part = np.argsort(np.argsort(across, kind="stable"), kind="stable") * PARTS // len(across)
+    rows = list(_intervals(edges, interval, part, rest_px))
+    places, means, bands = zip(*rows, strict=True) if rows else ((), (), ())
+    return Profile(tuple(places), tuple(means), tuple(bands))
+
+
+def _intervals(
+    edges: Float64, interval: Index, part: Index, rest_px: Float64
+) -> Iterator[tuple[float, tuple[float, float], tuple[float, float]]]:
+    from scipy.special import stdtrit  # slow to load
+
+    for index in range(len(edges) - 1):
+        inside = interval == index
+        parts = [rest_px[inside & (part == each)] for each in range(PARTS)]
+        means = np.array([each.mean(axis=0) for each in parts if len(each)])
+        if np.count_nonzero(inside) < MIN_IN_BIN or len(means) < 3:
+            continue
+        weight = np.array([len(each) for each in parts if len(each)], dtype=float)
+        weight /= weight.sum()
+        mean = weight @ means
+        freedom = len(means) - 1
+        error = np.sqrt((weight**2) @ (means - mean) ** 2 * (1 + 1 / freedom))
+        (col, row), (d_col, d_row) = mean.tolist(), (float(stdtrit(freedom, 0.975)) * error).tolist()
+        yield float(edges[index : index + 2].mean()), (col, row), (d_col, d_row)
