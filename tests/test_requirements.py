@@ -52,7 +52,11 @@ def test_reads_what_users_write(text: str, expected: Requirement) -> None:
         ("points>=100px", "register", "the limit of points is a number without a unit"),
         ("coverage>=80", "register", "as a share up to 1, such as 0.8, or in per cent"),
         ("coverage>=x", "register", "the limit x is no number above 0"),
-        ("model=quadratic", "register", "model is one of shift, drift, affine, projective, polynomial, tps"),
+        (
+            "model=quadratic",
+            "register",
+            "model is one of shift, drift, affine, projective, polynomial, jitter, tps, field",
+        ),
         ("net sigma<=1px", "register", "there is no net sigma"),
         ("fit points>=9", "register", "'fit' cannot stand before points"),
         ("fit check CE90 of<=1px", "register", "no statistic 'of'"),
