@@ -63,7 +63,7 @@ def seen_share(period_px: float, footprint_px: float) -> float:
 
 
 def smooth_rest(at_px: Float64, displacement_px: Float64) -> Float64:
-    """Return the (n, 2) displacements less their cubic trend in both coordinates, px."""
+    """Return the (n, 2) `displacement_px` at the (n, 2) `at_px` less their cubic trend."""
     u = (at_px - at_px.mean(axis=0)) / max(float(np.ptp(at_px, axis=0).max()), 1e-9)
     terms = np.stack([u[:, 0] ** i * u[:, 1] ** j for i in range(4) for j in range(4 - i)], axis=1)
     weight = np.ones(len(u))

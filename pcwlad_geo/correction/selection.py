@@ -181,6 +181,8 @@ def choose(
             notes["field"] = notes.get(name, "")
         elif name in LOSSLESS:
             notes["field"] = f"not tried: {name}, which needs no resampling, is not beaten"
+        elif perspective:
+            notes["field"] = "not tried: between two frames it would follow depths, not the ground"
         else:
             fits |= _fits(points, ("field",), box_px, notes)
             errors = _block_errors(points, fits, notes)

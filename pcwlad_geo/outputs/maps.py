@@ -56,6 +56,7 @@ SIGMA_LAYERS: Final = (
     Layer("sigma along row", "px"),
     Layer("1 beyond the tie points, 0 among them", ""),
 )
+"""Bands of the sigma raster."""
 
 
 def write_sigma(path: Path, precision: Selection, target_grid: Grid, grid: Grid) -> None:
@@ -168,6 +169,7 @@ LONG_NAMES: Final[Mapping[str, Mapping[str, str]]] = {
 }
 """By unit."""
 QUALITY: Final = "quality: 0 none, 1 model beyond the tie points, 2 model, 3 measured"
+"""Description of the last band of the displacement raster."""
 UNITS: Final = {"px": "px", "m": "metre"}
 """By unit; PROJ knows no other word."""
 TAGS: Final[Mapping[str, Mapping[str, str]]] = {

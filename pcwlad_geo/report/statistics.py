@@ -250,7 +250,7 @@ NO_NATIVE_PX: Final = "the native pixel is not known: the file names do not tell
 
 
 def heights_m(registration: Registration, predicted_px: Float64) -> Float64 | None:
-    """Return (n,) heights of the ground, m, at (n, 2) target px; None without an elevation model."""
+    """Return (n,) heights of the ground, m, at the (n, 2) `predicted_px`; None without an elevation model."""
     rpc = registration.rpc
     if rpc is None or not isinstance(rpc.original.heights, Dem):
         return None

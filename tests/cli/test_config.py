@@ -106,7 +106,7 @@ def test_a_word_on_the_command_line_overrules_a_number_in_the_file(tmp_path: Pat
         ("features = true", "give a whole number"),
         ("ref_mask = 3", "give a file name"),
         ("method = 3", "give text"),
-        ("points = 'some'", "give a whole number or 'all' or 'auto'"),
+        ("points = 'some'", "give a whole number or 'all' or 'dense' or 'auto'"),
         ("window = ", "not valid TOML"),
         ("[matching]\nwindow = 81", "unknown option 'matching'"),
     ],

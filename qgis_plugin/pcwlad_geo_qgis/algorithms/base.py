@@ -23,7 +23,7 @@ Values = dict[str, Any]
 
 ICON = Path(__file__).parents[1] / "icon.svg"
 METHODS = ["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
-MODELS = ["auto", "shift", "affine", "projective", "polynomial", "tps", "rpc"]
+MODELS = ["auto", "shift", "affine", "projective", "polynomial", "tps", "field", "jitter", "rpc"]
 SHARES: Shares = {
     "reading": (0, 2),
     "prealignment": (2, 10),
