@@ -13,7 +13,7 @@ from pcwlad_geo.correction.jitter import Peak, peaks, profile, smooth_rest
 from pcwlad_geo.correction.models import JitterCorrection, from_json
 from pcwlad_geo.errors import InputError
 
-from .points import isotropic, noise, scattered, waves, window_noise
+from .points import isotropic, noise, scattered, window_noise
 
 Array = NDArray[np.float64]
 SIDE, WINDOW, PERIOD, AMPLITUDE = 2048, 81, 200.0, 0.05
@@ -34,9 +34,17 @@ def points(seed: int, amplitude: float, n: int = 1000) -> tuple[Array, Array]:
     return at, jitter(at[:, 1], amplitude) + errors + [1.3, -0.4]
 
 
+def oblique_waves(seed: int, at_px: Array, size_px: float, wavelength_px: float) -> Array:
+    """Return (n, 2) displacements that wave in a direction which is that of neither rows nor columns."""
+    random = np.random.default_rng([7, seed])
+    turn = np.pi / 4 + random.uniform(-0.35, 0.35) + np.pi / 2 * random.integers(2)
+    along = at_px @ np.array([np.cos(turn), np.sin(turn)]) / wavelength_px
+    return np.asarray(size_px * np.sin(2 * np.pi * along[:, None] + random.uniform(0, 2 * np.pi, 2)))
+
+
 def found_in(seed: int, amplitude: float, beside: float = 0.0) -> list[Peak]:
     at, moved = points(seed, amplitude)
-    moved = moved + beside * waves(seed, at, 1.0, 700)
+    moved = moved + oblique_waves(seed, at, beside, 700)
     return [each for each in peaks(at, smooth_rest(at, moved), WINDOW) if each.significant]
 
 
