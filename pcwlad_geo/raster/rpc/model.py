@@ -80,13 +80,19 @@ class RpcModel:
         pixel_xy_px = np.asarray(pixel_xy_px, dtype=np.float64)
         u = np.zeros((len(pixel_xy_px), 3))
         u[:, 2] = (np.asarray(height_m, dtype=np.float64) - self.height_off) / self.height_scale
+        miss_px = np.full(len(u), np.inf)
+        left = np.arange(len(u))
         for _ in range(ITERATIONS):
-            miss = pixel_xy_px - self._to_px(u)
-            worst = np.abs(miss).max(initial=0.0, where=np.isfinite(miss))
-            if worst <= INVERSE_TOLERANCE_PX:
+            miss = pixel_xy_px[left] - self._to_px(u[left])
+            miss_px[left] = np.abs(miss).max(axis=1, initial=0.0)
+            # of a wild RPC most pixels never get there, and those that are not finite stay so: only the others go on
+            going_on = miss_px[left] > INVERSE_TOLERANCE_PX
+            going_on &= np.isfinite(miss_px[left])
+            left = left[going_on]
+            if not left.size:
                 break
-            u[:, :2] += np.clip(solve_2x2(self._slopes(u), miss), -1.0, 1.0)
-        found = np.abs(miss).max(axis=1) <= 100 * INVERSE_TOLERANCE_PX
+            u[left, :2] += np.clip(solve_2x2(self._slopes(u[left]), miss[going_on]), -1.0, 1.0)
+        found = miss_px <= 100 * INVERSE_TOLERANCE_PX
         lon_lat = u[:, :2] * [self.long_scale, self.lat_scale] + [self.long_off, self.lat_off]
         return np.where(found[:, None], lon_lat, np.nan)
 
