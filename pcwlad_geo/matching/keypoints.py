@@ -84,20 +84,25 @@ NOISE_MARGIN: Final = 1.2
 """Factor on the noise energy before it is subtracted, a margin for its own scatter."""
 
 
-def contrast_weight(image: NDArray[np.floating[Any]], epsilon: float, noise_sigma: float = 0.0) -> Float32:
+def contrast_weight(
+    image: NDArray[np.floating[Any]], epsilon: float, noise_sigma: float = 0.0, least: float = 0.0
+) -> Float32:
     """Weight pixels by local contrast: near 0 where it is below a fiftieth of the scene's range, else near 1.
 
     Phase congruency without noise filter finds corners in noise and quantisation as readily as in
     structure; corners of real structure are to be preferred. The (rows, cols) `image` is finite; `epsilon` is
     the scene's ε, which stands for its range (see `maps.scene_epsilon`). Noise of standard deviation
-    `noise_sigma` does not count as contrast. The result is a (rows, cols) float32 array.
+    `noise_sigma` does not count as contrast. The weight is 0 where the detail's RMS is at most `least`, in
+    units of the image: there it may be nothing but rounding. The result is a (rows, cols) float32 array.
     """
     floor = max(MIN_CONTRAST * 255.0 / EPSILON_OF_BYTE_RANGE * epsilon, 1e-30)
     scaled = np.clip((image - image.mean(dtype=np.float64)) / floor, -LARGEST, LARGEST).astype(np.float32)
     detail = scaled - cv2.GaussianBlur(scaled, (0, 0), DETAIL_PX)
     energy = cv2.GaussianBlur(np.square(detail), (0, 0), NEIGHBOURHOOD_PX)
+    rounding = energy <= np.float32((least / floor) ** 2)
     energy = np.maximum(energy - np.float32(NOISE_MARGIN * (noise_sigma / floor) ** 2), 0)
     weight: Float32 = energy / (energy + np.float32(1.0))
+    weight[rounding] = 0
     return weight
 
 

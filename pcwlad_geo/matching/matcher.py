@@ -19,7 +19,7 @@ from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.mutual_structure import passes_paper, shared_structure
 from pcwlad_geo.matching.outliers import consistent
-from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, measure_noise, prepare
+from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, measure_noise, prepare, rounding_of
 from pcwlad_geo.matching.refinement import Refined, Start, refine
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, MethodTraits, TiePoints
 from pcwlad_geo.types import Bool, Float64, Index
@@ -363,6 +363,7 @@ def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
     usable = (share >= settings.least_valid) & (pair.reference_map.valid > 0)
     reach = margin_px(settings) - 8
     usable[:reach], usable[-reach:], usable[:, :reach], usable[:, -reach:] = False, False, False, False
+    usable &= pair.contrast > 0
     corners, response = keypoints.detect_corners(pair.reference_moment, usable, pair.contrast)
     inside = (corners >= (core.row, core.col)).all(axis=1) & (corners < (core.row_stop, core.col_stop)).all(
         axis=1
@@ -408,7 +409,8 @@ def _image(values: NDArray[Any], valid: Bool | None, which: str) -> Image:
     numbers = np.where(good, array, 0).astype(np.float64)
     if not good.any() or np.ptp(numbers[good]) == 0:
         raise InputError(f"the {which} is constant or has no valid pixel: there is nothing to match")
-    return Image(numbers, good, scene_epsilon(numbers, good), measure_noise(numbers, good))
+    noise = replace(measure_noise(numbers, good), rounding=rounding_of(array.dtype.name))
+    return Image(numbers, good, scene_epsilon(numbers, good), noise)
 
 
 def _on_canvas(image: Image, rows: int, cols: int, margin: int) -> Image:

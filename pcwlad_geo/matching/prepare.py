@@ -86,6 +86,11 @@ MIN_PIXELS: Final = 1024
 DETAIL_OF_UNIT_NOISE: Final = 6 * 0.7979
 """Mean absolute second difference of white noise of unit variance: its gain, 6, times E|z|."""
 
+WHOLE: Final = 0.6
+"""RMS of the detail up to which an image of whole numbers may show nothing: twice that of rounding."""
+COMPRESSED: Final = 1.0
+"""The same of an image of 8 bits in which the blocks of compression show."""
+
 _SECOND_DIFFERENCE: Final = ((1.0, -2.0, 1.0), (-2.0, 4.0, -2.0), (1.0, -2.0, 1.0))
 
 
@@ -97,11 +102,23 @@ class Noise:
     """Mean absolute second difference at full over half resolution: 2 for white noise, below 1 for scenes."""
     sigma: float = 0.0
     """Standard deviation of the white part, in units of the image."""
+    rounding: float = 0.0
+    """RMS of the local detail that whole numbers, or lossy compression, may leave of nothing, in units of the
+    image."""
 
     @property
     def share(self) -> float:
         """How much of the finest detail is noise, 0 to 1."""
         return float(np.clip((self.ratio - CLEAN) / (WHITE - CLEAN), 0, 1))
+
+
+def rounding_of(dtype: str, *, compressed: bool = False) -> float:
+    """Return the `Noise.rounding` of values of a `dtype`, and of compression with loss.
+
+    Whole numbers are off by 0.29 RMS, and the edges between the steps of a ramp of them are as sharp as any:
+    two images of bare walls or of still water agreed on those of theirs.
+    """
+    return 0.0 if np.dtype(dtype).kind not in "uib" else COMPRESSED if compressed else WHOLE
 
 
 def measure_noise(image: NDArray[np.floating[Any]], valid: Bool) -> Noise:
@@ -208,7 +225,7 @@ def prepare(reference: Image, target: Image, *, channels: Channels, halo_px: int
     """
     smooth = 0.0 if channels == "moment" else smoothing_px(reference.noise, target.noise)
     filled = fill_smoothly(reference.values, reference.valid)
-    contrast = contrast_weight(filled, reference.epsilon, reference.noise.sigma)
+    contrast = contrast_weight(filled, reference.epsilon, reference.noise.sigma, reference.noise.rounding)
     reference_channels, ref_map = _maps(filled, reference, channels, smooth, halo_px)
     filled = fill_smoothly(target.values, target.valid)
     target_channels, tgt_map = _maps(filled, target, channels, smooth, halo_px)

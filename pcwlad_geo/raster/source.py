@@ -23,13 +23,15 @@ from rasterio.windows import Window as FileWindow
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import check_coordinates, check_gcp_misfit, check_geotransform, check_latitudes
 from pcwlad_geo.raster.cameras import Camera, camera_of
+from pcwlad_geo.raster.compression import find_blocks
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
 from pcwlad_geo.raster.file_tree import name_of_uri
-from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring, reading
+from pcwlad_geo.raster.gdal import GDAL_ERRORS, LIBRARY_ERRORS, ignoring, reading
 from pcwlad_geo.raster.grid import Grid, Window, geotransform_of, is_invertible, linear_part
 from pcwlad_geo.raster.masks import Collar, MaskKind, find_collar, kind_of
 from pcwlad_geo.raster.opening import check_dataset, network_settings, open_for_reading, open_own
 from pcwlad_geo.text import check_beside, check_regular, joined
+from pcwlad_geo.types import Bool
 
 MAX_READ_PX: Final = 2**25
 """Largest number of pixels of a file without overviews that is read for an overview of it."""
@@ -62,6 +64,8 @@ class RasterInfo:
     """The geotransform of a file that has one but no CRS."""
     collar: Collar | None = None
     """A constant border that counts as nodata, see `without_collar`."""
+    shows_blocks: bool = False
+    """Whether blocks of lossy compression show, see `with_compression_blocks`."""
     camera: Camera | None = None
     """What a file without georeferencing says of the camera that took it."""
     content: str = ""
@@ -138,6 +142,24 @@ def without_collar(info: RasterInfo) -> tuple[RasterInfo, tuple[str, ...]]:
         "for nodata; if it is data, declare another nodata value, or give a mask"
     )
     return replace(info, collar=collar), (note,)
+
+
+def with_compression_blocks(info: RasterInfo) -> RasterInfo:
+    """Return a band that says whether the blocks of lossy compression show in its pixels (see `compression`).
+
+    Only bands of 8 bits are looked at, in nine samples. Whether it is a JPEG does not matter: many a TIFF was
+    one. A band that cannot be read here is returned as it is: whoever reads it next reports that.
+    """
+    if info.dtype != "uint8":
+        return info
+    with suppress(InputError, *GDAL_ERRORS), open_raster(info.uri) as dataset:
+
+        def read(window: Window) -> tuple[NDArray[np.generic], Bool]:
+            values = _read_nearest(dataset, info.band, window, window.shape)
+            return values, values != info.nodata
+
+        return replace(info, shows_blocks=find_blocks(read, dataset.shape) is not None)
+    return info
 
 
 def _read_nearest(

@@ -14,14 +14,14 @@ from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.pose import SCALES, search_pose
-from pcwlad_geo.matching.prepare import Noise, measure_noise
+from pcwlad_geo.matching.prepare import Noise, measure_noise, rounding_of
 from pcwlad_geo.matching.shift_search import SearchResult, search_shift
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.grid import Grid, Window, map_px
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.raster.view import Patch, View
+from pcwlad_geo.raster.view import Patch, View, file_px_per_px
 from pcwlad_geo.registration.tiles import Scene
 from pcwlad_geo.types import Float64
 
@@ -31,6 +31,8 @@ RADIUS_PX: Final = 12
 """Search radius around the position of the georeferencing."""
 RADIUS_AFTER_SEARCH_PX: Final = 8
 """Search radius after a search for the shift, to which the uncertainty of that is added."""
+LARGEST_OWN_PX: Final = 1.5
+"""Pixels of a view larger than this many of the file are means, in which rounding averages out."""
 SAMPLE_PX: Final = 256
 """Side of the samples at full resolution on which the noise is measured."""
 SAMPLES_ACROSS: Final = 3
@@ -333,10 +335,10 @@ def _noise(view: View) -> Noise:
                 patch = view.read(Window(int(row), int(col), side_r, side_c))
                 noise = measure_noise(patch.values, patch.valid)
                 found += [noise] if noise.ratio > 0 else []
-    if not found:
-        return Noise()
-    ratio, sigma = np.median([(noise.ratio, noise.sigma) for noise in found], axis=0)
-    return Noise(float(ratio), float(sigma))
+    ratio, sigma = np.median([(noise.ratio, noise.sigma) for noise in found or [Noise()]], axis=0)
+    averages = file_px_per_px(view).min() > LARGEST_OWN_PX
+    rounding = 0.0 if averages else rounding_of(view.info.dtype, compressed=view.info.shows_blocks)
+    return Noise(float(ratio), float(sigma), rounding)
 
 
 def _check_content(patch: Patch, info: RasterInfo, epsilon: float) -> None:

@@ -20,7 +20,7 @@ from pcwlad_geo.raster.identity import digest
 from pcwlad_geo.raster.matching_grid import ViewPair, moved_across_antimeridian, plan_views, share_plane
 from pcwlad_geo.raster.rpc.grid import at_mean_height
 from pcwlad_geo.raster.rpc.view import plan_rpc_views
-from pcwlad_geo.raster.source import RasterInfo, describe, same_band, without_collar
+from pcwlad_geo.raster.source import RasterInfo, describe, same_band, with_compression_blocks, without_collar
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.fitting import AssessedFit, assess, fit_correction, footprint_px, user_points
@@ -98,7 +98,8 @@ def open_pair(
 ) -> Pair:
     """Describe two rasters and decide on which pixels they are compared.
 
-    No pixel is read, but for those that tell whether a raster without nodata and mask has a constant border.
+    No pixel is read, but for those that tell whether a raster without nodata and mask has a constant border,
+    and whether one of 8 bits shows the blocks of lossy compression.
     Raises `InputError` if the input cannot be used, or the two do not overlap.
 
     Parameters
@@ -118,6 +119,7 @@ def open_pair(
         ref = describe(inputs.reference, band=int(settings.ref_band), mask=settings.ref_mask)
         tgt = describe(inputs.target, band=int(settings.tgt_band), mask=settings.tgt_mask)
         (ref, ref_collar), (tgt, tgt_collar) = without_collar(ref), without_collar(tgt)
+        ref, tgt = with_compression_blocks(ref), with_compression_blocks(tgt)
         content = digest(file.identity for file in files)
         ref, tgt = replace(ref, content=content), replace(tgt, content=content)
         reference_by_rpc, reference_warnings = place_reference(ref, tgt, settings)

@@ -85,7 +85,7 @@ class RpcModel:
         for _ in range(ITERATIONS):
             miss = pixel_xy_px[left] - self._to_px(u[left])
             miss_px[left] = np.abs(miss).max(axis=1, initial=0.0)
-            # of a wild RPC most pixels never get there, and those that are not finite stay so: only the others go on
+            # the others go on: of a wild RPC most pixels never get there
             going_on = miss_px[left] > INVERSE_TOLERANCE_PX
             going_on &= np.isfinite(miss_px[left])
             left = left[going_on]
