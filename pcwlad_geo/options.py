@@ -31,6 +31,8 @@ OUTPUT_OPTIONS = ("output_raster", "output_tiepoints", "output_report", "output_
 """Options with paths of single outputs; `match` has no raster."""
 BAND_NAME = re.compile(r"[A-Za-z]\w*$")
 """Pattern of the name of a band of a product."""
+FUNCTION_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
+"""Pattern of the name of a function and its module."""
 
 
 _REGISTER: Final = ("register",)
@@ -168,6 +170,16 @@ class Settings:
     """Second pass with mutual structure taken where the neighbours agree, where the field is smooth."""
     prealign: Annotated[Prealign, Option("Rough alignment before matching.", _MATCHING)] = "auto"
     """Rough alignment: by georeferencing, a search for the pose, neither, or what the pair needs."""
+    start_matcher: Annotated[
+        str | None,
+        Option(
+            "A matcher of your own that proposes a start, such as a learned one.",
+            _PAIR,
+            metavar="MODULE:FUNCTION",
+        ),
+    ] = None
+    """Function that finds corresponding positions in two images, ``package.module:function`` (see
+    `registration.start_matcher`); tried before the pose search. Its module is imported, that is, run."""
     geometry: Annotated[
         Geometry, Option("What right matches have in common: a smooth displacement, or a viewpoint.", _PAIR)
     ] = "auto"
@@ -310,6 +322,10 @@ class Settings:
             value = getattr(self, name)
             good = (_whole(value) and value >= 1) or (isinstance(value, str) and bool(BAND_NAME.match(value)))
             _check(name, value, good, "a whole number from 1, or the name of a product's band")
+        named = self.start_matcher is None or (
+            isinstance(self.start_matcher, str) and bool(FUNCTION_NAME.match(self.start_matcher))
+        )
+        _check("start_matcher", self.start_matcher, named, "a function's name: package.module:function")
         address = self.scheduler is None or (isinstance(self.scheduler, str) and "://" in self.scheduler)
         _check("scheduler", self.scheduler, address, "an address such as tcp://host:8786")
         real = isinstance(self.ssim_min, Real) and -1.0 <= self.ssim_min < 1.0
@@ -450,8 +466,9 @@ def _check(name: str, value: object, good: bool, wanted: str) -> None:
 SETTINGS: Final = tuple(field.name for field in fields(Settings))
 """Names of all fields of `Settings`."""
 RUNNING: Final = ("jobs", "scheduler", "allow_remote", "trust_vrt")
-"""Those that say where a job runs and what it may open: its result does not depend on them, and a table of
-pairs, which may be a stranger's, cannot set them."""
+"""Those that say where a job runs and what it may open: its result does not depend on them."""
+OF_THE_USER_ALONE: Final = (*RUNNING, "start_matcher")
+"""Those that a table of pairs, which may be a stranger's, cannot set."""
 OPTIONS: Final[dict[str, Option]] = {
     name: next(each for each in get_args(hint) if isinstance(each, Option))
     for name, hint in get_type_hints(Settings, include_extras=True).items()

@@ -14,7 +14,7 @@ from typing import Any, Final
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.job import output_folder
 from pcwlad_geo.limits import BATCH_ROWS, check_count
-from pcwlad_geo.options import OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings, to_setting
+from pcwlad_geo.options import OF_THE_USER_ALONE, OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings, to_setting
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import read_text
 from pcwlad_geo.types import PathLike
@@ -24,7 +24,7 @@ COLUMNS: Final = (
     "target",
     "out_dir",
     *OUTPUT_OPTIONS,
-    *(name for name in SETTINGS if name not in RUNNING),
+    *(name for name in SETTINGS if name not in OF_THE_USER_ALONE),
 )
 """All columns that a table may have."""
 
@@ -119,6 +119,10 @@ def _columns(path: Path, header: list[str]) -> list[str]:
     if len(columns) == 1 and ";" in columns[0]:
         raise InputError(f"{path} is separated by semicolons: save it with commas")
     for name in columns:
+        if name in OF_THE_USER_ALONE and name not in RUNNING:
+            raise InputError(
+                f"{path}: '{name}' runs code, which no table may name: register such pairs alone"
+            )
         if name in RUNNING:
             raise InputError(f"{path}: '{name}' is the same for all pairs: give it to batch, not in a column")
         if name not in COLUMNS:

@@ -42,6 +42,7 @@ from pcwlad_geo.registration.prealign import (
 )
 from pcwlad_geo.registration.result import MatchRecord, record_matching
 from pcwlad_geo.registration.rpc import shifted
+from pcwlad_geo.registration.start_matcher import load_start_matcher, proposed_start
 from pcwlad_geo.registration.tiles import Guided, TileJob, TileResult, match_tile, rematch_tile
 from pcwlad_geo.tiepoints.table import TiePointTable, locate
 from pcwlad_geo.types import Bool, Float64, Index
@@ -383,6 +384,11 @@ def _starts(pair: ViewPair, overviews: Overviews, settings: Settings, log: JobLo
     search_first = searches_first(pair, settings)
     if not search_first:
         yield direct
+    if settings.start_matcher is not None and settings.prealign in ("auto", "search") and can_be_posed(pair):
+        with log.stage("prealignment"):
+            matcher = load_start_matcher(settings.start_matcher)
+            proposed = proposed_start(pair, matcher, settings.start_matcher, radius)
+        yield proposed
     if not (search_first or (settings.prealign == "auto" and radius is None)):
         return
     with log.stage("prealignment"):

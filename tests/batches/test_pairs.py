@@ -165,3 +165,8 @@ def test_outputs_stay_below_the_table_and_out_dir(tmp_path: Path, column: str, p
 def test_a_table_cannot_set_what_is_trusted(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="is the same for all pairs"):
         read(tmp_path, f"reference,target,{name}\nr.tif,t.tif,true\n")
+
+
+def test_a_table_cannot_name_code_to_run(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'start_matcher' runs code"):
+        read(tmp_path, "reference,target,start_matcher\nr.tif,t.tif,os:abort\n")
