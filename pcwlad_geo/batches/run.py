@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 SUMMARY: Final = "summary.csv"
 """File name of the summary in the output folder."""
+SUMMARY_STEP: Final = 100
+"""Of so many lines of the summary one may be lost by a process that is killed."""
 
 _SUMMARY_START: Final = b"line,reference,target,"
 """First bytes of the file of that name."""
@@ -151,6 +153,28 @@ def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
                 beside.unlink(missing_ok=True)
 
 
+@contextmanager
+def kept_summary(path: Path, outcomes: Sequence[PairOutcome]) -> Iterator[Callable[[], None]]:
+    """Yield a function that writes the summary where one percent of `outcomes` is new, or one of the first.
+
+    Writing all after each of many pairs that are unusable, and take no time, would take longer than they do.
+    The rest is written at the end, however that comes.
+    """
+    written = 0
+
+    def keep(*, least: int | None = None) -> None:
+        nonlocal written
+        new = len(outcomes) - written
+        if new >= (max(1, written // SUMMARY_STEP) if least is None else least):
+            write_summary(path, outcomes)
+            written = len(outcomes)
+
+    try:
+        yield keep
+    finally:
+        keep(least=1)
+
+
 def _word(value: object) -> object:
     return {True: "yes", False: "no"}[value] if isinstance(value, bool) else value
 
@@ -199,8 +223,9 @@ def batch(
         CSV with one line per pair, columns `reference`, `target`, and optionally `out_dir` and options of
         `register` by name. Relative paths refer to its folder.
     out_dir : path, optional
-        Folder of the summary (`summary.csv`, rewritten after each pair) and of the pairs' folders that the
-        table does not name; ``<table's stem>_registered`` in the working folder by default.
+        Folder of the summary (`summary.csv`, rewritten after each pair, of hundreds of pairs after each
+        percent) and of the pairs' folders that the table does not name; ``<table's stem>_registered`` in
+        the working folder by default.
     overwrite : bool
         Process all pairs, and replace the results of earlier runs.
     on_event : callable
@@ -226,13 +251,16 @@ def batch(
     check_summary(folder / SUMMARY)
     relay = _Relay(on_event)
     outcomes: list[PairOutcome] = []
-    with open_job_runner(shared, executor, on_event) as runner:
+    with (
+        kept_summary(folder / SUMMARY, outcomes) as keep,
+        open_job_runner(shared, executor, on_event) as runner,
+    ):
         for number, pair in enumerate(todo):
             relay(Progress("pairs", number, len(todo)))
             with products_found_once():
                 outcome = (None if overwrite else _done_before(pair)) or _do(pair, overwrite, relay, runner)
             outcomes.append(outcome)
-            write_summary(folder / SUMMARY, outcomes)
+            keep()
             if outcome.reason is not None:
                 relay(Warned(f"{pair.name}: {outcome.status}: {outcome.reason}"))
     relay(Progress("pairs", len(todo), len(todo)))

@@ -7,16 +7,18 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from rasterio.errors import RasterioIOError
 
 import pcwlad_geo
 from pcwlad_geo.batches import run as batches
-from pcwlad_geo.batches.run import BatchResult
+from pcwlad_geo.batches.run import BatchResult, PairOutcome, write_summary
 from pcwlad_geo.errors import CancelledError, InputError, OutputError, SettingsError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import InThisProcess
@@ -179,6 +181,26 @@ def test_an_exception_of_the_callback_ends_the_batch_and_keeps_what_is_done(
     assert "third" not in calls
     assert [row["target"] for row in summary(work / "out/summary.csv")] == [str(work / "first.tif")]
     assert {path.name for path in (work / "out").iterdir()} == {"summary.csv"}
+
+
+def test_the_summary_of_many_pairs_is_not_rewritten_after_each(
+    calls: list[str], work: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lengths = []
+
+    def write(path: Path, outcomes: Sequence[PairOutcome]) -> None:
+        lengths.append(len(outcomes))
+        write_summary(path, outcomes)
+
+    monkeypatch.setattr("pcwlad_geo.batches.run.write_summary", write)
+    names = [f"pair{number}" for number in range(1005)]
+    for name in names:
+        monkeypatch.setitem(TROUBLE, name, InputError("unusable"))
+    result = pcwlad_geo.batch(table(work, *names))
+    assert lengths[:3] == [1, 2, 3]
+    assert np.diff(lengths).max() <= 10
+    assert len(lengths) < 460  # a hundred lines for each of the first 200, then one percent at a time
+    assert len(summary(result.summary)) == len(names)
 
 
 def test_a_bad_table_or_option_does_nothing(calls: list[str], work: Path) -> None:
