@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.optimize import nnls
 
 from pcwlad_geo.matching import field
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
@@ -142,7 +143,7 @@ def guide_by_field(
         return FieldGuide(np.zeros((len(points), 2, 2)), nowhere, None, 0.0, one_way=False)
     xy, moved = points.reference_xy_px, points.displacement_px
     linear, linear_sigma = field.global_affine(xy, moved)
-    reach = settings.window / 2 * np.sqrt(2)
+    reach = max(settings.windows) / 2 * np.sqrt(2)
     if np.abs(linear).max() * reach < MIN_DEFORMATION_PX or (np.abs(linear) < 3 * linear_sigma).all():
         linear = np.zeros((2, 2))
     everywhere = np.tile(linear, (len(points), 1, 1))
@@ -157,6 +158,52 @@ def guide_by_field(
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
     shared = shared_variance(xy, choice.residual_px, settings.window, surface.count)
     return FieldGuide(_local(everywhere, predicted, reach), structure, surface, shared, one_way)
+
+
+WINDOW_SAMPLE: Final = 160
+"""Number of points that are matched with every window, to choose among them."""
+MIN_WINDOW_SAMPLE: Final = 60
+"""With fewer points than this the window of the first pass is kept."""
+WINDOW_GAIN: Final = 0.95
+"""Another window is taken where it is expected to leave less than this share of the mean squared error."""
+
+
+def choose_window(displacement_px: Float64, windows_px: Sequence[int], first_px: int) -> int:
+    """Choose the window by how the displacements of the same points differ from window to window.
+
+    Independent errors of a window of side w have a variance of a/w (measured: windows share noise, so that it
+    falls by less than the area grows), and a displacement field that bends moves the result by its mean over
+    the window, in proportion to w². Of two windows, one inside the other, the larger knows what the smaller
+    does: the variance of their difference is a (1/w₁ - 1/w₂) + c (w₂² - w₁²)², which the differences of three
+    windows solve for a and c.
+
+    Parameters
+    ----------
+    displacement_px : (k, n, 2) array
+        Displacements (col, row) of n points by each window, NaN where one failed.
+    windows_px : sequence of k int
+        Sides of the windows, the smallest first.
+    first_px : int
+        The one among them that is kept unless another is clearly better.
+
+    Returns
+    -------
+    int
+        Side of the window with the least expected error.
+    """
+    sides = np.asarray(windows_px, np.float64)
+    known = np.isfinite(displacement_px).all(axis=(0, 2))
+    if len(sides) < 3 or known.sum() < MIN_WINDOW_SAMPLE:
+        return first_px
+    difference = np.diff(displacement_px[:, known], axis=0)
+    variance = np.median((difference**2).sum(axis=2), axis=1) / MEDIAN_CHI_SQUARE_2
+    design = np.stack([-np.diff(1 / sides), np.diff(sides**2) ** 2], axis=1)
+    scale = design.max(axis=0)
+    (noise, bend), _ = nnls(design / scale, variance)
+    error = noise / scale[0] / sides + bend / scale[1] * sides**4
+    best = int(np.argmin(error))
+    first = list(windows_px).index(first_px)
+    return windows_px[best] if error[best] < WINDOW_GAIN * error[first] else first_px
 
 
 def forward_is_enough(forward_backward_px: Float64, settings: MatchSettings) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.guidance import guide_by_field
+from pcwlad_geo.matching.guidance import MIN_WINDOW_SAMPLE, choose_window, guide_by_field
 from pcwlad_geo.matching.matcher import matched_again
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 
@@ -79,3 +79,34 @@ def test_only_what_the_guide_says_something_new_about_is_matched_again() -> None
     back = replace(rough, one_way=True)
     assert not matched_again(back, replace(SETTINGS, backward="sample")).any()
     assert not matched_again(smooth, replace(SETTINGS, method="pcwlad")).any()
+
+
+WINDOWS_PX = (61, 81, 129)
+
+
+def by_windows(noise_px: float, curvature: float, n: int = 160, seed: int = 2) -> NDArray:
+    """Displacements by windows that share noise of a variance of 1/w, and average a field that bends."""
+    rng = np.random.default_rng(seed)
+    variance = noise_px**2 * 81 / np.array(WINDOWS_PX)
+    own = np.sqrt(-np.diff(variance, append=0.0))[:, None, None] * rng.normal(size=(3, n, 2))
+    shared = np.cumsum(own[::-1], axis=0)[::-1]  # what the largest window sees is part of what all see
+    bend = curvature * rng.choice([-1.0, 1.0], (n, 2))
+    return 3.0 + shared + np.array(WINDOWS_PX)[:, None, None] ** 2 / 24 * bend
+
+
+@pytest.mark.parametrize(
+    ("noise_px", "curvature", "best"),
+    [(0.08, 0.0, 129), (0.05, 8e-5, 81), (0.02, 2e-4, 61), (0.001, 2e-4, 61)],
+)
+def test_the_window_is_small_where_the_field_bends_and_large_where_noise_rules(
+    noise_px: float, curvature: float, best: int
+) -> None:
+    chosen = [choose_window(by_windows(noise_px, curvature, seed=seed), WINDOWS_PX, 81) for seed in range(20)]
+    assert chosen.count(best) >= 17
+
+
+def test_the_window_stays_where_too_few_points_tell() -> None:
+    moved = by_windows(0.08, 0.0)
+    moved[2, MIN_WINDOW_SAMPLE - 1 :] = np.nan  # failed
+    assert choose_window(moved, WINDOWS_PX, 81) == 81
+    assert choose_window(moved[:2], WINDOWS_PX[:2], 81) == 81
