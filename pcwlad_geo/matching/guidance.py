@@ -168,14 +168,32 @@ WINDOW_GAIN: Final = 0.95
 """Another window is taken where it is expected to leave less than this share of the mean squared error."""
 
 
-def choose_window(displacement_px: Float64, windows_px: Sequence[int], first_px: int) -> int:
-    """Choose the window by how the displacements of the same points differ from window to window.
+@dataclass(frozen=True, slots=True)
+class WindowErrors:
+    """The error that windows of any side leave, as their differences at the same points tell."""
 
-    Independent errors of a window of side w have a variance of a/w (measured: windows share noise, so that it
-    falls by less than the area grows), and a displacement field that bends moves the result by its mean over
-    the window, in proportion to w². Of two windows, one inside the other, the larger knows what the smaller
-    does: the variance of their difference is a (1/w₁ - 1/w₂) + c (w₂² - w₁²)², which the differences of three
-    windows solve for a and c.
+    noise: float
+    """Variance per axis of independent errors times the side of the window, px³: it falls with the side, not
+    with the area, as windows share noise (measured)."""
+    bend: float
+    """Variance per axis of what the window averages away of a displacement that bends, over side⁴, 1/px²."""
+
+    def variance_px2(self, window_px: float) -> float:
+        """Return the variance per axis of the error of a window of this side."""
+        return self.noise / window_px + self.bend * window_px**4
+
+    def best(self, windows_px: Sequence[int], first_px: int) -> int:
+        """Return the side with the least error, `first_px` unless another is clearly better."""
+        best = min(windows_px, key=self.variance_px2)
+        return best if self.variance_px2(best) < WINDOW_GAIN * self.variance_px2(first_px) else first_px
+
+
+def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> WindowErrors | None:
+    """Estimate the errors of windows from the displacements that they give at the same points.
+
+    Of two windows, one inside the other, the larger knows what the smaller does: the variance of the
+    difference of their results is a (1/w₁ - 1/w₂) + c (w₂² - w₁²)², with the noise a and the bend c, for
+    which the differences of three windows are solved.
 
     Parameters
     ----------
@@ -183,27 +201,22 @@ def choose_window(displacement_px: Float64, windows_px: Sequence[int], first_px:
         Displacements (col, row) of n points by each window, NaN where one failed.
     windows_px : sequence of k int
         Sides of the windows, the smallest first.
-    first_px : int
-        The one among them that is kept unless another is clearly better.
 
     Returns
     -------
-    int
-        Side of the window with the least expected error.
+    WindowErrors or None
+        None for fewer than three windows or too few points.
     """
     sides = np.asarray(windows_px, np.float64)
     known = np.isfinite(displacement_px).all(axis=(0, 2))
     if len(sides) < 3 or known.sum() < MIN_WINDOW_SAMPLE:
-        return first_px
+        return None
     difference = np.diff(displacement_px[:, known], axis=0)
     variance = np.median((difference**2).sum(axis=2), axis=1) / MEDIAN_CHI_SQUARE_2
     design = np.stack([-np.diff(1 / sides), np.diff(sides**2) ** 2], axis=1)
     scale = design.max(axis=0)
-    (noise, bend), _ = nnls(design / scale, variance)
-    error = noise / scale[0] / sides + bend / scale[1] * sides**4
-    best = int(np.argmin(error))
-    first = list(windows_px).index(first_px)
-    return windows_px[best] if error[best] < WINDOW_GAIN * error[first] else first_px
+    noise, bend = nnls(design / scale, variance)[0] / scale
+    return WindowErrors(float(noise), float(bend))
 
 
 def forward_is_enough(forward_backward_px: Float64, settings: MatchSettings) -> bool:
@@ -237,17 +250,25 @@ def calibrate(
     surface: field.Surface | None,
     shared_variance_px2: float | Float64,
     settings: MatchSettings,
+    errors: WindowErrors | None = None,
 ) -> TiePoints:
     """Return consistent points of the whole scene with calibrated covariances.
 
     The surface is that of the guide, None without a field; so is `shared_variance_px2`, a float or (n,)
-    array, the variance per axis of the error that guided points share, px².
+    array, the variance per axis of the error that guided points share, px². The prediction of independent
+    neighbours tells the more, the more of its residual is the point's own error; `errors`, if known, tell
+    the rest.
     """
-    residual = np.full((len(points), 2), np.nan)
+    residual, own = np.full((len(points), 2), np.nan), 0.0
     if surface is not None:
-        residual = field.independent_residual(
+        residual, own = field.independent_residual(
             points.reference_xy_px, points.displacement_px, settings.window, surface
         )
     scale = sigma_scale(residual, points.covariance_px2)
+    if errors is not None and len(points):
+        formal_px2 = float(np.median(np.trace(points.covariance_px2, axis1=1, axis2=2))) / 2
+        by_windows = errors.variance_px2(settings.window) / max(formal_px2, 1e-8)
+        known = own if np.isfinite(residual).all(axis=1).sum() >= MIN_POINTS else 0.0
+        scale = float(np.clip(np.sqrt(known * scale**2 + (1 - known) * by_windows), *SCALE_RANGE))
     covariance = calibrated(points.covariance_px2, scale, shared_variance_px2)
     return replace(points, covariance_px2=covariance)

@@ -18,10 +18,11 @@ from pcwlad_geo.matching.guidance import (
     MIN_WINDOW_SAMPLE,
     WINDOW_SAMPLE,
     FieldGuide,
+    WindowErrors,
     calibrate,
-    choose_window,
     forward_is_enough,
     guide_by_field,
+    window_errors,
 )
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.matching.maps import scene_epsilon
@@ -314,24 +315,32 @@ def matched_again(guide: FieldGuide, settings: MatchSettings) -> Bool:
 def second_pass(pair: ChannelPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
     """Guide, match again, check and calibrate the `points` of one `pair` with `settings`."""
     guide = guide_by_field(points, settings)
-    again, window_px = guided_match(pair, points, guide, settings)
+    again, window_px, errors = guided_match(pair, points, guide, settings)
     settings = replace(settings, window=window_px)
     good = again[consistent_points(again, settings)]
-    return calibrate(good, guide.surface, guide.shared_variance_px2, settings)
+    return calibrate(good, guide.surface, guide.shared_variance_px2, settings, errors)
 
 
 def guided_match(
     pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings
-) -> tuple[TiePoints, int]:
-    """Match points again with the best of the windows of the settings; return them and its side, px.
+) -> tuple[TiePoints, int, WindowErrors | None]:
+    """Match points again with the best window that is open; return them, its side, and all windows' errors.
 
     Parameters are those of `rematch`.
     """
-    sample, window_px = window_sample(guide, settings), settings.window
+    sample, errors = window_sample(guide, settings), None
     if len(sample):
         moved = seen_by_windows(pair, points[sample], guide.part(sample), settings)
-        window_px = choose_window(moved, settings.windows, settings.window)
-    return rematch_with(pair, points, guide, settings, window_px), window_px
+        errors = window_errors(moved, settings.windows)
+    window_px = window_of(errors, settings)
+    return rematch_with(pair, points, guide, settings, window_px), window_px, errors
+
+
+def window_of(errors: WindowErrors | None, settings: MatchSettings) -> int:
+    """Return the side of the window of the second pass, by the `errors` of windows where that is open."""
+    if errors is None or not settings.open_window:
+        return settings.window
+    return errors.best(settings.windows, settings.window)
 
 
 def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:

@@ -40,7 +40,9 @@ class MatchSettings:
     window: int = FIRST_WINDOW_PX
     """Side of the refinement window, odd."""
     other_windows: tuple[int, ...] = ()
-    """Sides of the windows that the second pass may use instead, if the data say so."""
+    """Sides of the windows that some points are matched with too, which tells the error of each window."""
+    open_window: bool = False
+    """Whether the second pass uses the best of all these windows; otherwise `window`."""
     search_radius: int = 10
     """Largest displacement per axis that is searched."""
     ssim_min: float = 0.0

@@ -19,11 +19,12 @@ from pcwlad_geo.matching.field import Prediction, Surface, predict
 from pcwlad_geo.matching.guidance import (
     WINDOW_SAMPLE,
     FieldGuide,
+    WindowErrors,
     calibrate,
-    choose_window,
     guide_by_field,
+    window_errors,
 )
-from pcwlad_geo.matching.matcher import consistent_points, matched_again, window_sample
+from pcwlad_geo.matching.matcher import consistent_points, matched_again, window_of, window_sample
 from pcwlad_geo.matching.pose import mean_distance_px
 from pcwlad_geo.matching.types import (
     FIRST_WINDOW_PX,
@@ -83,6 +84,8 @@ STILL_PX: Final = 0.1
 """Mean movement of the target by a new pose below which it is not matched again, px."""
 GOLDEN: Final = (5**0.5 - 1) / 2
 """Multiples of the golden ratio, modulo 1, are spread evenly, however many are taken."""
+SMALLER_WINDOWS: Final = (0.56, 0.75)
+"""Sides of the windows that tell the error of a given one, shares of its own."""
 NEAR_PX: Final = 0.5
 """A target that was found nearer than this to where it was assumed is not matched again, target px."""
 
@@ -228,6 +231,8 @@ class _Again:
     """(n,) in tiles that could not be read a second time."""
     window_px: int
     """Side of the window."""
+    errors: WindowErrors | None
+    """Those of all windows, where enough points tell."""
 
 
 def _second_pass(
@@ -247,7 +252,8 @@ def _checked(
     final = np.zeros_like(kept)
     left = again.points[index]
     final[index] = on_their_lines(left) if epipolar else consistent_points(left, matching)
-    good = calibrate(again.points[final], again.surface, again.shared_variance_px2[final], matching)
+    shared_px2 = again.shared_variance_px2[final]
+    good = calibrate(again.points[final], again.surface, shared_px2, matching, again.errors)
     # rejected points are listed with their formal covariance
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
     target[final], covariance[final] = good.target_xy_px, good.covariance_px2
@@ -264,8 +270,9 @@ def _gather(first: _FirstPass, matches: TiePoints, matching: MatchSettings) -> _
     surfaces = Counter(guided.surface for _, guided in first.guided for _ in range(len(guided.index)))
     surface = surfaces.most_common(1)[0][0] if surfaces else None
     points = replace(matches, target_xy_px=target, covariance_px2=covariance)
-    window_px = max((guided.window_px for _, guided in first.guided), default=matching.window)
-    return _Again(points, surface, shared, np.zeros(len(matches), bool), window_px)
+    guided = next(guided for _, guided in first.guided)  # of the only tile
+    lost = np.zeros(len(matches), bool)
+    return _Again(points, surface, shared, lost, guided.window_px, guided.errors)
 
 
 def _rematch(
@@ -275,9 +282,8 @@ def _rematch(
     index = np.flatnonzero(kept)
     guide = guide_by_field(matches[index], matching, partial(_predict_on, runner, log.on_event))
     tile_of = first.tile_of[index]
-    window_px = (
-        _window_px(first, matches[index], tile_of, guide, log, runner) if len(index) else matching.window
-    )
+    errors = _window_errors(first, matches[index], tile_of, guide, log, runner) if len(index) else None
+    window_px = window_of(errors, matching)
     again = np.ones(len(index), bool) if window_px != matching.window else matched_again(guide, matching)
     tiles = np.unique(tile_of[again])
     parts = [np.flatnonzero(again & (tile_of == tile)) for tile in tiles]
@@ -295,20 +301,22 @@ def _rematch(
         covariance[index[part]] = result.points.covariance_px2
         lost[index[part]] = result.status == "failed"
     points = replace(matches, target_xy_px=target, covariance_px2=covariance)
-    return _Again(points, guide.surface, np.full(len(matches), guide.shared_variance_px2), lost, window_px)
+    return _Again(
+        points, guide.surface, np.full(len(matches), guide.shared_variance_px2), lost, window_px, errors
+    )
 
 
-def _window_px(
+def _window_errors(
     first: _FirstPass, points: TiePoints, tile_of: Index, guide: FieldGuide, log: JobLog, runner: Runner
-) -> int:
-    """Return the side of the window of the second pass, chosen in some tiles where it is open.
+) -> WindowErrors | None:
+    """Return the errors of all windows, as some tiles tell; None where too few points do.
 
     The `points` are the consistent ones, each with its tile and its part of the guide. The tiles that are
     asked are spread over the scene.
     """
     settings = first.jobs[0].settings
     if not len(window_sample(guide, settings)):
-        return settings.window
+        return None
     tiles, counts = np.unique(tile_of, return_counts=True)
     spread = np.argsort(GOLDEN * np.arange(len(tiles)) % 1, kind="stable")
     enough = int(np.searchsorted(np.cumsum(counts[spread]), WINDOW_SAMPLE)) + 1
@@ -322,7 +330,7 @@ def _window_px(
     workers = [first.workers[tile] for tile in tiles[chosen]]
     on_event = partial(_only_warnings, log.on_event)  # the progress is no stage's own
     moved = runner.run(compare_windows, calls, "refining", on_event, workers).results
-    return choose_window(np.concatenate(moved, axis=1), settings.windows, settings.window)
+    return window_errors(np.concatenate(moved, axis=1), settings.windows)
 
 
 def _only_warnings(on_event: EventCallback, event: Event) -> None:
@@ -364,6 +372,7 @@ def _match_settings(
             f"{window} px (fine)"
         )
     margin = round(0.4 * template)
+    others = _other_windows(settings, window, most)
     return MatchSettings(
         method=settings.method,
         features=settings.features,
@@ -371,7 +380,8 @@ def _match_settings(
         features_area_px2=float(max((rows - margin) * (cols - margin), 1)),
         template=template,
         window=window,
-        other_windows=_other_windows(settings, most),
+        other_windows=others,
+        open_window=others == OTHER_WINDOWS_PX,
         search_radius=min(prealignment.search_radius_px, farthest_px(pair, offset)),
         ssim_min=settings.ssim_min,
         iterations=settings.iterations,
@@ -380,14 +390,17 @@ def _match_settings(
     )
 
 
-def _other_windows(settings: Settings, most_px: int) -> tuple[int, ...]:
-    """Return what the second pass may choose from beside the first window: nothing if that is given.
+def _other_windows(settings: Settings, window_px: int, most_px: int) -> tuple[int, ...]:
+    """Return what some points are matched with beside the first window.
 
-    Nor where the overlap leaves no room for the largest, or points are matched each on its own.
+    If that is not given, it is what the second pass may choose from, unless the overlap leaves no room for
+    the largest. Otherwise smaller windows tell the error of the given one. None where points are not guided.
     """
-    guided = settings.consensus == "auto" and TRAITS[settings.method].structure == "local"
-    fits = max(OTHER_WINDOWS_PX) <= most_px
-    return OTHER_WINDOWS_PX if settings.window is None and guided and fits else ()
+    if TRAITS[settings.method].structure != "local" or settings.consensus == "off":
+        return ()
+    if settings.window is None and max(OTHER_WINDOWS_PX) <= most_px:
+        return OTHER_WINDOWS_PX
+    return tuple(int(share * window_px) // 2 * 2 + 1 for share in SMALLER_WINDOWS)
 
 
 def _sum_counts(results: Sequence[TileResult]) -> dict[str, int]:

@@ -13,7 +13,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Warned
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.matching.field import Surface, predict
-from pcwlad_geo.matching.guidance import FieldGuide, guide_by_field
+from pcwlad_geo.matching.guidance import FieldGuide, WindowErrors, guide_by_field
 from pcwlad_geo.matching.kernels.compiled import can_be_cached, is_cached
 from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
 from pcwlad_geo.matching.kernels.phase_congruency import combine_orientations, combine_scales, filter_rows
@@ -146,6 +146,8 @@ class Guided:
     shared_variance_px2: float
     window_px: int
     """Side of the window that they were matched with."""
+    errors: WindowErrors | None
+    """Those of all windows, where enough points tell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,9 +244,9 @@ def _guided(job: TileJob, pair: PreparedPair, points: TiePoints) -> Guided:
     index = np.flatnonzero(consistent_points(seen, job.settings))
     guide = guide_by_field(seen[index], job.settings)
     inside = guide.moved(reference_origin - target_origin)
-    again, window_px = guided_match(pair.channels, points[index], inside, job.settings)
+    again, window_px, errors = guided_match(pair.channels, points[index], inside, job.settings)
     moved = again.shifted(reference_origin, target_origin)
-    return Guided(index, moved, guide.surface, guide.shared_variance_px2, window_px)
+    return Guided(index, moved, guide.surface, guide.shared_variance_px2, window_px, errors)
 
 
 def _prepare(job: TileJob) -> PreparedPair | None:
