@@ -162,7 +162,9 @@ def guide_by_field(
 
 WINDOW_SAMPLE: Final = 160
 """Number of points that are matched with every window, to choose among them."""
-MIN_WINDOW_SAMPLE: Final = 60
+MIN_WINDOW_SAMPLE: Final = 12
+"""With fewer points than this the errors of windows are not known."""
+MIN_TO_CHOOSE: Final = 60
 """With fewer points than this the window of the first pass is kept."""
 WINDOW_GAIN: Final = 0.95
 """Another window is taken where it is expected to leave less than this share of the mean squared error."""
@@ -177,6 +179,8 @@ class WindowErrors:
     with the area, as windows share noise (measured)."""
     bend: float
     """Variance per axis of what the window averages away of a displacement that bends, over side⁴, 1/px²."""
+    points: int
+    """Number of points that tell."""
 
     def variance_px2(self, window_px: float) -> float:
         """Return the variance per axis of the error of a window of this side."""
@@ -184,6 +188,8 @@ class WindowErrors:
 
     def best(self, windows_px: Sequence[int], first_px: int) -> int:
         """Return the side with the least error, `first_px` unless another is clearly better."""
+        if self.points < MIN_TO_CHOOSE:
+            return first_px
         best = min(windows_px, key=self.variance_px2)
         return best if self.variance_px2(best) < WINDOW_GAIN * self.variance_px2(first_px) else first_px
 
@@ -216,7 +222,7 @@ def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> Window
     design = np.stack([-np.diff(1 / sides), np.diff(sides**2) ** 2], axis=1)
     scale = design.max(axis=0)
     noise, bend = nnls(design / scale, variance)[0] / scale
-    return WindowErrors(float(noise), float(bend))
+    return WindowErrors(float(noise), float(bend), int(known.sum()))
 
 
 def forward_is_enough(forward_backward_px: Float64, settings: MatchSettings) -> bool:

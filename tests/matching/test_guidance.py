@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.guidance import MIN_WINDOW_SAMPLE, calibrate, guide_by_field, window_errors
+from pcwlad_geo.matching.guidance import (
+    MIN_TO_CHOOSE,
+    MIN_WINDOW_SAMPLE,
+    calibrate,
+    guide_by_field,
+    window_errors,
+)
 from pcwlad_geo.matching.matcher import matched_again
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 
@@ -110,7 +116,12 @@ def test_the_window_is_small_where_the_field_bends_and_large_where_noise_rules(
 
 def test_windows_tell_nothing_where_too_few_points_do() -> None:
     moved = by_windows(0.08, 0.0)
-    assert window_errors(moved, WINDOWS_PX) is not None
+    known = window_errors(moved, WINDOWS_PX)
+    assert known is not None
+    assert known.points == 160
+    few = window_errors(moved[:, : MIN_TO_CHOOSE - 1], WINDOWS_PX)
+    assert few is not None
+    assert few.best(WINDOWS_PX, 81) == 81
     assert window_errors(moved[:2], WINDOWS_PX[:2]) is None
     moved[2, MIN_WINDOW_SAMPLE - 1 :] = np.nan  # failed
     assert window_errors(moved, WINDOWS_PX) is None
