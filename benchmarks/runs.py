@@ -22,8 +22,8 @@ from pcwlad_geo.tiepoints.table import TiePointTable
 
 Array = NDArray[np.float64]
 
-PAPER: Final = Settings(keypoints="strongest", features=1000, search_radius=10)
-"""The paper's candidates: the 1000 strongest corners, a search radius of 10 px."""
+PAPER: Final = Settings(keypoints="strongest", features=1000, search_radius=10, window=81)
+"""The paper's candidates: the 1000 strongest corners, a search radius of 10 px, windows of 81 px."""
 PER_POINT: Final = replace(PAPER, consensus="off")
 """Each point on its own, no consensus pass."""
 

@@ -58,7 +58,7 @@ class PairOptions(TypedDict, total=False):
     features: int
     keypoints: s.Keypoints
     template: int
-    window: int
+    window: int | None
     search_radius: int | None
     ssim_min: float
     iterations: int

@@ -140,12 +140,19 @@ class Settings:
     ] = 101
     """Side of the coarse matching window, odd, matching-grid px."""
     window: Annotated[
-        int,
+        int | None,
         Option(
-            "Side of the refinement window, odd, px.", _MATCHING, metavar="PX", least=21, most=513, odd=True
+            "Side of the refinement window, odd, px; auto: 61, 81 or 129, as the data say.",
+            _MATCHING,
+            metavar="PX|auto",
+            none_word="auto",
+            least=21,
+            most=513,
+            odd=True,
         ),
-    ] = 81
-    """Side of the refinement window, odd, matching-grid px."""
+    ] = None
+    """Side of the refinement window, odd, matching-grid px; None = auto: 81 first, then 61, 81 or 129, by how
+    the displacements of some points differ among the three."""
     search_radius: Annotated[
         int | None,
         Option(

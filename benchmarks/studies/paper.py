@@ -25,6 +25,8 @@ RUNS: Final[dict[str, Settings]] = {
     "oriented, 129": replace(PER_POINT, window=129),
     "oriented + consensus, 81": PAPER,
     "oriented + consensus, 129": replace(PAPER, window=129),
+    "oriented + consensus, auto": replace(PAPER, window=None),
+    "default": Settings(),
     "gradient, 81": replace(PER_POINT, method="gradient"),
     "gradient + consensus, 81": replace(PAPER, method="gradient"),
     **{f"{method}, 81": replace(PAPER, method=method) for method in ("pcwlad", "pclad", "pclsm", "coarse")},

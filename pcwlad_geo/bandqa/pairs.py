@@ -105,6 +105,8 @@ class PairResult:
     """Tie points that agree with their neighbours; None for a refused pair."""
     rejected: int = 0
     """Number of tie points that do not."""
+    window_px: int = 0
+    """Side of the window that the tie points were refined with; 0 for a refused pair."""
     statistics: Mapping[str, ErrorStatistics | None] = field(default_factory=dict)
     """Statistics of displacements by unit: `px` (of the target), `native px`, `m`; None: unit not known."""
 
@@ -153,6 +155,7 @@ def measured(reference: Band, target: Band, found: Registration) -> PairResult:
         warnings=tuple(warnings),
         points=kept,
         rejected=rejected,
+        window_px=found.window_px or 0,
         statistics=statistics_by_unit(kept, reference, target),
     )
 

@@ -137,7 +137,8 @@ def qa(
     with trusting(settings.trust), folder:
         inputs = _identify(stack)
         pairs = _measure(planned, settings, on_event, executor)
-        triangles = close_triangles(stack, pairs, settings.window) if base is None else []
+        window_px = max((each.window_px for each in pairs), default=0)
+        triangles = close_triangles(stack, pairs, window_px) if base is None else []
         verdicts = [
             judge_triangles(each, triangles) if each.rule.statistic == "closure" else judge_pairs(each, pairs)
             for each in requirements

@@ -133,7 +133,7 @@ def _nearest_scatter(xy: Float64, displacement: Float64) -> float:
 
 def independent_residual(
     xy_px: Float64, displacement_px: Float64, window_px: int, surface: Surface
-) -> Float64:
+) -> tuple[Float64, float]:
     """Compare a sample of points with the prediction of neighbours that share no pixels with them.
 
     Parameters
@@ -147,12 +147,15 @@ def independent_residual(
 
     Returns
     -------
-    (m, 2) array
+    residual_px : (m, 2) array
         Displacement minus prediction, px, scaled down by the expected error of the prediction: as large as
         the point's own error. NaN outside the sample and where there are no such neighbours.
+    own : float
+        Typical share of the point's own error in the variance of the difference before that, 0 to 1.
     """
     ((residual, share),) = _against_neighbours(xy_px, displacement_px, window_px, [surface])
-    return residual * share[:, None]
+    known = share[np.isfinite(share)]
+    return residual * share[:, None], float(np.median(known**2)) if len(known) else 0.0
 
 
 def _against_neighbours(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.optimize import nnls
 
 from pcwlad_geo.matching import field
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
@@ -142,7 +143,7 @@ def guide_by_field(
         return FieldGuide(np.zeros((len(points), 2, 2)), nowhere, None, 0.0, one_way=False)
     xy, moved = points.reference_xy_px, points.displacement_px
     linear, linear_sigma = field.global_affine(xy, moved)
-    reach = settings.window / 2 * np.sqrt(2)
+    reach = max(settings.windows) / 2 * np.sqrt(2)
     if np.abs(linear).max() * reach < MIN_DEFORMATION_PX or (np.abs(linear) < 3 * linear_sigma).all():
         linear = np.zeros((2, 2))
     everywhere = np.tile(linear, (len(points), 1, 1))
@@ -157,6 +158,71 @@ def guide_by_field(
     structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
     shared = shared_variance(xy, choice.residual_px, settings.window, surface.count)
     return FieldGuide(_local(everywhere, predicted, reach), structure, surface, shared, one_way)
+
+
+WINDOW_SAMPLE: Final = 160
+"""Number of points that are matched with every window, to choose among them."""
+MIN_WINDOW_SAMPLE: Final = 12
+"""With fewer points than this the errors of windows are not known."""
+MIN_TO_CHOOSE: Final = 60
+"""With fewer points than this the window of the first pass is kept."""
+WINDOW_GAIN: Final = 0.95
+"""Another window is taken where it is expected to leave less than this share of the mean squared error."""
+
+
+@dataclass(frozen=True, slots=True)
+class WindowErrors:
+    """The error that windows of any side leave, as their differences at the same points tell."""
+
+    noise: float
+    """Variance per axis of independent errors times the side of the window, px³: it falls with the side, not
+    with the area, as windows share noise (measured)."""
+    bend: float
+    """Variance per axis of what the window averages away of a displacement that bends, over side⁴, 1/px²."""
+    points: int
+    """Number of points that tell."""
+
+    def variance_px2(self, window_px: float) -> float:
+        """Return the variance per axis of the error of a window of this side."""
+        return self.noise / window_px + self.bend * window_px**4
+
+    def best(self, windows_px: Sequence[int], first_px: int) -> int:
+        """Return the side with the least error, `first_px` unless another is clearly better."""
+        if self.points < MIN_TO_CHOOSE:
+            return first_px
+        best = min(windows_px, key=self.variance_px2)
+        return best if self.variance_px2(best) < WINDOW_GAIN * self.variance_px2(first_px) else first_px
+
+
+def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> WindowErrors | None:
+    """Estimate the errors of windows from the displacements that they give at the same points.
+
+    Of two windows, one inside the other, the larger knows what the smaller does: the variance of the
+    difference of their results is a (1/w₁ - 1/w₂) + c (w₂² - w₁²)², with the noise a and the bend c, for
+    which the differences of three windows are solved.
+
+    Parameters
+    ----------
+    displacement_px : (k, n, 2) array
+        Displacements (col, row) of n points by each window, NaN where one failed.
+    windows_px : sequence of k int
+        Sides of the windows, the smallest first.
+
+    Returns
+    -------
+    WindowErrors or None
+        None for fewer than three windows or too few points.
+    """
+    sides = np.asarray(windows_px, np.float64)
+    known = np.isfinite(displacement_px).all(axis=(0, 2))
+    if len(sides) < 3 or known.sum() < MIN_WINDOW_SAMPLE:
+        return None
+    difference = np.diff(displacement_px[:, known], axis=0)
+    variance = np.median((difference**2).sum(axis=2), axis=1) / MEDIAN_CHI_SQUARE_2
+    design = np.stack([-np.diff(1 / sides), np.diff(sides**2) ** 2], axis=1)
+    scale = design.max(axis=0)
+    noise, bend = nnls(design / scale, variance)[0] / scale
+    return WindowErrors(float(noise), float(bend), int(known.sum()))
 
 
 def forward_is_enough(forward_backward_px: Float64, settings: MatchSettings) -> bool:
@@ -190,17 +256,25 @@ def calibrate(
     surface: field.Surface | None,
     shared_variance_px2: float | Float64,
     settings: MatchSettings,
+    errors: WindowErrors | None = None,
 ) -> TiePoints:
     """Return consistent points of the whole scene with calibrated covariances.
 
     The surface is that of the guide, None without a field; so is `shared_variance_px2`, a float or (n,)
-    array, the variance per axis of the error that guided points share, px².
+    array, the variance per axis of the error that guided points share, px². The prediction of independent
+    neighbours tells the more, the more of its residual is the point's own error; `errors`, if known, tell
+    the rest.
     """
-    residual = np.full((len(points), 2), np.nan)
+    residual, own = np.full((len(points), 2), np.nan), 0.0
     if surface is not None:
-        residual = field.independent_residual(
+        residual, own = field.independent_residual(
             points.reference_xy_px, points.displacement_px, settings.window, surface
         )
     scale = sigma_scale(residual, points.covariance_px2)
+    if errors is not None and len(points):
+        formal_px2 = float(np.median(np.trace(points.covariance_px2, axis1=1, axis2=2))) / 2
+        by_windows = errors.variance_px2(settings.window) / max(formal_px2, 1e-8)
+        known = own if np.isfinite(residual).all(axis=1).sum() >= MIN_POINTS else 0.0
+        scale = float(np.clip(np.sqrt(known * scale**2 + (1 - known) * by_windows), *SCALE_RANGE))
     covariance = calibrated(points.covariance_px2, scale, shared_variance_px2)
     return replace(points, covariance_px2=covariance)

@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.coarse import match_coarsely
-from pcwlad_geo.matching.guidance import FieldGuide, calibrate, forward_is_enough, guide_by_field
+from pcwlad_geo.matching.guidance import (
+    MIN_WINDOW_SAMPLE,
+    WINDOW_SAMPLE,
+    FieldGuide,
+    WindowErrors,
+    calibrate,
+    forward_is_enough,
+    guide_by_field,
+    window_errors,
+)
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.mutual_structure import passes_paper, shared_structure
@@ -107,7 +116,7 @@ def to_index(points: TiePoints) -> Index:
 
 def margin_px(settings: MatchSettings) -> int:
     """Return how far beyond a corner the windows reach, search included, px."""
-    return max(settings.template, settings.window) // 2 + settings.search_radius + 16
+    return max(settings.template, *settings.windows) // 2 + settings.search_radius + 16
 
 
 def match_candidates(pair: PreparedPair, core: Core, settings: MatchSettings) -> tuple[TiePoints, Candidates]:
@@ -204,7 +213,13 @@ def _match_in_turns(
     return TiePoints.concatenate([points, more]), candidates[~first & ~second]
 
 
-def rematch(pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings) -> TiePoints:
+def rematch(
+    pair: ChannelPair,
+    points: TiePoints,
+    guide: FieldGuide,
+    settings: MatchSettings,
+    window_px: int | None = None,
+) -> TiePoints:
     """Run the second pass: match points again, with the deformation and structure given by the field.
 
     Parameters
@@ -213,6 +228,8 @@ def rematch(pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: M
         In pixel coordinates of the arrays.
     guide : FieldGuide
         Guidance of these points.
+    window_px : int, optional
+        Window that matches all points; None: that of the settings, for those with something new to say.
 
     Returns
     -------
@@ -221,6 +238,8 @@ def rematch(pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: M
     """
     target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
     again, led = matched_again(guide, settings), guide.leads
+    if window_px is not None:
+        again, settings = np.ones_like(led), replace(settings, window=window_px)
     # the two directions differ where each follows its own structure, hardly where the field gives it
     own: Back = "never" if guide.one_way else "always"
     given: Back = "sample" if settings.backward == "sample" and not guide.one_way else own
@@ -239,6 +258,52 @@ def rematch(pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: M
     return replace(points, target_xy_px=target, covariance_px2=covariance)
 
 
+def rematch_with(
+    pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings, window_px: int
+) -> TiePoints:
+    """Do what `rematch` does, maybe with another window; points that fail in that keep to the first.
+
+    Parameters
+    ----------
+    window_px : int
+        One of the windows of the settings.
+    """
+    if window_px == settings.window:
+        return rematch(pair, points, guide, settings)
+    again = rematch(pair, points, guide, settings, window_px)
+    failed = np.flatnonzero(_unmoved(again, points))
+    smaller = rematch(pair, points[failed], guide.part(failed), settings)
+    target, covariance = again.target_xy_px.copy(), again.covariance_px2.copy()
+    target[failed], covariance[failed] = smaller.target_xy_px, smaller.covariance_px2
+    return replace(again, target_xy_px=target, covariance_px2=covariance)
+
+
+def seen_by_windows(
+    pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings
+) -> Float64:
+    """Return (k, n, 2) displacements (col, row) of the n points by each of the k windows, NaN for failures.
+
+    Parameters are those of `rematch`.
+    """
+    moved = []
+    for window_px in settings.windows:
+        again = rematch(pair, points, guide, settings, window_px)
+        moved.append(np.where(_unmoved(again, points)[:, None], np.nan, again.displacement_px))
+    return np.stack(moved)
+
+
+def window_sample(guide: FieldGuide, settings: MatchSettings) -> Index:
+    """Return the (m,) points of the `guide` that tell which of the windows of `settings` is best."""
+    n = len(guide.linear)
+    if n < MIN_WINDOW_SAMPLE or len(settings.windows) == 1:
+        return np.zeros(0, np.intp)
+    return np.unique(np.linspace(0, n - 1, min(WINDOW_SAMPLE, n)).astype(np.intp))
+
+
+def _unmoved(again: TiePoints, points: TiePoints) -> Bool:
+    return np.asarray((again.target_xy_px == points.target_xy_px).all(axis=1))
+
+
 def matched_again(guide: FieldGuide, settings: MatchSettings) -> Bool:
     """Return the (n,) mask of the points of `guide` that the second pass with `settings` matches again."""
     traits = _traits(settings)
@@ -250,9 +315,32 @@ def matched_again(guide: FieldGuide, settings: MatchSettings) -> Bool:
 def second_pass(pair: ChannelPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
     """Guide, match again, check and calibrate the `points` of one `pair` with `settings`."""
     guide = guide_by_field(points, settings)
-    again = rematch(pair, points, guide, settings)
+    again, window_px, errors = guided_match(pair, points, guide, settings)
+    settings = replace(settings, window=window_px)
     good = again[consistent_points(again, settings)]
-    return calibrate(good, guide.surface, guide.shared_variance_px2, settings)
+    return calibrate(good, guide.surface, guide.shared_variance_px2, settings, errors)
+
+
+def guided_match(
+    pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings
+) -> tuple[TiePoints, int, WindowErrors | None]:
+    """Match points again with the best window that is open; return them, its side, and all windows' errors.
+
+    Parameters are those of `rematch`.
+    """
+    sample, errors = window_sample(guide, settings), None
+    if len(sample):
+        moved = seen_by_windows(pair, points[sample], guide.part(sample), settings)
+        errors = window_errors(moved, settings.windows)
+    window_px = window_of(errors, settings)
+    return rematch_with(pair, points, guide, settings, window_px), window_px, errors
+
+
+def window_of(errors: WindowErrors | None, settings: MatchSettings) -> int:
+    """Return the side of the window of the second pass, by the `errors` of windows where that is open."""
+    if errors is None or not settings.open_window:
+        return settings.window
+    return errors.best(settings.windows, settings.window)
 
 
 def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:

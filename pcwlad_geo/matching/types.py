@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -15,6 +15,10 @@ Keypoints = Literal["cells", "strongest"]
 Consensus = Literal["auto", "off"]
 Backward = Literal["as needed", "sample"]
 Channels = Literal["orientations", "gradients", "moment"]
+FIRST_WINDOW_PX: Final = 81
+"""Side of the refinement window of the first pass, unless it is given."""
+OTHER_WINDOWS_PX: Final = (61, 129)
+"""Sides of those that the second pass may use instead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +37,12 @@ class MatchSettings:
     """Area over which `features` candidates are spread; None: the usable area of the image."""
     template: int = 101
     """Side of the coarse window, odd."""
-    window: int = 81
+    window: int = FIRST_WINDOW_PX
     """Side of the refinement window, odd."""
+    other_windows: tuple[int, ...] = ()
+    """Sides of the windows that some points are matched with too, which tells the error of each window."""
+    open_window: bool = False
+    """Whether the second pass uses the best of all these windows; otherwise `window`."""
     search_radius: int = 10
     """Largest displacement per axis that is searched."""
     ssim_min: float = 0.0
@@ -45,6 +53,11 @@ class MatchSettings:
     """Points also matched backward: a sample, or, as needed, all if the sample shows a difference."""
     least_valid: float = 0.6
     """Least share of a window that must be valid in both images."""
+
+    @property
+    def windows(self) -> tuple[int, ...]:
+        """Sides of all refinement windows, the smallest first."""
+        return tuple(sorted({self.window, *self.other_windows}))
 
 
 @dataclass(frozen=True, slots=True)

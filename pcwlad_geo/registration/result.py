@@ -97,7 +97,7 @@ def record_matching(
     jobs, results : sequences of TileJob, TileResult
         Of the same order.
     """
-    side = max(settings.template, settings.window)
+    side = max(settings.template, settings.window)  # of the first pass
     contents = [
         _Content(patch.valid, texture_of(patch, scene.epsilon) >= MIN_TEXTURE)
         for patch, scene in zip((overviews.reference, overviews.target), overviews.scenes, strict=True)
@@ -339,6 +339,8 @@ class Matches:
     """On which they were found: a target with RPC is matched again as the first result places it."""
     every: TiePointTable
     """All tie points, also those that were not wanted."""
+    window_px: int
+    """Side of the window that they were refined with, matching-grid px; of a file's points, as asked for."""
     geometry: PairGeometry = PairGeometry("planar")
     """By what the tie points were told from wrong matches."""
     warnings: tuple[str, ...] = ()
@@ -425,6 +427,8 @@ class Registration:
     """What became of each requirement."""
     inputs: tuple[InputFile, ...] = ()
     """The files that the job read, as they were before it opened any of them."""
+    window_px: int | None = None
+    """Side of the window that the tie points were refined with, matching-grid px; None: a file's."""
     outputs: Mapping[str, Path] = field(default_factory=dict)
     """The files written, by kind: raster, report, tiepoints, and so on; none where nothing was."""
 

@@ -13,6 +13,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.matching.outliers import consistent, contradicted_clusters
+from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.options import VRT_MODELS, Settings
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
@@ -191,7 +192,7 @@ def fit(
     target, table = matches.pair.target, matches.tie_points
     with log.stage("fitting"):
         log.on_event(Progress("fitting", 0, 1))
-        footprint = settings.window * float(file_px_per_px(matches.views.target)[0])
+        footprint = matches.window_px * float(file_px_per_px(matches.views.target)[0])
         if settings.tie_points:
             footprint = footprint_px(matches.every, footprint)
         candidates = (
@@ -267,6 +268,7 @@ def conclude(matches: Matches, fit: AssessedFit | None = None) -> Registration:
         record=matches.record,
         rpc=corrected_rpc(pair.rpc, correction) if pair.rpc else None,
         inputs=pair.inputs,
+        window_px=None if pair.settings.tie_points else matches.window_px,
     )
 
 
@@ -285,7 +287,7 @@ def _without_clusters(found: Matches, log: JobLog) -> Matches:
     table = found.tie_points
     agreeing = np.flatnonzero(table.status == "matched")
     unit_px = float(file_px_per_px(found.views.target).max())
-    window_px = found.pair.settings.window * unit_px
+    window_px = found.window_px * unit_px
     placed, moved = table.predicted_px[agreeing], table.displacement_px[agreeing]
     clusters = contradicted_clusters(placed, moved, window_px, unit_px)
     if not clusters:
@@ -345,7 +347,8 @@ def _from_file(pair: Pair, path: Path | str, log: JobLog) -> Matches:
         table, verdict, counts = user_points(path, pair.views)
         record = record_ground(pair.views)
     start = Prealignment("tie points of a file", (0.0, 0.0), 0)
-    return Matches(pair, table, verdict, counts, start, record, pair.views, table)
+    window_px = pair.settings.window or FIRST_WINDOW_PX
+    return Matches(pair, table, verdict, counts, start, record, pair.views, table, window_px)
 
 
 def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
@@ -365,7 +368,8 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
     start = matched.prealignment
     geometry = PairGeometry.of(table, matched.epipolar and matched.verdict.accepted)
     verdict, record = matched.verdict, matched.record
-    return Matches(pair, table, verdict, matched.counts, start, record, views, table, geometry)
+    window_px = matched.window_px
+    return Matches(pair, table, verdict, matched.counts, start, record, views, table, window_px, geometry)
 
 
 def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo) -> Float64:

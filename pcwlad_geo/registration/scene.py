@@ -16,10 +16,23 @@ from pcwlad_geo.events import Event, EventCallback, JobLog, Progress, Warned
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.matching.epipolar import MIN_POINTS, epipolar_evidence, on_their_lines, parallax_evidence
 from pcwlad_geo.matching.field import Prediction, Surface, predict
-from pcwlad_geo.matching.guidance import calibrate, guide_by_field
-from pcwlad_geo.matching.matcher import consistent_points, matched_again
+from pcwlad_geo.matching.guidance import (
+    WINDOW_SAMPLE,
+    FieldGuide,
+    WindowErrors,
+    calibrate,
+    guide_by_field,
+    window_errors,
+)
+from pcwlad_geo.matching.matcher import consistent_points, matched_again, window_of, window_sample
 from pcwlad_geo.matching.pose import mean_distance_px
-from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.matching.types import (
+    FIRST_WINDOW_PX,
+    OTHER_WINDOWS_PX,
+    TRAITS,
+    MatchSettings,
+    TiePoints,
+)
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.view import plan_rpc_views
@@ -43,7 +56,14 @@ from pcwlad_geo.registration.prealign import (
 from pcwlad_geo.registration.result import MatchRecord, record_matching
 from pcwlad_geo.registration.rpc import shifted
 from pcwlad_geo.registration.start_matcher import load_start_matcher, proposed_start
-from pcwlad_geo.registration.tiles import Guided, TileJob, TileResult, match_tile, rematch_tile
+from pcwlad_geo.registration.tiles import (
+    Guided,
+    TileJob,
+    TileResult,
+    compare_windows,
+    match_tile,
+    rematch_tile,
+)
 from pcwlad_geo.tiepoints.table import TiePointTable, locate
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -63,6 +83,10 @@ POSED_ROUNDS: Final = 3
 """Largest number of times that a target is matched again in the pose found."""
 STILL_PX: Final = 0.1
 """Mean movement of the target by a new pose below which it is not matched again, px."""
+GOLDEN: Final = (5**0.5 - 1) / 2
+"""Multiples of the golden ratio, modulo 1, are spread evenly, however many are taken."""
+SMALLER_WINDOWS: Final = (0.56, 0.75)
+"""Sides of the windows that tell the error of a given one, shares of its own."""
 NEAR_PX: Final = 0.5
 """A target that was found nearer than this to where it was assumed is not matched again, target px."""
 
@@ -79,6 +103,8 @@ class Matched:
     prealignment: Prealignment
     record: MatchRecord
     """Of the first pass."""
+    window_px: int
+    """Side of the window of the last pass."""
     epipolar: bool = False
     """Whether the matches were kept by their epipolar lines, which allow every depth."""
 
@@ -131,10 +157,12 @@ def match_scene(
     radius_px, odds = prealignment.search_radius_px, prealignment.odds
     verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=odds)
     kept, verdict, epipolar = _by_geometry(matches, kept, verdict, pair, prealignment, settings, matching)
+    window_px = matching.window
     if verdict.accepted:
         with log.stage("refining"):
             again = _second_pass(first, matches, kept, matching, log, runner)
-            matches, kept = _checked(again, matches, kept, matching, epipolar)
+            window_px = again.window_px
+            matches, kept = _checked(again, matches, kept, replace(matching, window=window_px), epipolar)
         if again.lost.any():  # do the others suffice?
             verdict = judge(first.matches, kept, counts, matching.window, radius_px, evidence=odds)
     counts["inconsistent"] = int((~kept).sum())
@@ -142,7 +170,7 @@ def match_scene(
     record = record_matching(
         pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results
     )
-    return Matched(matches, kept, counts, verdict, prealignment, record, epipolar)
+    return Matched(matches, kept, counts, verdict, prealignment, record, window_px, epipolar)
 
 
 def _by_geometry(
@@ -202,6 +230,10 @@ class _Again:
     """(n,)."""
     lost: Bool
     """(n,) in tiles that could not be read a second time."""
+    window_px: int
+    """Side of the window."""
+    errors: WindowErrors | None
+    """Those of all windows, where enough points tell."""
 
 
 def _second_pass(
@@ -209,7 +241,7 @@ def _second_pass(
 ) -> _Again:
     """Match the consistent points again, guided by the field of all of them."""
     if any(True for _ in first.guided):
-        return _gather(first, matches)
+        return _gather(first, matches, matching)
     return _rematch(first, matches, kept, matching, log, runner)
 
 
@@ -221,14 +253,15 @@ def _checked(
     final = np.zeros_like(kept)
     left = again.points[index]
     final[index] = on_their_lines(left) if epipolar else consistent_points(left, matching)
-    good = calibrate(again.points[final], again.surface, again.shared_variance_px2[final], matching)
+    shared_px2 = again.shared_variance_px2[final]
+    good = calibrate(again.points[final], again.surface, shared_px2, matching, again.errors)
     # rejected points are listed with their formal covariance
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
     target[final], covariance[final] = good.target_xy_px, good.covariance_px2
     return replace(matches, target_xy_px=target, covariance_px2=covariance), final
 
 
-def _gather(first: _FirstPass, matches: TiePoints) -> _Again:
+def _gather(first: _FirstPass, matches: TiePoints, matching: MatchSettings) -> _Again:
     """Collect the second passes of tiles that guide themselves."""
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
     shared = np.zeros(len(matches))
@@ -238,7 +271,9 @@ def _gather(first: _FirstPass, matches: TiePoints) -> _Again:
     surfaces = Counter(guided.surface for _, guided in first.guided for _ in range(len(guided.index)))
     surface = surfaces.most_common(1)[0][0] if surfaces else None
     points = replace(matches, target_xy_px=target, covariance_px2=covariance)
-    return _Again(points, surface, shared, np.zeros(len(matches), bool))
+    guided = next(guided for _, guided in first.guided)  # of the only tile
+    lost = np.zeros(len(matches), bool)
+    return _Again(points, surface, shared, lost, guided.window_px, guided.errors)
 
 
 def _rematch(
@@ -247,12 +282,14 @@ def _rematch(
     """Visit the tiles again, guided by the field of all consistent points."""
     index = np.flatnonzero(kept)
     guide = guide_by_field(matches[index], matching, partial(_predict_on, runner, log.on_event))
-    again = np.flatnonzero(matched_again(guide, matching))
-    tile_of = first.tile_of[index[again]]
-    tiles = np.unique(tile_of)
-    parts = [again[tile_of == tile] for tile in tiles]
+    tile_of = first.tile_of[index]
+    errors = _window_errors(first, matches[index], tile_of, guide, log, runner) if len(index) else None
+    window_px = window_of(errors, matching)
+    again = np.ones(len(index), bool) if window_px != matching.window else matched_again(guide, matching)
+    tiles = np.unique(tile_of[again])
+    parts = [np.flatnonzero(again & (tile_of == tile)) for tile in tiles]
     calls = [
-        (first.jobs[tile], matches[index[part]], guide.part(part))
+        (first.jobs[tile], matches[index[part]], guide.part(part), window_px)
         for tile, part in zip(tiles, parts, strict=True)
     ]
     workers = [first.workers[tile] for tile in tiles]
@@ -265,18 +302,48 @@ def _rematch(
         covariance[index[part]] = result.points.covariance_px2
         lost[index[part]] = result.status == "failed"
     points = replace(matches, target_xy_px=target, covariance_px2=covariance)
-    return _Again(points, guide.surface, np.full(len(matches), guide.shared_variance_px2), lost)
+    return _Again(
+        points, guide.surface, np.full(len(matches), guide.shared_variance_px2), lost, window_px, errors
+    )
+
+
+def _window_errors(
+    first: _FirstPass, points: TiePoints, tile_of: Index, guide: FieldGuide, log: JobLog, runner: Runner
+) -> WindowErrors | None:
+    """Return the errors of all windows, as some tiles tell; None where too few points do.
+
+    The `points` are the consistent ones, each with its tile and its part of the guide. The tiles that are
+    asked are spread over the scene.
+    """
+    settings = first.jobs[0].settings
+    if not len(window_sample(guide, settings)):
+        return None
+    tiles, counts = np.unique(tile_of, return_counts=True)
+    spread = np.argsort(GOLDEN * np.arange(len(tiles)) % 1, kind="stable")
+    enough = int(np.searchsorted(np.cumsum(counts[spread]), WINDOW_SAMPLE)) + 1
+    chosen = np.sort(spread[:enough])
+    share = min(1.0, WINDOW_SAMPLE / counts[chosen].sum())
+    calls = []
+    for tile in tiles[chosen]:
+        inside = np.flatnonzero(tile_of == tile)
+        some = inside[:: max(1, int(1 / share))]
+        calls.append((first.jobs[tile], points[some], guide.part(some)))
+    workers = [first.workers[tile] for tile in tiles[chosen]]
+    on_event = partial(_only_warnings, log.on_event)  # the progress is no stage's own
+    moved = runner.run(compare_windows, calls, "refining", on_event, workers).results
+    return window_errors(np.concatenate(moved, axis=1), settings.windows)
+
+
+def _only_warnings(on_event: EventCallback, event: Event) -> None:
+    if isinstance(event, Warned):
+        on_event(event)
 
 
 def _predict_on(
     runner: Runner, on_event: EventCallback, xy: Float64, moved: Float64, at: Float64, surface: Surface
 ) -> Prediction:
     """Do what `field.predict` does, shared out where there are many places."""
-
-    def warn(event: Event) -> None:  # of lost workers; the progress is no stage's own
-        if isinstance(event, Warned):
-            on_event(event)
-
+    warn = partial(_only_warnings, on_event)  # of lost workers; the progress is no stage's own
     size = max(PLACES_PER_CALL, -(-len(at) // MAX_CALLS))
     if len(at) <= size:
         return predict(xy, moved, at, surface)
@@ -297,7 +364,7 @@ def _match_settings(
             f"the common area is {cols} x {rows} px of the matching grid: too small to match "
             f"(at least {MIN_WINDOW_PX} px a side); use rasters that share more ground"
         )
-    template, window = settings.template, settings.window
+    template, window = settings.template, settings.window or FIRST_WINDOW_PX
     most = max(MIN_WINDOW_PX, int(narrow / WINDOWS_ACROSS) // 2 * 2 - 1)
     if max(template, window) > most:
         template, window = min(template, most), min(window, most)
@@ -306,6 +373,7 @@ def _match_settings(
             f"{window} px (fine)"
         )
     margin = round(0.4 * template)
+    others = _other_windows(settings, window, most)
     return MatchSettings(
         method=settings.method,
         features=settings.features,
@@ -313,12 +381,27 @@ def _match_settings(
         features_area_px2=float(max((rows - margin) * (cols - margin), 1)),
         template=template,
         window=window,
+        other_windows=others,
+        open_window=others == OTHER_WINDOWS_PX,
         search_radius=min(prealignment.search_radius_px, farthest_px(pair, offset)),
         ssim_min=settings.ssim_min,
         iterations=settings.iterations,
         consensus=settings.consensus,
         backward="sample" if settings.points in ("all", "dense") else "as needed",
     )
+
+
+def _other_windows(settings: Settings, window_px: int, most_px: int) -> tuple[int, ...]:
+    """Return what some points are matched with beside the first window.
+
+    If that is not given, it is what the second pass may choose from, unless the overlap leaves no room for
+    the largest. Otherwise smaller windows tell the error of the given one. None where points are not guided.
+    """
+    if TRAITS[settings.method].structure != "local" or settings.consensus == "off":
+        return ()
+    if settings.window is None and max(OTHER_WINDOWS_PX) <= most_px:
+        return OTHER_WINDOWS_PX
+    return tuple(int(share * window_px) // 2 * 2 + 1 for share in SMALLER_WINDOWS)
 
 
 def _sum_counts(results: Sequence[TileResult]) -> dict[str, int]:

@@ -13,7 +13,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Warned
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.matching.field import Surface, predict
-from pcwlad_geo.matching.guidance import FieldGuide, guide_by_field
+from pcwlad_geo.matching.guidance import FieldGuide, WindowErrors, guide_by_field
 from pcwlad_geo.matching.kernels.compiled import can_be_cached, is_cached
 from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
 from pcwlad_geo.matching.kernels.phase_congruency import combine_orientations, combine_scales, filter_rows
@@ -22,10 +22,12 @@ from pcwlad_geo.matching.keypoints import Candidates
 from pcwlad_geo.matching.matcher import (
     Core,
     consistent_points,
+    guided_match,
     margin_px,
     match_arrays,
     match_candidates,
-    rematch,
+    rematch_with,
+    seen_by_windows,
 )
 from pcwlad_geo.matching.prepare import ChannelPair, Image, Noise, PreparedPair, prepare
 from pcwlad_geo.matching.refinement import ChannelMaps
@@ -142,6 +144,10 @@ class Guided:
     surface: Surface | None
     """See `guidance.FieldGuide`."""
     shared_variance_px2: float
+    window_px: int
+    """Side of the window that they were matched with."""
+    errors: WindowErrors | None
+    """Those of all windows, where enough points tell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,8 +196,11 @@ def match_tile(job: TileJob) -> TileResult:
     )
 
 
-def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide) -> TileResult:
-    """Run the second pass of the tile `job`: match its consistent `points` again, with their `guide`."""
+def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide, window_px: int) -> TileResult:
+    """Run the second pass of the tile `job`: match its consistent `points` again, with their `guide`.
+
+    The window has a side of `window_px`, one of those of the settings.
+    """
     try:
         channels = _CACHE.take(job.scene, job.id) or _stacks(job)
     except InputError as error:
@@ -202,9 +211,30 @@ def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide) -> TileResu
     inside = points.shifted(-reference_origin, -target_origin)
     # shifts inside the arrays do not include the offset between the two windows
     between = target_origin - reference_origin
-    again = rematch(channels, inside, guide.moved(-between), job.settings)
+    again = rematch_with(channels, inside, guide.moved(-between), job.settings, window_px)
     moved = again.shifted(reference_origin, target_origin)
     return TileResult(job.id, "matched", moved, {}, None)
+
+
+def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide) -> Float64:
+    """Return (k, n, 2) the displacements (col, row) of `points` of the tile `job` by each of its windows.
+
+    The parameters are those of `rematch_tile`, which may follow. NaN where a window gives no match.
+    """
+    nothing = np.full((len(job.settings.windows), len(points), 2), np.nan)
+    try:
+        channels = _CACHE.take(job.scene, job.id) or _stacks(job)
+    except InputError:
+        return nothing
+    if channels is None:
+        return nothing
+    if job.returns:
+        _CACHE.keep(job.scene, job.id, channels)
+    reference_origin, target_origin = _origins(job)
+    between = target_origin - reference_origin
+    inside = points.shifted(-reference_origin, -target_origin)
+    moved = seen_by_windows(channels, inside, guide.moved(-between), job.settings)
+    return np.asarray(moved + between)
 
 
 def _guided(job: TileJob, pair: PreparedPair, points: TiePoints) -> Guided:
@@ -213,9 +243,10 @@ def _guided(job: TileJob, pair: PreparedPair, points: TiePoints) -> Guided:
     seen = points.shifted(reference_origin, target_origin)
     index = np.flatnonzero(consistent_points(seen, job.settings))
     guide = guide_by_field(seen[index], job.settings)
-    again = rematch(pair.channels, points[index], guide.moved(reference_origin - target_origin), job.settings)
+    inside = guide.moved(reference_origin - target_origin)
+    again, window_px, errors = guided_match(pair.channels, points[index], inside, job.settings)
     moved = again.shifted(reference_origin, target_origin)
-    return Guided(index, moved, guide.surface, guide.shared_variance_px2)
+    return Guided(index, moved, guide.surface, guide.shared_variance_px2, window_px, errors)
 
 
 def _prepare(job: TileJob) -> PreparedPair | None:

@@ -264,6 +264,9 @@ class Report:
     """What the matching started from, matching-grid px."""
     geometry: PairGeometry
     """By what the tie points were told from wrong matches."""
+    window_px: int | None
+    """Side of the window that the tie points were refined with, matching-grid px; null for those of a
+    file."""
     tie_points: Annotated[Mapping[str, Count], ("required", ["total", "rejected"])]
     """By status, and in all."""
     counts: Mapping[str, int]

@@ -82,6 +82,7 @@ def summarise(
         output_grid=_grid(output_grid) if output_grid else None,
         prealignment=registration.prealignment,
         geometry=registration.geometry,
+        window_px=registration.window_px,
         tie_points=_tie_point_counts(registration),
         counts=registration.counts,
         displacement_px=_statistics(kept.displacement_px, PX_DIGITS),

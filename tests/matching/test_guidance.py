@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.guidance import guide_by_field
+from pcwlad_geo.matching.guidance import (
+    MIN_TO_CHOOSE,
+    MIN_WINDOW_SAMPLE,
+    calibrate,
+    guide_by_field,
+    window_errors,
+)
 from pcwlad_geo.matching.matcher import matched_again
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 
@@ -79,3 +85,54 @@ def test_only_what_the_guide_says_something_new_about_is_matched_again() -> None
     back = replace(rough, one_way=True)
     assert not matched_again(back, replace(SETTINGS, backward="sample")).any()
     assert not matched_again(smooth, replace(SETTINGS, method="pcwlad")).any()
+
+
+WINDOWS_PX = (61, 81, 129)
+
+
+def by_windows(noise_px: float, curvature: float, n: int = 160, seed: int = 2) -> NDArray:
+    """Displacements by windows that share noise of a variance of 1/w, and average a field that bends."""
+    rng = np.random.default_rng(seed)
+    variance = noise_px**2 * 81 / np.array(WINDOWS_PX)
+    own = np.sqrt(-np.diff(variance, append=0.0))[:, None, None] * rng.normal(size=(3, n, 2))
+    shared = np.cumsum(own[::-1], axis=0)[::-1]  # what the largest window sees is part of what all see
+    bend = curvature * rng.normal(size=(n, 2))
+    return 3.0 + shared + np.array(WINDOWS_PX)[:, None, None] ** 2 / 24 * bend
+
+
+@pytest.mark.parametrize(
+    ("noise_px", "curvature", "best"),
+    [(0.08, 0.0, 129), (0.05, 8e-5, 81), (0.02, 2e-4, 61), (0.001, 2e-4, 61)],
+)
+def test_the_window_is_small_where_the_field_bends_and_large_where_noise_rules(
+    noise_px: float, curvature: float, best: int
+) -> None:
+    found = [window_errors(by_windows(noise_px, curvature, seed=seed), WINDOWS_PX) for seed in range(20)]
+    errors = [each for each in found if each is not None]
+    assert [each.best(WINDOWS_PX, 81) for each in errors].count(best) >= 17
+    sigma_px = np.sqrt(np.median([each.variance_px2(81) for each in errors]))
+    assert sigma_px == pytest.approx(np.hypot(noise_px, curvature * 81**2 / 24), rel=0.2)
+
+
+def test_windows_tell_nothing_where_too_few_points_do() -> None:
+    moved = by_windows(0.08, 0.0)
+    known = window_errors(moved, WINDOWS_PX)
+    assert known is not None
+    assert known.points == 160
+    few = window_errors(moved[:, : MIN_TO_CHOOSE - 1], WINDOWS_PX)
+    assert few is not None
+    assert few.best(WINDOWS_PX, 81) == 81
+    assert window_errors(moved[:2], WINDOWS_PX[:2]) is None
+    moved[2, MIN_WINDOW_SAMPLE - 1 :] = np.nan  # failed
+    assert window_errors(moved, WINDOWS_PX) is None
+
+
+def test_sigma_of_a_rough_field_is_that_which_the_windows_tell() -> None:
+    xy = scattered(200)
+    errors = window_errors(by_windows(0.3, 0.0), WINDOWS_PX)
+    rough = points(noise(len(xy), 5.0), xy)
+    sigma_px = calibrate(rough, None, 0.0, replace(SETTINGS, window=81), errors).sigma_px
+    assert np.median(sigma_px) == pytest.approx(0.12, abs=0.01)  # twelve times the formal one, at most
+    tight = replace(rough, covariance_px2=9 * rough.covariance_px2)
+    sigma_px = calibrate(tight, None, 0.0, replace(SETTINGS, window=81), errors).sigma_px
+    assert np.median(sigma_px) == pytest.approx(0.3, rel=0.2)

@@ -35,7 +35,7 @@ def register(folder: Path, linear: Array, shift: Array, *, located: bool, **opti
     reference = write(folder / "reference.tif", render(GRID), GRID if located else None)
     values = render(GRID, "thermal", linear=linear, displacement_px=shift)
     target = write(folder / "target.tif", values, GRID if located else None)
-    return run(reference, target, Settings.from_options(options))
+    return run(reference, target, Settings.from_options({"window": 81, **options}))
 
 
 def errors_px(found: Registration, linear: Array, shift: Array) -> Array:

@@ -158,6 +158,27 @@ def test_another_modality(tmp_path: Path) -> None:
     check(run(reference, target, Settings(template=81, window=81, features=60)), within_px=0.1)
 
 
+@pytest.mark.parametrize("tile_size", [1024, 128])
+@pytest.mark.parametrize(("bend_px", "window_px"), [(0.0, 129), (1.0, 61)])
+def test_the_window_follows_the_field(tmp_path: Path, bend_px: float, window_px: int, tile_size: int) -> None:
+    """Large where two bands share little and the ground is shifted, small where the field bends."""
+    grid = make_grid((300, 300))
+    reference = write(tmp_path / "b4.tif", render(grid), grid)
+    moved = render(
+        grid,
+        "thermal" if bend_px == 0 else "red",
+        displacement_px=SHIFT_PX,
+        local=lambda at: bend_px * np.sin(2 * np.pi * at[:, ::-1] / 150),
+    )
+    target = write(tmp_path / "b10.tif", moved, grid)
+    options: dict[str, Any] = {"features": 150, "points": "all", "search_radius": 8}
+    found = run(reference, target, Settings(**options, tile_size=tile_size), match_only=True)
+    assert found.window_px == window_px
+    fixed = run(reference, target, Settings(**options, tile_size=tile_size, window=81), match_only=True)
+    assert fixed.window_px == 81
+    assert found.counts["tie_points"] >= 0.98 * fixed.counts["tie_points"]
+
+
 @pytest.mark.parametrize(
     ("driver", "options"),
     [

@@ -13,7 +13,7 @@ def test_the_defaults_are_valid_and_cannot_be_changed() -> None:
     settings = Settings()
     assert (settings.method, settings.window, settings.template, settings.iterations) == (
         "oriented",
-        81,
+        None,
         101,
         20,
     )
