@@ -18,7 +18,8 @@ from pcwlad_geo.execution.processes import open_runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.stacks.adjustment import Adjustment, Edge, adjust
+from pcwlad_geo.stacks.adjustment import Adjustment, adjust
+from pcwlad_geo.stacks.network import Edge
 from pcwlad_geo.stacks.pairs import Frame, choose_pairs, measure
 from tests.scenes import make_grid, render, write
 

@@ -18,7 +18,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.report.finished import report_of_same_job
-from pcwlad_geo.stacks.adjustment import Edge, components
+from pcwlad_geo.stacks.network import Edge, components
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.types import Float64
