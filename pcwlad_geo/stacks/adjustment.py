@@ -185,10 +185,51 @@ def adjust(
             used = outvoted
         coefficients = solution.coefficients
     fits = tuple(replace(fit, used=bool(good)) for fit, good in zip(solution.fits, used, strict=True))
-    spread = _spread(network, edges, basis, before, parts, used, shared)
+    sigma = shared * np.array([part.scatter for part in parts])
+    spread = _spread(network, edges, basis, before, parts, used, sigma)
     if datum is None:
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
     return Adjustment(basis, coefficients, fits, shared, datum, solution.normal, group, fixed, spread)
+
+
+def extend(before: Adjustment, edges: Sequence[Edge], more: Sequence[Edge], images: int) -> Adjustment:
+    """Place images after those of an adjustment, which stay where they are.
+
+    Parameters
+    ----------
+    before : Adjustment
+        Of the first images.
+    edges : sequence of Edge
+        Those of `before`.
+    more : sequence of Edge
+        Those of the new images, the first of each an old image or an earlier new one.
+    images : int
+        Number of all images.
+    """
+    old = len(before.coefficients)
+    frame = [
+        replace(
+            edge,
+            first=max(edge.first - old + 1, 0),
+            second=edge.second - old + 1,
+            first_xy=before.to_ground(edge.first, edge.first_xy) if edge.first < old else edge.first_xy,
+        )
+        for edge in more
+    ]
+    placed = adjust(frame, images - old + 1, basis=before.basis)
+    coefficients = np.concatenate([before.coefficients, placed.coefficients[1:]])
+    every, fits = [*edges, *more], (*before.edges, *placed.edges)
+    network = Network(images, len(before.basis.exponents), before.fixed)
+    parts = [part_of(edge, before.basis, coefficients) for edge in every]
+    used = np.array([fit.used for fit in fits])
+    sigma = np.repeat([before.shared, placed.shared], [len(edges), len(more)])
+    sigma = sigma * np.array([part.scatter for part in parts])
+    normal, _ = network.equations(parts, used, sigma)
+    spread = _spread(network, every, before.basis, coefficients, parts, used, sigma)
+    group = components(every, images, np.ones(len(every), bool))[1]
+    if before.datum is None:
+        spread = _about_mean(spread, group)
+    return replace(before, coefficients=coefficients, edges=fits, normal=normal, group=group, spread=spread)
 
 
 def _about_mean(coefficients: Float64, group: Index) -> Float64:
@@ -207,12 +248,11 @@ def _spread(
     coefficients: Float64,
     parts: Sequence[Part],
     used: Bool,
-    shared: float,
+    sigma: Float64,
 ) -> Float64:
     """Return `Adjustment.spread`: solve again without each block of the ground."""
     if not network.free.size:
         return np.zeros((1, network.images, network.terms, 2))
-    sigma = shared * np.array([part.scatter for part in parts])
     side = max(float(np.median([np.sqrt(np.prod(np.ptp(edge.first_xy, axis=0))) for edge in edges])), 1e-9)
     blocks = [
         dict(blocks_of(edge, basis, coefficients, side / BLOCKS, part)) if good else {}

@@ -23,7 +23,7 @@ from pcwlad_geo.types import Float64, PathLike
 ALL_PAIRS: Final = 8
 """Of so many images every pair is measured."""
 FORESTS: Final = 3
-"""Beyond, so many spanning forests without a common pair: each gives every image a pair, and two of them close
+"""Beyond, so many spanning forests without a common pair: each gives every image a pair, and two close
 a cycle with every pair."""
 MIN_OVERLAP: Final = 0.1
 """Least common ground of a pair, as a share of the smaller image."""
@@ -113,9 +113,7 @@ def _told(one: StackInput, other: StackInput) -> float:
 
 def _likeness(frame: Frame, looks: Sequence[Float64 | None]) -> Float64:
     """Return the (images, images) correlation of the quick looks on common ground; 0.5 where unknown."""
-    corners = [
-        frame.from_image(number, info.grid.boundary_px()) for number, info in enumerate(frame.infos)
-    ]
+    corners = [frame.from_image(number, info.grid.boundary_px()) for number, info in enumerate(frame.infos)]
     low, high = np.min(np.vstack(corners), axis=0), np.max(np.vstack(corners), axis=0)
     step = (np.arange(CELLS) + 0.5) / CELLS
     at = low + np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2) * (high - low)
@@ -243,7 +241,9 @@ def listed_pairs(table: PathLike, frame: Frame, inputs: Sequence[StackInput]) ->
             text = row[column]
             place = str((Path(table).parent / text).resolve())
             if text not in number and place not in number:
-                raise InputError(f"{table} names {text}, which is none of the images {', '.join(frame.names)}")
+                raise InputError(
+                    f"{table} names {text}, which is none of the images {', '.join(frame.names)}"
+                )
             ends.append(number.get(text, number.get(place, 0)))
         if ends[0] == ends[1]:
             raise InputError(f"{table} has a pair of {row['reference']} with itself")

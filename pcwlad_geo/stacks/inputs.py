@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import csv
+import datetime
 import io
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import date
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -45,10 +45,10 @@ class StackInput:
     """Share of the image under clouds, 0 to 1."""
 
     @property
-    def day(self) -> date | None:
+    def day(self) -> datetime.date | None:
         """The day of acquisition."""
         try:
-            return date.fromisoformat((self.date or "")[:10])
+            return datetime.date.fromisoformat((self.date or "")[:10])
         except ValueError:
             return None
 
@@ -150,7 +150,7 @@ def _of_stac(place: Path, band: int | str) -> Iterator[StackInput]:
     except ValueError as error:
         raise InputError(f"{place} is no JSON: {error}") from error
     items = found.get("features") if isinstance(found, dict) and "features" in found else [found]
-    for item in items if isinstance(items, list) else [None]:
+    for item in items if isinstance(items, list) else [{}]:
         try:
             yield _of_item(item, place, band)
         except (KeyError, TypeError, AttributeError, ValueError) as error:

@@ -29,9 +29,7 @@ def make_stack(folder: Path, names: list[str]) -> Stack:
         for number, pair in enumerate(pairs)
     ]
     info = describe(write(folder / "image.tif", render(GRID), GRID))
-    blank = StackPair(
-        names[0], names[3], "refused", "no better than chance", 0, None, None, None, None, folder / "x"
-    )
+    blank = StackPair(names[0], names[3], "refused", "no better than chance", folder / "x")
     measured = [
         (
             edge,
