@@ -47,7 +47,7 @@ def stack_of_scenes(scratch: Path, scenes: int, jobs: int) -> Iterator[Table]:
     images[-1].rename(last)
     options = ("--jobs", str(jobs), "--progress", "none")
     whole = _command("stack", str(folder), "-o", str(scratch / "whole"), *options)
-    names = [place.name for place in sorted((scratch / "whole/pairs").iterdir())]
+    names = [place.name for place in sorted((scratch / "whole/pairs").glob("[!.]*"))]
     pairs = [[str(folder / f"{name}.tif") for name in each.split("__")] for each in names]
     alone = _alone(scratch, pairs, jobs)
     killed = [_killed(folder, scratch, options, number, whole.wall_s) for number in range(KILLS)]
@@ -114,7 +114,7 @@ def _killed(folder: Path, scratch: Path, options: tuple[str, ...], number: int, 
     time.sleep(moment_s)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    done = {path: path.stat().st_mtime_ns for path in out.glob("pairs/*/report.json")}
+    done = {path: path.stat().st_mtime_ns for path in out.glob("pairs/[!.]*/report.json")}
     _command("stack", str(folder), "-o", str(out), *options)
     again = sum(path.stat().st_mtime_ns != before for path, before in done.items())
     differing = _differing(out, scratch / "whole")

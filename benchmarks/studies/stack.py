@@ -238,6 +238,6 @@ def _checked(found: Adjustment, wrong: set[int], unused: Sequence[Edge]) -> Tabl
         ["wrong pairs", len(wrong)],
         ["pairs left out", len(out)],
         ["pairs that took no part", len(unused)],
-        ["error that the points of a pair share, in scatters of its points", f"{found.shared:.2f}"],
+        ["error that the points of a pair share, in what its own blocks tell", f"{found.shared:.2f}"],
     ]
     return Table("Pairs", ("", ""), rows, checks)

@@ -20,6 +20,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from pcwlad_geo.correction.models import PolynomialBasis
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.stacks.network import (
+    ALIKE,
     BLOCKS,
     RAYLEIGH_MEDIAN,
     Edge,
@@ -29,12 +30,14 @@ from pcwlad_geo.stacks.network import (
     Solution,
     blocks_of,
     components,
+    errors_of,
     part_of,
+    side_of_blocks,
 )
 from pcwlad_geo.types import Bool, Float64, Index
 
 LEAST_SHARED: Final = 1e-3
-"""Least sigma of the shared error of a pair, in scatters of its points."""
+"""Least sigma of the shared error of a pair, in what its own blocks tell."""
 ROUNDS: Final = 30
 """Number of rounds in which pairs that contradict the others lose their weight."""
 LINEARISED: Final = 3
@@ -59,7 +62,7 @@ class Adjustment:
     """(images, terms, 2): displacement (x, y) per term, map units."""
     edges: tuple[EdgeFit, ...]
     shared: float
-    """Standard deviation of the error that all points of a pair share, in scatters of its points."""
+    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it."""
     datum: int | None
     """Number of the image that stays; None: the mean of all images does."""
     normal: csc_array
@@ -139,8 +142,9 @@ def adjust(
 
     A pair whose points contradict all others is found and left out: pairs lose weight by their offset first
     (L1 norm), then those far off are left out and tested again. The error that the points of a pair share is
-    taken as proportional to their scatter, as that of matches of two sensors is; by how much, the pairs in
-    use tell by what they contradict each other (Förstner 1979).
+    taken as proportional to the change of its own affine without blocks of its points, as matches of two
+    sensors that see other edges vary more over the ground; by how much, the pairs in use tell by what they
+    contradict each other (Förstner 1979).
 
     Parameters
     ----------
@@ -170,12 +174,12 @@ def adjust(
     basis = basis or _basis(edges, order)
     firsts = [int(np.flatnonzero(group == number)[0]) for number in range(count)]
     fixed = tuple(datum if datum is not None and group[datum] == group[each] else each for each in firsts)
-    network = Network(images, len(basis.exponents), fixed)
+    network, side = Network(images, len(basis.exponents), fixed), side_of_blocks(edges)
     coefficients = np.zeros((images, len(basis.exponents), 2))
     used, shared = np.ones(len(edges), bool), 0.0
     for _ in range(LINEARISED):  # at the ground that the displacements so far tell
         before = coefficients
-        parts = [part_of(edge, basis, before) for edge in edges]
+        parts = [part_of(edge, basis, before, side) for edge in edges]
         shared = shared or _first_shared(network, parts)
         for _ in range(images):
             solution, used, shared = _settled(network, parts, used, shared)
@@ -185,8 +189,8 @@ def adjust(
             used = outvoted
         coefficients = solution.coefficients
     fits = tuple(replace(fit, used=bool(good)) for fit, good in zip(solution.fits, used, strict=True))
-    sigma = shared * np.array([part.scatter for part in parts])
-    spread = _spread(network, edges, basis, before, parts, used, sigma)
+    sigma = shared * errors_of(parts)
+    spread = _spread(network, edges, basis, before, parts, used, sigma, side)
     if datum is None:
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
     return Adjustment(basis, coefficients, fits, shared, datum, solution.normal, group, fixed, spread)
@@ -220,12 +224,13 @@ def extend(before: Adjustment, edges: Sequence[Edge], more: Sequence[Edge], imag
     coefficients = np.concatenate([before.coefficients, placed.coefficients[1:]])
     every, fits = [*edges, *more], (*before.edges, *placed.edges)
     network = Network(images, len(before.basis.exponents), before.fixed)
-    parts = [part_of(edge, before.basis, coefficients) for edge in every]
+    side = side_of_blocks(every)
+    parts = [part_of(edge, before.basis, coefficients, side) for edge in every]
     used = np.array([fit.used for fit in fits])
     sigma = np.repeat([before.shared, placed.shared], [len(edges), len(more)])
-    sigma = sigma * np.array([part.scatter for part in parts])
+    sigma = sigma * errors_of(parts)
     normal, _ = network.equations(parts, used, sigma)
-    spread = _spread(network, every, before.basis, coefficients, parts, used, sigma)
+    spread = _spread(network, every, before.basis, coefficients, parts, used, sigma, side)
     group = components(every, images, np.ones(len(every), bool))[1]
     if before.datum is None:
         spread = _about_mean(spread, group)
@@ -249,13 +254,13 @@ def _spread(
     parts: Sequence[Part],
     used: Bool,
     sigma: Float64,
+    side: float,
 ) -> Float64:
     """Return `Adjustment.spread`: solve again without each block of the ground."""
     if not network.free.size:
         return np.zeros((1, network.images, network.terms, 2))
-    side = max(float(np.median([np.sqrt(np.prod(np.ptp(edge.first_xy, axis=0))) for edge in edges])), 1e-9)
     blocks = [
-        dict(blocks_of(edge, basis, coefficients, side / BLOCKS, part)) if good else {}
+        dict(blocks_of(edge, basis, coefficients, side, part)) if good else {}
         for edge, part, good in zip(edges, parts, used, strict=True)
     ]
     found = []
@@ -264,7 +269,7 @@ def _spread(
         normal, right = network.equations(kept, used, sigma)
         found.append(network.unpacked(splu(normal).solve(right)))
     changes = np.array(found) - np.mean(found, axis=0)
-    return np.asarray(changes * np.sqrt((BLOCKS**2 - 1) / BLOCKS**2))
+    return np.asarray(changes * ALIKE * np.sqrt((BLOCKS**2 - 1) / BLOCKS**2))
 
 
 def _basis(edges: Sequence[Edge], order: int) -> PolynomialBasis:
@@ -279,12 +284,15 @@ def _xy(values: Float64) -> tuple[float, float]:
 
 
 def _first_shared(network: Network, parts: Sequence[Part]) -> float:
-    """Return how much pairs typically contradict each other, in scatters, as if each erred as it seems."""
-    used, scatter = np.ones(len(parts), bool), np.array([part.scatter for part in parts])
+    """Return how much pairs typically contradict each other, as if each erred as it seems.
+
+    In what the blocks of each tell of its error.
+    """
+    used, error = np.ones(len(parts), bool), errors_of(parts)
     shared = np.full(len(parts), 1e3)
     for _ in range(ROUNDS):
-        fits = network.solve(parts, used, shared * scatter).fits
-        size = np.array([np.hypot(*fit.offset) for fit in fits]) / scatter
+        fits = network.solve(parts, used, shared * error).fits
+        size = np.array([np.hypot(*fit.offset) for fit in fits]) / error
         typical = max(float(np.median(size)), LEAST_SHARED)
         shared = np.sqrt(typical * np.maximum(size, typical))
     return typical
@@ -294,9 +302,9 @@ def _settled(
     network: Network, parts: Sequence[Part], used: Bool, shared: float
 ) -> tuple[Solution, Bool, float]:
     """Solve, and leave out pairs that contradict the others, until both no longer change."""
-    scatter = np.array([part.scatter for part in parts])
+    error = errors_of(parts)
     for _ in range(SETTLING):
-        solution = network.solve(parts, used, shared * scatter)
+        solution = network.solve(parts, used, shared * error)
         before, shared = shared, max(_shared_error(solution, used, shared), LEAST_SHARED)
         ratio = np.array([fit.ratio for fit in solution.fits]) * before / shared
         wanted = np.where(used, ratio <= WRONG, ratio <= READMITTED)
@@ -308,9 +316,9 @@ def _settled(
 
 
 def _shared_error(solution: Solution, used: Bool, before: float) -> float:
-    """Return the shared error, in scatters, by which the pairs in use contradict each other as they do.
+    """Return the shared error by which the pairs in use contradict each other as they do.
 
-    By the median: wrong pairs may be among them.
+    It counts in what the blocks of each pair tell of it. By the median: wrong pairs may be among them.
     """
     checked = [
         fit.ratio

@@ -84,7 +84,7 @@ class Stack:
     images: tuple[StackImage, ...]
     pairs: tuple[StackPair, ...]
     shared: float
-    """Standard deviation of the error that all points of a pair share, in scatters of its points."""
+    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it."""
     datum: str
     """Name of the image that stays, or `mean`."""
     out_dir: Path
@@ -155,7 +155,7 @@ class StackNumbers:
     model: str
     """The model that was asked for."""
     shared: float
-    """Standard deviation of the error that all points of a pair share, in scatters of its points."""
+    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it."""
     reference: str
     """Name of the image whose grid is the frame."""
     chosen: Chosen

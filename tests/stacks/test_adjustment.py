@@ -103,7 +103,7 @@ def test_wrong_pairs_are_found_and_no_good_one_is_lost(seed: int) -> None:
     assert {k for k, fit in enumerate(found.edges) if not fit.used} == wrong
     worst_px = np.sqrt((errors(found, truth, None) ** 2).sum(axis=-1).mean(axis=1)).max()
     assert worst_px < 0.035
-    assert found.shared == pytest.approx(0.02 / 0.08, rel=0.3)
+    assert np.median([fit.shared for fit in found.edges]) == pytest.approx(0.02, rel=0.3)
 
 
 def test_an_image_whose_wrong_pairs_are_fewer_than_its_right_ones_is_placed_by_those() -> None:
@@ -135,9 +135,9 @@ def test_sigma_covers_the_errors() -> None:
 
 
 def seen_otherwise(rng: np.random.Generator, xy: Array, sigma: float) -> Array:
-    """Return an error field of (n, 2) places whose neighbours within a sixteenth of a side are alike."""
-    nodes = rng.normal(0.0, sigma, (17, 17, 2))
-    col, row = np.clip(xy / SIDE * 16, 0, 15.999).T
+    """Return an error field of (n, 2) places whose neighbours within an eighth of a side are alike."""
+    nodes = rng.normal(0.0, sigma, (9, 9, 2))
+    col, row = np.clip(xy / SIDE * 8, 0, 7.999).T
     c, r = col.astype(int), row.astype(int)
     u, v = (col - c)[:, None], (row - r)[:, None]
     upper = nodes[r, c] * (1 - u) + nodes[r, c + 1] * u
@@ -166,7 +166,7 @@ def test_sigma_holds_what_all_images_of_a_kind_see_otherwise() -> None:
             near = np.sqrt(np.trace(found.covariance(image, GRID, 4), axis1=1, axis2=2))
             assert (near < np.sqrt(2) * sigma.max(axis=1)).all()
     ratio = np.array(within)
-    assert 0.58 < (ratio < 1).mean() < 0.80
+    assert 0.58 < (ratio < 1).mean() < 0.85
     assert 0.88 < (ratio < 1.96).mean() < 0.99
 
 

@@ -250,11 +250,11 @@ def test_a_killed_stack_goes_on_where_it_was(tmp_path: Path, matched: list[tuple
     command = [sys.executable, "-m", "pcwlad_geo", "stack", *map(str, images), "-o", str(tmp_path / "out")]
     process = subprocess.Popen([*command, "--jobs", "1", "--progress", "none"])
     pairs = tmp_path / "out/pairs"
-    while process.poll() is None and len(list(pairs.glob("*/report.json"))) < 3:
+    while process.poll() is None and len(list(pairs.glob("[!.]*/report.json"))) < 3:
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    done = {path.parent.name for path in pairs.glob("*/report.json")}
+    done = {path.parent.name for path in pairs.glob("[!.]*/report.json")}
     matched.clear()
     stack(images, out_dir=tmp_path / "out", jobs=1)
     assert {"__".join(pair) for pair in matched}.isdisjoint(done)
