@@ -24,6 +24,7 @@ from pcwlad_geo.stacks.graph import candidates, choose_pairs, quick_look
 from pcwlad_geo.stacks.inputs import StackInput
 from pcwlad_geo.stacks.network import Edge
 from pcwlad_geo.stacks.pairs import Frame, measure
+from pcwlad_geo.stacks.run import asked
 from tests.scenes import make_grid, render, write
 
 IMAGES: Final = 24
@@ -60,11 +61,14 @@ def stack(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     chosen = choose_pairs(found, IMAGES)
     with open_runner(None, _ignore, jobs=runner.processes, scheduler=None, preload="numpy") as pool:
         measured = list(measure(frame, chosen, scratch / "out", Settings(), False, _ignore, pool))
+        edges = [edge for edge, _ in measured if edge is not None]
+        more = asked(frame, found, chosen, adjust(edges, IMAGES))
+        measured += measure(frame, more, scratch / "out", Settings(), False, _ignore, pool)
     edges = [edge for edge, _ in measured if edge is not None]
     kept, unused = _set_apart(edges, rng)
     spoiled, wrong = _spoil(kept, rng)
     adjusted = adjust(spoiled, IMAGES)
-    yield _placed(frame, truths, adjusted, spoiled, len(chosen) - len(edges))
+    yield _placed(frame, truths, adjusted, spoiled, len(measured) - len(edges))
     yield _checked(adjusted, wrong, unused)
     yield _bands(data, scratch, runner)
 

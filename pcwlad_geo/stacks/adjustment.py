@@ -36,7 +36,7 @@ from pcwlad_geo.stacks.network import (
 )
 from pcwlad_geo.types import Bool, Float64, Index
 
-LEAST_SHARED: Final = 1e-3
+LEAST_SHARED: Final = 1.0
 """Least sigma of the shared error of a pair, in what its own blocks tell."""
 ROUNDS: Final = 30
 """Number of rounds in which pairs that contradict the others lose their weight."""
@@ -118,7 +118,13 @@ class Adjustment:
 
 
 def larger(one: Float64, other: Float64) -> Float64:
-    """Return the (n, 2, 2) covariances that are in each direction the larger of two."""
+    """Return the (n, 2, 2) covariances that are in each direction the larger of two.
+
+    Parameters
+    ----------
+    one, other : (n, 2, 2) array
+        Covariances in one unit.
+    """
     size = np.trace(one, axis1=1, axis2=2) + np.trace(other, axis1=1, axis2=2)
     least = (1e-9 * size + 1e-30)[:, None, None] * np.eye(2)
     root = np.linalg.cholesky(one + least)

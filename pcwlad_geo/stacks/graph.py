@@ -34,11 +34,12 @@ CELLS: Final = 64
 MIN_CELLS: Final = 64
 """Least number of common places at which quick looks are compared."""
 FAR: Final = 0.75
-"""An image whose position, by as many equal pairs as there are, has a larger variance (in those of a pair)
-gets one more."""
+"""An image whose position has a larger variance, in those of a usual pair, gets one more pair."""
+LEAST_COST: Final = 0.2
+"""The variance of a pair is taken as the square of this and its cost."""
 MOST: Final = 4
 """Pairs an image, at most."""
-UNSURE: Final = 2.0
+UNSURE: Final = 1.5
 """An image of a sigma larger than so many medians gets further pairs."""
 DIRECT_IMAGES: Final = 300
 """Of more images the variances are not asked for, which take dense matrices."""
@@ -53,7 +54,9 @@ class Candidate:
 
 
 def quick_look(info: RasterInfo) -> Float64 | None:
-    """Return where an image shows edges, at most `LOOK_PX` px a side; NaN where it shows nothing.
+    """Return a (rows, cols) image of where an image shows edges; NaN where it shows nothing.
+
+    It has at most `LOOK_PX` px a side.
 
     None where reading it would take as long as reading a large image. Raises `InputError` if the pixels
     cannot be read.
@@ -77,19 +80,26 @@ def candidates(
 ) -> list[Candidate]:
     """Return all pairs with common ground, the most promising first.
 
+    `looks` are the quick looks of the images, each (rows, cols) or None.
+
     What counts is how alike the quick looks' edges are (bands of one kind, one season, without clouds), then
-    season, sun, years between them, clouds told by the metadata, and common ground.
+    season, sun, years between them, clouds told by the metadata, common ground and pixels of one size.
     """
     outlines = [
         shapely.Polygon(frame.from_image(number, info.grid.boundary_px()))
         for number, info in enumerate(frame.infos)
     ]
     alike = _likeness(frame, looks)
+    pixel = [
+        abs(float(np.linalg.det(frame.scale(number, info.grid.middle_px)[0]))) ** 0.5
+        for number, info in enumerate(frame.infos)
+    ]
     found = []
     for one, other in combinations(range(len(outlines)), 2):
         overlap = _overlap(outlines[one], outlines[other])
         if overlap >= MIN_OVERLAP:
             cost = 1.5 - alike[one, other] - 0.5 * overlap + _told(inputs[one], inputs[other])
+            cost += 0.2 * abs(float(np.log2(pixel[one] / pixel[other])))
             found.append(Candidate((one, other), round(cost + 1e-6 * (other - one), 9)))
     return sorted(found, key=lambda each: (each.cost, each.pair))
 
@@ -191,30 +201,57 @@ def _stiffening(
 ) -> Iterator[tuple[int, int]]:
     """Yield further pairs for the images that are least well connected to the first."""
     taken = set(chosen)
+    weight = {each.pair: (LEAST_COST + each.cost) ** -2 for each in found}
+    usual = float(np.median([weight[pair] for pair in chosen]))
     laplace = np.zeros((images, images))
-    for one, other in chosen:
-        laplace[[one, other], [one, other]] += 1.0
-        laplace[[one, other], [other, one]] -= 1.0
+    for pair in chosen:
+        _connect(laplace, pair, weight[pair] / usual)
     while len(taken) < MOST * images:
         variance = np.diag(np.linalg.pinv(laplace[1:, 1:], hermitian=True))
         variance = np.concatenate([[0.0], variance])
-        worst = int(variance.argmax())
-        free = (each.pair for each in found if worst in each.pair and each.pair not in taken)
-        near = (pair for pair in free if variance[sum(pair) - worst] < variance[worst] / 2)
-        pair = next(near, None)
-        if variance[worst] <= FAR or pair is None:
+        another = _another(found, taken, variance)
+        if another is None:
             return
-        taken.add(pair)
-        one, other = pair
-        laplace[[one, other], [one, other]] += 1.0
-        laplace[[one, other], [other, one]] -= 1.0
-        yield pair
+        taken.add(another)
+        _connect(laplace, another, weight[another] / usual)
+        yield another
+
+
+def _another(
+    found: Sequence[Candidate], taken: set[tuple[int, int]], variance: Float64
+) -> tuple[int, int] | None:
+    """Return a pair for the image of the largest variance that can get one; None where none needs it."""
+    for worst in np.argsort(-variance, kind="stable").tolist():
+        if variance[worst] <= FAR:
+            return None
+        for each in found:
+            other = sum(each.pair) - worst
+            if worst in each.pair and each.pair not in taken and variance[other] < variance[worst] / 2:
+                return each.pair
+    return None
+
+
+def _connect(laplace: Float64, pair: tuple[int, int], weight: float) -> None:
+    """Add a pair to the matrix whose inverse tells how well images are connected."""
+    one, other = pair
+    laplace[[one, other], [one, other]] += weight
+    laplace[[one, other], [other, one]] -= weight
 
 
 def asked_by_sigma(
     found: Sequence[Candidate], chosen: Sequence[tuple[int, int]], sigma: Float64
 ) -> list[tuple[int, int]]:
-    """Return further pairs, two an image, for images of an unusually large (images,) sigma."""
+    """Return further pairs, two an image, for images of an unusually large sigma.
+
+    Parameters
+    ----------
+    found : sequence of Candidate
+        The most promising first.
+    chosen : sequence of pairs
+        Those that there are.
+    sigma : (images,) array
+        Standard deviation of the position of each.
+    """
     limit = UNSURE * float(np.median(sigma[sigma > 0])) if (sigma > 0).any() else np.inf
     taken, more = set(chosen), []
     for image in np.flatnonzero(sigma > limit).tolist():

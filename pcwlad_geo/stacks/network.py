@@ -102,7 +102,13 @@ class Part:
     without a block of them."""
 
     def without(self, block: Sequence[Float64]) -> Part:
-        """Return what is left without the sums of a block; the whole where that is more than half of it."""
+        """Return what is left without a block; the whole where that is more than half of it.
+
+        Parameters
+        ----------
+        block : sequence of (2 terms, 2 terms), (2 terms, 6), (6, 6), (2 terms,) and (6,) arrays
+            What its points add to `own`, `across`, `inner`, `seen` and `beside`.
+        """
         own, across, inner, seen, beside = block
         if np.trace(own) > np.trace(self.own) / 2:
             return self
@@ -131,7 +137,8 @@ class _Weighted:
 def part_of(edge: Edge, basis: PolynomialBasis, coefficients: Float64, side: float) -> Part:
     """Sum up the points of an edge, those that lie off the others with less weight.
 
-    Blocks of its points are squares of a `side`, map units.
+    Blocks of its points are squares of a `side`, map units; `coefficients`, (images, terms, 2), tell the
+    ground so far.
     """
     return _summed(edge, _weighted(edge, basis, coefficients), basis, side)
 
@@ -158,7 +165,8 @@ def blocks_of(
     """Return what is left of an edge without each block of its points, a square of a side in map units.
 
     A block that holds more than half of the edge stays. Blocks are numbered 0 to BLOCKS² - 1, and the numbers
-    repeat beyond: a square of BLOCKS x BLOCKS blocks holds each once, wherever it lies.
+    repeat beyond: a square of BLOCKS x BLOCKS blocks holds each once, wherever it lies. The
+    `coefficients`, (images, terms, 2), tell the ground so far.
     """
     points = _weighted(edge, basis, coefficients)
     number = _numbers(points, basis, side)
@@ -277,13 +285,22 @@ class Network:
 
     @property
     def free(self) -> Index:
-        """Numbers of the coefficients that are unknowns."""
+        """The (free,) numbers of the coefficients that are unknowns."""
         size = 2 * self.terms
         every = np.arange(self.images * size).reshape(self.images, size)
         return np.asarray(np.delete(every, self.fixed, axis=0).ravel())
 
     def solve(self, parts: Sequence[Part], used: Bool, shared: Float64) -> Solution:
-        """Solve the normal equations of the edges in use, each with a sigma of its shared error."""
+        """Solve the normal equations of the edges in use, each with a sigma of its shared error.
+
+        Parameters
+        ----------
+        parts : sequence of Part
+        used : (edges,) bool array
+            Edges that count.
+        shared : (edges,) array
+            Standard deviation of the shared error of each, map units.
+        """
         normal, right = self.equations(parts, used, shared)
         factor = splu(normal)
         coefficients = self.unpacked(factor.solve(right))
@@ -294,7 +311,16 @@ class Network:
         return Solution(coefficients, fits, normal)
 
     def equations(self, parts: Sequence[Part], used: Bool, shared: Float64) -> tuple[csc_array, Float64]:
-        """Return the normal matrix of the free coefficients, and the right-hand side."""
+        """Return the (free, free) normal matrix of the coefficients, and the (free,) right-hand side.
+
+        Parameters
+        ----------
+        parts : sequence of Part
+        used : (edges,) bool array
+            Edges that count.
+        shared : (edges,) array
+            Standard deviation of the shared error of each, map units.
+        """
         size = 2 * self.terms
         chosen = [part for part, good in zip(parts, used, strict=True) if good]
         own, across, inner, seen, beside = (
@@ -319,7 +345,7 @@ class Network:
         return csc_array(whole[free][:, free]), right.ravel()[free]
 
     def unpacked(self, free: Float64) -> Float64:
-        """Return the (images, terms, 2) coefficients of the free ones; zeros of images that stay."""
+        """Return the (images, terms, 2) coefficients of the (free,) `free`; zeros of images that stay."""
         found = np.zeros(self.images * 2 * self.terms)
         found[self.free] = free
         return np.asarray(found.reshape(self.images, 2, self.terms).transpose(0, 2, 1))

@@ -193,7 +193,7 @@ def stack(
         control = [] if gcps is None else control_edges(gcps, frame)
         stays = None if datum == "mean" else len(infos) if control else frame.reference
         measured, adjustment = _adjusted(job, frame, plan, control, stays, allow_components)
-        more = _asked(frame, found, plan, adjustment) if chosen == "auto" and len(infos) > ALL_PAIRS else []
+        more = asked(frame, found, plan, adjustment) if chosen == "auto" and len(infos) > ALL_PAIRS else []
         if more:
             measured, adjustment = _adjusted(job, frame, plan + more, control, stays, allow_components)
         result = stack_of(
@@ -301,10 +301,13 @@ def _adjusted(
     return measured, adjust(edges, count, order=job.order, datum=stays, apart=apart)
 
 
-def _asked(
+def asked(
     frame: Frame, found: Sequence[Candidate], plan: Sequence[tuple[int, int]], adjustment: Adjustment
 ) -> list[tuple[int, int]]:
-    """Return the further pairs that the sigmas of the images ask for."""
+    """Return the further pairs that the sigmas of the images of a frame ask for.
+
+    `found` are the pairs to choose from, `plan` those that the adjustment has.
+    """
     sigma = []
     for number, info in enumerate(frame.infos):
         middle = frame.from_image(number, info.grid.middle_px)
