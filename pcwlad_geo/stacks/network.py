@@ -22,6 +22,8 @@ MIN_BLOCKS: Final = 4
 """Fewer blocks tell nothing of what the points of a pair share."""
 POINT_LIMIT: Final = 3.0
 """Points that lie off their pair's by more sigmas lose weight (Huber 1964, doi:10.1214/aoms/1177703732)."""
+LEAST_CHECKED: Final = 0.01
+"""Of an offset that the other pairs check less, the rest is of the arithmetic: it is not called wrong."""
 BLOCKS: Final = 3
 """An image is divided into so many blocks along each axis, which are left out in turn."""
 ALIKE: Final = 1.4
@@ -361,5 +363,5 @@ class Network:
         redundancy = max(0.0, 1.0 - adjusted / own) if used else 1.0
         variance = own * redundancy if used else own + adjusted
         # an edge that nothing checks agrees with itself
-        sigma = float(np.sqrt(max(variance, 1e-6 * own)))
+        sigma = float(np.sqrt(max(variance, LEAST_CHECKED * own)))
         return EdgeFit(used, (float(offset[0]), float(offset[1])), sigma, redundancy, part.scatter, shared)
