@@ -2,6 +2,7 @@
 
 Usage::
 
+    python benchmarks/speed.py --stack [SCENES] [--jobs N]
     python benchmarks/speed.py [--quick] [--scratch FOLDER] [--arosics PYTHON]
 
 Every run of the command line is a process of its own; CPU time and memory are summed over all its processes.
@@ -28,12 +29,14 @@ from benchmarks.speed_studies import limits, parts
 from benchmarks.speed_studies import whole_scenes as w
 from benchmarks.speed_studies.processes import measure
 from benchmarks.speed_studies.scene_files import ScenePair, make_pair
+from benchmarks.speed_studies.stack import stack_of_scenes
 from benchmarks.tables import Cell, Check, Table, as_text, at_most
 
 SIZES = (1024, 2048, 4096, 16384)
 QUICK_SIZES = (1024, 2048, 4096)
 AROSICS_SIDE_PX = 4096
 TILE_PX = 2048
+STACK_SCENES = 100
 
 
 def main() -> int:
@@ -42,6 +45,10 @@ def main() -> int:
     folder = tempfile.TemporaryDirectory(prefix="pcwlad-geo-bench-")
     with nullcontext(arguments.scratch) if arguments.scratch else folder as scratch:
         scratch = Path(scratch)
+        if arguments.stack:
+            for table in stack_of_scenes(scratch, arguments.stack, arguments.jobs):
+                print(as_text(table), flush=True)
+            return 0
         pairs = [_make(scratch, size) for size in arguments.sizes]
         checks = [*_parts(pairs, arguments.repeats)]
         checks += _starts(pairs[0], scratch)
@@ -162,6 +169,15 @@ def _parse() -> argparse.Namespace:
     parser.add_argument(
         "--arosics", type=Path, default=default and Path(default), help="Python of AROSICS' environment"
     )
+    parser.add_argument(
+        "--stack",
+        type=int,
+        nargs="?",
+        const=STACK_SCENES,
+        metavar="SCENES",
+        help=f"measure a stack of so many scenes instead (default: {STACK_SCENES})",
+    )
+    parser.add_argument("--jobs", type=int, default=2, help="processes of a stack (default: 2)")
     arguments = parser.parse_args()
     arguments.sizes = sorted(arguments.sizes or (QUICK_SIZES if arguments.quick else SIZES))
     arguments.repeats = arguments.repeats or (1 if arguments.quick else 3)

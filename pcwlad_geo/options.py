@@ -41,8 +41,8 @@ _REPORTING: Final = ("register", "match", "qa")
 _MATCHING: Final = (*_REPORTING, "stack")
 _CORRECTING: Final = ("register", "stack")
 _WARPING: Final = ("register", "warp")
-_KEEPING: Final = ("register", "batch")
-_TABLES_TOO: Final = ("register", "match", "batch")
+_KEEPING: Final = ("register", "batch", "stack")
+_TABLES_TOO: Final = ("register", "match", "batch", "stack")
 _RUNNERS: Final = ("register", "match", "qa", "batch", "stack")
 _EVERYWHERE: Final = (*_RUNNERS, "warp")
 _NOWHERE: Final = ()
@@ -209,7 +209,11 @@ class Settings:
     grid, or the target's own."""
     like: Annotated[
         Path | str | None,
-        Option("Write exactly the CRS, geotransform and size of this raster.", _WARPING, metavar="FILE"),
+        Option(
+            "Write exactly the CRS, geotransform and size of this raster.",
+            (*_WARPING, "stack"),
+            metavar="FILE",
+        ),
     ] = None
     """Raster whose CRS, geotransform and size the registered one gets exactly."""
     tr: Annotated[

@@ -11,7 +11,7 @@ from typing import Final, Literal, NamedTuple
 from pcwlad_geo.correction.error_statistics import ErrorStatistics
 from pcwlad_geo.errors import SettingsError
 
-Command = Literal["register", "match", "qa"]
+Command = Literal["register", "match", "qa", "stack"]
 Sign = Literal["<=", ">=", "="]
 Group = Literal["check", "fit"]
 Unit = Literal["px", "native px", "m"]
@@ -40,10 +40,10 @@ QUANTITIES: Final = (
         Quantity(name, ERRORS, kind="error")
         for name in ("mean", "median", "std", "RMSE", "LE90", "CE90", "CE95", "CE99.7")
     ),
-    Quantity("closure", ("qa",)),
-    Quantity("displacement", MATCHING),
-    Quantity("sigma", MATCHING),
-    Quantity("points", MATCHING, (">=",), "count"),
+    Quantity("closure", ("qa", "stack")),
+    Quantity("displacement", (*MATCHING, "stack")),
+    Quantity("sigma", (*MATCHING, "stack")),
+    Quantity("points", (*MATCHING, "stack"), (">=",), "count"),
     Quantity("coverage", MATCHING, (">=",), "share"),
     Quantity(
         "model",
@@ -61,6 +61,7 @@ EXAMPLES: Final[dict[Command, str]] = {
     "register": "'CE90<=0.5px', 'fit RMSE<=5m', 'points>=100', 'coverage>=0.8' or 'model=shift'",
     "match": "'points>=100', 'coverage>=0.8', 'sigma<=0.2px' or 'displacement<=3px'",
     "qa": "'CE90<=0.3px'",
+    "stack": "'sigma<=0.1px', 'closure<=0.05px' or 'points>=100'",
 }
 """Examples of requirements by command, for messages."""
 

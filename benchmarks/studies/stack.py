@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Final
 
@@ -18,12 +19,16 @@ from pcwlad_geo.execution.processes import open_runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.stacks.adjustment import Adjustment, Edge, adjust
-from pcwlad_geo.stacks.pairs import Frame, choose_pairs, measure
+from pcwlad_geo.stacks.adjustment import Adjustment, adjust
+from pcwlad_geo.stacks.graph import candidates, choose_pairs, quick_look
+from pcwlad_geo.stacks.inputs import StackInput
+from pcwlad_geo.stacks.network import Edge
+from pcwlad_geo.stacks.pairs import Frame, measure
+from pcwlad_geo.stacks.run import asked
 from tests.scenes import make_grid, render, write
 
 IMAGES: Final = 24
-SHAPE: Final = (320, 360)
+SHAPE: Final = (1024, 1024)
 SENSORS: Final = (("red", 30.0), ("thermal", 30.0), ("red", 42.0))
 """Band and pixel size, metres."""
 SEED: Final = 18
@@ -47,19 +52,25 @@ class Truth:
         return np.asarray(at_px @ self.linear.T + self.shift)
 
 
-def stack(_data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
+def stack(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     """Yield how well every image of a synthetic stack is placed, which pairs are left out, and closure."""
     rng = np.random.default_rng(SEED)
     frame, truths = _images(scratch, rng)
-    chosen = choose_pairs(frame, None)
+    given = [frame.given(number) for number in range(IMAGES)]
+    found = candidates(frame, given, [quick_look(info) for info in frame.infos])
+    chosen = choose_pairs(found, IMAGES)
     with open_runner(None, _ignore, jobs=runner.processes, scheduler=None, preload="numpy") as pool:
         measured = list(measure(frame, chosen, scratch / "out", Settings(), False, _ignore, pool))
+        edges = [edge for edge, _ in measured if edge is not None]
+        more = asked(frame, found, chosen, adjust(edges, IMAGES))
+        measured += measure(frame, more, scratch / "out", Settings(), False, _ignore, pool)
     edges = [edge for edge, _ in measured if edge is not None]
     kept, unused = _set_apart(edges, rng)
     spoiled, wrong = _spoil(kept, rng)
-    found = adjust(spoiled, IMAGES)
-    yield _placed(frame, truths, found, spoiled, len(chosen) - len(edges))
-    yield _checked(found, wrong, unused)
+    adjusted = adjust(spoiled, IMAGES)
+    yield _placed(frame, truths, adjusted, spoiled, len(measured) - len(edges))
+    yield _checked(adjusted, wrong, unused)
+    yield _bands(data, scratch, runner)
 
 
 def _ignore(_event: object) -> None:
@@ -88,6 +99,47 @@ def _clouds(values: Array, rng: np.random.Generator) -> Array:
     smooth = ndimage.gaussian_filter(rng.normal(size=values.shape), 18.0)
     veil = np.clip((smooth - np.quantile(smooth, 1 - CLOUD_SHARE)) / smooth.std() * 4, 0.0, 1.0)
     return np.asarray(values * (1 - veil) + 1.2 * float(values.max()) * veil)
+
+
+def _bands(data: Path, scratch: Path, runner: Runner) -> Table:
+    """Adjust three bands of Landsat 8 and the same of Sentinel-2, and look at pairs that took no part."""
+    folder = data / "cross_sensor"
+    files = [(folder / "landsat8_byte.tif", band, f"Landsat {name}") for band, name in LANDSAT]
+    files += [(folder / "sentinel2_b432_byte.tif", band, f"Sentinel-2 {name}") for band, name in SENTINEL]
+    inputs = tuple(StackInput(str(path), band, name) for path, band, name in files)
+    infos = [given.describe() for given in inputs]
+    frame = Frame([given.name for given in inputs], infos, infos[0].grid, True, inputs)
+    chosen = list(combinations(range(len(inputs)), 2))
+    with open_runner(None, _ignore, jobs=runner.processes, scheduler=None, preload="numpy") as pool:
+        measured = list(measure(frame, chosen, scratch / "bands", Settings(), False, _ignore, pool))
+    edges = [edge for edge, _ in measured if edge is not None]
+    left: list[Array] = []
+    rows: list[list[Cell]] = []
+    for turn in range(TURNS):  # each pair is set apart once
+        apart = [edge for number, edge in enumerate(edges) if number % TURNS == turn]
+        found = adjust([edge for number, edge in enumerate(edges) if number % TURNS != turn], len(inputs))
+        for edge in apart:
+            left.append(_misclosure(found, edge))
+            names = f"{inputs[edge.first].name} - {inputs[edge.second].name}"
+            rows.append([names, len(edge), *(f"{value:+.3f}" for value in left[-1])])
+    closure = float(np.sqrt(np.square(left).sum(axis=1).mean()))
+    checks = [at_most("closure of pairs that took no part, RMS", closure, BANDS_CLOSURE_PX, "px", 3)]
+    title = f"Bands of Landsat 8 and Sentinel-2, {len(edges)} of {len(chosen)} pairs; px of 30 m"
+    return Table(title, ("pair that took no part", "points", "left over x", "y"), rows, checks)
+
+
+LANDSAT: Final = ((2, "blue"), (3, "green"), (4, "red"))
+SENTINEL: Final = ((3, "blue"), (2, "green"), (1, "red"))
+"""Number and colour of the bands of the files."""
+TURNS: Final = 5
+BANDS_CLOSURE_PX: Final = 0.05
+
+
+def _misclosure(found: Adjustment, edge: Edge) -> Array:
+    """Return the median (x, y) by which a pair lies off what an adjustment tells without it."""
+    ground = found.to_ground(edge.first, edge.first_xy)
+    told = found.displacement(edge.second, ground) - found.displacement(edge.first, ground)
+    return np.asarray(np.median(edge.second_xy - edge.first_xy - told, axis=0))
 
 
 def _set_apart(edges: Sequence[Edge], rng: np.random.Generator) -> tuple[list[Edge], list[Edge]]:
@@ -179,11 +231,7 @@ def _of_edge(edge: Edge, forward: bool, xy: Array) -> Array:
 def _checked(found: Adjustment, wrong: set[int], unused: Sequence[Edge]) -> Table:
     """Compare the pairs left out with those spoiled, and pairs that took no part with the result."""
     out = {number for number, fit in enumerate(found.edges) if not fit.used}
-    left = []
-    for edge in unused:
-        ground = found.to_ground(edge.first, edge.first_xy)
-        told = found.displacement(edge.second, ground) - found.displacement(edge.first, ground)
-        left.append(np.median(edge.second_xy - edge.first_xy - told, axis=0))
+    left = [_misclosure(found, edge) for edge in unused]
     closure = float(np.sqrt(np.mean(np.square(left)) * 2))
     checks = [
         at_most("wrong pairs that were not found", len(wrong - out), 0, digits=0),
@@ -194,6 +242,6 @@ def _checked(found: Adjustment, wrong: set[int], unused: Sequence[Edge]) -> Tabl
         ["wrong pairs", len(wrong)],
         ["pairs left out", len(out)],
         ["pairs that took no part", len(unused)],
-        ["error that the points of a pair share, in scatters of its points", f"{found.shared:.2f}"],
+        ["error that the points of a pair share, in what its own blocks tell", f"{found.shared:.2f}"],
     ]
     return Table("Pairs", ("", ""), rows, checks)

@@ -12,7 +12,7 @@ from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.job import Ending, run_guarded
 from pcwlad_geo.cli.options import collect
 from pcwlad_geo.cli.outcome import columns
-from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.errors import InputError, RequirementError, SettingsError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.options import BAND_NAME, Settings
 from pcwlad_geo.text import visible
@@ -27,7 +27,8 @@ Images = Annotated[
     list[str],
     typer.Argument(
         metavar="IMAGE…",
-        help="Rasters or products; a folder of rasters; a table (CSV) with a column image.",
+        help="Rasters, products or STAC items; a folder of rasters; a table (CSV) with a column image. "
+        "With --add: the output folder of the stack.",
         show_default=False,
     ),
 ]
@@ -47,6 +48,37 @@ Datum = Annotated[
     Literal["reference", "mean"],
     typer.Option("--datum", help="What stays: the reference, or the mean position of all images."),
 ]
+Add = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--add",
+        metavar="IMAGE",
+        help="Add this image to the finished stack named in place of images; repeatable.",
+        show_default=False,
+    ),
+]
+Pairs = Annotated[
+    Path | None,
+    typer.Option(
+        "--pairs",
+        metavar="FILE",
+        help="Match the pairs of this table (CSV: reference, target) instead of choosing them.",
+        show_default=False,
+    ),
+]
+Gcps = Annotated[
+    Path | None,
+    typer.Option(
+        "--gcps",
+        metavar="FILE",
+        help="Control points as the datum (CSV: image, col, row, x, y, sigma).",
+        show_default=False,
+    ),
+]
+AllowComponents = Annotated[
+    bool,
+    typer.Option("--allow-components", help="Give groups of images that no pair connects a datum each."),
+]
 MaxPairs = Annotated[
     int | None,
     typer.Option("--max-pairs", metavar="N", min=1, help="Most pairs that are matched.", show_default=False),
@@ -61,7 +93,11 @@ def stack(
     band: Band = "1",
     reference: ReferenceName = None,
     datum: Datum = "reference",
+    add: Add = None,
+    pairs: Pairs = None,
     max_pairs: MaxPairs = None,
+    gcps: Gcps = None,
+    allow_components: AllowComponents = False,
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
     config: o.Config = None,
@@ -76,20 +112,41 @@ def stack(
 def _work(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     settings = collect(params, params["config"])
     Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
+    if params["add"]:
+        return _added(params, settings, on_event)
     from pcwlad_geo.stacks.run import stack
 
     found = stack(
         params["images"],
         out_dir=params["out_dir"],
         band=_band(params["band"]),
-        reference=params["reference"],
-        datum=params["datum"],
-        max_pairs=params["max_pairs"],
-        overwrite=params["overwrite"],
         on_event=on_event,
+        **{name: params[name] for name in OWN},
         **settings,
     )
     return _ending(found)
+
+
+OWN = ("reference", "datum", "pairs", "max_pairs", "gcps", "allow_components", "overwrite")
+"""Options of the command's own that the API has under the same names."""
+NOT_WITH_ADD = ("reference", "pairs", "max_pairs", "gcps", "allow_components", "overwrite", "out_dir")
+"""Options that a stack has had before an image is added to it."""
+
+
+def _added(params: Mapping[str, Any], settings: dict[str, Any], on_event: EventCallback) -> Ending:
+    """Add images to a finished stack."""
+    if len(params["images"]) != 1:
+        raise SettingsError(
+            f"--add takes one folder of a finished stack, and {len(params['images'])} are named: "
+            "pcwlad-geo stack --add IMAGE OUT_DIR"
+        )
+    for name in NOT_WITH_ADD:
+        if params[name]:
+            option = name.replace("_", "-")
+            raise SettingsError(f"--{option} is a matter of the whole stack: leave it out with --add")
+    from pcwlad_geo.stacks.run import add
+
+    return _ending(add(params["add"], params["images"][0], on_event=on_event, **settings))
 
 
 def _band(text: str) -> int | str:
@@ -103,7 +160,8 @@ def _band(text: str) -> int | str:
 def _abandon(params: Mapping[str, Any]) -> None:
     from pcwlad_geo.outputs.folder import abandon
 
-    pairs = Path(params["out_dir"] or "stack") / "pairs"
+    folder = params["images"][0] if params["add"] else params["out_dir"] or "stack"
+    pairs = Path(folder) / "pairs"
     for folder in pairs.iterdir() if pairs.is_dir() else ():
         abandon(folder)
 
@@ -113,6 +171,8 @@ def _ending(found: Stack) -> Ending:
 
     counts = {status: sum(pair.status == status for pair in found.pairs) for status in _STATUSES}
     status = InputError.exit_status if found.unreadable else 0
+    if found.passed is False:
+        status = RequirementError.exit_status
     paths = {
         "numbers": found.out_dir / NUMBERS,
         "table": found.out_dir / TABLE,
@@ -122,6 +182,8 @@ def _ending(found: Stack) -> Ending:
         "images": len(found.images),
         "pairs": counts,
         "unreadable": list(found.unreadable),
+        "closure_px": found.closure.after_px,
+        "passed": found.passed,
         "shared": found.shared,
         "exit_status": status,
         "paths": {kind: str(path.absolute()) for kind, path in paths.items()},
@@ -129,6 +191,7 @@ def _ending(found: Stack) -> Ending:
     lines = columns([HEADER, *(_row(image) for image in found.images)], (0,))
     lines += ["", "pairs: " + ", ".join(f"{count} {each}" for each, count in counts.items() if count)]
     lines += [f"left out: {pair.reference} - {pair.target}: {pair.reason}" for pair in found.left_out]
+    lines += [each.text for each in found.requirements]
     lines.append(f"report: {found.out_dir / PAGE}")
     return Ending(figures, visible("\n".join(lines)) + "\n", status)
 

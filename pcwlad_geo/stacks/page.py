@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Final
 
 from pcwlad_geo.report.rendering import templates_of
+from pcwlad_geo.stacks.cycles import root_mean_square
 from pcwlad_geo.stacks.pairs import StackPair
 from pcwlad_geo.stacks.result import Stack
 
@@ -22,6 +23,10 @@ NAME_LENGTH: Final = 24
 """Largest number of characters of a name in the drawing."""
 CLASSES_PX: Final = (0.02, 0.05, 0.1, 0.3)
 """Class limits of the offset of a pair for its colour, constant so that pages can be compared."""
+SERIES_PX: Final = (760.0, 170.0)
+"""Width and height of a time series, CSS px."""
+RANKED: Final = 5
+"""Number of images named by their displacement."""
 MAX_NAMED: Final = 40
 """Largest number of images whose names stand in the drawing."""
 
@@ -53,6 +58,29 @@ class Link:
     title: str
 
 
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """The shift of an image along an axis in a time series, CSS px, with one sigma on either side."""
+
+    name: str
+    x: float
+    y: float
+    top: float
+    bottom: float
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """The shifts of the images along an axis, in the order of their dates."""
+
+    axis: str
+    bars: tuple[Bar, ...]
+    ticks: tuple[tuple[float, str], ...]
+    """Height, CSS px, and value."""
+    dates: tuple[tuple[float, str], ...]
+    """Place, CSS px, and date."""
+
+
 def page(found: Stack) -> str:
     """Return the page, which holds everything that it shows."""
     nodes = _ring([image.name for image in found.images])
@@ -63,7 +91,13 @@ def page(found: Stack) -> str:
     sigma = [max(image.sigma_px) for image in found.images]
     template = templates_of("pcwlad_geo.stacks").get_template("stack.html.j2")
     return template.render(
-        images=found.images,
+        images=sorted(found.images, key=lambda image: -image.suspicion),
+        farthest=sorted(found.images, key=lambda image: -math.hypot(*image.shift_px))[:RANKED],
+        closure=found.closure,
+        series=_series(found),
+        wide=SERIES_PX,
+        requirements=found.requirements,
+        groups=max(image.group for image in found.images) + 1,
         pairs=[(pair, _offset_px(pair)) for pair in pairs],
         nodes=nodes,
         links=[_link(pair, at) for pair in reversed(pairs)],
@@ -72,7 +106,7 @@ def page(found: Stack) -> str:
         named=len(nodes) <= MAX_NAMED,
         classes=_class_names(),
         counts={status: sum(pair.status == status for pair in found.pairs) for status in order},
-        typical_px=_root_mean_square(used),
+        typical_px=root_mean_square(used) or 0.0,
         worst_sigma_px=max(sigma),
         datum=found.datum,
         shared=found.shared,
@@ -85,6 +119,45 @@ def page(found: Stack) -> str:
 
 UNCHECKED: Final = 0.01
 """A pair of less redundancy is checked by no other."""
+
+
+def _series(found: Stack) -> list[Series]:
+    """Return the time series of the shifts, along columns and rows; none of fewer than three dates."""
+    dated = sorted(
+        (image for image in found.images if image.given.day is not None),
+        key=lambda image: (str(image.date), image.name),
+    )
+    days = [image.given.day.toordinal() for image in dated if image.given.day is not None]
+    if len(set(days)) < DATES:
+        return []
+    width, height = SERIES_PX
+    across = [MARGIN_PX + (day - days[0]) / (days[-1] - days[0]) * (width - 2 * MARGIN_PX) for day in days]
+    made = []
+    for axis, name in enumerate(("columns", "rows")):
+        ends = [image.shift_px[axis] + sign * image.sigma_px[axis] for image in dated for sign in (-1.0, 1.0)]
+        low, high = min(ends), max(max(ends), min(ends) + 1e-3)
+
+        def down(value: float, low: float = low, high: float = high) -> float:
+            return round(height - 25 - (value - low) / (high - low) * (height - 40), 1)
+
+        bars = [
+            Bar(
+                f"{image.name}, {str(image.date)[:10]}: {image.shift_px[axis]:+.3f} px",
+                round(x, 1),
+                down(image.shift_px[axis]),
+                down(image.shift_px[axis] + image.sigma_px[axis]),
+                down(image.shift_px[axis] - image.sigma_px[axis]),
+            )
+            for image, x in zip(dated, across, strict=True)
+        ]
+        ticks = tuple((down(value), f"{value:+.2f}") for value in (low, (low + high) / 2, high))
+        dates = ((across[0], str(dated[0].date)[:10]), (across[-1], str(dated[-1].date)[:10]))
+        made.append(Series(name, tuple(bars), ticks, dates))
+    return made
+
+
+DATES: Final = 3
+"""Least number of dates of a time series."""
 
 
 def _ring(names: Sequence[str]) -> list[Node]:
@@ -123,7 +196,3 @@ def _class_names() -> list[str]:
 
 def _offset_px(pair: StackPair) -> float:
     return 0.0 if pair.offset_px is None else math.hypot(*pair.offset_px)
-
-
-def _root_mean_square(values: Sequence[float]) -> float:
-    return math.sqrt(sum(value**2 for value in values) / len(values)) if values else 0.0

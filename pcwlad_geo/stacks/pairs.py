@@ -1,4 +1,4 @@
-"""The pairs of a stack: which are worth measuring, and what the matching of each gives."""
+"""The pairs of a stack: what the matching of each gives."""
 
 from __future__ import annotations
 
@@ -8,31 +8,29 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-import shapely
 
 from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import match_files
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Grid, jacobian, map_px
+from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.report.finished import report_of_same_job
-from pcwlad_geo.stacks.adjustment import Edge, components
+from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
+from pcwlad_geo.stacks.network import Edge, components
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.readers import read_point_file
-from pcwlad_geo.types import Float64
+from pcwlad_geo.types import Float64, PathLike
 
 PAIRS: Final = "pairs"
 """Folder of the pairs that were measured."""
-ALL_PAIRS: Final = 8
-"""Of the first so many images every pair is measured."""
-NEXT: Final = 3
-"""Each further one is paired with so many before it."""
-MIN_OVERLAP: Final = 0.1
-"""Least common ground of a pair, as a share of the smaller image."""
 MIN_POINTS: Final = 12
 """Least number of tie points of a pair."""
+MIN_CONTROL: Final = 4
+"""Least number of control points of an image."""
+CONTROL_SIGMA_PX: Final = 0.5
+"""Standard deviation of a control point where the table tells none, px of the frame."""
 
 PairStatus = Literal["used", "left out", "refused"]
 
@@ -46,17 +44,17 @@ class StackPair:
     status: PairStatus
     """`left out`: its points contradict the other pairs; `refused`: it could not be matched."""
     reason: str | None
-    points: int
-    offset_px: tuple[float, float] | None
-    """By how much its points lie off the adjustment on average (col, row), px of the frame."""
-    sigma_px: float | None
-    """Standard deviation of that along an axis, if the pair is right."""
-    redundancy: float | None
-    """Share of the offset that other pairs check; nothing tells whether a pair of 0 is wrong."""
-    scatter_px: float | None
-    """Robust standard deviation of its points along an axis, px of the frame."""
     folder: Path
     """Its tie points and report; in stack.json relative to that file."""
+    points: int = 0
+    offset_px: tuple[float, float] | None = None
+    """By how much its points lie off the adjustment on average (col, row), px of the frame."""
+    sigma_px: float | None = None
+    """Standard deviation of that along an axis, if the pair is right."""
+    redundancy: float | None = None
+    """Share of the offset that other pairs check; nothing tells whether a pair of 0 is wrong."""
+    scatter_px: float | None = None
+    """Robust standard deviation of its points along an axis, px of the frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +66,15 @@ class Frame:
     grid: Grid
     placed: bool
     """Whether all images are georeferenced; otherwise their pixels are compared."""
+    inputs: tuple[StackInput, ...] = ()
+    """The images as they were named; none: the files of `infos`."""
+    reference: int = 0
+    """Number of the image whose grid it is."""
+
+    def given(self, image: int) -> StackInput:
+        """Return an image as it was named."""
+        info = self.infos[image]
+        return self.inputs[image] if self.inputs else StackInput(info.uri, info.band, self.names[image])
 
     def from_image(self, image: int, px: Float64) -> Float64:
         """Map the (n, 2) `px` of an image to px of the frame by its georeferencing."""
@@ -84,40 +91,6 @@ class Frame:
         return jacobian(px, self.infos[image].grid, self.grid)
 
 
-def choose_pairs(frame: Frame, most: int | None) -> list[tuple[int, int]]:
-    """Return the pairs worth measuring, at most so many.
-
-    All of the first images; each further one with those before it, and in steps of powers of two farther
-    back, which stiffen a long series. An image added at the end leaves the pairs of the others as they are.
-    """
-    outlines = [
-        shapely.Polygon(frame.from_image(number, info.grid.boundary_px()))
-        for number, info in enumerate(frame.infos)
-    ]
-    count = len(outlines)
-    wanted = [(number - step, number) for step in range(1, count) for number in range(step, count)]
-    chosen: list[tuple[int, int]] = []
-    degree = np.zeros(count, int)
-    for one, other in wanted:
-        # images that follow each other may share no ground: others are needed then
-        needed = _useful(one, other) or min(degree[one], degree[other]) < NEXT
-        if needed and _overlap(outlines[one], outlines[other]) >= MIN_OVERLAP:
-            chosen.append((one, other))
-            degree[[one, other]] += 1
-    return chosen[:most]
-
-
-def _useful(one: int, other: int) -> bool:
-    step = other - one
-    power = step & (step - 1) == 0
-    return other < ALL_PAIRS or step <= NEXT or (power and other % step == 0)
-
-
-def _overlap(one: shapely.Polygon, other: shapely.Polygon) -> float:
-    smaller = min(one.area, other.area)
-    return float(one.intersection(other).area / smaller) if smaller > 0 else 0.0
-
-
 Measured = tuple[Edge | None, StackPair]
 
 
@@ -131,44 +104,59 @@ def measure(
     runner: Runner,
 ) -> Iterator[Measured]:
     """Yield what each pair gave, matched now or by an earlier run on the same files."""
-    matching = replace(settings, model="auto")
     for number, (one, other) in enumerate(chosen):
         on_event(Progress("pairs", number, len(chosen)))
         names = frame.names[one], frame.names[other]
         place = folder / PAIRS / f"{names[0]}__{names[1]}"
-        inputs = frame.infos[one].uri, frame.infos[other].uri
-        reason: str | None = None
-        report = {} if overwrite else report_of_same_job("match", inputs, matching, place)
-        if not report:
-            given: dict[str, Any] = {name: getattr(matching, name) for name in asdict(matching)}
-
-            def of_this(event: Event, name: str = " – ".join(names)) -> None:
-                on_event(Warned(f"{name}: {event.message}") if isinstance(event, Warned) else event)
-
-            try:
-                match_files(
-                    *inputs, out_dir=place, overwrite=True, on_event=of_this, executor=runner, **given
-                )
-            except RegistrationRejectedError as error:
-                reason = str(error)
-            except InputError as error:
-                reason = joined(error)
-        elif report["status"] == "rejected":
-            reason = str(report["reason"])
-        edge = None if reason else _edge(frame, one, other, place)
+        reason = _match(frame, (one, other), place, settings, overwrite, on_event, runner)
+        edge = None if reason else edge_of(frame, one, other, place)
         if edge is None:
             reason = reason or f"fewer than {MIN_POINTS} tie points"
             on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
-        yield (
-            edge,
-            StackPair(
-                *names, "refused" if edge is None else "used", reason, 0, None, None, None, None, place
-            ),
-        )
+        yield edge, StackPair(*names, "refused" if edge is None else "used", reason, place)
     on_event(Progress("pairs", len(chosen), len(chosen)))
 
 
-def _edge(frame: Frame, one: int, other: int, place: Path) -> Edge | None:
+def _match(
+    frame: Frame,
+    pair: tuple[int, int],
+    place: Path,
+    settings: Settings,
+    overwrite: bool,
+    on_event: EventCallback,
+    runner: Runner,
+) -> str | None:
+    """Match a pair into a folder unless that holds the result; return why it was refused."""
+    first, second = (frame.given(image) for image in pair)
+    own = {"ref_band": first.band, "tgt_band": second.band, "ref_mask": first.mask, "tgt_mask": second.mask}
+    matching = replace(settings, **PAIR_DEFAULTS, **own)  # type: ignore[arg-type]  # by name
+    inputs = first.path, second.path
+    report = {} if overwrite else report_of_same_job("match", inputs, matching, place)
+    if report:
+        return str(report["reason"]) if report["status"] == "rejected" else None
+    given: dict[str, Any] = {name: getattr(matching, name) for name in asdict(matching)}
+
+    def of_this(event: Event) -> None:
+        named = f"{frame.names[pair[0]]} – {frame.names[pair[1]]}"
+        on_event(Warned(f"{named}: {event.message}") if isinstance(event, Warned) else event)
+
+    try:
+        match_files(*inputs, out_dir=place, overwrite=True, on_event=of_this, executor=runner, **given)
+    except RegistrationRejectedError as error:
+        return str(error)
+    except InputError as error:
+        return joined(error)
+    return None
+
+
+PAIR_DEFAULTS: Final[dict[str, Any]] = {
+    "model": "auto", "like": None, "require": (), "keep": False,
+    "of": "COG", "co": (), "resampling": "lanczos",
+}  # fmt: skip
+"""Options of the corrected images, which say nothing of a pair."""
+
+
+def edge_of(frame: Frame, one: int, other: int, place: Path) -> Edge | None:
     """Read the tie points of a pair, as all runs find them; None if they are too few."""
     points = read_point_file(place / "tiepoints.csv")
     sigma_px = points.sigma_px
@@ -185,16 +173,62 @@ def _edge(frame: Frame, one: int, other: int, place: Path) -> Edge | None:
     return Edge(one, other, first[known], second[known], covariance[known])
 
 
-def check_connected(frame: Frame, edges: Sequence[Edge], folder: Path) -> None:
-    """Raise `RegistrationRejectedError` if the pairs that were matched do not connect all images."""
-    count, group = components(edges, len(frame.names), np.ones(len(edges), bool))
-    if count == 1:
-        return
+def control_edges(table: PathLike, frame: Frame) -> list[Edge]:
+    """Return the control points of a table, image by image, as pairs with the ground itself.
+
+    It has the columns image, col, row (px of the file, corner-based), x, y (CRS of the frame) and, if known,
+    sigma (along an axis, units of x and y). The ground has the number after the last image.
+
+    Raises
+    ------
+    InputError
+        If the table cannot be used, or the images are not georeferenced.
+    """
+    if not frame.placed:
+        raise InputError(f"{table}: images without georeferencing have no place for control points")
+    rows = read_table(Path(table), ("image", "col", "row", "x", "y"))
+    unit = abs(float(np.linalg.det(linear_part(frame.grid.transform)))) ** 0.5
+    found = []
+    for name in dict.fromkeys(row["image"] for row in rows):
+        if name not in frame.names:
+            raise InputError(f"{table} names {name}, which is none of the images {', '.join(frame.names)}")
+        of_image = [row for row in rows if row["image"] == name]
+        if len(of_image) < MIN_CONTROL:
+            raise InputError(f"{table} has {len(of_image)} control points of {name}: give {MIN_CONTROL}")
+        at = np.array([[number_of(row, column) for column in ("col", "row", "x", "y")] for row in of_image])
+        sigma = np.array(
+            [number_of(row, "sigma") / unit if row.get("sigma") else CONTROL_SIGMA_PX for row in of_image]
+        )
+        if not (np.isfinite(at).all() and (sigma > 0).all()):
+            raise InputError(f"{table}: the control points of {name} need finite numbers and sigmas above 0")
+        image = frame.names.index(name)
+        ground = frame.grid.to_px(at[:, 2:])
+        covariance = sigma[:, None, None] ** 2 * np.eye(2)
+        found.append(Edge(len(frame.names), image, ground, frame.from_image(image, at[:, :2]), covariance))
+    return found
+
+
+def check_connected(frame: Frame, edges: Sequence[Edge], reference: int, folder: Path, apart: bool) -> str:
+    """Return a warning where the pairs that were matched do not connect all images; empty where they do.
+
+    Raises `RegistrationRejectedError` unless groups may be `apart`, or where no pair could be matched.
+    """
+    _, group = components(edges, len(frame.names) + 1, np.ones(len(edges), bool))
     groups = [
-        " + ".join(name for name, of in zip(frame.names, group, strict=True) if of == number)
-        for number in range(count)
+        " + ".join(name for name, of in zip(frame.names, group, strict=False) if of == number)
+        for number in dict.fromkeys(group[: len(frame.names)].tolist())
     ]
+    if len(groups) == 1 and edges:
+        return ""
+    alone = (
+        f"; {frame.names[reference]}, the reference, has no pair at all: give another with --reference"
+        if (group == group[reference]).sum() == 1
+        else ""
+    )
+    message = f"{len(groups)} groups of images are not connected by any pair: {'; '.join(groups)}{alone}"
+    if apart and edges:
+        return f"{message}: each group has a datum of its own, the first of its images"
     raise RegistrationRejectedError(
-        f"{count} groups of images are not connected by any pair: {'; '.join(groups)}; give images that "
-        f"share ground with both, or stack each group for itself (pairs: {folder / PAIRS})"
+        f"{message}; give images that share ground with both, stack each group for itself, or give "
+        f"--allow-components (pairs: {folder / PAIRS})"
     )

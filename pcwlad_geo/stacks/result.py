@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -24,7 +24,10 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.requirements import Requirement, RequirementResult
 from pcwlad_geo.stacks.adjustment import Adjustment
+from pcwlad_geo.stacks.cycles import Closure, closure_of, root_mean_square, suspicion
+from pcwlad_geo.stacks.inputs import StackInput
 from pcwlad_geo.stacks.pairs import Frame, Measured, StackPair
 from pcwlad_geo.text import cell, read_text
 from pcwlad_geo.types import Float64
@@ -39,6 +42,7 @@ PAGE: Final = "stack.html"
 """File name of the page."""
 FILES: Final = (NUMBERS, TABLE, PAGE)
 """Files of a stack beside its rasters, in the order in which they are written."""
+Chosen = Literal["auto", "listed", "limited"]
 NODES: Final = 15
 """Places along each axis of an image at which its correction is fitted and its sigma averaged."""
 
@@ -60,6 +64,17 @@ class StackImage:
     correction: Correction
     registered: Path
     """The corrected raster, on the grid of the frame."""
+    suspicion: float
+    """Root mean square, over its pairs, of by how many sigmas each disagrees with all others."""
+    group: int
+    """Number of the group of images that pairs connect; those of another have another datum."""
+    given: StackInput
+    """As the user named it."""
+
+    @property
+    def date(self) -> str | None:
+        """Date or time of acquisition, ISO 8601, if known."""
+        return self.given.date if self.given.day is not None else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +84,7 @@ class Stack:
     images: tuple[StackImage, ...]
     pairs: tuple[StackPair, ...]
     shared: float
-    """Standard deviation of the error that all points of a pair share, in scatters of its points."""
+    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it."""
     datum: str
     """Name of the image that stays, or `mean`."""
     out_dir: Path
@@ -77,6 +92,17 @@ class Stack:
     adjustment: Adjustment
     unreadable: Mapping[str, str]
     """Reason by path of the images that could not be read."""
+    reference: str
+    """Name of the image whose grid is the frame."""
+    chosen: Chosen
+    """How the pairs were chosen: all that are worth it, those of a list, or so many at most."""
+    closure: Closure
+    requirements: tuple[RequirementResult, ...] = ()
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether all requirements are met; None without requirements."""
+        return all(each.met for each in self.requirements) if self.requirements else None
 
     @property
     def left_out(self) -> tuple[StackPair, ...]:
@@ -98,10 +124,25 @@ class ImageEntry:
     """The same in metres; null without a CRS."""
     pairs: int
     """Number of its pairs in use."""
+    suspicion: float
+    """Root mean square, over its pairs, of by how many sigmas each disagrees with all others."""
+    group: int
+    """Number of the group of images that pairs connect; those of another have another datum."""
+    given: StackInput
+    """As the user named it."""
     model: Mapping[str, object]
     """The correction, as `model` in report.json."""
     registered: str
     """File name of the corrected raster."""
+
+
+@dataclass(frozen=True, slots=True)
+class RequirementEntry:
+    """A requirement, and whether it is met."""
+
+    requirement: str
+    met: bool
+    message: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,9 +155,17 @@ class StackNumbers:
     model: str
     """The model that was asked for."""
     shared: float
-    """Standard deviation of the error that all points of a pair share, in scatters of its points."""
+    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it."""
+    reference: str
+    """Name of the image whose grid is the frame."""
+    chosen: Chosen
+    """How the pairs were chosen: all that are worth it, those of a list, or so many at most."""
     images: tuple[ImageEntry, ...]
     pairs: tuple[StackPair, ...]
+    closure: Closure
+    requirements: tuple[RequirementEntry, ...]
+    passed: bool | None
+    """Whether all requirements are met; null without requirements."""
     unreadable: Mapping[str, str]
     """Reason by path of the images that could not be read."""
     warnings: tuple[str, ...]
@@ -131,6 +180,7 @@ def stack_of(
     settings: Settings,
     warnings: list[str],
     unreadable: Mapping[str, str],
+    chosen: Chosen = "auto",
 ) -> Stack:
     """Return what the adjustment says of each pair and each image."""
     fits = iter(adjustment.edges)
@@ -159,10 +209,55 @@ def stack_of(
         _image(frame, number, adjustment, order, folder / raster_name(frame.names[number], extension), used)
         for number in range(len(frame.names))
     )
-    datum = "mean" if adjustment.datum is None else frame.names[adjustment.datum]
     return Stack(
-        images, tuple(pairs), adjustment.shared, datum, folder, tuple(warnings), adjustment, unreadable
+        images,
+        tuple(pairs),
+        adjustment.shared,
+        _datum(frame, adjustment),
+        folder,
+        tuple(warnings),
+        adjustment,
+        unreadable,
+        frame.names[frame.reference],
+        chosen,
+        closure_of(pairs),
     )
+
+
+def _datum(frame: Frame, adjustment: Adjustment) -> str:
+    if adjustment.datum is None:
+        return "mean"
+    return frame.names[adjustment.datum] if adjustment.datum < len(frame.names) else "control points"
+
+
+def judge(found: Stack, requirements: Sequence[Requirement]) -> tuple[RequirementResult, ...]:
+    """Evaluate requirements on the worst image (sigma, displacement), all cycles (closure) or pairs (points).
+
+    Lengths in metres take the pixels of the frame.
+    """
+    sizes_m = [
+        max(np.divide(image.sigma_m, image.sigma_px))
+        for image in found.images
+        if image.sigma_m and min(image.sigma_px) > 0
+    ]
+    used = [pair.points for pair in found.pairs if pair.status == "used"]
+    values_px = {
+        "sigma": max(max(image.sigma_px) for image in found.images),
+        "displacement": max(float(np.hypot(*image.shift_px)) for image in found.images),
+        "closure": found.closure.after_px,
+    }
+    px_m = float(max(sizes_m)) if sizes_m else None
+    results = []
+    for each in requirements:
+        if each.statistic == "points":
+            results.append(RequirementResult(each, float(min(used, default=0))))
+            continue
+        value = values_px[each.statistic]
+        scale = px_m if each.unit == "m" else 1.0
+        known = value is not None and scale is not None
+        reason = None if known else "not known: no cycle, or no size of a pixel in metres"
+        results.append(RequirementResult(each, (value or 0.0) * (scale or 1.0) if known else None, reason))
+    return tuple(results)
 
 
 def _image(
@@ -176,15 +271,19 @@ def _image(
     covariance = scale @ adjustment.covariance(number, ground) @ scale.transpose(0, 2, 1)
     sigma_px = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0).clip(0.0))
     sizes_m = pixel_sizes_m(info.grid, info.grid.middle_px)
+    own = [pair for pair in used if name in (pair.reference, pair.target)]
     return StackImage(
         name=name,
         path=info.uri,
         shift_px=_pair(np.mean(observed_px - at_px, axis=0)),
         sigma_px=_pair(sigma_px),
         sigma_m=None if sizes_m is None else _pair(sigma_px * sizes_m[0]),
-        pairs=sum(name in (pair.reference, pair.target) for pair in used),
+        pairs=len(own),
         correction=_correction(at_px, observed_px, order),
         registered=registered,
+        suspicion=root_mean_square([suspicion(pair) for pair in own]) or 0.0,
+        group=int(adjustment.group[number]),
+        given=frame.given(number),
     )
 
 
@@ -245,6 +344,9 @@ def _numbers(found: Stack, settings: Settings) -> StackNumbers:
             image.sigma_px,
             image.sigma_m,
             image.pairs,
+            image.suspicion,
+            image.group,
+            image.given,
             image.correction.to_dict(),
             image.registered.name,
         )
@@ -256,8 +358,13 @@ def _numbers(found: Stack, settings: Settings) -> StackNumbers:
         found.datum,
         settings.model,
         found.shared,
+        found.reference,
+        found.chosen,
         images,
         pairs,
+        found.closure,
+        tuple(RequirementEntry(each.requirement.text, each.met, each.text) for each in found.requirements),
+        found.passed,
         found.unreadable,
         found.warnings,
     )
@@ -266,11 +373,11 @@ def _numbers(found: Stack, settings: Settings) -> StackNumbers:
 def _table(found: Stack) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    header = ("name", "path", "shift_col_px", "shift_row_px", "sigma_col_px", "sigma_row_px")
-    writer.writerow([*header, "sigma_x_m", "sigma_y_m", "pairs", "registered"])
+    header = ("name", "path", "date", "shift_col_px", "shift_row_px", "sigma_col_px", "sigma_row_px")
+    writer.writerow([*header, "sigma_x_m", "sigma_y_m", "pairs", "suspicion", "group", "registered"])
     for image in found.images:
         metres = image.sigma_m or (None, None)
         figures = [each and round(each, 6) for each in (*image.shift_px, *image.sigma_px, *metres)]
-        row = [image.name, image.path, *figures, image.pairs]
-        writer.writerow([cell(value) for value in (*row, image.registered.name)])
+        row = [image.name, image.path, image.date or "", *figures, image.pairs, round(image.suspicion, 3)]
+        writer.writerow([cell(value) for value in (*row, image.group, image.registered.name)])
     return text.getvalue()

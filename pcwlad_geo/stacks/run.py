@@ -2,49 +2,106 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
-from itertools import islice
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+from shapely import Polygon, box
 
 from pcwlad_geo.band_warping import WarpOutput, apply
+from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner
-from pcwlad_geo.limits import BATCH_ROWS, check_count
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products.detect import find_product, products_found_once
+from pcwlad_geo.outputs.folder import place_file, stage_inside
+from pcwlad_geo.products.detect import products_found_once
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
-from pcwlad_geo.raster.source import RasterInfo, describe, file_name, plain_name
+from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.trust import trusting
-from pcwlad_geo.registration.inputs import band_file, requested_grid
+from pcwlad_geo.raster.vrt import write_corrected_vrt
+from pcwlad_geo.registration.inputs import requested_grid
 from pcwlad_geo.report.finished import FinishedRegistration
-from pcwlad_geo.stacks.adjustment import adjust
+from pcwlad_geo.requirements import parse_requirements
+from pcwlad_geo.stacks.adjustment import Adjustment, adjust, extend
+from pcwlad_geo.stacks.graph import (
+    ALL_PAIRS,
+    Candidate,
+    asked_by_sigma,
+    candidates,
+    choose_pairs,
+    listed_pairs,
+    quick_look,
+)
+from pcwlad_geo.stacks.inputs import StackInput, listed
+from pcwlad_geo.stacks.network import Edge
 from pcwlad_geo.stacks.page import page
-from pcwlad_geo.stacks.pairs import Frame, check_connected, choose_pairs, measure
-from pcwlad_geo.stacks.result import FILES, Stack, is_stack, raster_name, stack_of, write_numbers
-from pcwlad_geo.text import read_text
-from pcwlad_geo.types import PathLike
+from pcwlad_geo.stacks.pairs import (
+    PAIRS,
+    Frame,
+    Measured,
+    StackPair,
+    check_connected,
+    control_edges,
+    edge_of,
+    measure,
+)
+from pcwlad_geo.stacks.result import (
+    FILES,
+    NUMBERS,
+    Chosen,
+    Stack,
+    StackImage,
+    is_stack,
+    judge,
+    stack_of,
+    write_numbers,
+)
+from pcwlad_geo.stacks.stac import paths_of, write_catalogue
+from pcwlad_geo.text import read_json
+from pcwlad_geo.types import Float64, PathLike
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from pcwlad_geo.job import Options
 
-OF_ONE_RASTER: Final = ("ref_mask", "tgt_mask", "tie_points", "dem", "dem_vertical")
+OF_ONE_RASTER: Final = ("ref_mask", "tgt_mask", "tie_points", "dem", "dem_vertical", "tr", "te", "t_srs")
 """Options that a stack cannot take."""
-RASTERS: Final = (".tif", ".tiff", ".vrt", ".jp2", ".img")
-"""Endings of the files of a folder that are taken for images."""
 ORDERS: Final[Mapping[str, int]] = {"auto": 1, "shift": 0, "affine": 1, "polynomial": 2}
 """Order of the polynomial of each model."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """What a stack is asked for, and where it goes."""
+
+    settings: Settings
+    order: int
+    folder: Path
+    overwrite: bool
+    on_event: EventCallback
+    executor: Executor | Runner | None
+    warnings: list[str] = field(default_factory=list)
+
+    def tell(self, event: Event) -> None:
+        """Pass an event on, and keep what a warning says."""
+        if isinstance(event, Warned):
+            self.warnings.append(event.message)
+        self.on_event(event)
+
+    def measured(self, frame: Frame, chosen: Sequence[tuple[int, int]]) -> list[Measured]:
+        """Match pairs, or read what an earlier run has matched."""
+        with open_job_runner(self.settings, self.executor, self.on_event) as runner:
+            return list(measure(frame, chosen, self.folder, self.settings, self.overwrite, self.tell, runner))
 
 
 @products_found_once()
@@ -55,7 +112,10 @@ def stack(
     band: int | str = 1,
     reference: str | None = None,
     datum: Literal["reference", "mean"] = "reference",
+    pairs: PathLike | None = None,
     max_pairs: int | None = None,
+    gcps: PathLike | None = None,
+    allow_components: bool = False,
     overwrite: bool = False,
     on_event: EventCallback = ignore,
     executor: Executor | Runner | None = None,
@@ -70,8 +130,9 @@ def stack(
     Parameters
     ----------
     images : sequence of path
-        Rasters or products; folders, of which all rasters are taken; tables (CSV) with a column `image`,
-        paths relative to their folder. Names, without folder and extension, must differ.
+        Rasters or products; folders, of which all rasters are taken; STAC items; tables (CSV) with a column
+        `image`, paths relative to their folder, and if known `name`, `band`, `mask`, `date`,
+        `sun_elevation` and `cloud`. Names, without folder and extension, must differ.
     out_dir : path, optional
         Output folder; ``stack`` in the working folder by default.
     band : int or str
@@ -80,8 +141,15 @@ def stack(
         Name of the image whose grid is the frame; the first by default.
     datum : {"reference", "mean"}
         What stays: the reference, or the mean position of all images.
+    pairs : path, optional
+        Table (CSV) of the pairs to measure, columns `reference` and `target`, instead of choosing them.
     max_pairs : int, optional
         Largest number of pairs that are measured.
+    gcps : path, optional
+        Table (CSV) of control points, columns `image`, `col`, `row`, `x`, `y` and if known `sigma`: they are
+        the datum, and no image stays.
+    allow_components : bool
+        Groups of images that no pair connects each get a datum of their own.
     overwrite : bool
         Measure all pairs again.
     on_event : callable
@@ -105,31 +173,177 @@ def stack(
     OutputError
         If the results cannot be written, or would replace other files.
     """
-    settings = Settings.from_options(options | {"ref_band": band, "tgt_band": band})
-    order = _order(settings)
-    folder = Path(out_dir or "stack")
-    warnings: list[str] = []
+    job = _job(out_dir, overwrite, on_event, executor, options | {"ref_band": band, "tgt_band": band})
+    if gcps is not None and datum == "mean":
+        raise SettingsError("datum = 'mean' and control points are two datums: give one of them")
+    with trusting(job.settings.trust):
+        inputs, infos, unreadable = _readable(images, job.settings, job.tell)
+        looks = _looks(inputs, infos, unreadable, job.tell)
+        frame = _frame(inputs, infos, reference)
+        _check_places(
+            job, frame, frame.names, [*images, *(each for each in (pairs, gcps) if each is not None)]
+        )
+        found = [] if pairs is not None else candidates(frame, inputs, looks)
+        chosen: Chosen = "listed" if pairs is not None else "auto" if max_pairs is None else "limited"
+        if pairs is not None:
+            plan = listed_pairs(pairs, frame, inputs)[:max_pairs]
+        else:
+            before = () if max_pairs is not None else _pairs_before(job.folder, frame)
+            plan = choose_pairs(found, len(infos), max_pairs, before)
+        control = [] if gcps is None else control_edges(gcps, frame)
+        stays = None if datum == "mean" else len(infos) if control else frame.reference
+        measured, adjustment = _adjusted(job, frame, plan, control, stays, allow_components)
+        more = asked(frame, found, plan, adjustment) if chosen == "auto" and len(infos) > ALL_PAIRS else []
+        if more:
+            measured, adjustment = _adjusted(job, frame, plan + more, control, stays, allow_components)
+        result = stack_of(
+            frame,
+            measured,
+            adjustment,
+            job.order,
+            job.folder,
+            job.settings,
+            job.warnings,
+            unreadable,
+            chosen,
+        )
+        return _written(job, result, frame, result.images)
 
-    def tell(event: Event) -> None:
-        if isinstance(event, Warned):
-            warnings.append(event.message)
-        on_event(event)
 
-    with trusting(settings.trust):
-        readable, unreadable = _readable(images, settings, tell)
-        frame = _frame(readable, reference)
-        _check_places(folder, frame, settings, images)
-        chosen = choose_pairs(frame, max_pairs)
-        with open_job_runner(settings, executor, on_event) as runner:
-            measured = list(measure(frame, chosen, folder, settings, overwrite, tell, runner))
+def add(
+    images: Sequence[PathLike],
+    out_dir: PathLike,
+    *,
+    on_event: EventCallback = ignore,
+    executor: Executor | Runner | None = None,
+    **options: Unpack[Options],
+) -> Stack:
+    """Add images to a finished stack: only their own pairs are measured, and no other image moves.
+
+    Parameters
+    ----------
+    images : sequence of path
+        As `stack` takes them.
+    out_dir : path
+        The output folder of the stack.
+    on_event, executor, **options
+        As `stack` takes them; the model and the band are those of the stack.
+
+    Returns
+    -------
+    Stack
+        With all images.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no stack, or its images or the new ones cannot be used.
+    RegistrationRejectedError
+        If a new image could not be matched with any other.
+    """
+    before = _numbers_of(Path(out_dir))
+    old = [StackInput(**entry["given"]) for entry in before["images"]]
+    own = {"ref_band": old[0].band, "tgt_band": old[0].band, "model": before["model"]}
+    job = _job(out_dir, False, on_event, executor, options | own)
+    if before["datum"] == "control points":
+        raise InputError(f"{out_dir} is a stack on control points: stack all images again with --gcps")
+    with trusting(job.settings.trust):
+        inputs, infos, unreadable = _readable(images, job.settings, job.tell, old)
+        looks = _looks(inputs, infos, unreadable, job.tell)
+        frame = _frame(inputs, infos, str(before["reference"]))
+        new = frame.names[len(old) :]
+        _check_places(job, frame, new, images)
+        measured = [_measured_before(frame, job.folder, entry) for entry in before["pairs"]]
+        plan = [(frame.names.index(pair.reference), frame.names.index(pair.target)) for _, pair in measured]
+        chosen = choose_pairs(candidates(frame, inputs, looks), len(infos), None, plan)[len(plan) :]
         edges = [edge for edge, _ in measured if edge is not None]
-        check_connected(frame, edges, folder)
-        fixed = None if datum == "mean" else frame.names.index(reference or frame.names[0])
-        adjustment = adjust(edges, len(frame.infos), order=order, datum=fixed)
-        found = stack_of(frame, measured, adjustment, order, folder, settings, warnings, unreadable)
-        write_numbers(found, settings, page(found))
-        _warp(found, frame, settings, on_event)
-    return found
+        stays = None if before["datum"] == "mean" else frame.reference
+        adjustment = adjust(edges, len(old), order=job.order, datum=stays, apart=True)
+        added = job.measured(frame, chosen)
+        more = [edge for edge, _ in added if edge is not None]
+        check_connected(frame, [*edges, *more], frame.reference, job.folder, apart=False)
+        adjustment = extend(adjustment, edges, more, len(infos))
+        notes = [*before["warnings"], *job.warnings]
+        result = stack_of(
+            frame, [*measured, *added], adjustment, job.order, job.folder, job.settings, notes, unreadable
+        )
+        return _written(job, result, frame, [each for each in result.images if each.name in new])
+
+
+def _job(
+    out_dir: PathLike | None,
+    overwrite: bool,
+    on_event: EventCallback,
+    executor: Executor | Runner | None,
+    options: Mapping[str, Any],
+) -> _Job:
+    settings = Settings.from_options(options)
+    parse_requirements(settings.require, "stack")
+    return _Job(settings, _order(settings), Path(out_dir or "stack"), overwrite, on_event, executor)
+
+
+def _adjusted(
+    job: _Job,
+    frame: Frame,
+    plan: Sequence[tuple[int, int]],
+    control: Sequence[Edge],
+    stays: int | None,
+    apart: bool,
+) -> tuple[list[Measured], Adjustment]:
+    """Measure pairs and adjust all images by them."""
+    job.warnings.clear()
+    measured = job.measured(frame, plan)
+    edges = [edge for edge, _ in measured if edge is not None] + list(control)
+    warning = check_connected(frame, edges, frame.reference, job.folder, apart)
+    if warning:
+        job.tell(Warned(warning))
+    count = len(frame.names) + bool(control)
+    return measured, adjust(edges, count, order=job.order, datum=stays, apart=apart)
+
+
+def asked(
+    frame: Frame, found: Sequence[Candidate], plan: Sequence[tuple[int, int]], adjustment: Adjustment
+) -> list[tuple[int, int]]:
+    """Return the further pairs that the sigmas of the images of a frame ask for.
+
+    `found` are the pairs to choose from, `plan` those that the adjustment has.
+    """
+    sigma = []
+    for number, info in enumerate(frame.infos):
+        middle = frame.from_image(number, info.grid.middle_px)
+        sigma.append(float(np.sqrt(np.trace(adjustment.covariance(number, middle)[0]) / 2)))
+    return asked_by_sigma(found, plan, np.array(sigma))
+
+
+def _numbers_of(folder: Path) -> dict[str, Any]:
+    """Return the content of stack.json; raises `InputError` if the folder holds no stack."""
+    if not is_stack(folder):
+        raise InputError(f"{folder} holds no finished stack ({NUMBERS}): give the output folder of one")
+    return dict(read_json(folder / NUMBERS))
+
+
+def _pairs_before(folder: Path, frame: Frame) -> list[tuple[int, int]]:
+    """Return the pairs that an earlier run chose for these images, or for some of them, if it did."""
+    with suppress(InputError, OSError, ValueError, KeyError, TypeError):
+        before = _numbers_of(folder)
+        same = {image["name"]: image["given"]["path"] for image in before["images"]}
+        now = {given.name: given.path for given in frame.inputs}
+        if before["chosen"] == "auto" and same.items() <= now.items():
+            return [
+                (frame.names.index(pair["reference"]), frame.names.index(pair["target"]))
+                for pair in before["pairs"]
+            ]
+    return []
+
+
+def _measured_before(frame: Frame, folder: Path, entry: Mapping[str, Any]) -> Measured:
+    """Return what a pair gave that a finished stack lists."""
+    names = str(entry["reference"]), str(entry["target"])
+    place = folder / PAIRS / "__".join(names)
+    if entry["status"] == "refused":
+        return None, StackPair(*names, "refused", str(entry["reason"]), place)
+    one, other = (frame.names.index(name) for name in names)
+    return edge_of(frame, one, other, place), StackPair(*names, "used", None, place)
 
 
 def _order(settings: Settings) -> int:
@@ -143,82 +357,79 @@ def _order(settings: Settings) -> int:
     return ORDERS[settings.model]
 
 
-def _listed(images: Sequence[PathLike], band: int | str) -> Iterator[str]:
-    """Yield the files of images, folders, products and tables, in their order."""
-    for image in [os.fspath(each) for each in images]:
-        place = Path(image)
-        if image.casefold().endswith(".csv"):
-            yield from (os.fspath(place.parent / name) for name in _names_in(place))
-        elif place.is_dir() and find_product(image) is None:
-            files = sorted(file for file in place.iterdir() if file.suffix.casefold() in RASTERS)
-            if not files:
-                raise InputError(f"{image} holds no raster ({', '.join(RASTERS)})")
-            yield from map(os.fspath, files)
-        else:
-            yield band_file(image, band)
-
-
-def _names_in(table: Path) -> list[str]:
-    """Return the column `image` of a CSV table."""
-    try:
-        text = io.StringIO(read_text(table, encoding="utf-8-sig"))
-        rows = list(islice(csv.DictReader(text), BATCH_ROWS + 1))
-    except OSError as error:
-        raise InputError(f"cannot read {table}: {error.strerror}") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{table} is no CSV table in UTF-8: {error}") from error
-    check_count(str(table), len(rows), BATCH_ROWS, "lines")
-    if not rows or not all(row.get("image") for row in rows):
-        raise InputError(f"{table} needs a column 'image' with a path in every line")
-    return [row["image"] for row in rows]
-
-
 def _readable(
-    images: Sequence[PathLike], settings: Settings, on_event: EventCallback
-) -> tuple[dict[str, RasterInfo], dict[str, str]]:
-    """Return the images by name, and the reasons of those that cannot be read."""
-    found: dict[str, RasterInfo] = {}
+    images: Sequence[PathLike], settings: Settings, tell: EventCallback, old: Sequence[StackInput] = ()
+) -> tuple[list[StackInput], list[RasterInfo], dict[str, str]]:
+    """Return the images that can be read, those of an old stack first, and the reasons of the others."""
+    inputs = [*old, *listed(images, settings.ref_band)]
+    found: dict[str, StackInput] = {}
+    infos: list[RasterInfo] = []
     unreadable: dict[str, str] = {}
-    for image in _listed(images, settings.ref_band):
-        name = Path(plain_name(file_name(str(image)))).stem
-        if name in found:
+    for number, each in enumerate(inputs):
+        if each.name in found:
             raise InputError(
-                f"two images are called {name} ({found[name].uri} and {image}): rename one, as the results "
-                "are named after them"
+                f"two images are called {each.name} ({found[each.name].path} and {each.path}): rename one, "
+                "as the results are named after them"
             )
         try:
-            found[name] = describe(image, band=settings.ref_band if isinstance(settings.ref_band, int) else 1)
+            infos.append(each.describe())
+            found[each.name] = each
         except InputError as error:
-            unreadable[str(image)] = str(error)
-            on_event(Warned(f"{name} is left out: {error}"))
-    if len(found) < 2:
+            if number < len(old):
+                raise
+            unreadable[each.path] = str(error)
+            tell(Warned(f"{each.name} is left out: {error}"))
+    _check_enough(len(found), len(inputs), unreadable)
+    return list(found.values()), infos, unreadable
+
+
+def _check_enough(count: int, given: int, unreadable: Mapping[str, str]) -> None:
+    if count < 2:
         raise InputError(
-            f"{len(found)} of {len(images)} images can be read, and a stack needs two: "
+            f"{count} of {given} images can be read, and a stack needs two: "
             + ("; ".join(unreadable.values()) or "give more")
         )
-    return found, unreadable
 
 
-def _frame(images: Mapping[str, RasterInfo], reference: str | None) -> Frame:
-    names = list(images)
-    if reference is not None and reference not in images:
+def _looks(
+    inputs: list[StackInput], infos: list[RasterInfo], unreadable: dict[str, str], tell: EventCallback
+) -> list[Float64 | None]:
+    """Return the quick looks of images; those whose pixels cannot be read leave the lists."""
+    looks, given = [], len(inputs)
+    for each, info in list(zip(inputs, infos, strict=True)):
+        try:
+            looks.append(quick_look(info))
+        except InputError as error:
+            inputs.remove(each)
+            infos.remove(info)
+            unreadable[each.path] = str(error)
+            tell(Warned(f"{each.name} is left out: {error}"))
+    _check_enough(len(inputs), given, unreadable)
+    return looks
+
+
+def _frame(inputs: Sequence[StackInput], infos: list[RasterInfo], reference: str | None) -> Frame:
+    names = [each.name for each in inputs]
+    if reference is not None and reference not in names:
         raise InputError(f"the reference {reference} is none of the images {', '.join(names)}")
-    infos = list(images.values())
-    for name, info in images.items():
+    for name, info in zip(names, infos, strict=True):
         if type(info.grid) is not Grid:
             raise InputError(f"{name} has no plain geotransform: a stack takes images with one, or with none")
-    lacking = [name for name, info in images.items() if not info.georeferenced]
+    lacking = [name for name, info in zip(names, infos, strict=True) if not info.georeferenced]
     if lacking and len(lacking) < len(names):
         raise InputError(
             f"{', '.join(lacking)} without georeferencing among images with it: give images of one kind"
         )
-    return Frame(names, infos, images[reference or names[0]].grid, not lacking)
+    number = 0 if reference is None else names.index(reference)
+    return Frame(names, infos, infos[number].grid, not lacking, tuple(inputs), number)
 
 
-def _check_places(folder: Path, frame: Frame, settings: Settings, given: Sequence[PathLike]) -> None:
+def _check_places(job: _Job, frame: Frame, names: Sequence[str], given: Sequence[PathLike]) -> None:
     """Raise where a result would replace an input, or a file that no earlier stack has written."""
-    extension = OutputFormat.of(settings.of, settings.co).extension
-    places = [folder / name for name in (*FILES, *(raster_name(each, extension) for each in frame.names))]
+    folder = job.folder
+    extension = OutputFormat.of(job.settings.of, job.settings.co).extension
+    rasters = [folder / name.format(each) for each in names for name in (f"{{}}_registered.{extension}", VRT)]
+    places = [*(folder / name for name in FILES), *rasters, *paths_of(folder, names)]
     inputs = [Path(each) for each in [*given, *(info.uri for info in frame.infos)]]
     there = [place for place in places if os.path.lexists(place)]
     for place in there:
@@ -230,18 +441,39 @@ def _check_places(folder: Path, frame: Frame, settings: Settings, given: Sequenc
         )
 
 
-def _warp(found: Stack, frame: Frame, settings: Settings, on_event: EventCallback) -> None:
-    """Warp every image once onto the grid of the frame."""
+VRT: Final = "{}_corrected.vrt"
+"""File name of the original pixels of an image with their corrected geotransform."""
+
+
+def _written(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -> Stack:
+    """Write the results, corrected images only where the requirements are met or they are kept anyway."""
+    found = replace(found, requirements=judge(found, parse_requirements(job.settings.require, "stack")))
+    write_numbers(found, job.settings, page(found))
+    if found.passed is not False or job.settings.keep:
+        _warp(job, found, frame, images)
+        write_catalogue(found, job.settings.of)
+    return found
+
+
+def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -> None:
+    """Warp images once onto the grid of the frame, and refer to their original pixels."""
+    settings = job.settings
     made = OutputFormat.of(settings.of, settings.co)
-    request = requested_grid(replace(settings, grid="reference-exact"))
-    wanted = WarpOutput(frame.grid, request, made, settings.resampling)
+    exact = settings if settings.like is not None else replace(settings, grid="reference-exact")
+    shown = box(0.0, 0.0, *frame.grid.shape[::-1])
 
     def quiet(event: Event) -> None:
         if isinstance(event, Warned):
-            on_event(event)
+            job.on_event(event)
 
-    for number, (image, info) in enumerate(zip(found.images, frame.infos, strict=True)):
-        on_event(Progress("images", number, len(found.images)))
+    for done_before, image in enumerate(images):
+        job.on_event(Progress("images", done_before, len(images)))
+        number = frame.names.index(image.name)
+        info = frame.infos[number]
+        beside = not Polygon(frame.from_image(number, info.grid.boundary_px())).intersects(shown)
+        # an image beside the reference gets an extent of its own, on the same lattice
+        request = requested_grid(replace(exact, grid="reference") if beside else exact)
+        wanted = WarpOutput(frame.grid, request, made, settings.resampling)
         done = FinishedRegistration(
             image.correction,
             frame.grid,
@@ -252,4 +484,12 @@ def _warp(found: Stack, frame: Frame, settings: Settings, on_event: EventCallbac
             inputs=tuple(identify(info.uri)),
         )
         apply(done, [info.uri], [image.registered], wanted, False, True, quiet)
-    on_event(Progress("images", len(found.images), len(found.images)))
+        if isinstance(image.correction, AffineCorrection):
+            _write_vrt(found.out_dir / VRT.format(image.name), info, image.correction)
+    job.on_event(Progress("images", len(images), len(images)))
+
+
+def _write_vrt(place: Path, info: RasterInfo, correction: AffineCorrection) -> None:
+    with stage_inside(place.parent) as stage:
+        write_corrected_vrt(stage / place.name, info.uri, correction, info.grid, final_path=place)
+        place_file(stage / place.name, place, overwrite=True)

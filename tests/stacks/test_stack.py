@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
 import numpy as np
 import pytest
 import rasterio
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from pcwlad_geo.cli.app import run as run_command
 from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError, SettingsError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.stacks.pairs import ALL_PAIRS, Frame, choose_pairs
+from pcwlad_geo.stacks.graph import ALL_PAIRS, candidates, choose_pairs, quick_look
+from pcwlad_geo.stacks.inputs import StackInput
+from pcwlad_geo.stacks.pairs import Frame
 from pcwlad_geo.stacks.run import stack
 from tests.scenes import make_grid, render, write
 
@@ -174,16 +179,46 @@ def test_images_without_common_ground_are_refused(tmp_path: Path) -> None:
 def test_pairs_connect_every_image_several_times(tmp_path: Path, count: int) -> None:
     info = describe(write(tmp_path / "image.tif", render(GRID), GRID))
     frame = Frame([f"image{k}" for k in range(count)], [info] * count, GRID, True)
-    pairs = choose_pairs(frame, None)
+    given = [frame.given(number) for number in range(count)]
+    found = candidates(frame, given, [quick_look(info)] * count)
+    pairs = choose_pairs(found, count)
     assert len(set(pairs)) == len(pairs)
     degree = np.bincount(np.ravel(pairs), minlength=count)
     assert degree.min() >= min(count - 1, 3)
-    assert len(pairs) <= (count * (count - 1) // 2 if count <= ALL_PAIRS else 4 * count + ALL_PAIRS)
-    assert len(choose_pairs(frame, 2)) == 2
-    fewer = Frame(frame.names[:-1], frame.infos[:-1], GRID, True)
-    added = set(pairs) - set(choose_pairs(fewer, None))
-    assert all(count - 1 in pair for pair in added)
-    assert set(choose_pairs(fewer, None)) <= set(pairs)
+    assert len(pairs) <= (count * (count - 1) // 2 if count <= ALL_PAIRS else 4 * count)
+    for without in pairs:  # every pair is in a cycle
+        assert connected([pair for pair in pairs if pair != without], count)
+    assert connected(choose_pairs(found, count, count - 1), count)
+    fewer = choose_pairs([each for each in found if count - 1 not in each.pair], count - 1)
+    added = choose_pairs(found, count, None, fewer)
+    assert added[: len(fewer)] == fewer
+    assert all(count - 1 in pair for pair in added[len(fewer) :])
+    assert len(added) >= len(fewer) + min(count - 1, 3)
+
+
+def connected(pairs: list[tuple[int, int]], count: int) -> bool:
+    ends = np.array(pairs).reshape(-1, 2).T
+    links = coo_array((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=(count, count))
+    return bool(connected_components(links, directed=False)[0] == 1)
+
+
+def test_pairs_of_one_kind_season_and_a_clear_sky_come_first(tmp_path: Path) -> None:
+    kinds = [("red", 0), ("red", 0), ("red", 5), ("thermal", 0)]
+    infos = [
+        describe(write(tmp_path / f"{n}.tif", render(GRID, band, seed=seed), GRID))
+        for n, (band, seed) in enumerate(kinds)
+    ]
+    frame = Frame([f"image{n}" for n in range(4)], infos, GRID, True)
+    plain = [StackInput(info.uri, name=f"image{n}") for n, info in enumerate(infos)]
+    looks = [quick_look(info) for info in infos]
+    assert candidates(frame, plain, looks)[0].pair == (0, 1)
+    dates = ["2020-06-01", "2020-12-01", "2021-06-05", "2020-06-03"]
+    dated = [replace(each, date=date) for each, date in zip(plain, dates, strict=True)]
+    assert candidates(frame, dated, [None] * 4)[0].pair == (0, 3)
+    cloudy = [replace(each, cloud=0.9 if n < 2 else 0.0) for n, each in enumerate(plain)]
+    assert candidates(frame, cloudy, [None] * 4)[0].pair == (2, 3)
+    lit = [replace(each, sun_elevation=[60.0, 20.0, 40.0, 61.0][n]) for n, each in enumerate(plain)]
+    assert candidates(frame, lit, [None] * 4)[0].pair == (0, 3)
 
 
 def test_the_frame_maps_pixels_by_georeferencing(tmp_path: Path) -> None:

@@ -29,9 +29,7 @@ def make_stack(folder: Path, names: list[str]) -> Stack:
         for number, pair in enumerate(pairs)
     ]
     info = describe(write(folder / "image.tif", render(GRID), GRID))
-    blank = StackPair(
-        names[0], names[3], "refused", "no better than chance", 0, None, None, None, None, folder / "x"
-    )
+    blank = StackPair(names[0], names[3], "refused", "no better than chance", folder / "x")
     measured = [
         (
             edge,
@@ -64,6 +62,21 @@ def test_the_net_is_drawn_and_what_does_not_fit_comes_first(tmp_path: Path) -> N
     assert rows[:2] == ["date0 – date1", "date0 – date3"]
     assert "1 pair contradicts" in text
     assert "late.tif could not be read" in text
+
+
+def test_dates_are_drawn_as_a_series_and_cycles_name_the_pair_to_blame(tmp_path: Path) -> None:
+    found = make_stack(tmp_path, [f"date{number}" for number in range(9)])
+    assert "Shifts in time" not in page(found)
+    assert "Pair to blame" in page(found)
+    images = tuple(
+        replace(image, given=replace(image.given, date=f"2020-0{number + 1}-05"))
+        for number, image in enumerate(found.images)
+    )
+    text = page(replace(found, images=images))
+    drawing = text.partition('<svg class="series')[2].partition("</svg>")[0]
+    assert drawing.count("<circle") == 9
+    assert "2020-01-05" in drawing
+    assert "2020-09-05" in drawing
 
 
 def test_names_of_strangers_are_text(tmp_path: Path) -> None:

@@ -1,0 +1,194 @@
+"""The images of a stack as the user names them: rasters, products, folders, tables and STAC items."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import io
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.limits import BATCH_ROWS, check_count
+from pcwlad_geo.products.detect import find_product
+from pcwlad_geo.raster.source import RasterInfo, describe, file_name, plain_name
+from pcwlad_geo.text import read_json, read_text
+from pcwlad_geo.types import PathLike
+
+RASTERS: Final = (".tif", ".tiff", ".vrt", ".jp2", ".img")
+"""Endings of the files of a folder that are taken for images."""
+_DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\d|3[01])(?!\d)")
+
+
+@dataclass(frozen=True, slots=True)
+class StackInput:
+    """An image, and what is known of how it was taken."""
+
+    path: str
+    """Raster or product, as the user named it."""
+    band: int | str = 1
+    """Number of the band that is matched, or its name in a product."""
+    name: str = ""
+    """What its results are named after."""
+    mask: str | None = None
+    """Mask file; of a product its own is used."""
+    date: str | None = None
+    """Date or time of acquisition, ISO 8601."""
+    sun_elevation: float | None = None
+    """Degrees above the horizon."""
+    cloud: float | None = None
+    """Share of the image under clouds, 0 to 1."""
+
+    @property
+    def day(self) -> datetime.date | None:
+        """The day of acquisition."""
+        try:
+            return datetime.date.fromisoformat((self.date or "")[:10])
+        except ValueError:
+            return None
+
+    def describe(self) -> RasterInfo:
+        """Describe the band that is matched; raises `InputError` if it cannot be read."""
+        product = find_product(self.path)
+        if product is not None:
+            return describe(product.band(self.band).opened_as())
+        return describe(self.path, band=self.band if isinstance(self.band, int) else 1, mask=self.mask)
+
+
+def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
+    """Yield the images of rasters, folders, products, tables and STAC items, in their order.
+
+    Parameters
+    ----------
+    images : sequence of path
+        What the user names.
+    band : int or str
+        Number of the band, or its name in products and STAC items.
+
+    Raises
+    ------
+    InputError
+        If a folder, a table or an item cannot be used.
+    """
+    for image in [os.fspath(each) for each in images]:
+        place = Path(image)
+        if image.casefold().endswith(".csv"):
+            yield from (_of_row(row, place.parent, band) for row in read_table(place, ("image",)))
+        elif image.casefold().endswith((".json", ".geojson")):
+            yield from _of_stac(place, band)
+        elif place.is_dir() and find_product(image) is None:
+            files = sorted(file for file in place.iterdir() if file.suffix.casefold() in RASTERS)
+            if not files:
+                raise InputError(f"{image} holds no raster ({', '.join(RASTERS)})")
+            yield from (_named(os.fspath(file), band) for file in files)
+        else:
+            yield _named(image, band)
+
+
+def _named(path: str, band: int | str, given: Mapping[str, Any] | None = None) -> StackInput:
+    """Return an image with the name of its file, and a date where its path tells one."""
+    values = dict(given or {})
+    product = find_product(path)
+    file = path if product is None or not isinstance(band, str) else product.band(band).uri
+    values["name"] = plain_name(values.get("name") or Path(file_name(file)).stem)
+    found = next(filter(None, (_DATE.search(part) for part in reversed(Path(path).parts))), None)
+    if not values.get("date") and found:
+        values["date"] = f"{found[1]}-{found[3]}-{found[4]}"
+    return StackInput(path, band, **values)
+
+
+def read_table(table: Path, columns: Iterable[str]) -> list[dict[str, str]]:
+    """Return the lines of a CSV table, in each of which the named columns are filled.
+
+    Raises `InputError` if it cannot be read, or a column is missing.
+    """
+    try:
+        text = io.StringIO(read_text(table, encoding="utf-8-sig"))
+        rows = list(islice(csv.DictReader(text), BATCH_ROWS + 1))
+    except OSError as error:
+        raise InputError(f"cannot read {table}: {error.strerror}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{table} is no CSV table in UTF-8: {error}") from error
+    check_count(str(table), len(rows), BATCH_ROWS, "lines")
+    for column in columns:
+        if not rows or not all(row.get(column) for row in rows):
+            raise InputError(f"{table} needs a column '{column}' with a value in every line")
+    return rows
+
+
+def _of_row(row: Mapping[str, str], folder: Path, band: int | str) -> StackInput:
+    given: dict[str, Any] = {"name": row.get("name"), "date": row.get("date") or None}
+    if row.get("mask"):
+        given["mask"] = os.fspath(folder / row["mask"])
+    for column in ("sun_elevation", "cloud"):
+        if row.get(column):
+            given[column] = number_of(row, column)
+    text = row.get("band") or ""
+    own: int | str = (int(text) if text.isdecimal() else text) if text else band
+    return _named(os.fspath(folder / row["image"]), own, given)
+
+
+def number_of(row: Mapping[str, str], column: str) -> float:
+    """Return a number of a line of a table; raises `InputError` if it is none."""
+    try:
+        return float(row[column])
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{column} = {row[column]!r} is no number") from error
+
+
+def _of_stac(place: Path, band: int | str) -> Iterator[StackInput]:
+    """Yield the images of a STAC item, or of each item of an item collection."""
+    try:
+        found = read_json(place)
+    except OSError as error:
+        raise InputError(f"cannot read {place}: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"{place} is no JSON: {error}") from error
+    items = found.get("features") if isinstance(found, dict) and "features" in found else [found]
+    for item in items if isinstance(items, list) else [{}]:
+        try:
+            yield _of_item(item, place, band)
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            raise InputError(
+                f"{place} is no STAC item, nor a collection of items: it needs id, properties and assets "
+                f"with href ({error})"
+            ) from error
+
+
+def _of_item(item: Mapping[str, Any], place: Path, band: int | str) -> StackInput:
+    properties, assets = item["properties"], item["assets"]
+    href = str(_asset(str(item["id"]), assets, band)["href"]).removeprefix("file://")
+    remote = "://" in href or href.startswith("/")
+    cloud, sun = properties.get("eo:cloud_cover"), properties.get("view:sun_elevation")
+    return StackInput(
+        href if remote else os.fspath(place.parent / href),
+        1,
+        plain_name(str(item["id"])),
+        date=str(properties.get("datetime") or properties.get("start_datetime") or "") or None,
+        sun_elevation=None if sun is None else float(sun),
+        cloud=None if cloud is None else float(cloud) / 100,
+    )
+
+
+def _asset(name: str, assets: Mapping[str, Any], band: int | str) -> Mapping[str, Any]:
+    """Return the asset of a band's name, or the only one that is an image."""
+    images: dict[str, Mapping[str, Any]] = {}
+    for key, asset in assets.items():
+        bands = [*asset.get("eo:bands", ()), *asset.get("bands", ())]
+        names = [key, *(each.get(word) for each in bands for word in ("name", "common_name"))]
+        if isinstance(band, str) and band in names:
+            return dict(asset)
+        roles = asset.get("roles") or ()
+        kind = str(asset.get("type", "")).startswith(("image/tiff", "image/jp2", "image/vnd.stac"))
+        if "data" in roles or (kind and not {"thumbnail", "overview"} & set(roles)):
+            images[key] = asset
+    if isinstance(band, str) or len(images) != 1:
+        raise InputError(
+            f"the STAC item {name} has the images {', '.join(images) or 'none'}: give --band with one of them"
+        )
+    return dict(next(iter(images.values())))

@@ -1,0 +1,367 @@
+"""The normal equations of a stack: what the tie points of each pair say of its images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import SuperLU, splu
+
+from pcwlad_geo.correction.models import PolynomialBasis
+from pcwlad_geo.types import Bool, Float64, Index
+
+LEAST_SCATTER: Final = 0.1
+"""Least scatter of the points of a pair, in medians of their own sigmas."""
+RAYLEIGH_MEDIAN: Final = 1.1774
+"""Median of a length of two normal components of unit variance."""
+MIN_BLOCKS: Final = 4
+"""Fewer blocks tell nothing of what the points of a pair share."""
+POINT_LIMIT: Final = 3.0
+"""Points that lie off their pair's by more sigmas lose weight (Huber 1964, doi:10.1214/aoms/1177703732)."""
+LEAST_CHECKED: Final = 0.01
+"""Of an offset that the other pairs check less, the rest is of the arithmetic: it is not called wrong."""
+BLOCKS: Final = 3
+"""An image is divided into so many blocks along each axis, which are left out in turn."""
+ALIKE: Final = 1.4
+"""Neighbouring blocks err alike, so that a jackknife tells too little by this factor: found on scenes of
+known truth (two sensors, 320 and 1,024 px)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge:
+    """The tie points of a pair of images, on the ground where each image's own georeferencing places them."""
+
+    first: int
+    """Number of the image that was the reference."""
+    second: int
+    first_xy: Float64
+    """(n, 2) positions (x, y) by the first image, map units."""
+    second_xy: Float64
+    """(n, 2) positions of the same places by the second image."""
+    covariance: Float64
+    """(n, 2, 2) covariance of their differences, map units²."""
+
+    def __len__(self) -> int:
+        return len(self.first_xy)
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeFit:
+    """How a pair agrees with all others."""
+
+    used: bool
+    """False for a pair that contradicts the others."""
+    offset: tuple[float, float]
+    """By how much its points lie off the adjustment on average (x, y), map units."""
+    sigma: float
+    """Standard deviation of that offset along an axis, if the pair is right, map units."""
+    redundancy: float
+    """Share of the offset that the other pairs check, 0 to 1: nothing tells whether one of 0 is wrong."""
+    scatter: float
+    """Robust standard deviation of its points along an axis, map units."""
+    shared: float
+    """Standard deviation of the error that all its points share, along an axis, map units."""
+
+    @property
+    def ratio(self) -> float:
+        """The offset in standard deviations."""
+        return float(np.hypot(*self.offset)) / self.sigma
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """What the points of an edge say of the difference of its images' coefficients, axis by axis.
+
+    The error that all its points share has a shift and slopes along x and y: three terms.
+    """
+
+    first: int
+    second: int
+    own: Float64
+    """(2 terms, 2 terms) normal matrix of the difference."""
+    across: Float64
+    """(2 terms, 6) products with the shared error's terms."""
+    inner: Float64
+    """(6, 6) normal matrix of those."""
+    seen: Float64
+    """(2 terms,) right-hand side."""
+    beside: Float64
+    """(6,) that of the shared error."""
+    values: Float64
+    """(terms,) weighted mean of the terms."""
+    observed: Float64
+    """(2,) weighted mean of the observed differences, map units."""
+    formal: float
+    """Variance of that along an axis by the points' own errors."""
+    scatter: float
+    """Robust standard deviation of the points along an axis."""
+    error: float
+    """Standard deviation, along an axis, of what all points share: of the change of their own affine
+    without a block of them."""
+
+    def without(self, block: Sequence[Float64]) -> Part:
+        """Return what is left without a block; the whole where that is more than half of it.
+
+        Parameters
+        ----------
+        block : sequence of (2 terms, 2 terms), (2 terms, 6), (6, 6), (2 terms,) and (6,) arrays
+            What its points add to `own`, `across`, `inner`, `seen` and `beside`.
+        """
+        own, across, inner, seen, beside = block
+        if np.trace(own) > np.trace(self.own) / 2:
+            return self
+        return replace(
+            self,
+            own=self.own - own,
+            across=self.across - across,
+            inner=self.inner - inner,
+            seen=self.seen - seen,
+            beside=self.beside - beside,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighted:
+    """The points of an edge with their weights at the ground that the displacements so far tell."""
+
+    ground: Float64
+    values: Float64
+    near: Float64
+    weights: Float64
+    observed: Float64
+    left: Float64
+
+
+def part_of(edge: Edge, basis: PolynomialBasis, coefficients: Float64, side: float) -> Part:
+    """Sum up the points of an edge, those that lie off the others with less weight.
+
+    Blocks of its points are squares of a `side`, map units; `coefficients`, (images, terms, 2), tell the
+    ground so far.
+    """
+    return _summed(edge, _weighted(edge, basis, coefficients), basis, side)
+
+
+def errors_of(parts: Sequence[Part]) -> Float64:
+    """Return the (edges,) standard deviations of what the points of each share, relative to each other.
+
+    A few blocks tell them with a quarter of error; the scatter of the points, which is well known, goes with
+    them: the geometric mean of both.
+    """
+    error, scatter = np.array([(part.error, part.scatter) for part in parts]).T
+    return np.asarray(np.sqrt(error * scatter * np.median(error / scatter)))
+
+
+def side_of_blocks(edges: Sequence[Edge]) -> float:
+    """Return the side of the blocks of images of the size that pairs of them typically share, map units."""
+    sizes = [np.sqrt(np.prod(np.ptp(edge.first_xy, axis=0))) for edge in edges]
+    return max(float(np.median(sizes)), 1e-9) / BLOCKS
+
+
+def blocks_of(
+    edge: Edge, basis: PolynomialBasis, coefficients: Float64, side: float, whole: Part
+) -> list[tuple[int, Part]]:
+    """Return what is left of an edge without each block of its points, a square of a side in map units.
+
+    A block that holds more than half of the edge stays. Blocks are numbered 0 to BLOCKS² - 1, and the numbers
+    repeat beyond: a square of BLOCKS x BLOCKS blocks holds each once, wherever it lies. The
+    `coefficients`, (images, terms, 2), tell the ground so far.
+    """
+    points = _weighted(edge, basis, coefficients)
+    number = _numbers(points, basis, side)
+    return [(int(each), whole.without(_sums(points, number == each))) for each in np.unique(number)]
+
+
+def _numbers(points: _Weighted, basis: PolynomialBasis, side: float) -> Index:
+    """Return the (n,) number of the block of each point."""
+    col, row = (np.floor((points.ground - basis.low_px) / side).astype(int) % BLOCKS).T
+    return np.asarray(row * BLOCKS + col)
+
+
+def _weighted(edge: Edge, basis: PolynomialBasis, coefficients: Float64) -> _Weighted:
+    ground = edge.first_xy
+    for _ in range(4):
+        ground = edge.first_xy - basis.values(ground) @ coefficients[edge.first]
+    values = basis.values(ground)
+    observed = edge.second_xy - edge.first_xy
+    left = observed - values @ (coefficients[edge.second] - coefficients[edge.first])
+    near = np.column_stack([np.ones(len(edge)), (ground - basis.centre_px) / basis.radius_px])
+    left = left - near @ np.linalg.lstsq(near, left, rcond=None)[0]
+    left = left - np.median(left, axis=0)
+    weights: Float64 = np.linalg.inv(edge.covariance).astype(np.float64)
+    off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", left, weights, left), 1e-12))
+    unit = max(1.0, float(np.median(off)) / RAYLEIGH_MEDIAN)
+    weights *= (np.minimum(1.0, POINT_LIMIT * unit / off) / unit**2)[:, None, None]
+    return _Weighted(ground, values, near, weights, observed, left)
+
+
+def _summed(edge: Edge, points: _Weighted, basis: PolynomialBasis, side: float) -> Part:
+    weights = points.weights
+    total = weights.sum(axis=0)
+    each = np.trace(weights, axis1=1, axis2=2) / np.trace(total)
+    scatter = max(float(1.4826 * np.median(np.abs(points.left))), LEAST_SCATTER * _typical_sigma(edge))
+    sums = _sums(points, slice(None))
+    return Part(
+        edge.first,
+        edge.second,
+        *sums,
+        values=each @ points.values,
+        observed=each @ points.observed,
+        formal=float(np.trace(np.linalg.inv(total))) / 2,
+        scatter=scatter,
+        error=max(_error(points, sums, _numbers(points, basis, side)), scatter / np.sqrt(len(edge))),
+    )
+
+
+def _error(points: _Weighted, sums: Sequence[Float64], number: Index) -> float:
+    """Return `Part.error`: the jackknife of the affine of an edge."""
+    inner, beside = sums[2], sums[4]
+    found = []
+    for each in np.unique(number):
+        block = _sums(points, number == each)
+        if np.trace(block[2]) <= np.trace(inner) / 2:
+            found.append(np.linalg.solve(inner - block[2], beside - block[4]))
+    if len(found) < MIN_BLOCKS:
+        return 0.0
+    terms = points.near.shape[1]
+    changes = (np.array(found) - np.mean(found, axis=0)).reshape(len(found), 2, terms)
+    moment = points.near.T @ points.near / len(points.near)
+    variance = np.einsum("kat,ts,kas->", changes, moment, changes) / 2 * (len(found) - 1) / len(found)
+    return ALIKE * float(np.sqrt(variance))
+
+
+def _sums(points: _Weighted, chosen: Bool | slice) -> tuple[Float64, Float64, Float64, Float64, Float64]:
+    """Return the matrices and right-hand sides of `Part` over points, axis by axis."""
+    terms, near = points.values.shape[1], points.near.shape[1]
+    design = np.hstack([points.values, points.near, points.observed])[chosen]
+    found = np.zeros((2, design.shape[1], 2, design.shape[1]))
+    for a, b in ((0, 0), (0, 1), (1, 1)):
+        found[a, :, b] = found[b, :, a] = design.T @ (points.weights[chosen, a, b, None] * design)
+    one, other = slice(0, terms), slice(terms, terms + near)
+    right = found[:, :, 0, -2] + found[:, :, 1, -1]
+    return (
+        found[:, one, :, one].reshape(2 * terms, 2 * terms),
+        found[:, one, :, other].reshape(2 * terms, 2 * near),
+        found[:, other, :, other].reshape(2 * near, 2 * near),
+        right[:, one].ravel(),
+        right[:, other].ravel(),
+    )
+
+
+def _typical_sigma(edge: Edge) -> float:
+    return float(np.median(np.sqrt(np.trace(edge.covariance, axis1=1, axis2=2) / 2)))
+
+
+def components(edges: Sequence[Edge] | Sequence[Part], images: int, used: Bool) -> tuple[int, Index]:
+    """Return how many groups of images the edges in use connect, and the (images,) group of each.
+
+    The (edges,) bool array `used` says which are.
+    """
+    ends = np.array([(edge.first, edge.second) for edge in edges], dtype=np.intp).reshape(-1, 2)[used]
+    links = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(images, images))
+    count, part = connected_components(links, directed=False)
+    return int(count), np.asarray(part, dtype=np.intp)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """A solution of the normal equations."""
+
+    coefficients: Float64
+    """(images, terms, 2)."""
+    fits: tuple[EdgeFit, ...]
+    normal: csc_array
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """The unknowns: image by image, then axis, then term."""
+
+    images: int
+    terms: int
+    fixed: tuple[int, ...]
+    """Numbers of the images whose coefficients are no unknowns."""
+
+    @property
+    def free(self) -> Index:
+        """The (free,) numbers of the coefficients that are unknowns."""
+        size = 2 * self.terms
+        every = np.arange(self.images * size).reshape(self.images, size)
+        return np.asarray(np.delete(every, self.fixed, axis=0).ravel())
+
+    def solve(self, parts: Sequence[Part], used: Bool, shared: Float64) -> Solution:
+        """Solve the normal equations of the edges in use, each with a sigma of its shared error.
+
+        Parameters
+        ----------
+        parts : sequence of Part
+        used : (edges,) bool array
+            Edges that count.
+        shared : (edges,) array
+            Standard deviation of the shared error of each, map units.
+        """
+        normal, right = self.equations(parts, used, shared)
+        factor = splu(normal)
+        coefficients = self.unpacked(factor.solve(right))
+        fits = tuple(
+            self._fit(part, coefficients, bool(good), float(sigma), factor)
+            for part, good, sigma in zip(parts, used, shared, strict=True)
+        )
+        return Solution(coefficients, fits, normal)
+
+    def equations(self, parts: Sequence[Part], used: Bool, shared: Float64) -> tuple[csc_array, Float64]:
+        """Return the (free, free) normal matrix of the coefficients, and the (free,) right-hand side.
+
+        Parameters
+        ----------
+        parts : sequence of Part
+        used : (edges,) bool array
+            Edges that count.
+        shared : (edges,) array
+            Standard deviation of the shared error of each, map units.
+        """
+        size = 2 * self.terms
+        chosen = [part for part, good in zip(parts, used, strict=True) if good]
+        own, across, inner, seen, beside = (
+            np.array([getattr(part, name) for part in chosen])
+            for name in ("own", "across", "inner", "seen", "beside")
+        )
+        inner = inner + np.eye(inner.shape[1]) / (shared[used] ** 2)[:, None, None]
+        gain = np.linalg.solve(inner, across.transpose(0, 2, 1)).transpose(0, 2, 1)
+        block = own - gain @ across.transpose(0, 2, 1)
+        seen = seen - (gain @ beside[:, :, None])[:, :, 0]
+        ends = np.array([(part.first, part.second) for part in chosen])
+        right = np.zeros((self.images, size))
+        np.add.at(right, ends[:, 0], -seen)
+        np.add.at(right, ends[:, 1], seen)
+        index = ends[:, :, None] * size + np.arange(size)
+        place = [np.broadcast_to(index[:, e, :, None], block.shape).ravel() for e in (0, 0, 1, 1)]
+        across_place = [np.broadcast_to(index[:, e, None, :], block.shape).ravel() for e in (0, 1, 0, 1)]
+        data = np.concatenate([sign * block.ravel() for sign in (1.0, -1.0, -1.0, 1.0)])
+        rows, cols = np.concatenate(place), np.concatenate(across_place)
+        whole = coo_array((data, (rows, cols)), shape=(self.images * size,) * 2).tocsc()
+        free = self.free
+        return csc_array(whole[free][:, free]), right.ravel()[free]
+
+    def unpacked(self, free: Float64) -> Float64:
+        """Return the (images, terms, 2) coefficients of the (free,) `free`; zeros of images that stay."""
+        found = np.zeros(self.images * 2 * self.terms)
+        found[self.free] = free
+        return np.asarray(found.reshape(self.images, 2, self.terms).transpose(0, 2, 1))
+
+    def _fit(self, part: Part, coefficients: Float64, used: bool, shared: float, factor: SuperLU) -> EdgeFit:
+        """Return how an edge agrees with a solution, in which one not in use had no part."""
+        offset = part.observed - part.values @ (coefficients[part.second] - coefficients[part.first])
+        row = np.zeros((self.images, 2, self.terms))  # of x; the other axis is as well known
+        row[part.second, 0], row[part.first, 0] = part.values, -part.values
+        free = row.ravel()[self.free]
+        adjusted = float(free @ factor.solve(free))
+        own = shared**2 + part.formal
+        redundancy = max(0.0, 1.0 - adjusted / own) if used else 1.0
+        variance = own * redundancy if used else own + adjusted
+        # an edge that nothing checks agrees with itself
+        sigma = float(np.sqrt(max(variance, LEAST_CHECKED * own)))
+        return EdgeFit(used, (float(offset[0]), float(offset[1])), sigma, redundancy, part.scatter, shared)

@@ -1,0 +1,139 @@
+"""A STAC collection of the corrected images of a stack, which odc-stac and stackstac load."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rasterio.crs import CRS
+
+from pcwlad_geo.outputs.folder import place_file, stage_inside
+from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.stacks.result import Stack, StackImage
+
+VERSION: Final = "1.0.0"
+"""Of the STAC specification."""
+PROJECTION: Final = "https://stac-extensions.github.io/projection/v1.1.0/schema.json"
+"""Extension that tells CRS, shape and geotransform."""
+COLLECTION: Final = "collection.json"
+"""File name of the collection."""
+ITEMS: Final = "items"
+"""Folder of its items."""
+UNKNOWN: Final = "1970-01-01T00:00:00Z"
+"""Time of an image whose date is not known: STAC asks for one."""
+MEDIA: Final = {"COG": "image/tiff; application=geotiff; profile=cloud-optimized"}
+"""Media type of the rasters by format; others are given as GeoTIFF."""
+
+
+def catalogue(found: Stack, driver: str) -> dict[str, str]:
+    """Return the texts of the collection and its items by path in the output folder.
+
+    The rasters must have been written. There is none where they have no CRS.
+    """
+    placed = [image for image in found.images if image.registered.is_file()]
+    grids = [describe(image.registered).grid for image in placed]
+    if not placed or any(grid.crs is None for grid in grids):
+        return {}
+    items = [_item(image, grid, driver) for image, grid in zip(placed, grids, strict=True)]
+    texts = {f"{ITEMS}/{item['id']}.json": item for item in items}
+    return {
+        name: json.dumps(text, indent=1) + "\n" for name, text in {**texts, COLLECTION: _whole(items)}.items()
+    }
+
+
+def _item(image: StackImage, grid: Grid, driver: str) -> dict[str, Any]:
+    ring = _outline(grid)
+    known = image.date is not None
+    time = _time(image.date) if image.date is not None else UNKNOWN
+    properties: dict[str, Any] = {
+        "datetime": time,
+        "proj:epsg": grid.crs.to_epsg() if grid.crs is not None else None,
+        "proj:shape": list(grid.shape),
+        "proj:transform": list(grid.transform)[:6],
+        "pcwlad_geo:date_known": known,
+        "pcwlad_geo:shift_px": list(image.shift_px),
+        "pcwlad_geo:sigma_px": list(image.sigma_px),
+    }
+    if properties["proj:epsg"] is None and grid.crs is not None:
+        properties["proj:wkt2"] = grid.crs.to_wkt()
+    link = {"type": "application/json", "href": f"../{COLLECTION}"}
+    return {
+        "type": "Feature",
+        "stac_version": VERSION,
+        "stac_extensions": [PROJECTION],
+        "id": image.name,
+        "collection": "stack",
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+        "bbox": _box([ring]),
+        "properties": properties,
+        "links": [{"rel": rel, **link} for rel in ("root", "parent", "collection")],
+        "assets": {
+            "data": {
+                "href": f"../{image.registered.name}",
+                "type": MEDIA.get(driver.upper(), "image/tiff; application=geotiff"),
+                "roles": ["data"],
+            }
+        },
+    }
+
+
+def _time(date: str) -> str:
+    """Return a date or time as RFC 3339 asks for it."""
+    if "T" not in date:
+        return f"{date[:10]}T00:00:00Z"
+    return date if date.endswith("Z") or "+" in date[10:] else f"{date}Z"
+
+
+def _outline(grid: Grid) -> list[list[float]]:
+    """Return the closed outline of a grid, longitude and latitude."""
+    outline = grid.to_xy(grid.boundary_px(2))
+    degrees = transform_xy(outline, grid.crs, CRS.from_epsg(4326))
+    ring = [[round(float(x), 7), round(float(y), 7)] for x, y in degrees]
+    return [*ring, ring[0]] if ring[0] != ring[-1] else ring
+
+
+def _box(rings: Sequence[Sequence[Sequence[float]]]) -> list[float]:
+    every = np.concatenate([np.asarray(ring) for ring in rings])
+    return [*every.min(axis=0).tolist(), *every.max(axis=0).tolist()]
+
+
+def _whole(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    times = sorted(item["properties"]["datetime"] for item in items)
+    rings = [item["geometry"]["coordinates"][0] for item in items]
+    links: list[dict[str, str]] = [{"rel": "root", "type": "application/json", "href": f"./{COLLECTION}"}]
+    links += [
+        {"rel": "item", "type": "application/geo+json", "href": f"./{ITEMS}/{item['id']}.json"}
+        for item in items
+    ]
+    return {
+        "type": "Collection",
+        "stac_version": VERSION,
+        "id": "stack",
+        "description": "Images of one ground, adjusted together and resampled onto one grid",
+        "license": "other",
+        "extent": {"spatial": {"bbox": [_box(rings)]}, "temporal": {"interval": [[times[0], times[-1]]]}},
+        "links": links,
+    }
+
+
+def write_catalogue(found: Stack, driver: str) -> None:
+    """Write the collection and its items beside the rasters; each file appears complete or not at all."""
+    texts = catalogue(found, driver)
+    if not texts:
+        return
+    (found.out_dir / ITEMS).mkdir(exist_ok=True)
+    with stage_inside(found.out_dir) as stage:
+        for name, text in texts.items():
+            staged = stage / Path(name).name
+            staged.write_text(text, encoding="utf-8", newline="")
+            place_file(staged, found.out_dir / name, overwrite=True)
+
+
+def paths_of(folder: Path, names: Sequence[str]) -> list[Path]:
+    """Return the files that the catalogue of images of these names would have."""
+    return [folder / COLLECTION, *(folder / ITEMS / f"{name}.json" for name in names)]
