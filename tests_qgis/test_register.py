@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from conftest import Feedback, Finished, Run, loaded, run_algorithm
 from osgeo import gdal
-from pcwlad_geo_qgis.tie_points import TiePointStyle
+from pcwlad_geo_qgis.model.tie_points import TiePointStyle
 from qgis.core import (
     QgsCategorizedSymbolRenderer,
     QgsMapRendererSequentialJob,

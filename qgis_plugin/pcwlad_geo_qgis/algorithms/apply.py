@@ -27,12 +27,12 @@ class ApplyRegistration(EngineAlgorithm):
     OUTPUTS = ("OUTPUT",)
 
     def initAlgorithm(self, configuration: object = None) -> None:
-        folder = QgsProcessingParameterFile.Folder
-        self.addParameter(
+        folder = QgsProcessingParameterFile.Behavior.Folder
+        self.add(
             QgsProcessingParameterFile("REGISTRATION", tr("Registration (folder of all results)"), folder)
         )
-        self.addParameter(QgsProcessingParameterRasterLayer("INPUT", tr("Another band of the target")))
-        self.addParameter(QgsProcessingParameterRasterDestination("OUTPUT", tr("Registered raster")))
+        self.add(QgsProcessingParameterRasterLayer("INPUT", tr("Another band of the target")))
+        self.add(QgsProcessingParameterRasterDestination("OUTPUT", tr("Registered raster")))
 
     def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         folder = absolute(self.parameterAsFile(parameters, "REGISTRATION", context))

@@ -9,7 +9,16 @@ from typing import Any
 from qgis import core
 
 from ..text import mark, tr
-from .base import Context, EngineAlgorithm, Feedback, Values, options_of, temporary_folder
+from .base import (
+    METHODS,
+    PREALIGNMENTS,
+    Context,
+    EngineAlgorithm,
+    Feedback,
+    Values,
+    options_of,
+    temporary_folder,
+)
 
 PRESETS = ["sentinel2", "landsat-oli", "landsat-tirs"]
 FILES = {"OUTPUT_HTML": "report", "OUTPUT_CSV": "table"}
@@ -32,10 +41,13 @@ class BandToBandQa(EngineAlgorithm):
     RASTERS = ("MASK",)
     LISTS = ("INPUTS",)
     OUTPUTS = ("OUTPUT_HTML", "OUTPUT_CSV")
+    CHOICES = {"METHOD": METHODS, "PREALIGN": PREALIGNMENTS, "PRESET": PRESETS}
 
     def initAlgorithm(self, configuration: object = None) -> None:
-        self.addParameter(
-            core.QgsProcessingParameterMultipleLayers("INPUTS", tr("Rasters"), core.QgsProcessing.TypeRaster)
+        self.add(
+            core.QgsProcessingParameterMultipleLayers(
+                "INPUTS", tr("Rasters"), core.QgsProcessing.SourceType.TypeRaster
+            )
         )
         texts = {
             "BANDS": tr("Bands of each, such as 2,4-6 (not set: all)"),
@@ -43,24 +55,17 @@ class BandToBandQa(EngineAlgorithm):
             "REQUIRE": tr("Requirements, separated by semicolons"),
         }
         for name, title in texts.items():
-            self.addParameter(core.QgsProcessingParameterString(name, title, optional=True))
-        self.addParameter(
-            core.QgsProcessingParameterEnum(
-                "PRESET", tr("Requirement of a mission"), PRESETS, optional=True, usesStaticStrings=True
-            )
-        )
-        self.add_advanced(
-            core.QgsProcessingParameterRasterLayer(
-                "MASK", tr("Mask of all rasters (0 = excluded)"), optional=True
-            )
-        )
+            self.add(core.QgsProcessingParameterString(name, title, optional=True))
+        self.add_choice("PRESET", tr("Requirement of a mission"))
+        title = tr("Mask of all rasters (0 = excluded)")
+        self.add(core.QgsProcessingParameterRasterLayer("MASK", title, optional=True), advanced=True)
         self.add_matching()
         for name, title, kind in (
             ("OUTPUT_HTML", tr("Report"), tr("HTML files (*.html)")),
             ("OUTPUT_CSV", tr("Table, a line a pair"), tr("CSV files (*.csv)")),
         ):
-            self.addParameter(core.QgsProcessingParameterFileDestination(name, title, kind, optional=True))
-        self.addParameter(
+            self.add(core.QgsProcessingParameterFileDestination(name, title, kind, optional=True))
+        self.add(
             core.QgsProcessingParameterFolderDestination(
                 "OUTPUT_FOLDER", tr("Folder of all results"), optional=True, createByDefault=False
             )
@@ -75,7 +80,7 @@ class BandToBandQa(EngineAlgorithm):
         values = {
             "--bands": self.parameterAsString(parameters, "BANDS", context),
             "--against": self.parameterAsString(parameters, "AGAINST", context),
-            "--preset": self.parameterAsString(parameters, "PRESET", context),
+            "--preset": self.choice(parameters, "PRESET", context),
             "--mask": "".join(self.paths("MASK")),
             "--out-dir": folder,
         }

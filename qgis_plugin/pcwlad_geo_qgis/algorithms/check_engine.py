@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from qgis.core import (
+    QgsProcessingAlgorithm,
     QgsProcessingException,
     QgsProcessingOutputBoolean,
     QgsProcessingOutputString,
 )
 
-from ..engine import EngineError, find_engine, fits, needed, plugin_version
+from ..model import settings
+from ..process.engine import EngineError, fits, needed, plugin_version
 from ..text import mark, tr
 from .base import Context, Feedback, PlainAlgorithm, Values
 
@@ -25,6 +27,12 @@ class CheckEngine(PlainAlgorithm):
         "variable PCWLAD_GEO_PYTHON, where “Install engine” puts it, and on PATH, in this order."
     )
 
+    def flags(self) -> object:
+        """Keep it out of models and of the batch dialog: it is done once, by a person."""
+        kind = QgsProcessingAlgorithm.Flag
+        hidden = super().flags() | kind.FlagHideFromModeler
+        return hidden & ~kind.FlagSupportsBatch
+
     def initAlgorithm(self, configuration: object = None) -> None:
         self.addOutput(QgsProcessingOutputString("ENGINE", tr("Engine")))
         self.addOutput(QgsProcessingOutputString("VERSION", tr("Version of the engine")))
@@ -32,7 +40,7 @@ class CheckEngine(PlainAlgorithm):
 
     def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         try:
-            engine = find_engine()
+            engine = settings.find_engine()
             version = engine.version()
         except EngineError as error:
             raise QgsProcessingException(str(error)) from error

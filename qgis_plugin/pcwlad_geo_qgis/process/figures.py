@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from .text import tr
+from ..text import tr
 
 
 def summary(outcome: Mapping[str, Any]) -> str:
@@ -50,3 +50,17 @@ def figures(outcome: Mapping[str, Any]) -> dict[str, float]:
                     found[f"CE90{suffix}"] = accuracy[unit]["ce90"]
             break
     return found
+
+
+def verdict(outcome: Mapping[str, Any]) -> str:
+    """Return what a user wants to know of a finished registration, in one sentence."""
+    found, quality = figures(outcome), outcome.get("quality")
+    if not quality:
+        return tr("{:.0f} tie points were found.").format(found["POINTS"])
+    judged = {
+        "good": tr("The layers fit well: 90 % of the common ground is expected to lie within {:.2f} px{}."),
+        "fair": tr("The layers fit fairly: 90 % of the common ground is expected to lie within {:.2f} px{}."),
+        "poor": tr("The layers fit poorly: 90 % of the common ground is expected within {:.2f} px{} only."),
+    }[quality["grade"]]
+    metres = quality["expected_ce90_m"]
+    return judged.format(quality["expected_ce90_px"], "" if metres is None else f" ({metres:.2f} m)")
