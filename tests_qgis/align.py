@@ -1,6 +1,6 @@
 """What a user does with the dock “Align this layer…”, done by QGIS itself: ``qgis --code align.py``.
 
-WINDOW_JOB names a JSON file: `reference`, `target`, `polygons` and `folder`, where pictures and `seen.json` go.
+WINDOW_JOB names a JSON file: `reference`, `target`, `polygons`, and `folder` for pictures and `seen.json`.
 """
 
 from __future__ import annotations
@@ -10,10 +10,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from qgis.core import QgsCoordinateReferenceSystem, QgsPointXY, QgsProject, QgsRasterLayer, QgsRectangle, QgsVectorLayer
+from qgis.core import (
+    QgsCoordinateReferenceSystem,
+    QgsPointXY,
+    QgsProject,
+    QgsRasterLayer,
+    QgsRectangle,
+    QgsVectorLayer,
+)
 from qgis.PyQt.QtWidgets import QDockWidget, QWidget
 from qgis.utils import iface, plugins
-from steps import JOB, grab, go, seen
+from steps import JOB, go, grab, seen
 
 
 def steps() -> Iterator[int]:
@@ -37,7 +44,9 @@ def steps() -> Iterator[int]:
     dock = plugin.dock
     seen["preset"] = [box.currentLayer().name() for box in (dock.target, dock.reference)]
     iface.messageBar().clearWidgets()
-    window.resizeDocks([dock], [430], __import__("qgis.PyQt.QtCore", fromlist=["Qt"]).Qt.Orientation.Horizontal)
+    window.resizeDocks(
+        [dock], [430], __import__("qgis.PyQt.QtCore", fromlist=["Qt"]).Qt.Orientation.Horizontal
+    )
     yield 800
     grab(window, "align")
     yield from align(dock)
@@ -64,11 +73,17 @@ def align(dock: Any) -> Iterator[int]:
     seen["verdict"] = dock.verdict.text()
     root = QgsProject.instance().layerTreeRoot()
     seen["groups"] = {
-        group.name(): [node.name() for node in group.findLayers()] for group in root.children() if hasattr(group, "findLayers") and group.children()
+        group.name(): [node.name() for node in group.findLayers()]
+        for group in root.children()
+        if hasattr(group, "findLayers") and group.children()
     }
     after = dock.layers.get("after")
     seen["after"] = after.source() if after else ""
-    seen["field"] = [each.label() for each in dock.layers["field"].renderer().categories()] if "field" in dock.layers else []
+    seen["field"] = (
+        [each.label() for each in dock.layers["field"].renderer().categories()]
+        if "field" in dock.layers
+        else []
+    )
 
 
 def edit(dock: Any, window: QWidget) -> Iterator[int]:
@@ -82,7 +97,8 @@ def edit(dock: Any, window: QWidget) -> Iterator[int]:
     seen["columns"] = editor.model.titles
     top = editor.sorted.mapToSource(editor.sorted.index(0, 0)).row()
     seen["sorted"] = [
-        editor.points.points[editor.sorted.mapToSource(editor.sorted.index(row, 0)).row()].length_px for row in range(20)
+        editor.points.points[editor.sorted.mapToSource(editor.sorted.index(row, 0)).row()].length_px
+        for row in range(20)
     ]
     editor.table.selectRow(0)
     yield 1500
@@ -98,13 +114,14 @@ def edit(dock: Any, window: QWidget) -> Iterator[int]:
     yield 2500
     canvas.mapCanvasRefreshed.connect(lambda: drawn.append(time.monotonic()))
     seen["refit_s"] = []
+    rows = [row for row in range(seen["points"]) if row != top]
     for model in ("affine", "tps"):
         editor.models.setCurrentIndex(editor.models.findData(model))
         yield 2500
-        for row in range(3):
+        for _ in range(3):
             drawn.clear()
             start, number = time.monotonic(), editor._number
-            editor.switch([top + row + 1 if top < 500 else top - row - 1], False)
+            editor.switch([rows.pop()], False)
             while editor._shown_number <= number or not drawn or canvas.isDrawing():
                 yield 10
             seen["refit_s"].append([model, time.monotonic() - start])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,8 @@ def polygons(place: Path, raster: Path) -> Path:
     here.ImportFromEPSG(32633)
     there.ImportFromEPSG(3857)
     change = osr.CoordinateTransformation(here, there)
-    layer = ogr.GetDriverByName("GPKG").CreateDataSource(str(place)).CreateLayer("area", there, ogr.wkbPolygon)
+    source = ogr.GetDriverByName("GPKG").CreateDataSource(str(place))  # kept: its layers go with it
+    layer = source.CreateLayer("area", there, ogr.wkbPolygon)
     polygon = ogr.Geometry(ogr.wkbPolygon)
     for low, high in ((0.2, 0.8), (0.45, 0.55)):
         ring = ogr.Geometry(ogr.wkbLinearRing)
@@ -63,7 +63,9 @@ def test_the_dock_opens_for_the_layer_with_another_as_its_reference(seen: dict[s
 def test_the_result_has_the_name_of_the_layer_in_a_group_and_a_verdict_in_a_sentence(
     seen: dict[str, Any],
 ) -> None:
-    assert seen["verdict"].startswith("The layers fit well: 90 % of the common ground is expected to lie within 0.")
+    assert seen["verdict"].startswith(
+        "The layers fit well: 90 % of the common ground is expected to lie within 0."
+    )
     assert "report.html" in seen["verdict"]
     assert set(seen["groups"]["landsat_b10 aligned"]) == {"landsat_b10", "Tie points", "Displacement"}
     assert seen["field"][0].startswith("matched: displacement × ")
@@ -72,7 +74,15 @@ def test_the_result_has_the_name_of_the_layer_in_a_group_and_a_verdict_in_a_sent
 
 def test_the_table_is_that_of_the_georeferencer_sorted_by_residual(seen: dict[str, Any]) -> None:
     assert seen["columns"][:9] == [
-        "Visible", "ID", "Source X", "Source Y", "Dest. X", "Dest. Y", "dX (pixels)", "dY (pixels)", "Residual (pixels)",
+        "Visible",
+        "ID",
+        "Source X",
+        "Source Y",
+        "Dest. X",
+        "Dest. Y",
+        "dX (pixels)",
+        "dY (pixels)",
+        "Residual (pixels)",
     ]
     assert seen["sorted"] == sorted(seen["sorted"], reverse=True)
     assert seen["sorted"][0] > 0
@@ -90,7 +100,9 @@ def test_points_go_off_and_come_back_and_models_tell_their_rmse(seen: dict[str, 
     assert seen["rmse"]["tps"] < seen["rmse"]["affine"] < 0.5
 
 
-def test_an_added_point_is_refined_and_points_are_saved(seen: dict[str, Any], sample: tuple[Path, Path]) -> None:
+def test_an_added_point_is_refined_and_points_are_saved(
+    seen: dict[str, Any], sample: tuple[Path, Path]
+) -> None:
     assert seen["added"][0] < 1.0  # it was shown 1.5 px off
     assert 0 < seen["added"][1] < 1.0
     assert seen["again"].startswith("The layers fit")

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import PATIENCE_S, Finished
+from conftest import PATIENCE_S, Finished, engine_python
 from osgeo import gdal
+from pcwlad_geo_qgis.process.child import child_environment
 from test_process import built, profile  # noqa: F401  # fixtures
 
 PICTURES = os.environ.get("PCWLAD_GEO_PICTURES")
@@ -92,18 +93,12 @@ def keep(folder: Path, report: Path, place: Path) -> None:
 def keep_pictures(folder: Path, place: Path) -> None:
     """Keep the pictures, with few colours."""
     place.mkdir(parents=True, exist_ok=True)
-    for picture in folder.glob("*.png"):
+    reduce = "import sys; from PIL import Image; image = Image.open(sys.argv[1]).convert('RGB'); "
+    reduce += "image.quantize(200, dither=0).save(sys.argv[2], optimize=True)"
+    for picture in folder.glob("*.png"):  # the engine has Pillow, for its report
         subprocess.run(
-            [
-                "convert",
-                str(picture),
-                "-strip",
-                "-dither",
-                "None",
-                "-colors",
-                "200",
-                f"PNG8:{place / picture.name}",
-            ],
+            [engine_python(), "-c", reduce, str(picture), str(place / picture.name)],
+            env=child_environment(),
             check=True,
         )
 

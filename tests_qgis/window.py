@@ -26,6 +26,7 @@ from qgis.PyQt.QtWidgets import (
 from qgis.utils import iface
 from steps import JOB, go, grab, seen, wanted
 
+
 def steps() -> Iterator[int]:
     """Do one thing after the other; yield how many milliseconds to wait."""
     window = iface.mainWindow()

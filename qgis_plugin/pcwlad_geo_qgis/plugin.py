@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from qgis.core import Qgis, QgsApplication, QgsMapLayerType
+from qgis import core
 from qgis.gui import QgisInterface
 from qgis.PyQt.QtCore import QCoreApplication, QLocale, QObject, QSettings, Qt, QTranslator, QUrl, pyqtSignal
 from qgis.PyQt.QtGui import QDesktopServices, QIcon
@@ -38,7 +38,7 @@ class PcwladGeoPlugin:
     def initProcessing(self) -> None:
         """Add the provider."""
         self._provider = PcwladGeoProvider()
-        QgsApplication.processingRegistry().addProvider(self._provider)
+        core.QgsApplication.processingRegistry().addProvider(self._provider)
 
     def initGui(self) -> None:
         """Add the provider, and “Align this layer…” to the Raster menu and the menu of raster layers."""
@@ -49,7 +49,11 @@ class PcwladGeoPlugin:
         self.action = QAction(QIcon(str(ICON)), tr("Align this layer…"), self._iface.mainWindow())
         self.action.triggered.connect(lambda: self.open_dock())
         self._iface.addPluginToRasterMenu("pcwlad-geo", self.action)
-        raster = Qgis.LayerType.Raster if hasattr(Qgis, "LayerType") else QgsMapLayerType.RasterLayer
+        raster = (
+            core.Qgis.LayerType.Raster
+            if hasattr(core.Qgis, "LayerType")
+            else core.QgsMapLayerType.RasterLayer
+        )
         self._iface.addCustomActionForLayerType(self.action, "", raster, True)
 
     def open_dock(self) -> None:
@@ -67,13 +71,13 @@ class PcwladGeoPlugin:
         button = QPushButton(tr("Open the report"))
         button.clicked.connect(lambda: QDesktopServices.openUrl(QUrl.fromLocalFile(report)))
         item.layout().addWidget(button)
-        self._iface.messageBar().pushWidget(item, Qgis.MessageLevel.Warning)
+        self._iface.messageBar().pushWidget(item, core.Qgis.MessageLevel.Warning)
 
     def unload(self) -> None:
         """Remove what was added."""
         QCoreApplication.removeTranslator(self._translator)
         if self._provider is not None:
-            QgsApplication.processingRegistry().removeProvider(self._provider)
+            core.QgsApplication.processingRegistry().removeProvider(self._provider)
             self._provider = None
         if self._iface is not None and hasattr(self, "action"):
             notices.show_with(None)

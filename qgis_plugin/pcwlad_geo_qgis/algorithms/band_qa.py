@@ -9,16 +9,7 @@ from typing import Any
 from qgis import core
 
 from ..text import mark, tr
-from .base import (
-    METHODS,
-    PREALIGNMENTS,
-    Context,
-    EngineAlgorithm,
-    Feedback,
-    Values,
-    options_of,
-    temporary_folder,
-)
+from .base import Context, EngineAlgorithm, Feedback, Values, options_of, temporary_folder
 
 PRESETS = ["sentinel2", "landsat-oli", "landsat-tirs"]
 FILES = {"OUTPUT_HTML": "report", "OUTPUT_CSV": "table"}
@@ -41,38 +32,21 @@ class BandToBandQa(EngineAlgorithm):
     RASTERS = ("MASK",)
     LISTS = ("INPUTS",)
     OUTPUTS = ("OUTPUT_HTML", "OUTPUT_CSV")
-    CHOICES = {"METHOD": METHODS, "PREALIGN": PREALIGNMENTS, "PRESET": PRESETS}
+    CHOICES = {**EngineAlgorithm.CHOICES, "PRESET": PRESETS}
 
     def initAlgorithm(self, configuration: object = None) -> None:
-        self.add(
-            core.QgsProcessingParameterMultipleLayers(
-                "INPUTS", tr("Rasters"), core.QgsProcessing.SourceType.TypeRaster
-            )
-        )
-        texts = {
-            "BANDS": tr("Bands of each, such as 2,4-6 (not set: all)"),
-            "AGAINST": tr("Compare every band with this one only: the end of its name, such as B4"),
-            "REQUIRE": tr("Requirements, separated by semicolons"),
-        }
-        for name, title in texts.items():
-            self.add(core.QgsProcessingParameterString(name, title, optional=True))
-        self.add_choice("PRESET", tr("Requirement of a mission"))
-        title = tr("Mask of all rasters (0 = excluded)")
-        self.add(core.QgsProcessingParameterRasterLayer("MASK", title, optional=True), advanced=True)
+        rasters, kind = core.QgsProcessingParameterMultipleLayers, core.QgsProcessing.SourceType.TypeRaster
+        self.add(rasters, "INPUTS", kind)
+        for name in ("BANDS", "AGAINST", "REQUIRE"):
+            self.add(core.QgsProcessingParameterString, name, optional=True)
+        self.add_choice("PRESET")
+        self.add(core.QgsProcessingParameterRasterLayer, "MASK", optional=True, advanced=True)
         self.add_matching()
-        for name, title, kind in (
-            ("OUTPUT_HTML", tr("Report"), tr("HTML files (*.html)")),
-            ("OUTPUT_CSV", tr("Table, a line a pair"), tr("CSV files (*.csv)")),
-        ):
-            self.add(core.QgsProcessingParameterFileDestination(name, title, kind, optional=True))
-        self.add(
-            core.QgsProcessingParameterFolderDestination(
-                "OUTPUT_FOLDER", tr("Folder of all results"), optional=True, createByDefault=False
-            )
-        )
-        self.addOutput(core.QgsProcessingOutputBoolean("PASSED", tr("Requirements met")))
-        self.addOutput(core.QgsProcessingOutputNumber("PAIRS", tr("Pairs")))
-        self.addOutput(core.QgsProcessingOutputNumber("REFUSED", tr("Pairs refused")))
+        self.add_file("OUTPUT_HTML", tr("HTML files (*.html)"))
+        self.add_file("OUTPUT_CSV", tr("CSV files (*.csv)"))
+        self.add_folder()
+        self.add_results(core.QgsProcessingOutputBoolean, "PASSED")
+        self.add_results(core.QgsProcessingOutputNumber, "PAIRS", "REFUSED")
 
     def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         folder = self.file_output(parameters, "OUTPUT_FOLDER", context)

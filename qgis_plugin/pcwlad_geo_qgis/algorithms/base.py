@@ -13,7 +13,7 @@ from typing import Any
 from qgis import core
 from qgis.PyQt.QtGui import QIcon
 
-from ..help import PARAMETERS
+from ..help import LABELS, PARAMETERS, TITLES
 from ..model import settings
 from ..model.notices import tell_of_report
 from ..model.rasters import path_of, problem_of, same_file, warning_of
@@ -30,37 +30,6 @@ METHODS = ["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 MODELS = ["auto", "shift", "affine", "projective", "polynomial", "tps", "field", "jitter", "rpc"]
 PREALIGNMENTS = ["auto", "georef", "search", "none"]
 RESAMPLINGS = ["nearest", "bilinear", "cubic", "cubic_spline", "lanczos"]
-LABELS = {
-    "oriented": mark("Oriented phase congruency (precise)"),
-    "gradient": mark("Gradients (fast)"),
-    "pcwlad": mark("PCWLAD, as published"),
-    "pclad": mark("PCLAD, as published"),
-    "pclsm": mark("PCLSM, as published"),
-    "coarse": mark("Whole pixels only"),
-    "auto": mark("Automatic"),
-    "shift": mark("Shift"),
-    "affine": mark("Affine"),
-    "projective": mark("Projective"),
-    "polynomial": mark("Polynomial"),
-    "tps": mark("Thin-plate spline"),
-    "field": mark("Measured field"),
-    "jitter": mark("Affine and waves (jitter)"),
-    "rpc": mark("RPC"),
-    "georef": mark("The georeferencing only"),
-    "search": mark("Search the whole image"),
-    "none": mark("None"),
-    "nearest": mark("Nearest neighbour (classes)"),
-    "bilinear": mark("Bilinear"),
-    "cubic": mark("Cubic"),
-    "cubic_spline": mark("Cubic spline"),
-    "lanczos": mark("Lanczos"),
-    "sentinel2": mark("Sentinel-2"),
-    "landsat-oli": mark("Landsat OLI"),
-    "landsat-tirs": mark("Landsat TIRS"),
-    "reference": mark("The reference"),
-    "mean": mark("The mean position of all"),
-}
-"""What the dialogs call the choices of the engine."""
 
 
 class PlainAlgorithm(core.QgsProcessingAlgorithm):
@@ -98,13 +67,23 @@ class PlainAlgorithm(core.QgsProcessingAlgorithm):
     def createInstance(self) -> PlainAlgorithm:
         return type(self)()
 
-    def add(self, parameter: core.QgsProcessingParameterDefinition, advanced: bool = False) -> None:
-        """Add a parameter with its help, perhaps among the advanced ones."""
-        parameter.setHelp(tr(PARAMETERS.get(parameter.name(), "")))
+    def title(self, name: str) -> str:
+        """Return the title of a parameter, or of an output (`out.NAME`)."""
+        return tr(TITLES.get(f"{self.ID}.{name}") or TITLES[name])
+
+    def add(self, kind: type, name: str, *given: object, advanced: bool = False, **named: object) -> None:
+        """Add a parameter of a kind, with its title and help, perhaps among the advanced ones."""
+        parameter = kind(name, self.title(name), *given, **named)
+        parameter.setHelp(tr(PARAMETERS.get(name, "")))
         if advanced:
             flag = core.QgsProcessingParameterDefinition.Flag.FlagAdvanced
             parameter.setFlags(parameter.flags() | flag)
         self.addParameter(parameter)
+
+    def add_results(self, kind: type, *names: str) -> None:
+        """Add outputs that are values."""
+        for name in names:
+            self.addOutput(kind(name, self.title(f"out.{name}")))
 
 
 class EngineAlgorithm(PlainAlgorithm):
@@ -116,18 +95,15 @@ class EngineAlgorithm(PlainAlgorithm):
     """Parameters that are lists of raster layers."""
     OUTPUTS: Sequence[str] = ()
     """Parameters that are files to write."""
-    CHOICES: Mapping[str, Sequence[str]] = {}
+    CHOICES: Mapping[str, Sequence[str]] = {"METHOD": METHODS, "PREALIGN": PREALIGNMENTS}
     """Parameters that are one of several words, and the words of the engine."""
 
-    def add_choice(self, name: str, title: str, default: str | None = None, advanced: bool = False) -> None:
+    def add_choice(self, name: str, default: str | None = None, advanced: bool = False) -> None:
         """Add a parameter of `CHOICES`, with labels that people read; scripts may give the engine's words."""
         words = list(self.CHOICES[name])
         index = None if default is None else words.index(default)
-        labels = [tr(LABELS[word]) for word in words]
-        parameter = core.QgsProcessingParameterEnum(
-            name, title, labels, defaultValue=index, optional=default is None
-        )
-        self.add(parameter, advanced)
+        kind, labels = core.QgsProcessingParameterEnum, [tr(LABELS[word]) for word in words]
+        self.add(kind, name, labels, advanced=advanced, defaultValue=index, optional=default is None)
 
     def choice(self, parameters: Values, name: str, context: Context) -> str:
         """Return the engine's word for what was chosen; empty where nothing was."""
@@ -148,19 +124,24 @@ class EngineAlgorithm(PlainAlgorithm):
 
     def add_matching(self) -> None:
         """Add the parameters of the matching, all advanced."""
-        number, text = core.QgsProcessingParameterNumber, core.QgsProcessingParameterString
-        self.add_choice("METHOD", tr("Matching method"), "oriented", advanced=True)
-        title = tr("Tie points wanted (0: all; not set: 1000 of a scene, all of a small image)")
-        self.add(number("POINTS", title, optional=True, minValue=0), advanced=True)
-        title = tr("Search radius: largest displacement, pixels of the coarser raster (not set: automatic)")
-        self.add(number("SEARCH_RADIUS", title, optional=True, minValue=1), advanced=True)
-        title = tr("Matching window: its side, odd, pixels of the coarser raster (not set: automatic)")
-        self.add(number("WINDOW", title, optional=True, minValue=21, maxValue=513), advanced=True)
-        self.add_choice("PREALIGN", tr("Rough alignment"), "auto", advanced=True)
-        title = tr("Processes (not set: one a core)")
-        self.add(number("JOBS", title, optional=True, minValue=1), advanced=True)
-        title = tr("More options of the command line, such as --features 500")
-        self.add(text("EXTRA", title, optional=True), advanced=True)
+        number = core.QgsProcessingParameterNumber
+        self.add_choice("METHOD", "oriented", advanced=True)
+        self.add(number, "POINTS", optional=True, minValue=0, advanced=True)
+        self.add(number, "SEARCH_RADIUS", optional=True, minValue=1, advanced=True)
+        self.add(number, "WINDOW", optional=True, minValue=21, maxValue=513, advanced=True)
+        self.add_choice("PREALIGN", "auto", advanced=True)
+        self.add(number, "JOBS", optional=True, minValue=1, advanced=True)
+        self.add(core.QgsProcessingParameterString, "EXTRA", optional=True, advanced=True)
+
+    def add_file(self, name: str, kind: str, default: bool = True) -> None:
+        """Add a file to write, which may be left out."""
+        destination = core.QgsProcessingParameterFileDestination
+        self.add(destination, name, kind, optional=True, createByDefault=default)
+
+    def add_folder(self, optional: bool = True) -> None:
+        """Add the folder of all results."""
+        destination = core.QgsProcessingParameterFolderDestination
+        self.add(destination, "OUTPUT_FOLDER", optional=optional, createByDefault=not optional)
 
     def matching_options(self, parameters: Values, context: Context) -> list[str]:
         """Return the options of the matching."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from qgis.core import QgsProcessingException, QgsProcessingOutputString, QgsProcessingParameterFile
+from qgis import core
 
 from ..model import settings
 from ..process import install
@@ -20,8 +20,8 @@ class InstallEngine(CheckEngine):
     ID = "installengine"
     TITLE = mark("Install engine")
     HELP = mark(
-        "Makes a virtual environment beside your QGIS profile and installs the engine there. QGIS and its own "
-        "Python stay as they are.\n"
+        "Makes a virtual environment beside your QGIS profile and installs the engine there. QGIS and its "
+        "own Python stay as they are.\n"
         "Give the <b>wheel</b> of pcwlad-geo (pcwlad_geo-….whl) or its <b>source folder</b>. The "
         "libraries that it needs are downloaded by pip from the package index that is configured on this "
         "computer, through the proxy of QGIS's network options if there is one: about 280 MB, and about "
@@ -33,19 +33,13 @@ class InstallEngine(CheckEngine):
     )
 
     def initAlgorithm(self, configuration: object = None) -> None:
-        parameter, kind = QgsProcessingParameterFile, QgsProcessingParameterFile.Behavior
-        wheel = parameter(
-            "WHEEL", tr("Wheel of pcwlad-geo"), kind.File, optional=True, fileFilter="Wheel (*.whl)"
-        )
-        self.add(wheel)
-        self.add(parameter("FOLDER", tr("Or source folder of pcwlad-geo"), kind.Folder, optional=True))
-        title = tr("Folder of wheels, for computers without internet")
-        self.add(parameter("WHEELHOUSE", title, kind.Folder, optional=True))
-        title = tr("Python 3.10 or newer (not set: found by itself)")
+        file, folder = core.QgsProcessingParameterFile, core.QgsProcessingParameterFile.Behavior.Folder
+        self.add(file, "WHEEL", optional=True, fileFilter="Wheel (*.whl)")
+        self.add(file, "FOLDER", folder, optional=True)
+        self.add(file, "WHEELHOUSE", folder, optional=True)
         # the default filter, *.*, would turn away a Python whose name has no dot
-        self.add(parameter("PYTHON", title, optional=True, fileFilter=tr("All files (*)")), advanced=True)
-        self.addOutput(QgsProcessingOutputString("ENGINE", tr("Engine")))
-        self.addOutput(QgsProcessingOutputString("VERSION", tr("Version of the engine")))
+        self.add(file, "PYTHON", optional=True, fileFilter=tr("All files (*)"), advanced=True)
+        self.add_results(core.QgsProcessingOutputString, "ENGINE", "VERSION")
 
     def checkParameterValues(self, parameters: Values, context: Context) -> tuple[bool, str]:
         """Accept a wheel or source folder of pcwlad-geo only."""
@@ -72,7 +66,7 @@ class InstallEngine(CheckEngine):
         try:
             done = install.install(plan, settings.private_folder(), feedback, temporary_folder())
         except EngineError as error:
-            raise QgsProcessingException(str(error)) from error
+            raise core.QgsProcessingException(str(error)) from error
         if done is None:
             return {}
         feedback.pushInfo(tr("Installed: pcwlad-geo {} in {}").format(done[1], done[0].parents[1]))

@@ -9,17 +9,11 @@ from qgis import core
 
 from ..model.rasters import path_of, same_file
 from ..text import mark, tr
-from .base import (
-    METHODS,
-    MODELS,
-    PREALIGNMENTS,
-    Context,
-    EngineAlgorithm,
-    Feedback,
-    Values,
-    options_of,
-    words_of,
-)
+from .base import MODELS, Context, EngineAlgorithm, Feedback, Values, options_of
+
+FLAGS = ("--allow-remote", "--trust-vrt", "--keep", "--debug", "--overwrite")
+OF_ALL = ("--jobs", "--scheduler", "--config")
+"""Options that no table may hold, without and with a value."""
 
 
 class RegisterMany(EngineAlgorithm):
@@ -36,20 +30,18 @@ class RegisterMany(EngineAlgorithm):
     )
     RASTERS = ("REFERENCE",)
     LISTS = ("INPUTS",)
-    CHOICES = {"METHOD": METHODS, "PREALIGN": PREALIGNMENTS, "MODEL": MODELS}
+    CHOICES = {**EngineAlgorithm.CHOICES, "MODEL": MODELS}
 
     def initAlgorithm(self, configuration: object = None) -> None:
-        self.add(core.QgsProcessingParameterRasterLayer("REFERENCE", tr("Reference (stays)")))
-        kind = core.QgsProcessing.SourceType.TypeRaster
-        self.add(core.QgsProcessingParameterMultipleLayers("INPUTS", tr("Targets (move)"), kind))
-        self.add_choice("MODEL", tr("Correction model"), "auto")
-        title = tr("Requirements, separated by semicolons")
-        self.add(core.QgsProcessingParameterString("REQUIRE", title, optional=True), advanced=True)
+        rasters, kind = core.QgsProcessingParameterMultipleLayers, core.QgsProcessing.SourceType.TypeRaster
+        self.add(core.QgsProcessingParameterRasterLayer, "REFERENCE")
+        self.add(rasters, "INPUTS", kind)
+        self.add_choice("MODEL", "auto")
+        self.add(core.QgsProcessingParameterString, "REQUIRE", optional=True, advanced=True)
         self.add_matching()
-        self.add(core.QgsProcessingParameterFolderDestination("OUTPUT_FOLDER", tr("Folder of all results")))
-        self.addOutput(core.QgsProcessingOutputFile("OUTPUT_CSV", tr("Table, a line a pair")))
-        self.addOutput(core.QgsProcessingOutputNumber("REGISTERED", tr("Targets registered")))
-        self.addOutput(core.QgsProcessingOutputNumber("REFUSED", tr("Pairs refused")))
+        self.add_folder(optional=False)
+        self.addOutput(core.QgsProcessingOutputFile("OUTPUT_CSV", self.title("OUTPUT_CSV")))
+        self.add_results(core.QgsProcessingOutputNumber, "REGISTERED", "REFUSED")
 
     def problem(self, parameters: Values, context: Context) -> str:
         """Return what is wrong with the parameters, and what to do; empty where nothing is."""
@@ -85,15 +77,19 @@ class RegisterMany(EngineAlgorithm):
 
     def _table(self, parameters: Values, context: Context, folder: Path) -> tuple[str, list[str]]:
         """Write the table of pairs and return its path, and the options that no table may hold."""
-        extra = words_of(self.parameterAsString(parameters, "EXTRA", context))
-        options = self.matching_options({**parameters, "EXTRA": ""}, context)
-        values = dict(zip(options[::2], options[1::2]))
-        values["--model"] = self.choice(parameters, "MODEL", context)
-        jobs = options_of({"--jobs": values.pop("--jobs", "")})
+        values, rest = {"--model": self.choice(parameters, "MODEL", context)}, []
+        words = iter(self.matching_options(parameters, context))
+        for word in words:
+            if word in FLAGS:
+                rest.append(word)
+            elif word in OF_ALL:
+                rest += [word, next(words, "")]
+            else:
+                values[word] = next(words, "")
         (reference,) = self.paths("REFERENCE")
         place = folder / "pairs.csv"
         with place.open("w", encoding="utf-8", newline="") as file:
             lines = csv.writer(file)
             lines.writerow(["reference", "target", *(name[2:].replace("-", "_") for name in values)])
             lines.writerows([reference, target, *values.values()] for target in self.paths("INPUTS"))
-        return str(place), [*jobs, *extra]
+        return str(place), rest

@@ -14,80 +14,42 @@ from ..model.rasters import crs_differs, other_raster, path_of, same_file
 from ..model.tie_points import TiePoints, TiePointStyle
 from ..process.figures import figures, summary, verdict
 from ..text import tr
-from .base import (
-    METHODS,
-    PREALIGNMENTS,
-    Context,
-    EngineAlgorithm,
-    Feedback,
-    Values,
-    options_of,
-    temporary_folder,
-)
+from .base import Context, EngineAlgorithm, Feedback, Values, options_of, temporary_folder
 
 
 class PairAlgorithm(EngineAlgorithm):
     """An algorithm on a reference and a target."""
 
     RASTERS = ("REFERENCE", "INPUT", "REFERENCE_MASK", "INPUT_MASK", "DEM")
-    CHOICES = {"METHOD": METHODS, "PREALIGN": PREALIGNMENTS}
 
     def add_inputs(self) -> None:
         """Add the rasters, their bands and masks, and the DEM."""
-        raster, text, number = (
-            core.QgsProcessingParameterRasterLayer,
-            core.QgsProcessingParameterString,
-            core.QgsProcessingParameterNumber,
-        )
-        rasters = (
-            ("REFERENCE", tr("Reference (stays)"), tr("Band of the reference"), None),
-            ("INPUT", tr("Target (moves)"), tr("Band of the target"), other_raster()),
-        )
-        for name, title, band, preset in rasters:
-            self.add(raster(name, title, preset))
+        raster, text = core.QgsProcessingParameterRasterLayer, core.QgsProcessingParameterString
+        number, source = core.QgsProcessingParameterNumber, core.QgsProcessingParameterFeatureSource
+        for name, preset in (("REFERENCE", None), ("INPUT", other_raster())):
+            self.add(raster, name, preset)
             # QGIS 3.22 takes the default of a band for none unless it is optional
-            self.add(core.QgsProcessingParameterBand(f"{name}_BAND", band, 1, name, optional=True))
-        self.add(core.QgsProcessingParameterExtent("EXTENT", tr("Extent (not set: all)"), optional=True))
+            self.add(core.QgsProcessingParameterBand, f"{name}_BAND", 1, name, optional=True)
+        self.add(core.QgsProcessingParameterExtent, "EXTENT", optional=True)
         polygons = [core.QgsProcessing.SourceType.TypeVectorPolygon]
-        source = core.QgsProcessingParameterFeatureSource
-        self.add(source("AREA", tr("Area of interest"), polygons, optional=True), advanced=True)
-        self.add(source("EXCLUDED", tr("Excluded area"), polygons, optional=True), advanced=True)
-        for name, title in {
-            "REFERENCE_MASK": tr("Mask of the reference (0 = excluded; or QA_PIXEL, SCL)"),
-            "INPUT_MASK": tr("Mask of the target (0 = excluded; or QA_PIXEL, SCL)"),
-            "DEM": tr("DEM, for a target with RPCs"),
-        }.items():
-            self.add(raster(name, title, optional=True), advanced=True)
-        title = tr(
-            "DEM: what is added to its heights to count from the ellipsoid, where its CRS does not tell"
-        )
-        self.add(text("DEM_VERTICAL", title, optional=True), advanced=True)
-        title = tr("Required accuracy: largest CE90, target pixels (not set: any)")
-        kind = number.Type.Double
-        self.add(number("MAX_CE90", title, kind, None, True, 0.001), advanced=True)
-        self.add(text("REQUIRE", tr("Requirements, separated by semicolons"), optional=True), advanced=True)
+        for name in ("AREA", "EXCLUDED"):
+            self.add(source, name, polygons, optional=True, advanced=True)
+        for name in ("REFERENCE_MASK", "INPUT_MASK", "DEM"):
+            self.add(raster, name, optional=True, advanced=True)
+        self.add(text, "DEM_VERTICAL", optional=True, advanced=True)
+        kind = core.QgsProcessingParameterNumber.Type.Double
+        self.add(number, "MAX_CE90", kind, None, True, 0.001, advanced=True)
+        self.add(text, "REQUIRE", optional=True, advanced=True)
 
     def add_outputs(self) -> None:
         """Add the outputs that both algorithms have."""
-        file, folder = (
-            core.QgsProcessingParameterFileDestination,
-            core.QgsProcessingParameterFolderDestination,
-        )
-        self.add(core.QgsProcessingParameterFeatureSink("OUTPUT_TIEPOINTS", tr("Tie points"), optional=True))
-        self.add(file("OUTPUT_HTML", tr("Report"), tr("HTML files (*.html)"), optional=True))
-        title, kind = tr("Points for the Georeferencer"), tr("Georeferencer points (*.points)")
-        self.add(file("OUTPUT_POINTS", title, kind, optional=True, createByDefault=False))
-        title = tr("Folder of all results")
-        self.add(folder("OUTPUT_FOLDER", title, optional=True, createByDefault=False))
-        self.addOutput(core.QgsProcessingOutputBoolean("PASSED", tr("Requirements met")))
-        self.addOutput(core.QgsProcessingOutputString("VERDICT", tr("Verdict, in a sentence")))
-        for name, title in {
-            "POINTS": tr("Tie points"),
-            "SHIFT": tr("Median displacement, target pixels"),
-            "SHIFT_COL": tr("Median displacement to the right, target pixels"),
-            "SHIFT_ROW": tr("Median displacement down, target pixels"),
-        }.items():
-            self.addOutput(core.QgsProcessingOutputNumber(name, title))
+        self.add(core.QgsProcessingParameterFeatureSink, "OUTPUT_TIEPOINTS", optional=True)
+        self.add_file("OUTPUT_HTML", tr("HTML files (*.html)"))
+        self.add_file("OUTPUT_POINTS", tr("Georeferencer points (*.points)"), default=False)
+        self.add_folder()
+        self.add_results(core.QgsProcessingOutputBoolean, "PASSED")
+        self.add_results(core.QgsProcessingOutputString, "VERDICT")
+        self.add_results(core.QgsProcessingOutputNumber, "POINTS", "SHIFT", "SHIFT_COL", "SHIFT_ROW")
 
     def problem(self, parameters: Values, context: Context) -> str:
         """Return what is wrong with the parameters, and what to do; empty where nothing is."""

@@ -4,14 +4,7 @@ from __future__ import annotations
 
 import shutil
 
-from qgis.core import (
-    QgsProcessingOutputNumber,
-    QgsProcessingOutputString,
-    QgsProcessingParameterBoolean,
-    QgsProcessingParameterFile,
-    QgsProcessingParameterRasterDestination,
-    QgsProcessingParameterRasterLayer,
-)
+from qgis import core
 
 from ..text import mark, tr
 from .base import MODELS, RESAMPLINGS, Context, Feedback, Values, absolute
@@ -53,35 +46,24 @@ class RegisterRaster(PairAlgorithm):
     OUTPUTS = ("OUTPUT", "OUTPUT_TIEPOINTS", "OUTPUT_HTML", "OUTPUT_POINTS", "OUTPUT_DISPLACEMENT")
 
     def initAlgorithm(self, configuration: object = None) -> None:
-        boolean, destination = QgsProcessingParameterBoolean, QgsProcessingParameterRasterDestination
+        boolean, destination = (
+            core.QgsProcessingParameterBoolean,
+            core.QgsProcessingParameterRasterDestination,
+        )
         self.add_inputs()
-        self.add_choice("MODEL", tr("Correction model"), "auto")
-        title = tr(
-            "Only georeference: write no registered raster, but a VRT with the corrected georeferencing"
-        )
-        self.add(boolean("GEOREFERENCE", title, False), advanced=True)
-        like = QgsProcessingParameterRasterLayer("LIKE", tr("Grid of another raster"), optional=True)
-        self.add(like, advanced=True)
-        self.add_choice("RESAMPLING", tr("Resampling"), "lanczos", advanced=True)
-        points = QgsProcessingParameterFile(
-            "TIE_POINTS", tr("Tie points of a file"), optional=True, fileFilter=tr("All files (*)")
-        )
-        self.add(points, advanced=True)
-        title = tr("Keep the registered raster although a requirement is not met")
-        self.add(boolean("KEEP", title, False), advanced=True)
+        self.add_choice("MODEL", "auto")
+        self.add(boolean, "GEOREFERENCE", False, advanced=True)
+        self.add(core.QgsProcessingParameterRasterLayer, "LIKE", optional=True, advanced=True)
+        self.add_choice("RESAMPLING", "lanczos", advanced=True)
+        file, all_files = core.QgsProcessingParameterFile, tr("All files (*)")
+        self.add(file, "TIE_POINTS", optional=True, fileFilter=all_files, advanced=True)
+        self.add(boolean, "KEEP", False, advanced=True)
         self.add_matching()
-        self.add(destination("OUTPUT", tr("Registered raster"), optional=True))
-        title = tr("Displacement field")
-        self.add(destination("OUTPUT_DISPLACEMENT", title, optional=True, createByDefault=False))
+        self.add(destination, "OUTPUT", optional=True)
+        self.add(destination, "OUTPUT_DISPLACEMENT", optional=True, createByDefault=False)
         self.add_outputs()
-        for name, title in {
-            "RMSE": tr("RMSE at check points, target pixels"),
-            "CE90": tr("CE90 at check points, target pixels"),
-            "RMSE_M": tr("RMSE at check points, metres"),
-            "CE90_M": tr("CE90 at check points, metres"),
-        }.items():
-            self.addOutput(QgsProcessingOutputNumber(name, title))
-        self.addOutput(QgsProcessingOutputString("QUALITY", tr("Quality: good, fair or poor")))
+        self.add_results(core.QgsProcessingOutputNumber, "RMSE", "CE90", "RMSE_M", "CE90_M")
+        self.add_results(core.QgsProcessingOutputString, "QUALITY")
 
     def problem(self, parameters: Values, context: Context) -> str:
         """Return what is wrong with the parameters, and what to do; empty where nothing is."""
@@ -112,7 +94,8 @@ class RegisterRaster(PairAlgorithm):
         if not found:
             return found
         if georeference:
-            found["GEOREFERENCED"] = self.outcome["paths"]["raster"]
+            paths = self.outcome["paths"]
+            found["GEOREFERENCED"] = paths.get("corrected") or paths["raster"]
         elif raster:
             found["OUTPUT"] = raster
         if field:

@@ -7,7 +7,7 @@ from pathlib import Path
 from qgis import core
 
 from ..text import mark, tr
-from .base import METHODS, PREALIGNMENTS, Context, EngineAlgorithm, Feedback, Values, options_of
+from .base import Context, EngineAlgorithm, Feedback, Values, options_of
 
 ORDERS = ("auto", "shift", "affine", "polynomial")
 DATUMS = ("reference", "mean")
@@ -26,26 +26,22 @@ class AdjustStack(EngineAlgorithm):
         "<b>Report</b>: opens in the Results Viewer."
     )
     LISTS = ("INPUTS",)
-    CHOICES = {"METHOD": METHODS, "PREALIGN": PREALIGNMENTS, "MODEL": ORDERS, "DATUM": DATUMS}
+    CHOICES = {**EngineAlgorithm.CHOICES, "MODEL": ORDERS, "DATUM": DATUMS}
 
     def initAlgorithm(self, configuration: object = None) -> None:
-        kind = core.QgsProcessing.SourceType.TypeRaster
-        self.add(core.QgsProcessingParameterMultipleLayers("INPUTS", tr("Rasters"), kind))
-        title = tr(
-            "Reference, whose grid all get: the name of its file without extension (not set: the first)"
-        )
-        self.add(core.QgsProcessingParameterString("REFERENCE_NAME", title, optional=True))
-        self.add_choice("DATUM", tr("What stays"), "reference")
-        self.add_choice("MODEL", tr("Correction model"), "auto")
+        rasters, kind = core.QgsProcessingParameterMultipleLayers, core.QgsProcessing.SourceType.TypeRaster
         number = core.QgsProcessingParameterNumber
-        self.add(number("BAND", tr("Band of each"), defaultValue=1, minValue=1), advanced=True)
-        title = tr("Most pairs that are matched (not set: enough)")
-        self.add(number("MAX_PAIRS", title, optional=True, minValue=1), advanced=True)
+        self.add(rasters, "INPUTS", kind)
+        self.add(core.QgsProcessingParameterString, "REFERENCE_NAME", optional=True)
+        self.add_choice("DATUM", "reference")
+        self.add_choice("MODEL", "auto")
+        self.add(number, "BAND", defaultValue=1, minValue=1, advanced=True)
+        self.add(number, "MAX_PAIRS", optional=True, minValue=1, advanced=True)
         self.add_matching()
-        self.add(core.QgsProcessingParameterFolderDestination("OUTPUT_FOLDER", tr("Folder of all results")))
-        self.addOutput(core.QgsProcessingOutputHtml("OUTPUT_HTML", tr("Report")))
-        self.addOutput(core.QgsProcessingOutputFile("OUTPUT_CSV", tr("Table, a line a raster")))
-        self.addOutput(core.QgsProcessingOutputNumber("IMAGES", tr("Rasters")))
+        self.add_folder(optional=False)
+        self.addOutput(core.QgsProcessingOutputHtml("OUTPUT_HTML", self.title("OUTPUT_HTML")))
+        self.addOutput(core.QgsProcessingOutputFile("OUTPUT_CSV", self.title("OUTPUT_CSV")))
+        self.add_results(core.QgsProcessingOutputNumber, "IMAGES")
 
     def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         folder = self.file_output(parameters, "OUTPUT_FOLDER", context)

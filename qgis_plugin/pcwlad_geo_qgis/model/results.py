@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 from qgis import core
 
@@ -122,9 +121,3 @@ def displacement_layer(path: str, factor: float | None = None) -> core.QgsVector
     layer.updateExtents()
     layer.setRenderer(renderer_of(layer, factor))
     return layer
-
-
-def results_of(folder: str) -> Path | None:
-    """Return the folder of a finished job, if it is one."""
-    path = Path(folder)
-    return path if (path / "report.json").is_file() and (path / "tiepoints.csv").is_file() else None

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from qgis import core
 from qgis.PyQt import sip
 
+from ..help import STATUSES
 from ..text import tr
 
 VECTORS = {"displacement": ("d_col", "d_row"), "residual": ("residual_col", "residual_row")}
@@ -55,7 +56,7 @@ class TiePoints:
             written = core.QgsFeature(self.fields)
             written.setGeometry(feature.geometry())
             written.setAttributes([*(feature[name] for name in self._names), *vectors])
-            if not sink.addFeature(written, core.QgsFeatureSink.FastInsert):
+            if not sink.addFeature(written, core.QgsFeatureSink.Flag.FastInsert):
                 raise core.QgsProcessingException(
                     tr("The tie points cannot be written: {}").format(sink.lastError())
                 )
@@ -150,7 +151,7 @@ def renderer_of(layer: core.QgsVectorLayer, factor: float | None = None) -> core
     for status, colour in COLOURS.items():
         if status in found:
             arrows = bool(factor) and status != "rejected"
-            label = legend.format(_status_text(status), factor) if arrows else _status_text(status)
+            label = legend.format(tr(STATUSES[status]), factor) if arrows else tr(STATUSES[status])
             symbol = _symbol(colour, vector, factor if arrows else 0.0)
             categories.append(core.QgsRendererCategory(status, symbol, label))
     return core.QgsCategorizedSymbolRenderer("status", categories)
@@ -188,14 +189,3 @@ def _round_down(value: float) -> float:
         return 0.0
     power = 10.0 ** math.floor(math.log10(value))
     return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-12) or step == 1.0)
-
-
-def _status_text(status: str) -> str:
-    texts = {
-        "fit": tr("fit"),
-        "matched": tr("matched"),
-        "check": tr("check"),
-        "unused": tr("unused"),
-        "rejected": tr("rejected"),
-    }
-    return texts[status]

@@ -4,30 +4,8 @@ from __future__ import annotations
 
 import re
 
-from ..text import mark, tr
-
-TITLES = {
-    "--search-radius": mark("Search radius"),
-    "--points": mark("Tie points wanted"),
-    "--method": mark("Matching method"),
-    "--model": mark("Correction model"),
-    "--window": mark("Matching window"),
-    "--prealign": mark("Rough alignment"),
-    "--resampling": mark("Resampling"),
-    "--like": mark("Grid of another raster"),
-    "--jobs": mark("Processes"),
-    "--tie-points": mark("Tie points of a file"),
-    "--require": mark("Requirements"),
-    "--extent": mark("Extent"),
-    "--dem": mark("DEM, for a target with RPCs"),
-    "--dem-vertical": mark("DEM: what is added to its heights"),
-    "--ref-mask": mark("Mask of the reference"),
-    "--tgt-mask": mark("Mask of the target"),
-    "--ref-band": mark("Band of the reference"),
-    "--tgt-band": mark("Band of the target"),
-    "--keep": mark("Keep the registered raster although a requirement is not met"),
-}
-"""What the dialogs call the options that they have a widget for."""
+from ..help import OPTIONS
+from ..text import tr
 
 
 def for_dialog(message: str) -> str:
@@ -45,4 +23,4 @@ def report_in(message: str) -> str:
 
 
 def _parameter(option: str) -> str:
-    return f"“{tr(TITLES[option])}”" if option in TITLES else option
+    return f"“{tr(OPTIONS[option])}”" if option in OPTIONS else option

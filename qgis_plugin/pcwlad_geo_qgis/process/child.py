@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, Callable, Protocol
+from typing import IO, Any, Callable
 
 POLL_S = 0.1
 GRACE_S = 5.0
@@ -21,22 +21,8 @@ DROPPED = ("LD_LIBRARY_PATH", "LD_PRELOAD", "VIRTUAL_ENV")
 OnLine = Callable[[str], None]
 
 
-class Asked(Protocol):
-    """What can be asked whether the user has cancelled: QGIS's feedback, or the dock."""
-
-    def isCanceled(self) -> bool: ...
-
-
-class Feedback(Asked, Protocol):
-    """What is told how the work goes: QGIS's feedback, or the dock."""
-
-    def pushInfo(self, info: str) -> None: ...
-    def pushCommandInfo(self, info: str) -> None: ...
-    def pushDebugInfo(self, info: str) -> None: ...
-    def pushConsoleInfo(self, info: str) -> None: ...
-    def pushWarning(self, warning: str) -> None: ...
-    def setProgressText(self, text: str) -> None: ...
-    def setProgress(self, progress: float) -> None: ...
+Feedback = Any
+"""What is told how the work goes and asked `isCanceled()`: QgsProcessingFeedback, or what has its methods."""
 
 
 def child_environment(user_site: bool = False, more: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -65,7 +51,7 @@ def hidden_window() -> dict[str, Any]:
 
 def follow(
     command: Sequence[str],
-    feedback: Asked,
+    feedback: Feedback,
     on_out: OnLine,
     on_err: OnLine,
     folder: Path,
@@ -137,7 +123,7 @@ def _hand_over(
     child: subprocess.Popen[bytes],
     readers: Sequence[threading.Thread],
     lines: queue.Queue[tuple[OnLine, str]],
-    feedback: Asked,
+    feedback: Feedback,
     grace_s: float,
 ) -> None:
     """Hand over the lines until there are no more and the child has ended."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from ..help import GRADES, VERDICTS
 from ..text import tr
 
 
@@ -27,9 +28,8 @@ def summary(outcome: Mapping[str, Any]) -> str:
 
 def quality_line(quality: Mapping[str, Any]) -> str:
     """Return the grade, and what to expect of the registered raster; the warnings have told the reasons."""
-    grades = {"good": tr("good"), "fair": tr("fair"), "poor": tr("poor")}
     text = tr("Quality: {}; 90 % of the common ground is expected to lie within {:.2f} px")
-    line = text.format(grades[quality["grade"]], quality["expected_ce90_px"])
+    line = text.format(tr(GRADES[quality["grade"]]), quality["expected_ce90_px"])
     metres = quality["expected_ce90_m"]
     return line if metres is None else line + f" ({metres:.2f} m)"
 
@@ -57,10 +57,6 @@ def verdict(outcome: Mapping[str, Any]) -> str:
     found, quality = figures(outcome), outcome.get("quality")
     if not quality:
         return tr("{:.0f} tie points were found.").format(found["POINTS"])
-    judged = {
-        "good": tr("The layers fit well: 90 % of the common ground is expected to lie within {:.2f} px{}."),
-        "fair": tr("The layers fit fairly: 90 % of the common ground is expected to lie within {:.2f} px{}."),
-        "poor": tr("The layers fit poorly: 90 % of the common ground is expected within {:.2f} px{} only."),
-    }[quality["grade"]]
+    judged = tr(VERDICTS[quality["grade"]])
     metres = quality["expected_ce90_m"]
     return judged.format(quality["expected_ce90_px"], "" if metres is None else f" ({metres:.2f} m)")

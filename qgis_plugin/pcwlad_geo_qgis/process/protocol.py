@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..help import STAGES
 from ..text import tr
 from .advice import for_dialog, report_in
 from .child import Feedback, follow
@@ -66,15 +67,15 @@ class _Conversation:
             self.last = event
 
     def on_err(self, line: str) -> None:
-        """Take a line of standard error; errors come by the protocol too and are told as its end."""
+        """Take a line of standard error; what begins as an error is told at the end, and once."""
+        self.stderr.append(line)
         if not line.startswith("error: "):
-            self.stderr.append(line)
             self._feedback.pushConsoleInfo(line)
 
     def _progress(self, stage: str, done: int, total: int) -> None:
         if stage != self._stage:
             self._stage = stage
-            self._feedback.setProgressText(_stage_text(stage))
+            self._feedback.setProgressText(tr(STAGES.get(stage, stage)))
         if stage in self._shares and total:
             first, last = self._shares[stage]
             self._percent = max(self._percent, first + (last - first) * done / total)
@@ -139,20 +140,6 @@ def _reason(said: _Conversation, status: int) -> str:
     if message and said.last.get("exit_status") != UNEXPECTED:
         return message
     parts = [message or tr("The engine ended with status {} and without a result.").format(status)]
-    if said.stderr:
-        parts += [tr("Its last lines:"), *said.stderr]
+    lines = [line for line in said.stderr if line != f"error: {said.last.get('message')}"]
+    parts += [tr("Its last lines:"), *lines] if lines else []
     return "\n".join(parts)
-
-
-def _stage_text(stage: str) -> str:
-    texts = {
-        "reading": tr("Reading"),
-        "prealignment": tr("Rough alignment"),
-        "matching": tr("Matching"),
-        "fitting": tr("Fitting the correction"),
-        "writing": tr("Writing"),
-        "warping": tr("Warping"),
-        "pairs": tr("Pairs"),
-        "rasters": tr("Rasters"),
-    }
-    return texts.get(stage, stage)

@@ -6,25 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from qgis import core
-from qgis.gui import QgisInterface, QgsDockWidget, QgsExtentWidget, QgsFileWidget, QgsMapLayerComboBox
+from qgis.gui import QgisInterface, QgsDockWidget, QgsFileWidget
+from qgis.PyQt import QtWidgets, uic
 from qgis.PyQt.QtCore import QUrl, pyqtSignal
 from qgis.PyQt.QtGui import QDesktopServices
-from qgis.PyQt.QtWidgets import (
-    QCheckBox,
-    QComboBox,
-    QDoubleSpinBox,
-    QFormLayout,
-    QHBoxLayout,
-    QLabel,
-    QProgressBar,
-    QPushButton,
-    QSpinBox,
-    QTabWidget,
-    QVBoxLayout,
-    QWidget,
-)
 
-from ..algorithms.base import LABELS, MODELS, temporary_folder
+from ..algorithms.base import MODELS, temporary_folder
+from ..help import LABELS
 from ..model import settings
 from ..model.results import add_group, add_raster, displacement_layer
 from ..process.engine import EngineError
@@ -50,108 +38,35 @@ class AlignDock(QgsDockWidget):
         self.report = ""
         self.swipe = SwipeTool(self._canvas)
         self.blink = Blink(self)
-        self.tabs = QTabWidget()
-        self.tabs.addTab(self._form(), tr("Align"))
-        self._points_tab = QWidget()
-        QVBoxLayout(self._points_tab).setContentsMargins(2, 2, 2, 2)
-        self.tabs.addTab(self._points_tab, tr("Tie points"))
-        self.tabs.addTab(self._compare_tab(), tr("Before and after"))
+        self.tabs = uic.loadUi(str(Path(__file__).with_name("align.ui")))
+        self.__dict__.update({each.objectName(): each for each in self.tabs.findChildren(QtWidgets.QWidget)})
         self.setWidget(self.tabs)
-        self._ready(False)
+        self._fill()
+        self.compare_page.setEnabled(False)
 
-    def _form(self) -> QWidget:
-        raster, polygon = (
-            core.QgsMapLayerProxyModel.Filter.RasterLayer,
-            core.QgsMapLayerProxyModel.Filter.PolygonLayer,
-        )
-        self.target, self.reference = self._layers_box(raster), self._layers_box(raster)
-        self.area, self.excluded = self._layers_box(polygon, True), self._layers_box(polygon, True)
-        self.extent = QgsExtentWidget(None, QgsExtentWidget.WidgetStyle.CondensedStyle)
+    def _fill(self) -> None:
+        """Complete what the form cannot hold: filters, choices, what happens at a click."""
+        for box in (self.target, self.reference):
+            box.setFilters(core.QgsMapLayerProxyModel.Filter.RasterLayer)
+        for box in (self.area, self.excluded):
+            box.setFilters(core.QgsMapLayerProxyModel.Filter.PolygonLayer)
+            box.setLayer(None)
         self.extent.setMapCanvas(self._canvas)
         self.extent.setNullValueAllowed(True, tr("All"))
         self.extent.clear()
-        self.model, self.output = QComboBox(), QComboBox()
         for word in MODELS:
             self.model.addItem(tr(LABELS[word]), word)
         self.output.addItem(tr("Resample to a new raster"), False)
         self.output.addItem(tr("Only georeference (pixels stay)"), True)
-        self.window = QSpinBox()
-        self.window.setRange(19, 513)
-        self.window.setSingleStep(2)
-        self.window.setValue(19)
-        self.window.setSpecialValueText(tr("Automatic"))
-        self.required = QDoubleSpinBox()
-        self.required.setRange(0.0, 100.0)
-        self.required.setSpecialValueText(tr("Any"))
-        self.required.setSuffix(tr(" px"))
-        self.field = QCheckBox(tr("Displacement field too"))
-        self.folder = QgsFileWidget()
         self.folder.setStorageMode(QgsFileWidget.StorageMode.GetDirectory)
         self.folder.lineEdit().setPlaceholderText(tr("Beside the layer"))
-        form = QFormLayout()
-        for title, widget in (
-            (tr("Layer (moves)"), self.target),
-            (tr("Reference (stays)"), self.reference),
-            (tr("Extent"), self.extent),
-            (tr("Area of interest"), self.area),
-            (tr("Excluded area"), self.excluded),
-            (tr("Correction model"), self.model),
-            (tr("Matching window"), self.window),
-            (tr("Largest CE90 allowed"), self.required),
-            (tr("Result"), self.output),
-            (tr("Folder"), self.folder),
-            ("", self.field),
-        ):
-            form.addRow(title, widget)
-        self.start_button, self.cancel_button = QPushButton(tr("Align")), QPushButton(tr("Cancel"))
         self.start_button.clicked.connect(lambda: self.start())
         self.cancel_button.clicked.connect(self.cancel)
-        self.cancel_button.setEnabled(False)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.start_button)
-        buttons.addWidget(self.cancel_button)
-        self.progress, self.stage, self.verdict = QProgressBar(), QLabel(), QLabel()
-        for label in (self.stage, self.verdict):
-            label.setWordWrap(True)
         self.verdict.linkActivated.connect(lambda link: QDesktopServices.openUrl(QUrl(link)))
-        page = QWidget()
-        column = QVBoxLayout(page)
-        column.addLayout(form)
-        column.addLayout(buttons)
-        for widget in (self.progress, self.stage, self.verdict):
-            column.addWidget(widget)
-        column.addStretch()
-        return page
-
-    def _compare_tab(self) -> QWidget:
-        page = QWidget()
-        column = QVBoxLayout(page)
-        self.swipe_button, self.blink_button = QPushButton(tr("Swipe")), QPushButton(tr("Blink"))
-        for button, action in ((self.swipe_button, self._swipe), (self.blink_button, self._blink)):
-            button.setCheckable(True)
-            button.toggled.connect(action)
-            column.addWidget(button)
-        self.factor = QDoubleSpinBox()
-        self.factor.setRange(0.0, 1e6)
-        self.factor.setSpecialValueText(tr("Automatic"))
-        self.factor.setPrefix("× ")
+        self.swipe_button.toggled.connect(self._swipe)
+        self.blink_button.toggled.connect(self._blink)
         self.factor.editingFinished.connect(self._scale_arrows)
-        row = QHBoxLayout()
-        row.addWidget(QLabel(tr("Arrows longer by")))
-        row.addWidget(self.factor)
-        column.addLayout(row)
-        column.addStretch()
-        return page
-
-    def _layers_box(
-        self, kind: core.QgsMapLayerProxyModel.Filter, empty: bool = False
-    ) -> QgsMapLayerComboBox:
-        box = QgsMapLayerComboBox()
-        box.setFilters(kind)
-        box.setAllowEmptyLayer(empty)
-        if empty:
-            box.setLayer(None)
-        return box
+        self.tabs.currentChanged.connect(self._show_the_reference)
 
     def open_for(self, layer: core.QgsMapLayer | None) -> None:
         """Show the dock with a layer to align, and another raster as its reference."""
@@ -256,11 +171,11 @@ class AlignDock(QgsDockWidget):
         self._open_editor(Path(results["OUTPUT_FOLDER"]), group)
         if paths.get("displacement"):
             self._add_layer("field", displacement_layer(paths["displacement"]), group)
-        self._ready(True)
+        self.compare_page.setEnabled(True)
 
     def _add_layer(self, role: str, layer: core.QgsMapLayer, group: core.QgsLayerTreeGroup) -> None:
         core.QgsProject.instance().addMapLayer(layer, False)
-        group.insertLayer(0, layer)
+        group.insertLayer(0, layer).setItemVisibilityChecked(role != "field")
         self.layers[role] = layer
 
     def _open_editor(self, folder: Path, group: core.QgsLayerTreeGroup) -> None:
@@ -271,7 +186,7 @@ class AlignDock(QgsDockWidget):
             return
         self.editor = PointEditor(session, folder, self._job["reference"], self._job["target"], self._canvas)
         self.editor.apply.connect(self._align_again)
-        self._points_tab.layout().addWidget(self.editor)
+        self.points_page.layout().addWidget(self.editor)
         self._add_layer("points", self.editor.layer.layer, group)
 
     def _align_again(self, points: str, model: str) -> None:
@@ -286,9 +201,11 @@ class AlignDock(QgsDockWidget):
             self.editor.deleteLater()
             self.editor = None
 
-    def _ready(self, there: bool) -> None:
-        for button in (self.swipe_button, self.blink_button):
-            button.setEnabled(there)
+    def _show_the_reference(self, tab: int) -> None:
+        """Hide the result while its tie points are looked at."""
+        if self._alive():
+            root = core.QgsProject.instance().layerTreeRoot()
+            root.findLayer(self.layers["after"].id()).setItemVisibilityChecked(tab != 1)
 
     def _swipe(self, on: bool) -> None:
         if on and self._alive():
@@ -332,5 +249,5 @@ class _Feedback(core.QgsProcessingFeedback):
     def setProgressText(self, text: str) -> None:
         self.told.emit(text)
 
-    def reportError(self, error: str, fatalError: bool = False) -> None:
+    def reportError(self, error: str, fatalError: bool = False) -> None:  # noqa: N803
         self.errors.append(error)

@@ -3,32 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Callable
 
-from qgis.core import (
-    QgsCoordinateReferenceSystem,
-    QgsCoordinateTransform,
-    QgsCsException,
-    QgsPointXY,
-    QgsProject,
-    QgsRasterLayer,
-    QgsRectangle,
-)
+from qgis import core
 from qgis.gui import QgsMapCanvas, QgsMapToolEmitPoint, QgsMapToolExtent, QgsMapToolPan
+from qgis.PyQt import QtWidgets, uic
 from qgis.PyQt.QtCore import QItemSelection, QSortFilterProxyModel, Qt, QTimer, pyqtSignal
-from qgis.PyQt.QtWidgets import (
-    QAbstractItemView,
-    QComboBox,
-    QDoubleSpinBox,
-    QFileDialog,
-    QHBoxLayout,
-    QLabel,
-    QPushButton,
-    QTableView,
-    QVBoxLayout,
-    QWidget,
-)
 
+from ..help import MODELS
 from ..model.results import PointLayer
 from ..process.points import Points
 from ..process.session import Session
@@ -40,7 +21,7 @@ ZOOM_PX = 60
 """Half the side of what is shown around a selected point, target pixels."""
 
 
-class PointEditor(QWidget):
+class PointEditor(QtWidgets.QWidget):
     """Edits the tie points of a finished job."""
 
     apply = pyqtSignal(str, str)
@@ -50,8 +31,8 @@ class PointEditor(QWidget):
         self,
         session: Session,
         folder: Path,
-        reference: QgsRasterLayer,
-        target: QgsRasterLayer,
+        reference: core.QgsRasterLayer,
+        target: core.QgsRasterLayer,
         canvas: QgsMapCanvas,
     ) -> None:
         super().__init__()
@@ -60,72 +41,43 @@ class PointEditor(QWidget):
         self.points = Points.read(folder)
         self.layer = PointLayer(self.points, reference.crs())
         self._number, self._shown_number = 0, 0
-        self._first: QgsPointXY | None = None
-        self._tool_before: object = None
+        self._first = self._tool_before = None
         self._build()
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.poll)
         self._timer.start(POLL_MS)
 
     def _build(self) -> None:
+        uic.loadUi(str(Path(__file__).with_name("editor.ui")), self)
         self.model = PointsModel(self.points, self._source)
         self.model.switched.connect(lambda row, on: self.switch([row], on))
         self.sorted = QSortFilterProxyModel(self)
         self.sorted.setSourceModel(self.model)
         self.sorted.setSortRole(Qt.ItemDataRole.UserRole)
-        self.table = QTableView()
         self.table.setModel(self.sorted)
-        self.table.setSortingEnabled(True)
         self.table.sortByColumn(self.model.residual_column, Qt.SortOrder.DescendingOrder)
-        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.table.verticalHeader().hide()
+        self.table.verticalHeader().setDefaultSectionSize(22)
+        self.table.horizontalHeader().setDefaultSectionSize(78)
+        for narrow in (0, 1, len(self.model.titles) - 1):
+            self.table.setColumnWidth(narrow, 46)
         self.table.selectionModel().selectionChanged.connect(self._selected)
-        self.view = QgsMapCanvas()
-        self.view.setMinimumHeight(140)
         self.view.setDestinationCrs(self._target.crs())
         self.view.setLayers([self.layer.layer, self._target])
         self.view.setExtent(self._target.extent())
         self._pan = QgsMapToolPan(self.view)
         self.view.setMapTool(self._pan)
         self._canvas.extentsChanged.connect(self._follow)
-        self.models = QComboBox()
         self.models.currentIndexChanged.connect(lambda: self.fit())
-        self.limit = QDoubleSpinBox()
-        self.limit.setRange(0.01, 1000.0)
-        self.limit.setValue(1.0)
-        self.limit.setSuffix(tr(" px"))
-        self.told = QLabel(tr("The engine is starting…"))
-        self.told.setWordWrap(True)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        rows = (
-            (QLabel(tr("Model")), self.models, self._button(tr("Undo"), self.undo, "undo_button")),
-            (
-                self._button(tr("Off: rectangle"), self.draw_rectangle, "rectangle_button"),
-                self._button(tr("Off: longer than"), self.switch_long, "long_button"),
-                self.limit,
-            ),
-            (
-                self._button(tr("Add point"), self.start_adding, "add_button"),
-                self._button(tr("Save points…"), self._choose_file, "save_button"),
-                self._button(tr("Align with these"), self.use, "use_button"),
-            ),
-        )
-        layout.addWidget(self.view, 2)
-        for widgets in rows:
-            row = QHBoxLayout()
-            for widget in widgets:
-                row.addWidget(widget)
-            layout.addLayout(row)
-        layout.addWidget(self.table, 3)
-        layout.addWidget(self.told)
-        self.setEnabled(False)
-
-    def _button(self, text: str, action: Callable[[], object], name: str) -> QPushButton:
-        button = QPushButton(text)
-        button.clicked.connect(lambda: action())
-        setattr(self, name, button)
-        return button
+        for name, action in {
+            "undo": self.undo,
+            "rectangle": self.draw_rectangle,
+            "long": self.switch_long,
+            "add": self.start_adding,
+            "save": self._choose_file,
+            "use": self.use,
+        }.items():
+            getattr(self, f"{name}_button").clicked.connect(lambda checked, action=action: action())
 
     def close_session(self) -> None:
         """End the engine and the tools."""
@@ -243,15 +195,15 @@ class PointEditor(QWidget):
     def show_point(self, row: int) -> None:
         """Zoom both maps to a point: to its place in the reference, and to where the target shows it."""
         point = self.points.points[row]
-        place = QgsPointXY(point.x, point.y)
+        place = core.QgsPointXY(point.x, point.y)
         self._zoom(self._canvas, place, self._reference.crs(), self._reference)
         self._zoom(self.view, self.target_place(row), self._target.crs(), self._target)
 
-    def target_place(self, row: int) -> QgsPointXY:
+    def target_place(self, row: int) -> core.QgsPointXY:
         """Return where the target shows a point, on its own map."""
         (col, line), extent = self.points.points[row].target_px, self._target.extent()
         dx, dy = self._target.rasterUnitsPerPixelX(), self._target.rasterUnitsPerPixelY()
-        return QgsPointXY(extent.xMinimum() + col * dx, extent.yMaximum() - line * dy)
+        return core.QgsPointXY(extent.xMinimum() + col * dx, extent.yMaximum() - line * dy)
 
     def _source(self, row: int) -> tuple[float, float]:
         """Return where the target shows a point as the Georeferencer has it, on its map or (col, -row)."""
@@ -262,25 +214,27 @@ class PointEditor(QWidget):
         """Show on the small map what the main map shows."""
         shown, here = self._canvas.mapSettings().destinationCrs(), self._target.crs()
         try:
-            transform = QgsCoordinateTransform(shown, here, QgsProject.instance())
+            transform = core.QgsCoordinateTransform(shown, here, core.QgsProject.instance())
             self.view.setExtent(transform.transformBoundingBox(self._canvas.extent()))
-        except QgsCsException:
+        except core.QgsCsException:
             return
         self.view.refresh()
 
     def _zoom(
         self,
         canvas: QgsMapCanvas,
-        place: QgsPointXY,
-        crs: QgsCoordinateReferenceSystem,
-        layer: QgsRasterLayer,
+        place: core.QgsPointXY,
+        crs: core.QgsCoordinateReferenceSystem,
+        layer: core.QgsRasterLayer,
     ) -> None:
         half = ZOOM_PX * max(self._target.rasterUnitsPerPixelX(), layer.rasterUnitsPerPixelX())
-        box = QgsRectangle(place.x() - half, place.y() - half, place.x() + half, place.y() + half)
+        box = core.QgsRectangle(place.x() - half, place.y() - half, place.x() + half, place.y() + half)
         shown = canvas.mapSettings().destinationCrs()
         try:
-            box = QgsCoordinateTransform(crs, shown, QgsProject.instance()).transformBoundingBox(box)
-        except QgsCsException:
+            box = core.QgsCoordinateTransform(crs, shown, core.QgsProject.instance()).transformBoundingBox(
+                box
+            )
+        except core.QgsCsException:
             return
         canvas.setExtent(box)
         canvas.refresh()
@@ -291,15 +245,17 @@ class PointEditor(QWidget):
         tool.extentChanged.connect(self._in_rectangle)
         self._take_tool(self._canvas, tool)
 
-    def _in_rectangle(self, drawn: QgsRectangle) -> None:
+    def _in_rectangle(self, drawn: core.QgsRectangle) -> None:
         self._restore_tool()
         if drawn.isEmpty():
             return
         shown = self._canvas.mapSettings().destinationCrs()
-        transform = QgsCoordinateTransform(shown, self._reference.crs(), QgsProject.instance())
+        transform = core.QgsCoordinateTransform(shown, self._reference.crs(), core.QgsProject.instance())
         box = transform.transformBoundingBox(drawn)
         inside = [
-            row for row, each in enumerate(self.points.points) if box.contains(QgsPointXY(each.x, each.y))
+            row
+            for row, each in enumerate(self.points.points)
+            if box.contains(core.QgsPointXY(each.x, each.y))
         ]
         self.switch(inside, False)
 
@@ -310,12 +266,12 @@ class PointEditor(QWidget):
         tool.canvasClicked.connect(lambda place, button: self.click_reference(place))
         self._take_tool(self._canvas, tool)
 
-    def click_reference(self, place: QgsPointXY) -> None:
+    def click_reference(self, place: core.QgsPointXY) -> None:
         """Take the first click, on the main map."""
         shown = self._canvas.mapSettings().destinationCrs()
-        project = QgsProject.instance()
-        self._first = QgsCoordinateTransform(shown, self._reference.crs(), project).transform(place)
-        around = QgsCoordinateTransform(shown, self._target.crs(), project).transform(place)
+        project = core.QgsProject.instance()
+        self._first = core.QgsCoordinateTransform(shown, self._reference.crs(), project).transform(place)
+        around = core.QgsCoordinateTransform(shown, self._target.crs(), project).transform(place)
         self._restore_tool()
         self._zoom(self.view, around, self._target.crs(), self._target)
         self.told.setText(tr("Click the same place in the target, on the small map."))
@@ -324,7 +280,7 @@ class PointEditor(QWidget):
         self._small_tool = tool
         self.view.setMapTool(tool)
 
-    def click_target(self, place: QgsPointXY) -> None:
+    def click_target(self, place: core.QgsPointXY) -> None:
         """Take the second click, on the small map, and have the engine refine the point."""
         self.view.setMapTool(self._pan)
         if self._first is None:
@@ -347,19 +303,10 @@ class PointEditor(QWidget):
     def _choose_file(self) -> None:
         kinds = tr("Georeferencer points (*.points)")
         beside = self._target.source() + ".points"
-        path, _ = QFileDialog.getSaveFileName(self, tr("Save points"), beside, kinds)
+        path, _ = QtWidgets.QFileDialog.getSaveFileName(self, tr("Save points"), beside, kinds)
         if path:
             self.save(path if path.endswith(".points") else path + ".points")
 
 
 def _title(model: object) -> str:
-    titles = {
-        "shift": tr("Shift"),
-        "affine": tr("Affine"),
-        "projective": tr("Projective"),
-        "polynomial2": tr("Polynomial 2"),
-        "polynomial3": tr("Polynomial 3"),
-        "tps": tr("Thin-plate spline"),
-        "field": tr("Measured field"),
-    }
-    return titles.get(str(model), str(model))
+    return tr(MODELS.get(str(model), str(model)))

@@ -7,6 +7,7 @@ from typing import Callable
 
 from qgis.PyQt.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
 
+from ..help import COLUMNS
 from ..process.points import Points
 from ..text import tr
 
@@ -19,19 +20,7 @@ class PointsModel(QAbstractTableModel):
     def __init__(self, points: Points, source_of: Callable[[int], tuple[float, float]]) -> None:
         super().__init__()
         self._points, self._source_of = points, source_of
-        self.titles = [
-            tr("Visible"),
-            tr("ID"),
-            tr("Source X"),
-            tr("Source Y"),
-            tr("Dest. X"),
-            tr("Dest. Y"),
-            tr("dX (pixels)"),
-            tr("dY (pixels)"),
-            tr("Residual (pixels)"),
-            tr("Sigma (pixels)"),
-            tr("Status"),
-        ]
+        self.titles = [tr(title) for title in COLUMNS]
         self.residual_column = 8
 
     def rowCount(self, parent: QModelIndex | None = None) -> int:
@@ -47,21 +36,20 @@ class PointsModel(QAbstractTableModel):
             return self.titles[section]
         return None
 
-    def flags(self, index: QModelIndex) -> Qt.ItemFlag:
-        flag = Qt.ItemFlag
-        kept = flag.ItemIsEnabled | flag.ItemIsSelectable
-        return kept | flag.ItemIsUserCheckable if index.column() == 0 else kept
+    def flags(self, index: QModelIndex) -> object:
+        kept = Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsSelectable
+        return kept | Qt.ItemFlag.ItemIsUserCheckable if index.column() == 0 else kept
 
     def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
-        kind, row, column = Qt.ItemDataRole, index.row(), index.column()
-        if column == 0 and role == kind.CheckStateRole:
+        row, column = index.row(), index.column()
+        if column == 0 and role == Qt.ItemDataRole.CheckStateRole:
             return Qt.CheckState.Unchecked if row in self._points.off else Qt.CheckState.Checked
         value = self.value(row, column)
-        if role == kind.DisplayRole and column:
-            return f"{value:.4f}" if isinstance(value, float) else value
-        if role == kind.UserRole:  # for sorting
+        if role == Qt.ItemDataRole.DisplayRole and column:
+            return f"{value:.{3 if column > 5 else 1}f}" if isinstance(value, float) else value
+        if role == Qt.ItemDataRole.UserRole:  # for sorting
             return -math.inf if isinstance(value, float) and math.isnan(value) else value
-        if role == kind.TextAlignmentRole and isinstance(value, float):
+        if role == Qt.ItemDataRole.TextAlignmentRole and isinstance(value, float):
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
         return None
 
