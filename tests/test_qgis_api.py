@@ -29,13 +29,12 @@ REMOVED_IN_QT6 = {
 NO_ENUM = {
     "CheckState",  # called, to make one of a number
     "LayerDetails",  # a class in QgsProcessingContext
-    "RasterLayer",  # QgsMapLayerType, which is taken only where Qgis.LayerType is missing
 }
 """Names with a capital that are no members of an enum, directly below a class."""
-NOT_IN_STUBS = {"QgsProcessingException", "QgsCsException", "QgsMapLayerType"}
-"""Exceptions, which the stubs leave out, and what QGIS 3.22 has instead of Qgis.LayerType."""
-NOT_IN_STUBS = {"QgsProcessingException", "QgsCsException", "QgsMapLayerType"}
-"""Exceptions, which the stubs leave out, and what QGIS 3.22 has instead of Qgis.LayerType."""
+NOT_IN_STUBS = {"QgsProcessingException", "QgsCsException"}
+"""Exceptions, which the stubs leave out."""
+NOT_IN_STUBS = {"QgsProcessingException", "QgsCsException"}
+"""Exceptions, which the stubs leave out."""
 MOVED_TO_QTGUI = {"QAction"}
 """What `qgis.PyQt.QtWidgets` brings along in Qt 6, as it was there in Qt 5."""
 MOST_LINES = 2500

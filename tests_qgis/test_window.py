@@ -94,7 +94,8 @@ def keep_pictures(folder: Path, place: Path) -> None:
     """Keep the pictures, with few colours."""
     place.mkdir(parents=True, exist_ok=True)
     reduce = "import sys; from PIL import Image; image = Image.open(sys.argv[1]).convert('RGB'); "
-    reduce += "image.quantize(200, dither=0).save(sys.argv[2], optimize=True)"
+    reduce += "image.thumbnail((1000, 1000), Image.Resampling.LANCZOS); "
+    reduce += "image.quantize(64, dither=0).save(sys.argv[2], optimize=True)"
     for picture in folder.glob("*.png"):  # the engine has Pillow, for its report
         subprocess.run(
             [engine_python(), "-c", reduce, str(picture), str(place / picture.name)],

@@ -49,11 +49,7 @@ class PcwladGeoPlugin:
         self.action = QAction(QIcon(str(ICON)), tr("Align this layer…"), self._iface.mainWindow())
         self.action.triggered.connect(lambda: self.open_dock())
         self._iface.addPluginToRasterMenu("pcwlad-geo", self.action)
-        raster = (
-            core.Qgis.LayerType.Raster
-            if hasattr(core.Qgis, "LayerType")
-            else core.QgsMapLayerType.RasterLayer
-        )
+        raster = core.QgsRasterLayer().type()  # its enum has moved between versions
         self._iface.addCustomActionForLayerType(self.action, "", raster, True)
 
     def open_dock(self) -> None:

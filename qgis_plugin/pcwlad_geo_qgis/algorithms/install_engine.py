@@ -25,9 +25,9 @@ class InstallEngine(CheckEngine):
         "Give the <b>wheel</b> of pcwlad-geo (pcwlad_geo-….whl) or its <b>source folder</b>. The "
         "libraries that it needs are downloaded by pip from the package index that is configured on this "
         "computer, through the proxy of QGIS's network options if there is one: about 280 MB, and about "
-        "900 MB on the disk; some minutes.\n"
+        "1000 MB on the disk; some minutes.\n"
         "<b>Without internet</b>: on another computer of this kind run <i>pip download -d FOLDER "
-        "PATH_OF_PCWLAD_GEO</i>, and give FOLDER as <b>folder of wheels</b>.\n"
+        "WHEEL_OF_PCWLAD_GEO</i>, and give FOLDER as <b>folder of wheels</b>.\n"
         "<b>Python</b>: 3.10 or newer; found by itself in most cases. An engine installed earlier is "
         "replaced when the new one works."
     )

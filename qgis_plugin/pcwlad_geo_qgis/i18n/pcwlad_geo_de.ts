@@ -123,12 +123,12 @@
     </message>
     <message>
       <source>Makes a virtual environment beside your QGIS profile and installs the engine there. QGIS and its own Python stay as they are.
-Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;b&gt;source folder&lt;/b&gt;. The libraries that it needs are downloaded by pip from the package index that is configured on this computer, through the proxy of QGIS's network options if there is one: about 280 MB, and about 900 MB on the disk; some minutes.
-&lt;b&gt;Without internet&lt;/b&gt;: on another computer of this kind run &lt;i&gt;pip download -d FOLDER PATH_OF_PCWLAD_GEO&lt;/i&gt;, and give FOLDER as &lt;b&gt;folder of wheels&lt;/b&gt;.
+Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;b&gt;source folder&lt;/b&gt;. The libraries that it needs are downloaded by pip from the package index that is configured on this computer, through the proxy of QGIS's network options if there is one: about 280 MB, and about 1000 MB on the disk; some minutes.
+&lt;b&gt;Without internet&lt;/b&gt;: on another computer of this kind run &lt;i&gt;pip download -d FOLDER WHEEL_OF_PCWLAD_GEO&lt;/i&gt;, and give FOLDER as &lt;b&gt;folder of wheels&lt;/b&gt;.
 &lt;b&gt;Python&lt;/b&gt;: 3.10 or newer; found by itself in most cases. An engine installed earlier is replaced when the new one works.</source>
       <translation>Legt neben Ihrem QGIS-Profil eine virtuelle Umgebung an und installiert die Engine dort. QGIS und sein eigenes Python bleiben, wie sie sind.
-Geben Sie das &lt;b&gt;Wheel&lt;/b&gt; von pcwlad-geo (pcwlad_geo-….whl) oder seinen &lt;b&gt;Quellordner&lt;/b&gt; an. Die nötigen Bibliotheken lädt pip vom Paketverzeichnis, das auf diesem Rechner eingestellt ist, gegebenenfalls durch den Proxy der Netzwerkoptionen von QGIS: etwa 280 MB, und etwa 900 MB auf der Platte; einige Minuten.
-&lt;b&gt;Ohne Internet&lt;/b&gt;: Führen Sie auf einem anderen Rechner dieser Art &lt;i&gt;pip download -d FOLDER PATH_OF_PCWLAD_GEO&lt;/i&gt; aus, und geben Sie FOLDER als &lt;b&gt;Ordner mit Wheels&lt;/b&gt; an.
+Geben Sie das &lt;b&gt;Wheel&lt;/b&gt; von pcwlad-geo (pcwlad_geo-….whl) oder seinen &lt;b&gt;Quellordner&lt;/b&gt; an. Die nötigen Bibliotheken lädt pip vom Paketverzeichnis, das auf diesem Rechner eingestellt ist, gegebenenfalls durch den Proxy der Netzwerkoptionen von QGIS: etwa 280 MB, und etwa 1000 MB auf der Platte; einige Minuten.
+&lt;b&gt;Ohne Internet&lt;/b&gt;: Führen Sie auf einem anderen Rechner dieser Art &lt;i&gt;pip download -d FOLDER WHEEL_OF_PCWLAD_GEO&lt;/i&gt; aus, und geben Sie FOLDER als &lt;b&gt;Ordner mit Wheels&lt;/b&gt; an.
 &lt;b&gt;Python&lt;/b&gt;: 3.10 oder neuer; wird meist von selbst gefunden. Eine früher installierte Engine wird ersetzt, sobald die neue läuft.</translation>
     </message>
     <message>

@@ -17,7 +17,7 @@ from .engine import Engine, EngineError, current_file, own_python, python_of
 NEEDED_PYTHON = (3, 10)
 PACKAGES = 40
 """About how many packages are installed, for the progress."""
-DOWNLOAD_MB, DISK_MB = 280, 900
+DOWNLOAD_MB, DISK_MB = 280, 1000
 """About what the wheels weigh, and what the installed engine takes on the disk."""
 
 
@@ -93,7 +93,7 @@ def problem_of(wheel: str, folder: str, wheelhouse: str) -> str:
         )
     if wheelhouse and not any(Path(wheelhouse).glob("*.whl" if wheel or folder else "pcwlad_geo-*.whl")):
         text = tr("The folder {} holds no wheels that do. On a computer with internet: {}")
-        return text.format(wheelhouse, "pip download -d FOLDER PATH_OF_PCWLAD_GEO")
+        return text.format(wheelhouse, "pip download -d FOLDER WHEEL_OF_PCWLAD_GEO")
     return ""
 
 

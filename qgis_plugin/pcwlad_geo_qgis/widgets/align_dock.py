@@ -15,6 +15,7 @@ from ..algorithms.base import MODELS, temporary_folder
 from ..help import LABELS
 from ..model import settings
 from ..model.results import add_group, add_raster, displacement_layer
+from ..process.advice import report_in
 from ..process.engine import EngineError
 from ..process.session import Session
 from ..text import tr
@@ -35,7 +36,6 @@ class AlignDock(QgsDockWidget):
         self._task: core.QgsTask | None = None
         self.editor: PointEditor | None = None
         self.layers: dict[str, core.QgsMapLayer] = {}
-        self.report = ""
         self.swipe = SwipeTool(self._canvas)
         self.blink = Blink(self)
         self.tabs = uic.loadUi(str(Path(__file__).with_name("align.ui")))
@@ -157,7 +157,7 @@ class AlignDock(QgsDockWidget):
 
     def _tell(self, message: str, report: str = "") -> None:
         """Show the verdict or why there is none, with a link to the report."""
-        self.report = report
+        self.report = report = report or report_in(message)
         link = f' <a href="{Path(report).absolute().as_uri()}">{tr("Report")}</a>' if report else ""
         self.verdict.setText(message.replace("&", "&amp;").replace("<", "&lt;") + link)
 

@@ -58,9 +58,7 @@ class PointEditor(QtWidgets.QWidget):
         self.table.sortByColumn(self.model.residual_column, Qt.SortOrder.DescendingOrder)
         self.table.verticalHeader().hide()
         self.table.verticalHeader().setDefaultSectionSize(22)
-        self.table.horizontalHeader().setDefaultSectionSize(78)
-        for narrow in (0, 1, len(self.model.titles) - 1):
-            self.table.setColumnWidth(narrow, 46)
+        self.table.horizontalHeader().setDefaultSectionSize(70)
         self.table.selectionModel().selectionChanged.connect(self._selected)
         self.view.setDestinationCrs(self._target.crs())
         self.view.setLayers([self.layer.layer, self._target])
@@ -133,6 +131,7 @@ class PointEditor(QtWidgets.QWidget):
         self.models.setCurrentIndex(names.index(answer["model"]))
         self.models.blockSignals(False)
         self.setEnabled(True)
+        self.table.scrollTo(self.sorted.index(0, self.model.residual_column + 1))
         self.fit()
 
     def _take_fit(self, answer: dict[str, object]) -> None:
@@ -142,8 +141,8 @@ class PointEditor(QtWidgets.QWidget):
         first = not self.points.rmse_px
         self._shown_number = answer["number"]
         self._tell(answer)
-        self.model.refresh()
         self.layer.refresh(arrows=first)
+        QTimer.singleShot(0, self.model.refresh)  # the map is drawn meanwhile
         self.told.setText(
             tr("{}: RMSE {:.3f} px at {} points that are on").format(
                 _title(answer["model"]), answer["rmse_px"], answer["points"]
