@@ -100,6 +100,31 @@ def test_the_summary_of_tie_points_alone_has_no_grade(monkeypatch: pytest.Monkey
     assert "uality" not in told
 
 
+def test_points_have_the_signs_of_the_georeferencer_and_changes_are_undone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = "id,ref_col,ref_row,tgt_col,tgt_row,x,y,d_col,d_row,d_x_m,d_y_m,sigma_col,sigma_row,score"
+    lines = [f"{columns},residual_col,residual_row,status"]
+    lines += [
+        f"{k},1,2,3,4,5,6,0,0,,,0.3,0.4,1,{k}.0,-2.0,{'rejected' if k == 3 else 'fit'}" for k in (1, 2, 3)
+    ]
+    (tmp_path / "tiepoints.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    points = plugin_module("process.points", monkeypatch).Points.read(tmp_path)
+    assert points.points[1].residual_px == (-2.0, 2.0)  # predicted minus observed
+    assert points.points[1].sigma_px == pytest.approx(0.5)
+    assert points.off == {2}
+    assert points.above(2.5) == [1]
+    assert points.switch([0, 1], False)
+    assert not points.switch([1], False)
+    assert points.switch([1], True)
+    assert (points.off, points.status(0), points.status(1)) == ({0, 2}, "rejected", "fit")
+    assert points.undo()
+    assert points.undo()
+    assert (points.off, points.undo()) == ({2}, False)
+    points.take([[0.5, 0.25], [0, 0], [0, 0]])
+    assert points.points[0].residual_px == (-0.5, -0.25)
+
+
 def plugin_module(name: str, monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     """Import a module of the plugin for the duration of a test."""
     monkeypatch.syspath_prepend(FOLDER)

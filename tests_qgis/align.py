@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import processing
 from qgis.core import (
     QgsCoordinateReferenceSystem,
     QgsPointXY,
@@ -49,6 +50,12 @@ def steps() -> Iterator[int]:
     )
     yield 800
     grab(window, "align")
+    dialog = processing.createAlgorithmDialog("pcwlad_geo:register", {})
+    dialog.show()
+    yield 1000
+    presets = dialog.createProcessingParameters()
+    seen["dialog"] = [QgsProject.instance().mapLayer(presets[name]).name() for name in ("REFERENCE", "INPUT")]
+    dialog.close()
     yield from align(dock)
     grab(window, "aligned")
     yield from edit(dock, window)

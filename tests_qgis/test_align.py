@@ -60,6 +60,10 @@ def test_the_dock_opens_for_the_layer_with_another_as_its_reference(seen: dict[s
     assert seen["modal"] == []
 
 
+def test_the_dialog_presets_two_layers(seen: dict[str, Any]) -> None:
+    assert sorted(seen["dialog"]) == ["landsat_b10", "landsat_b4"]
+
+
 def test_the_result_has_the_name_of_the_layer_in_a_group_and_a_verdict_in_a_sentence(
     seen: dict[str, Any],
 ) -> None:
