@@ -81,7 +81,8 @@ def test_the_zip_has_one_folder_and_nothing_that_does_not_belong(built: Path) ->
 def test_the_algorithms_are_listed(profile: Path) -> None:
     # `plugins enable` succeeds for a broken plugin too: only the list tells
     said = call(profile, "list")
-    for name in ("register", "match", "apply", "qa", "registermany", "stack", "checkengine", "installengine"):
+    # the list of 3.22 leaves out what is hidden from the modeler: those of the engine, which run all the same
+    for name in ("register", "match", "apply", "qa", "registermany", "stack"):
         assert f"pcwlad_geo:{name}\t" in said
 
 
