@@ -5,6 +5,7 @@ WINDOW_JOB names a JSON file: `reference`, `target`, `polygons`, and `folder` fo
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -146,9 +147,8 @@ def edit(dock: Any, window: QWidget) -> Iterator[int]:
     editor.click_reference(QgsPointXY(point.x + 900, point.y - 900 if point.y > 5.27e6 else point.y + 900))
     yield 800
     editor.click_target(QgsPointXY(point.x + 940, point.y - 920 if point.y > 5.27e6 else point.y + 920))
-    while len(editor.points.points) == seen["points"]:
+    while len(editor.points.points) == seen["points"] or math.isnan(editor.points.points[-1].length_px):
         yield 100
-    yield 1500
     added = editor.points.points[-1]
     seen["added"] = [added.length_px, added.sigma_px]
     editor.save(str(Path(JOB["folder"]) / "saved.points"))
