@@ -70,6 +70,7 @@ class PairOptions(TypedDict, total=False):
     like: Path | str | None
     tr: tuple[float, float] | None
     te: tuple[float, float, float, float] | None
+    extent: tuple[float, float, float, float] | None
     t_srs: str | None
     of: str
     co: tuple[str, ...]

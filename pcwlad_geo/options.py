@@ -44,7 +44,7 @@ _WARPING: Final = ("register", "warp")
 _KEEPING: Final = ("register", "batch", "stack")
 _TABLES_TOO: Final = ("register", "match", "batch", "stack")
 _RUNNERS: Final = ("register", "match", "qa", "batch", "stack")
-_EVERYWHERE: Final = (*_RUNNERS, "warp")
+_EVERYWHERE: Final = (*_RUNNERS, "warp", "edit")
 _NOWHERE: Final = ()
 # The commands that take an option; those of _NOWHERE are for Python, TOML files and tables alone.
 
@@ -93,6 +93,16 @@ class Settings:
         Option("Fit the tie points of this file, match nothing.", _REGISTER, metavar="FILE"),
     ] = None
     """File of tie points to fit instead of matching: tiepoints.csv, .points, .pts, raster with GCPs."""
+    extent: Annotated[
+        tuple[float, float, float, float] | None,
+        Option(
+            "Read, match and write this part of the ground only, in the reference's CRS.",
+            _PAIR,
+            metavar="XMIN YMIN XMAX YMAX",
+        ),
+    ] = None
+    """Part of the ground that is read, matched and written: x_min, y_min, x_max, y_max in the reference's
+    CRS. Of the target a margin for its displacement is read too."""
     dem: Annotated[
         Path | str | None, Option("Heights of the ground, for images with RPCs.", _PAIR, metavar="FILE")
     ] = None
@@ -396,6 +406,7 @@ def _check_output(settings: Settings) -> None:
     for name, count, wanted in (
         ("tr", 2, "two positive numbers, the pixel's size along x and y"),
         ("te", 4, "x_min y_min x_max y_max, in the units of the output's CRS"),
+        ("extent", 4, "x_min y_min x_max y_max, in the units of the reference's CRS"),
     ):
         value = getattr(settings, name)
         good = value is None or (
@@ -404,10 +415,10 @@ def _check_output(settings: Settings) -> None:
         _check(name, value, good, wanted)
     if settings.tr is not None:
         _check("tr", settings.tr, min(settings.tr) > 0, "two positive numbers")
-    if settings.te is not None:
-        x_min, y_min, x_max, y_max = settings.te
-        ordered = x_min < x_max and y_min < y_max
-        _check("te", settings.te, ordered, "x_min y_min x_max y_max, the smaller ones first")
+    for name in ("te", "extent"):
+        if (box := getattr(settings, name)) is not None:
+            ordered = box[0] < box[2] and box[1] < box[3]
+            _check(name, box, ordered, "x_min y_min x_max y_max, the smaller ones first")
     options = isinstance(settings.co, tuple) and all(
         isinstance(option, str) and option.partition("=")[0] and "=" in option for option in settings.co
     )

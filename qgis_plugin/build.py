@@ -12,7 +12,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 PLUGIN = HERE / "pcwlad_geo_qgis"
-SUFFIXES = {".py", ".txt", ".svg", ".ts", ".qm", ""}
+SUFFIXES = {".py", ".txt", ".svg", ".ts", ".qm", ".ui", ""}
 """Of the files that belong to the plugin; the licence has none."""
 
 

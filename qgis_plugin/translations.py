@@ -15,7 +15,7 @@ CONTEXT = "pcwlad_geo"
 
 
 def texts() -> list[str]:
-    """Return the texts that are given to `tr` and `mark`, in order of the files."""
+    """Return the texts that are given to `tr` and `mark`, and those of the forms, in order of the files."""
     found: dict[str, None] = {}
     for path in sorted(PLUGIN.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -26,6 +26,9 @@ def texts() -> list[str]:
             )
             if called and isinstance(node.args[0], ast.Constant):
                 found[node.args[0].value] = None
+    for path in sorted(PLUGIN.rglob("*.ui")):
+        strings = ET.parse(path).getroot().iter("string")
+        found.update((each.text, None) for each in strings if each.text and each.get("notr") != "true")
     return list(found)
 
 

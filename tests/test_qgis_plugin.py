@@ -63,60 +63,73 @@ def test_the_choices_are_those_of_the_engine() -> None:
         and isinstance(node.targets[0], ast.Name)
         and isinstance(node.value, ast.List)
     }
-    assert lists == {"METHODS": list(get_args(settings.Method)), "MODELS": list(get_args(settings.Model))}
+    assert lists == {
+        "METHODS": list(get_args(settings.Method)),
+        "MODELS": list(get_args(settings.Model)),
+        "PREALIGNMENTS": list(get_args(settings.Prealign)),
+        "RESAMPLINGS": list(get_args(settings.Resampling)),
+    }
 
 
-@pytest.fixture
-def _untranslated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let texts of the plugin stay as they are; nothing else of QGIS is there."""
-
-    class Untranslated:
-        @staticmethod
-        def translate(context: str, text: str) -> str:
-            return text
-
-    core = types.ModuleType("qgis.PyQt.QtCore")
-    core.QCoreApplication = Untranslated  # type: ignore[attr-defined]
-    for name in ("qgis", "qgis.PyQt"):
-        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
-    monkeypatch.setitem(sys.modules, "qgis.PyQt.QtCore", core)
-
-
-@pytest.mark.usefixtures("_untranslated")
-def test_advice_names_what_the_dialog_has() -> None:
-    for_dialog = runpy.run_path(str(PLUGIN / "text.py"))["for_dialog"]
+def test_advice_names_what_the_dialog_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    for_dialog = plugin_module("process.advice", monkeypatch).for_dialog
     assert for_dialog("the CRS is odd - so what") == "the CRS is odd - so what"
     assert for_dialog("raise --search-radius, or not") == "raise “Search radius”, or not"
-    told = for_dialog("(raise --search-radius or give --prealign search)")
-    assert told.startswith("(raise “Search radius” or give --prealign search)")
+    assert for_dialog("give --prealign search") == "give “Rough alignment” search"
+    told = for_dialog("(raise --search-radius or give --features 9)")
+    assert told.startswith("(raise “Search radius” or give --features 9)")
     assert told.endswith("(Options that begin with -- go into the advanced parameter “More options”.)")
 
 
-@pytest.mark.usefixtures("_untranslated")
 @pytest.mark.parametrize(("px_m", "size"), [((30.0, 30.0), "0.12 px (3.60 m)"), (None, "0.12 px")])
 def test_the_summary_ends_with_the_grade_as_on_the_command_line(
     px_m: tuple[float, float] | None, size: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    summary = plugin_module("figures", monkeypatch).summary
+    summary = plugin_module("process.figures", monkeypatch).summary
     outcome = Outcome(json_of(replace(make_registration(), px_m=px_m)), {"numbers": Path("report.json")})
     line = f"uality: good; 90 % of the common ground is expected to lie within {size}"
     assert summary(outcome.figures()).splitlines()[-1] == f"Q{line}"
     assert f"q{line}\n" in outcome.text()
 
 
-@pytest.mark.usefixtures("_untranslated")
 def test_the_summary_of_tie_points_alone_has_no_grade(monkeypatch: pytest.MonkeyPatch) -> None:
-    summary = plugin_module("figures", monkeypatch).summary
+    summary = plugin_module("process.figures", monkeypatch).summary
     outcome = Outcome(json_of(make_registration("matched")), {})
     told = summary(outcome.figures())
     assert told.startswith("Tie points: ")
     assert "uality" not in told
 
 
+def test_points_have_the_signs_of_the_georeferencer_and_changes_are_undone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = "id,ref_col,ref_row,tgt_col,tgt_row,x,y,d_col,d_row,d_x_m,d_y_m,sigma_col,sigma_row,score"
+    lines = [f"{columns},residual_col,residual_row,status"]
+    lines += [
+        f"{k},1,2,3,4,5,6,0,0,,,0.3,0.4,1,{k}.0,-2.0,{'rejected' if k == 3 else 'fit'}" for k in (1, 2, 3)
+    ]
+    (tmp_path / "tiepoints.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    points = plugin_module("process.points", monkeypatch).Points.read(tmp_path)
+    assert points.points[1].residual_px == (-2.0, 2.0)  # predicted minus observed
+    assert points.points[1].sigma_px == pytest.approx(0.5)
+    assert points.off == {2}
+    assert points.above(2.5) == [1]
+    assert points.switch([0, 1], False)
+    assert not points.switch([1], False)
+    assert points.switch([1], True)
+    assert (points.off, points.status(0), points.status(1)) == ({0, 2}, "rejected", "fit")
+    assert points.undo()
+    assert points.undo()
+    assert (points.off, points.undo()) == ({2}, False)
+    points.take([[0.5, 0.25], [0, 0], [0, 0]])
+    assert points.points[0].residual_px == (-0.5, -0.25)
+
+
 def plugin_module(name: str, monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     """Import a module of the plugin for the duration of a test."""
     monkeypatch.syspath_prepend(FOLDER)
-    for module in ("pcwlad_geo_qgis", "pcwlad_geo_qgis.text", f"pcwlad_geo_qgis.{name}"):
+    names = ("", ".text", ".help", ".process", ".process.engine", ".process.child", f".{name}")
+    for module in (f"pcwlad_geo_qgis{each}" for each in names):
         # noted as absent first, so that they are gone again after the test
         monkeypatch.setitem(sys.modules, module, types.ModuleType(module))
         del sys.modules[module]
@@ -127,7 +140,7 @@ def test_every_text_is_in_the_translation_with_its_placeholders() -> None:
     tool = runpy.run_path(str(FOLDER / "translations.py"))
     texts, translated = tool["texts"](), tool["translated"](PLUGIN / "i18n" / "pcwlad_geo_de.ts")
     assert set(translated) == set(texts), "run python3 qgis_plugin/translations.py"
-    assert sum(bool(text) for text in translated.values()) > 90
+    assert all(translated.values())
     for text, translation in translated.items():
         if translation:
             assert placeholders(translation) == placeholders(text), text

@@ -130,7 +130,7 @@ def engine_python() -> str:
 
 def run_cli(*arguments: str | Path) -> dict[str, Any]:
     """Run the command line and return its result event."""
-    from pcwlad_geo_qgis.child import child_environment
+    from pcwlad_geo_qgis.process.child import child_environment
 
     done = subprocess.run(
         [engine_python(), "-m", "pcwlad_geo", *map(str, arguments), "--progress", "json"],

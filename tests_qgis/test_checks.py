@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from osgeo import gdal
 from pcwlad_geo_qgis.algorithms.base import words_of
-from pcwlad_geo_qgis.rasters import path_of, problem_of, warning_of
+from pcwlad_geo_qgis.model.rasters import path_of, problem_of, warning_of
 from qgis.core import (
     QgsApplication,
     QgsCoordinateReferenceSystem,

@@ -13,10 +13,9 @@ from pathlib import Path
 
 import pytest
 from conftest import PATIENCE_S, Feedback
-from pcwlad_geo_qgis import child
-from pcwlad_geo_qgis.engine import Engine
-from pcwlad_geo_qgis.protocol import run_engine
-from qgis.core import QgsProcessingException
+from pcwlad_geo_qgis.process import child
+from pcwlad_geo_qgis.process.engine import Engine
+from pcwlad_geo_qgis.process.protocol import RunError, run_engine
 
 SHARES = {"matching": (10.0, 60.0)}
 
@@ -119,12 +118,12 @@ def test_events_become_progress_warnings_and_the_result(tmp_path: Path) -> None:
     ],
 )
 def test_errors_say_what_the_engine_said(tmp_path: Path, source: str, said: str) -> None:
-    with pytest.raises(QgsProcessingException, match=said):
+    with pytest.raises(RunError, match=said):
         run_engine(stand_in(tmp_path, source), [], Feedback(), tmp_path, SHARES)
 
 
 def test_an_engine_that_does_not_start_is_told(tmp_path: Path) -> None:
-    with pytest.raises(QgsProcessingException, match="does not start"):
+    with pytest.raises(RunError, match="does not start"):
         run_engine(Engine((str(tmp_path / "none"),), "test"), [], Feedback(), tmp_path, SHARES)
 
 
@@ -162,8 +161,8 @@ def test_an_engine_that_does_not_listen_is_killed_with_its_children(
         feedback.cancel()
 
     feedback.on_console = cancel
-    shorter = lambda *arguments: child.follow(*arguments, grace_s=0.3)  # noqa: E731
-    monkeypatch.setattr("pcwlad_geo_qgis.protocol.follow", shorter)
+    shorter = lambda *given, **named: child.follow(*given, **named, grace_s=0.3)  # noqa: E731
+    monkeypatch.setattr("pcwlad_geo_qgis.process.protocol.follow", shorter)
     assert run_engine(engine, [], feedback, tmp_path, SHARES) is None
     assert seen == [2]
     assert count_until(mark, 0) == 0

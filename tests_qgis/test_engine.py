@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
 import pytest
 from conftest import Feedback, run_algorithm
-from pcwlad_geo_qgis import engine
+from pcwlad_geo_qgis.model import settings
+from pcwlad_geo_qgis.process import engine, install
 from processing.core.ProcessingConfig import ProcessingConfig
-from qgis.core import QgsProcessingException
+from qgis.core import QgsApplication, QgsProcessingAlgorithm, QgsProcessingException, QgsSettings
 
 
 @pytest.fixture(autouse=True)
@@ -21,11 +23,10 @@ def nowhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.delenv(engine.VARIABLE, raising=False)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}/usr/bin{os.pathsep}/bin")
     private = tmp_path / "profile" / "pcwlad_geo_engine"
-    for module in ("engine", "algorithms.install_engine"):
-        monkeypatch.setattr(f"pcwlad_geo_qgis.{module}.private_folder", lambda: private)
-    ProcessingConfig.setSettingValue(engine.SETTING, "")
+    monkeypatch.setattr("pcwlad_geo_qgis.model.settings.private_folder", lambda: private)
+    ProcessingConfig.setSettingValue(settings.SETTING, "")
     yield private
-    ProcessingConfig.setSettingValue(engine.SETTING, "")
+    ProcessingConfig.setSettingValue(settings.SETTING, "")
 
 
 def program(path: Path, says: str = "pcwlad-geo 0.1.0") -> str:
@@ -40,18 +41,18 @@ def test_setting_then_variable_then_private_then_path(
     tmp_path: Path, nowhere: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     on_path = program(tmp_path / "pcwlad-geo")
-    assert engine.find_engine() == engine.Engine((on_path,), "PATH")
+    assert settings.find_engine() == engine.Engine((on_path,), "PATH")
     private = program(engine.python_of(nowhere))
-    assert engine.find_engine().command == (private, "-m", "pcwlad_geo")
+    assert settings.find_engine().command == (private, "-m", "pcwlad_geo")
     monkeypatch.setenv(engine.VARIABLE, program(tmp_path / "by_variable" / "python"))
-    assert engine.find_engine().command == (str(tmp_path / "by_variable" / "python"), "-m", "pcwlad_geo")
-    ProcessingConfig.setSettingValue(engine.SETTING, program(tmp_path / "by setting" / "pcwlad-geo"))
-    assert engine.find_engine().command == (str(tmp_path / "by setting" / "pcwlad-geo"),)
+    assert settings.find_engine().command == (str(tmp_path / "by_variable" / "python"), "-m", "pcwlad_geo")
+    ProcessingConfig.setSettingValue(settings.SETTING, program(tmp_path / "by setting" / "pcwlad-geo"))
+    assert settings.find_engine().command == (str(tmp_path / "by setting" / "pcwlad-geo"),)
 
 
 def test_no_engine_gives_the_command_that_installs_it(nowhere: Path) -> None:
     with pytest.raises(engine.EngineError) as error:
-        engine.find_engine()
+        settings.find_engine()
     assert f'python3 -m venv "{nowhere}" && ' in str(error.value)
     assert "-m pip install PATH_OF_WHEEL_OR_FOLDER" in str(error.value)
     with pytest.raises(QgsProcessingException, match="Install engine"):
@@ -66,7 +67,7 @@ def test_what_is_named_and_absent_is_told_not_passed_over(
     with pytest.raises(
         engine.EngineError, match="/none/python that the PCWLAD_GEO_PYTHON names does not exist"
     ):
-        engine.find_engine()
+        settings.find_engine()
 
 
 @pytest.mark.parametrize(
@@ -111,10 +112,112 @@ def test_install_makes_an_environment_that_is_found(tmp_path: Path, nowhere: Pat
     folder = tmp_path / "Räder & more"
     folder.mkdir()
     run = run_algorithm("installengine", {"WHEEL": str(wheel(folder)), "PYTHON": sys.executable})
-    assert run.results == {"ENGINE": str(engine.python_of(nowhere)), "VERSION": "0.1.0"}
-    assert engine.find_engine().check() == "0.1.0"
-    assert not nowhere.with_name(f"{nowhere.name}.new").exists()
+    assert run.results == {"ENGINE": str(engine.own_python(nowhere)), "VERSION": "0.1.0"}
+    assert engine.own_python(nowhere).is_file()
+    assert settings.find_engine().check() == "0.1.0"
+    assert [place.name for place in nowhere.parent.iterdir() if place.is_dir()] == ["pcwlad_geo_engine-1"]
     assert run.feedback.percent[-1] > 0
+
+
+def test_scripts_of_the_installed_engine_run_and_a_new_one_takes_its_place(
+    tmp_path: Path, nowhere: Path
+) -> None:
+    parameters = {"WHEEL": str(wheel(tmp_path)), "PYTHON": sys.executable}
+    first = Path(run_algorithm("installengine", parameters).results["ENGINE"])
+    pip = subprocess.run(
+        [str(first.with_name("pip")), "--version"], capture_output=True, text=True, check=True
+    )
+    assert str(first.parents[1]) in pip.stdout
+    second = Path(run_algorithm("installengine", parameters).results["ENGINE"])
+    assert second != first
+    assert not first.exists()
+    assert settings.find_engine().command[0] == str(second)
+
+
+def test_an_engine_in_use_is_left_where_it_cannot_be_removed(
+    tmp_path: Path, nowhere: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parameters = {"WHEEL": str(wheel(tmp_path)), "PYTHON": sys.executable}
+    first = Path(run_algorithm("installengine", parameters).results["ENGINE"])
+    monkeypatch.setattr("pcwlad_geo_qgis.process.install.shutil.rmtree", lambda *given, **options: None)
+    second = Path(run_algorithm("installengine", parameters).results["ENGINE"])
+    assert first.is_file()
+    assert settings.find_engine().command[0] == str(second)
+
+
+def test_a_folder_of_wheels_needs_no_network(tmp_path: Path, nowhere: Path) -> None:
+    folder = tmp_path / "wheels"
+    folder.mkdir()
+    wheel(folder, requires="Requires-Dist: needed\n")
+    with zipfile.ZipFile(folder / "needed-1.0-py3-none-any.whl", "w") as archive:
+        archive.writestr("needed.py", "")
+        archive.writestr(
+            "needed-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: needed\nVersion: 1.0\n"
+        )
+        archive.writestr(
+            "needed-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        )
+        archive.writestr("needed-1.0.dist-info/RECORD", "")
+    run = run_algorithm("installengine", {"WHEELHOUSE": str(folder), "PYTHON": sys.executable})
+    assert run.results["VERSION"] == "0.1.0"
+    assert "--no-index" not in run.feedback.warnings
+    (folder / "needed-1.0-py3-none-any.whl").unlink()
+    with pytest.raises(QgsProcessingException, match="The installation failed"):
+        run_algorithm("installengine", {"WHEELHOUSE": str(folder), "PYTHON": sys.executable})
+    (next(folder.iterdir())).unlink()
+    with pytest.raises(AssertionError, match="holds no wheels"):
+        run_algorithm("installengine", {"WHEELHOUSE": str(folder), "PYTHON": sys.executable})
+
+
+def test_a_variable_that_names_nothing_is_told_after_the_installation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(engine.VARIABLE, "/none/python")
+    run = run_algorithm("installengine", {"WHEEL": str(wheel(tmp_path)), "PYTHON": sys.executable})
+    assert run.results["VERSION"] == "0.1.0"
+    assert "/none/python that the PCWLAD_GEO_PYTHON names does not exist" in run.feedback.warnings[0]
+
+
+def test_an_engine_in_the_user_site_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    site = (
+        tmp_path / ".local" / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
+    )
+    site.mkdir(parents=True)
+    with zipfile.ZipFile(wheel(tmp_path)) as archive:
+        archive.extractall(site)
+    monkeypatch.setenv(engine.VARIABLE, "/usr/bin/python3")
+    assert settings.find_engine().check() == "0.1.0"
+
+
+def test_the_proxy_of_qgis_reaches_pip() -> None:
+    options = QgsSettings()
+    assert settings.proxy_variables() == {}
+    values = {"proxyEnabled": True, "proxyHost": "proxy.test", "proxyPort": "3128", "proxyType": "HttpProxy"}
+    values.update(proxyUser="a user", proxyPassword="p@ss", noProxyUrls=["https://inside.test/x"])
+    for name, value in values.items():
+        options.setValue(f"proxy/{name}", value)
+    try:
+        found = settings.proxy_variables()
+    finally:
+        options.remove("proxy")
+    assert found["HTTPS_PROXY"] == found["http_proxy"] == "http://a%20user:p%40ss@proxy.test:3128"
+    assert found["NO_PROXY"] == "inside.test"
+
+
+def test_on_windows_nothing_is_installed_below_a_roaming_profile(monkeypatch: pytest.MonkeyPatch) -> None:
+    profile = Path("/home/me/AppData/Roaming/QGIS")
+    assert install.local_base(profile) == profile / "pcwlad_geo_engine"
+    monkeypatch.setattr("pcwlad_geo_qgis.process.install.on_windows", lambda: True)
+    monkeypatch.setenv("LOCALAPPDATA", "/home/me/AppData/Local")
+    assert install.local_base(profile) == Path("/home/me/AppData/Local/pcwlad_geo_qgis/pcwlad_geo_engine")
+
+
+def test_install_is_for_people(tmp_path: Path) -> None:
+    for name in ("installengine", "checkengine"):
+        flags = QgsApplication.processingRegistry().createAlgorithmById(f"pcwlad_geo:{name}").flags()
+        assert flags & QgsProcessingAlgorithm.Flag.FlagHideFromModeler
+        assert not flags & QgsProcessingAlgorithm.Flag.FlagSupportsBatch
 
 
 def test_a_failed_installation_leaves_the_old_engine(tmp_path: Path, nowhere: Path) -> None:
@@ -125,9 +228,9 @@ def test_a_failed_installation_leaves_the_old_engine(tmp_path: Path, nowhere: Pa
     broken.write_bytes(b"no wheel")
     with pytest.raises(QgsProcessingException, match="The installation failed"):
         run_algorithm("installengine", {"WHEEL": str(broken), "PYTHON": sys.executable})
-    assert engine.find_engine().command[0] == old
-    assert engine.find_engine().check() == "0.1.0"
-    assert not nowhere.with_name(f"{nowhere.name}.new").exists()
+    assert settings.find_engine().command[0] == old
+    assert settings.find_engine().check() == "0.1.0"
+    assert not nowhere.with_name(f"{nowhere.name}-1").exists()
 
 
 def test_cancelling_the_installation_leaves_nothing(tmp_path: Path, nowhere: Path) -> None:
@@ -136,7 +239,7 @@ def test_cancelling_the_installation_leaves_nothing(tmp_path: Path, nowhere: Pat
     run = run_algorithm("installengine", {"WHEEL": str(wheel(tmp_path)), "PYTHON": sys.executable}, feedback)
     assert run.results == {}
     assert not nowhere.exists()
-    assert not nowhere.with_name(f"{nowhere.name}.new").exists()
+    assert not nowhere.with_name(f"{nowhere.name}-1").exists()
 
 
 def test_an_engine_that_goes_before_the_installed_one_is_told(
@@ -148,7 +251,5 @@ def test_an_engine_that_goes_before_the_installed_one_is_told(
 
 
 def test_a_python_is_found_by_itself(tmp_path: Path) -> None:
-    from pcwlad_geo_qgis.algorithms.install_engine import _find_python
-
-    assert Path(_find_python(Feedback())).is_file()
+    assert Path(install.find_python(Feedback(), tmp_path)).is_file()
     assert shutil.which("python3")

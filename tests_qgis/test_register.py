@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 from conftest import Feedback, Finished, Run, loaded, run_algorithm
 from osgeo import gdal
-from pcwlad_geo_qgis.tie_points import TiePointStyle
+from pcwlad_geo_qgis.model import notices
+from pcwlad_geo_qgis.model.tie_points import TiePointStyle
 from qgis.core import (
     QgsCategorizedSymbolRenderer,
     QgsMapRendererSequentialJob,
@@ -245,17 +246,27 @@ def test_a_refusal_is_an_error_with_its_reason_and_its_report(
     band = data.GetRasterBand(1)
     band.WriteArray(band.ReadAsArray()[::-1, ::-1])
     del band, data  # written now
+    shown: list[tuple[str, str]] = []
+    notices.show_with(lambda message, report: shown.append((message, report)))
+    feedback = Feedback()
     with pytest.raises(Exception, match=r"refused, and nothing was corrected: .*report"):
         run_algorithm(
             "register",
             {
                 "REFERENCE": str(sample[0]),
                 "INPUT": str(turned),
-                "EXTRA": "--prealign georef --features 200",
+                "PREALIGN": "georef",
+                "EXTRA": "--features 200",
                 "OUTPUT": str(tmp_path / "out.tif"),
                 "OUTPUT_HTML": str(tmp_path / "report.html"),
             },
+            feedback,
         )
+    notices.show_with(None)
+    ((message, report),) = shown
+    assert Path(report) == tmp_path / "report.html"
+    assert "--" not in message.replace("(Options that begin with --", "")
+    assert not [line for line in feedback.lines if line.startswith("error: ")]  # told once, at the end
     assert not (tmp_path / "out.tif").exists()
     assert (tmp_path / "report.html").is_file()
 

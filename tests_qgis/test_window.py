@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import PATIENCE_S, Finished
+from conftest import PATIENCE_S, Finished, engine_python
 from osgeo import gdal
+from pcwlad_geo_qgis.process.child import child_environment
 from test_process import built, profile  # noqa: F401  # fixtures
 
 PICTURES = os.environ.get("PCWLAD_GEO_PICTURES")
@@ -27,22 +28,32 @@ def seen(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> dict[str, Any]:
     """Run QGIS with a window and return what it saw."""
-    if shutil.which("xvfb-run") is None or shutil.which("qgis") is None:
-        pytest.skip("needs qgis and xvfb-run")
     reference, target = sample
     shutil.copy(finished.plugin.results["OUTPUT_POINTS"], target.with_name(f"{target.name}.points"))
     done = Path(finished.outcome["paths"]["numbers"]).parent
     load = [str(path) for path in sorted(done.iterdir()) if path.suffix in (".vrt", ".tif", ".gpkg")]
+    places = {"reference": str(reference), "target": str(target), "load": load}
+    folder = tmp_path_factory.mktemp("window")
+    found = run_in_window("window.py", profile, folder, places)
+    if PICTURES:
+        keep(folder, Path(finished.plugin.results["OUTPUT_HTML"]), Path(PICTURES))
+    return found
+
+
+def run_in_window(script: str, profile: Path, folder: Path, places: dict[str, Any]) -> dict[str, Any]:  # noqa: F811
+    """Run a script of steps in QGIS with a window, at most twice, and return what it saw."""
+    if shutil.which("xvfb-run") is None or shutil.which("qgis") is None:
+        pytest.skip("needs qgis and xvfb-run")
     ends: list[str] = []
     for _ in range(2):
-        folder = tmp_path_factory.mktemp("window")
-        job = folder / "job.json"
-        places = {"reference": str(reference), "target": str(target), "load": load, "folder": str(folder)}
-        job.write_text(json.dumps(places), encoding="utf-8")
+        job, said = folder / "job.json", folder / "seen.json"
+        said.unlink(missing_ok=True)
+        job.write_text(json.dumps({**places, "folder": str(folder)}), encoding="utf-8")
         environment = {**os.environ, "WINDOW_JOB": str(job), "LC_ALL": "C.UTF-8"}
-        environment.pop("QT_QPA_PLATFORM")
-        script = str(Path(__file__).with_name("window.py"))
-        qgis = ["qgis", "--nologo", "--noversioncheck", "--profiles-path", str(profile), "--code", script]
+        environment.pop("QT_QPA_PLATFORM", None)
+        environment["PYTHONPATH"] = str(Path(__file__).parent)
+        code = str(Path(__file__).with_name(script))
+        qgis = ["qgis", "--nologo", "--noversioncheck", "--profiles-path", str(profile), "--code", code]
         # a group of its own: where QGIS hangs, it ends with its screen
         run = subprocess.Popen(
             ["xvfb-run", "-a", "-s", "-screen 0 1600x1000x24", *qgis],
@@ -57,15 +68,10 @@ def seen(
         except subprocess.TimeoutExpired:
             os.killpg(run.pid, 9)
             run.wait()
-        said = folder / "seen.json"
         if said.is_file() and (found := json.loads(said.read_text(encoding="utf-8")))["done"]:
-            break
+            return found
         ends.append(said.read_text(encoding="utf-8") if said.is_file() else "no end")
-    else:
-        pytest.fail(f"QGIS with a window did not come to its end: {ends}")
-    if PICTURES:
-        keep(folder, Path(finished.plugin.results["OUTPUT_HTML"]), Path(PICTURES))
-    return found
+    pytest.fail(f"QGIS with a window did not come to its end: {ends}")
 
 
 def keep(folder: Path, report: Path, place: Path) -> None:
@@ -81,19 +87,19 @@ def keep(folder: Path, report: Path, place: Path) -> None:
         ]
         options += [f"--user-data-dir={folder / 'browser'}", f"--screenshot={folder / 'report.png'}"]
         subprocess.run([chromium, *options, report.as_uri()], check=False, capture_output=True, timeout=120)
+    keep_pictures(folder, place)
+
+
+def keep_pictures(folder: Path, place: Path) -> None:
+    """Keep the pictures, with few colours."""
     place.mkdir(parents=True, exist_ok=True)
-    for picture in folder.glob("*.png"):
+    reduce = "import sys; from PIL import Image; image = Image.open(sys.argv[1]).convert('RGB'); "
+    reduce += "image.thumbnail((1000, 1000), Image.Resampling.LANCZOS); "
+    reduce += "image.quantize(64, dither=0).save(sys.argv[2], optimize=True)"
+    for picture in folder.glob("*.png"):  # the engine has Pillow, for its report
         subprocess.run(
-            [
-                "convert",
-                str(picture),
-                "-strip",
-                "-dither",
-                "None",
-                "-colors",
-                "200",
-                f"PNG8:{place / picture.name}",
-            ],
+            [engine_python(), "-c", reduce, str(picture), str(place / picture.name)],
+            env=child_environment(),
             check=True,
         )
 
@@ -106,6 +112,8 @@ def test_the_toolbox_lists_the_algorithms(seen: dict[str, Any]) -> None:
         "Band-to-band QA",
         "Check engine",
         "Install engine",
+        "Register many rasters",
+        "Adjust a stack",
     }
 
 

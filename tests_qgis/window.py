@@ -6,12 +6,8 @@ pictures and `seen.json` go.
 
 from __future__ import annotations
 
-import json
-import os
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import processing
 from qgis.core import QgsProject, QgsRasterLayer, QgsVectorLayer
@@ -28,25 +24,7 @@ from qgis.PyQt.QtWidgets import (
     QWidget,
 )
 from qgis.utils import iface
-
-JOB = json.loads(Path(os.environ["WINDOW_JOB"]).read_text(encoding="utf-8"))
-FOLDER = Path(JOB["folder"])
-LIMIT_MS = 500_000
-seen: dict[str, Any] = {"modal": [], "done": False}
-wanted: list[str] = []
-"""Classes of dialogs that a step opens itself."""
-
-
-def grab(widget: QWidget, name: str) -> None:
-    """Save a picture of a widget."""
-    widget.grab().save(str(FOLDER / f"{name}.png"))
-
-
-def watch() -> None:
-    """Note every dialog that asks something."""
-    dialog = QApplication.activeModalWidget()
-    if dialog is not None and dialog.metaObject().className() not in wanted:
-        seen["modal"].append(f"{dialog.metaObject().className()}: {dialog.windowTitle()}")
+from steps import JOB, go, grab, seen, wanted
 
 
 def steps() -> Iterator[int]:
@@ -182,26 +160,4 @@ def choose_polynomial() -> None:
     dialog.accept()
 
 
-def end(error: str = "") -> None:
-    """Write what was seen, and leave at once."""
-    seen["error"] = error
-    (FOLDER / "seen.json").write_text(json.dumps(seen, ensure_ascii=False, default=str), encoding="utf-8")
-    os._exit(0)
-
-
-def go_on(script: Iterator[int]) -> None:
-    """Do the next step."""
-    try:
-        QTimer.singleShot(next(script), lambda: go_on(script))
-    except StopIteration:
-        seen["done"] = True
-        end()
-    except Exception:
-        end(traceback.format_exc())
-
-
-watcher = QTimer()
-watcher.timeout.connect(watch)
-watcher.start(100)
-QTimer.singleShot(LIMIT_MS, lambda: end("the time is over"))
-QTimer.singleShot(2000, lambda: go_on(steps()))
+go(steps)

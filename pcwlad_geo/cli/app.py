@@ -10,6 +10,7 @@ import typer
 import pcwlad_geo
 from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.batch import batch
+from pcwlad_geo.cli.edit import edit
 from pcwlad_geo.cli.job import run_job
 from pcwlad_geo.cli.progress import show_error
 from pcwlad_geo.cli.qa import qa
@@ -71,6 +72,7 @@ app.command()(warp)
 app.command()(qa)
 app.command()(batch)
 app.command()(stack)
+app.command(hidden=True)(edit)  # a conversation between programs
 
 
 def _show_version(wanted: bool) -> None:

@@ -112,6 +112,8 @@ def _placed(info: RasterInfo, grid: Grid | None) -> RasterInfo:
 
 MARGIN_PX = 64
 """Margin of a resampled view around the overlap."""
+EXTENT_MARGIN_PX = 256
+"""Margin of the target around an extent, for its displacement, matching-grid px."""
 _SAME_SIZE_PX = 0.01  # what differing pixel sizes may add up to over the overlap
 _SAME_COORDINATES_PX = 0.001
 _FINER = 0.99  # the reference counts as finer below this ratio of the pixel sizes
@@ -161,6 +163,52 @@ def plan_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
     check_pixel_ratio(reference.uri, target.uri, np.linalg.svd(steps, compute_uv=False).tolist())
     own = _plan_own_pixels(reference, target, common, warnings)
     return own or _plan_resampled(reference, target, common, warnings)
+
+
+def limited(pair: ViewPair, extent: tuple[float, float, float, float]) -> ViewPair:
+    """Return the part of a pair that shows an extent; of the target with a margin for its displacement.
+
+    Nothing else is read then. Raises `InputError` if the reference has no map coordinates or its RPCs, or
+    those of the target, place the pair, or if the extent lies elsewhere.
+
+    Parameters
+    ----------
+    extent : tuple of float
+        x_min, y_min, x_max, y_max in the CRS of the reference.
+    """
+    view, grids = pair.reference, (pair.reference.info.grid, pair.target.info.grid)
+    if not pair.georeferenced or any(type(grid) is not Grid for grid in grids):
+        raise InputError("--extent needs two rasters with a geotransform: leave it out, or cut the files")
+    outline = shapely.segmentize(shapely.box(*extent), max(extent[2] - extent[0], extent[3] - extent[1]) / 32)
+    corners_px = view.from_file_px(grids[0].to_px(shapely.get_coordinates(outline)))
+    corners_px = corners_px[np.isfinite(corners_px).all(axis=1)]
+    low, high = (corners_px.min(axis=0), corners_px.max(axis=0)) if len(corners_px) else (np.zeros(2),) * 2
+    window = Window.around(low + 1e-6, high - 1e-6).clipped(view.grid.shape)
+    col, row = np.rint(pair.offset_px).astype(int).tolist()
+    around = window.moved(row, col).padded(EXTENT_MARGIN_PX).clipped(pair.target.grid.shape)
+    if window.empty or around.empty:
+        raise InputError(
+            f"the extent x {extent[0]:.10g} to {extent[2]:.10g}, y {extent[1]:.10g} to {extent[3]:.10g} lies "
+            f"outside of what both rasters show: give one in the CRS of {view.info.uri}"
+        )
+    offset = (
+        pair.offset_px[0] + window.col - around.col,
+        pair.offset_px[1] + window.row - around.row,
+    )
+    seen = pair.overlap.moved(-window.row, -window.col).clipped(window.shape)
+    return replace(
+        pair,
+        reference=_part(view, window),
+        target=_part(pair.target, around),
+        offset_px=offset,
+        overlap=seen,
+    )
+
+
+def _part(view: View, window: Window) -> View:
+    """Return a window of a view as a view of its own."""
+    grid = view.grid.part((window.col, window.row), window.shape)
+    return View(view.info, grid, "nearest" if view.resampling == "none" else view.resampling)
 
 
 def _plan_by_pixels(reference: RasterInfo, target: RasterInfo) -> ViewPair:

@@ -187,7 +187,9 @@ def grid_request(
 
 def requested_grid(settings: Settings) -> GridRequest:
     """Return the output grid that settings request, see `grid_request`."""
-    return grid_request(settings.grid, settings.like, settings.tr, settings.te, settings.t_srs)
+    whole = settings.like is not None or settings.t_srs is not None or settings.grid != "reference"
+    te = settings.te if whole else settings.te or settings.extent
+    return grid_request(settings.grid, settings.like, settings.tr, te, settings.t_srs)
 
 
 def check_output(reference: PathLike, target: PathLike, settings: Settings) -> None:

@@ -18,7 +18,13 @@ from pcwlad_geo.options import VRT_MODELS, Settings
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.identity import digest
-from pcwlad_geo.raster.matching_grid import ViewPair, moved_across_antimeridian, plan_views, share_plane
+from pcwlad_geo.raster.matching_grid import (
+    ViewPair,
+    limited,
+    moved_across_antimeridian,
+    plan_views,
+    share_plane,
+)
 from pcwlad_geo.raster.rpc.grid import at_mean_height
 from pcwlad_geo.raster.rpc.view import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band, with_compression_blocks, without_collar
@@ -146,6 +152,8 @@ def open_pair(
                 "--displacement-unit m, or give the reference a CRS (gdal_edit.py -a_srs)"
             )
         views = plan_rpc_views(ref, tgt) if placed or reference_by_rpc else plan_views(ref, tgt)
+        if settings.extent is not None:
+            views = limited(views, settings.extent)
         for warning in views.warnings:
             log.warn(warning)
         if same_band(ref, tgt):

@@ -6,17 +6,22 @@ from pathlib import Path
 
 from processing.core.ProcessingConfig import ProcessingConfig, Setting
 from qgis.core import QgsProcessingProvider
+from qgis.PyQt.QtCore import QCoreApplication
 from qgis.PyQt.QtGui import QIcon
 
 from .algorithms.apply import ApplyRegistration
 from .algorithms.band_qa import BandToBandQa
 from .algorithms.check_engine import CheckEngine
 from .algorithms.install_engine import InstallEngine
+from .algorithms.many import RegisterMany
 from .algorithms.match import MatchOnly
 from .algorithms.register import RegisterRaster
-from .engine import SETTING
-from .text import tr
+from .algorithms.stack import AdjustStack
+from .model.settings import SETTING
+from .text import speak, tr
 
+CONTEXT = "pcwlad_geo"
+speak(lambda text: QCoreApplication.translate(CONTEXT, text))
 ICON = Path(__file__).parent / "icon.svg"
 
 
@@ -58,6 +63,8 @@ class PcwladGeoProvider(QgsProcessingProvider):
             MatchOnly,
             ApplyRegistration,
             BandToBandQa,
+            RegisterMany,
+            AdjustStack,
             CheckEngine,
             InstallEngine,
         ):

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from qgis.core import (
-    QgsProcessingParameterFile,
-    QgsProcessingParameterRasterDestination,
-    QgsProcessingParameterRasterLayer,
-)
+from qgis import core
 
-from ..text import mark, tr
+from ..text import mark
 from .base import Context, EngineAlgorithm, Feedback, Values, absolute
 
 
@@ -27,12 +23,10 @@ class ApplyRegistration(EngineAlgorithm):
     OUTPUTS = ("OUTPUT",)
 
     def initAlgorithm(self, configuration: object = None) -> None:
-        folder = QgsProcessingParameterFile.Folder
-        self.addParameter(
-            QgsProcessingParameterFile("REGISTRATION", tr("Registration (folder of all results)"), folder)
-        )
-        self.addParameter(QgsProcessingParameterRasterLayer("INPUT", tr("Another band of the target")))
-        self.addParameter(QgsProcessingParameterRasterDestination("OUTPUT", tr("Registered raster")))
+        folder = core.QgsProcessingParameterFile.Behavior.Folder
+        self.add(core.QgsProcessingParameterFile, "REGISTRATION", folder)
+        self.add(core.QgsProcessingParameterRasterLayer, "INPUT")
+        self.add(core.QgsProcessingParameterRasterDestination, "OUTPUT")
 
     def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         folder = absolute(self.parameterAsFile(parameters, "REGISTRATION", context))

@@ -32,42 +32,21 @@ class BandToBandQa(EngineAlgorithm):
     RASTERS = ("MASK",)
     LISTS = ("INPUTS",)
     OUTPUTS = ("OUTPUT_HTML", "OUTPUT_CSV")
+    CHOICES = {**EngineAlgorithm.CHOICES, "PRESET": PRESETS}
 
     def initAlgorithm(self, configuration: object = None) -> None:
-        self.addParameter(
-            core.QgsProcessingParameterMultipleLayers("INPUTS", tr("Rasters"), core.QgsProcessing.TypeRaster)
-        )
-        texts = {
-            "BANDS": tr("Bands of each, such as 2,4-6 (not set: all)"),
-            "AGAINST": tr("Compare every band with this one only: the end of its name, such as B4"),
-            "REQUIRE": tr("Requirements, separated by semicolons"),
-        }
-        for name, title in texts.items():
-            self.addParameter(core.QgsProcessingParameterString(name, title, optional=True))
-        self.addParameter(
-            core.QgsProcessingParameterEnum(
-                "PRESET", tr("Requirement of a mission"), PRESETS, optional=True, usesStaticStrings=True
-            )
-        )
-        self.add_advanced(
-            core.QgsProcessingParameterRasterLayer(
-                "MASK", tr("Mask of all rasters (0 = excluded)"), optional=True
-            )
-        )
+        rasters, kind = core.QgsProcessingParameterMultipleLayers, core.QgsProcessing.SourceType.TypeRaster
+        self.add(rasters, "INPUTS", kind)
+        for name in ("BANDS", "AGAINST", "REQUIRE"):
+            self.add(core.QgsProcessingParameterString, name, optional=True)
+        self.add_choice("PRESET")
+        self.add(core.QgsProcessingParameterRasterLayer, "MASK", optional=True, advanced=True)
         self.add_matching()
-        for name, title, kind in (
-            ("OUTPUT_HTML", tr("Report"), tr("HTML files (*.html)")),
-            ("OUTPUT_CSV", tr("Table, a line a pair"), tr("CSV files (*.csv)")),
-        ):
-            self.addParameter(core.QgsProcessingParameterFileDestination(name, title, kind, optional=True))
-        self.addParameter(
-            core.QgsProcessingParameterFolderDestination(
-                "OUTPUT_FOLDER", tr("Folder of all results"), optional=True, createByDefault=False
-            )
-        )
-        self.addOutput(core.QgsProcessingOutputBoolean("PASSED", tr("Requirements met")))
-        self.addOutput(core.QgsProcessingOutputNumber("PAIRS", tr("Pairs")))
-        self.addOutput(core.QgsProcessingOutputNumber("REFUSED", tr("Pairs refused")))
+        self.add_file("OUTPUT_HTML", tr("HTML files (*.html)"))
+        self.add_file("OUTPUT_CSV", tr("CSV files (*.csv)"))
+        self.add_folder()
+        self.add_results(core.QgsProcessingOutputBoolean, "PASSED")
+        self.add_results(core.QgsProcessingOutputNumber, "PAIRS", "REFUSED")
 
     def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         folder = self.file_output(parameters, "OUTPUT_FOLDER", context)
@@ -75,7 +54,7 @@ class BandToBandQa(EngineAlgorithm):
         values = {
             "--bands": self.parameterAsString(parameters, "BANDS", context),
             "--against": self.parameterAsString(parameters, "AGAINST", context),
-            "--preset": self.parameterAsString(parameters, "PRESET", context),
+            "--preset": self.choice(parameters, "PRESET", context),
             "--mask": "".join(self.paths("MASK")),
             "--out-dir": folder,
         }

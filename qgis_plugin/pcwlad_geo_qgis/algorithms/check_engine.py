@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from qgis.core import (
-    QgsProcessingException,
-    QgsProcessingOutputBoolean,
-    QgsProcessingOutputString,
-)
+from qgis import core
 
-from ..engine import EngineError, find_engine, fits, needed, plugin_version
+from ..model import settings
+from ..process.engine import EngineError, fits, needed, plugin_version
 from ..text import mark, tr
 from .base import Context, Feedback, PlainAlgorithm, Values
 
@@ -25,17 +22,21 @@ class CheckEngine(PlainAlgorithm):
         "variable PCWLAD_GEO_PYTHON, where “Install engine” puts it, and on PATH, in this order."
     )
 
+    def flags(self) -> object:
+        """Keep it out of models and of the batch dialog: it is done once, by a person."""
+        hidden = super().flags() | core.QgsProcessingAlgorithm.Flag.FlagHideFromModeler
+        return hidden & ~core.QgsProcessingAlgorithm.Flag.FlagSupportsBatch
+
     def initAlgorithm(self, configuration: object = None) -> None:
-        self.addOutput(QgsProcessingOutputString("ENGINE", tr("Engine")))
-        self.addOutput(QgsProcessingOutputString("VERSION", tr("Version of the engine")))
-        self.addOutput(QgsProcessingOutputBoolean("FITS", tr("Fits this plugin")))
+        self.add_results(core.QgsProcessingOutputString, "ENGINE", "VERSION")
+        self.add_results(core.QgsProcessingOutputBoolean, "FITS")
 
     def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         try:
-            engine = find_engine()
+            engine = settings.find_engine()
             version = engine.version()
         except EngineError as error:
-            raise QgsProcessingException(str(error)) from error
+            raise core.QgsProcessingException(str(error)) from error
         command = " ".join(engine.command)
         feedback.pushInfo(tr("Engine: {} ({})").format(command, engine.source))
         feedback.pushInfo(tr("Its version: {}; this plugin: {}").format(version, plugin_version()))

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from qgis.core import (
-    QgsProcessingOutputNumber,
-    QgsProcessingOutputString,
-    QgsProcessingParameterBoolean,
-    QgsProcessingParameterEnum,
-    QgsProcessingParameterRasterDestination,
-)
+import shutil
+
+from qgis import core
 
 from ..text import mark, tr
-from .base import MODELS, Context, Feedback, Values, absolute
+from .base import MODELS, RESAMPLINGS, Context, Feedback, Values, absolute
 from .pair import PairAlgorithm
+
+VRT_MODELS = ("auto", "shift", "affine")
+"""Corrections that georeferencing alone can hold."""
 
 
 class RegisterRaster(PairAlgorithm):
@@ -42,37 +41,64 @@ class RegisterRaster(PairAlgorithm):
         "<h3>Requirements</h3>Limits on the figures, such as <i>CE90&lt;=0.5px; points&gt;=100</i>. Where "
         "one is not met, the algorithm fails and there is no raster, unless it is to be kept."
     )
-    OUTPUTS = ("OUTPUT", "OUTPUT_TIEPOINTS", "OUTPUT_HTML", "OUTPUT_POINTS")
+    RASTERS = (*PairAlgorithm.RASTERS, "LIKE")
+    CHOICES = {**PairAlgorithm.CHOICES, "MODEL": MODELS, "RESAMPLING": RESAMPLINGS}
+    OUTPUTS = ("OUTPUT", "OUTPUT_TIEPOINTS", "OUTPUT_HTML", "OUTPUT_POINTS", "OUTPUT_DISPLACEMENT")
 
     def initAlgorithm(self, configuration: object = None) -> None:
+        boolean, destination = (
+            core.QgsProcessingParameterBoolean,
+            core.QgsProcessingParameterRasterDestination,
+        )
         self.add_inputs()
-        self.addParameter(
-            QgsProcessingParameterEnum(
-                "MODEL", tr("Correction model"), MODELS, defaultValue="auto", usesStaticStrings=True
-            )
-        )
-        title = tr("Keep the registered raster although a requirement is not met")
-        self.add_advanced(QgsProcessingParameterBoolean("KEEP", title, False))
+        self.add_choice("MODEL", "auto")
+        self.add(boolean, "GEOREFERENCE", False, advanced=True)
+        self.add(core.QgsProcessingParameterRasterLayer, "LIKE", optional=True, advanced=True)
+        self.add_choice("RESAMPLING", "lanczos", advanced=True)
+        file, all_files = core.QgsProcessingParameterFile, tr("All files (*)")
+        self.add(file, "TIE_POINTS", optional=True, fileFilter=all_files, advanced=True)
+        self.add(boolean, "KEEP", False, advanced=True)
         self.add_matching()
-        self.addParameter(
-            QgsProcessingParameterRasterDestination("OUTPUT", tr("Registered raster"), optional=True)
-        )
+        self.add(destination, "OUTPUT", optional=True)
+        self.add(destination, "OUTPUT_DISPLACEMENT", optional=True, createByDefault=False)
         self.add_outputs()
-        for name, title in {
-            "RMSE": tr("RMSE at check points, target pixels"),
-            "CE90": tr("CE90 at check points, target pixels"),
-            "RMSE_M": tr("RMSE at check points, metres"),
-            "CE90_M": tr("CE90 at check points, metres"),
-        }.items():
-            self.addOutput(QgsProcessingOutputNumber(name, title))
-        self.addOutput(QgsProcessingOutputString("QUALITY", tr("Quality: good, fair or poor")))
+        self.add_results(core.QgsProcessingOutputNumber, "RMSE", "CE90", "RMSE_M", "CE90_M")
+        self.add_results(core.QgsProcessingOutputString, "QUALITY")
+
+    def problem(self, parameters: Values, context: Context) -> str:
+        """Return what is wrong with the parameters, and what to do; empty where nothing is."""
+        model = self.choice(parameters, "MODEL", context)
+        if self.parameterAsBool(parameters, "GEOREFERENCE", context) and model not in VRT_MODELS:
+            return tr(
+                "Only georeferencing takes the models shift and affine: choose one of them, or automatic."
+            )
+        return super().problem(parameters, context)
 
     def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
-        raster = absolute(self.parameterAsOutputLayer(parameters, "OUTPUT", context))
+        georeference = self.parameterAsBool(parameters, "GEOREFERENCE", context)
+        raster = "" if georeference else absolute(self.parameterAsOutputLayer(parameters, "OUTPUT", context))
+        field = absolute(self.parameterAsOutputLayer(parameters, "OUTPUT_DISPLACEMENT", context))
+        model = self.choice(parameters, "MODEL", context)
+        points = absolute(self.parameterAsFile(parameters, "TIE_POINTS", context))
         more = {
-            "--model": self.parameterAsString(parameters, "MODEL", context),
+            "--model": model,
             "--output-raster": raster,
+            "--like": "".join(self.paths("LIKE")),
+            "--resampling": self.choice(parameters, "RESAMPLING", context),
+            "--tie-points": points,
+            "--of": "VRT" if georeference else "",
         }
         keep = ["--keep"] if self.parameterAsBool(parameters, "KEEP", context) else []
-        found = self.run_pair(["register", *keep], parameters, context, feedback, more)
-        return {**found, "OUTPUT": raster} if found and raster else found
+        shown = ["--write-displacement", "--displacement-unit", "m"] if field else []
+        found = self.run_pair(["register", *keep, *shown], parameters, context, feedback, more)
+        if not found:
+            return found
+        if georeference:
+            paths = self.outcome["paths"]
+            found["GEOREFERENCED"] = paths.get("corrected") or paths["raster"]
+        elif raster:
+            found["OUTPUT"] = raster
+        if field:
+            shutil.copyfile(self.outcome["paths"]["displacement"], field)
+            found["OUTPUT_DISPLACEMENT"] = field
+        return found

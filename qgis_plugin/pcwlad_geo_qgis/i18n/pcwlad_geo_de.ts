@@ -14,18 +14,6 @@
 &lt;b&gt;Registrierung&lt;/b&gt;: der Ordner, den „Raster registrieren“ als &lt;i&gt;Ordner aller Ergebnisse&lt;/i&gt; geschrieben hat. Für viele Kanäle gibt es den Stapelmodus.</translation>
     </message>
     <message>
-      <source>Registration (folder of all results)</source>
-      <translation>Registrierung (Ordner aller Ergebnisse)</translation>
-    </message>
-    <message>
-      <source>Another band of the target</source>
-      <translation>Anderer Kanal des Ziels</translation>
-    </message>
-    <message>
-      <source>Registered raster</source>
-      <translation>Registriertes Raster</translation>
-    </message>
-    <message>
       <source>Band-to-band QA</source>
       <translation>Passgenauigkeit von Kanälen prüfen</translation>
     </message>
@@ -33,63 +21,17 @@
       <source>Measures how well the bands of several rasters, or of one, lie on each other: every pair, or each against one band. Nothing is corrected.
 &lt;b&gt;Requirements&lt;/b&gt;: limits that every pair must meet, separated by semicolons, such as &lt;i&gt;CE90&amp;lt;=0.3px; closure&amp;lt;=0.05px&lt;/i&gt;. Statistics: mean, median, std, RMSE, LE90, CE90, CE95, closure; units: px, m. The output PASSED says whether all are met.
 &lt;b&gt;Report&lt;/b&gt;: opens in the Results Viewer.</source>
-      <translation type="unfinished" />
-    </message>
-    <message>
-      <source>Bands of each, such as 2,4-6 (not set: all)</source>
-      <translation>Kanäle jedes Rasters, etwa 2,4-6 (leer: alle)</translation>
-    </message>
-    <message>
-      <source>Compare every band with this one only: the end of its name, such as B4</source>
-      <translation>Jeden Kanal nur mit diesem vergleichen: Ende seines Namens, etwa B4</translation>
-    </message>
-    <message>
-      <source>Requirements, separated by semicolons</source>
-      <translation>Anforderungen, durch Semikolon getrennt</translation>
-    </message>
-    <message>
-      <source>Rasters</source>
-      <translation>Raster</translation>
-    </message>
-    <message>
-      <source>Requirement of a mission</source>
-      <translation>Anforderung einer Mission</translation>
-    </message>
-    <message>
-      <source>Mask of all rasters (0 = excluded)</source>
-      <translation>Maske aller Raster (0 = ausgeschlossen)</translation>
-    </message>
-    <message>
-      <source>Report</source>
-      <translation>Bericht</translation>
+      <translation>Misst, wie gut die Kanäle mehrerer Raster oder eines einzigen aufeinander liegen: jedes Paar, oder jeder gegen einen Kanal. Nichts wird korrigiert.
+&lt;b&gt;Anforderungen&lt;/b&gt;: Grenzen, die jedes Paar einhalten muss, durch Semikolon getrennt, etwa &lt;i&gt;CE90&amp;lt;=0.3px; closure&amp;lt;=0.05px&lt;/i&gt;. Statistiken: mean, median, std, RMSE, LE90, CE90, CE95, closure; Einheiten: px, m. Die Ausgabe PASSED sagt, ob alle eingehalten sind.
+&lt;b&gt;Bericht&lt;/b&gt;: öffnet sich in der Ergebnisanzeige.</translation>
     </message>
     <message>
       <source>HTML files (*.html)</source>
       <translation>HTML-Dateien (*.html)</translation>
     </message>
     <message>
-      <source>Table, a line a pair</source>
-      <translation>Tabelle, eine Zeile je Paar</translation>
-    </message>
-    <message>
       <source>CSV files (*.csv)</source>
       <translation>CSV-Dateien (*.csv)</translation>
-    </message>
-    <message>
-      <source>Folder of all results</source>
-      <translation>Ordner aller Ergebnisse</translation>
-    </message>
-    <message>
-      <source>Requirements met</source>
-      <translation>Anforderungen erfüllt</translation>
-    </message>
-    <message>
-      <source>Pairs</source>
-      <translation>Paare</translation>
-    </message>
-    <message>
-      <source>Pairs refused</source>
-      <translation>Abgelehnte Paare</translation>
     </message>
     <message>
       <source>All requirements are met.</source>
@@ -108,20 +50,8 @@
       <translation>Registrierung</translation>
     </message>
     <message>
-      <source>Matching method</source>
-      <translation>Verfahren der Zuordnung</translation>
-    </message>
-    <message>
-      <source>Tie points wanted (0: all; not set: 1000 of a scene, all of a small image)</source>
-      <translation>Gewünschte Verknüpfungspunkte (0: alle; leer: 1000 einer Szene, alle eines kleinen Bildes)</translation>
-    </message>
-    <message>
-      <source>Search radius: largest displacement, pixels of the coarser raster (not set: automatic)</source>
-      <translation>Suchradius: größte Verschiebung in Pixeln des gröberen Rasters (leer: automatisch)</translation>
-    </message>
-    <message>
-      <source>More options of the command line, such as --window 129</source>
-      <translation>Weitere Optionen der Kommandozeile, etwa --window 129</translation>
+      <source>Matching window: its side must be odd, such as 81 or 129.</source>
+      <translation>Vergleichsfenster: Die Seitenlänge muss ungerade sein, etwa 81 oder 129.</translation>
     </message>
     <message>
       <source>More options: a quotation mark is not closed. Close it, or leave it out.</source>
@@ -130,6 +60,22 @@
     <message>
       <source>{}: the engine writes GeoTIFF. Choose a file name that ends in .tif.</source>
       <translation>{}: Die Engine schreibt GeoTIFF. Wählen Sie einen Dateinamen, der auf .tif endet.</translation>
+    </message>
+    <message>
+      <source>the folder {} does not exist. Make it, or choose another.</source>
+      <translation>Den Ordner {} gibt es nicht. Legen Sie ihn an, oder wählen Sie einen anderen.</translation>
+    </message>
+    <message>
+      <source>{} cannot be written. Choose another place.</source>
+      <translation>{} kann nicht geschrieben werden. Wählen Sie einen anderen Ort.</translation>
+    </message>
+    <message>
+      <source>{} is a file. Choose a folder.</source>
+      <translation>{} ist eine Datei. Wählen Sie einen Ordner.</translation>
+    </message>
+    <message>
+      <source>{} is a folder. Choose a file.</source>
+      <translation>{} ist ein Ordner. Wählen Sie eine Datei.</translation>
     </message>
     <message>
       <source>{}: {} is an input too. Choose another file.</source>
@@ -153,15 +99,7 @@
     </message>
     <message>
       <source>Finds the engine that the other algorithms run, and says its version and whether it fits this plugin. It is looked for in Processing options (Providers, pcwlad-geo), in the environment variable PCWLAD_GEO_PYTHON, where “Install engine” puts it, and on PATH, in this order.</source>
-      <translation type="unfinished" />
-    </message>
-    <message>
-      <source>Version of the engine</source>
-      <translation>Version der Engine</translation>
-    </message>
-    <message>
-      <source>Fits this plugin</source>
-      <translation>Passt zu dieser Erweiterung</translation>
+      <translation>Sucht die Engine, die die anderen Algorithmen ausführen, und nennt ihre Version und ob sie zu dieser Erweiterung passt. Gesucht wird in den Optionen der Verarbeitung (Datenanbieter, pcwlad-geo), in der Umgebungsvariablen PCWLAD_GEO_PYTHON, dort, wo „Engine installieren“ sie ablegt, und im PATH, in dieser Reihenfolge.</translation>
     </message>
     <message>
       <source>They fit.</source>
@@ -184,62 +122,56 @@
       <translation>Engine installieren</translation>
     </message>
     <message>
-      <source>Makes a virtual environment in your QGIS profile and installs the engine there. QGIS and its own Python stay as they are.
-Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;b&gt;source folder&lt;/b&gt;. The libraries that it needs are downloaded by pip from the package index that is configured on this computer.
+      <source>Makes a virtual environment beside your QGIS profile and installs the engine there. QGIS and its own Python stay as they are.
+Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;b&gt;source folder&lt;/b&gt;. The libraries that it needs are downloaded by pip from the package index that is configured on this computer, through the proxy of QGIS's network options if there is one: about 280 MB, and about 1000 MB on the disk; some minutes.
+&lt;b&gt;Without internet&lt;/b&gt;: on another computer of this kind run &lt;i&gt;pip download -d FOLDER WHEEL_OF_PCWLAD_GEO&lt;/i&gt;, and give FOLDER as &lt;b&gt;folder of wheels&lt;/b&gt;.
 &lt;b&gt;Python&lt;/b&gt;: 3.10 or newer; found by itself in most cases. An engine installed earlier is replaced when the new one works.</source>
-      <translation type="unfinished" />
+      <translation>Legt neben Ihrem QGIS-Profil eine virtuelle Umgebung an und installiert die Engine dort. QGIS und sein eigenes Python bleiben, wie sie sind.
+Geben Sie das &lt;b&gt;Wheel&lt;/b&gt; von pcwlad-geo (pcwlad_geo-….whl) oder seinen &lt;b&gt;Quellordner&lt;/b&gt; an. Die nötigen Bibliotheken lädt pip vom Paketverzeichnis, das auf diesem Rechner eingestellt ist, gegebenenfalls durch den Proxy der Netzwerkoptionen von QGIS: etwa 280 MB, und etwa 1000 MB auf der Platte; einige Minuten.
+&lt;b&gt;Ohne Internet&lt;/b&gt;: Führen Sie auf einem anderen Rechner dieser Art &lt;i&gt;pip download -d FOLDER WHEEL_OF_PCWLAD_GEO&lt;/i&gt; aus, und geben Sie FOLDER als &lt;b&gt;Ordner mit Wheels&lt;/b&gt; an.
+&lt;b&gt;Python&lt;/b&gt;: 3.10 oder neuer; wird meist von selbst gefunden. Eine früher installierte Engine wird ersetzt, sobald die neue läuft.</translation>
     </message>
     <message>
-      <source>Python 3.10 or newer (not set: found by itself)</source>
-      <translation>Python 3.10 oder neuer (leer: wird selbst gefunden)</translation>
-    </message>
-    <message>
-      <source>The installation failed (status {}) at: {}</source>
-      <translation>Die Installation ist gescheitert (Status {}) bei: {}</translation>
-    </message>
-    <message>
-      <source>No Python 3.10 or newer was found. Install one (python.org), and name it under “Python”.</source>
-      <translation type="unfinished" />
-    </message>
-    <message>
-      <source>Making the virtual environment</source>
-      <translation>Virtuelle Umgebung wird angelegt</translation>
-    </message>
-    <message>
-      <source>Downloading and installing</source>
-      <translation>Herunterladen und installieren</translation>
+      <source>About {} MB will be downloaded, and {} MB be taken on the disk; some minutes.</source>
+      <translation>Etwa {} MB werden heruntergeladen und {} MB auf der Platte belegt; einige Minuten.</translation>
     </message>
     <message>
       <source>The {} names another engine, {}, which goes before this one: clear it to use this one.</source>
-      <translation type="unfinished" />
-    </message>
-    <message>
-      <source>Wheel of pcwlad-geo</source>
-      <translation>Wheel von pcwlad-geo</translation>
-    </message>
-    <message>
-      <source>Or source folder of pcwlad-geo</source>
-      <translation>Oder Quellordner von pcwlad-geo</translation>
+      <translation>„{}“ nennt eine andere Engine, {}, die dieser vorgeht: Löschen Sie den Eintrag, um diese zu benutzen.</translation>
     </message>
     <message>
       <source>All files (*)</source>
       <translation>Alle Dateien (*)</translation>
     </message>
     <message>
-      <source>Give either a wheel or a source folder of pcwlad-geo.</source>
-      <translation>Geben Sie entweder ein Wheel oder einen Quellordner von pcwlad-geo an.</translation>
+      <source>The proxy of QGIS's network options is used.</source>
+      <translation>Der Proxy der Netzwerkoptionen von QGIS wird benutzt.</translation>
     </message>
     <message>
       <source>Installed: pcwlad-geo {} in {}</source>
       <translation>Installiert: pcwlad-geo {} in {}</translation>
     </message>
     <message>
-      <source>{} is no wheel of pcwlad-geo (pcwlad_geo-….whl).</source>
-      <translation>{} ist kein Wheel von pcwlad-geo (pcwlad_geo-….whl).</translation>
+      <source>Register many rasters</source>
+      <translation>Viele Raster registrieren</translation>
     </message>
     <message>
-      <source>{} is no source folder of pcwlad-geo: it has no pyproject.toml of that name.</source>
-      <translation type="unfinished" />
+      <source>Registers many rasters (the targets) to one reference, one after another. A pair that is refused or cannot be used does not stop the rest.
+&lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Folder&lt;/b&gt;: a folder for each target, with its registered raster, tie points and report, and &lt;i&gt;summary.csv&lt;/i&gt;, a line a pair: status, accuracy, and the reason of a refusal. Run again with the same folder, pairs that are done are not done twice.</source>
+      <translation>Registriert viele Raster (die Ziele) auf eine Referenz, eines nach dem anderen. Ein Paar, das abgelehnt wird oder nicht brauchbar ist, hält die übrigen nicht auf.
+&lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Ordner&lt;/b&gt;: ein Ordner für jedes Ziel, mit seinem registrierten Raster, Passpunkten und Bericht, und &lt;i&gt;summary.csv&lt;/i&gt;, eine Zeile je Paar: Status, Genauigkeit und der Grund einer Ablehnung. Mit demselben Ordner erneut ausgeführt, werden fertige Paare nicht noch einmal gerechnet.</translation>
+    </message>
+    <message>
+      <source>{} of {} targets registered.</source>
+      <translation>{} von {} Zielen registriert.</translation>
+    </message>
+    <message>
+      <source>The reference is among the targets. Take it out.</source>
+      <translation>Die Referenz ist unter den Zielen. Nehmen Sie sie heraus.</translation>
+    </message>
+    <message>
+      <source>{}: {}</source>
+      <translation>{}: {}</translation>
     </message>
     <message>
       <source>Match only</source>
@@ -250,71 +182,34 @@ Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;
 &lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Tie points&lt;/b&gt;: a layer with an arrow for the displacement of each point, exaggerated as its legend says. The arrow points from where the target's georeferencing places the ground to where the target shows it.
 &lt;b&gt;Report&lt;/b&gt;: opens in the Results Viewer.
 &lt;b&gt;Points for the Georeferencer&lt;/b&gt;: loads by itself if it lies beside the target as &lt;i&gt;target.tif.points&lt;/i&gt;.</source>
-      <translation type="unfinished" />
-    </message>
-    <message>
-      <source>DEM: what is added to its heights to count from the ellipsoid, where its CRS does not tell</source>
-      <translation type="unfinished" />
-    </message>
-    <message>
-      <source>Mask of the reference (0 = excluded; or QA_PIXEL, SCL)</source>
-      <translation>Maske der Referenz (0 = ausgeschlossen; oder QA_PIXEL, SCL)</translation>
-    </message>
-    <message>
-      <source>Mask of the target (0 = excluded; or QA_PIXEL, SCL)</source>
-      <translation>Maske des Ziels (0 = ausgeschlossen; oder QA_PIXEL, SCL)</translation>
-    </message>
-    <message>
-      <source>DEM, for a target with RPCs</source>
-      <translation>DGM, für ein Ziel mit RPC</translation>
-    </message>
-    <message>
-      <source>Reference and target are the same raster and band. Choose another target.</source>
-      <translation>Referenz und Ziel sind dasselbe Raster und derselbe Kanal. Wählen Sie ein anderes Ziel.</translation>
-    </message>
-    <message>
-      <source>A requirement is not met, and nothing was corrected: {} (report: {})</source>
-      <translation>Eine Anforderung ist nicht erfüllt, und nichts wurde korrigiert: {} (Bericht: {})</translation>
-    </message>
-    <message>
-      <source>Reference (stays)</source>
-      <translation>Referenz (bleibt)</translation>
-    </message>
-    <message>
-      <source>Band of the reference</source>
-      <translation>Kanal der Referenz</translation>
-    </message>
-    <message>
-      <source>Target (moves)</source>
-      <translation>Ziel (bewegt sich)</translation>
-    </message>
-    <message>
-      <source>Band of the target</source>
-      <translation>Kanal des Ziels</translation>
-    </message>
-    <message>
-      <source>Tie points</source>
-      <translation>Verknüpfungspunkte</translation>
-    </message>
-    <message>
-      <source>Points for the Georeferencer</source>
-      <translation>Punkte für die Georeferenzierung</translation>
+      <translation>Findet Passpunkte zwischen zwei Rastern desselben Geländes und misst, wie weit das Ziel verschoben ist. Nichts wird angepasst oder entzerrt.
+&lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Passpunkte&lt;/b&gt;: ein Layer mit einem Pfeil für die Verschiebung jedes Punktes, überhöht, wie die Legende sagt. Der Pfeil zeigt von dort, wohin die Georeferenzierung des Ziels das Gelände legt, dorthin, wo das Ziel es zeigt.
+&lt;b&gt;Bericht&lt;/b&gt;: öffnet sich in der Ergebnisanzeige.
+&lt;b&gt;Punkte für die Georeferenzierung&lt;/b&gt;: werden von selbst geladen, wenn sie neben dem Ziel als &lt;i&gt;target.tif.points&lt;/i&gt; liegen.</translation>
     </message>
     <message>
       <source>Georeferencer points (*.points)</source>
       <translation>Punkte der Georeferenzierung (*.points)</translation>
     </message>
     <message>
-      <source>Median displacement, target pixels</source>
-      <translation>Verschiebung (Median), Zielpixel</translation>
+      <source>Reference and target are the same raster and band. Choose another target.</source>
+      <translation>Referenz und Ziel sind dasselbe Raster und derselbe Kanal. Wählen Sie ein anderes Ziel.</translation>
     </message>
     <message>
-      <source>Median displacement to the right, target pixels</source>
-      <translation>Verschiebung nach rechts (Median), Zielpixel</translation>
+      <source>With an area of interest or an excluded area one of the two masks must be left out.</source>
+      <translation>Mit einem Untersuchungsgebiet oder einem ausgeschlossenen Gebiet muss eine der beiden Masken leer bleiben.</translation>
     </message>
     <message>
-      <source>Median displacement down, target pixels</source>
-      <translation>Verschiebung nach unten (Median), Zielpixel</translation>
+      <source>{}: its file says another CRS than QGIS, so that a copy with that of QGIS is made.</source>
+      <translation>{}: Die Datei nennt ein anderes KBS als QGIS; darum wird eine Kopie mit dem von QGIS gemacht.</translation>
+    </message>
+    <message>
+      <source>A requirement is not met, and nothing was corrected: {} (report: {})</source>
+      <translation>Eine Anforderung ist nicht erfüllt, und nichts wurde korrigiert: {} (Bericht: {})</translation>
+    </message>
+    <message>
+      <source>Extent: it lies outside of the reference. Choose another.</source>
+      <translation>Ausdehnung: Sie liegt außerhalb der Referenz. Wählen Sie eine andere.</translation>
     </message>
     <message>
       <source>Register raster</source>
@@ -341,16 +236,424 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
 &lt;h3&gt;Anforderungen&lt;/h3&gt;Grenzen für die Kennzahlen, etwa &lt;i&gt;CE90&amp;lt;=0.5px; points&amp;gt;=100&lt;/i&gt;. Wird eine nicht erfüllt, scheitert der Algorithmus, und es gibt kein Raster, es sei denn, es soll behalten werden.</translation>
     </message>
     <message>
-      <source>Keep the registered raster although a requirement is not met</source>
-      <translation>Das registrierte Raster behalten, obwohl eine Anforderung nicht erfüllt ist</translation>
+      <source>Only georeferencing takes the models shift and affine: choose one of them, or automatic.</source>
+      <translation>Nur georeferenzieren lassen sich die Modelle Verschiebung und affin: Wählen Sie eines davon, oder automatisch.</translation>
+    </message>
+    <message>
+      <source>Adjust a stack</source>
+      <translation>Stapel ausgleichen</translation>
+    </message>
+    <message>
+      <source>Brings many rasters of one ground into one frame, all together: pairs are matched, one adjustment gives every raster a correction, and pairs that contradict the others are left out.
+&lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Folder&lt;/b&gt;: each raster on the grid of the reference, a table and a page with the sigma of each. Run again with the same folder, pairs that are done are not done twice.
+&lt;b&gt;Report&lt;/b&gt;: opens in the Results Viewer.</source>
+      <translation>Bringt viele Raster desselben Geländes gemeinsam in einen Rahmen: Paare werden zugeordnet, eine Ausgleichung gibt jedem Raster eine Korrektur, und Paare, die den übrigen widersprechen, bleiben außer Acht.
+&lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Ordner&lt;/b&gt;: jedes Raster auf dem Gitter der Referenz, eine Tabelle und eine Seite mit dem Sigma eines jeden. Mit demselben Ordner erneut ausgeführt, werden fertige Paare nicht noch einmal gerechnet.
+&lt;b&gt;Bericht&lt;/b&gt;: öffnet sich in der Ergebnisanzeige.</translation>
+    </message>
+    <message>
+      <source>Cannot be read: {}</source>
+      <translation>Nicht lesbar: {}</translation>
+    </message>
+    <message>
+      <source>The raster whose place is right. It stays as it is.</source>
+      <translation>Das Raster, dessen Lage richtig ist. Es bleibt, wie es ist.</translation>
+    </message>
+    <message>
+      <source>The band of the reference that is compared.</source>
+      <translation>Der Kanal der Referenz, der verglichen wird.</translation>
+    </message>
+    <message>
+      <source>The raster that is moved onto the reference.</source>
+      <translation>Das Raster, das auf die Referenz bewegt wird.</translation>
+    </message>
+    <message>
+      <source>The band of the target that is compared. All bands are corrected.</source>
+      <translation>Der Kanal des Ziels, der verglichen wird. Korrigiert werden alle Kanäle.</translation>
+    </message>
+    <message>
+      <source>Only this part of the two rasters is read, compared and written.</source>
+      <translation>Nur dieser Teil der beiden Raster wird gelesen, verglichen und geschrieben.</translation>
+    </message>
+    <message>
+      <source>Tie points are sought inside these polygons only.</source>
+      <translation>Passpunkte werden nur in diesen Polygonen gesucht.</translation>
+    </message>
+    <message>
+      <source>No tie points are sought inside these polygons, such as clouds, water or forest.</source>
+      <translation>In diesen Polygonen werden keine Passpunkte gesucht, etwa Wolken, Wasser oder Wald.</translation>
+    </message>
+    <message>
+      <source>Excludes pixels of the reference: those where this raster is 0. QA_PIXEL, SCL and MSK_CLASSI rasters are understood.</source>
+      <translation>Schließt Pixel der Referenz aus: die, wo dieses Raster 0 ist. Raster QA_PIXEL, SCL und MSK_CLASSI werden verstanden.</translation>
+    </message>
+    <message>
+      <source>Excludes pixels of the target: those where this raster is 0.</source>
+      <translation>Schließt Pixel des Ziels aus: die, wo dieses Raster 0 ist.</translation>
+    </message>
+    <message>
+      <source>Heights of the ground, for a target with rational polynomial coefficients (RPC).</source>
+      <translation>Geländehöhen, für ein Ziel mit rationalen Polynomkoeffizienten (RPC).</translation>
+    </message>
+    <message>
+      <source>Metres, or the path of a geoid grid. 0: the heights count from the ellipsoid.</source>
+      <translation>Meter, oder der Pfad eines Geoidgitters. 0: Die Höhen zählen vom Ellipsoid.</translation>
+    </message>
+    <message>
+      <source>90 % of the check points must lie within so many pixels. Otherwise no raster is written.</source>
+      <translation>90 % der Kontrollpunkte müssen in so vielen Pixeln liegen. Sonst wird kein Raster geschrieben.</translation>
+    </message>
+    <message>
+      <source>Limits on the figures, such as CE90&lt;=0.5px; points&gt;=100. Where one is not met, no raster is written.</source>
+      <translation>Grenzen für die Zahlen, etwa CE90&lt;=0.5px; points&gt;=100. Wo eine nicht eingehalten ist, wird kein Raster geschrieben.</translation>
+    </message>
+    <message>
+      <source>How the displacement may change over the image. Automatic takes the simplest model that predicts points left out as well as any other.</source>
+      <translation>Wie sich die Verschiebung über das Bild ändern darf. Automatisch nimmt das einfachste Modell, das weggelassene Punkte so gut vorhersagt wie jedes andere.</translation>
+    </message>
+    <message>
+      <source>The pixels stay as they are; a small file shows them at the right place. For shifts and affine corrections.</source>
+      <translation>Die Pixel bleiben, wie sie sind; eine kleine Datei zeigt sie am richtigen Ort. Für Verschiebungen und affine Korrekturen.</translation>
+    </message>
+    <message>
+      <source>The registered raster gets exactly the CRS, pixels and size of this one.</source>
+      <translation>Das registrierte Raster bekommt genau das KBS, die Pixel und die Größe dieses Rasters.</translation>
+    </message>
+    <message>
+      <source>How pixels are interpolated. Nearest neighbour for classes, Lanczos for everything else.</source>
+      <translation>Wie Pixel interpoliert werden. Nächster Nachbar für Klassen, Lanczos für alles andere.</translation>
+    </message>
+    <message>
+      <source>Fits the points of this file and matches nothing: tiepoints.csv, QGIS points, ENVI points.</source>
+      <translation>Passt die Punkte dieser Datei an und ordnet nichts zu: tiepoints.csv, Punkte von QGIS oder ENVI.</translation>
+    </message>
+    <message>
+      <source>Write the raster although a requirement is not met; the output PASSED says so.</source>
+      <translation>Das Raster auch dann schreiben, wenn eine Anforderung nicht erfüllt ist; die Ausgabe PASSED sagt es.</translation>
+    </message>
+    <message>
+      <source>How two windows are compared. The first is the most precise.</source>
+      <translation>Wie zwei Fenster verglichen werden. Das erste Verfahren ist das genaueste.</translation>
+    </message>
+    <message>
+      <source>At most so many, spread evenly, the most precise of each neighbourhood.</source>
+      <translation>Höchstens so viele, gleichmäßig verteilt, die genauesten jeder Umgebung.</translation>
+    </message>
+    <message>
+      <source>Raise it where the displacement may exceed 12 pixels.</source>
+      <translation>Erhöhen Sie ihn, wo die Verschiebung größer als 12 Pixel sein kann.</translation>
+    </message>
+    <message>
+      <source>Larger windows are more precise, smaller ones follow finer displacements.</source>
+      <translation>Größere Fenster sind genauer, kleinere folgen feineren Verschiebungen.</translation>
+    </message>
+    <message>
+      <source>Automatic believes the georeferencing, and searches the whole image where that fails.</source>
+      <translation>Automatisch glaubt der Georeferenzierung, und sucht das ganze Bild ab, wo sie nicht stimmt.</translation>
+    </message>
+    <message>
+      <source>Number of processes that share a large scene. The result does not depend on it.</source>
+      <translation>Zahl der Prozesse, die sich eine große Szene teilen. Das Ergebnis hängt nicht davon ab.</translation>
+    </message>
+    <message>
+      <source>Any other option of the command line, as written there.</source>
+      <translation>Jede andere Option der Kommandozeile, geschrieben wie dort.</translation>
+    </message>
+    <message>
+      <source>The target, warped once from its original pixels. A GeoTIFF.</source>
+      <translation>Das Ziel, einmal aus seinen ursprünglichen Pixeln entzerrt. Ein GeoTIFF.</translation>
+    </message>
+    <message>
+      <source>A raster of the displacement in metres east and north, its sigma and its quality.</source>
+      <translation>Ein Raster der Verschiebung in Metern nach Osten und Norden, mit Sigma und Qualität.</translation>
+    </message>
+    <message>
+      <source>A layer of points, with an arrow for what is left at each, exaggerated.</source>
+      <translation>Ein Punktlayer, mit einem überhöhten Pfeil für das, was an jedem Punkt übrig bleibt.</translation>
+    </message>
+    <message>
+      <source>A page that says how well the two fit, where not, and what to do.</source>
+      <translation>Eine Seite, die sagt, wie gut die beiden passen, wo nicht, und was zu tun ist.</translation>
+    </message>
+    <message>
+      <source>Saved beside the target as &lt;target&gt;.points, the Georeferencer loads it by itself.</source>
+      <translation>Neben dem Ziel als &lt;target&gt;.points gespeichert, lädt die Georeferenzierung sie von selbst.</translation>
+    </message>
+    <message>
+      <source>Keeps all files of the job. “Apply registration” and the editor need it.</source>
+      <translation>Behält alle Dateien des Auftrags. „Registrierung anwenden“ und der Editor brauchen ihn.</translation>
+    </message>
+    <message>
+      <source>The figures as a table.</source>
+      <translation>Die Zahlen als Tabelle.</translation>
+    </message>
+    <message>
+      <source>The folder that “Register raster” wrote as “Folder of all results”.</source>
+      <translation>Der Ordner, den „Raster registrieren“ als „Ordner aller Ergebnisse“ geschrieben hat.</translation>
+    </message>
+    <message>
+      <source>Rasters of the same ground.</source>
+      <translation>Raster desselben Geländes.</translation>
+    </message>
+    <message>
+      <source>The bands that are compared. Not set: all.</source>
+      <translation>Die Kanäle, die verglichen werden. Leer: alle.</translation>
+    </message>
+    <message>
+      <source>Compares every band with this one instead of each with each.</source>
+      <translation>Vergleicht jeden Kanal mit diesem statt jeden mit jedem.</translation>
+    </message>
+    <message>
+      <source>The registration that a mission promises.</source>
+      <translation>Die Passgenauigkeit, die eine Mission verspricht.</translation>
+    </message>
+    <message>
+      <source>Excludes pixels of all rasters: those where this one is 0.</source>
+      <translation>Schließt Pixel aller Raster aus: die, wo dieses 0 ist.</translation>
+    </message>
+    <message>
+      <source>The raster whose grid all others get.</source>
+      <translation>Das Raster, dessen Gitter alle anderen bekommen.</translation>
+    </message>
+    <message>
+      <source>One raster, which does not move; or the mean of all, if none is better than the others.</source>
+      <translation>Ein Raster, das sich nicht bewegt; oder das Mittel aller, wenn keines besser ist als die anderen.</translation>
+    </message>
+    <message>
+      <source>The band of each raster that is compared.</source>
+      <translation>Der Kanal jedes Rasters, der verglichen wird.</translation>
+    </message>
+    <message>
+      <source>Fewer pairs are quicker, and less is checked.</source>
+      <translation>Weniger Paare gehen schneller, und weniger wird geprüft.</translation>
+    </message>
+    <message>
+      <source>The file pcwlad_geo-….whl.</source>
+      <translation>Die Datei pcwlad_geo-….whl.</translation>
+    </message>
+    <message>
+      <source>The folder with pyproject.toml.</source>
+      <translation>Der Ordner mit pyproject.toml.</translation>
+    </message>
+    <message>
+      <source>A folder filled by “pip download” on a computer with internet; nothing is downloaded then.</source>
+      <translation>Ein Ordner, den „pip download“ auf einem Rechner mit Internet gefüllt hat; dann wird nichts heruntergeladen.</translation>
+    </message>
+    <message>
+      <source>The program python3 or python.exe. That of QGIS is taken if it is new enough.</source>
+      <translation>Das Programm python3 oder python.exe. Das von QGIS wird genommen, wenn es neu genug ist.</translation>
+    </message>
+    <message>
+      <source>Reference (stays)</source>
+      <translation>Referenz (bleibt)</translation>
+    </message>
+    <message>
+      <source>Band of the reference</source>
+      <translation>Kanal der Referenz</translation>
+    </message>
+    <message>
+      <source>Target (moves)</source>
+      <translation>Ziel (bewegt sich)</translation>
+    </message>
+    <message>
+      <source>Another band of the target</source>
+      <translation>Anderer Kanal des Ziels</translation>
+    </message>
+    <message>
+      <source>Band of the target</source>
+      <translation>Kanal des Ziels</translation>
+    </message>
+    <message>
+      <source>Extent (not set: all)</source>
+      <translation>Ausdehnung (leer: alles)</translation>
+    </message>
+    <message>
+      <source>Area of interest</source>
+      <translation>Untersuchungsgebiet</translation>
+    </message>
+    <message>
+      <source>Excluded area</source>
+      <translation>Ausgeschlossenes Gebiet</translation>
+    </message>
+    <message>
+      <source>Mask of the reference (0 = excluded; or QA_PIXEL, SCL)</source>
+      <translation>Maske der Referenz (0 = ausgeschlossen; oder QA_PIXEL, SCL)</translation>
+    </message>
+    <message>
+      <source>Mask of the target (0 = excluded; or QA_PIXEL, SCL)</source>
+      <translation>Maske des Ziels (0 = ausgeschlossen; oder QA_PIXEL, SCL)</translation>
+    </message>
+    <message>
+      <source>DEM, for a target with RPCs</source>
+      <translation>DGM, für ein Ziel mit RPC</translation>
+    </message>
+    <message>
+      <source>DEM: what is added to its heights to count from the ellipsoid, where its CRS does not tell</source>
+      <translation>DEM: was zu seinen Höhen addiert wird, damit sie vom Ellipsoid zählen, wo sein KBS es nicht sagt</translation>
+    </message>
+    <message>
+      <source>Required accuracy: largest CE90, target pixels (not set: any)</source>
+      <translation>Verlangte Genauigkeit: größter CE90, Pixel des Ziels (leer: jeder)</translation>
+    </message>
+    <message>
+      <source>Requirements, separated by semicolons</source>
+      <translation>Anforderungen, durch Semikolon getrennt</translation>
     </message>
     <message>
       <source>Correction model</source>
       <translation>Korrekturmodell</translation>
     </message>
     <message>
-      <source>Quality: good, fair or poor</source>
-      <translation>Qualität: good (gut), fair (mäßig) oder poor (schlecht)</translation>
+      <source>Only georeference: write no registered raster, but a VRT with the corrected georeferencing</source>
+      <translation>Nur georeferenzieren: kein registriertes Raster, sondern ein VRT mit der korrigierten Georeferenzierung</translation>
+    </message>
+    <message>
+      <source>Grid of another raster</source>
+      <translation>Gitter eines anderen Rasters</translation>
+    </message>
+    <message>
+      <source>Resampling</source>
+      <translation>Resampling</translation>
+    </message>
+    <message>
+      <source>Tie points of a file</source>
+      <translation>Passpunkte einer Datei</translation>
+    </message>
+    <message>
+      <source>Keep the registered raster although a requirement is not met</source>
+      <translation>Das registrierte Raster behalten, obwohl eine Anforderung nicht erfüllt ist</translation>
+    </message>
+    <message>
+      <source>Matching method</source>
+      <translation>Verfahren der Zuordnung</translation>
+    </message>
+    <message>
+      <source>Tie points wanted (0: all; not set: 1000 of a scene, all of a small image)</source>
+      <translation>Gewünschte Verknüpfungspunkte (0: alle; leer: 1000 einer Szene, alle eines kleinen Bildes)</translation>
+    </message>
+    <message>
+      <source>Search radius: largest displacement, pixels of the coarser raster (not set: automatic)</source>
+      <translation>Suchradius: größte Verschiebung in Pixeln des gröberen Rasters (leer: automatisch)</translation>
+    </message>
+    <message>
+      <source>Matching window: its side, odd, pixels of the coarser raster (not set: automatic)</source>
+      <translation>Vergleichsfenster: Seitenlänge, ungerade, Pixel des gröberen Rasters (leer: automatisch)</translation>
+    </message>
+    <message>
+      <source>Rough alignment</source>
+      <translation>Grobe Ausrichtung</translation>
+    </message>
+    <message>
+      <source>Processes (not set: one a core)</source>
+      <translation>Prozesse (leer: einer je Kern)</translation>
+    </message>
+    <message>
+      <source>More options of the command line, such as --features 500</source>
+      <translation>Weitere Optionen der Kommandozeile, etwa --features 500</translation>
+    </message>
+    <message>
+      <source>Registered raster</source>
+      <translation>Registriertes Raster</translation>
+    </message>
+    <message>
+      <source>Displacement field</source>
+      <translation>Verschiebungsfeld</translation>
+    </message>
+    <message>
+      <source>Tie points</source>
+      <translation>Verknüpfungspunkte</translation>
+    </message>
+    <message>
+      <source>Report</source>
+      <translation>Bericht</translation>
+    </message>
+    <message>
+      <source>Points for the Georeferencer</source>
+      <translation>Punkte für die Georeferenzierung</translation>
+    </message>
+    <message>
+      <source>Folder of all results</source>
+      <translation>Ordner aller Ergebnisse</translation>
+    </message>
+    <message>
+      <source>Table, a line a pair</source>
+      <translation>Tabelle, eine Zeile je Paar</translation>
+    </message>
+    <message>
+      <source>Table, a line a raster</source>
+      <translation>Tabelle, eine Zeile je Raster</translation>
+    </message>
+    <message>
+      <source>Registration (folder of all results)</source>
+      <translation>Registrierung (Ordner aller Ergebnisse)</translation>
+    </message>
+    <message>
+      <source>Rasters</source>
+      <translation>Raster</translation>
+    </message>
+    <message>
+      <source>Targets (move)</source>
+      <translation>Ziele (werden bewegt)</translation>
+    </message>
+    <message>
+      <source>Bands of each, such as 2,4-6 (not set: all)</source>
+      <translation>Kanäle jedes Rasters, etwa 2,4-6 (leer: alle)</translation>
+    </message>
+    <message>
+      <source>Compare every band with this one only: the end of its name, such as B4</source>
+      <translation>Jeden Kanal nur mit diesem vergleichen: Ende seines Namens, etwa B4</translation>
+    </message>
+    <message>
+      <source>Requirement of a mission</source>
+      <translation>Anforderung einer Mission</translation>
+    </message>
+    <message>
+      <source>Mask of all rasters (0 = excluded)</source>
+      <translation>Maske aller Raster (0 = ausgeschlossen)</translation>
+    </message>
+    <message>
+      <source>Reference, whose grid all get: the name of its file without extension (not set: the first)</source>
+      <translation>Referenz, deren Gitter alle bekommen: Name ihrer Datei ohne Endung (leer: die erste)</translation>
+    </message>
+    <message>
+      <source>What stays</source>
+      <translation>Was bleibt</translation>
+    </message>
+    <message>
+      <source>Band of each</source>
+      <translation>Kanal eines jeden</translation>
+    </message>
+    <message>
+      <source>Most pairs that are matched (not set: enough)</source>
+      <translation>Größte Zahl von Paaren, die zugeordnet werden (leer: genug)</translation>
+    </message>
+    <message>
+      <source>Wheel of pcwlad-geo</source>
+      <translation>Wheel von pcwlad-geo</translation>
+    </message>
+    <message>
+      <source>Or source folder of pcwlad-geo</source>
+      <translation>Oder Quellordner von pcwlad-geo</translation>
+    </message>
+    <message>
+      <source>Folder of wheels, for computers without internet</source>
+      <translation>Ordner mit Wheels, für Rechner ohne Internet</translation>
+    </message>
+    <message>
+      <source>Python 3.10 or newer (not set: found by itself)</source>
+      <translation>Python 3.10 oder neuer (leer: wird selbst gefunden)</translation>
+    </message>
+    <message>
+      <source>Median displacement, target pixels</source>
+      <translation>Verschiebung (Median), Zielpixel</translation>
+    </message>
+    <message>
+      <source>Median displacement to the right, target pixels</source>
+      <translation>Verschiebung nach rechts (Median), Zielpixel</translation>
+    </message>
+    <message>
+      <source>Median displacement down, target pixels</source>
+      <translation>Verschiebung nach unten (Median), Zielpixel</translation>
     </message>
     <message>
       <source>RMSE at check points, target pixels</source>
@@ -369,76 +672,188 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>CE90 an Kontrollpunkten, Meter</translation>
     </message>
     <message>
-      <source>No pcwlad-geo engine was found. Run the algorithm “Install engine”, or this command in a terminal, with the wheel or the source folder of pcwlad-geo at its end:
-{}
-An engine that is somewhere else: name it in Processing options, Providers, pcwlad-geo.</source>
-      <translation>Es wurde keine Engine pcwlad-geo gefunden. Starten Sie den Algorithmus „Engine installieren“, oder in einem Terminal diesen Befehl mit dem Wheel oder dem Quellordner von pcwlad-geo am Ende:
-{}
-Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter, pcwlad-geo eintragen.</translation>
+      <source>Quality: good, fair or poor</source>
+      <translation>Qualität: good (gut), fair (mäßig) oder poor (schlecht)</translation>
     </message>
     <message>
-      <source>Processing option</source>
-      <translation type="unfinished" />
+      <source>Verdict, in a sentence</source>
+      <translation>Urteil in einem Satz</translation>
     </message>
     <message>
-      <source>{} ({}) is no pcwlad-geo engine; it says: {}</source>
-      <translation type="unfinished" />
+      <source>Requirements met</source>
+      <translation>Anforderungen erfüllt</translation>
     </message>
     <message>
-      <source>The engine {} has version {}, this plugin is {} and needs an engine {}. Install that one (algorithm “Install engine”), or the plugin that belongs to the engine.</source>
-      <translation type="unfinished" />
+      <source>Pairs</source>
+      <translation>Paare</translation>
     </message>
     <message>
-      <source>installed by the plugin</source>
-      <translation type="unfinished" />
+      <source>Pairs refused</source>
+      <translation>Abgelehnte Paare</translation>
     </message>
     <message>
-      <source>The engine {} that the {} names does not exist. Correct it, or clear it.</source>
-      <translation type="unfinished" />
+      <source>Targets registered</source>
+      <translation>Registrierte Ziele</translation>
     </message>
     <message>
-      <source>The engine {} does not start: {}</source>
-      <translation type="unfinished" />
+      <source>Version of the engine</source>
+      <translation>Version der Engine</translation>
     </message>
     <message>
-      <source>Quality: {}; 90 % of the common ground is expected to lie within {:.2f} px</source>
-      <translation>Qualität: {}; 90 % des gemeinsamen Bodens liegen voraussichtlich innerhalb von {:.2f} px</translation>
+      <source>Fits this plugin</source>
+      <translation>Passt zu dieser Erweiterung</translation>
     </message>
     <message>
-      <source>Median displacement of the target: {:+.3f} px to the right, {:+.3f} px down</source>
-      <translation>Mittlere Verschiebung des Ziels (Median): {:+.3f} px nach rechts, {:+.3f} px nach unten</translation>
+      <source>Oriented phase congruency (precise)</source>
+      <translation>Orientierte Phasenkongruenz (genau)</translation>
     </message>
     <message>
-      <source>good</source>
-      <translation>gut</translation>
+      <source>Gradients (fast)</source>
+      <translation>Gradienten (schnell)</translation>
     </message>
     <message>
-      <source>fair</source>
-      <translation>mäßig</translation>
+      <source>PCWLAD, as published</source>
+      <translation>PCWLAD, wie veröffentlicht</translation>
     </message>
     <message>
-      <source>poor</source>
-      <translation>schlecht</translation>
+      <source>PCLAD, as published</source>
+      <translation>PCLAD, wie veröffentlicht</translation>
     </message>
     <message>
-      <source>Tie points: {:.0f}</source>
-      <translation>Verknüpfungspunkte: {:.0f}</translation>
+      <source>PCLSM, as published</source>
+      <translation>PCLSM, wie veröffentlicht</translation>
     </message>
     <message>
-      <source> (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)</source>
-      <translation> (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)</translation>
+      <source>Whole pixels only</source>
+      <translation>Nur ganze Pixel</translation>
     </message>
     <message>
-      <source>What is left: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</source>
-      <translation>Es bleiben: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</translation>
+      <source>Automatic</source>
+      <translation>Automatisch</translation>
+    </message>
+    <message>
+      <source>Shift</source>
+      <translation>Verschiebung</translation>
+    </message>
+    <message>
+      <source>Affine</source>
+      <translation>Affin</translation>
+    </message>
+    <message>
+      <source>Projective</source>
+      <translation>Projektiv</translation>
+    </message>
+    <message>
+      <source>Polynomial</source>
+      <translation>Polynom</translation>
+    </message>
+    <message>
+      <source>Thin-plate spline</source>
+      <translation>Dünne-Platten-Spline</translation>
+    </message>
+    <message>
+      <source>Measured field</source>
+      <translation>Gemessenes Feld</translation>
+    </message>
+    <message>
+      <source>Affine and waves (jitter)</source>
+      <translation>Affin und Wellen (Jitter)</translation>
+    </message>
+    <message>
+      <source>RPC</source>
+      <translation>RPC</translation>
+    </message>
+    <message>
+      <source>The georeferencing only</source>
+      <translation>Nur die Georeferenzierung</translation>
+    </message>
+    <message>
+      <source>Search the whole image</source>
+      <translation>Das ganze Bild absuchen</translation>
+    </message>
+    <message>
+      <source>None</source>
+      <translation>Keine</translation>
+    </message>
+    <message>
+      <source>Nearest neighbour (classes)</source>
+      <translation>Nächster Nachbar (Klassen)</translation>
+    </message>
+    <message>
+      <source>Bilinear</source>
+      <translation>Bilinear</translation>
+    </message>
+    <message>
+      <source>Cubic</source>
+      <translation>Kubisch</translation>
+    </message>
+    <message>
+      <source>Cubic spline</source>
+      <translation>Kubischer Spline</translation>
+    </message>
+    <message>
+      <source>Lanczos</source>
+      <translation>Lanczos</translation>
+    </message>
+    <message>
+      <source>Sentinel-2</source>
+      <translation>Sentinel-2</translation>
+    </message>
+    <message>
+      <source>Landsat OLI</source>
+      <translation>Landsat OLI</translation>
+    </message>
+    <message>
+      <source>Landsat TIRS</source>
+      <translation>Landsat TIRS</translation>
+    </message>
+    <message>
+      <source>The reference</source>
+      <translation>Die Referenz</translation>
+    </message>
+    <message>
+      <source>The mean position of all</source>
+      <translation>Die mittlere Lage aller</translation>
+    </message>
+    <message>
+      <source>Search radius</source>
+      <translation>Suchradius</translation>
+    </message>
+    <message>
+      <source>Tie points wanted</source>
+      <translation>Gewünschte Verknüpfungspunkte</translation>
+    </message>
+    <message>
+      <source>Matching window</source>
+      <translation>Vergleichsfenster</translation>
+    </message>
+    <message>
+      <source>Processes</source>
+      <translation>Prozesse</translation>
+    </message>
+    <message>
+      <source>Requirements</source>
+      <translation>Anforderungen</translation>
+    </message>
+    <message>
+      <source>Extent</source>
+      <translation>Ausdehnung</translation>
+    </message>
+    <message>
+      <source>DEM: what is added to its heights</source>
+      <translation>DGM: was zu seinen Höhen addiert wird</translation>
+    </message>
+    <message>
+      <source>Mask of the reference</source>
+      <translation>Maske der Referenz</translation>
+    </message>
+    <message>
+      <source>Mask of the target</source>
+      <translation>Maske des Ziels</translation>
     </message>
     <message>
       <source>Reading</source>
       <translation>Lesen</translation>
-    </message>
-    <message>
-      <source>Rough alignment</source>
-      <translation>Grobe Ausrichtung</translation>
     </message>
     <message>
       <source>Matching</source>
@@ -457,80 +872,56 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
       <translation>Entzerren</translation>
     </message>
     <message>
-      <source>Its last lines:</source>
-      <translation>Ihre letzten Zeilen:</translation>
+      <source>Polynomial 2</source>
+      <translation>Polynom 2</translation>
     </message>
     <message>
-      <source>The pair was refused, and nothing was corrected: {}</source>
-      <translation>Das Paar wurde abgelehnt und nichts korrigiert: {}</translation>
+      <source>Polynomial 3</source>
+      <translation>Polynom 3</translation>
     </message>
     <message>
-      <source>The engine ended with status {} and without a result.</source>
-      <translation type="unfinished" />
+      <source>Visible</source>
+      <translation>Sichtbar</translation>
     </message>
     <message>
-      <source>The engine does not start: {}</source>
-      <translation>Die Engine startet nicht: {}</translation>
+      <source>ID</source>
+      <translation>ID</translation>
     </message>
     <message>
-      <source>pcwlad-geo: sub-pixel registration of rasters</source>
-      <translation>pcwlad-geo: Raster auf Bruchteile eines Pixels registrieren</translation>
+      <source>Source X</source>
+      <translation>Quelle X</translation>
     </message>
     <message>
-      <source>Engine: a Python with pcwlad-geo in it, or the program pcwlad-geo</source>
-      <translation type="unfinished" />
+      <source>Source Y</source>
+      <translation>Quelle Y</translation>
     </message>
     <message>
-      <source>The layer “{}” has the CRS {} in QGIS, but its file says {}. The engine reads the file: if QGIS is right, run “Assign projection” on it first.</source>
-      <translation type="unfinished" />
+      <source>Dest. X</source>
+      <translation>Ziel X</translation>
     </message>
     <message>
-      <source>The layer “{}” is no raster file (it comes from the provider “{}”). Save it first: right-click the layer, Export, Save As…, and use the file.</source>
-      <translation>Der Layer „{}“ ist keine Rasterdatei (er kommt vom Datenanbieter „{}“). Speichern Sie ihn zuerst: Rechtsklick auf den Layer, Export, Speichern als…, und nehmen Sie die Datei.</translation>
+      <source>Dest. Y</source>
+      <translation>Ziel Y</translation>
     </message>
     <message>
-      <source>The layer “{}” is opened with options ({}) that the engine cannot use. Save it as a file first.</source>
-      <translation type="unfinished" />
+      <source>dX (pixels)</source>
+      <translation>dX (Pixel)</translation>
     </message>
     <message>
-      <source>The layer “{}” shows a part of its file (filter {}). Remove the filter, or save it as a file.</source>
-      <translation type="unfinished" />
+      <source>dY (pixels)</source>
+      <translation>dY (Pixel)</translation>
     </message>
     <message>
-      <source>none</source>
-      <translation>keines</translation>
+      <source>Residual (pixels)</source>
+      <translation>Residuum (Pixel)</translation>
     </message>
     <message>
-      <source>The layer “{}” is a virtual raster without a file. Save it as a file first.</source>
-      <translation type="unfinished" />
+      <source>Sigma (pixels)</source>
+      <translation>Sigma (Pixel)</translation>
     </message>
     <message>
-      <source>The layer “{}” is in memory only. Save it as a file first.</source>
-      <translation type="unfinished" />
-    </message>
-    <message>
-      <source>Search radius</source>
-      <translation>Suchradius</translation>
-    </message>
-    <message>
-      <source>Tie points wanted</source>
-      <translation>Gewünschte Verknüpfungspunkte</translation>
-    </message>
-    <message>
-      <source>DEM: what is added to its heights</source>
-      <translation>DGM: was zu seinen Höhen addiert wird</translation>
-    </message>
-    <message>
-      <source>Mask of the reference</source>
-      <translation>Maske der Referenz</translation>
-    </message>
-    <message>
-      <source>Mask of the target</source>
-      <translation>Maske des Ziels</translation>
-    </message>
-    <message>
-      <source>(Options that begin with -- go into the advanced parameter “More options”.)</source>
-      <translation>(Optionen, die mit -- beginnen, gehören in den erweiterten Parameter „Weitere Optionen“.)</translation>
+      <source>Status</source>
+      <translation>Status</translation>
     </message>
     <message>
       <source>fit</source>
@@ -553,6 +944,70 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
       <translation>verworfen</translation>
     </message>
     <message>
+      <source>The layers fit well: 90 % of the common ground is expected to lie within {:.2f} px{}.</source>
+      <translation>Die Layer passen gut: 90 % des gemeinsamen Geländes liegen voraussichtlich innerhalb von {:.2f} px{}.</translation>
+    </message>
+    <message>
+      <source>The layers fit fairly: 90 % of the common ground is expected to lie within {:.2f} px{}.</source>
+      <translation>Die Layer passen leidlich: 90 % des gemeinsamen Geländes liegen voraussichtlich innerhalb von {:.2f} px{}.</translation>
+    </message>
+    <message>
+      <source>The layers fit poorly: 90 % of the common ground is expected within {:.2f} px{} only.</source>
+      <translation>Die Layer passen schlecht: 90 % des gemeinsamen Geländes liegen voraussichtlich nur innerhalb von {:.2f} px{}.</translation>
+    </message>
+    <message>
+      <source>good</source>
+      <translation>gut</translation>
+    </message>
+    <message>
+      <source>fair</source>
+      <translation>mäßig</translation>
+    </message>
+    <message>
+      <source>poor</source>
+      <translation>schlecht</translation>
+    </message>
+    <message>
+      <source>{} cannot be written.</source>
+      <translation>{} kann nicht geschrieben werden.</translation>
+    </message>
+    <message>
+      <source>The mask {} cannot be written.</source>
+      <translation>Die Maske {} kann nicht geschrieben werden.</translation>
+    </message>
+    <message>
+      <source>The layer “{}” has the CRS {} in QGIS, but its file says {}. That of QGIS is used.</source>
+      <translation>Der Layer „{}“ hat in QGIS das KBS {}, aber seine Datei sagt {}. Das von QGIS wird benutzt.</translation>
+    </message>
+    <message>
+      <source>The layer “{}” is no raster file (it comes from the provider “{}”). Save it first: right-click the layer, Export, Save As…, and use the file.</source>
+      <translation>Der Layer „{}“ ist keine Rasterdatei (er kommt vom Datenanbieter „{}“). Speichern Sie ihn zuerst: Rechtsklick auf den Layer, Export, Speichern als…, und nehmen Sie die Datei.</translation>
+    </message>
+    <message>
+      <source>The layer “{}” is opened with options ({}) that the engine cannot use. Save it as a file first.</source>
+      <translation>Der Layer „{}“ ist mit Optionen geöffnet ({}), die die Engine nicht benutzen kann. Speichern Sie ihn erst als Datei.</translation>
+    </message>
+    <message>
+      <source>The layer “{}” shows a part of its file (filter {}). Remove the filter, or save it as a file.</source>
+      <translation>Der Layer „{}“ zeigt einen Teil seiner Datei (Filter {}). Entfernen Sie den Filter, oder speichern Sie ihn als Datei.</translation>
+    </message>
+    <message>
+      <source>none</source>
+      <translation>keines</translation>
+    </message>
+    <message>
+      <source>The layer “{}” is a virtual raster without a file. Save it as a file first.</source>
+      <translation>Der Layer „{}“ ist ein virtuelles Raster ohne Datei. Speichern Sie ihn erst als Datei.</translation>
+    </message>
+    <message>
+      <source>The layer “{}” is in memory only. Save it as a file first.</source>
+      <translation>Der Layer „{}“ liegt nur im Speicher. Speichern Sie ihn erst als Datei.</translation>
+    </message>
+    <message>
+      <source>Displacement</source>
+      <translation>Verschiebung</translation>
+    </message>
+    <message>
       <source>{}: residual × {:g}</source>
       <translation>{}: Restfehler × {:g}</translation>
     </message>
@@ -562,15 +1017,303 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
     </message>
     <message>
       <source>There are too few tie points for arrows along the axes of the map.</source>
-      <translation type="unfinished" />
+      <translation>Es sind zu wenige Passpunkte für Pfeile entlang der Achsen der Karte.</translation>
     </message>
     <message>
       <source>The tie points in {} cannot be read.</source>
-      <translation type="unfinished" />
+      <translation>Die Passpunkte in {} sind nicht lesbar.</translation>
     </message>
     <message>
       <source>The tie points cannot be written: {}</source>
-      <translation type="unfinished" />
+      <translation>Die Passpunkte können nicht geschrieben werden: {}</translation>
+    </message>
+    <message>
+      <source>Align this layer…</source>
+      <translation>Diesen Layer ausrichten…</translation>
+    </message>
+    <message>
+      <source>Open the report</source>
+      <translation>Bericht öffnen</translation>
+    </message>
+    <message>
+      <source>(Options that begin with -- go into the advanced parameter “More options”.)</source>
+      <translation>(Optionen, die mit -- beginnen, gehören in den erweiterten Parameter „Weitere Optionen“.)</translation>
+    </message>
+    <message>
+      <source>No pcwlad-geo engine was found. Run the algorithm “Install engine”, or this command in a terminal, with the wheel or the source folder of pcwlad-geo at its end:
+{}
+An engine that is somewhere else: name it in Processing options, Providers, pcwlad-geo.</source>
+      <translation>Es wurde keine Engine pcwlad-geo gefunden. Starten Sie den Algorithmus „Engine installieren“, oder in einem Terminal diesen Befehl mit dem Wheel oder dem Quellordner von pcwlad-geo am Ende:
+{}
+Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter, pcwlad-geo eintragen.</translation>
+    </message>
+    <message>
+      <source>Processing option</source>
+      <translation>Option der Verarbeitung</translation>
+    </message>
+    <message>
+      <source>{} ({}) is no pcwlad-geo engine; it says: {}</source>
+      <translation>{} ({}) ist keine Engine pcwlad-geo; die Antwort ist: {}</translation>
+    </message>
+    <message>
+      <source>The engine {} has version {}, this plugin is {} and needs an engine {}. Install that one (algorithm “Install engine”), or the plugin that belongs to the engine.</source>
+      <translation>Die Engine {} hat die Version {}, diese Erweiterung ist {} und braucht eine Engine {}. Installieren Sie diese (Algorithmus „Engine installieren“), oder die Erweiterung, die zur Engine gehört.</translation>
+    </message>
+    <message>
+      <source>installed by the plugin</source>
+      <translation>von der Erweiterung installiert</translation>
+    </message>
+    <message>
+      <source>The engine {} that the {} names does not exist. Correct it, or clear it.</source>
+      <translation>Die Engine {}, die unter {} genannt ist, gibt es nicht. Berichtigen oder löschen Sie den Eintrag.</translation>
+    </message>
+    <message>
+      <source>The engine {} does not start: {}</source>
+      <translation>Die Engine {} startet nicht: {}</translation>
+    </message>
+    <message>
+      <source>Quality: {}; 90 % of the common ground is expected to lie within {:.2f} px</source>
+      <translation>Qualität: {}; 90 % des gemeinsamen Bodens liegen voraussichtlich innerhalb von {:.2f} px</translation>
+    </message>
+    <message>
+      <source>Median displacement of the target: {:+.3f} px to the right, {:+.3f} px down</source>
+      <translation>Mittlere Verschiebung des Ziels (Median): {:+.3f} px nach rechts, {:+.3f} px nach unten</translation>
+    </message>
+    <message>
+      <source>Tie points: {:.0f}</source>
+      <translation>Verknüpfungspunkte: {:.0f}</translation>
+    </message>
+    <message>
+      <source> (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)</source>
+      <translation> (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)</translation>
+    </message>
+    <message>
+      <source>{:.0f} tie points were found.</source>
+      <translation>{:.0f} Passpunkte wurden gefunden.</translation>
+    </message>
+    <message>
+      <source>What is left: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</source>
+      <translation>Es bleiben: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</translation>
+    </message>
+    <message>
+      <source>Give either a wheel or a source folder of pcwlad-geo, or a folder of wheels that has it.</source>
+      <translation>Geben Sie entweder ein Wheel oder einen Quellordner von pcwlad-geo an, oder einen Ordner mit Wheels, in dem es liegt.</translation>
+    </message>
+    <message>
+      <source>The folder {} holds no wheels that do. On a computer with internet: {}</source>
+      <translation>Im Ordner {} liegen keine brauchbaren Wheels. Auf einem Rechner mit Internet: {}</translation>
+    </message>
+    <message>
+      <source>No Python 3.10 or newer was found. Install one (python.org), and name it under “Python”.</source>
+      <translation>Kein Python 3.10 oder neuer wurde gefunden. Installieren Sie eines (python.org), und nennen Sie es unter „Python“.</translation>
+    </message>
+    <message>
+      <source>Making the virtual environment</source>
+      <translation>Virtuelle Umgebung wird angelegt</translation>
+    </message>
+    <message>
+      <source>The installation failed (status {}) at: {}</source>
+      <translation>Die Installation ist gescheitert (Status {}) bei: {}</translation>
+    </message>
+    <message>
+      <source>Installing</source>
+      <translation>Installieren</translation>
+    </message>
+    <message>
+      <source>Downloading and installing</source>
+      <translation>Herunterladen und installieren</translation>
+    </message>
+    <message>
+      <source>{} is no wheel of pcwlad-geo (pcwlad_geo-….whl).</source>
+      <translation>{} ist kein Wheel von pcwlad-geo (pcwlad_geo-….whl).</translation>
+    </message>
+    <message>
+      <source>{} is no source folder of pcwlad-geo: it has no pyproject.toml of that name.</source>
+      <translation>{} ist kein Quellordner von pcwlad-geo: Er hat keine pyproject.toml dieses Namens.</translation>
+    </message>
+    <message>
+      <source>Its last lines:</source>
+      <translation>Ihre letzten Zeilen:</translation>
+    </message>
+    <message>
+      <source>The pair was refused, and nothing was corrected: {}</source>
+      <translation>Das Paar wurde abgelehnt und nichts korrigiert: {}</translation>
+    </message>
+    <message>
+      <source>The engine ended with status {} and without a result.</source>
+      <translation>Die Engine endete mit Status {} und ohne Ergebnis.</translation>
+    </message>
+    <message>
+      <source>The engine does not start: {}</source>
+      <translation>Die Engine startet nicht: {}</translation>
+    </message>
+    <message>
+      <source>pcwlad-geo: sub-pixel registration of rasters</source>
+      <translation>pcwlad-geo: Raster auf Bruchteile eines Pixels registrieren</translation>
+    </message>
+    <message>
+      <source>Engine: a Python with pcwlad-geo in it, or the program pcwlad-geo</source>
+      <translation>Engine: ein Python, in dem pcwlad-geo liegt, oder das Programm pcwlad-geo</translation>
+    </message>
+    <message>
+      <source>Align this layer</source>
+      <translation>Diesen Layer ausrichten</translation>
+    </message>
+    <message>
+      <source>All</source>
+      <translation>Alles</translation>
+    </message>
+    <message>
+      <source>Resample to a new raster</source>
+      <translation>In ein neues Raster umrechnen</translation>
+    </message>
+    <message>
+      <source>Only georeference (pixels stay)</source>
+      <translation>Nur georeferenzieren (Pixel bleiben)</translation>
+    </message>
+    <message>
+      <source>Beside the layer</source>
+      <translation>Neben dem Layer</translation>
+    </message>
+    <message>
+      <source>Cancelled; nothing was written.</source>
+      <translation>Abgebrochen; nichts wurde geschrieben.</translation>
+    </message>
+    <message>
+      <source>{} aligned</source>
+      <translation>{} ausgerichtet</translation>
+    </message>
+    <message>
+      <source>The engine did not finish.</source>
+      <translation>Die Engine kam nicht zum Ende.</translation>
+    </message>
+    <message>
+      <source>Added, and refined by matching.</source>
+      <translation>Hinzugefügt und durch Zuordnung verfeinert.</translation>
+    </message>
+    <message>
+      <source>Click a place in the reference, on the main map.</source>
+      <translation>Klicken Sie in der Hauptkarte auf eine Stelle der Referenz.</translation>
+    </message>
+    <message>
+      <source>Click the same place in the target, on the small map.</source>
+      <translation>Klicken Sie in der kleinen Karte auf dieselbe Stelle des Ziels.</translation>
+    </message>
+    <message>
+      <source>The engine refines the point…</source>
+      <translation>Die Engine verfeinert den Punkt…</translation>
+    </message>
+    <message>
+      <source>Save points</source>
+      <translation>Punkte speichern</translation>
+    </message>
+    <message>
+      <source>Added as you showed it: nothing matches there.</source>
+      <translation>Hinzugefügt, wie gezeigt: Dort lässt sich nichts zuordnen.</translation>
+    </message>
+    <message>
+      <source>{}: RMSE {:.3f} px at {} points that are on</source>
+      <translation>{}: RMSE {:.3f} px an {} eingeschalteten Punkten</translation>
+    </message>
+    <message>
+      <source>{}: RMSE {:.3f} px</source>
+      <translation>{}: RMSE {:.3f} px</translation>
+    </message>
+    <message>
+      <source>Saved: {}</source>
+      <translation>Gespeichert: {}</translation>
+    </message>
+    <message>
+      <source>off</source>
+      <translation>aus</translation>
+    </message>
+    <message>
+      <source>on</source>
+      <translation>an</translation>
+    </message>
+    <message>
+      <source>Align</source>
+      <translation>Ausrichten</translation>
+    </message>
+    <message>
+      <source>Layer (moves)</source>
+      <translation>Layer (wird bewegt)</translation>
+    </message>
+    <message>
+      <source>Largest CE90 allowed</source>
+      <translation>Größter erlaubter CE90</translation>
+    </message>
+    <message>
+      <source>Any</source>
+      <translation>Jeder</translation>
+    </message>
+    <message>
+      <source> px</source>
+      <translation> px</translation>
+    </message>
+    <message>
+      <source>Result</source>
+      <translation>Ergebnis</translation>
+    </message>
+    <message>
+      <source>Folder</source>
+      <translation>Ordner</translation>
+    </message>
+    <message>
+      <source>Displacement field too</source>
+      <translation>Auch das Verschiebungsfeld</translation>
+    </message>
+    <message>
+      <source>Cancel</source>
+      <translation>Abbrechen</translation>
+    </message>
+    <message>
+      <source>Before and after</source>
+      <translation>Vorher und nachher</translation>
+    </message>
+    <message>
+      <source>Swipe</source>
+      <translation>Wischen</translation>
+    </message>
+    <message>
+      <source>Blink</source>
+      <translation>Blinken</translation>
+    </message>
+    <message>
+      <source>Arrows longer by</source>
+      <translation>Pfeile länger um</translation>
+    </message>
+    <message>
+      <source>Model</source>
+      <translation>Modell</translation>
+    </message>
+    <message>
+      <source>Undo</source>
+      <translation>Rückgängig</translation>
+    </message>
+    <message>
+      <source>Off: rectangle</source>
+      <translation>Aus: Rechteck</translation>
+    </message>
+    <message>
+      <source>Off: longer than</source>
+      <translation>Aus: länger als</translation>
+    </message>
+    <message>
+      <source>Add point</source>
+      <translation>Punkt hinzufügen</translation>
+    </message>
+    <message>
+      <source>Save points…</source>
+      <translation>Punkte speichern…</translation>
+    </message>
+    <message>
+      <source>Align with these</source>
+      <translation>Mit diesen ausrichten</translation>
+    </message>
+    <message>
+      <source>The engine is starting…</source>
+      <translation>Die Engine startet…</translation>
     </message>
   </context>
 </TS>

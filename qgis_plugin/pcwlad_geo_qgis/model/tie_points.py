@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import ClassVar
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, ClassVar
 
 from qgis import core
 from qgis.PyQt import sip
 
-from .text import tr
+from ..help import STATUSES
+from ..text import tr
 
 VECTORS = {"displacement": ("d_col", "d_row"), "residual": ("residual_col", "residual_row")}
 """What is added along the map's axes, and the columns in target pixels that it is made of."""
@@ -55,13 +56,13 @@ class TiePoints:
             written = core.QgsFeature(self.fields)
             written.setGeometry(feature.geometry())
             written.setAttributes([*(feature[name] for name in self._names), *vectors])
-            if not sink.addFeature(written, core.QgsFeatureSink.FastInsert):
+            if not sink.addFeature(written, core.QgsFeatureSink.Flag.FastInsert):
                 raise core.QgsProcessingException(
                     tr("The tie points cannot be written: {}").format(sink.lastError())
                 )
 
 
-def pixel_to_map(features: Iterable[core.QgsFeature]) -> Matrix | None:
+def pixel_to_map(features: Iterable[core.QgsFeature | Mapping[str, Any]]) -> Matrix | None:
     """Return what turns steps in target pixels into steps on the map, fitted to the points themselves.
 
     So it holds for any georeferencing: rotated, in another CRS, by RPCs, or none.
@@ -129,10 +130,11 @@ class TiePointStyle(core.QgsProcessingLayerPostProcessorInterface):
         layer.triggerRepaint()
 
 
-def renderer_of(layer: core.QgsVectorLayer) -> core.QgsCategorizedSymbolRenderer:
+def renderer_of(layer: core.QgsVectorLayer, factor: float | None = None) -> core.QgsCategorizedSymbolRenderer:
     """Return a renderer with arrows for the residuals, for the displacements where there are none.
 
-    The arrows are on the map, exaggerated so that the longer ones reach beyond the next point.
+    The arrows are on the map, longer by a factor that the legend tells; unless one is given, by so much that
+    the longer ones reach beyond the next point.
     """
     points = [feature for feature in layer.getFeatures() if feature["status"] != "rejected"]
     vector, lengths = "residual", _lengths(points, "residual")
@@ -141,14 +143,15 @@ def renderer_of(layer: core.QgsVectorLayer) -> core.QgsCategorizedSymbolRenderer
     extent = layer.extent()
     spacing = math.sqrt(extent.width() * extent.height() / len(points)) if points else 0.0
     long = sorted(lengths)[int(0.9 * (len(lengths) - 1))] if lengths else 0.0
-    factor = _round_down(ARROW_SPACINGS * spacing / long) if long else 0.0
+    if factor is None:
+        factor = _round_down(ARROW_SPACINGS * spacing / long) if long else 0.0
     legend = {"residual": tr("{}: residual × {:g}"), "displacement": tr("{}: displacement × {:g}")}[vector]
     found = {feature["status"] for feature in layer.getFeatures()}
     categories = []
     for status, colour in COLOURS.items():
         if status in found:
             arrows = bool(factor) and status != "rejected"
-            label = legend.format(_status_text(status), factor) if arrows else _status_text(status)
+            label = legend.format(tr(STATUSES[status]), factor) if arrows else tr(STATUSES[status])
             symbol = _symbol(colour, vector, factor if arrows else 0.0)
             categories.append(core.QgsRendererCategory(status, symbol, label))
     return core.QgsCategorizedSymbolRenderer("status", categories)
@@ -166,7 +169,7 @@ def _symbol(colour: str, vector: str, factor: float) -> core.QgsMarkerSymbol:
     line = core.QgsLineSymbol.createSimple({})
     line.changeSymbolLayer(0, arrow)  # hands the arrow over, which a list in the constructor does not
     # A generator and not a vector field: that one makes the legend wider than the panel.
-    head = f'translate($geometry, {factor!r} * "{vector}_x", {factor!r} * "{vector}_y")'
+    head = f'translate($geometry, {float(factor)!r} * "{vector}_x", {float(factor)!r} * "{vector}_y")'
     arrows = core.QgsGeometryGeneratorSymbolLayer.create(
         {"SymbolType": "Line", "geometryModifier": f"make_line($geometry, {head})"}
     )
@@ -186,14 +189,3 @@ def _round_down(value: float) -> float:
         return 0.0
     power = 10.0 ** math.floor(math.log10(value))
     return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-12) or step == 1.0)
-
-
-def _status_text(status: str) -> str:
-    texts = {
-        "fit": tr("fit"),
-        "matched": tr("matched"),
-        "check": tr("check"),
-        "unused": tr("unused"),
-        "rejected": tr("rejected"),
-    }
-    return texts[status]

@@ -9,28 +9,45 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from qgis.core import QgsProcessingException, QgsProcessingFeedback
-
-from .child import follow
+from ..help import STAGES
+from ..text import tr
+from .advice import for_dialog, report_in
+from .child import Feedback, follow
 from .engine import Engine
-from .text import for_dialog, tr
 
 REJECTED = 3
 UNEXPECTED = 1
 STDERR_LINES = 20
 Shares = Mapping[str, tuple[float, float]]
+SHARES: Shares = {
+    "reading": (0, 2),
+    "prealignment": (2, 10),
+    "matching": (10, 75),
+    "fitting": (75, 80),
+    "writing": (80, 100),
+}
+"""From which to which percent of a registration a stage goes."""
+
+
+class RunError(Exception):
+    """The engine has ended without a result; the message is its own, in the terms of QGIS."""
+
+    def __init__(self, message: str, report: str = "") -> None:
+        super().__init__(message)
+        self.report = report  # path of the page that says why; empty if there is none
 
 
 class _Conversation:
     """What the engine has said so far."""
 
-    def __init__(self, feedback: QgsProcessingFeedback, shares: Shares) -> None:
+    def __init__(self, feedback: Feedback, shares: Shares) -> None:
         self.last: dict[str, Any] = {}
         self.stderr: deque[str] = deque(maxlen=STDERR_LINES)
         self._feedback = feedback
         self._shares = shares
         self._stage = ""
         self._percent = 0.0
+        self._told: set[str] = set()
 
     def on_out(self, line: str) -> None:
         """Take a line of the protocol."""
@@ -43,19 +60,22 @@ class _Conversation:
         if kind == "progress":
             self._progress(event["stage"], event["done"], event["total"])
         elif kind == "warning":
-            self._feedback.pushWarning(for_dialog(event["message"]))
+            if event["message"] not in self._told:  # each once
+                self._told.add(event["message"])
+                self._feedback.pushWarning(for_dialog(event["message"]))
         else:
             self.last = event
 
     def on_err(self, line: str) -> None:
-        """Take a line of standard error."""
+        """Take a line of standard error; what begins as an error is told at the end, and once."""
         self.stderr.append(line)
-        self._feedback.pushConsoleInfo(line)
+        if not line.startswith("error: "):
+            self._feedback.pushConsoleInfo(line)
 
     def _progress(self, stage: str, done: int, total: int) -> None:
         if stage != self._stage:
             self._stage = stage
-            self._feedback.setProgressText(_stage_text(stage))
+            self._feedback.setProgressText(tr(STAGES.get(stage, stage)))
         if stage in self._shares and total:
             first, last = self._shares[stage]
             self._percent = max(self._percent, first + (last - first) * done / total)
@@ -63,7 +83,12 @@ class _Conversation:
 
 
 def run_engine(
-    engine: Engine, arguments: Sequence[str], feedback: QgsProcessingFeedback, folder: Path, shares: Shares
+    engine: Engine,
+    arguments: Sequence[str],
+    feedback: Feedback,
+    folder: Path,
+    shares: Shares = SHARES,
+    variables: Mapping[str, str] | None = None,
 ) -> dict[str, Any] | None:
     """Run a command of the engine.
 
@@ -72,11 +97,14 @@ def run_engine(
     engine : Engine
     arguments : sequence of str
         The command and its options, without those of the protocol.
-    feedback : QgsProcessingFeedback
+    feedback
+        Is told how the work goes, and asked whether the user has cancelled.
     folder : pathlib.Path
         Working folder of the engine.
     shares : mapping
         From which to which percent of the work a stage goes.
+    variables : mapping, optional
+        More variables of its environment, such as those of a proxy.
 
     Returns
     -------
@@ -85,22 +113,24 @@ def run_engine(
 
     Raises
     ------
-    QgsProcessingException
+    RunError
         If there is no result, with the engine's own message.
     """
     command = [*engine.command, *arguments, "--progress", "json", "--watch-stdin"]
     feedback.pushCommandInfo(shlex.join(command))
     said = _Conversation(feedback, shares)
     try:
-        status = follow(command, feedback, said.on_out, said.on_err, folder)
+        status = follow(
+            command, feedback, said.on_out, said.on_err, folder, environment=engine.environment(variables)
+        )
     except OSError as error:
-        raise QgsProcessingException(tr("The engine does not start: {}").format(error)) from error
+        raise RunError(tr("The engine does not start: {}").format(error)) from error
     kind = said.last.get("event")
     if kind == "result":
         return said.last
     if feedback.isCanceled() or kind == "cancelled":
         return None
-    raise QgsProcessingException(_reason(said, status))
+    raise RunError(_reason(said, status), report_in(said.last.get("message", "")))
 
 
 def _reason(said: _Conversation, status: int) -> str:
@@ -110,20 +140,6 @@ def _reason(said: _Conversation, status: int) -> str:
     if message and said.last.get("exit_status") != UNEXPECTED:
         return message
     parts = [message or tr("The engine ended with status {} and without a result.").format(status)]
-    if said.stderr:
-        parts += [tr("Its last lines:"), *said.stderr]
+    lines = [line for line in said.stderr if line != f"error: {said.last.get('message')}"]
+    parts += [tr("Its last lines:"), *lines] if lines else []
     return "\n".join(parts)
-
-
-def _stage_text(stage: str) -> str:
-    texts = {
-        "reading": tr("Reading"),
-        "prealignment": tr("Rough alignment"),
-        "matching": tr("Matching"),
-        "fitting": tr("Fitting the correction"),
-        "writing": tr("Writing"),
-        "warping": tr("Warping"),
-        "pairs": tr("Pairs"),
-        "rasters": tr("Rasters"),
-    }
-    return texts.get(stage, stage)

@@ -8,29 +8,40 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Callable
 
-from qgis.core import QgsProcessingFeedback
-
 POLL_S = 0.1
 GRACE_S = 5.0
 DRAIN_S = 2.0
-DROPPED_PREFIXES = ("PYTHON", "GDAL_", "PROJ_", "QT_", "QGIS_", "CONDA_")
-DROPPED = ("LD_LIBRARY_PATH", "LD_PRELOAD", "DYLD_LIBRARY_PATH", "VIRTUAL_ENV")
+DROPPED_PREFIXES = ("PYTHON", "GDAL_", "PROJ_", "QT_", "QGIS_", "CONDA_", "DYLD_")
+DROPPED = ("LD_LIBRARY_PATH", "LD_PRELOAD", "VIRTUAL_ENV")
 OnLine = Callable[[str], None]
 
 
-def child_environment() -> dict[str, str]:
-    """Return the environment of QGIS without what would make the engine load QGIS's libraries."""
+Feedback = Any
+"""What is told how the work goes and asked `isCanceled()`: QgsProcessingFeedback, or what has its methods."""
+
+
+def child_environment(user_site: bool = False, more: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the environment of QGIS without what would make the engine load QGIS's libraries.
+
+    Parameters
+    ----------
+    user_site : bool
+        The child may load packages of the user's own site folder (`pip install --user`).
+    more : mapping, optional
+        Variables to add, such as those of a proxy.
+    """
     kept = {
         name: value
         for name, value in os.environ.items()
         if not name.upper().startswith(DROPPED_PREFIXES) and name not in DROPPED
     }
-    return {**kept, "PYTHONUNBUFFERED": "1", "PYTHONIOENCODING": "utf-8", "PYTHONNOUSERSITE": "1"}
+    kept.update(PYTHONUNBUFFERED="1", PYTHONIOENCODING="utf-8")
+    return {**kept, **({} if user_site else {"PYTHONNOUSERSITE": "1"}), **(more or {})}
 
 
 def hidden_window() -> dict[str, Any]:
@@ -40,11 +51,12 @@ def hidden_window() -> dict[str, Any]:
 
 def follow(
     command: Sequence[str],
-    feedback: QgsProcessingFeedback,
+    feedback: Feedback,
     on_out: OnLine,
     on_err: OnLine,
     folder: Path,
     grace_s: float = GRACE_S,
+    environment: Mapping[str, str] | None = None,
 ) -> int:
     """Run a command to its end, or until the user cancels, and hand over its lines.
 
@@ -53,7 +65,7 @@ def follow(
     Parameters
     ----------
     command : sequence of str
-    feedback : QgsProcessingFeedback
+    feedback
         Asked whether the user has cancelled.
     on_out, on_err : callable
         Receive the lines of standard output and standard error, in this thread.
@@ -61,6 +73,8 @@ def follow(
         Working folder of the child.
     grace_s : float
         Seconds from cancelling to killing.
+    environment : mapping, optional
+        That of the child; by default `child_environment()`.
 
     Returns
     -------
@@ -72,7 +86,7 @@ def follow(
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env=child_environment(),
+        env=dict(environment or child_environment()),
         cwd=folder,
         start_new_session=os.name != "nt",  # so that it can be killed with all its children
         **hidden_window(),
@@ -109,7 +123,7 @@ def _hand_over(
     child: subprocess.Popen[bytes],
     readers: Sequence[threading.Thread],
     lines: queue.Queue[tuple[OnLine, str]],
-    feedback: QgsProcessingFeedback,
+    feedback: Feedback,
     grace_s: float,
 ) -> None:
     """Hand over the lines until there are no more and the child has ended."""

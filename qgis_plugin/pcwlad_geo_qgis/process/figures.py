@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from .text import tr
+from ..help import GRADES, VERDICTS
+from ..text import tr
 
 
 def summary(outcome: Mapping[str, Any]) -> str:
@@ -27,9 +28,8 @@ def summary(outcome: Mapping[str, Any]) -> str:
 
 def quality_line(quality: Mapping[str, Any]) -> str:
     """Return the grade, and what to expect of the registered raster; the warnings have told the reasons."""
-    grades = {"good": tr("good"), "fair": tr("fair"), "poor": tr("poor")}
     text = tr("Quality: {}; 90 % of the common ground is expected to lie within {:.2f} px")
-    line = text.format(grades[quality["grade"]], quality["expected_ce90_px"])
+    line = text.format(tr(GRADES[quality["grade"]]), quality["expected_ce90_px"])
     metres = quality["expected_ce90_m"]
     return line if metres is None else line + f" ({metres:.2f} m)"
 
@@ -50,3 +50,13 @@ def figures(outcome: Mapping[str, Any]) -> dict[str, float]:
                     found[f"CE90{suffix}"] = accuracy[unit]["ce90"]
             break
     return found
+
+
+def verdict(outcome: Mapping[str, Any]) -> str:
+    """Return what a user wants to know of a finished registration, in one sentence."""
+    found, quality = figures(outcome), outcome.get("quality")
+    if not quality:
+        return tr("{:.0f} tie points were found.").format(found["POINTS"])
+    judged = tr(VERDICTS[quality["grade"]])
+    metres = quality["expected_ce90_m"]
+    return judged.format(quality["expected_ce90_px"], "" if metres is None else f" ({metres:.2f} m)")

@@ -7,22 +7,20 @@ import os
 import re
 import shutil
 import subprocess
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from processing.core.ProcessingConfig import ProcessingConfig
-from qgis.core import QgsApplication
-
+from ..text import tr
 from .child import child_environment, hidden_window
-from .text import tr
 
-SETTING = "PCWLAD_GEO_ENGINE"
 VARIABLE = "PCWLAD_GEO_PYTHON"
 VERSION_TIMEOUT_S = 60
+METADATA = Path(__file__).parents[1] / "metadata.txt"
 
 
 class EngineError(Exception):
-    """The engine is missing, broken, or of another version; the message says what to do."""
+    """The engine is missing, broken, of another version, or refuses; the message says what to do."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +29,12 @@ class Engine:
 
     command: tuple[str, ...]
     source: str
+    own: bool = False
+    """Whether the plugin has installed it; others may have packages in the user's site folder."""
+
+    def environment(self, more: Mapping[str, str] | None = None) -> dict[str, str]:
+        """Return the environment that it runs in, with more variables."""
+        return child_environment(user_site=not self.own, more=more)
 
     def version(self) -> str:
         """Ask the engine for its version.
@@ -43,7 +47,7 @@ class Engine:
         try:
             answer = subprocess.run(
                 [*self.command, "--version"],
-                env=child_environment(),
+                env=self.environment(),
                 cwd=Path(self.command[0]).parent,
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
@@ -81,27 +85,31 @@ class Engine:
         return version
 
 
-def find_engine() -> Engine:
-    """Find the engine: the setting, then the environment, then the private one, then PATH.
+def locate(setting: str, base: Path) -> Engine:
+    """Find the engine: the setting, then the environment, then the plugin's own, then PATH.
+
+    Parameters
+    ----------
+    setting : str
+        What the options of QGIS name; empty where they name nothing.
+    base : pathlib.Path
+        Folder of the plugin's own engine (`own_python`).
 
     Raises
     ------
     EngineError
         If there is none, or what the setting or the environment names does not exist.
     """
-    named = {
-        tr("Processing option"): ProcessingConfig.getSetting(SETTING) or "",
-        VARIABLE: os.environ.get(VARIABLE, ""),
-    }
+    named = {tr("Processing option"): setting, VARIABLE: os.environ.get(VARIABLE, "")}
     for source, path in named.items():
         if path:
             if not Path(path).is_file():
                 text = tr("The engine {} that the {} names does not exist. Correct it, or clear it.")
                 raise EngineError(text.format(path, source))
             return Engine(_command(path), source)
-    private = python_of(private_folder())
-    if private.is_file():
-        return Engine(_command(str(private)), tr("installed by the plugin"))
+    own = own_python(base)
+    if own.is_file():
+        return Engine(_command(str(own)), tr("installed by the plugin"), own=True)
     on_path = shutil.which("pcwlad-geo")
     if on_path:
         return Engine(_command(on_path), "PATH")
@@ -110,12 +118,25 @@ def find_engine() -> Engine:
         "with the wheel or the source folder of pcwlad-geo at its end:\n{}\n"
         "An engine that is somewhere else: name it in Processing options, Providers, pcwlad-geo."
     )
-    raise EngineError(text.format(install_command()))
+    raise EngineError(text.format(install_command(base)))
 
 
-def private_folder() -> Path:
-    """Return the folder in the user's profile where the plugin installs its own engine."""
-    return Path(QgsApplication.qgisSettingsDirPath()).absolute() / "pcwlad_geo_engine"
+def own_python(base: Path) -> Path:
+    """Return the Python of the plugin's own engine, whether it is there or not.
+
+    Each installation has a folder of its own beside `base`, where it stays: the scripts of a virtual
+    environment hold its path. The file `<base>.current` names the one in use.
+    """
+    try:
+        current = base.with_name(current_file(base).read_text(encoding="utf-8").strip() or base.name)
+    except OSError:
+        current = base
+    return python_of(current)
+
+
+def current_file(base: Path) -> Path:
+    """Return the file that names the folder of the engine in use."""
+    return base.with_name(f"{base.name}.current")
 
 
 def python_of(environment: Path) -> Path:
@@ -123,18 +144,22 @@ def python_of(environment: Path) -> Path:
     return environment / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
-def install_command() -> str:
+def install_command(base: Path) -> str:
     """Return the command that installs the engine where the plugin finds it."""
-    folder, python = private_folder(), python_of(private_folder())
     start = "py" if os.name == "nt" else "python3"
-    return f'{start} -m venv "{folder}" && "{python}" -m pip install PATH_OF_WHEEL_OR_FOLDER'
+    return f'{start} -m venv "{base}" && "{python_of(base)}" -m pip install PATH_OF_WHEEL_OR_FOLDER'
+
+
+def metadata(name: str) -> str:
+    """Return a value of metadata.txt."""
+    parser = configparser.ConfigParser(interpolation=None)
+    parser.read(METADATA, encoding="utf-8")
+    return parser["general"][name]
 
 
 def plugin_version() -> str:
     """Return the version in metadata.txt."""
-    metadata = configparser.ConfigParser(interpolation=None)
-    metadata.read(Path(__file__).parent / "metadata.txt", encoding="utf-8")
-    return metadata["general"]["version"]
+    return metadata("version")
 
 
 def needed() -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from qgis.core import QgsProviderRegistry, QgsRasterLayer
+from qgis.core import QgsProject, QgsProviderRegistry, QgsRasterLayer
+from qgis.utils import iface
 
-from .text import tr
+from ..text import tr
 
 
 def path_of(layer: QgsRasterLayer) -> str:
@@ -45,15 +46,33 @@ def problem_of(layer: QgsRasterLayer) -> str:
     return ""
 
 
+def crs_differs(layer: QgsRasterLayer) -> bool:
+    """Return whether QGIS has another CRS for a layer than its file."""
+    shown, stored = layer.crs(), layer.dataProvider().crs()
+    return shown.isValid() and shown != stored
+
+
+def other_raster() -> str | None:
+    """Return the id of a raster of the project that is not the active layer; None where there is none.
+
+    QGIS presets every raster to the active layer.
+    """
+    if iface is None:
+        return None
+    active = iface.activeLayer()
+    for node in QgsProject.instance().layerTreeRoot().findLayers():
+        layer = node.layer()
+        if isinstance(layer, QgsRasterLayer) and layer != active and not problem_of(layer):
+            return layer.id()
+    return None
+
+
 def warning_of(layer: QgsRasterLayer) -> str:
     """Return what the engine will see otherwise than QGIS does; empty where nothing."""
-    shown, stored = layer.crs(), layer.dataProvider().crs()
-    if not shown.isValid() or shown == stored:
+    if not crs_differs(layer):
         return ""
-    text = tr(
-        "The layer “{}” has the CRS {} in QGIS, but its file says {}. The engine reads the file: if QGIS is "
-        "right, run “Assign projection” on it first."
-    )
+    shown, stored = layer.crs(), layer.dataProvider().crs()
+    text = tr("The layer “{}” has the CRS {} in QGIS, but its file says {}. That of QGIS is used.")
     return text.format(layer.name(), shown.authid(), stored.authid() or tr("none"))
 
 

@@ -1,0 +1,136 @@
+"""``pcwlad-geo edit``: the tie points of a finished registration, for programs that let a user change them.
+
+It stays open and answers requests, a JSON object a line on standard input, with events on standard output.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import typer
+
+from pcwlad_geo.cli import options as o
+from pcwlad_geo.cli.progress import protocol_stream
+from pcwlad_geo.cli.warp import Folder
+from pcwlad_geo.errors import InputError, PcwladGeoError
+from pcwlad_geo.options import Settings, to_setting
+
+if TYPE_CHECKING:
+    from pcwlad_geo.registration.editing import Editor
+
+QUICK: Final = ("shift", "affine", "projective", "polynomial2", "tps")
+"""Models that are fitted besides the one asked for, while no request waits."""
+NOT_TAKEN: Final = ("allow_remote", "trust_vrt", "scheduler", "jobs", "tie_points", "require")
+"""Settings of the registration that do not hold here: the first two are yours alone to give."""
+
+Tell = Callable[[str, Mapping[str, object]], None]
+
+
+@o.takes_settings("edit")
+def edit(context: typer.Context, registration: Folder, progress: o.ProgressOption = "json") -> None:
+    """Answer a program that edits the tie points of REGISTRATION (JSON lines; see the documentation)."""
+    with protocol_stream() as stream:
+
+        def tell(event: str, values: Mapping[str, object]) -> None:
+            stream.write(json.dumps({"event": event, **values}) + "\n")
+            stream.flush()
+
+        trust = {name: bool(context.params[name]) for name in ("allow_remote", "trust_vrt")}
+        try:
+            editor, model = _open(registration, trust)
+        except PcwladGeoError as error:
+            tell("error", {"message": str(error), "exit_status": error.exit_status})
+            raise typer.Exit(error.exit_status) from error
+        ready = {"points": len(editor.table), "off": editor.off, "model": model, "models": list(QUICK)}
+        tell("ready", ready)
+        _serve(editor, tell)
+
+
+def _open(folder: Path, trust: Mapping[str, bool]) -> tuple[Editor, str]:
+    from pcwlad_geo.registration.editing import Editor
+    from pcwlad_geo.registration.run import open_pair
+    from pcwlad_geo.report.finished import read_report
+
+    report = read_report(folder)
+    if report.get("status") != "registered":
+        raise InputError(f"{folder} holds no finished registration: give the output folder of register")
+    told = {
+        name: to_setting(name, value)
+        for name, value in report["settings"].items()
+        if name not in NOT_TAKEN and value is not None
+    }
+    settings = Settings.from_options({**told, **trust})
+    pair = open_pair(report["reference"]["path"], report["target"]["path"], settings)
+    return Editor(pair, folder / "tiepoints.csv"), str(report["model"]["name"])
+
+
+def _serve(editor: Editor, tell: Tell) -> None:
+    """Answer requests until standard input ends; the newest fit counts, others that wait are left out."""
+    waiting: queue.Queue[dict[str, Any] | None] = queue.Queue()
+
+    def read() -> None:
+        for line in sys.stdin:
+            waiting.put(_parsed(line))
+        waiting.put(None)
+
+    threading.Thread(target=read, daemon=True).start()
+    while (request := waiting.get()) is not None:
+        try:
+            _answer(editor, request, tell, waiting)
+        except (PcwladGeoError, KeyError, TypeError, ValueError, OSError) as error:
+            tell("failed", {"number": request.get("number"), "message": str(error)})
+
+
+def _parsed(line: str) -> dict[str, Any]:
+    try:
+        request = json.loads(line)
+    except ValueError:
+        request = None
+    return request if isinstance(request, dict) else {"do": line.strip()}
+
+
+def _answer(
+    editor: Editor, request: dict[str, Any], tell: Tell, waiting: queue.Queue[dict[str, Any] | None]
+) -> None:
+    what, number = request.get("do"), request.get("number")
+    off = {int(index) for index in request.get("off", ())}
+    if what == "fit":
+        trial = editor.try_model(str(request["model"]), off)
+        found = {"model": trial.model, "rmse_px": trial.rmse_px, "points": trial.points}
+        tell("fit", {"number": number, **found, "residual_px": trial.residual_px.round(6).tolist()})
+        for model in (each for each in QUICK if each != trial.model):
+            if not waiting.empty():
+                return
+            _tell_model(editor, model, off, number, tell)
+    elif what == "add":
+        refined = editor.add(tuple(request["reference_xy"]), tuple(request["target_xy"]))
+        tell("added", {"number": number, "refined": refined, "point": _last(editor)})
+    elif what == "save":
+        editor.save(Path(request["path"]), off)
+        tell("saved", {"number": number, "path": request["path"]})
+    else:
+        raise ValueError(f"unknown request {what!r}: give fit, add or save")
+
+
+def _tell_model(editor: Editor, model: str, off: set[int], number: object, tell: Tell) -> None:
+    """Tell how well another model fits; nothing where the points do not determine it."""
+    try:
+        trial = editor.compare(model, off)
+    except InputError as error:
+        tell("model", {"number": number, "model": model, "rmse_px": None, "message": str(error)})
+        return
+    tell("model", {"number": number, "model": model, "rmse_px": trial.rmse_px})
+
+
+def _last(editor: Editor) -> dict[str, object]:
+    """Return the point that was added, as a row of tiepoints.csv."""
+    from pcwlad_geo.tiepoints.table import columns_of
+
+    row = {name: values[-1].item() for name, values in columns_of(editor.table).items()}
+    return {name: None if value != value else value for name, value in row.items()}  # NaN

@@ -1,0 +1,262 @@
+"""Texts of the dialogs: titles and help of all parameters, labels of choices, names of options."""
+
+from __future__ import annotations
+
+from .text import mark
+
+PARAMETERS = {
+    "REFERENCE": mark("The raster whose place is right. It stays as it is."),
+    "REFERENCE_BAND": mark("The band of the reference that is compared."),
+    "INPUT": mark("The raster that is moved onto the reference."),
+    "INPUT_BAND": mark("The band of the target that is compared. All bands are corrected."),
+    "EXTENT": mark("Only this part of the two rasters is read, compared and written."),
+    "AREA": mark("Tie points are sought inside these polygons only."),
+    "EXCLUDED": mark("No tie points are sought inside these polygons, such as clouds, water or forest."),
+    "REFERENCE_MASK": mark(
+        "Excludes pixels of the reference: those where this raster is 0. QA_PIXEL, SCL and "
+        "MSK_CLASSI rasters are understood."
+    ),
+    "INPUT_MASK": mark("Excludes pixels of the target: those where this raster is 0."),
+    "DEM": mark("Heights of the ground, for a target with rational polynomial coefficients (RPC)."),
+    "DEM_VERTICAL": mark("Metres, or the path of a geoid grid. 0: the heights count from the ellipsoid."),
+    "MAX_CE90": mark(
+        "90 % of the check points must lie within so many pixels. Otherwise no raster is written."
+    ),
+    "REQUIRE": mark(
+        "Limits on the figures, such as CE90<=0.5px; points>=100. Where one is not met, no raster is written."
+    ),
+    "MODEL": mark(
+        "How the displacement may change over the image. Automatic takes the simplest model that "
+        "predicts points left out as well as any other."
+    ),
+    "GEOREFERENCE": mark(
+        "The pixels stay as they are; a small file shows them at the right place. For shifts and "
+        "affine corrections."
+    ),
+    "LIKE": mark("The registered raster gets exactly the CRS, pixels and size of this one."),
+    "RESAMPLING": mark(
+        "How pixels are interpolated. Nearest neighbour for classes, Lanczos for everything else."
+    ),
+    "TIE_POINTS": mark(
+        "Fits the points of this file and matches nothing: tiepoints.csv, QGIS points, ENVI points."
+    ),
+    "KEEP": mark("Write the raster although a requirement is not met; the output PASSED says so."),
+    "METHOD": mark("How two windows are compared. The first is the most precise."),
+    "POINTS": mark("At most so many, spread evenly, the most precise of each neighbourhood."),
+    "SEARCH_RADIUS": mark("Raise it where the displacement may exceed 12 pixels."),
+    "WINDOW": mark("Larger windows are more precise, smaller ones follow finer displacements."),
+    "PREALIGN": mark("Automatic believes the georeferencing, and searches the whole image where that fails."),
+    "JOBS": mark("Number of processes that share a large scene. The result does not depend on it."),
+    "EXTRA": mark("Any other option of the command line, as written there."),
+    "OUTPUT": mark("The target, warped once from its original pixels. A GeoTIFF."),
+    "OUTPUT_DISPLACEMENT": mark(
+        "A raster of the displacement in metres east and north, its sigma and its quality."
+    ),
+    "OUTPUT_TIEPOINTS": mark("A layer of points, with an arrow for what is left at each, exaggerated."),
+    "OUTPUT_HTML": mark("A page that says how well the two fit, where not, and what to do."),
+    "OUTPUT_POINTS": mark(
+        "Saved beside the target as <target>.points, the Georeferencer loads it by itself."
+    ),
+    "OUTPUT_FOLDER": mark("Keeps all files of the job. “Apply registration” and the editor need it."),
+    "OUTPUT_CSV": mark("The figures as a table."),
+    "REGISTRATION": mark("The folder that “Register raster” wrote as “Folder of all results”."),
+    "INPUTS": mark("Rasters of the same ground."),
+    "BANDS": mark("The bands that are compared. Not set: all."),
+    "AGAINST": mark("Compares every band with this one instead of each with each."),
+    "PRESET": mark("The registration that a mission promises."),
+    "MASK": mark("Excludes pixels of all rasters: those where this one is 0."),
+    "REFERENCE_NAME": mark("The raster whose grid all others get."),
+    "DATUM": mark("One raster, which does not move; or the mean of all, if none is better than the others."),
+    "BAND": mark("The band of each raster that is compared."),
+    "MAX_PAIRS": mark("Fewer pairs are quicker, and less is checked."),
+    "WHEEL": mark("The file pcwlad_geo-….whl."),
+    "FOLDER": mark("The folder with pyproject.toml."),
+    "WHEELHOUSE": mark(
+        "A folder filled by “pip download” on a computer with internet; nothing is downloaded then."
+    ),
+    "PYTHON": mark("The program python3 or python.exe. That of QGIS is taken if it is new enough."),
+}
+"""Help for each parameter, as QGIS shows it beside its widget."""
+TITLES = {
+    "REFERENCE": mark("Reference (stays)"),
+    "REFERENCE_BAND": mark("Band of the reference"),
+    "INPUT": mark("Target (moves)"),
+    "apply.INPUT": mark("Another band of the target"),
+    "INPUT_BAND": mark("Band of the target"),
+    "EXTENT": mark("Extent (not set: all)"),
+    "AREA": mark("Area of interest"),
+    "EXCLUDED": mark("Excluded area"),
+    "REFERENCE_MASK": mark("Mask of the reference (0 = excluded; or QA_PIXEL, SCL)"),
+    "INPUT_MASK": mark("Mask of the target (0 = excluded; or QA_PIXEL, SCL)"),
+    "DEM": mark("DEM, for a target with RPCs"),
+    "DEM_VERTICAL": mark(
+        "DEM: what is added to its heights to count from the ellipsoid, where its CRS does not tell"
+    ),
+    "MAX_CE90": mark("Required accuracy: largest CE90, target pixels (not set: any)"),
+    "REQUIRE": mark("Requirements, separated by semicolons"),
+    "MODEL": mark("Correction model"),
+    "GEOREFERENCE": mark(
+        "Only georeference: write no registered raster, but a VRT with the corrected georeferencing"
+    ),
+    "LIKE": mark("Grid of another raster"),
+    "RESAMPLING": mark("Resampling"),
+    "TIE_POINTS": mark("Tie points of a file"),
+    "KEEP": mark("Keep the registered raster although a requirement is not met"),
+    "METHOD": mark("Matching method"),
+    "POINTS": mark("Tie points wanted (0: all; not set: 1000 of a scene, all of a small image)"),
+    "SEARCH_RADIUS": mark(
+        "Search radius: largest displacement, pixels of the coarser raster (not set: automatic)"
+    ),
+    "WINDOW": mark("Matching window: its side, odd, pixels of the coarser raster (not set: automatic)"),
+    "PREALIGN": mark("Rough alignment"),
+    "JOBS": mark("Processes (not set: one a core)"),
+    "EXTRA": mark("More options of the command line, such as --features 500"),
+    "OUTPUT": mark("Registered raster"),
+    "OUTPUT_DISPLACEMENT": mark("Displacement field"),
+    "OUTPUT_TIEPOINTS": mark("Tie points"),
+    "OUTPUT_HTML": mark("Report"),
+    "OUTPUT_POINTS": mark("Points for the Georeferencer"),
+    "OUTPUT_FOLDER": mark("Folder of all results"),
+    "OUTPUT_CSV": mark("Table, a line a pair"),
+    "stack.OUTPUT_CSV": mark("Table, a line a raster"),
+    "REGISTRATION": mark("Registration (folder of all results)"),
+    "INPUTS": mark("Rasters"),
+    "registermany.INPUTS": mark("Targets (move)"),
+    "BANDS": mark("Bands of each, such as 2,4-6 (not set: all)"),
+    "AGAINST": mark("Compare every band with this one only: the end of its name, such as B4"),
+    "PRESET": mark("Requirement of a mission"),
+    "MASK": mark("Mask of all rasters (0 = excluded)"),
+    "REFERENCE_NAME": mark(
+        "Reference, whose grid all get: the name of its file without extension (not set: the first)"
+    ),
+    "DATUM": mark("What stays"),
+    "BAND": mark("Band of each"),
+    "MAX_PAIRS": mark("Most pairs that are matched (not set: enough)"),
+    "WHEEL": mark("Wheel of pcwlad-geo"),
+    "FOLDER": mark("Or source folder of pcwlad-geo"),
+    "WHEELHOUSE": mark("Folder of wheels, for computers without internet"),
+    "PYTHON": mark("Python 3.10 or newer (not set: found by itself)"),
+    "out.POINTS": mark("Tie points"),
+    "out.SHIFT": mark("Median displacement, target pixels"),
+    "out.SHIFT_COL": mark("Median displacement to the right, target pixels"),
+    "out.SHIFT_ROW": mark("Median displacement down, target pixels"),
+    "out.RMSE": mark("RMSE at check points, target pixels"),
+    "out.CE90": mark("CE90 at check points, target pixels"),
+    "out.RMSE_M": mark("RMSE at check points, metres"),
+    "out.CE90_M": mark("CE90 at check points, metres"),
+    "out.QUALITY": mark("Quality: good, fair or poor"),
+    "out.VERDICT": mark("Verdict, in a sentence"),
+    "out.PASSED": mark("Requirements met"),
+    "out.PAIRS": mark("Pairs"),
+    "out.REFUSED": mark("Pairs refused"),
+    "out.REGISTERED": mark("Targets registered"),
+    "out.IMAGES": mark("Rasters"),
+    "out.ENGINE": mark("Engine"),
+    "out.VERSION": mark("Version of the engine"),
+    "out.FITS": mark("Fits this plugin"),
+}
+"""Titles of parameters, where an algorithm has another one after its name; of outputs after `out`."""
+LABELS = {
+    "oriented": mark("Oriented phase congruency (precise)"),
+    "gradient": mark("Gradients (fast)"),
+    "pcwlad": mark("PCWLAD, as published"),
+    "pclad": mark("PCLAD, as published"),
+    "pclsm": mark("PCLSM, as published"),
+    "coarse": mark("Whole pixels only"),
+    "auto": mark("Automatic"),
+    "shift": mark("Shift"),
+    "affine": mark("Affine"),
+    "projective": mark("Projective"),
+    "polynomial": mark("Polynomial"),
+    "tps": mark("Thin-plate spline"),
+    "field": mark("Measured field"),
+    "jitter": mark("Affine and waves (jitter)"),
+    "rpc": mark("RPC"),
+    "georef": mark("The georeferencing only"),
+    "search": mark("Search the whole image"),
+    "none": mark("None"),
+    "nearest": mark("Nearest neighbour (classes)"),
+    "bilinear": mark("Bilinear"),
+    "cubic": mark("Cubic"),
+    "cubic_spline": mark("Cubic spline"),
+    "lanczos": mark("Lanczos"),
+    "sentinel2": mark("Sentinel-2"),
+    "landsat-oli": mark("Landsat OLI"),
+    "landsat-tirs": mark("Landsat TIRS"),
+    "reference": mark("The reference"),
+    "mean": mark("The mean position of all"),
+}
+"""What the dialogs call the choices of the engine."""
+OPTIONS = {
+    "--search-radius": mark("Search radius"),
+    "--points": mark("Tie points wanted"),
+    "--method": mark("Matching method"),
+    "--model": mark("Correction model"),
+    "--window": mark("Matching window"),
+    "--prealign": mark("Rough alignment"),
+    "--resampling": mark("Resampling"),
+    "--like": mark("Grid of another raster"),
+    "--jobs": mark("Processes"),
+    "--tie-points": mark("Tie points of a file"),
+    "--require": mark("Requirements"),
+    "--extent": mark("Extent"),
+    "--dem": mark("DEM, for a target with RPCs"),
+    "--dem-vertical": mark("DEM: what is added to its heights"),
+    "--ref-mask": mark("Mask of the reference"),
+    "--tgt-mask": mark("Mask of the target"),
+    "--ref-band": mark("Band of the reference"),
+    "--tgt-band": mark("Band of the target"),
+    "--keep": mark("Keep the registered raster although a requirement is not met"),
+}
+"""What the dialogs call the options that they have a widget for."""
+STAGES = {
+    "reading": mark("Reading"),
+    "prealignment": mark("Rough alignment"),
+    "matching": mark("Matching"),
+    "fitting": mark("Fitting the correction"),
+    "writing": mark("Writing"),
+    "warping": mark("Warping"),
+    "pairs": mark("Pairs"),
+    "rasters": mark("Rasters"),
+}
+"""What the engine's stages are called."""
+MODELS = {
+    "shift": mark("Shift"),
+    "affine": mark("Affine"),
+    "projective": mark("Projective"),
+    "polynomial2": mark("Polynomial 2"),
+    "polynomial3": mark("Polynomial 3"),
+    "tps": mark("Thin-plate spline"),
+    "field": mark("Measured field"),
+}
+"""What the editor calls the models that it fits."""
+COLUMNS = [
+    mark("Visible"),
+    mark("ID"),
+    mark("Source X"),
+    mark("Source Y"),
+    mark("Dest. X"),
+    mark("Dest. Y"),
+    mark("dX (pixels)"),
+    mark("dY (pixels)"),
+    mark("Residual (pixels)"),
+    mark("Sigma (pixels)"),
+    mark("Status"),
+]
+"""Columns of the editor's table: those of the Georeferencer, and two more."""
+STATUSES = {
+    "fit": mark("fit"),
+    "matched": mark("matched"),
+    "check": mark("check"),
+    "unused": mark("unused"),
+    "rejected": mark("rejected"),
+}
+"""What a tie point counts as."""
+VERDICTS = {
+    "good": mark("The layers fit well: 90 % of the common ground is expected to lie within {:.2f} px{}."),
+    "fair": mark("The layers fit fairly: 90 % of the common ground is expected to lie within {:.2f} px{}."),
+    "poor": mark("The layers fit poorly: 90 % of the common ground is expected within {:.2f} px{} only."),
+}
+"""The quality in a sentence."""
+GRADES = {"good": mark("good"), "fair": mark("fair"), "poor": mark("poor")}
+"""The quality in a word."""

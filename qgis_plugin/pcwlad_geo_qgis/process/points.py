@@ -1,0 +1,105 @@
+"""Tie points as a user edits them: which are on, their residuals, and what can be undone."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+
+@dataclass
+class Point:
+    """A tie point: its row of tiepoints.csv, as numbers."""
+
+    number: int
+    x: float
+    y: float
+    """In the reference's CRS."""
+    target_px: tuple[float, float]
+    sigma_px: float
+    status: str
+    residual_px: tuple[float, float] = (math.nan, math.nan)
+    """Predicted minus observed (col, row), as the Georeferencer has it; the engine has the other sign."""
+
+    @property
+    def length_px(self) -> float:
+        """Length of the residual."""
+        return math.hypot(*self.residual_px)
+
+
+def point_of(row: dict[str, Any]) -> Point:
+    """Return a point from a row of tiepoints.csv, or from the engine's answer."""
+
+    def number(name: str) -> float:
+        value = row.get(name)
+        return math.nan if value in (None, "") else float(value)
+
+    residual = (-number("residual_col"), -number("residual_row"))
+    where = (number("tgt_col"), number("tgt_row"))
+    sigma = math.hypot(number("sigma_col"), number("sigma_row"))
+    return Point(int(number("id")), number("x"), number("y"), where, sigma, row["status"], residual)
+
+
+@dataclass
+class Points:
+    """All points of a job, and the changes to them."""
+
+    points: list[Point]
+    off: set[int] = field(default_factory=set)
+    """Indices of those that are switched off."""
+    rmse_px: dict[str, float | None] = field(default_factory=dict)
+    """Of each model, for the points that are on; None where they do not determine it."""
+    _before: list[set[int]] = field(default_factory=list)
+
+    @classmethod
+    def read(cls, folder: Path) -> Points:
+        """Read those of a finished job."""
+        with (folder / "tiepoints.csv").open(encoding="utf-8", newline="") as file:
+            points = [point_of(row) for row in csv.DictReader(file)]
+        return cls(points, {index for index, each in enumerate(points) if each.status == "rejected"})
+
+    def switch(self, indices: Iterable[int], on: bool) -> bool:
+        """Switch points on or off, and return whether any was not so already."""
+        wanted = self.off - set(indices) if on else self.off | set(indices)
+        if wanted == self.off:
+            return False
+        self._before.append(set(self.off))
+        self.off = wanted
+        return True
+
+    def undo(self) -> bool:
+        """Take back the last change, and return whether there was one."""
+        if not self._before:
+            return False
+        self.off = self._before.pop()
+        return True
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is a change to take back."""
+        return bool(self._before)
+
+    def add(self, row: dict[str, Any]) -> int:
+        """Append a point that the engine has placed, and return its index."""
+        self.points.append(point_of(row))
+        return len(self.points) - 1
+
+    def take(self, residual_px: Sequence[Sequence[float]]) -> None:
+        """Take the engine's residuals (observed minus model) of all points."""
+        for point, (col, row) in zip(self.points, residual_px):
+            point.residual_px = (-col, -row)
+
+    def above(self, length_px: float) -> list[int]:
+        """Return the points that are on and have longer residuals than so many pixels."""
+        return [
+            index
+            for index, each in enumerate(self.points)
+            if index not in self.off and each.length_px > length_px
+        ]
+
+    def status(self, index: int) -> str:
+        """Return what a point counts as now."""
+        return "rejected" if index in self.off else "fit"

@@ -1,0 +1,89 @@
+"""The table of tie points: the columns and signs of the Georeferencer, with sigma and status."""
+
+from __future__ import annotations
+
+import math
+from typing import Callable
+
+from qgis.PyQt.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
+
+from ..help import COLUMNS
+from ..process.points import Points
+from ..text import tr
+
+
+class PointsModel(QAbstractTableModel):
+    """Shows the points; a click on a box asks to switch one."""
+
+    switched = pyqtSignal(int, bool)
+
+    def __init__(self, points: Points, source_of: Callable[[int], tuple[float, float]]) -> None:
+        super().__init__()
+        self._points, self._source_of = points, source_of
+        self.titles = [tr(title) for title in COLUMNS]
+        self.residual_column = 8
+
+    def rowCount(self, parent: QModelIndex | None = None) -> int:
+        return len(self._points.points)
+
+    def columnCount(self, parent: QModelIndex | None = None) -> int:
+        return len(self.titles)
+
+    def headerData(
+        self, section: int, way: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
+    ) -> object:
+        if way == Qt.Orientation.Horizontal and role == Qt.ItemDataRole.DisplayRole:
+            return self.titles[section]
+        return None
+
+    def flags(self, index: QModelIndex) -> object:
+        kept = Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsSelectable
+        return kept | Qt.ItemFlag.ItemIsUserCheckable if index.column() == 0 else kept
+
+    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
+        row, column = index.row(), index.column()
+        if column == 0 and role == Qt.ItemDataRole.CheckStateRole:
+            return Qt.CheckState.Unchecked if row in self._points.off else Qt.CheckState.Checked
+        value = self.value(row, column)
+        if role == Qt.ItemDataRole.DisplayRole and column:
+            return f"{value:.{3 if column > 5 else 1}f}" if isinstance(value, float) else value
+        if role == Qt.ItemDataRole.UserRole:  # for sorting
+            return -math.inf if isinstance(value, float) and math.isnan(value) else value
+        if role == Qt.ItemDataRole.TextAlignmentRole and isinstance(value, float):
+            return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+        return None
+
+    def setData(self, index: QModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole) -> bool:
+        if index.column() or role != Qt.ItemDataRole.CheckStateRole:
+            return False
+        self.switched.emit(index.row(), Qt.CheckState(value) == Qt.CheckState.Checked)
+        return True
+
+    def value(self, row: int, column: int) -> object:
+        """Return what a cell holds."""
+        point = self._points.points[row]
+        status = tr("off") if row in self._points.off else tr("on")
+        cells = (
+            row not in self._points.off,
+            point.number,
+            *self._source_of(row),
+            point.x,
+            point.y,
+            *point.residual_px,
+            point.length_px,
+            point.sigma_px,
+            status,
+        )
+        return cells[column]
+
+    def refresh(self) -> None:
+        """Show the points as they are now."""
+        if len(self._points.points):
+            last = self.index(len(self._points.points) - 1, len(self.titles) - 1)
+            self.dataChanged.emit(self.index(0, 0), last)
+
+    def appended(self) -> None:
+        """Show a point that was added at the end."""
+        count = len(self._points.points)
+        self.beginInsertRows(QModelIndex(), count - 1, count - 1)
+        self.endInsertRows()

@@ -1,0 +1,220 @@
+"""Many rasters, models and the parameters of daily use, each by its algorithm."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Finished, loaded, run_algorithm
+from osgeo import gdal
+from qgis.core import (
+    QgsApplication,
+    QgsCoordinateReferenceSystem,
+    QgsCoordinateTransform,
+    QgsProcessingModelAlgorithm,
+    QgsProcessingModelChildAlgorithm,
+    QgsProcessingModelChildParameterSource,
+    QgsProcessingModelOutput,
+    QgsProcessingModelParameter,
+    QgsProcessingParameterRasterLayer,
+    QgsProject,
+    QgsRasterLayer,
+    QgsVectorLayer,
+)
+from test_align import polygons
+from test_checks import said
+from test_process import built, call, profile  # noqa: F401  # fixtures
+
+gdal.UseExceptions()
+QUICK = {"EXTRA": "--features 200"}
+
+
+@pytest.fixture(scope="module")
+def series(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """The reference of the sample, its target, and the target displaced by known pixels."""
+    folder = tmp_path_factory.mktemp("series")
+    paths = [folder / "b4.tif", folder / "b10.tif", folder / "moved.tif"]
+    for source, path in zip((*sample, sample[1]), paths):
+        shutil.copy(source, path)
+    data = gdal.Open(str(paths[2]), gdal.GA_Update)
+    left, width, _, top, _, height = data.GetGeoTransform()
+    data.SetGeoTransform((left + 2.0 * width, width, 0, top + 1.0 * height, 0, height))
+    del data
+    return paths
+
+
+def test_many_targets_to_one_reference(series: list[Path], tmp_path: Path) -> None:
+    folder = tmp_path / "Alle & jede"
+    parameters = {"REFERENCE": str(series[0]), "INPUTS": [str(path) for path in series[1:]], "MODEL": "shift"}
+    run = run_algorithm("registermany", {**parameters, **QUICK, "JOBS": 1, "OUTPUT_FOLDER": str(folder)})
+    assert (run.results["REGISTERED"], run.results["REFUSED"]) == (2, 0)
+    with Path(run.results["OUTPUT_CSV"]).open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    moved = [[float(row[f"d_{axis}_px"]) for axis in ("col", "row")] for row in rows]
+    assert np.subtract(moved[1], moved[0]) == pytest.approx([2.0, 1.0], abs=0.1)
+    assert {row["model"] for row in rows} == {"shift"}
+    assert len(list(folder.glob("*/*_registered.tif"))) == 2
+    assert "among the targets" in said(
+        "registermany", REFERENCE=str(series[0]), INPUTS=[str(series[0])], OUTPUT_FOLDER=str(folder)
+    )
+
+
+def test_a_stack_is_adjusted(series: list[Path], tmp_path: Path) -> None:
+    parameters = {"INPUTS": [str(path) for path in series], "MODEL": 1, "REFERENCE_NAME": "b4", **QUICK}
+    run = run_algorithm("stack", {**parameters, "OUTPUT_FOLDER": str(tmp_path / "stack")})
+    assert run.results["IMAGES"] == 3
+    assert Path(run.results["OUTPUT_HTML"]).is_file()
+    with Path(run.results["OUTPUT_CSV"]).open(encoding="utf-8") as file:
+        assert len(list(csv.DictReader(file))) == 3
+    assert len(list((tmp_path / "stack").glob("*_registered.tif"))) == 3
+
+
+def test_a_model_of_the_modeler_runs_in_qgis_process(
+    profile: Path,  # noqa: F811
+    sample: tuple[Path, Path],
+    tmp_path: Path,
+) -> None:
+    model = QgsProcessingModelAlgorithm("align", "tests")
+    for name in ("red", "thermal"):
+        model.addModelParameter(
+            QgsProcessingParameterRasterLayer(name, name), QgsProcessingModelParameter(name)
+        )
+    child = QgsProcessingModelChildAlgorithm("pcwlad_geo:register")
+    source = QgsProcessingModelChildParameterSource
+    child.addParameterSources("REFERENCE", [source.fromModelParameter("red")])
+    child.addParameterSources("INPUT", [source.fromModelParameter("thermal")])
+    child.addParameterSources("MODEL", [source.fromStaticValue(1)])
+    child.addParameterSources("EXTRA", [source.fromStaticValue("--features 200")])
+    output = QgsProcessingModelOutput("aligned")
+    output.setChildOutputName("OUTPUT")
+    child.setChildId("register")
+    output.setChildId("register")
+    child.setModelOutputs({"aligned": output})
+    model.addChildAlgorithm(child)
+    model.updateDestinationParameters()
+    place = tmp_path / "align.model3"
+    assert model.toFile(str(place))
+    assert model.canExecute()
+    (name,) = model.destinationParameterDefinitions()
+    target = tmp_path / "out.tif"
+    told = call(profile, "run", str(place), red=sample[0], thermal=sample[1], **{name.name(): str(target)})
+    assert QgsRasterLayer(str(target), "aligned").isValid(), told
+    groups = {
+        each.name() for each in QgsApplication.processingRegistry().providerById("pcwlad_geo").algorithms()
+    }
+    assert {"registermany", "stack", "qa", "register"} <= groups
+
+
+def test_an_extent_and_areas_limit_the_tie_points(sample: tuple[Path, Path], tmp_path: Path) -> None:
+    area = polygons(tmp_path / "area.gpkg", sample[0])
+    raster = QgsRasterLayer(str(sample[0]), "reference")
+    box = raster.extent()
+    west = f"{box.xMinimum()},{box.center().x()},{box.yMinimum()},{box.yMaximum()} [EPSG:32633]"
+    run = run_algorithm(
+        "match",
+        {
+            "REFERENCE": str(sample[0]),
+            "INPUT": str(sample[1]),
+            "EXTENT": west,
+            "EXCLUDED": str(area),
+            "OUTPUT_TIEPOINTS": loaded(str(tmp_path / "points.gpkg")),
+        },
+    )
+    shapes = [each.geometry() for each in QgsVectorLayer(str(area), "area").getFeatures()]
+    layer = QgsVectorLayer(run.results["OUTPUT_TIEPOINTS"], "points", "ogr")
+
+    to_map = QgsCoordinateTransform(
+        QgsCoordinateReferenceSystem("EPSG:32633"),
+        QgsCoordinateReferenceSystem("EPSG:3857"),
+        QgsProject.instance(),
+    )
+    inside = 0
+    for feature in layer.getFeatures():
+        place = feature.geometry().asPoint()
+        assert place.x() <= box.center().x() + 40 * raster.rasterUnitsPerPixelX()
+        geometry = feature.geometry()
+        geometry.transform(to_map)
+        inside += shapes[0].contains(geometry)
+    assert layer.featureCount() > 50
+    assert inside <= 0.03 * layer.featureCount()  # windows may reach in, points hardly
+    elsewhere = "0,10,0,10 [EPSG:32633]"
+    assert "outside of the reference" in said(
+        "match", REFERENCE=str(sample[0]), INPUT=str(sample[1]), EXTENT=elsewhere
+    )
+
+
+def test_the_crs_of_qgis_counts(sample: tuple[Path, Path], tmp_path: Path) -> None:
+    lacking = tmp_path / "b10.tif"
+    gdal.Translate(str(lacking), str(sample[1]), outputSRS="EPSG:32733")
+    layer = QgsRasterLayer(str(lacking), "thermal")
+    layer.setCrs(QgsCoordinateReferenceSystem("EPSG:32633"))
+    run = run_algorithm("match", {"REFERENCE": str(sample[0]), "INPUT": layer, **QUICK})
+    assert run.results["SHIFT"] == pytest.approx(1.43, abs=0.3)
+    assert any("That of QGIS is used" in text for text in run.feedback.warnings)
+
+
+def test_points_of_a_file_a_grid_and_an_accuracy(
+    finished: Finished, sample: tuple[Path, Path], tmp_path: Path
+) -> None:
+    parameters = {
+        "REFERENCE": str(sample[0]),
+        "INPUT": str(sample[1]),
+        "TIE_POINTS": finished.plugin.results["OUTPUT_POINTS"],
+        "LIKE": str(sample[0]),
+        "RESAMPLING": "nearest",
+        "MODEL": "affine",
+        "OUTPUT": str(tmp_path / "out.tif"),
+        "OUTPUT_DISPLACEMENT": str(tmp_path / "field.tif"),
+    }
+    run = run_algorithm("register", {**parameters, "MAX_CE90": 2.0})
+    assert run.results["PASSED"] is True
+    assert run.results["VERDICT"].startswith("The layers fit")
+    made, like = gdal.Open(run.results["OUTPUT"]), gdal.Open(str(sample[0]))
+    assert made.GetGeoTransform() == like.GetGeoTransform()
+    assert (made.RasterXSize, made.RasterYSize) == (like.RasterXSize, like.RasterYSize)
+    assert gdal.Open(run.results["OUTPUT_DISPLACEMENT"]).RasterCount == 5
+    with pytest.raises(Exception, match="not met, and nothing was corrected"):
+        run_algorithm("register", {**parameters, "MAX_CE90": 0.001})
+
+
+def test_only_georeferencing_leaves_the_pixels(sample: tuple[Path, Path], tmp_path: Path) -> None:
+    parameters = {
+        "REFERENCE": str(sample[0]),
+        "INPUT": str(sample[1]),
+        "GEOREFERENCE": True,
+        "MODEL": "affine",
+    }
+    run = run_algorithm("register", {**parameters, **QUICK, "OUTPUT_FOLDER": str(tmp_path / "all")})
+    made, before = gdal.Open(run.results["GEOREFERENCED"]), gdal.Open(str(sample[1]))
+    assert (made.ReadAsArray() == before.ReadAsArray()).all()
+    assert made.GetGeoTransform() != before.GetGeoTransform()
+    assert "shift and affine" in said("register", **{**parameters, "MODEL": "tps"})
+
+
+def test_outputs_are_checked_before_the_work(sample: tuple[Path, Path], tmp_path: Path) -> None:
+    pair = {"REFERENCE": str(sample[0]), "INPUT": str(sample[1])}
+    missing, place = tmp_path / "none", tmp_path / "file.txt"
+    place.touch()
+    assert "does not exist" in said("register", **pair, OUTPUT=str(missing / "out.tif"))
+    assert "does not exist" in said("match", **pair, OUTPUT_TIEPOINTS=str(missing / "points.gpkg"))
+    table = f"ogr:dbname='{missing / 'points.gpkg'}' table=\"points\" (geom)"
+    assert "does not exist" in said("match", **pair, OUTPUT_TIEPOINTS=table)
+    assert "is a folder" in said("register", **pair, OUTPUT_HTML=str(tmp_path))
+    assert "is a file" in said("register", **pair, OUTPUT_FOLDER=str(place))
+    assert said("register", **pair, OUTPUT_FOLDER=str(missing / "new")) == ""
+    assert "must be odd" in said("register", **pair, WINDOW=80)
+
+
+def test_every_parameter_has_help_and_every_algorithm_a_page() -> None:
+    from pcwlad_geo_qgis.help import PARAMETERS
+
+    for algorithm in QgsApplication.processingRegistry().providerById("pcwlad_geo").algorithms():
+        assert algorithm.helpUrl().startswith("https://")
+        for parameter in algorithm.parameterDefinitions():
+            assert parameter.name() in PARAMETERS, parameter.name()
+            assert parameter.help()
+            if parameter.type() == "enum":
+                assert all(label[0].isupper() for label in parameter.options()), parameter.options()
