@@ -64,6 +64,7 @@ class PairOptions(TypedDict, total=False):
     iterations: int
     consensus: s.Consensus
     prealign: s.Prealign
+    start_matcher: str | None
     geometry: s.Geometry
     model: s.Model
     grid: s.OutputGrid

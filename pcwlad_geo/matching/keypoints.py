@@ -92,17 +92,19 @@ def contrast_weight(
     Phase congruency without noise filter finds corners in noise and quantisation as readily as in
     structure; corners of real structure are to be preferred. The (rows, cols) `image` is finite; `epsilon` is
     the scene's ε, which stands for its range (see `maps.scene_epsilon`). Noise of standard deviation
-    `noise_sigma` does not count as contrast. The weight is 0 where the detail's RMS is at most `least`, in
-    units of the image: there it may be nothing but rounding. The result is a (rows, cols) float32 array.
+    `noise_sigma` does not count as contrast. The weight is -1, as no corner may lie there, where the RMS of
+    the detail is at most `least`, in units of the image: it may be nothing but rounding. The result is a
+    (rows, cols) float32 array.
     """
     floor = max(MIN_CONTRAST * 255.0 / EPSILON_OF_BYTE_RANGE * epsilon, 1e-30)
     scaled = np.clip((image - image.mean(dtype=np.float64)) / floor, -LARGEST, LARGEST).astype(np.float32)
     detail = scaled - cv2.GaussianBlur(scaled, (0, 0), DETAIL_PX)
     energy = cv2.GaussianBlur(np.square(detail), (0, 0), NEIGHBOURHOOD_PX)
-    rounding = energy <= np.float32((least / floor) ** 2)
+    rounding = energy <= np.float32((least / floor) ** 2) if least > 0 else None
     energy = np.maximum(energy - np.float32(NOISE_MARGIN * (noise_sigma / floor) ** 2), 0)
     weight: Float32 = energy / (energy + np.float32(1.0))
-    weight[rounding] = 0
+    if rounding is not None:
+        weight[rounding] = -1
     return weight
 
 

@@ -451,7 +451,7 @@ def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
     usable = (share >= settings.least_valid) & (pair.reference_map.valid > 0)
     reach = margin_px(settings) - 8
     usable[:reach], usable[-reach:], usable[:, :reach], usable[:, -reach:] = False, False, False, False
-    usable &= pair.contrast > 0
+    usable &= pair.contrast >= 0
     corners, response = keypoints.detect_corners(pair.reference_moment, usable, pair.contrast)
     inside = (corners >= (core.row, core.col)).all(axis=1) & (corners < (core.row_stop, core.col_stop)).all(
         axis=1

@@ -32,6 +32,7 @@ COMMON: Final = 98
 SAMPLE_PX: Final = 256
 """Side of the samples in which blocks are looked for."""
 SAMPLES_ACROSS: Final = 3
+"""Number of samples along rows and along columns."""
 
 
 def find_blocks(

@@ -53,7 +53,7 @@ def test_words_stand_for_none() -> None:
     [
         (["register", "a.tif"], "TARGET"),
         (["register", "a.tif", "b.tif", "--method", "magic"], "oriented"),
-        (["register", "a.tif", "b.tif", "--window", "wide"], "--window"),
+        (["register", "a.tif", "b.tif", "--window", "wide"], "window = 'wide'"),
         (["register", "a.tif", "b.tif", "--points", "some"], "'all'"),
         (["register", "a.tif", "b.tif", "--search-radius", "-3"], "search_radius"),
         (["register", "a.tif", "b.tif", "--window", "80"], "odd"),

@@ -101,3 +101,14 @@ def test_contrast_weight_has_no_unit() -> None:
     other = -37.0 * image + 12000.0
     np.testing.assert_allclose(contrast_weight(other, scene_epsilon(other)), expected, atol=1e-4)
     assert np.isfinite(contrast_weight(np.full((30, 30), 5.0), 0.0)).all()
+
+
+def test_detail_no_larger_than_rounding_has_no_corners() -> None:
+    """A ramp in steps of one grey value, beside real structure."""
+    row, col = np.indices((120, 240))
+    image = np.where(col < 120, 100 + np.floor(row / 9.0), 100 + 40 * ((row // 20 + col // 20) % 2))
+    weight = contrast_weight(image.astype(np.float64), scene_epsilon(image.astype(np.float64)), least=0.6)
+    assert (weight[40:80, 20:80] == -1).all()
+    assert (weight[40:80, 160:220] > 0.5).all()
+    anywhere = contrast_weight(image.astype(np.float64), scene_epsilon(image.astype(np.float64)))
+    assert (anywhere >= 0).all()
