@@ -140,7 +140,8 @@ def edit(dock: Any, window: QWidget) -> Iterator[int]:
     yield 1500
     seen["off_after_undo"] = len(editor.points.off)
     editor.switch_long()
-    editor._in_rectangle(QgsRectangle(point.x - 400, point.y - 400, point.x + 400, point.y + 400))
+    on = next(each for number, each in enumerate(editor.points.points) if number not in editor.points.off)
+    editor._in_rectangle(QgsRectangle(on.x - 400, on.y - 400, on.x + 400, on.y + 400))
     yield 1500
     seen["off_by_rectangle"] = len(editor.points.off)
     editor.start_adding()
