@@ -71,6 +71,9 @@ MIN_WINDOW_PX: Final = 41
 """Smallest side of a matching window, and of a common area that is matched, px."""
 WINDOWS_ACROSS: Final = 1.6
 """An overlap narrower than this many windows gets smaller ones."""
+CHOSEN_ACROSS: Final = 3
+"""An overlap narrower than this many of the largest window keeps the first: near edges a window sees to one
+side only, and of a small image most is near edges."""
 PLACES_PER_CALL: Final = 2000
 """Smallest number of places whose displacement is predicted by one call."""
 MAX_CALLS: Final = 64
@@ -373,7 +376,7 @@ def _match_settings(
             f"{window} px (fine)"
         )
     margin = round(0.4 * template)
-    others = _other_windows(settings, window, most)
+    others = _other_windows(settings, window, narrow)
     return MatchSettings(
         method=settings.method,
         features=settings.features,
@@ -391,15 +394,16 @@ def _match_settings(
     )
 
 
-def _other_windows(settings: Settings, window_px: int, most_px: int) -> tuple[int, ...]:
+def _other_windows(settings: Settings, window_px: int, narrow_px: int) -> tuple[int, ...]:
     """Return what some points are matched with beside the first window.
 
-    If that is not given, it is what the second pass may choose from, unless the overlap leaves no room for
-    the largest. Otherwise smaller windows tell the error of the given one. None where points are not guided.
+    If that is not given, it is what the second pass may choose from, unless the overlap, `narrow_px` wide, is
+    narrow for the largest. Otherwise smaller windows tell the error of the given one. None where points are
+    not guided.
     """
     if TRAITS[settings.method].structure != "local" or settings.consensus == "off":
         return ()
-    if settings.window is None and max(OTHER_WINDOWS_PX) <= most_px:
+    if settings.window is None and narrow_px >= CHOSEN_ACROSS * max(OTHER_WINDOWS_PX):
         return OTHER_WINDOWS_PX
     return tuple(int(share * window_px) // 2 * 2 + 1 for share in SMALLER_WINDOWS)
 

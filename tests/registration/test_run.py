@@ -162,7 +162,7 @@ def test_another_modality(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("bend_px", "window_px"), [(0.0, 129), (1.0, 61)])
 def test_the_window_follows_the_field(tmp_path: Path, bend_px: float, window_px: int, tile_size: int) -> None:
     """Large where two bands share little and the ground is shifted, small where the field bends."""
-    grid = make_grid((300, 300))
+    grid = make_grid((400, 400))
     reference = write(tmp_path / "b4.tif", render(grid), grid)
     moved = render(
         grid,
@@ -177,6 +177,13 @@ def test_the_window_follows_the_field(tmp_path: Path, bend_px: float, window_px:
     fixed = run(reference, target, Settings(**options, tile_size=tile_size, window=81), match_only=True)
     assert fixed.window_px == 81
     assert found.counts["tie_points"] >= 0.98 * fixed.counts["tie_points"]
+
+
+def test_small_images_keep_the_first_window(tmp_path: Path) -> None:
+    grid = make_grid((380, 420))
+    reference = write(tmp_path / "b4.tif", render(grid), grid)
+    target = write(tmp_path / "b10.tif", render(grid, "thermal", displacement_px=SHIFT_PX), grid)
+    assert run(reference, target, Settings(features=150, points="all"), match_only=True).window_px == 81
 
 
 @pytest.mark.parametrize(
