@@ -12,7 +12,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict
 
 from pcwlad_geo import options as s
-from pcwlad_geo.errors import OutputError, RegistrationRejectedError, RequirementError
+from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError, RequirementError
 from pcwlad_geo.events import Event, EventCallback, Progress, ignore
 from pcwlad_geo.execution.processes import open_runner
 from pcwlad_geo.execution.runner import InThisProcess, Runner
@@ -30,6 +30,7 @@ from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.registration.inputs import band_file, check_output, estimate_tile_count, resolve
 from pcwlad_geo.report.rendering import check_pdf
 from pcwlad_geo.requirements import parse_requirements
+from pcwlad_geo.text import joined
 from pcwlad_geo.types import PathLike
 
 if TYPE_CHECKING:
@@ -216,6 +217,34 @@ def match_files(
     return _run_and_write(job, executor, on_event)
 
 
+def match_elsewhere(inputs: tuple[str, str], settings: Settings, place: Path) -> Registration | str:
+    """Match a pair for `write_match` in another process; a string says why it cannot be matched.
+
+    Nothing is written to `place`, which that process may not share with this one.
+    """
+    from pcwlad_geo.registration.run import run  # slow to load, and workers may be started before
+
+    try:
+        with trusting(settings.trust):
+            return run(*inputs, settings, runner=InThisProcess(), match_only=True)
+    except InputError as error:
+        return joined(error)
+
+
+def write_match(
+    found: Registration,
+    reference: str,
+    target: str,
+    *,
+    out_dir: Path,
+    overwrite: bool,
+    **options: Unpack[Options],
+) -> Registration:
+    """Write the results of a pair that `match_elsewhere` has matched, as `match_files` does."""
+    job = _job("match", (reference, target), overwrite, {"out_dir": out_dir}, options)
+    return _run_and_write(job, None, ignore, found)
+
+
 def _job(
     command: Literal["register", "match"],
     inputs: tuple[str, str],
@@ -294,8 +323,16 @@ def open_job_runner(
     )
 
 
-def _run_and_write(job: _Job, executor: Executor | Runner | None, on_event: EventCallback) -> Registration:
-    """Check the outputs, run the job, write its files beside their places, then put them there at once."""
+def _run_and_write(
+    job: _Job,
+    executor: Executor | Runner | None,
+    on_event: EventCallback,
+    found: Registration | None = None,
+) -> Registration:
+    """Check the outputs, run the job, write its files beside their places, then put them there at once.
+
+    A registration that is `found` already is only written.
+    """
     requirements = parse_requirements(job.settings.require, job.command)
     with trusting(job.settings.trust):
         inside, elsewhere = _check_outputs(job)
@@ -307,7 +344,7 @@ def _run_and_write(job: _Job, executor: Executor | Runner | None, on_event: Even
                 for kind in job.places
             }
             bands = _band_paths(job, folder)
-            registration = _run(job, executor, _preloading(on_event))
+            registration = found or _run(job, executor, _preloading(on_event))
             # inside: slow to load, which `_preloading` may have done
             from pcwlad_geo.report.statistics import judge_requirements
 

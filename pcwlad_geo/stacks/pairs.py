@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
 from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
-from pcwlad_geo.events import Event, EventCallback, Progress, Warned
-from pcwlad_geo.execution.runner import Runner
-from pcwlad_geo.job import match_files
+from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
+from pcwlad_geo.execution.runner import InThisProcess, Runner
+from pcwlad_geo.job import match_elsewhere, match_files, write_match
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.report.finished import report_of_same_job
+from pcwlad_geo.registration.inputs import estimate_tile_count
+from pcwlad_geo.report.finished import read_report, report_of_same_job
 from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
 from pcwlad_geo.stacks.network import Edge, components
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.types import Float64, PathLike
 
+if TYPE_CHECKING:
+    from pcwlad_geo.registration.result import Registration
+
 PAIRS: Final = "pairs"
 """Folder of the pairs that were measured."""
+SMALL_TILES: Final = 4
+"""Pairs of so many tiles or fewer are matched as a whole, several at a time."""
 MIN_POINTS: Final = 12
 """Least number of tie points of a pair."""
 MIN_CONTROL: Final = 4
@@ -103,47 +110,136 @@ def measure(
     on_event: EventCallback,
     runner: Runner,
 ) -> Iterator[Measured]:
-    """Yield what each pair gave, matched now or by an earlier run on the same files."""
-    for number, (one, other) in enumerate(chosen):
-        on_event(Progress("pairs", number, len(chosen)))
-        names = frame.names[one], frame.names[other]
-        place = folder / PAIRS / f"{names[0]}__{names[1]}"
-        reason = _match(frame, (one, other), place, settings, overwrite, on_event, runner)
-        edge = None if reason else edge_of(frame, one, other, place)
-        if edge is None:
-            reason = reason or f"fewer than {MIN_POINTS} tie points"
-            on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
-        yield edge, StackPair(*names, "refused" if edge is None else "used", reason, place)
-    on_event(Progress("pairs", len(chosen), len(chosen)))
+    """Yield what each pair gave, matched now or by an earlier run on the same files.
+
+    Pairs of few tiles are matched each as a whole, several at a time; of larger ones, one after another, the
+    tiles are.
+    """
+    tasks = [_task(frame, pair, folder, settings) for pair in chosen]
+    on_event(Progress("pairs", 0, len(tasks)))
+    todo = [number for number, task in enumerate(tasks) if overwrite or not task.finished()]
+    small = [number for number in todo if tasks[number].small]
+    refused = _match_whole([tasks[number] for number in small], len(tasks), len(todo), on_event, runner)
+    reasons = dict(zip(small, refused, strict=True))
+    for done, number in enumerate(sorted(set(todo) - set(small)), len(tasks) - len(todo) + len(small)):
+        on_event(Progress("pairs", done, len(tasks)))
+        reasons[number] = match_pair(*tasks[number].arguments, on_event, runner)
+    for number, (pair, task) in enumerate(zip(chosen, tasks, strict=True)):
+        yield _measured(frame, pair, task.place, reasons.get(number), on_event)
+    on_event(Progress("pairs", len(tasks), len(tasks)))
 
 
-def _match(
-    frame: Frame,
-    pair: tuple[int, int],
-    place: Path,
-    settings: Settings,
-    overwrite: bool,
-    on_event: EventCallback,
-    runner: Runner,
-) -> str | None:
-    """Match a pair into a folder unless that holds the result; return why it was refused."""
+def _measured(
+    frame: Frame, pair: tuple[int, int], place: Path, reason: str | None, on_event: EventCallback
+) -> Measured:
+    """Return what a matched pair gave, from its folder unless there is a reason that it gave nothing."""
+    names = frame.names[pair[0]], frame.names[pair[1]]
+    edge = None
+    if reason is None:
+        report = read_report(place)  # also its warnings: a run that was killed and goes on tells the same
+        for warning in report.get("warnings", ()):
+            on_event(Warned(f"{names[0]} – {names[1]}: {warning}"))
+        reason = str(report.get("reason")) if report.get("status") == "rejected" else None
+        edge = edge_of(frame, *pair, place) if reason is None else None
+    if edge is None:
+        reason = reason or f"fewer than {MIN_POINTS} tie points"
+        on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
+    return edge, StackPair(*names, "refused" if edge is None else "used", reason, place)
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """A pair to be matched."""
+
+    inputs: tuple[str, str]
+    settings: Settings
+    place: Path
+
+    @property
+    def arguments(self) -> tuple[tuple[str, str], Settings, Path]:
+        """What `match_pair` and `match_elsewhere` are called with."""
+        return self.inputs, self.settings, self.place
+
+    @property
+    def small(self) -> bool:
+        """Whether it has few tiles, so that its processes would wait for each other."""
+        return 0 < estimate_tile_count(*self.inputs, self.settings) <= SMALL_TILES
+
+    def finished(self) -> bool:
+        """Return whether an earlier run has matched it."""
+        return bool(report_of_same_job("match", self.inputs, self.settings, self.place))
+
+
+def _task(frame: Frame, pair: tuple[int, int], folder: Path, settings: Settings) -> _Task:
     first, second = (frame.given(image) for image in pair)
     own = {"ref_band": first.band, "tgt_band": second.band, "ref_mask": first.mask, "tgt_mask": second.mask}
+    place = folder / PAIRS / f"{frame.names[pair[0]]}__{frame.names[pair[1]]}"
     matching = replace(settings, **PAIR_DEFAULTS, **own)  # type: ignore[arg-type]  # by name
-    inputs = first.path, second.path
-    report = {} if overwrite else report_of_same_job("match", inputs, matching, place)
-    if report:
-        return str(report["reason"]) if report["status"] == "rejected" else None
-    given: dict[str, Any] = {name: getattr(matching, name) for name in asdict(matching)}
+    return _Task((first.path, second.path), matching, place)
+
+
+def _match_whole(
+    tasks: Sequence[_Task], count: int, left: int, on_event: EventCallback, runner: Runner
+) -> list[str | None]:
+    """Match pairs, several at a time; return why each was refused, None where the folder tells.
+
+    `count` is the number of all pairs, of which `left` are not finished.
+    """
+
+    def of_all(event: Event) -> None:
+        if isinstance(event, Progress):
+            event = Progress("pairs", event.done + count - left, count)
+        on_event(event)
+
+    calls = [task.arguments for task in tasks]
+    if not tasks:
+        return []
+    if runner.shares_kernels:  # on this machine: each is written where it is matched
+        return runner.run(match_pair, calls, "pairs", of_all).results
+    found = runner.run(match_elsewhere, calls, "pairs", of_all).results
+    return [
+        each if isinstance(each, str) else _kept(partial(write_match, each, *task.inputs), task)
+        for task, each in zip(tasks, found, strict=True)
+    ]
+
+
+def match_pair(
+    inputs: tuple[str, str],
+    settings: Settings,
+    place: Path,
+    on_event: EventCallback = ignore,
+    runner: Runner | None = None,
+) -> str | None:
+    """Match a pair into a folder; return why it could not be, None where the folder tells.
+
+    Parameters
+    ----------
+    inputs : tuple of str
+        Paths of reference and target.
+    settings : Settings
+    place : Path
+        The folder.
+    on_event : callable
+        Receives what the job does; its warnings are told later, from the folder.
+    runner : Runner, optional
+        Runs the tiles; this process by default.
+    """
 
     def of_this(event: Event) -> None:
-        named = f"{frame.names[pair[0]]} – {frame.names[pair[1]]}"
-        on_event(Warned(f"{named}: {event.message}") if isinstance(event, Warned) else event)
+        if not isinstance(event, Warned):
+            on_event(event)
 
+    task = _Task(inputs, settings, place)
+    return _kept(partial(match_files, *inputs, on_event=of_this, executor=runner or InThisProcess()), task)
+
+
+def _kept(job: Callable[..., Registration], task: _Task) -> str | None:
+    """Call a job that writes the folder of a pair; return why it could not be matched."""
+    given: dict[str, Any] = {name: getattr(task.settings, name) for name in asdict(task.settings)}
     try:
-        match_files(*inputs, out_dir=place, overwrite=True, on_event=of_this, executor=runner, **given)
-    except RegistrationRejectedError as error:
-        return str(error)
+        job(out_dir=task.place, overwrite=True, **given)
+    except RegistrationRejectedError:
+        return None
     except InputError as error:
         return joined(error)
     return None

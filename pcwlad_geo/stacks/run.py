@@ -91,17 +91,24 @@ class _Job:
     on_event: EventCallback
     executor: Executor | Runner | None
     warnings: list[str] = field(default_factory=list)
+    known: dict[tuple[int, int], Measured] = field(default_factory=dict)
+    """What pairs gave that have been measured."""
 
     def tell(self, event: Event) -> None:
         """Pass an event on, and keep what a warning says."""
         if isinstance(event, Warned):
+            if event.message in self.warnings:  # pairs are adjusted twice where sigma asks for more
+                return
             self.warnings.append(event.message)
         self.on_event(event)
 
     def measured(self, frame: Frame, chosen: Sequence[tuple[int, int]]) -> list[Measured]:
         """Match pairs, or read what an earlier run has matched."""
+        new = [pair for pair in chosen if pair not in self.known]
         with open_job_runner(self.settings, self.executor, self.on_event) as runner:
-            return list(measure(frame, chosen, self.folder, self.settings, self.overwrite, self.tell, runner))
+            found = measure(frame, new, self.folder, self.settings, self.overwrite, self.tell, runner)
+            self.known.update(zip(new, found, strict=True))
+        return [self.known[pair] for pair in chosen]
 
 
 @products_found_once()
@@ -291,7 +298,6 @@ def _adjusted(
     apart: bool,
 ) -> tuple[list[Measured], Adjustment]:
     """Measure pairs and adjust all images by them."""
-    job.warnings.clear()
     measured = job.measured(frame, plan)
     edges = [edge for edge, _ in measured if edge is not None] + list(control)
     warning = check_connected(frame, edges, frame.reference, job.folder, apart)

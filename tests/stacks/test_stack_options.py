@@ -19,10 +19,12 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.cli.app import run as run_command
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
+from pcwlad_geo.events import Event, Progress
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.stacks import pairs as stack_pairs
 from pcwlad_geo.stacks.run import add, stack
+from tests.cluster import cluster
 from tests.scenes import make_grid, render, write
 from tests.stacks.test_stack import GRID, SHIFTS_PX, content, write_images
 
@@ -260,3 +262,55 @@ def test_a_killed_stack_goes_on_where_it_was(tmp_path: Path, matched: list[tuple
     assert {"__".join(pair) for pair in matched}.isdisjoint(done)
     assert len(matched) + len(done) == 6
     assert content(tmp_path / "out") == content(tmp_path / "whole")
+
+
+def test_pairs_matched_side_by_side_are_those_matched_one_by_one(tmp_path: Path) -> None:
+    images = write_images(tmp_path, 4)
+    stack(images, out_dir=tmp_path / "one", jobs=1)
+    events: list[Event] = []
+    stack(images, out_dir=tmp_path / "two", jobs=2, on_event=events.append)
+    assert content(tmp_path / "two") == content(tmp_path / "one")
+    assert [each.done for each in events if isinstance(each, Progress) and each.stage == "pairs"][-1] == 6
+
+
+def test_large_pairs_are_matched_tile_by_tile_with_the_same_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images = write_images(tmp_path, 3)
+    stack(images, out_dir=tmp_path / "whole", jobs=1)
+    monkeypatch.setattr(stack_pairs, "SMALL_TILES", 0)
+    events: list[Event] = []
+    stack(images, out_dir=tmp_path / "tiles", jobs=1, on_event=events.append)
+    assert content(tmp_path / "tiles") == content(tmp_path / "whole")
+    assert Progress("matching", 1, 1) in events
+
+
+def test_warnings_of_pairs_are_the_same_in_a_run_that_goes_on(tmp_path: Path) -> None:
+    """What a pair's job warned of is read from its folder, whichever run has matched it."""
+    images = write_images(tmp_path, 2)
+    stack(images, out_dir=tmp_path / "out", jobs=1)
+    report = tmp_path / "out/pairs/date0__date1/report.json"
+    numbers = json.loads(report.read_text(encoding="utf-8"))
+    report.write_text(json.dumps({**numbers, "warnings": ["few points"]}), encoding="utf-8")
+    found = stack(images, out_dir=tmp_path / "out", jobs=1)
+    assert "date0 – date1: few points" in found.warnings
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_stack(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    images = write_images(tmp_path, 4)
+    blank = write(tmp_path / "flat.tif", np.full(GRID.shape, 7.0), GRID)
+    stack([*images, blank], out_dir=tmp_path / "here", jobs=1, allow_components=True)
+    with cluster(tmp_path) as running:
+        found = stack(
+            [*images, blank], out_dir=tmp_path / "there", scheduler=running.address, allow_components=True
+        )
+    assert [pair.status for pair in found.pairs].count("used") == 6
+    assert content(tmp_path / "there") == content(tmp_path / "here")
+    for pair in (tmp_path / "here/pairs").iterdir():
+        for name in ("tiepoints.csv", "flat.tif.points"):
+            if (pair / name).is_file():
+                assert (tmp_path / "there/pairs" / pair.name / name).read_bytes() == (
+                    pair / name
+                ).read_bytes()
