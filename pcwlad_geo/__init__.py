@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from pcwlad_geo.requirements import RequirementResult
     from pcwlad_geo.stacks.pairs import StackPair
     from pcwlad_geo.stacks.result import Stack, StackImage
-    from pcwlad_geo.stacks.run import stack
+    from pcwlad_geo.stacks.run import stack, stack_add
     from pcwlad_geo.tiepoints.table import TiePointTable
 
 __version__ = "0.1.0"
@@ -109,6 +109,7 @@ __all__ = [
     "qa",
     "register",
     "stack",
+    "stack_add",
     "warp",
 ]
 
@@ -138,7 +139,7 @@ _NAMES = {
     "requirements": ("RequirementResult",),
     "stacks.pairs": ("StackPair",),
     "stacks.result": ("Stack", "StackImage"),
-    "stacks.run": ("stack",),
+    "stacks.run": ("stack", "stack_add"),
     "tiepoints.table": ("TiePointTable",),
 }
 _HOMES = {name: f"pcwlad_geo.{module}" for module, names in _NAMES.items() for name in names}

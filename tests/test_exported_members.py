@@ -20,7 +20,7 @@ from pcwlad_geo import options as settings
 
 FUNCTIONS = {
     "batch", "fit", "match", "match_arrays", "match_files", "open_pair", "qa", "register", "stack",
-    "warp",
+    "stack_add", "warp",
 }  # fmt: skip
 RESULTS = {
     "Accuracy", "BatchResult", "Correction", "FittedCorrection", "Grid", "Matches", "Pair", "PairResult",

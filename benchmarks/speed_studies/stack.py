@@ -27,15 +27,17 @@ KILLS: Final = 2
 PAIRS_ALONE: Final = """
 import csv, sys
 from pathlib import Path
-from pcwlad_geo import Settings, match_files
+from pcwlad_geo import Settings
 from pcwlad_geo.job import open_job_runner
+from pcwlad_geo.stacks.pairs import match_pair
 if __name__ == "__main__":
     settings = Settings(jobs=int(sys.argv[3]))
+    pairs = enumerate(csv.reader(open(sys.argv[1])))
+    calls = [(tuple(pair), settings, Path(sys.argv[2]) / str(number)) for number, pair in pairs]
     with open_job_runner(settings, None, lambda event: None) as runner:
-        for number, pair in enumerate(csv.reader(open(sys.argv[1]))):
-            match_files(*pair, out_dir=Path(sys.argv[2]) / str(number), executor=runner)
+        runner.run(match_pair, calls, "pairs")
 """
-"""Matches the pairs of a table, with the workers kept, and does nothing else."""
+"""Matches the pairs of a table on the same processes as a stack, and does nothing else."""
 
 
 def stack_of_scenes(scratch: Path, scenes: int, jobs: int) -> Iterator[Table]:
@@ -51,8 +53,9 @@ def stack_of_scenes(scratch: Path, scenes: int, jobs: int) -> Iterator[Table]:
     pairs = [[str(folder / f"{name}.tif") for name in each.split("__")] for each in names]
     alone = _alone(scratch, pairs, jobs)
     killed = [_killed(folder, scratch, options, number, whole.wall_s) for number in range(KILLS)]
+    stamps = _stamps(scratch / "whole")
     added = _command("stack", "--add", str(last), str(scratch / "whole"), *options)
-    places = {place.name for place in (scratch / "whole/pairs").iterdir()} - set(names)
+    places = {place.name for place in (scratch / "whole/pairs").glob("[!.]*")} - set(names)
     of_last = [
         [str(last if name == last.stem else folder / f"{name}.tif") for name in each.split("__")]
         for each in sorted(places)
@@ -68,6 +71,8 @@ def stack_of_scenes(scratch: Path, scenes: int, jobs: int) -> Iterator[Table]:
         at_most("time / that of its pairs alone", whole.wall_s / alone.wall_s, DEAREST, "", 2),
         at_most("CPU time / that of its pairs alone", whole.cpu_s / alone.cpu_s, DEAREST, "", 2),
         at_most("peak memory", whole.peak_mb, MOST_MB, "MB", 0),
+        at_most("one image added: earlier pairs measured again", _again(stamps), 0, digits=0),
+        at_most("one image added: pairs that are not its own", _foreign(places, last.stem), 0, digits=0),
         *(check for checks in killed for check in checks),
     ]
     header = ("", "pairs", "wall s", "CPU s", "MB")
@@ -80,7 +85,8 @@ def _make(folder: Path, count: int) -> list[Path]:
     made = []
     for number in range(count):
         shift = rng.uniform(-5.0, 5.0, 2) if number else np.zeros(2)
-        values = render(grid, "red", displacement_px=shift, noise=2.0 + number % 5)
+        values = render(grid, "red", displacement_px=shift, noise=0.0)
+        values += rng.normal(0.0, 2.0 + number % 5, values.shape)
         made.append(write(folder / f"scene{number:03}.tif", values, grid))
     return made
 
@@ -114,15 +120,28 @@ def _killed(folder: Path, scratch: Path, options: tuple[str, ...], number: int, 
     time.sleep(moment_s)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    done = {path: path.stat().st_mtime_ns for path in out.glob("pairs/[!.]*/report.json")}
+    done = _stamps(out)
     _command("stack", str(folder), "-o", str(out), *options)
-    again = sum(path.stat().st_mtime_ns != before for path, before in done.items())
+    again = _again(done)
     differing = _differing(out, scratch / "whole")
     when = f"killed after {moment_s:.0f} s with {len(done)} pairs"
     return [
         at_most(f"{when}: pairs measured twice", again, 0, digits=0),
         at_most(f"{when}: files that differ from those of an undisturbed run", differing, 0, digits=0),
     ]
+
+
+def _stamps(out: Path) -> dict[Path, int]:
+    """Return when each pair of a stack was measured."""
+    return {path: path.stat().st_mtime_ns for path in out.glob("pairs/[!.]*/report.json")}
+
+
+def _again(done: dict[Path, int]) -> int:
+    return sum(path.stat().st_mtime_ns != before for path, before in done.items())
+
+
+def _foreign(places: set[str], name: str) -> int:
+    return sum(name not in place.split("__") for place in places)
 
 
 def _differing(one: Path, other: Path) -> int:

@@ -144,9 +144,9 @@ def _added(params: Mapping[str, Any], settings: dict[str, Any], on_event: EventC
         if params[name]:
             option = name.replace("_", "-")
             raise SettingsError(f"--{option} is a matter of the whole stack: leave it out with --add")
-    from pcwlad_geo.stacks.run import add
+    from pcwlad_geo.stacks.run import stack_add
 
-    return _ending(add(params["add"], params["images"][0], on_event=on_event, **settings))
+    return _ending(stack_add(params["add"], params["images"][0], on_event=on_event, **settings))
 
 
 def _band(text: str) -> int | str:

@@ -17,12 +17,11 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from pcwlad_geo.correction.models import PolynomialBasis
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.stacks.basis import Basis, basis_over, penalty_of, terms_of
 from pcwlad_geo.stacks.network import (
     ALIKE,
     BLOCKS,
-    RAYLEIGH_MEDIAN,
     Edge,
     EdgeFit,
     Network,
@@ -31,6 +30,7 @@ from pcwlad_geo.stacks.network import (
     blocks_of,
     components,
     errors_of,
+    linked,
     part_of,
     side_of_blocks,
 )
@@ -44,10 +44,12 @@ LINEARISED: Final = 3
 """Number of times that the points are summed up at the ground found so far."""
 SETTLING: Final = 20
 """Largest number of times that the pairs in use are chosen anew."""
-WRONG: Final = 5.0
-"""A pair whose points lie off what all others tell by more sigmas is wrong."""
-READMITTED: Final = 4.0
-"""One that was left out is used again if it lies off by fewer."""
+FREEDOM: Final = 8
+"""Degrees of freedom of the sigma of a pair: a few blocks tell it to a quarter."""
+ALPHA: Final = 0.01
+"""Probability that of all pairs of a stack, all right, one is left out."""
+TYPICAL: Final = (FREEDOM * (2.0 ** (2 / FREEDOM) - 1)) ** 0.5
+"""Median of an offset of such a pair, in sigmas."""
 MIN_REDUNDANCY: Final = 0.1
 """A pair that the others check less says nothing about the error that pairs have."""
 
@@ -56,7 +58,7 @@ MIN_REDUNDANCY: Final = 0.1
 class Adjustment:
     """The displacements of all images in one frame, and their covariance."""
 
-    basis: PolynomialBasis
+    basis: Basis
     """Of positions (x, y), map units."""
     coefficients: Float64
     """(images, terms, 2): displacement (x, y) per term, map units."""
@@ -139,10 +141,10 @@ def adjust(
     edges: Sequence[Edge],
     images: int,
     *,
-    order: int = 1,
+    model: str = "affine",
     datum: int | None = 0,
     apart: bool = False,
-    basis: PolynomialBasis | None = None,
+    basis: Basis | None = None,
 ) -> Adjustment:
     """Estimate the displacements of all images from the tie points of their pairs.
 
@@ -158,15 +160,15 @@ def adjust(
         Each with three points at least.
     images : int
         Number of images.
-    order : int
-        Of the polynomial in x and y of an image: 0 shift, 1 affine, 2, 3.
+    model : str
+        Of the displacement of an image: one of `basis.MODELS`.
     datum : int, optional
         Number of the image that stays; None: the mean of all images does.
     apart : bool
         Whether there may be groups of images that no edge connects: in each but that of the datum the first
         image stays.
-    basis : PolynomialBasis, optional
-        Instead of one over the points with that order.
+    basis : Basis, optional
+        Instead of that of the model over the points.
 
     Raises
     ------
@@ -177,32 +179,45 @@ def adjust(
     if not edges or (count > 1 and not apart):
         away = np.flatnonzero(group != group[0]).tolist()
         raise InputError(f"{count} groups of images share no ground: images {away} are not connected")
-    basis = basis or _basis(edges, order)
+    basis, edges = basis or basis_over([edge.first_xy for edge in edges], model), linked(edges)
     firsts = [int(np.flatnonzero(group == number)[0]) for number in range(count)]
     fixed = tuple(datum if datum is not None and group[datum] == group[each] else each for each in firsts)
-    network, side = Network(images, len(basis.exponents), fixed), side_of_blocks(edges)
-    coefficients = np.zeros((images, len(basis.exponents), 2))
+    network, side = _network(images, basis, fixed), side_of_blocks(edges)
+    coefficients = np.zeros((images, network.terms, 2))
     used, shared = np.ones(len(edges), bool), 0.0
     for _ in range(LINEARISED):  # at the ground that the displacements so far tell
         before = coefficients
         parts = [part_of(edge, basis, before, side) for edge in edges]
         shared = shared or _first_shared(network, parts)
         for _ in range(images):
-            solution, used, shared = _settled(network, parts, used, shared)
-            outvoted = _outvoted(network, parts, solution, used)
-            if (outvoted == used).all():
+            settled = _settled(network, parts, used, shared)
+            used, shared = _outvoted(network, parts, settled), settled.shared
+            if (used == settled.used).all():
                 break
-            used = outvoted
-        coefficients = solution.coefficients
-    fits = tuple(replace(fit, used=bool(good)) for fit, good in zip(solution.fits, used, strict=True))
-    sigma = shared * errors_of(parts)
-    spread = _spread(network, edges, basis, before, parts, used, sigma, side)
+        coefficients, fits = settled.solution.coefficients, settled.solution.fits
+    fits = tuple(replace(fit, used=bool(good)) for fit, good in zip(fits, used, strict=True))
+    spread = _spread(network, edges, basis, before, parts, used, settled.sigma, side)
     if datum is None:
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
-    return Adjustment(basis, coefficients, fits, shared, datum, solution.normal, group, fixed, spread)
+    normal = settled.solution.normal
+    return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread)
 
 
-def extend(before: Adjustment, edges: Sequence[Edge], more: Sequence[Edge], images: int) -> Adjustment:
+def sigma_of(found: Adjustment, parts: Sequence[Part]) -> Float64:
+    """Return the (edges,) standard deviations of what the points of each pair share, map units.
+
+    `parts` are of the same pairs, by whichever model.
+    """
+    return np.asarray(found.shared * errors_of(parts))
+
+
+def _network(images: int, basis: Basis, fixed: tuple[int, ...]) -> Network:
+    return Network(images, terms_of(basis), fixed, penalty_of(basis))
+
+
+def extend(
+    before: Adjustment, edges: Sequence[Edge], more: Sequence[Edge], images: int, ground: bool = False
+) -> Adjustment:
     """Place images after those of an adjustment, which stay where they are.
 
     Parameters
@@ -214,9 +229,42 @@ def extend(before: Adjustment, edges: Sequence[Edge], more: Sequence[Edge], imag
     more : sequence of Edge
         Those of the new images, the first of each an old image or an earlier new one.
     images : int
-        Number of all images.
+        Number of all images, with the ground.
+    ground : bool
+        Whether the last image of `before` is the ground itself, on which control points lie: it becomes the
+        last of all, and its pairs the last.
     """
-    old = len(before.coefficients)
+    old = len(before.coefficients) - ground
+    placed = _on_frame(before, more, old, images - ground)
+    coefficients = np.concatenate(
+        [before.coefficients[:old], placed.coefficients[1:], before.coefficients[old:]]
+    )
+    last = sum(edge.first < old for edge in edges)  # those with the ground come after those of images
+    every = linked([*edges[:last], *more, *(replace(edge, first=images - 1) for edge in edges[last:])])
+    fits = (*before.edges[:last], *placed.edges, *before.edges[last:])
+    shared = np.repeat([before.shared, placed.shared, before.shared], [last, len(more), len(edges) - last])
+    network = _network(
+        images, before.basis, tuple(images - 1 if ground and each == old else each for each in before.fixed)
+    )
+    side = side_of_blocks(every)
+    parts = [part_of(edge, before.basis, coefficients, side) for edge in every]
+    used, sigma = np.array([fit.used for fit in fits]), shared * errors_of(parts)
+    spread = _spread(network, every, before.basis, coefficients, parts, used, sigma, side)
+    group = components(every, images, np.ones(len(every), bool))[1]
+    return replace(
+        before,
+        coefficients=coefficients,
+        edges=fits,
+        normal=network.equations(parts, used, sigma)[0],
+        group=group,
+        fixed=network.fixed,
+        datum=images - 1 if ground and before.datum == old else before.datum,
+        spread=_about_mean(spread, group) if before.datum is None else spread,
+    )
+
+
+def _on_frame(before: Adjustment, more: Sequence[Edge], old: int, images: int) -> Adjustment:
+    """Adjust new images on the ground that an adjustment of the old ones tells, image 0 of the result."""
     frame = [
         replace(
             edge,
@@ -226,21 +274,7 @@ def extend(before: Adjustment, edges: Sequence[Edge], more: Sequence[Edge], imag
         )
         for edge in more
     ]
-    placed = adjust(frame, images - old + 1, basis=before.basis)
-    coefficients = np.concatenate([before.coefficients, placed.coefficients[1:]])
-    every, fits = [*edges, *more], (*before.edges, *placed.edges)
-    network = Network(images, len(before.basis.exponents), before.fixed)
-    side = side_of_blocks(every)
-    parts = [part_of(edge, before.basis, coefficients, side) for edge in every]
-    used = np.array([fit.used for fit in fits])
-    sigma = np.repeat([before.shared, placed.shared], [len(edges), len(more)])
-    sigma = sigma * errors_of(parts)
-    normal, _ = network.equations(parts, used, sigma)
-    spread = _spread(network, every, before.basis, coefficients, parts, used, sigma, side)
-    group = components(every, images, np.ones(len(every), bool))[1]
-    if before.datum is None:
-        spread = _about_mean(spread, group)
-    return replace(before, coefficients=coefficients, edges=fits, normal=normal, group=group, spread=spread)
+    return adjust(frame, images - old + 1, basis=before.basis)
 
 
 def _about_mean(coefficients: Float64, group: Index) -> Float64:
@@ -255,7 +289,7 @@ def _about_mean(coefficients: Float64, group: Index) -> Float64:
 def _spread(
     network: Network,
     edges: Sequence[Edge],
-    basis: PolynomialBasis,
+    basis: Basis,
     coefficients: Float64,
     parts: Sequence[Part],
     used: Bool,
@@ -278,17 +312,6 @@ def _spread(
     return np.asarray(changes * ALIKE * np.sqrt((BLOCKS**2 - 1) / BLOCKS**2))
 
 
-def _basis(edges: Sequence[Edge], order: int) -> PolynomialBasis:
-    everywhere = np.concatenate([edge.first_xy for edge in edges])
-    low, high = everywhere.min(axis=0), everywhere.max(axis=0)
-    centre, radius = (low + high) / 2, max(float((high - low).max()) / 2, 1e-9)
-    return PolynomialBasis(order, _xy(centre), radius, _xy(low), _xy(high))
-
-
-def _xy(values: Float64) -> tuple[float, float]:
-    return float(values[0]), float(values[1])
-
-
 def _first_shared(network: Network, parts: Sequence[Part]) -> float:
     """Return how much pairs typically contradict each other, as if each erred as it seems.
 
@@ -304,21 +327,55 @@ def _first_shared(network: Network, parts: Sequence[Part]) -> float:
     return typical
 
 
-def _settled(
-    network: Network, parts: Sequence[Part], used: Bool, shared: float
-) -> tuple[Solution, Bool, float]:
-    """Solve, and leave out pairs that contradict the others, until both no longer change."""
-    error = errors_of(parts)
+def critical(pairs: int) -> float:
+    """Return by how many sigmas the offset of a right one of so many pairs lies off the others at most.
+
+    The offset has two components, and its sigma some degrees of freedom only: half its square in sigmas
+    follows Fisher's F (Pope 1976, NOAA Technical Report NOS 65 NGS 1). The largest of all is tested, so that
+    of all pairs one at most is lost with the probability `ALPHA` (Šidák 1967, doi:10.2307/2283989).
+    """
+    alone = 1 - (1 - ALPHA) ** (1 / pairs)
+    return float(np.sqrt(FREEDOM * (alone ** (-2 / FREEDOM) - 1)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Settled:
+    """A solution, the pairs in use, and what they share."""
+
+    solution: Solution
+    used: Bool
+    shared: float
+    sigma: Float64
+    """(edges,) standard deviations of the shared error, with what its own offset tells of each."""
+
+
+def _settled(network: Network, parts: Sequence[Part], used: Bool, shared: float) -> _Settled:
+    """Solve, and leave out pairs that contradict the others, until both no longer change.
+
+    What a pair shares has a sigma known to `FREEDOM` degrees of freedom: its own offset adds two more, so
+    that pairs somewhat off count for less (the weights of Student's t distribution: Lange, Little, Taylor
+    1989, doi:10.1080/01621459.1989.10478852). The test is against the sigma without that.
+    """
+    error, limit = errors_of(parts), critical(len(parts))
+    own = np.ones(len(parts))
     for _ in range(SETTLING):
-        solution = network.solve(parts, used, shared * error)
+        solution = network.solve(parts, used, shared * error * own)
+        fits = tuple(
+            replace(fit, sigma=fit.sigma / more, shared=fit.shared / more)
+            for fit, more in zip(solution.fits, own, strict=True)
+        )
+        solution = replace(solution, fits=fits)
+        sigma = shared * error * own
         before, shared = shared, max(_shared_error(solution, used, shared), LEAST_SHARED)
-        ratio = np.array([fit.ratio for fit in solution.fits]) * before / shared
-        wanted = np.where(used, ratio <= WRONG, ratio <= READMITTED)
-        again = _still_connected(parts, network.images, used, wanted, ratio)
-        if (again == used).all() and abs(shared - before) <= 0.01 * before:
+        ratio = np.array([fit.ratio for fit in fits]) * before / shared
+        # one that was left out is tested again, against the sigma of what is in use now
+        again = _still_connected(parts, network.images, used, ratio <= limit, ratio)
+        more = np.sqrt((FREEDOM + np.minimum(ratio, limit) ** 2) / (FREEDOM + 2))
+        same = (again == used).all() and abs(shared - before) <= 0.01 * before
+        if same and np.abs(more / own - 1).max() <= 0.02:
             break
-        used = again
-    return solution, used, shared
+        used, own = again, more
+    return _Settled(solution, used, shared, sigma)
 
 
 def _shared_error(solution: Solution, used: Bool, before: float) -> float:
@@ -331,11 +388,12 @@ def _shared_error(solution: Solution, used: Bool, before: float) -> float:
         for fit, use in zip(solution.fits, used, strict=True)
         if use and fit.redundancy >= MIN_REDUNDANCY
     ]
-    return before * float(np.median(checked)) / RAYLEIGH_MEDIAN if checked else before
+    return before * float(np.median(checked)) / TYPICAL if checked else before
 
 
-def _outvoted(network: Network, parts: Sequence[Part], solution: Solution, used: Bool) -> Bool:
+def _outvoted(network: Network, parts: Sequence[Part], settled: _Settled) -> Bool:
     """Return the pairs in use; those of an image give way to more others that agree on another place."""
+    used, solution, limit = settled.used, settled.solution, critical(len(parts))
     found = used.copy()
     for image in range(network.images):
         at = [k for k, part in enumerate(parts) if image in (part.first, part.second)]
@@ -345,7 +403,7 @@ def _outvoted(network: Network, parts: Sequence[Part], solution: Solution, used:
             [
                 other
                 for other in away
-                if np.hypot(*(offsets[k] - offsets[other])) <= WRONG * solution.fits[k].sigma
+                if np.hypot(*(offsets[k] - offsets[other])) <= limit * solution.fits[k].sigma
             ]
             for k in away
         ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -239,9 +240,15 @@ def _connect(laplace: Float64, pair: tuple[int, int], weight: float) -> None:
 
 
 def asked_by_sigma(
-    found: Sequence[Candidate], chosen: Sequence[tuple[int, int]], sigma: Float64
+    found: Sequence[Candidate],
+    chosen: Sequence[tuple[int, int]],
+    sigma: Float64,
+    kinds: Sequence[object] | None = None,
 ) -> list[tuple[int, int]]:
     """Return further pairs, two an image, for images of an unusually large sigma.
+
+    What one kind of image sees otherwise than another is the same in all pairs of the two kinds, and only
+    pairs with a third kind average it: kinds with which an image has the fewest pairs come first.
 
     Parameters
     ----------
@@ -251,14 +258,24 @@ def asked_by_sigma(
         Those that there are.
     sigma : (images,) array
         Standard deviation of the position of each.
+    kinds : sequence, optional
+        The kind of each image; all of one by default.
     """
     limit = UNSURE * float(np.median(sigma[sigma > 0])) if (sigma > 0).any() else np.inf
-    taken, more = set(chosen), []
+    kinds = kinds if kinds is not None else [None] * len(sigma)
+    taken, more = dict.fromkeys(chosen), []
     for image in np.flatnonzero(sigma > limit).tolist():
-        free = (each.pair for each in found if image in each.pair and each.pair not in taken)
-        for pair in [pair for pair in free if sigma[sum(pair) - image] <= limit][:2]:
-            taken.add(pair)
-            more.append(pair)
+        for _ in range(2):
+            with_kind = Counter(kinds[sum(pair) - image] for pair in taken if image in pair)
+            free = [
+                each.pair
+                for each in found
+                if image in each.pair and each.pair not in taken and sigma[sum(each.pair) - image] <= limit
+            ]
+            if free:
+                pair = min(free, key=lambda pair: with_kind[kinds[sum(pair) - image]])
+                taken[pair] = None
+                more.append(pair)
     return more
 
 

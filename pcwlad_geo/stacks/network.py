@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import coo_array, csc_array, eye_array, kron
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
+from scipy.spatial import cKDTree
 
-from pcwlad_geo.correction.models import PolynomialBasis
+from pcwlad_geo.stacks.basis import Basis
 from pcwlad_geo.types import Bool, Float64, Index
 
 LEAST_SCATTER: Final = 0.1
 """Least scatter of the points of a pair, in medians of their own sigmas."""
 RAYLEIGH_MEDIAN: Final = 1.1774
 """Median of a length of two normal components of unit variance."""
+SAME_PX: Final = 0.5
+"""Points that lie nearer to each other in an image are of one feature, map units (px of the frame)."""
 MIN_BLOCKS: Final = 4
 """Fewer blocks tell nothing of what the points of a pair share."""
 POINT_LIMIT: Final = 3.0
@@ -44,6 +48,8 @@ class Edge:
     """(n, 2) positions of the same places by the second image."""
     covariance: Float64
     """(n, 2, 2) covariance of their differences, map units²."""
+    images: Float64 | None = None
+    """(n,) number of images that share each point, see `linked`; None: these two."""
 
     def __len__(self) -> int:
         return len(self.first_xy)
@@ -136,7 +142,7 @@ class _Weighted:
     left: Float64
 
 
-def part_of(edge: Edge, basis: PolynomialBasis, coefficients: Float64, side: float) -> Part:
+def part_of(edge: Edge, basis: Basis, coefficients: Float64, side: float) -> Part:
     """Sum up the points of an edge, those that lie off the others with less weight.
 
     Blocks of its points are squares of a `side`, map units; `coefficients`, (images, terms, 2), tell the
@@ -155,6 +161,31 @@ def errors_of(parts: Sequence[Part]) -> Float64:
     return np.asarray(np.sqrt(error * scatter * np.median(error / scatter)))
 
 
+def linked(edges: Sequence[Edge]) -> list[Edge]:
+    """Return pairs with the number of images that share each of their points.
+
+    Points of two pairs that lie within `SAME_PX` of each other in an image that both have are of one feature;
+    what that image sees of it is in the error of both. Those so connected are a track. The pairs of k images
+    of it tell no more than k - 1 independent ones: with a weight of 2 / k each, as many as all k (k - 1) / 2
+    of them would.
+    """
+    count = np.cumsum([0, *(len(edge) for edge in edges)])
+    at = np.concatenate([place for edge in edges for place in (edge.first_xy, edge.second_xy)])
+    of_point = np.concatenate([np.tile(np.arange(a, b), 2) for a, b in pairwise(count.tolist())])
+    image = np.concatenate([np.repeat([edge.first, edge.second], len(edge)) for edge in edges])
+    links = [np.empty((0, 2), dtype=np.intp)]
+    for number in np.unique(image):
+        there = np.flatnonzero(image == number)
+        near = cKDTree(at[there]).query_pairs(SAME_PX, output_type="ndarray")
+        links.append(of_point[there[near]])
+    one, other = np.concatenate(links).T
+    graph = coo_array((np.ones(len(one)), (one, other)), shape=(count[-1], count[-1]))
+    track = connected_components(graph, directed=False)[1]
+    seen = np.unique(np.column_stack([track[of_point], image]), axis=0)[:, 0]
+    images = np.bincount(seen, minlength=len(track)).astype(np.float64)[track]
+    return [replace(edge, images=images[a:b]) for edge, (a, b) in zip(edges, pairwise(count), strict=True)]
+
+
 def side_of_blocks(edges: Sequence[Edge]) -> float:
     """Return the side of the blocks of images of the size that pairs of them typically share, map units."""
     sizes = [np.sqrt(np.prod(np.ptp(edge.first_xy, axis=0))) for edge in edges]
@@ -162,7 +193,7 @@ def side_of_blocks(edges: Sequence[Edge]) -> float:
 
 
 def blocks_of(
-    edge: Edge, basis: PolynomialBasis, coefficients: Float64, side: float, whole: Part
+    edge: Edge, basis: Basis, coefficients: Float64, side: float, whole: Part
 ) -> list[tuple[int, Part]]:
     """Return what is left of an edge without each block of its points, a square of a side in map units.
 
@@ -175,13 +206,50 @@ def blocks_of(
     return [(int(each), whole.without(_sums(points, number == each))) for each in np.unique(number)]
 
 
-def _numbers(points: _Weighted, basis: PolynomialBasis, side: float) -> Index:
+def left_over(
+    edge: Edge,
+    basis: Basis,
+    coefficients: Float64,
+    without: Float64,
+    side: float,
+    number: int,
+    kept: Part,
+    shared: float,
+) -> Float64:
+    """Return by how much the points of a block lie off what the others tell, (n, 2), map units.
+
+    What the others tell has the error that they share in it, as far as they know it.
+
+    Parameters
+    ----------
+    edge : Edge
+    basis : Basis
+    coefficients, without : (images, terms, 2) array
+        Those that tell the ground, and those estimated without the block.
+    side : float
+        Of a block, map units.
+    number : int
+        That of the block, see `blocks_of`.
+    kept : Part
+        What is left of the edge.
+    shared : float
+        Standard deviation of the error that the points of the edge share.
+    """
+    points = _weighted(edge, basis, coefficients)
+    there = _numbers(points, basis, side) == number
+    change = without[edge.second] - without[edge.first]
+    known = kept.inner + np.eye(len(kept.inner)) / shared**2
+    own = np.linalg.solve(known, kept.beside - change.T.ravel() @ kept.across).reshape(2, -1)
+    return np.asarray(points.observed[there] - points.values[there] @ change - points.near[there] @ own.T)
+
+
+def _numbers(points: _Weighted, basis: Basis, side: float) -> Index:
     """Return the (n,) number of the block of each point."""
     col, row = (np.floor((points.ground - basis.low_px) / side).astype(int) % BLOCKS).T
     return np.asarray(row * BLOCKS + col)
 
 
-def _weighted(edge: Edge, basis: PolynomialBasis, coefficients: Float64) -> _Weighted:
+def _weighted(edge: Edge, basis: Basis, coefficients: Float64) -> _Weighted:
     ground = edge.first_xy
     for _ in range(4):
         ground = edge.first_xy - basis.values(ground) @ coefficients[edge.first]
@@ -195,10 +263,12 @@ def _weighted(edge: Edge, basis: PolynomialBasis, coefficients: Float64) -> _Wei
     off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", left, weights, left), 1e-12))
     unit = max(1.0, float(np.median(off)) / RAYLEIGH_MEDIAN)
     weights *= (np.minimum(1.0, POINT_LIMIT * unit / off) / unit**2)[:, None, None]
+    if edge.images is not None:
+        weights *= (2.0 / edge.images)[:, None, None]
     return _Weighted(ground, values, near, weights, observed, left)
 
 
-def _summed(edge: Edge, points: _Weighted, basis: PolynomialBasis, side: float) -> Part:
+def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> Part:
     weights = points.weights
     total = weights.sum(axis=0)
     each = np.trace(weights, axis1=1, axis2=2) / np.trace(total)
@@ -276,7 +346,7 @@ class Solution:
     normal: csc_array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Network:
     """The unknowns: image by image, then axis, then term."""
 
@@ -284,6 +354,8 @@ class Network:
     terms: int
     fixed: tuple[int, ...]
     """Numbers of the images whose coefficients are no unknowns."""
+    penalty: Float64
+    """(terms, terms) normal matrix of what is known of an image's coefficients beforehand, axis by axis."""
 
     @property
     def free(self) -> Index:
@@ -343,6 +415,8 @@ class Network:
         data = np.concatenate([sign * block.ravel() for sign in (1.0, -1.0, -1.0, 1.0)])
         rows, cols = np.concatenate(place), np.concatenate(across_place)
         whole = coo_array((data, (rows, cols)), shape=(self.images * size,) * 2).tocsc()
+        if self.penalty.any():
+            whole = whole + kron(eye_array(2 * self.images), self.penalty, format="csc")
         free = self.free
         return csc_array(whole[free][:, free]), right.ravel()[free]
 

@@ -269,38 +269,74 @@ def edge_of(frame: Frame, one: int, other: int, place: Path) -> Edge | None:
     return Edge(one, other, first[known], second[known], covariance[known])
 
 
-def control_edges(table: PathLike, frame: Frame) -> list[Edge]:
-    """Return the control points of a table, image by image, as pairs with the ground itself.
+@dataclass(frozen=True, slots=True)
+class ControlPoint:
+    """A place of an image whose ground is known."""
 
-    It has the columns image, col, row (px of the file, corner-based), x, y (CRS of the frame) and, if known,
-    sigma (along an axis, units of x and y). The ground has the number after the last image.
+    image: str
+    """Name of the image."""
+    col: float
+    """Position in the file, px, corner-based."""
+    row: float
+    x: float
+    """Position on the ground, CRS of the reference."""
+    y: float
+    sigma: float | None = None
+    """Standard deviation along an axis, units of x and y; null: half a pixel of the reference."""
+
+
+def control_points(table: PathLike) -> tuple[ControlPoint, ...]:
+    """Read control points from a table with the columns image, col, row, x, y and, if known, sigma.
+
+    Raises `InputError` if it cannot be used.
+    """
+    found = []
+    for row in read_table(Path(table), ("image", "col", "row", "x", "y")):
+        values = [number_of(row, column) for column in ("col", "row", "x", "y")]
+        sigma = number_of(row, "sigma") if row.get("sigma") else None
+        if not (np.isfinite(values).all() and (sigma is None or (np.isfinite(sigma) and sigma > 0))):
+            raise InputError(
+                f"{table}: the control points of {row['image']} need finite numbers and sigmas above 0"
+            )
+        col_px, row_px, x, y = values
+        found.append(ControlPoint(row["image"], col_px, row_px, x, y, sigma))
+    return tuple(found)
+
+
+def control_edges(points: Sequence[ControlPoint], frame: Frame, ground: int | None = None) -> list[Edge]:
+    """Return control points, image by image, as pairs with the ground itself.
+
+    Parameters
+    ----------
+    points : sequence of ControlPoint
+    frame : Frame
+    ground : int, optional
+        Number of the ground among the images; that after the last image by default.
 
     Raises
     ------
     InputError
-        If the table cannot be used, or the images are not georeferenced.
+        If they name no image of the frame or are too few, or the images are not georeferenced.
     """
-    if not frame.placed:
-        raise InputError(f"{table}: images without georeferencing have no place for control points")
-    rows = read_table(Path(table), ("image", "col", "row", "x", "y"))
+    if points and not frame.placed:
+        raise InputError("images without georeferencing have no place for control points")
     unit = abs(float(np.linalg.det(linear_part(frame.grid.transform)))) ** 0.5
     found = []
-    for name in dict.fromkeys(row["image"] for row in rows):
+    for name in dict.fromkeys(point.image for point in points):
         if name not in frame.names:
-            raise InputError(f"{table} names {name}, which is none of the images {', '.join(frame.names)}")
-        of_image = [row for row in rows if row["image"] == name]
-        if len(of_image) < MIN_CONTROL:
-            raise InputError(f"{table} has {len(of_image)} control points of {name}: give {MIN_CONTROL}")
-        at = np.array([[number_of(row, column) for column in ("col", "row", "x", "y")] for row in of_image])
-        sigma = np.array(
-            [number_of(row, "sigma") / unit if row.get("sigma") else CONTROL_SIGMA_PX for row in of_image]
-        )
-        if not (np.isfinite(at).all() and (sigma > 0).all()):
-            raise InputError(f"{table}: the control points of {name} need finite numbers and sigmas above 0")
+            raise InputError(
+                f"control points are of {name}, which is none of the images {', '.join(frame.names)}"
+            )
+        own = [point for point in points if point.image == name]
+        if len(own) < MIN_CONTROL:
+            raise InputError(f"there are {len(own)} control points of {name}: give {MIN_CONTROL}")
+        at_px = np.array([(point.col, point.row) for point in own])
+        on_ground = frame.grid.to_px(np.array([(point.x, point.y) for point in own]))
+        sigma = np.array([point.sigma / unit if point.sigma else CONTROL_SIGMA_PX for point in own])
         image = frame.names.index(name)
-        ground = frame.grid.to_px(at[:, 2:])
         covariance = sigma[:, None, None] ** 2 * np.eye(2)
-        found.append(Edge(len(frame.names), image, ground, frame.from_image(image, at[:, :2]), covariance))
+        number = len(frame.names) if ground is None else ground
+        found.append(Edge(number, image, on_ground, frame.from_image(image, at_px), covariance))
     return found
 
 

@@ -17,6 +17,8 @@ from pcwlad_geo.correction.models import (
     Correction,
     PolynomialBasis,
     PolynomialCorrection,
+    SplineCorrection,
+    SplineGrid,
     affine_between,
 )
 from pcwlad_geo.errors import InputError
@@ -26,9 +28,10 @@ from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.requirements import Requirement, RequirementResult
 from pcwlad_geo.stacks.adjustment import Adjustment
+from pcwlad_geo.stacks.basis import SPLINE_CELLS, Basis
 from pcwlad_geo.stacks.cycles import Closure, closure_of, root_mean_square, suspicion
 from pcwlad_geo.stacks.inputs import StackInput
-from pcwlad_geo.stacks.pairs import Frame, Measured, StackPair
+from pcwlad_geo.stacks.pairs import ControlPoint, Frame, Measured, StackPair
 from pcwlad_geo.text import cell, read_text
 from pcwlad_geo.types import Float64
 
@@ -97,6 +100,10 @@ class Stack:
     chosen: Chosen
     """How the pairs were chosen: all that are worth it, those of a list, or so many at most."""
     closure: Closure
+    control: tuple[ControlPoint, ...] = ()
+    """Control points that are the datum."""
+    added: tuple[tuple[str, ...], ...] = ()
+    """Names of the images that were added to the finished stack, together and one after another."""
     requirements: tuple[RequirementResult, ...] = ()
 
     @property
@@ -163,6 +170,10 @@ class StackNumbers:
     images: tuple[ImageEntry, ...]
     pairs: tuple[StackPair, ...]
     closure: Closure
+    control: tuple[ControlPoint, ...]
+    """Control points that are the datum."""
+    added: tuple[tuple[str, ...], ...]
+    """Names of the images that were added to the finished stack, together and one after another."""
     requirements: tuple[RequirementEntry, ...]
     passed: bool | None
     """Whether all requirements are met; null without requirements."""
@@ -175,7 +186,6 @@ def stack_of(
     frame: Frame,
     measured: Sequence[Measured],
     adjustment: Adjustment,
-    order: int,
     folder: Path,
     settings: Settings,
     warnings: list[str],
@@ -206,7 +216,7 @@ def stack_of(
     used = [pair for pair in pairs if pair.status == "used"]
     extension = OutputFormat.of(settings.of, settings.co).extension
     images = tuple(
-        _image(frame, number, adjustment, order, folder / raster_name(frame.names[number], extension), used)
+        _image(frame, number, adjustment, folder / raster_name(frame.names[number], extension), used)
         for number in range(len(frame.names))
     )
     return Stack(
@@ -261,7 +271,7 @@ def judge(found: Stack, requirements: Sequence[Requirement]) -> tuple[Requiremen
 
 
 def _image(
-    frame: Frame, number: int, adjustment: Adjustment, order: int, registered: Path, used: Sequence[StackPair]
+    frame: Frame, number: int, adjustment: Adjustment, registered: Path, used: Sequence[StackPair]
 ) -> StackImage:
     info, name = frame.infos[number], frame.names[number]
     at_px = info.grid.lattice_px(NODES)
@@ -279,7 +289,7 @@ def _image(
         sigma_px=_pair(sigma_px),
         sigma_m=None if sizes_m is None else _pair(sigma_px * sizes_m[0]),
         pairs=len(own),
-        correction=_correction(at_px, observed_px, order),
+        correction=_correction(at_px, observed_px, adjustment.basis),
         registered=registered,
         suspicion=root_mean_square([suspicion(pair) for pair in own]) or 0.0,
         group=int(adjustment.group[number]),
@@ -291,20 +301,30 @@ def _pair(values: Float64) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def _correction(at_px: Float64, observed_px: Float64, order: int) -> Correction:
+def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correction:
     """Return the model in px of the file that maps places of a lattice as the adjustment does."""
-    if order == 0:
-        shift = np.mean(observed_px - at_px, axis=0)
-        return AffineCorrection("shift", np.column_stack([np.eye(2), shift]))
-    if order == 1:
-        return AffineCorrection("affine", affine_between(at_px, observed_px))
     low, high = at_px.min(axis=0), at_px.max(axis=0)
     radius = float((high - low).max()) / 2
-    basis = PolynomialBasis(order, _pair((low + high) / 2), radius, _pair(low), _pair(high))
-    coefficients = np.asarray(
-        np.linalg.lstsq(basis.values(at_px), observed_px - at_px, rcond=None)[0], np.float64
+    if not isinstance(basis, PolynomialBasis):
+        spacing = float((high - low).min()) / (2 * SPLINE_CELLS)  # finer: it lies elsewhere than the ground
+        across, down = np.ceil((high - low) / spacing - 1e-9).astype(int).tolist()
+        grid = SplineGrid(_pair(low), spacing, (across, down))
+        return SplineCorrection("tps", grid, _fitted(grid.design(at_px).toarray(), observed_px - at_px, grid))
+    if basis.order == 0:
+        shift = np.mean(observed_px - at_px, axis=0)
+        return AffineCorrection("shift", np.column_stack([np.eye(2), shift]))
+    if basis.order == 1:
+        return AffineCorrection("affine", affine_between(at_px, observed_px))
+    own = PolynomialBasis(basis.order, _pair((low + high) / 2), radius, _pair(low), _pair(high))
+    return PolynomialCorrection(
+        own, np.linalg.lstsq(own.values(at_px), observed_px - at_px, rcond=None)[0].astype(np.float64)
     )
-    return PolynomialCorrection(basis, coefficients)
+
+
+def _fitted(values: Float64, displacement_px: Float64, grid: SplineGrid) -> Float64:
+    """Return the (rows, columns, 2) coefficients of a spline with (n, terms) values at the places."""
+    found = np.linalg.lstsq(values, displacement_px, rcond=None)[0]
+    return np.asarray(found.reshape(*grid.shape, 2))
 
 
 def raster_name(image: str, extension: str) -> str:
@@ -363,6 +383,8 @@ def _numbers(found: Stack, settings: Settings) -> StackNumbers:
         images,
         pairs,
         found.closure,
+        found.control,
+        found.added,
         tuple(RequirementEntry(each.requirement.text, each.met, each.text) for each in found.requirements),
         found.passed,
         found.unreadable,

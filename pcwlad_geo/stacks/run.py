@@ -32,6 +32,7 @@ from pcwlad_geo.registration.inputs import requested_grid
 from pcwlad_geo.report.finished import FinishedRegistration
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.stacks.adjustment import Adjustment, adjust, extend
+from pcwlad_geo.stacks.choice import TRIED, choose_basis
 from pcwlad_geo.stacks.graph import (
     ALL_PAIRS,
     Candidate,
@@ -46,11 +47,13 @@ from pcwlad_geo.stacks.network import Edge
 from pcwlad_geo.stacks.page import page
 from pcwlad_geo.stacks.pairs import (
     PAIRS,
+    ControlPoint,
     Frame,
     Measured,
     StackPair,
     check_connected,
     control_edges,
+    control_points,
     edge_of,
     measure,
 )
@@ -76,8 +79,6 @@ if TYPE_CHECKING:
 
 OF_ONE_RASTER: Final = ("ref_mask", "tgt_mask", "tie_points", "dem", "dem_vertical", "tr", "te", "t_srs")
 """Options that a stack cannot take."""
-ORDERS: Final[Mapping[str, int]] = {"auto": 1, "shift": 0, "affine": 1, "polynomial": 2}
-"""Order of the polynomial of each model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,6 @@ class _Job:
     """What a stack is asked for, and where it goes."""
 
     settings: Settings
-    order: int
     folder: Path
     overwrite: bool
     on_event: EventCallback
@@ -197,7 +197,8 @@ def stack(
         else:
             before = () if max_pairs is not None else _pairs_before(job.folder, frame)
             plan = choose_pairs(found, len(infos), max_pairs, before)
-        control = [] if gcps is None else control_edges(gcps, frame)
+        points = () if gcps is None else control_points(gcps)
+        control = control_edges(points, frame)
         stays = None if datum == "mean" else len(infos) if control else frame.reference
         measured, adjustment = _adjusted(job, frame, plan, control, stays, allow_components)
         more = asked(frame, found, plan, adjustment) if chosen == "auto" and len(infos) > ALL_PAIRS else []
@@ -207,17 +208,18 @@ def stack(
             frame,
             measured,
             adjustment,
-            job.order,
             job.folder,
             job.settings,
             job.warnings,
             unreadable,
             chosen,
         )
+        result = replace(result, control=points)
         return _written(job, result, frame, result.images)
 
 
-def add(
+@products_found_once()
+def stack_add(
     images: Sequence[PathLike],
     out_dir: PathLike,
     *,
@@ -252,8 +254,6 @@ def add(
     old = [StackInput(**entry["given"]) for entry in before["images"]]
     own = {"ref_band": old[0].band, "tgt_band": old[0].band, "model": before["model"]}
     job = _job(out_dir, False, on_event, executor, options | own)
-    if before["datum"] == "control points":
-        raise InputError(f"{out_dir} is a stack on control points: stack all images again with --gcps")
     with trusting(job.settings.trust):
         inputs, infos, unreadable = _readable(images, job.settings, job.tell, old)
         looks = _looks(inputs, infos, unreadable, job.tell)
@@ -263,18 +263,43 @@ def add(
         measured = [_measured_before(frame, job.folder, entry) for entry in before["pairs"]]
         plan = [(frame.names.index(pair.reference), frame.names.index(pair.target)) for _, pair in measured]
         chosen = choose_pairs(candidates(frame, inputs, looks), len(infos), None, plan)[len(plan) :]
+        measured += job.measured(frame, chosen)
         edges = [edge for edge, _ in measured if edge is not None]
-        stays = None if before["datum"] == "mean" else frame.reference
-        adjustment = adjust(edges, len(old), order=job.order, datum=stays, apart=True)
-        added = job.measured(frame, chosen)
-        more = [edge for edge, _ in added if edge is not None]
-        check_connected(frame, [*edges, *more], frame.reference, job.folder, apart=False)
-        adjustment = extend(adjustment, edges, more, len(infos))
+        check_connected(frame, edges, frame.reference, job.folder, apart=False)
+        points = tuple(ControlPoint(**each) for each in before["control"])
+        added = (*map(tuple, before["added"]), tuple(new))
+        adjustment = _one_after_another(frame, edges, points, before, [len(each) for each in added])
         notes = [*before["warnings"], *job.warnings]
-        result = stack_of(
-            frame, [*measured, *added], adjustment, job.order, job.folder, job.settings, notes, unreadable
-        )
+        result = stack_of(frame, measured, adjustment, job.folder, job.settings, notes, unreadable)
+        result = replace(result, control=points, added=added)
         return _written(job, result, frame, [each for each in result.images if each.name in new])
+
+
+def _one_after_another(
+    frame: Frame,
+    edges: Sequence[Edge],
+    points: Sequence[ControlPoint],
+    before: Mapping[str, Any],
+    added: Sequence[int],
+) -> Adjustment:
+    """Adjust the first images as they were, then place those added, in so many at a time, one after another.
+
+    `before` is the content of stack.json before the last ones.
+    """
+    count = len(frame.names) - sum(added)
+    control = control_edges(points, frame, count)
+    stays = None if before["datum"] == "mean" else count if control else frame.reference
+    known = [edge for edge in edges if max(edge.first, edge.second) < count]
+    first, nodes = [*known, *control], count + bool(control)
+    basis = choose_basis(first, nodes, str(before["model"]), datum=stays, apart=True)
+    found = adjust(first, nodes, basis=basis, datum=stays, apart=True)
+    for number in added:
+        more = [edge for edge in edges if count <= max(edge.first, edge.second) < count + number]
+        control = control_edges(points, frame, count)
+        count += number
+        found = extend(found, [*known, *control], more, count + bool(control), bool(control))
+        known += more
+    return found
 
 
 def _job(
@@ -286,7 +311,8 @@ def _job(
 ) -> _Job:
     settings = Settings.from_options(options)
     parse_requirements(settings.require, "stack")
-    return _Job(settings, _order(settings), Path(out_dir or "stack"), overwrite, on_event, executor)
+    _check_settings(settings)
+    return _Job(settings, Path(out_dir or "stack"), overwrite, on_event, executor)
 
 
 def _adjusted(
@@ -304,7 +330,8 @@ def _adjusted(
     if warning:
         job.tell(Warned(warning))
     count = len(frame.names) + bool(control)
-    return measured, adjust(edges, count, order=job.order, datum=stays, apart=apart)
+    basis = choose_basis(edges, count, job.settings.model, datum=stays, apart=apart)
+    return measured, adjust(edges, count, basis=basis, datum=stays, apart=apart)
 
 
 def asked(
@@ -318,7 +345,16 @@ def asked(
     for number, info in enumerate(frame.infos):
         middle = frame.from_image(number, info.grid.middle_px)
         sigma.append(float(np.sqrt(np.trace(adjustment.covariance(number, middle)[0]) / 2)))
-    return asked_by_sigma(found, plan, np.array(sigma))
+    return asked_by_sigma(
+        found, plan, np.array(sigma), [_kind(frame, number) for number in range(len(sigma))]
+    )
+
+
+def _kind(frame: Frame, number: int) -> tuple[int | str, int]:
+    """Return what images of one sensor have in common: the band, and the pixel size to a tenth."""
+    info = frame.infos[number]
+    pixel = abs(float(np.linalg.det(frame.scale(number, info.grid.middle_px)[0]))) ** 0.5
+    return frame.given(number).band, round(np.log(pixel) / 0.1)
 
 
 def _numbers_of(folder: Path) -> dict[str, Any]:
@@ -352,15 +388,14 @@ def _measured_before(frame: Frame, folder: Path, entry: Mapping[str, Any]) -> Me
     return edge_of(frame, one, other, place), StackPair(*names, "used", None, place)
 
 
-def _order(settings: Settings) -> int:
-    if settings.model not in ORDERS:
+def _check_settings(settings: Settings) -> None:
+    if settings.model not in TRIED:
         raise SettingsError(
-            f"model = {settings.model!r}: a stack has the models {', '.join(ORDERS)}: choose one of them"
+            f"model = {settings.model!r}: a stack has the models {', '.join(TRIED)}: choose one of them"
         )
     of_one = [name for name in OF_ONE_RASTER if getattr(settings, name) is not None]
     if of_one:
         raise SettingsError(f"{of_one[0]} is about one of two rasters, and a stack has many: leave it out")
-    return ORDERS[settings.model]
 
 
 def _readable(

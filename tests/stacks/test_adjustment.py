@@ -83,7 +83,7 @@ def test_exact_points_give_exact_displacements(datum: int | None) -> None:
 def test_shifts_alone_are_exact() -> None:
     rng = np.random.default_rng(1)
     truth = make(rng, 5, slopes=0.0)
-    found = adjust([truth.edge(rng, *pair, shared=0.0, sigma=0.0) for pair in ring(5)], 5, order=0)
+    found = adjust([truth.edge(rng, *pair, shared=0.0, sigma=0.0) for pair in ring(5)], 5, model="shift")
     assert np.abs(errors(found, truth, 0)).max() < 1e-6
 
 
@@ -215,7 +215,7 @@ def test_a_pair_that_nothing_checks_is_told() -> None:
     rng = np.random.default_rng(8)
     truth = make(rng, 4)
     edges = [truth.edge(rng, *pair, shared=0.02, sigma=0.05) for pair in ((0, 1), (1, 2), (0, 2), (2, 3))]
-    found = adjust(edges, 4, order=0)
+    found = adjust(edges, 4, model="shift")
     assert found.edges[3].redundancy < 0.01
     assert min(fit.redundancy for fit in found.edges[:3]) > 0.2
 

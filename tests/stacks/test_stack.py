@@ -133,8 +133,8 @@ def test_what_cannot_be_stacked_is_told(tmp_path: Path) -> None:
     plain = write(tmp_path / "plain.tif", render(GRID), None)
     with pytest.raises(InputError, match="plain without georeferencing"):
         stack([one, plain])
-    with pytest.raises(SettingsError, match="models auto, shift, affine, polynomial"):
-        stack([one, plain], model="tps")
+    with pytest.raises(SettingsError, match="models auto, shift, affine, polynomial, tps"):
+        stack([one, plain], model="jitter")
     with pytest.raises(SettingsError, match="dem is about one of two rasters"):
         stack([one, plain], dem="dem.tif")
     with pytest.raises(InputError, match="the reference two is none of the images"):

@@ -23,7 +23,7 @@ from pcwlad_geo.events import Event, Progress
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.stacks import pairs as stack_pairs
-from pcwlad_geo.stacks.run import add, stack
+from pcwlad_geo.stacks.run import stack, stack_add
 from tests.cluster import cluster
 from tests.scenes import make_grid, render, write
 from tests.stacks.test_stack import GRID, SHIFTS_PX, content, write_images
@@ -67,12 +67,17 @@ def test_an_added_image_costs_its_own_pairs_and_moves_no_other(
     now = content(out)
     assert all(now[name] == data for name, data in earlier.items() if name.endswith(("tif", "vrt")))
     assert (out / "date3_registered.tif").is_file()
+    again = write(tmp_path / "date4.tif", render(GRID, displacement_px=(0.4, 0.3), noise=2.0), GRID)
+    stack_add([again], out, jobs=1)
+    last = numbers_of(out)
+    assert last["added"] == [["date3"], ["date4"]]
+    assert [image["model"] for image in last["images"][:4]] == [image["model"] for image in after["images"]]
 
 
 def test_what_cannot_be_added_is_told(tmp_path: Path) -> None:
     image = write(tmp_path / "a.tif", render(GRID), GRID)
     with pytest.raises(InputError, match="holds no finished stack"):
-        add([image], tmp_path)
+        stack_add([image], tmp_path)
     assert run_command(["stack", "--add", str(image), str(tmp_path), "extra"]) == 2
     assert run_command(["stack", "--add", str(image), str(tmp_path), "--max-pairs", "3"]) == 2
 
@@ -158,6 +163,15 @@ def test_control_points_are_the_datum(tmp_path: Path) -> None:
     shifts = np.array([image.shift_px for image in found.images])
     np.testing.assert_allclose(shifts, SHIFTS_PX[:3], atol=0.08)
     assert min(found.images[0].sigma_px) > 0
+    (tmp_path / "g.csv").unlink()  # they are in stack.json
+    before = numbers_of(tmp_path / "out")
+    added = stack_add([write_images(tmp_path, 4)[3]], tmp_path / "out", jobs=1)
+    assert added.datum == "control points"
+    assert numbers_of(tmp_path / "out")["control"] == before["control"]
+    for old, new in zip(before["images"], numbers_of(tmp_path / "out")["images"], strict=False):
+        assert old["model"] == new["model"]
+    np.testing.assert_allclose(added.images[3].shift_px, SHIFTS_PX[3], atol=0.08)
+    assert min(added.images[3].sigma_px) > 0.5 * min(added.images[0].sigma_px)
     (tmp_path / "g.csv").write_text("image,col,row,x,y\ndate1,1,2,3,four\n")
     with pytest.raises(InputError, match=r"give 4|is no number"):
         stack(images, out_dir=tmp_path / "out", gcps=tmp_path / "g.csv", jobs=1)

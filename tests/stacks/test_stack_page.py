@@ -46,7 +46,7 @@ def make_stack(folder: Path, names: list[str]) -> Stack:
     frame = Frame(names, [info] * len(names), GRID, True)
     found = adjust(edges, len(names))
     return stack_of(
-        frame, [*measured, (None, blank)], found, 1, folder, Settings(), [], {"late.tif": "no raster"}
+        frame, [*measured, (None, blank)], found, folder, Settings(), [], {"late.tif": "no raster"}
     )
 
 
