@@ -64,7 +64,7 @@ def stack(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     with open_runner(None, _ignore, jobs=runner.processes, scheduler=None, preload="numpy") as pool:
         measured = list(measure(frame, chosen, scratch / "out", Settings(), False, _ignore, pool))
         edges = [edge for edge, _ in measured if edge is not None]
-        more = asked(frame, found, chosen, adjust(edges, IMAGES))
+        more = asked(frame, found, chosen, edges, adjust(edges, IMAGES))
         measured += measure(frame, more, scratch / "out", Settings(), False, _ignore, pool)
     edges = [edge for edge, _ in measured if edge is not None]
     kept, unused = _set_apart(edges, rng)

@@ -35,6 +35,7 @@ from pcwlad_geo.stacks.adjustment import Adjustment, adjust, extend
 from pcwlad_geo.stacks.choice import TRIED, choose_basis
 from pcwlad_geo.stacks.graph import (
     ALL_PAIRS,
+    UNSURE,
     Candidate,
     asked_by_sigma,
     candidates,
@@ -43,7 +44,7 @@ from pcwlad_geo.stacks.graph import (
     quick_look,
 )
 from pcwlad_geo.stacks.inputs import StackInput, listed
-from pcwlad_geo.stacks.network import Edge
+from pcwlad_geo.stacks.network import Edge, components
 from pcwlad_geo.stacks.page import page
 from pcwlad_geo.stacks.pairs import (
     PAIRS,
@@ -201,7 +202,10 @@ def stack(
         control = control_edges(points, frame)
         stays = None if datum == "mean" else len(infos) if control else frame.reference
         measured, adjustment = _adjusted(job, frame, plan, control, stays, allow_components)
-        more = asked(frame, found, plan, adjustment) if chosen == "auto" and len(infos) > ALL_PAIRS else []
+        edges = [edge for edge, _ in measured if edge is not None] + control
+        more = []
+        if chosen == "auto" and len(infos) > ALL_PAIRS:
+            more = asked(frame, found, plan, edges, adjustment)
         if more:
             measured, adjustment = _adjusted(job, frame, plan + more, control, stays, allow_components)
         result = stack_of(
@@ -335,26 +339,39 @@ def _adjusted(
 
 
 def asked(
-    frame: Frame, found: Sequence[Candidate], plan: Sequence[tuple[int, int]], adjustment: Adjustment
+    frame: Frame,
+    found: Sequence[Candidate],
+    plan: Sequence[tuple[int, int]],
+    edges: Sequence[Edge],
+    adjustment: Adjustment,
 ) -> list[tuple[int, int]]:
     """Return the further pairs that the sigmas of the images of a frame ask for.
 
-    `found` are the pairs to choose from, `plan` those that the adjustment has.
+    `found` are the pairs to choose from, `plan` those that were measured, `edges` those that the adjustment
+    has.
     """
     sigma = []
     for number, info in enumerate(frame.infos):
         middle = frame.from_image(number, info.grid.middle_px)
         sigma.append(float(np.sqrt(np.trace(adjustment.covariance(number, middle)[0]) / 2)))
-    return asked_by_sigma(
-        found, plan, np.array(sigma), [_kind(frame, number) for number in range(len(sigma))]
-    )
+    return asked_by_sigma(found, plan, np.array(sigma), _kinds(frame, edges, adjustment))
 
 
-def _kind(frame: Frame, number: int) -> tuple[int | str, int]:
-    """Return what images of one sensor have in common: the band, and the pixel size to a tenth."""
-    info = frame.infos[number]
-    pixel = abs(float(np.linalg.det(frame.scale(number, info.grid.middle_px)[0]))) ** 0.5
-    return frame.given(number).band, round(np.log(pixel) / 0.1)
+def _kinds(frame: Frame, edges: Sequence[Edge], adjustment: Adjustment) -> list[tuple[object, ...]]:
+    """Return the kind of each image: like images have pairs of small errors, one band and one pixel size."""
+    error = np.array([fit.shared for fit in adjustment.edges])
+    _, like = components(edges, len(adjustment.coefficients), error <= UNSURE * float(np.median(error)))
+    kinds: list[tuple[object, ...]] = []
+    for number, info in enumerate(frame.infos):
+        pixel = abs(float(np.linalg.det(frame.scale(number, info.grid.middle_px)[0]))) ** 0.5
+        kinds.append(
+            (int(like[number]), frame.given(number).band, round(float(np.log(pixel)) / PIXELS_ALIKE))
+        )
+    return kinds
+
+
+PIXELS_ALIKE: Final = 0.1
+"""Pixels whose sizes differ by a smaller share are those of one kind of image."""
 
 
 def _numbers_of(folder: Path) -> dict[str, Any]:
