@@ -14,9 +14,11 @@ from fuzz.orders import CASE, Outcome
 
 EXPECTED: Final = (0, 2, 3, 4)
 """Exit statuses that are ends: done, unusable, refused, a requirement not met."""
-OF_MANY: Final = ("batch", "qa")
+OF_MANY: Final = ("batch", "qa", "stack")
 """Commands whose table, on standard output, may say why the exit status is 2 or 3."""
-RESULTS: Final = {"register": "report.json", "match": "report.json", "batch": "summary.csv", "qa": "qa.json"}
+RESULTS: Final = {"register": "report.json", "match": "report.json", "batch": "summary.csv",
+                  "qa": "qa.json", "stack": "stack.json"}  # fmt: skip
+"""What each command writes; a stack whose images no pair connects (3) has its pairs alone."""
 RUN_FILES: Final = ("stdout", "stderr", "where")
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _DETAIL_LENGTH: Final = 110
@@ -88,6 +90,8 @@ def _said(case: Case, outcome: Outcome) -> Iterator[Failure]:
     if _CONTROL.search(outcome.stdout):
         yield Failure("control characters on stdout")
     told_in_table = case.argv[0] in OF_MANY and outcome.stdout.strip() and not errors
+    if case.argv[0] == "edit":  # which tells everything by events
+        told_in_table = '"event": "error"' in outcome.stdout and not errors
     if outcome.status in (2, 3) and len(errors) != 1 and not told_in_table:
         yield Failure(f"{len(errors)} error lines", f"exit {outcome.status}")
     if outcome.status in (0, 4) and errors:
@@ -107,7 +111,7 @@ def _inputs(case: Case, folder: Path) -> Iterator[Failure]:
 
 def outcome_may_replace(case: Case) -> bool:
     """Whether the command may replace files of its output folder."""
-    return "--overwrite" in case.argv or case.argv[0] == "batch"
+    return bool({"--overwrite", "--add"} & set(case.argv)) or case.argv[0] == "batch"
 
 
 def _left(case: Case, outcome: Outcome, folder: Path) -> Iterator[Failure]:
@@ -140,9 +144,11 @@ def _results(case: Case, outcome: Outcome, folder: Path) -> Iterator[Failure]:
     before = any(name.startswith(f"{case.out_dir}/") for name in (*case.files, *case.places))
     written = sorted(path for path in out.rglob("*") if path.is_file()) if out.is_dir() else []
     command = case.argv[0]
-    if outcome.status == 2 and command != "batch" and not before and written:
+    partly = command == "batch" or (command == "stack" and (out / "pairs").is_dir())
+    if outcome.status == 2 and not partly and not before and written:
         yield Failure("files of a run that is refused", written[0].suffix)
-    if outcome.status in (0, 3, 4) and wanted is not None and not (out / wanted).is_file():
+    ends = (0, 4) if command == "stack" else (0, 3, 4)
+    if outcome.status in ends and wanted is not None and not (out / wanted).is_file():
         yield Failure("partial", f"{wanted} is missing")
     if command == "warp" and outcome.status == 0 and not written:
         yield Failure("partial", "no raster")

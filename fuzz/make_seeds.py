@@ -32,6 +32,7 @@ from rasterio.vrt import WarpedVRT
 import pcwlad_geo
 from fuzz.kept import SEEDS
 from fuzz.mutators import archives
+from fuzz.recipes import REQUESTS
 from pcwlad_geo.raster.rpc.files import parse_rpc_text, write_rpc_text
 from tests.products import LANDSAT, landsat_metadata, packed, safe_metadata, save
 from tests.rpc_scene import dem_values, make_rpc, write_image
@@ -60,7 +61,7 @@ def main() -> int:
     out.mkdir(parents=True)
     warnings.simplefilter("ignore")
     os.chdir(out)  # what names files names them without a folder
-    for make in (rasters, described, rpc, virtual, side_files, products, finished, tables):
+    for make in (rasters, described, rpc, virtual, side_files, products, finished, tables, stacked):
         make(out)
     print(f"{sum(file.stat().st_size for file in out.rglob('*'))} bytes in {out}")
     return 0
@@ -255,6 +256,13 @@ def finished(out: Path) -> None:
     shutil.rmtree(done)
     done.mkdir()
     (done / "report.json").write_text(text + "\n")
+    shutil.copy(out / "tiepoints.csv", done / "tiepoints.csv")
+    requests = [
+        {"do": "fit", "model": "shift", "off": [0, 3], "number": 1},
+        {"do": "add", "reference_xy": [500795.0, 4599385.0], "target_xy": [500830.0, 4599400.0], "number": 2},
+        {"do": "save", "path": "o/edited.csv", "off": [2], "number": 3},
+    ]
+    (out / REQUESTS).write_text("".join(json.dumps(each) + "\n" for each in requests))
 
 
 def _named(value: Any, folder: str) -> Any:
@@ -282,6 +290,40 @@ def tables(out: Path) -> None:
         'grid = "reference"\nwrite-sigma = true\nte = [500300.0, 4597400.0, 502500.0, 4599700.0]\n'
         'tr = [30.0, 30.0]\nco = ["BLOCKSIZE=128"]\niterations = 12\nkeypoints = "cells"\npoints = 60\n'
     )
+
+
+def stacked(out: Path) -> None:
+    """Write tables and items of a stack, and a finished one without its rasters."""
+    (out / "stack.csv").write_text(
+        "image,band,name,mask,date,sun_elevation,cloud\nref.tif,1,first,,2020-01-02,40,0.1\n"
+        "strip.tif,,,,2020-02-03T10:00:00Z,,\nlzw16.tif,1,,,,41.5,0\n"
+    )
+    (out / "stack_pairs.csv").write_text("reference,target\nref,strip\nlzw16,ref\nstrip.tif,lzw16.tif\n")
+    grid = make_grid((SIDE_PX, SIDE_PX))
+    seen_px = np.array([[12.0, 15.0], [80.5, 20.0], [30.0, 85.25], [75.0, 70.0], [50.0, 40.0]])
+    ground, sigma = grid.to_xy(seen_px - SHIFT_PX), (15, 15, 20, "", 9)
+    lines = [
+        f"strip,{col},{row},{x},{y},{error}"
+        for (col, row), (x, y), error in zip(seen_px, ground, sigma, strict=True)
+    ]
+    (out / "control.csv").write_text("image,col,row,x,y,sigma\n" + "\n".join(lines) + "\n")
+    items = [
+        {
+            "type": "Feature", "stac_version": "1.0.0", "id": name, "geometry": None, "links": [],
+            "properties": {"datetime": f"2020-06-0{number + 1}T10:00:00Z", "eo:cloud_cover": 5 * number},
+            "assets": {"red": {"href": f"./{name}.tif", "type": "image/tiff", "roles": ["data"]}},
+        }
+        for number, name in enumerate(("ref", "strip", "lzw16"))
+    ]  # fmt: skip
+    (out / "items.json").write_text(json.dumps({"type": "FeatureCollection", "features": items}) + "\n")
+    pcwlad_geo.stack(["ref.tif", "strip.tif"], out_dir="series", **MATCHING)
+    numbers = json.loads((out / "series/stack.json").read_text())
+    points = (out / "series/pairs/ref__strip/tiepoints.csv").read_bytes()
+    shutil.rmtree(out / "series")
+    (out / "series/pairs/ref__strip").mkdir(parents=True)
+    text = json.dumps(_named(numbers, str(out)), indent=1)
+    (out / "series/stack.json").write_text(text + "\n")
+    (out / "series/pairs/ref__strip/tiepoints.csv").write_bytes(points)
 
 
 Make = Callable[[Path], None]

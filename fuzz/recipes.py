@@ -50,7 +50,11 @@ class Recipe:
     @property
     def argv(self) -> tuple[str, ...]:
         """The whole command."""
-        if self.command[0] in ("register", "match") or (
+        if self.command[0] == "edit":
+            return self.command
+        if "--add" in self.command:
+            return (*self.command, *MATCHING)
+        if self.command[0] in ("register", "match", "stack") or (
             self.command[0] == "qa" and "--trend" not in self.command
         ):
             return (*self.command, "-o", self.out_dir, *MATCHING)
@@ -151,7 +155,36 @@ def _arguments() -> Iterator[Recipe]:
                  ("pairs.csv", "lzw16.tif", "small.toml", *pair))  # fmt: skip
 
 
+STACK: Final = ("ref.tif", "strip.tif", "lzw16.tif")
+SERIES: Final = ("series/stack.json", "series/pairs/ref__strip/tiepoints.csv")
+"""A finished stack, to which an image can be added."""
+REQUESTS: Final = "requests.jsonl"
+"""What a case with a file of this name has on standard input."""
+
+
+def _stacks() -> Iterator[Recipe]:
+    yield Recipe("stack", 2.0, ("stack", "stack.csv"), ("stack.csv",), STACK)
+    yield Recipe("image of a stack", 1.5, ("stack", *STACK), STACK[1:], STACK[:1])
+    pairs = ("stack", *STACK, "--pairs", "stack_pairs.csv")
+    yield Recipe("pairs of a stack", 0.6, pairs, ("stack_pairs.csv",), STACK)
+    control = ("stack", *STACK[:2], "--gcps", "control.csv")
+    yield Recipe("control points of a stack", 1.0, control, ("control.csv",), STACK[:2])
+    yield Recipe("STAC items", 1.5, ("stack", "items.json"), ("items.json",), STACK)
+    added = ("stack", "--add", STACK[2], "series")
+    yield Recipe("an image added", 2.0, added, (*SERIES, STACK[2]), STACK[:2], out_dir="series")
+    yield Recipe("arguments of stack", 0.6, ("stack", *STACK[:2]), (), STACK[:2])
+
+
+def _edits() -> Iterator[Recipe]:
+    pair, done = ("ref.tif", "strip.tif"), ("done/report.json", "done/tiepoints.csv")
+    yield Recipe("edit", 1.5, ("edit", "done"), done, (*pair, REQUESTS))
+    yield Recipe("requests of edit", 1.5, ("edit", "done"), (REQUESTS,), (*pair, *done))
+    yield Recipe("image of edit", 0.5, ("edit", "done"), pair, (*done, REQUESTS))
+
+
 RECIPES: Final = (
+    *_stacks(),
+    *_edits(),
     *_images(),
     *_virtual(),
     *_side_files(),

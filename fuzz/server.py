@@ -28,6 +28,7 @@ from typing import Any, Final, NoReturn
 
 from fuzz.kept import SEEDS
 from fuzz.orders import CASE, Limits, Order, Outcome
+from fuzz.recipes import REQUESTS
 
 LOOK_EVERY_S: Final = 0.05
 """How often the memory of a command is looked at."""
@@ -197,8 +198,9 @@ def _settle(order: Order) -> None:
     folder = Path(order.folder)
     os.setsid()
     os.chdir(folder / CASE)
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
+    asked = folder / CASE / REQUESTS
+    given = os.open(asked if asked.is_file() else os.devnull, os.O_RDONLY)
+    os.dup2(given, 0)
     for number, name in ((1, "stdout"), (2, "stderr")):
         made = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         os.dup2(made, number)

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 from scipy.sparse import csc_array
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import SuperLU
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.stacks.basis import Basis, basis_over, penalty_of, terms_of
@@ -30,6 +30,7 @@ from pcwlad_geo.stacks.network import (
     blocks_of,
     components,
     errors_of,
+    factorised,
     linked,
     part_of,
     side_of_blocks,
@@ -116,7 +117,7 @@ class Adjustment:
 
     @cached_property
     def _factor(self) -> SuperLU:
-        return splu(self.normal)
+        return factorised(self.normal)
 
 
 def larger(one: Float64, other: Float64) -> Float64:
@@ -201,14 +202,6 @@ def adjust(
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
     normal = settled.solution.normal
     return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread)
-
-
-def sigma_of(found: Adjustment, parts: Sequence[Part]) -> Float64:
-    """Return the (edges,) standard deviations of what the points of each pair share, map units.
-
-    `parts` are of the same pairs, by whichever model.
-    """
-    return np.asarray(found.shared * errors_of(parts))
 
 
 def _network(images: int, basis: Basis, fixed: tuple[int, ...]) -> Network:
@@ -307,7 +300,7 @@ def _spread(
     for number in range(BLOCKS**2):
         kept = [of_edge.get(number, part) for part, of_edge in zip(parts, blocks, strict=True)]
         normal, right = network.equations(kept, used, sigma)
-        found.append(network.unpacked(splu(normal).solve(right)))
+        found.append(network.unpacked(factorised(normal).solve(right)))
     changes = np.array(found) - np.mean(found, axis=0)
     return np.asarray(changes * ALIKE * np.sqrt((BLOCKS**2 - 1) / BLOCKS**2))
 

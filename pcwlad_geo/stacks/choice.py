@@ -3,26 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.sparse.linalg import splu
 
-from pcwlad_geo.stacks.adjustment import Adjustment, adjust, sigma_of
-from pcwlad_geo.stacks.basis import MODELS, ROUGHNESS, SPLINE, Basis, basis_over, penalty_of, terms_of
+from pcwlad_geo.correction.models import PolynomialBasis
+from pcwlad_geo.correction.selection import MIN_GAIN_PX, RESAMPLING_SIGNIFICANCE
+from pcwlad_geo.stacks.adjustment import Adjustment, adjust
+from pcwlad_geo.stacks.basis import (
+    MODELS,
+    ROUGHNESS,
+    SPLINE,
+    Basis,
+    SplineBasis,
+    basis_over,
+    penalty_of,
+    terms_of,
+)
 from pcwlad_geo.stacks.network import (
     BLOCKS,
     Edge,
+    Fold,
     Network,
     Part,
-    blocks_of,
-    left_over,
+    errors_of,
+    factorised,
+    folds_of,
     linked,
     part_of,
     side_of_blocks,
 )
-from pcwlad_geo.types import Bool, Float64
+from pcwlad_geo.types import Float64
 
 TRIED: Final[Mapping[str, tuple[str, ...]]] = {
     "auto": MODELS,
@@ -37,7 +49,7 @@ MANY: Final = 40
 CAP: Final = 3.0
 """A left-out point counts at most as one that lies off by so many scatters of its pair."""
 BELIEVED: Final = 2.0
-"""A more flexible model must predict better by so many standard errors of the difference."""
+"""An affine must predict better than a shift by so many standard errors of the difference."""
 
 
 def choose_basis(
@@ -65,17 +77,50 @@ def choose_basis(
         for name in TRIED[model]
         for roughness in (ROUGHNESS if name == SPLINE else ROUGHNESS[:1])
     ]
+    least = min(map(len, edges), default=0)  # control points may be few
+    tried = [basis for basis in tried if isinstance(basis, SplineBasis) or terms_of(basis) < least] or tried[
+        :1
+    ]
     if len(tried) == 1:
         return tried[0]
     edges, images, datum = _nearest(edges, images, datum)
     start = adjust(edges, images, datum=datum, apart=apart)
-    errors = [_errors(edges, start, basis) for basis in tried]
-    chosen = 0
+    edges = [edge for edge, fit in zip(linked(edges), start.edges, strict=True) if fit.used]
+    trials: list[_Trial] = []
+    for basis in tried:
+        same = bool(trials) and isinstance(basis, SplineBasis) and isinstance(trials[-1].basis, SplineBasis)
+        trials.append(replace(trials[-1], basis=basis) if same else _trial(edges, start, basis))
+    # what points scatter, and pairs share, is held against all models alike: as by the one that leaves least
+    scatter = np.min([[part.scatter for part in trial.parts] for trial in trials], axis=0)
+    shared = np.min([trial.shared for trial in trials], axis=0)
+    errors = [_errors(trial, start, scatter, shared) for trial in trials]
+    typical, chosen = float(np.median(scatter)), 0
     for number in range(1, len(tried)):
         gain = errors[chosen] - errors[number]
-        if gain.mean() > BELIEVED * gain.std(ddof=1) / np.sqrt(len(gain)):
+        if _is_better(gain, lossless(tried[chosen]), lossless(tried[number]), typical):
             chosen = number
     return tried[chosen]
+
+
+def lossless(basis: Basis) -> bool:
+    """Return whether images of a model keep their pixels, with a corrected geotransform."""
+    return isinstance(basis, PolynomialBasis) and basis.order <= 1
+
+
+def _is_better(gain: Float64, before: bool, after: bool, scatter: float) -> bool:
+    """Return whether a more flexible model predicts better, by the (turns,) gain in squared scatters.
+
+    `before` and `after` tell which of the two are lossless. As for a pair: what matches of two sensors share
+    looks like detail, so that a model that needs resampling must gain more than that, and between such
+    models simplicity is worth nothing.
+    """
+    error = gain.std(ddof=1) / np.sqrt(len(gain))
+    if not before:
+        return bool(gain.mean() > 0)
+    if after:
+        return bool(gain.mean() > BELIEVED * error)
+    enough = scatter * np.sqrt(max(gain.mean(), 0.0)) >= MIN_GAIN_PX
+    return bool(enough and gain.mean() > RESAMPLING_SIGNIFICANCE * error)
 
 
 def _nearest(edges: Sequence[Edge], images: int, datum: int | None) -> tuple[Sequence[Edge], int, int | None]:
@@ -97,36 +142,59 @@ def _nearest(edges: Sequence[Edge], images: int, datum: int | None) -> tuple[Seq
     return kept, len(known), None if datum is None else 0
 
 
-def _errors(edges: Sequence[Edge], start: Adjustment, basis: Basis) -> Float64:
-    """Return, for each turn, the mean square of what left-out points lie off, in scatters of their pairs."""
-    images, side = len(start.coefficients), side_of_blocks(edges)
-    network = Network(images, terms_of(basis), start.fixed, penalty_of(basis))
-    used = np.array([fit.used for fit in start.edges])
-    edges, coefficients = linked(edges), np.zeros((images, network.terms, 2))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trial:
+    """A model, and what the pairs tell by it, which is the same for splines of any roughness."""
+
+    basis: Basis
+    parts: list[Part]
+    folds: list[list[Fold]]
+    """Of each pair."""
+    shared: Float64
+    """(edges,) standard deviations of what the points of each share, map units."""
+
+
+def _trial(edges: Sequence[Edge], start: Adjustment, basis: Basis) -> _Trial:
+    """Sum up the pairs by a model, at the ground that another tells."""
+    side = side_of_blocks(edges)
+    network = _network(start, basis)
+    coefficients = np.zeros((network.images, network.terms, 2))
     for _ in range(2):  # at the ground that the displacements so far tell
         parts = [part_of(edge, basis, coefficients, side) for edge in edges]
-        sigma = sigma_of(start, parts)
-        coefficients = _solved(network, parts, used, sigma)
-    blocks = [
-        dict(blocks_of(edge, basis, coefficients, side / 2, part)) if good else {}
-        for edge, part, good in zip(edges, parts, used, strict=True)
+        shared = errors_of(parts)
+        coefficients = _solved(network, parts, shared)
+    folds = [
+        folds_of(edge, basis, coefficients, side / 2, part) for edge, part in zip(edges, parts, strict=True)
     ]
-    found = []
+    return _Trial(basis, parts, folds, shared)
+
+
+def _network(start: Adjustment, basis: Basis) -> Network:
+    return Network(len(start.coefficients), terms_of(basis), start.fixed, penalty_of(basis))
+
+
+def _errors(trial: _Trial, start: Adjustment, scatter: Float64, shared: Float64) -> Float64:
+    """Return, for each turn, the mean square of what left-out points lie off, in scatters of their pairs.
+
+    `scatter` and `shared`, (edges,) standard deviations, are of the points and of what those of a pair share.
+    """
+    network, found = _network(start, trial.basis), []
     for number in range(BLOCKS**2):
-        kept = [of_edge.get(number, part) for part, of_edge in zip(parts, blocks, strict=True)]
-        without = _solved(network, kept, used, sigma)
+        left_out = [next((fold for fold in folds if fold.number == number), None) for folds in trial.folds]
+        kept = [fold.kept if fold else part for part, fold in zip(trial.parts, left_out, strict=True)]
+        without = _solved(network, kept, shared)
         total = count = 0.0
-        for edge, part, less, shared in zip(edges, parts, kept, sigma, strict=True):
-            if less is part:  # nothing of it was left out
+        for part, fold, unit in zip(trial.parts, left_out, scatter, strict=True):
+            if fold is None or fold.kept is part:  # nothing of it was left out
                 continue
-            off = left_over(edge, basis, coefficients, without, side / 2, number, less, float(shared))
-            total += float(np.minimum((off / part.scatter) ** 2, CAP**2).sum())
+            off = fold.observed - fold.values @ (without[part.second] - without[part.first])
+            total += float(np.minimum((off / unit) ** 2, CAP**2).sum())
             count += off.size
         if count:
             found.append(total / count)
     return np.array(found)
 
 
-def _solved(network: Network, parts: Sequence[Part], used: Bool, sigma: Float64) -> Float64:
-    normal, right = network.equations(parts, used, sigma)
-    return network.unpacked(splu(normal).solve(right))
+def _solved(network: Network, parts: Sequence[Part], shared: Float64) -> Float64:
+    normal, right = network.equations(parts, np.ones(len(parts), bool), shared)
+    return network.unpacked(factorised(normal).solve(right))

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial import cKDTree
 
+from pcwlad_geo.errors import InputError
 from pcwlad_geo.stacks.basis import Basis
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -28,6 +29,12 @@ POINT_LIMIT: Final = 3.0
 """Points that lie off their pair's by more sigmas lose weight (Huber 1964, doi:10.1214/aoms/1177703732)."""
 LEAST_CHECKED: Final = 0.01
 """Of an offset that the other pairs check less, the rest is of the arithmetic: it is not called wrong."""
+BEYOND_REASON: Final = 1e4
+"""Coefficients so many times as large as what is observed are those of a singular matrix."""
+UNDETERMINED: Final = (
+    "the points of an image do not determine its correction, as they are few or lie on a line: "
+    "give more, or a simpler --model"
+)
 BLOCKS: Final = 3
 """An image is divided into so many blocks along each axis, which are left out in turn."""
 ALIKE: Final = 1.4
@@ -206,41 +213,32 @@ def blocks_of(
     return [(int(each), whole.without(_sums(points, number == each))) for each in np.unique(number)]
 
 
-def left_over(
-    edge: Edge,
-    basis: Basis,
-    coefficients: Float64,
-    without: Float64,
-    side: float,
-    number: int,
-    kept: Part,
-    shared: float,
-) -> Float64:
-    """Return by how much the points of a block lie off what the others tell, (n, 2), map units.
+@dataclass(frozen=True, slots=True, eq=False)
+class Fold:
+    """A block of the points of an edge, left out."""
 
-    What the others tell has the error that they share in it, as far as they know it.
+    number: int
+    kept: Part
+    """What is left of the edge; the whole where the block held more than half of it."""
+    observed: Float64
+    """(n, 2) differences that the points of the block show, map units."""
+    values: Float64
+    """(n, terms) values of the functions there."""
 
-    Parameters
-    ----------
-    edge : Edge
-    basis : Basis
-    coefficients, without : (images, terms, 2) array
-        Those that tell the ground, and those estimated without the block.
-    side : float
-        Of a block, map units.
-    number : int
-        That of the block, see `blocks_of`.
-    kept : Part
-        What is left of the edge.
-    shared : float
-        Standard deviation of the error that the points of the edge share.
-    """
+
+def folds_of(edge: Edge, basis: Basis, coefficients: Float64, side: float, whole: Part) -> list[Fold]:
+    """Return each block of the points of an edge, left out; see `blocks_of`."""
     points = _weighted(edge, basis, coefficients)
-    there = _numbers(points, basis, side) == number
-    change = without[edge.second] - without[edge.first]
-    known = kept.inner + np.eye(len(kept.inner)) / shared**2
-    own = np.linalg.solve(known, kept.beside - change.T.ravel() @ kept.across).reshape(2, -1)
-    return np.asarray(points.observed[there] - points.values[there] @ change - points.near[there] @ own.T)
+    number = _numbers(points, basis, side)
+    return [
+        Fold(
+            int(each),
+            whole.without(_sums(points, number == each)),
+            points.observed[number == each],
+            points.values[number == each],
+        )
+        for each in np.unique(number)
+    ]
 
 
 def _numbers(points: _Weighted, basis: Basis, side: float) -> Index:
@@ -336,6 +334,14 @@ def components(edges: Sequence[Edge] | Sequence[Part], images: int, used: Bool) 
     return int(count), np.asarray(part, dtype=np.intp)
 
 
+def factorised(normal: csc_array) -> SuperLU:
+    """Factorise a normal matrix; raises `InputError` if the points do not determine all images."""
+    try:
+        return splu(normal)
+    except RuntimeError as error:
+        raise InputError(UNDETERMINED) from error
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """A solution of the normal equations."""
@@ -376,8 +382,11 @@ class Network:
             Standard deviation of the shared error of each, map units.
         """
         normal, right = self.equations(parts, used, shared)
-        factor = splu(normal)
+        factor = factorised(normal)
         coefficients = self.unpacked(factor.solve(right))
+        seen = max(float(np.abs(part.observed).max()) for part in parts)
+        if not np.abs(coefficients).max(initial=0.0) < BEYOND_REASON * (1.0 + seen):
+            raise InputError(UNDETERMINED)
         fits = tuple(
             self._fit(part, coefficients, bool(good), float(sigma), factor)
             for part, good, sigma in zip(parts, used, shared, strict=True)

@@ -25,7 +25,7 @@ from pcwlad_geo.products.detect import products_found_once
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster.source import RasterInfo, plain_name
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.raster.vrt import write_corrected_vrt
 from pcwlad_geo.registration.inputs import requested_grid
@@ -201,13 +201,14 @@ def stack(
         points = () if gcps is None else control_points(gcps)
         control = control_edges(points, frame)
         stays = None if datum == "mean" else len(infos) if control else frame.reference
-        measured, adjustment = _adjusted(job, frame, plan, control, stays, allow_components)
-        edges = [edge for edge, _ in measured if edge is not None] + control
-        more = []
         if chosen == "auto" and len(infos) > ALL_PAIRS:
-            more = asked(frame, found, plan, edges, adjustment)
-        if more:
-            measured, adjustment = _adjusted(job, frame, plan + more, control, stays, allow_components)
+            edges = _edges(job, frame, plan, control, allow_components)
+            count = len(infos) + bool(control)
+            first = adjust(edges, count, datum=stays, apart=allow_components)
+            plan += asked(frame, found, plan, edges, first)
+        edges = _edges(job, frame, plan, control, allow_components)
+        adjustment = _adjusted(job, frame, edges, stays, allow_components)
+        measured = job.measured(frame, plan)
         result = stack_of(
             frame,
             measured,
@@ -255,7 +256,7 @@ def stack_add(
         If a new image could not be matched with any other.
     """
     before = _numbers_of(Path(out_dir))
-    old = [StackInput(**entry["given"]) for entry in before["images"]]
+    old, points = _of_before(before, Path(out_dir))
     own = {"ref_band": old[0].band, "tgt_band": old[0].band, "model": before["model"]}
     job = _job(out_dir, False, on_event, executor, options | own)
     with trusting(job.settings.trust):
@@ -270,7 +271,6 @@ def stack_add(
         measured += job.measured(frame, chosen)
         edges = [edge for edge, _ in measured if edge is not None]
         check_connected(frame, edges, frame.reference, job.folder, apart=False)
-        points = tuple(ControlPoint(**each) for each in before["control"])
         added = (*map(tuple, before["added"]), tuple(new))
         adjustment = _one_after_another(frame, edges, points, before, [len(each) for each in added])
         notes = [*before["warnings"], *job.warnings]
@@ -319,23 +319,22 @@ def _job(
     return _Job(settings, Path(out_dir or "stack"), overwrite, on_event, executor)
 
 
-def _adjusted(
-    job: _Job,
-    frame: Frame,
-    plan: Sequence[tuple[int, int]],
-    control: Sequence[Edge],
-    stays: int | None,
-    apart: bool,
-) -> tuple[list[Measured], Adjustment]:
-    """Measure pairs and adjust all images by them."""
-    measured = job.measured(frame, plan)
-    edges = [edge for edge, _ in measured if edge is not None] + list(control)
+def _edges(
+    job: _Job, frame: Frame, plan: Sequence[tuple[int, int]], control: Sequence[Edge], apart: bool
+) -> list[Edge]:
+    """Measure pairs; return those that could be, and control points, which together connect all images."""
+    edges = [edge for edge, _ in job.measured(frame, plan) if edge is not None] + list(control)
     warning = check_connected(frame, edges, frame.reference, job.folder, apart)
     if warning:
         job.tell(Warned(warning))
-    count = len(frame.names) + bool(control)
+    return edges
+
+
+def _adjusted(job: _Job, frame: Frame, edges: Sequence[Edge], stays: int | None, apart: bool) -> Adjustment:
+    """Adjust all images by their pairs, with the model that these ask for."""
+    count = max(len(frame.names), 1 + max(edge.first for edge in edges))  # control points are one more
     basis = choose_basis(edges, count, job.settings.model, datum=stays, apart=apart)
-    return measured, adjust(edges, count, basis=basis, datum=stays, apart=apart)
+    return adjust(edges, count, basis=basis, datum=stays, apart=apart)
 
 
 def asked(
@@ -372,6 +371,32 @@ def _kinds(frame: Frame, edges: Sequence[Edge], adjustment: Adjustment) -> list[
 
 PIXELS_ALIKE: Final = 0.1
 """Pixels whose sizes differ by a smaller share are those of one kind of image."""
+
+
+def _of_before(before: Mapping[str, Any], folder: Path) -> tuple[list[StackInput], tuple[ControlPoint, ...]]:
+    """Return the images and control points of a finished stack; raises `InputError` if it is damaged."""
+    try:
+        old = [StackInput(**entry["given"]) for entry in before["images"]]
+        names = [each.name for each in old]
+        later = [name for each in before["added"] for name in each]
+        ends = [pair[end] for pair in before["pairs"] for end in ("reference", "target")]
+        whole = (
+            len(old) >= 2
+            and all(name and name == plain_name(name) for name in names)
+            and names[len(names) - len(later) :] == later
+            and {*ends, before["reference"]} <= set(names)
+            and before["model"] in TRIED
+            and all(each["status"] in ("used", "left out", "refused") for each in before["pairs"])
+            and all(isinstance(text, str) for text in (before["datum"], *before["warnings"]))
+            and all(isinstance(each.path, str) and isinstance(each.band, int | str) for each in old)
+        )
+        points = tuple(ControlPoint(**each) for each in before["control"])
+        np.array([(each.col, each.row, each.x, each.y, each.sigma or 1.0) for each in points], np.float64)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{folder / NUMBERS} is damaged ({error}): stack the images again") from error
+    if not whole:
+        raise InputError(f"{folder / NUMBERS} is damaged: stack the images again")
+    return old, points
 
 
 def _numbers_of(folder: Path) -> dict[str, Any]:
