@@ -17,6 +17,8 @@ _NUMBERS: Final = {
               "--ssim-min", "--iterations", "--dem-vertical"),
     "qa": ("--bands", "--points", "--features", "--template", "--window", "--search-radius", "--ssim-min",
            "--iterations", "--native-px", "--against"),
+    "stack": ("--band", "--points", "--features", "--template", "--window", "--search-radius", "--ssim-min",
+              "--iterations", "--max-pairs", "--reference", "--gcps", "--pairs"),
 }  # fmt: skip
 _GRIDS: Final = (
     ("--tr", 2, ("30", "30")),
@@ -36,8 +38,11 @@ _WORDS: Final = {
     "--grid": ("reference", "reference-exact", "target"),
     "--prealign": ("search", "georef", "none"),
     "--method": ("oriented", "gradient", "coarse", "pclad"),
+    "--datum": ("mean", "reference", "control points", ""),
+    "--progress": ("json", "none", "x"),
     "--resampling": ("nearest", "cubic", "lanczos", "average", "x"),
 }  # fmt: skip
+_OF_REGISTER: Final = tuple(each for each in _WORDS if each not in ("--datum", "--progress"))
 _MATCHING: Final = ("--require", "--prealign", "--method")
 
 
@@ -65,7 +70,7 @@ def damage(random: Random, argv: tuple[str, ...]) -> tuple[tuple[str, ...], str]
         values = [word(random, each) if random.random() < 0.5 else each for each in usual]
         added = option, *values[:count]
     else:
-        fitting = [each for each in _WORDS if command == "register" or each in _OF[command]]
+        fitting = [each for each in _WORDS if each in _OF.get(command, _OF_REGISTER)]
         option = random.choice(fitting)
         added = option, random.choice(_WORDS[option])
     return (*argv, *added), " ".join(added)[:80]
@@ -76,4 +81,6 @@ _OF: Final = {
     "qa": _MATCHING,
     "warp": ("--t-srs", "--of", "--co", "--grid", "--resampling"),
     "batch": ("--require",),
+    "stack": ("--require", "--model", "--of", "--co", "--resampling", "--method", "--datum"),
+    "edit": ("--progress",),
 }

@@ -106,9 +106,10 @@ class _Job:
     def measured(self, frame: Frame, chosen: Sequence[tuple[int, int]]) -> list[Measured]:
         """Match pairs, or read what an earlier run has matched."""
         new = [pair for pair in chosen if pair not in self.known]
-        with open_job_runner(self.settings, self.executor, self.on_event) as runner:
-            found = measure(frame, new, self.folder, self.settings, self.overwrite, self.tell, runner)
-            self.known.update(zip(new, found, strict=True))
+        if new:
+            with open_job_runner(self.settings, self.executor, self.on_event) as runner:
+                found = measure(frame, new, self.folder, self.settings, self.overwrite, self.tell, runner)
+                self.known.update(zip(new, found, strict=True))
         return [self.known[pair] for pair in chosen]
 
 
@@ -165,8 +166,8 @@ def stack(
     executor : concurrent.futures.Executor or Runner, optional
         Runs the tiles; None = `jobs` processes, or the workers of `scheduler`.
     **options
-        Fields of `Settings` but those of one of two rasters; `model` is `shift`, `affine` (also for `auto`)
-        or `polynomial` (of order 2).
+        Fields of `Settings` but those of one of two rasters; `model` is `auto`, `shift`, `affine`,
+        `polynomial` (of order 2 or 3) or `tps` (a spline).
 
     Returns
     -------
@@ -264,6 +265,8 @@ def stack_add(
         looks = _looks(inputs, infos, unreadable, job.tell)
         frame = _frame(inputs, infos, str(before["reference"]))
         new = frame.names[len(old) :]
+        if not new:
+            raise InputError("no image is left to be added: " + "; ".join(unreadable.values()))
         _check_places(job, frame, new, images)
         measured = [_measured_before(frame, job.folder, entry) for entry in before["pairs"]]
         plan = [(frame.names.index(pair.reference), frame.names.index(pair.target)) for _, pair in measured]
@@ -449,6 +452,8 @@ def _readable(
     infos: list[RasterInfo] = []
     unreadable: dict[str, str] = {}
     for number, each in enumerate(inputs):
+        if each.name in found and each.path == found[each.name].path:
+            raise InputError(f"{each.path} is named twice, or is in the stack already: leave it out")
         if each.name in found:
             raise InputError(
                 f"two images are called {each.name} ({found[each.name].path} and {each.path}): rename one, "

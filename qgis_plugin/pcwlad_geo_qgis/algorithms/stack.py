@@ -9,7 +9,7 @@ from qgis import core
 from ..text import mark, tr
 from .base import Context, EngineAlgorithm, Feedback, Values, options_of
 
-ORDERS = ("auto", "shift", "affine", "polynomial")
+ORDERS = ("auto", "shift", "affine", "polynomial", "tps")
 DATUMS = ("reference", "mean")
 
 
