@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Final
 
 import numpy as np
 from scipy.optimize import nnls
 
 from pcwlad_geo.matching import field
+from pcwlad_geo.matching.outliers import MIN_NARROW_PX, NARROW_PX, SCATTERS
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -126,6 +128,27 @@ class FieldGuide:
         return replace(self, structure_xy_px=self.structure_xy_px + shift_xy_px)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Lost:
+    """n candidates without a match, and where their neighbours predict one."""
+
+    reference_xy_px: Float64
+    """(n, 2) positions (col, row)."""
+    guide: FieldGuide
+    """Deformation of their windows, and the shift that is predicted."""
+    limit_px: Float64
+    """(n,) largest distance of a match from the prediction."""
+
+    def part(self, index: Index) -> Lost:
+        """Return those at the (m,) `index`."""
+        return Lost(self.reference_xy_px[index], self.guide.part(index), self.limit_px[index])
+
+    def moved(self, reference_xy_px: Float64, target_xy_px: Float64) -> Lost:
+        """Return them with a constant, (2,) (col, row), added to positions in either image."""
+        guide = self.guide.moved(target_xy_px - reference_xy_px)
+        return replace(self, reference_xy_px=self.reference_xy_px + reference_xy_px, guide=guide)
+
+
 Predictor = Callable[[Float64, Float64, Float64, field.Surface], field.Prediction]
 """Type of `field.predict`, and of functions that compute the same in other processes."""
 
@@ -167,7 +190,38 @@ MIN_WINDOW_SAMPLE: Final = 12
 MIN_TO_CHOOSE: Final = 60
 """With fewer points than this the window of the first pass is kept."""
 WINDOW_GAIN: Final = 0.95
-"""Another window is taken where it is expected to leave less than this share of the mean squared error."""
+"""Others than the first window are taken where they are expected to leave less than this share of the mean
+squared error; so are two instead of one."""
+NOISE_POWER: Final = 1.1
+"""Power of the side with which the variance of a window's noise falls: windows share noise, so that it is not
+the 2 of the area. Measured: 1 to 1.4."""
+LARGEST_WEIGHT: Final = 2.0
+"""Largest weight of one of two windows: beyond it the difference of the two is mostly noise."""
+GROWS: Final = 0.3
+"""Where the largest window that was tried gets more weight than this, the next larger one is tried."""
+TRIED_FIRST: Final = 3
+"""Number of windows that are always tried, the smallest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """The windows that points are matched with, and the weight of each in the position."""
+
+    windows_px: tuple[int, ...]
+    """One or two sides, the smaller first."""
+    weights: tuple[float, ...]
+    """Their sum is 1. A negative one extrapolates: what the field bends in the larger window tells how much
+    it bends in the smaller."""
+
+    @staticmethod
+    def of(window_px: int) -> Scales:
+        """Return a single window."""
+        return Scales((window_px,), (1.0,))
+
+    @property
+    def window_px(self) -> int:
+        """Side of the window of most weight."""
+        return max(zip(self.weights, self.windows_px, strict=True))[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,31 +229,61 @@ class WindowErrors:
     """The error that windows of any side leave, as their differences at the same points tell."""
 
     noise: float
-    """Variance per axis of independent errors times the side of the window, px³: it falls with the side, not
-    with the area, as windows share noise (measured)."""
+    """Variance per axis of independent errors times the power `NOISE_POWER` of the side of the window."""
     bend: float
     """Variance per axis of what the window averages away of a displacement that bends, over side⁴, 1/px²."""
     points: int
     """Number of points that tell."""
 
-    def variance_px2(self, window_px: float) -> float:
-        """Return the variance per axis of the error of a window of this side."""
-        return self.noise / window_px + self.bend * window_px**4
+    def covariance_px2(self, windows_px: Sequence[int]) -> Float64:
+        """Return the (k, k) covariance per axis of the errors of k windows at the same point.
 
-    def best(self, windows_px: Sequence[int], first_px: int) -> int:
-        """Return the side with the least error, `first_px` unless another is clearly better."""
+        A window knows what those within it do, so that two share the noise of the larger, and what they
+        average away has the same sign.
+        """
+        sides = np.asarray(windows_px, np.float64)
+        shared = np.maximum.outer(sides, sides) ** -NOISE_POWER
+        return np.asarray(self.noise * shared + self.bend * np.outer(sides**2, sides**2))
+
+    def variance_px2(self, scales: Scales) -> float:
+        """Return the variance per axis of the error that the windows leave together."""
+        weights = np.asarray(scales.weights)
+        return float(weights @ self.covariance_px2(scales.windows_px) @ weights)
+
+    def best(self, windows_px: Sequence[int], first_px: int) -> Scales:
+        """Return one or two windows that leave the least error, `first_px` unless others are clearly better.
+
+        Two are weighted by the inverse of their covariance (Gauss-Markov): where the field bends, the smaller
+        one gets more than 1, and the larger less than 0.
+        """
+        first = Scales.of(first_px)
         if self.points < MIN_TO_CHOOSE:
-            return first_px
-        best = min(windows_px, key=self.variance_px2)
-        return best if self.variance_px2(best) < WINDOW_GAIN * self.variance_px2(first_px) else first_px
+            return first
+        single = min(map(Scales.of, windows_px), key=self.variance_px2)
+        best = single if self.variance_px2(single) < WINDOW_GAIN * self.variance_px2(first) else first
+        pairs = [self._weighted(pair) for pair in combinations(sorted(windows_px), 2) if pair[0] >= first_px]
+        usable = [pair for pair in pairs if max(pair.weights) <= LARGEST_WEIGHT]
+        both = min(usable, key=self.variance_px2, default=best)
+        return both if self.variance_px2(both) < WINDOW_GAIN * self.variance_px2(best) else best
+
+    def _weighted(self, windows_px: tuple[int, ...]) -> Scales:
+        covariance = self.covariance_px2(windows_px)
+        inverse = np.linalg.pinv(covariance / np.trace(covariance))
+        weights = inverse.sum(axis=0) / inverse.sum()
+        return Scales(windows_px, tuple(float(weight) for weight in weights))
+
+
+def tries_larger(scales: Scales, tried_px: Sequence[int]) -> bool:
+    """Return whether a larger window than those tried may be better, as the largest of them has weight."""
+    return scales.windows_px[-1] == max(tried_px) and scales.weights[-1] > GROWS
 
 
 def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> WindowErrors | None:
     """Estimate the errors of windows from the displacements that they give at the same points.
 
     Of two windows, one inside the other, the larger knows what the smaller does: the variance of the
-    difference of their results is a (1/w₁ - 1/w₂) + c (w₂² - w₁²)², with the noise a and the bend c, for
-    which the differences of three windows are solved.
+    difference of their results is a (w₁⁻ᵖ - w₂⁻ᵖ) + c (w₂² - w₁²)², with p = 1.1, the noise a and the bend
+    c, for which the differences of three or more windows are solved.
 
     Parameters
     ----------
@@ -219,7 +303,7 @@ def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> Window
         return None
     difference = np.diff(displacement_px[:, known], axis=0)
     variance = np.median((difference**2).sum(axis=2), axis=1) / MEDIAN_CHI_SQUARE_2
-    design = np.stack([-np.diff(1 / sides), np.diff(sides**2) ** 2], axis=1)
+    design = np.stack([-np.diff(sides**-NOISE_POWER), np.diff(sides**2) ** 2], axis=1)
     scale = design.max(axis=0)
     noise, bend = nnls(design / scale, variance)[0] / scale
     return WindowErrors(float(noise), float(bend), int(known.sum()))
@@ -235,6 +319,38 @@ def forward_is_enough(forward_backward_px: Float64, settings: MatchSettings) -> 
     if len(known) == 0 or (known > OUTLYING * limit_px).mean() > MAX_OUTLYING:
         return False
     return bool(np.sqrt(np.mean(known**2)) <= limit_px)
+
+
+def expect_lost(
+    xy_px: Float64,
+    points: TiePoints,
+    guide: FieldGuide,
+    settings: MatchSettings,
+    predict: Predictor = field.predict,
+) -> Lost:
+    """Predict where candidates without a match lie, from the consistent points.
+
+    Parameters
+    ----------
+    xy_px : (n, 2) array
+        Positions of the candidates (col, row).
+    points, guide : TiePoints, FieldGuide
+        The consistent points, and the guide that they make.
+    predict : callable, optional
+        Does as `field.predict`.
+    """
+    xy, moved = points.reference_xy_px, points.displacement_px
+    if len(points) < MIN_FOR_FIELD:
+        xy_px = xy_px[:0]
+    surface = guide.surface or field.choose_surface(xy, moved, settings.window).surface
+    predicted = predict(xy, moved, xy_px, surface)
+    linear = np.tile(guide.linear[:1], (len(xy_px), 1, 1))
+    if (guide.linear != guide.linear[:1]).any():
+        linear = np.nan_to_num(predicted.slope)
+    limit = np.clip(SCATTERS * predicted.scatter_px, MIN_NARROW_PX, NARROW_PX)
+    limit[~np.isfinite(predicted.displacement_px).all(axis=1)] = 0.0
+    there = replace(guide, linear=linear, structure_xy_px=np.nan_to_num(predicted.displacement_px))
+    return Lost(xy_px, there, limit)
 
 
 def _local(linear: Float64, predicted: field.Prediction, reach_px: float) -> Float64:
@@ -256,14 +372,14 @@ def calibrate(
     surface: field.Surface | None,
     shared_variance_px2: float | Float64,
     settings: MatchSettings,
-    errors: WindowErrors | None = None,
+    window_variance_px2: float | None = None,
 ) -> TiePoints:
     """Return consistent points of the whole scene with calibrated covariances.
 
     The surface is that of the guide, None without a field; so is `shared_variance_px2`, a float or (n,)
     array, the variance per axis of the error that guided points share, px². The prediction of independent
-    neighbours tells the more, the more of its residual is the point's own error; `errors`, if known, tell
-    the rest.
+    neighbours tells the more, the more of its residual is the point's own error; `window_variance_px2`, the
+    variance per axis that the differences of windows tell, tells the rest, if it is known.
     """
     residual, own = np.full((len(points), 2), np.nan), 0.0
     if surface is not None:
@@ -271,9 +387,9 @@ def calibrate(
             points.reference_xy_px, points.displacement_px, settings.window, surface
         )
     scale = sigma_scale(residual, points.covariance_px2)
-    if errors is not None and len(points):
+    if window_variance_px2 is not None and len(points):
         formal_px2 = float(np.median(np.trace(points.covariance_px2, axis1=1, axis2=2))) / 2
-        by_windows = errors.variance_px2(settings.window) / max(formal_px2, 1e-8)
+        by_windows = window_variance_px2 / max(formal_px2, 1e-8)
         known = own if np.isfinite(residual).all(axis=1).sum() >= MIN_POINTS else 0.0
         scale = float(np.clip(np.sqrt(known * scale**2 + (1 - known) * by_windows), *SCALE_RANGE))
     covariance = calibrated(points.covariance_px2, scale, shared_variance_px2)

@@ -49,6 +49,10 @@ class Candidates:
         number = np.bincount(self.outcome, minlength=len(OUTCOMES)).tolist()
         return {"candidates": len(self), **dict(zip(OUTCOMES[1:], number[1:], strict=True))}
 
+    def part(self, index: Bool | Index) -> Candidates:
+        """Return the candidates at the `index` or of the mask."""
+        return Candidates(self.reference_xy_px[index], self.outcome[index])
+
     def shifted(self, xy_px: Float64) -> Candidates:
         """Return the candidates with the constant `xy_px`, (2,) (col, row), added."""
         return replace(self, reference_xy_px=self.reference_xy_px + xy_px)

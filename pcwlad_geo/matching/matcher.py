@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, Literal
@@ -16,12 +16,16 @@ from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.coarse import match_coarsely
 from pcwlad_geo.matching.guidance import (
     MIN_WINDOW_SAMPLE,
+    TRIED_FIRST,
     WINDOW_SAMPLE,
     FieldGuide,
+    Lost,
+    Scales,
     WindowErrors,
     calibrate,
     forward_is_enough,
     guide_by_field,
+    tries_larger,
     window_errors,
 )
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
@@ -40,6 +44,13 @@ COARSE_SIGMA_PX: Final = 0.35
 SAMPLED: Final = 5
 """One of this many points is in the sample that is also matched backward. The points are ordered by cell and
 rank, so that a divisor of the points of a cell would sample one rank only."""
+COARSER_ABOVE_PX: Final = 160
+"""Wider windows are tried on every second pixel: a tenth of the time, at the cost of some hundredths of a
+pixel, by which aliases draw the match towards whole pixels."""
+AGAIN_PX: Final = 129
+"""Least side of the window in which candidates without a match are tried once more."""
+RETURNS_PX: Final = 0.25
+"""Largest difference between the two directions of such a match."""
 MIN_TO_SAMPLE: Final = 16
 """With fewer points than this all are matched backward, unless a sample was asked for."""
 
@@ -219,6 +230,7 @@ def rematch(
     guide: FieldGuide,
     settings: MatchSettings,
     window_px: int | None = None,
+    coarser: bool = False,
 ) -> TiePoints:
     """Run the second pass: match points again, with the deformation and structure given by the field.
 
@@ -230,6 +242,8 @@ def rematch(
         Guidance of these points.
     window_px : int, optional
         Window that matches all points; None: that of the settings, for those with something new to say.
+    coarser : bool
+        Whether every second pixel is enough.
 
     Returns
     -------
@@ -251,7 +265,9 @@ def rematch(
             None if structure is None else structure[index],
             is_match=structure is not None,
         )
-        refined, agree, _ = _refine_both(pair, to_index(points[index]), start, settings, back)
+        corners = to_index(points[index])
+        refine_them = _refine_coarser if coarser else _refine_both
+        refined, agree, _ = refine_them(pair, corners, start, settings, back)
         good = refined.converged & agree
         target[index[good]] = points.reference_xy_px[index[good]] + refined.shift_xy_px[good]
         covariance[index[good]] = refined.covariance_px2[good]
@@ -259,35 +275,123 @@ def rematch(
 
 
 def rematch_with(
-    pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings, window_px: int
+    pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings, scales: Scales
 ) -> TiePoints:
-    """Do what `rematch` does, maybe with another window; points that fail in that keep to the first.
+    """Do what `rematch` does with one or two windows; points that fail in them keep to a smaller one.
 
     Parameters
     ----------
-    window_px : int
-        One of the windows of the settings.
+    scales : Scales
+        Of windows of the settings.
+    """
+    if scales.windows_px == (settings.window,):
+        return rematch(pair, points, guide, settings)
+    seen = [_by_window(pair, points, guide, settings, window_px) for window_px in scales.windows_px]
+    good = np.all([found for _, found in seen], axis=0)
+    target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
+    target[good] = sum(
+        weight * again.target_xy_px[good] for weight, (again, _) in zip(scales.weights, seen, strict=True)
+    )
+    # of two windows, one inside the other, the errors share those of the larger one
+    own = min(scales.weights[0] ** 2, 1.0)
+    covariance[good] = own * seen[0][0].covariance_px2[good] + (1 - own) * seen[-1][0].covariance_px2[good]
+    smaller = [each for each in settings.windows if settings.window <= each < scales.windows_px[-1]]
+    failed = np.flatnonzero(~good)
+    for window_px in reversed(smaller):
+        again, found = _by_window(pair, points[failed], guide.part(failed), settings, window_px)
+        target[failed[found]] = again.target_xy_px[found]
+        covariance[failed[found]] = again.covariance_px2[found]
+        failed = failed[~found]
+    return replace(points, target_xy_px=target, covariance_px2=covariance)
+
+
+def _by_window(
+    pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings, window_px: int
+) -> tuple[TiePoints, Bool]:
+    """Match points again with a window; return them, and the mask of those that did not fail.
+
+    The first window never fails: the points are where it put them.
     """
     if window_px == settings.window:
-        return rematch(pair, points, guide, settings)
+        return rematch(pair, points, guide, settings), np.ones(len(points), bool)
     again = rematch(pair, points, guide, settings, window_px)
-    failed = np.flatnonzero(_unmoved(again, points))
-    smaller = rematch(pair, points[failed], guide.part(failed), settings)
-    target, covariance = again.target_xy_px.copy(), again.covariance_px2.copy()
-    target[failed], covariance[failed] = smaller.target_xy_px, smaller.covariance_px2
-    return replace(again, target_xy_px=target, covariance_px2=covariance)
+    return again, ~_unmoved(again, points)
+
+
+def try_again(
+    pair: ChannelPair, lost: Lost, settings: MatchSettings, scales: Scales
+) -> tuple[TiePoints, Index]:
+    """Match candidates without a match once more, where their neighbours predict, in a larger window.
+
+    The structure is taken where the match is, not where it is predicted: a match that is led there returns
+    to where it was led, right or wrong. Both directions must agree, with each other and with the prediction.
+
+    Parameters
+    ----------
+    lost : Lost
+        In pixel coordinates of the arrays.
+    scales : Scales
+        Those of the second pass, with which the matches found are then measured.
+
+    Returns
+    -------
+    points : TiePoints
+        Those found, in pixel coordinates of the arrays; not yet checked against one another.
+    index : (m,) intp array
+        Which of the lost they are.
+    """
+    widest = max(settings.template, *settings.windows)  # the arrays reach as far
+    window_px = max(min(AGAIN_PX, widest), *scales.windows_px)
+    coarser = window_px > COARSER_ABOVE_PX
+    corners = np.floor(lost.reference_xy_px[:, ::-1]).astype(np.intp)
+    refine_them = _refine_coarser if coarser else _refine_both
+    refined, _, apart_px = refine_them(
+        pair,
+        corners,
+        Start(lost.guide.structure_xy_px, lost.guide.linear),
+        replace(settings, window=window_px),
+        "always",
+    )
+    off_px = np.linalg.norm(refined.shift_xy_px - lost.guide.structure_xy_px, axis=1)
+    good = refined.converged & (apart_px < RETURNS_PX) & (off_px < lost.limit_px)
+    index = np.flatnonzero(good)
+    points = _points(
+        corners[index],
+        refined.shift_xy_px[index],
+        refined.covariance_px2[index],
+        np.zeros(len(index)),
+        apart_px[index],
+    )
+    guide = replace(lost.guide, one_way=False).part(index)
+    return rematch_with(pair, points, guide, settings, scales), index
+
+
+def can_try_again(settings: MatchSettings) -> bool:
+    """Return whether candidates without a match are tried once more."""
+    traits = _traits(settings)
+    return traits.refined and traits.structure == "local" and settings.consensus != "off"
 
 
 def seen_by_windows(
-    pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings
+    pair: ChannelPair,
+    points: TiePoints,
+    guide: FieldGuide,
+    settings: MatchSettings,
+    windows_px: Sequence[int],
+    coarser: bool = False,
 ) -> Float64:
-    """Return (k, n, 2) displacements (col, row) of the n points by each of the k windows, NaN for failures.
+    """Return (k, n, 2) displacements (col, row) of the n points by each of k windows, NaN for failures.
 
-    Parameters are those of `rematch`.
+    Parameters
+    ----------
+    pair, points, guide, settings, coarser
+        Those of `rematch`.
+    windows_px : sequence of k int
+        Sides of the windows.
     """
     moved = []
-    for window_px in settings.windows:
-        again = rematch(pair, points, guide, settings, window_px)
+    for window_px in windows_px:
+        again = rematch(pair, points, guide, settings, window_px, coarser)
         moved.append(np.where(_unmoved(again, points)[:, None], np.nan, again.displacement_px))
     return np.stack(moved)
 
@@ -315,32 +419,46 @@ def matched_again(guide: FieldGuide, settings: MatchSettings) -> Bool:
 def second_pass(pair: ChannelPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
     """Guide, match again, check and calibrate the `points` of one `pair` with `settings`."""
     guide = guide_by_field(points, settings)
-    again, window_px, errors = guided_match(pair, points, guide, settings)
-    settings = replace(settings, window=window_px)
+    sample = window_sample(guide, settings)
+    seen = partial(seen_by_windows, pair, points[sample], guide.part(sample), settings)
+    scales, errors = choose_scales(seen, settings) if len(sample) else (Scales.of(settings.window), None)
+    again = rematch_with(pair, points, guide, settings, scales)
+    settings = replace(settings, window=scales.window_px)
     good = again[consistent_points(again, settings)]
-    return calibrate(good, guide.surface, guide.shared_variance_px2, settings, errors)
+    variance_px2 = None if errors is None else errors.variance_px2(scales)
+    return calibrate(good, guide.surface, guide.shared_variance_px2, settings, variance_px2)
 
 
-def guided_match(
-    pair: ChannelPair, points: TiePoints, guide: FieldGuide, settings: MatchSettings
-) -> tuple[TiePoints, int, WindowErrors | None]:
-    """Match points again with the best window that is open; return them, its side, and all windows' errors.
+def choose_scales(
+    seen: Callable[[Sequence[int], bool], Float64], settings: MatchSettings
+) -> tuple[Scales, WindowErrors | None]:
+    """Choose the windows of the second pass, where they are open, and tell the errors of all that were tried.
 
-    Parameters are those of `rematch`.
+    Larger windows are tried one after the other, as long as the last one seems good.
+
+    Parameters
+    ----------
+    seen : callable
+        Gives the (k, n, 2) displacements of n points by k windows, on all or every second pixel, as
+        `seen_by_windows` does.
     """
-    sample, errors = window_sample(guide, settings), None
-    if len(sample):
-        moved = seen_by_windows(pair, points[sample], guide.part(sample), settings)
-        errors = window_errors(moved, settings.windows)
-    window_px = window_of(errors, settings)
-    return rematch_with(pair, points, guide, settings, window_px), window_px, errors
-
-
-def window_of(errors: WindowErrors | None, settings: MatchSettings) -> int:
-    """Return the side of the window of the second pass, by the `errors` of windows where that is open."""
-    if errors is None or not settings.open_window:
-        return settings.window
-    return errors.best(settings.windows, settings.window)
+    first = Scales.of(settings.window)
+    tried = settings.windows[:TRIED_FIRST]
+    moved, coarser = seen(tried, False), None
+    for larger in (*settings.windows[TRIED_FIRST:], None):
+        errors = window_errors(moved, tried)
+        if errors is None or not settings.open_window:
+            return first, errors
+        scales = errors.best(tried, settings.window)
+        if larger is None or not tries_larger(scales, tried):
+            break
+        # windows are compared with others on the same pixels
+        if coarser is None:
+            coarser = seen(tried[-1:], True)
+        at_larger = seen([larger], True)
+        moved, coarser = np.concatenate([moved, moved[-1:] + at_larger - coarser]), at_larger
+        tried = (*tried, larger)
+    return scales, errors
 
 
 def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
@@ -395,6 +513,31 @@ def _refine_both(
         ~(forward_backward >= DISAGREEMENT_PX),
         forward_backward,
     )
+
+
+def _refine_coarser(
+    pair: ChannelPair, corners: Index, start: Start, settings: MatchSettings, back: Back
+) -> tuple[Refined, Bool, Float64]:
+    """Do what `_refine_both` does, on every second pixel.
+
+    The middle of a window is then up to a pixel beside the corner, which matters where it deforms.
+    """
+    middle = corners // 2
+    beside = np.einsum("nij,nj->ni", start.linear, (corners - 2 * middle)[:, ::-1].astype(np.float64))
+    halved = Start(
+        (start.shift_xy_px - beside) / 2,
+        start.linear,
+        None if start.structure_xy_px is None else (start.structure_xy_px - beside) / 2,
+        is_match=start.is_match,
+    )
+    smaller = replace(settings, window=settings.window // 4 * 2 + 1)
+    refined, _, apart_px = _refine_both(pair.half, middle, halved, smaller, back)
+    refined = replace(
+        refined,
+        shift_xy_px=2 * refined.shift_xy_px + beside,
+        covariance_px2=4 * refined.covariance_px2,
+    )
+    return refined, ~(2 * apart_px >= DISAGREEMENT_PX), 2 * apart_px
 
 
 def _refine_back(

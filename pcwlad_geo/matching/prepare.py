@@ -11,6 +11,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final, TypeVar
 
 import cv2
@@ -181,12 +182,17 @@ class Image:
     """The scene's noise."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ChannelPair:
     """The channels of two images of the same shape, on which matches are refined."""
 
     reference: ChannelMaps
     target: ChannelMaps
+
+    @cached_property
+    def half(self) -> ChannelPair:
+        """The same pair on every second pixel, the first included."""
+        return ChannelPair(self.reference.half(), self.target.half())
 
     @property
     def turned(self) -> ChannelPair:

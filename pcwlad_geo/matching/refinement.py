@@ -55,6 +55,8 @@ LARGEST_MOVE_PX: Final = 3.0
 """Points that move further than this from their start are dropped."""
 WINDOW_PER_CORRELATION_SIDE: Final = 12
 """Side of the refinement window over the side of the window of the local correlation."""
+HALVING: Final = np.array([-1.0, 4.0, 10.0, 4.0, -1.0]) / 16
+"""Filter along rows and columns before every second pixel is left out; symmetric, so that nothing moves."""
 BLOCK_PX: Final = 16
 """Side of the blocks whose scores are taken as independent in the covariance."""
 
@@ -77,6 +79,11 @@ class ChannelMaps:
         for plane, out in zip(maps, coefficients, strict=True):
             spline_coefficients(plane, out)
         return ChannelMaps(maps, coefficients, valid)
+
+    def half(self) -> ChannelMaps:
+        """Return every second pixel of the maps, smoothed before, the first included."""
+        smooth = [cv2.sepFilter2D(plane, -1, HALVING, HALVING)[::2, ::2] for plane in self.maps]
+        return ChannelMaps.of(np.stack(smooth), np.ascontiguousarray(self.valid[::2, ::2]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,8 @@ FIRST_WINDOW_PX: Final = 81
 """Side of the refinement window of the first pass, unless it is given."""
 OTHER_WINDOWS_PX: Final = (61, 129)
 """Sides of those that the second pass may use instead."""
+LARGE_WINDOWS_PX: Final = (181, 257)
+"""Sides of those that it may use, too, in a scene of one tile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,7 @@ class MatchSettings:
     other_windows: tuple[int, ...] = ()
     """Sides of the windows that some points are matched with too, which tells the error of each window."""
     open_window: bool = False
-    """Whether the second pass uses the best of all these windows; otherwise `window`."""
+    """Whether the second pass uses the best one or two of all these windows; otherwise `window`."""
     search_radius: int = 10
     """Largest displacement per axis that is searched."""
     ssim_min: float = 0.0

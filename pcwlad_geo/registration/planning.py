@@ -18,7 +18,7 @@ import numpy as np
 
 from pcwlad_geo.matching.keypoints import cell_side_px, contrast_weight
 from pcwlad_geo.matching.prepare import fast_even, fill_smoothly
-from pcwlad_geo.matching.types import MatchSettings
+from pcwlad_geo.matching.types import OTHER_WINDOWS_PX, MatchSettings
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair
@@ -281,6 +281,9 @@ def plan(
     """
     region = common_region(pair, target_offset_px)
     area = matching.features_area_px2 or float(max(region.area_px2, 1))
+    one_tile = tiles_along(max(region.shape), settings.tile_size) == 1
+    if matching.open_window and not one_tile:  # tiles and small windows would have to reach farther
+        matching = replace(matching, other_windows=OTHER_WINDOWS_PX)
     base = TileJob(
         0, pair.reference, pair.target, region, region, target_offset_px, *overviews.scenes, matching
     )
@@ -290,10 +293,8 @@ def plan(
     if wanted == "dense":
         base = replace(base, settings=replace(matching, per_cell=1))
         densest = (DENSE_PER_WINDOW / matching.window) ** 2
-    one_tile = tiles_along(max(region.shape), settings.tile_size) == 1
     if one_tile or candidates >= densest * area:
-        tiles = _cover(base, densest, settings.tile_size)
-        return Plan([replace(tile, guides_itself=len(tiles) == 1) for tile in tiles])
+        return Plan(_cover(base, densest, settings.tile_size))
     tiles = _cover(base, candidates / area, settings.tile_size)
     window = small_window(base, round(candidates), int(wanted))
     count = int(np.prod(lattice_shape(region, round(candidates))))

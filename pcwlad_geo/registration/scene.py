@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,17 +16,29 @@ from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.matching.epipolar import MIN_POINTS, epipolar_evidence, on_their_lines, parallax_evidence
 from pcwlad_geo.matching.field import Prediction, Surface, predict
 from pcwlad_geo.matching.guidance import (
+    MIN_FOR_FIELD,
     WINDOW_SAMPLE,
     FieldGuide,
+    Lost,
+    Predictor,
+    Scales,
     WindowErrors,
     calibrate,
+    expect_lost,
     guide_by_field,
-    window_errors,
 )
-from pcwlad_geo.matching.matcher import consistent_points, matched_again, window_of, window_sample
+from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
+from pcwlad_geo.matching.matcher import (
+    can_try_again,
+    choose_scales,
+    consistent_points,
+    matched_again,
+    window_sample,
+)
 from pcwlad_geo.matching.pose import mean_distance_px
 from pcwlad_geo.matching.types import (
     FIRST_WINDOW_PX,
+    LARGE_WINDOWS_PX,
     OTHER_WINDOWS_PX,
     TRAITS,
     MatchSettings,
@@ -57,7 +68,6 @@ from pcwlad_geo.registration.result import MatchRecord, record_matching
 from pcwlad_geo.registration.rpc import shifted
 from pcwlad_geo.registration.start_matcher import load_start_matcher, proposed_start
 from pcwlad_geo.registration.tiles import (
-    Guided,
     TileJob,
     TileResult,
     compare_windows,
@@ -132,13 +142,29 @@ class _FirstPass:
         return np.repeat(np.arange(len(self.results)), [len(result.points) for result in self.results])
 
     @property
-    def guided(self) -> Iterator[tuple[Index, Guided]]:
-        """Which matches the tiles that guide themselves have matched again, and the result."""
-        begin = 0
-        for result in self.results:
-            if result.guided is not None:
-                yield result.guided.index + begin, result.guided
-            begin += len(result.points)
+    def lost(self) -> Candidates:
+        """Every candidate that found none, tile after tile."""
+        return Candidates.concatenate([result.lost for result in self.results])
+
+    @property
+    def lost_tile_of(self) -> Index:
+        """(m,) tile of each of these."""
+        return np.repeat(np.arange(len(self.results)), [len(result.lost) for result in self.results])
+
+    def without(self, found: Index) -> _FirstPass:
+        """Return the pass with those lost candidates struck off that were `found` later."""
+        struck = np.zeros(len(self.lost), bool)
+        struck[found] = True
+        results = []
+        for tile, result in enumerate(self.results):
+            gone = struck[self.lost_tile_of == tile]
+            fewer = np.bincount(result.lost.outcome[gone], minlength=len(OUTCOMES)).tolist()
+            counts = {
+                name: count - (fewer[OUTCOMES.index(name)] if name in OUTCOMES else 0)
+                for name, count in result.counts.items()
+            }
+            results.append(replace(result, lost=result.lost.part(~gone), counts=counts))
+        return replace(self, results=results)
 
 
 def match_scene(
@@ -163,11 +189,15 @@ def match_scene(
     window_px = matching.window
     if verdict.accepted:
         with log.stage("refining"):
-            again = _second_pass(first, matches, kept, matching, log, runner)
-            window_px = again.window_px
-            matches, kept = _checked(again, matches, kept, replace(matching, window=window_px), epipolar)
-        if again.lost.any():  # do the others suffice?
-            verdict = judge(first.matches, kept, counts, matching.window, radius_px, evidence=odds)
+            again = _second_pass(first, matches, kept, matching, not planned.sites, log, runner)
+            window_px = again.scales.window_px
+            chosen = replace(matching, window=window_px)
+            matches, kept, checked = _checked(again, matches, chosen, epipolar)
+        first = first.without(checked.lost_of[checked.lost_of >= 0])
+        counts = {**_sum_counts(first.results), "second_try": int(checked.again.sum())}
+        if again.incomplete:  # do the others suffice?
+            found = kept[: len(first.matches)]
+            verdict = judge(first.matches, found, counts, matching.window, radius_px, evidence=odds)
     counts["inconsistent"] = int((~kept).sum())
     counts["tie_points"] = int(kept.sum())
     record = record_matching(
@@ -211,7 +241,7 @@ def _first_pass(planned: Plan, log: JobLog, runner: Runner) -> _FirstPass:
     upcoming = planned.first
     for _ in range(MAX_WAVES):
         if runner.honours_affinity:
-            upcoming = [replace(job, returns=not job.guides_itself) for job in upcoming]
+            upcoming = [replace(job, returns=True) for job in upcoming]
         call_results = runner.run(match_tile, [(job,) for job in upcoming], "matching", log.on_event)
         first = _FirstPass(
             first.jobs + upcoming, first.results + call_results.results, first.workers + call_results.workers
@@ -224,117 +254,179 @@ def _first_pass(planned: Plan, log: JobLog, runner: Runner) -> _FirstPass:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Again:
-    """All matches, those of the second pass as it left them."""
+class _SecondPass:
+    """What the second pass gave, not yet checked."""
 
     points: TiePoints
+    """The consistent matches as it left them, then candidates that it saved by a second try."""
+    match_of: Index
+    """(n,) the match of the first pass that each is; -1 for candidates that had none."""
+    lost_of: Index
+    """(n,) the lost candidate of the first pass that each is; -1 for matches."""
+    again: Bool
+    """(n,) whether each was saved."""
     surface: Surface | None
-    shared_variance_px2: Float64
-    """(n,)."""
-    lost: Bool
-    """(n,) in tiles that could not be read a second time."""
-    window_px: int
-    """Side of the window."""
-    errors: WindowErrors | None
-    """Those of all windows, where enough points tell."""
+    shared_variance_px2: float
+    incomplete: bool
+    """Whether a tile could not be read a second time."""
+    scales: Scales
+    """The windows that the points were matched with."""
+    window_variance_px2: float | None
+    """Variance per axis that the differences of windows tell, where enough points do."""
+
+    def part(self, some: Bool) -> _SecondPass:
+        """Return those of the (n,) mask."""
+        which = {name: getattr(self, name)[some] for name in ("points", "match_of", "lost_of", "again")}
+        return replace(self, **which)
 
 
-def _second_pass(
-    first: _FirstPass, matches: TiePoints, kept: Bool, matching: MatchSettings, log: JobLog, runner: Runner
-) -> _Again:
-    """Match the consistent points again, guided by the field of all of them."""
-    if any(True for _ in first.guided):
-        return _gather(first, matches, matching)
-    return _rematch(first, matches, kept, matching, log, runner)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tries:
+    """Candidates that the second pass tries once more: lost ones, and matches that were inconsistent."""
+
+    lost: Lost
+    tile_of: Index
+    match_of: Index
+    """(n,) see `_SecondPass`."""
+    lost_of: Index
 
 
 def _checked(
-    again: _Again, matches: TiePoints, kept: Bool, matching: MatchSettings, epipolar: bool
-) -> tuple[TiePoints, Bool]:
-    """Return the matches with those kept that still agree, where the second pass put them, calibrated."""
-    index = np.flatnonzero(kept & ~again.lost)
-    final = np.zeros_like(kept)
-    left = again.points[index]
-    final[index] = on_their_lines(left) if epipolar else consistent_points(left, matching)
-    shared_px2 = again.shared_variance_px2[final]
-    good = calibrate(again.points[final], again.surface, shared_px2, matching, again.errors)
-    # rejected points are listed with their formal covariance
+    again: _SecondPass, matches: TiePoints, matching: MatchSettings, epipolar: bool
+) -> tuple[TiePoints, Bool, _SecondPass]:
+    """Check and calibrate what the second pass gave.
+
+    Returns
+    -------
+    matches : TiePoints
+        Those given, then the lost candidates that were saved. Rejected ones are where the first pass put
+        them, with their formal covariance.
+    kept : (n,) bool array
+    again : _SecondPass
+        The kept ones only.
+    """
+    points = again.points
+    again = again.part(on_their_lines(points) if epipolar else consistent_points(points, matching))
+    good = calibrate(
+        again.points, again.surface, again.shared_variance_px2, matching, again.window_variance_px2
+    )
+    old = again.match_of >= 0
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
-    target[final], covariance[final] = good.target_xy_px, good.covariance_px2
-    return replace(matches, target_xy_px=target, covariance_px2=covariance), final
+    forward_backward = matches.forward_backward_px.copy()
+    index = again.match_of[old]
+    target[index], covariance[index] = good.target_xy_px[old], good.covariance_px2[old]
+    forward_backward[index] = good.forward_backward_px[old]
+    moved = replace(
+        matches, target_xy_px=target, covariance_px2=covariance, forward_backward_px=forward_backward
+    )
+    kept = np.zeros(len(matches) + np.count_nonzero(~old), bool)
+    kept[index], kept[len(matches) :] = True, True
+    return TiePoints.concatenate([moved, good[~old]]), kept, again
 
 
-def _gather(first: _FirstPass, matches: TiePoints, matching: MatchSettings) -> _Again:
-    """Collect the second passes of tiles that guide themselves."""
-    target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
-    shared = np.zeros(len(matches))
-    for index, guided in first.guided:
-        target[index], covariance[index] = guided.points.target_xy_px, guided.points.covariance_px2
-        shared[index] = guided.shared_variance_px2
-    surfaces = Counter(guided.surface for _, guided in first.guided for _ in range(len(guided.index)))
-    surface = surfaces.most_common(1)[0][0] if surfaces else None
-    points = replace(matches, target_xy_px=target, covariance_px2=covariance)
-    guided = next(guided for _, guided in first.guided)  # of the only tile
-    lost = np.zeros(len(matches), bool)
-    return _Again(points, surface, shared, lost, guided.window_px, guided.errors)
-
-
-def _rematch(
-    first: _FirstPass, matches: TiePoints, kept: Bool, matching: MatchSettings, log: JobLog, runner: Runner
-) -> _Again:
-    """Visit the tiles again, guided by the field of all consistent points."""
-    index = np.flatnonzero(kept)
-    guide = guide_by_field(matches[index], matching, partial(_predict_on, runner, log.on_event))
-    tile_of = first.tile_of[index]
-    errors = _window_errors(first, matches[index], tile_of, guide, log, runner) if len(index) else None
-    window_px = window_of(errors, matching)
-    again = np.ones(len(index), bool) if window_px != matching.window else matched_again(guide, matching)
-    tiles = np.unique(tile_of[again])
+def _second_pass(
+    first: _FirstPass,
+    matches: TiePoints,
+    kept: Bool,
+    matching: MatchSettings,
+    saves: bool,
+    log: JobLog,
+    runner: Runner,
+) -> _SecondPass:
+    """Match the consistent points again, guided by the field of all of them, and maybe what was lost."""
+    index, predict_there = np.flatnonzero(kept), partial(_predict_on, runner, log.on_event)
+    points, tile_of = matches[index], first.tile_of[index]
+    guide = guide_by_field(points, matching, predict_there)
+    scales, errors = _scales(first, points, tile_of, guide, log, runner)
+    tries = _tries(first, matches, kept, guide, matching, predict_there) if saves else None
+    # points of which nothing is new to say need no visit
+    again = matched_again(guide, matching) | (scales != Scales.of(matching.window))
+    visited = tile_of[again] if tries is None else np.concatenate([tile_of[again], tries.tile_of])
+    tiles = np.unique(visited)
     parts = [np.flatnonzero(again & (tile_of == tile)) for tile in tiles]
+    others = [np.flatnonzero(tries.tile_of == tile) if tries else np.zeros(0, np.intp) for tile in tiles]
     calls = [
-        (first.jobs[tile], matches[index[part]], guide.part(part), window_px)
-        for tile, part in zip(tiles, parts, strict=True)
+        (first.jobs[tile], points[part], guide.part(part), scales, tries.lost.part(other) if tries else None)
+        for tile, part, other in zip(tiles, parts, others, strict=True)
     ]
     workers = [first.workers[tile] for tile in tiles]
     results = runner.run(rematch_tile, calls, "refining", log.on_event, workers).results if calls else []
     _warn_of_failures(results, log)
-    target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
-    lost = np.zeros(len(matches), bool)
+    target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
+    unread = np.zeros(len(points), bool)
     for part, result in zip(parts, results, strict=True):
-        target[index[part]] = result.points.target_xy_px
-        covariance[index[part]] = result.points.covariance_px2
-        lost[index[part]] = result.status == "failed"
-    points = replace(matches, target_xy_px=target, covariance_px2=covariance)
-    return _Again(
-        points, guide.surface, np.full(len(matches), guide.shared_variance_px2), lost, window_px, errors
+        target[part], covariance[part] = result.points.target_xy_px, result.points.covariance_px2
+        unread[part] = result.status == "failed"
+    moved = replace(points, target_xy_px=target, covariance_px2=covariance)
+    found = [other[result.saved_from] for other, result in zip(others, results, strict=True)]
+    saved = np.concatenate([np.zeros(0, np.intp), *found])
+    nothing = np.zeros(0, np.intp)
+    joined = _SecondPass(
+        TiePoints.concatenate([moved, *(result.saved for result in results)]),
+        np.concatenate([index, tries.match_of[saved] if tries else nothing]),
+        np.concatenate([np.full(len(index), -1), tries.lost_of[saved] if tries else nothing]),
+        np.repeat([False, True], [len(index), len(saved)]),
+        guide.surface,
+        guide.shared_variance_px2,
+        bool(unread.any()),
+        scales,
+        None if errors is None else errors.variance_px2(scales),
+    )
+    return joined.part(~np.concatenate([unread, np.zeros(len(saved), bool)]))
+
+
+def _tries(
+    first: _FirstPass,
+    matches: TiePoints,
+    kept: Bool,
+    guide: FieldGuide,
+    matching: MatchSettings,
+    predict_there: Predictor,
+) -> _Tries | None:
+    """Return what is tried once more; None where the neighbours cannot tell where to."""
+    if np.count_nonzero(kept) < MIN_FOR_FIELD or not can_try_again(matching):
+        return None
+    lost, off = first.lost, np.flatnonzero(~kept)
+    places = np.concatenate([lost.reference_xy_px, matches.reference_xy_px[off]])
+    none = np.full(len(lost), -1)
+    return _Tries(
+        expect_lost(places, matches[kept], guide, matching, predict_there),
+        np.concatenate([first.lost_tile_of, first.tile_of[off]]),
+        np.concatenate([none, off]),
+        np.concatenate([np.arange(len(lost)), np.full(len(off), -1)]),
     )
 
 
-def _window_errors(
+def _scales(
     first: _FirstPass, points: TiePoints, tile_of: Index, guide: FieldGuide, log: JobLog, runner: Runner
-) -> WindowErrors | None:
-    """Return the errors of all windows, as some tiles tell; None where too few points do.
+) -> tuple[Scales, WindowErrors | None]:
+    """Choose the windows of the second pass, and return their errors; None where too few points tell.
 
     The `points` are the consistent ones, each with its tile and its part of the guide. The tiles that are
     asked are spread over the scene.
     """
     settings = first.jobs[0].settings
     if not len(window_sample(guide, settings)):
-        return None
+        return Scales.of(settings.window), None
     tiles, counts = np.unique(tile_of, return_counts=True)
     spread = np.argsort(GOLDEN * np.arange(len(tiles)) % 1, kind="stable")
     enough = int(np.searchsorted(np.cumsum(counts[spread]), WINDOW_SAMPLE)) + 1
     chosen = np.sort(spread[:enough])
     share = min(1.0, WINDOW_SAMPLE / counts[chosen].sum())
-    calls = []
-    for tile in tiles[chosen]:
-        inside = np.flatnonzero(tile_of == tile)
-        some = inside[:: max(1, int(1 / share))]
-        calls.append((first.jobs[tile], points[some], guide.part(some)))
+    inside = [np.flatnonzero(tile_of == tile) for tile in tiles[chosen]]
+    sample = [these[:: max(1, int(1 / share))] for these in inside]
     workers = [first.workers[tile] for tile in tiles[chosen]]
     on_event = partial(_only_warnings, log.on_event)  # the progress is no stage's own
-    moved = runner.run(compare_windows, calls, "refining", on_event, workers).results
-    return window_errors(np.concatenate(moved, axis=1), settings.windows)
+
+    def seen(windows_px: Sequence[int], coarser: bool) -> Float64:
+        calls = [
+            (first.jobs[tile], points[some], guide.part(some), windows_px, coarser)
+            for tile, some in zip(tiles[chosen], sample, strict=True)
+        ]
+        moved = runner.run(compare_windows, calls, "refining", on_event, workers).results
+        return np.concatenate(moved, axis=1)
+
+    return choose_scales(seen, settings)
 
 
 def _only_warnings(on_event: EventCallback, event: Event) -> None:
@@ -385,7 +477,7 @@ def _match_settings(
         template=template,
         window=window,
         other_windows=others,
-        open_window=others == OTHER_WINDOWS_PX,
+        open_window=others[: len(OTHER_WINDOWS_PX)] == OTHER_WINDOWS_PX,
         search_radius=min(prealignment.search_radius_px, farthest_px(pair, offset)),
         ssim_min=settings.ssim_min,
         iterations=settings.iterations,
@@ -398,13 +490,14 @@ def _other_windows(settings: Settings, window_px: int, narrow_px: int) -> tuple[
     """Return what some points are matched with beside the first window.
 
     If that is not given, it is what the second pass may choose from, unless the overlap, `narrow_px` wide, is
-    narrow for the largest. Otherwise smaller windows tell the error of the given one. None where points are
+    narrow for it. Otherwise smaller windows tell the error of the given one. None where points are
     not guided.
     """
     if TRAITS[settings.method].structure != "local" or settings.consensus == "off":
         return ()
     if settings.window is None and narrow_px >= CHOSEN_ACROSS * max(OTHER_WINDOWS_PX):
-        return OTHER_WINDOWS_PX
+        fitting = (window for window in LARGE_WINDOWS_PX if WINDOWS_ACROSS * window <= narrow_px)
+        return *OTHER_WINDOWS_PX, *fitting
     return tuple(int(share * window_px) // 2 * 2 + 1 for share in SMALLER_WINDOWS)
 
 

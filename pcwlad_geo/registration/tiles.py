@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -13,7 +13,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Warned
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.matching.field import Surface, predict
-from pcwlad_geo.matching.guidance import FieldGuide, WindowErrors, guide_by_field
+from pcwlad_geo.matching.guidance import FieldGuide, Lost, Scales
 from pcwlad_geo.matching.kernels.compiled import can_be_cached, is_cached
 from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
 from pcwlad_geo.matching.kernels.phase_congruency import combine_orientations, combine_scales, filter_rows
@@ -21,13 +21,12 @@ from pcwlad_geo.matching.kernels.refinement import refine_points
 from pcwlad_geo.matching.keypoints import Candidates
 from pcwlad_geo.matching.matcher import (
     Core,
-    consistent_points,
-    guided_match,
     margin_px,
     match_arrays,
     match_candidates,
     rematch_with,
     seen_by_windows,
+    try_again,
 )
 from pcwlad_geo.matching.prepare import ChannelPair, Image, Noise, PreparedPair, prepare
 from pcwlad_geo.matching.refinement import ChannelMaps
@@ -110,8 +109,6 @@ class TileJob:
     reference_scene: Scene
     target_scene: Scene
     settings: MatchSettings
-    guides_itself: bool = False
-    """Whether the tile has enough neighbours for its own second pass."""
     returns: bool = False
     """Whether the second pass goes to the same worker, which caches the maps if it can."""
     cell_margin_px: int = 0
@@ -134,23 +131,6 @@ class TileJob:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Guided:
-    """Second pass of a tile that guides itself."""
-
-    index: Index
-    """(n,) indices of the consistent points among those of the tile."""
-    points: TiePoints
-    """The n points matched again, covariances formal."""
-    surface: Surface | None
-    """See `guidance.FieldGuide`."""
-    shared_variance_px2: float
-    window_px: int
-    """Side of the window that they were matched with."""
-    errors: WindowErrors | None
-    """Those of all windows, where enough points tell."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class TileResult:
     """The result of a tile, in pixel coordinates of the two views."""
 
@@ -160,13 +140,16 @@ class TileResult:
     """Points each matched independently, or the second pass of given points."""
     counts: dict[str, int]
     reason: str | None
-    guided: Guided | None = None
     lost: Candidates = field(default_factory=Candidates.empty)
     """Candidates of the first pass without a match, reference-view px."""
+    saved: TiePoints = field(default_factory=TiePoints.empty)
+    """Candidates that the second pass found a match for."""
+    saved_from: Index = field(default_factory=lambda: np.zeros(0, np.intp))
+    """Which of those that it tried they are."""
 
 
 def match_tile(job: TileJob) -> TileResult:
-    """Run the first pass of a tile, and the second one if the tile guides itself."""
+    """Run the first pass of a tile."""
     try:
         pair = _prepare(job)
     except InputError as error:
@@ -184,22 +167,22 @@ def match_tile(job: TileJob) -> TileResult:
     points, candidates = match_candidates(pair, inside, job.settings)
     if job.returns and len(points):
         _CACHE.keep(job.scene, job.id, pair.channels)
-    guided = _guided(job, pair, points) if job.guides_itself else None
     return TileResult(
         job.id,
         "matched" if len(points) else "empty",
         points.shifted(*_origins(job)),
         candidates.counts,
         None,
-        guided,
         candidates.lost.shifted(_origins(job)[0]),
     )
 
 
-def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide, window_px: int) -> TileResult:
+def rematch_tile(
+    job: TileJob, points: TiePoints, guide: FieldGuide, scales: Scales, lost: Lost | None = None
+) -> TileResult:
     """Run the second pass of the tile `job`: match its consistent `points` again, with their `guide`.
 
-    The window has a side of `window_px`, one of those of the settings.
+    The windows of `scales` are some of the settings. The candidates `lost` are tried once more.
     """
     try:
         channels = _CACHE.take(job.scene, job.id) or _stacks(job)
@@ -211,17 +194,23 @@ def rematch_tile(job: TileJob, points: TiePoints, guide: FieldGuide, window_px: 
     inside = points.shifted(-reference_origin, -target_origin)
     # shifts inside the arrays do not include the offset between the two windows
     between = target_origin - reference_origin
-    again = rematch_with(channels, inside, guide.moved(-between), job.settings, window_px)
-    moved = again.shifted(reference_origin, target_origin)
-    return TileResult(job.id, "matched", moved, {}, None)
+    again = rematch_with(channels, inside, guide.moved(-between), job.settings, scales)
+    result = TileResult(job.id, "matched", again.shifted(reference_origin, target_origin), {}, None)
+    if lost is None or not len(lost.limit_px):
+        return result
+    saved, index = try_again(channels, lost.moved(-reference_origin, -target_origin), job.settings, scales)
+    return replace(result, saved=saved.shifted(reference_origin, target_origin), saved_from=index)
 
 
-def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide) -> Float64:
-    """Return (k, n, 2) the displacements (col, row) of `points` of the tile `job` by each of its windows.
+def compare_windows(
+    job: TileJob, points: TiePoints, guide: FieldGuide, windows_px: Sequence[int], coarser: bool
+) -> Float64:
+    """Return (k, n, 2) the displacements (col, row) of `points` of the tile `job` by each of k windows.
 
-    The parameters are those of `rematch_tile`, which may follow. NaN where a window gives no match.
+    They see every second pixel if `coarser`. The other parameters are those of `rematch_tile`, which may
+    follow. NaN where a window gives no match.
     """
-    nothing = np.full((len(job.settings.windows), len(points), 2), np.nan)
+    nothing = np.full((len(windows_px), len(points), 2), np.nan)
     try:
         channels = _CACHE.take(job.scene, job.id) or _stacks(job)
     except InputError:
@@ -233,20 +222,8 @@ def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide) -> Float
     reference_origin, target_origin = _origins(job)
     between = target_origin - reference_origin
     inside = points.shifted(-reference_origin, -target_origin)
-    moved = seen_by_windows(channels, inside, guide.moved(-between), job.settings)
+    moved = seen_by_windows(channels, inside, guide.moved(-between), job.settings, windows_px, coarser)
     return np.asarray(moved + between)
-
-
-def _guided(job: TileJob, pair: PreparedPair, points: TiePoints) -> Guided:
-    reference_origin, target_origin = _origins(job)
-    # in pixels of the views: the points that agree must not depend on where the tile begins
-    seen = points.shifted(reference_origin, target_origin)
-    index = np.flatnonzero(consistent_points(seen, job.settings))
-    guide = guide_by_field(seen[index], job.settings)
-    inside = guide.moved(reference_origin - target_origin)
-    again, window_px, errors = guided_match(pair.channels, points[index], inside, job.settings)
-    moved = again.shifted(reference_origin, target_origin)
-    return Guided(index, moved, guide.surface, guide.shared_variance_px2, window_px, errors)
 
 
 def _prepare(job: TileJob) -> PreparedPair | None:
