@@ -268,7 +268,11 @@ class WindowErrors:
 
     def _weighted(self, windows_px: tuple[int, ...]) -> Scales:
         covariance = self.covariance_px2(windows_px)
-        inverse = np.linalg.pinv(covariance / np.trace(covariance))
+        size = float(np.trace(covariance))
+        if size <= 0:
+            return Scales.of(windows_px[-1])
+        # without noise the two errors are proportional, and their covariance is singular
+        inverse = np.linalg.inv(covariance / size + 1e-6 * np.eye(len(windows_px)))
         weights = inverse.sum(axis=0) / inverse.sum()
         return Scales(windows_px, tuple(float(weight) for weight in weights))
 

@@ -1,3 +1,4 @@
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,11 +8,13 @@ from numpy.typing import NDArray
 from pcwlad_geo.matching.guidance import (
     MIN_TO_CHOOSE,
     MIN_WINDOW_SAMPLE,
+    Scales,
     calibrate,
+    expect_lost,
     guide_by_field,
     window_errors,
 )
-from pcwlad_geo.matching.matcher import matched_again
+from pcwlad_geo.matching.matcher import choose_scales, matched_again
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 
 SIDE = 1000.0
@@ -25,8 +28,8 @@ def points(displacement: NDArray, xy: NDArray) -> TiePoints:
     )
 
 
-def scattered(n: int = 900) -> NDArray:
-    return np.random.default_rng(0).uniform(0, SIDE, (n, 2))
+def scattered(n: int = 900, seed: int = 0) -> NDArray:
+    return np.random.default_rng(seed).uniform(0, SIDE, (n, 2))
 
 
 def noise(n: int, sigma_px: float) -> NDArray:
@@ -90,28 +93,93 @@ def test_only_what_the_guide_says_something_new_about_is_matched_again() -> None
 WINDOWS_PX = (61, 81, 129)
 
 
-def by_windows(noise_px: float, curvature: float, n: int = 160, seed: int = 2) -> NDArray:
+def by_windows(
+    noise_px: float, curvature: float, n: int = 160, seed: int = 2, sides: tuple[int, ...] = WINDOWS_PX
+) -> NDArray:
     """Displacements by windows that share noise of a variance of 1/w, and average a field that bends."""
     rng = np.random.default_rng(seed)
-    variance = noise_px**2 * 81 / np.array(WINDOWS_PX)
-    own = np.sqrt(-np.diff(variance, append=0.0))[:, None, None] * rng.normal(size=(3, n, 2))
+    variance = noise_px**2 * 81 / np.array(sides)
+    own = np.sqrt(-np.diff(variance, append=0.0))[:, None, None] * rng.normal(size=(len(sides), n, 2))
     shared = np.cumsum(own[::-1], axis=0)[::-1]  # what the largest window sees is part of what all see
     bend = curvature * rng.normal(size=(n, 2))
-    return 3.0 + shared + np.array(WINDOWS_PX)[:, None, None] ** 2 / 24 * bend
+    return 3.0 + shared + np.array(sides)[:, None, None] ** 2 / 24 * bend
 
 
-@pytest.mark.parametrize(
-    ("noise_px", "curvature", "best"),
-    [(0.08, 0.0, 129), (0.05, 8e-5, 81), (0.02, 2e-4, 61), (0.001, 2e-4, 61)],
-)
+CONDITIONS = [(0.08, 0.0, 129), (0.05, 8e-5, 81), (0.02, 2e-4, 81), (0.001, 2e-4, 81)]
+
+
+@pytest.mark.parametrize(("noise_px", "curvature", "most"), CONDITIONS)
 def test_the_window_is_small_where_the_field_bends_and_large_where_noise_rules(
-    noise_px: float, curvature: float, best: int
+    noise_px: float, curvature: float, most: int
 ) -> None:
     found = [window_errors(by_windows(noise_px, curvature, seed=seed), WINDOWS_PX) for seed in range(20)]
     errors = [each for each in found if each is not None]
-    assert [each.best(WINDOWS_PX, 81) for each in errors].count(best) >= 17
-    sigma_px = np.sqrt(np.median([each.variance_px2(81) for each in errors]))
+    assert [each.best(WINDOWS_PX, 81).window_px for each in errors].count(most) >= 17
+    sigma_px = np.sqrt(np.median([each.variance_px2(Scales.of(81)) for each in errors]))
     assert sigma_px == pytest.approx(np.hypot(noise_px, curvature * 81**2 / 24), rel=0.2)
+
+
+@pytest.mark.parametrize(("noise_px", "curvature", "most"), CONDITIONS)
+def test_two_windows_err_less_than_each_alone_and_as_much_as_they_say(
+    noise_px: float, curvature: float, most: int
+) -> None:
+    better, expected = [], []
+    for seed in range(20):
+        moved = by_windows(noise_px, curvature, seed=seed)
+        errors = window_errors(moved, WINDOWS_PX)
+        assert errors is not None
+        scales = errors.best(WINDOWS_PX, 81)
+        assert sum(scales.weights) == pytest.approx(1)
+        used = [WINDOWS_PX.index(each) for each in scales.windows_px]
+        left = np.tensordot(scales.weights, moved[used], 1) - 3.0
+        alone = np.sqrt(((moved - 3.0) ** 2).mean(axis=(1, 2)))
+        better.append(np.sqrt((left**2).mean()) / alone.min())
+        expected.append(np.sqrt(errors.variance_px2(scales) / (left**2).mean()))
+    assert np.median(better) < 1.02
+    if curvature > 0 and noise_px < 0.03:  # the larger window tells what the smaller averages away
+        assert np.median(better) < 0.9
+    if noise_px >= 0.02:
+        assert 0.6 < np.median(expected) < 1.6
+
+
+def test_larger_windows_are_tried_while_they_seem_good() -> None:
+    settings = replace(SETTINGS, window=81, other_windows=(61, 129, 181, 257), open_window=True)
+
+    def tried(noise_px: float, curvature: float) -> tuple[list[tuple[int, ...]], Scales]:
+        asked = []
+        moved = by_windows(noise_px, curvature, sides=settings.windows)
+
+        def seen(windows_px: Sequence[int], coarser: bool) -> NDArray:
+            asked.append((*windows_px, int(coarser)))
+            # on every second pixel all matches lie elsewhere by the same
+            return moved[[settings.windows.index(each) for each in windows_px]] + 0.03 * coarser
+
+        return asked, choose_scales(seen, settings)[0]
+
+    asked, scales = tried(0.08, 0.0)
+    assert asked == [(61, 81, 129, 0), (129, 1), (181, 1), (257, 1)]
+    assert scales.window_px == 257
+    asked, scales = tried(0.02, 2e-4)
+    assert asked == [(61, 81, 129, 0)]
+    assert scales.windows_px == (81, 129)
+    assert scales.weights[1] < 0
+    settings = replace(settings, open_window=False)
+    assert tried(0.08, 0.0)[1] == Scales.of(81)
+
+
+def test_candidates_are_expected_where_their_neighbours_are() -> None:
+    xy = scattered()
+    linear = np.array([[0.002, 0.0], [0.001, -0.003]])
+    consistent = points(xy @ linear.T + noise(len(xy), 0.03), xy)
+    guide = guide_by_field(consistent, SETTINGS)
+    places = scattered(30, seed=9)
+    lost = expect_lost(places, consistent, guide, SETTINGS)
+    off_px = np.linalg.norm(lost.guide.structure_xy_px - places @ linear.T, axis=1)
+    assert np.median(off_px) < 0.02
+    assert (lost.limit_px >= 0.25).all()
+    assert (lost.limit_px <= 0.6).all()
+    few = expect_lost(places, consistent[:10], guide, SETTINGS)
+    assert len(few.limit_px) == 0
 
 
 def test_windows_tell_nothing_where_too_few_points_do() -> None:
@@ -121,7 +189,7 @@ def test_windows_tell_nothing_where_too_few_points_do() -> None:
     assert known.points == 160
     few = window_errors(moved[:, : MIN_TO_CHOOSE - 1], WINDOWS_PX)
     assert few is not None
-    assert few.best(WINDOWS_PX, 81) == 81
+    assert few.best(WINDOWS_PX, 81) == Scales.of(81)
     assert window_errors(moved[:2], WINDOWS_PX[:2]) is None
     moved[2, MIN_WINDOW_SAMPLE - 1 :] = np.nan  # failed
     assert window_errors(moved, WINDOWS_PX) is None
@@ -130,9 +198,11 @@ def test_windows_tell_nothing_where_too_few_points_do() -> None:
 def test_sigma_of_a_rough_field_is_that_which_the_windows_tell() -> None:
     xy = scattered(200)
     errors = window_errors(by_windows(0.3, 0.0), WINDOWS_PX)
+    assert errors is not None
+    told_px2 = errors.variance_px2(Scales.of(81))
     rough = points(noise(len(xy), 5.0), xy)
-    sigma_px = calibrate(rough, None, 0.0, replace(SETTINGS, window=81), errors).sigma_px
+    sigma_px = calibrate(rough, None, 0.0, replace(SETTINGS, window=81), told_px2).sigma_px
     assert np.median(sigma_px) == pytest.approx(0.12, abs=0.01)  # twelve times the formal one, at most
     tight = replace(rough, covariance_px2=9 * rough.covariance_px2)
-    sigma_px = calibrate(tight, None, 0.0, replace(SETTINGS, window=81), errors).sigma_px
+    sigma_px = calibrate(tight, None, 0.0, replace(SETTINGS, window=81), told_px2).sigma_px
     assert np.median(sigma_px) == pytest.approx(0.3, rel=0.2)

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import matcher
+from pcwlad_geo.matching.guidance import FieldGuide, Lost, Scales, guide_by_field
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.matcher import Core, match_arrays, match_candidates, to_index
-from pcwlad_geo.matching.prepare import Image, prepare
+from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from tests.matching.landscape import Landscape, constant
 
@@ -189,6 +190,65 @@ def test_the_second_pass_goes_back_where_the_first_one_did_not_come_back(
     noisy = image(1, SHIFT_XY) + np.random.default_rng(5).normal(0, 0.6 * np.std(image(1)), (SIDE, SIDE))
     match_arrays(image(0), noisy, settings=SMALL)
     assert set(ways) == {"as needed", "always"}
+
+
+LARGER = replace(SMALL, other_windows=(121,))
+MARGIN_PX = 100
+
+
+@cache
+def channels() -> ChannelPair:
+    """The maps of both bands, with room for windows of 121 px around every pixel."""
+    valid = np.pad(np.ones((SIDE, SIDE), bool), MARGIN_PX)
+    images = [np.pad(each, MARGIN_PX) for each in (image(0), image(1, SHIFT_XY))]
+    first, second = (Image(each, valid, scene_epsilon(each, valid)) for each in images)
+    return prepare(first, second, channels="orientations").channels
+
+
+def lost_candidates(predicted_xy: tuple[float, float]) -> Lost:
+    """A lattice of places without regard to corners, most of them poor for a window of 61 px."""
+    place = np.stack(np.meshgrid(np.arange(150, 280, 16), np.arange(150, 280, 16)), -1).reshape(-1, 2) + 0.5
+    n = len(place)
+    there = np.tile(predicted_xy, (n, 1))
+    return Lost(place, FieldGuide(np.zeros((n, 2, 2)), there, None, 0.0, one_way=False), np.full(n, 0.6))
+
+
+def test_lost_candidates_are_found_where_they_are_expected_and_nowhere_else() -> None:
+    near = SHIFT_XY[0] + 0.2, SHIFT_XY[1] - 0.1
+    found, index = matcher.try_again(channels(), lost_candidates(near), LARGER, Scales.of(61))
+    assert len(found) == len(index) > 40
+    np.testing.assert_array_equal(found.reference_xy_px, lost_candidates(near).reference_xy_px[index])
+    assert np.sqrt((errors(found) ** 2).sum(axis=1).mean()) < 0.25
+    assert np.isfinite(found.forward_backward_px).all()
+    beside = SHIFT_XY[0] + 5, SHIFT_XY[1] - 4
+    assert len(matcher.try_again(channels(), lost_candidates(beside), LARGER, Scales.of(61))[0]) <= 1
+
+
+def test_every_second_pixel_gives_nearly_the_same_match() -> None:
+    points = cross_modal_points().shifted(np.full(2, MARGIN_PX), np.full(2, MARGIN_PX))
+    guide = guide_by_field(points, LARGER)
+    fine, coarse = (
+        matcher.seen_by_windows(channels(), points, guide, LARGER, [121], coarser)[0]
+        for coarser in (False, True)
+    )
+    both = np.isfinite(fine).all(axis=1) & np.isfinite(coarse).all(axis=1)
+    assert both.sum() > 0.7 * len(points)
+    assert np.linalg.norm(coarse - fine, axis=1)[both].max() < 0.15
+    assert np.median(np.linalg.norm(coarse - fine, axis=1)[both]) < 0.05
+
+
+def test_two_windows_are_combined_by_their_weights() -> None:
+    points = cross_modal_points().shifted(np.full(2, MARGIN_PX), np.full(2, MARGIN_PX))
+    guide = guide_by_field(points, LARGER)
+    seen = matcher.seen_by_windows(channels(), points, guide, LARGER, [61, 121])
+    both = np.isfinite(seen).all(axis=(0, 2))
+    assert both.sum() > 0.7 * len(points)
+    scales = Scales((61, 121), (1.5, -0.5))
+    again = matcher.rematch_with(channels(), points, guide, LARGER, scales)
+    wanted = 1.5 * seen[0] - 0.5 * seen[1]
+    np.testing.assert_allclose(again.displacement_px[both], wanted[both], atol=1e-9)
+    failed = ~np.isfinite(seen[1]).all(axis=1) & np.isfinite(seen[0]).all(axis=1)
+    np.testing.assert_allclose(again.displacement_px[failed], seen[0, failed], atol=1e-9)
 
 
 def test_points_that_do_not_go_back_are_where_those_are_that_do() -> None:

@@ -71,7 +71,6 @@ def test_tiles_cover_the_common_region_once(pair: ViewPair, tile_size: int) -> N
         core = job.core
         covered[core.row : core.row_stop, core.col : core.col_stop] += 1
         assert max(core.shape) <= 1.3 * tile_size
-        assert job.guides_itself == (len(jobs) == 1)
     assert (covered[: SIDE - 3, 5:] == 1).all()
     assert (covered[SIDE - 3 :] == 0).all()
     assert (covered[:, :5] == 0).all()
@@ -135,7 +134,6 @@ def test_few_points_of_a_small_scene_are_spread_over_tiles_that_cover_it(tmp_pat
     files = [write(tmp_path / name, image, grid) for name in ("ref.tif", "tgt.tif")]
     scene = planned(plan_views(*(describe(file) for file in files)), points=600)
     assert len(scene.first) == 4
-    assert not any(job.guides_itself for job in scene.first)
     assert scene.following([result(job, 0) for job in scene.first]) == []
     settings = scene.first[0].settings
     density = settings.features / (settings.features_area_px2 or 1)

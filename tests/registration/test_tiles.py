@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pcwlad_geo.matching.guidance import Scales, guide_by_field
 from pcwlad_geo.matching.maps import scene_epsilon
-from pcwlad_geo.matching.matcher import guide_by_field
 from pcwlad_geo.matching.prepare import Noise
 from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.options import Settings
@@ -58,7 +58,9 @@ def test_points_are_in_pixels_of_the_views(pair: ViewPair) -> None:
     # the grids lie (-20, -10) px apart, the content (2.4, -1.3) px from where they say
     apart = result.points.displacement_px - np.array([-20, -10]) - SHIFT_PX
     assert np.abs(np.median(apart, axis=0)).max() < 0.05
-    again = rematch_tile(job, result.points, guide_by_field(result.points, job.settings), 41).points
+    again = rematch_tile(
+        job, result.points, guide_by_field(result.points, job.settings), Scales.of(41)
+    ).points
     np.testing.assert_array_equal(again.reference_xy_px, result.points.reference_xy_px)
     apart = again.displacement_px - np.array([-20, -10]) - SHIFT_PX
     assert np.abs(np.median(apart, axis=0)).max() < 0.03
