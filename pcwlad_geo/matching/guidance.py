@@ -261,7 +261,7 @@ class WindowErrors:
             return first
         single = min(map(Scales.of, windows_px), key=self.variance_px2)
         best = single if self.variance_px2(single) < WINDOW_GAIN * self.variance_px2(first) else first
-        pairs = [self._weighted(pair) for pair in combinations(sorted(windows_px), 2) if pair[0] >= first_px]
+        pairs = [self._weighted(pair) for pair in combinations(sorted(windows_px), 2)]
         usable = [pair for pair in pairs if max(pair.weights) <= LARGEST_WEIGHT]
         both = min(usable, key=self.variance_px2, default=best)
         return both if self.variance_px2(both) < WINDOW_GAIN * self.variance_px2(best) else best

@@ -36,6 +36,8 @@ MIN_SUPPORT: Final = 1 / 3
 """Least share of the neighbours that must agree with a point within the wide, then the narrow limit."""
 ROUNDS: Final = 6
 """Largest number of repetitions of each test, which ends when no further match is removed."""
+CONFIRMING: Final = 3
+"""Number of neighbours that confirm an inconsistent match."""
 CELLS_AROUND: Final = 8
 """Number of nearest cells, other than its own, that a match is compared with."""
 
@@ -88,6 +90,34 @@ def consistent(xy_px: Float64, displacement_px: Float64, sigma_px: Float64, wind
             if (kept == before).all():
                 break
     return _with_their_surroundings(xy_px, displacement_px, sigma_px, kept, window_px / 2)
+
+
+def confirmed(xy_px: Float64, displacement_px: Float64, index: Index, predicted_px: Float64) -> Bool:
+    """Tell which inconsistent matches others next to them confirm, against the prediction of the field.
+
+    Such ground has moved by itself: a slide, a cloud, another depth.
+
+    Parameters
+    ----------
+    xy_px, displacement_px : (n, 2) arrays
+        Positions and displacements (col, row) of all matches.
+    index : (m,) intp array
+        The inconsistent ones.
+    predicted_px : (m, 2) array
+        Displacements that are predicted for them.
+
+    Returns
+    -------
+    (m,) bool array
+        Whether at least three of the nearest matches are nearer to the match than to the prediction, by far.
+    """
+    if len(xy_px) <= CONFIRMING or len(index) == 0:
+        return np.zeros(len(index), bool)
+    _, near = cKDTree(xy_px).query(xy_px[index], k=min(NEIGHBOURS + 1, len(xy_px)))
+    own = displacement_px[index]
+    apart = np.linalg.norm(displacement_px[near[:, 1:]] - own[:, None], axis=2)
+    off = np.linalg.norm(own - predicted_px, axis=1)
+    return np.asarray((apart < off[:, None] / 3).sum(axis=1) >= CONFIRMING)
 
 
 def axis_sigma_px(distance_px: Float64) -> float:

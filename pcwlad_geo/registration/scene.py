@@ -35,6 +35,7 @@ from pcwlad_geo.matching.matcher import (
     matched_again,
     window_sample,
 )
+from pcwlad_geo.matching.outliers import confirmed
 from pcwlad_geo.matching.pose import mean_distance_px
 from pcwlad_geo.matching.types import (
     FIRST_WINDOW_PX,
@@ -386,14 +387,17 @@ def _tries(
     """Return what is tried once more; None where the neighbours cannot tell where to."""
     if np.count_nonzero(kept) < MIN_FOR_FIELD or not can_try_again(matching):
         return None
-    lost, off = first.lost, np.flatnonzero(~kept)
-    places = np.concatenate([lost.reference_xy_px, matches.reference_xy_px[off]])
-    none = np.full(len(lost), -1)
+    candidates, off = first.lost, np.flatnonzero(~kept)
+    places = np.concatenate([candidates.reference_xy_px, matches.reference_xy_px[off]])
+    lost = expect_lost(places, matches[kept], guide, matching, predict_there)
+    predicted = lost.guide.structure_xy_px[len(candidates) :]
+    moved = confirmed(matches.reference_xy_px, matches.displacement_px, off, predicted)
+    tried = np.concatenate([np.ones(len(candidates), bool), ~moved])
     return _Tries(
-        expect_lost(places, matches[kept], guide, matching, predict_there),
-        np.concatenate([first.lost_tile_of, first.tile_of[off]]),
-        np.concatenate([none, off]),
-        np.concatenate([np.arange(len(lost)), np.full(len(off), -1)]),
+        lost.part(np.flatnonzero(tried)),
+        np.concatenate([first.lost_tile_of, first.tile_of[off]])[tried],
+        np.concatenate([np.full(len(candidates), -1), off])[tried],
+        np.concatenate([np.arange(len(candidates)), np.full(len(off), -1)])[tried],
     )
 
 
