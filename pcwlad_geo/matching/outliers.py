@@ -38,6 +38,10 @@ ROUNDS: Final = 6
 """Largest number of repetitions of each test, which ends when no further match is removed."""
 CONFIRMING: Final = 3
 """Number of neighbours that confirm an inconsistent match."""
+AS_NEAR: Final = 0.2
+"""They differ from it by less than this share of its distance from the prediction."""
+THE_SAME: Final = 0.05
+"""Neighbours however near confirm it if they differ by less than this share."""
 CELLS_AROUND: Final = 8
 """Number of nearest cells, other than its own, that a match is compared with."""
 
@@ -92,7 +96,9 @@ def consistent(xy_px: Float64, displacement_px: Float64, sigma_px: Float64, wind
     return _with_their_surroundings(xy_px, displacement_px, sigma_px, kept, window_px / 2)
 
 
-def confirmed(xy_px: Float64, displacement_px: Float64, index: Index, predicted_px: Float64) -> Bool:
+def confirmed(
+    xy_px: Float64, displacement_px: Float64, index: Index, predicted_px: Float64, window_px: int
+) -> Bool:
     """Tell which inconsistent matches others next to them confirm, against the prediction of the field.
 
     Such ground has moved by itself: a slide, a cloud, another depth.
@@ -105,6 +111,8 @@ def confirmed(xy_px: Float64, displacement_px: Float64, index: Index, predicted_
         The inconsistent ones.
     predicted_px : (m, 2) array
         Displacements that are predicted for them.
+    window_px : int
+        Side of the matching window: matches nearer than a quarter of it err alike, if not by the same.
 
     Returns
     -------
@@ -113,11 +121,13 @@ def confirmed(xy_px: Float64, displacement_px: Float64, index: Index, predicted_
     """
     if len(xy_px) <= CONFIRMING or len(index) == 0:
         return np.zeros(len(index), bool)
-    _, near = cKDTree(xy_px).query(xy_px[index], k=min(NEIGHBOURS + 1, len(xy_px)))
+    distance, near = cKDTree(xy_px).query(xy_px[index], k=min(NEIGHBOURS + 1, len(xy_px)))
     own = displacement_px[index]
     apart = np.linalg.norm(displacement_px[near[:, 1:]] - own[:, None], axis=2)
     off = np.linalg.norm(own - predicted_px, axis=1)
-    return np.asarray((apart < off[:, None] / 3).sum(axis=1) >= CONFIRMING)
+    nearer = apart < AS_NEAR * off[:, None]
+    confirms = (nearer & (distance[:, 1:] >= window_px / 4)).sum(axis=1) >= CONFIRMING
+    return np.asarray(confirms | ((apart < THE_SAME * off[:, None]).sum(axis=1) >= CONFIRMING))
 
 
 def axis_sigma_px(distance_px: Float64) -> float:

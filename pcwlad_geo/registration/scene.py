@@ -391,7 +391,7 @@ def _tries(
     places = np.concatenate([candidates.reference_xy_px, matches.reference_xy_px[off]])
     lost = expect_lost(places, matches[kept], guide, matching, predict_there)
     predicted = lost.guide.structure_xy_px[len(candidates) :]
-    moved = confirmed(matches.reference_xy_px, matches.displacement_px, off, predicted)
+    moved = confirmed(matches.reference_xy_px, matches.displacement_px, off, predicted, matching.window)
     tried = np.concatenate([np.ones(len(candidates), bool), ~moved])
     return _Tries(
         lost.part(np.flatnonzero(tried)),

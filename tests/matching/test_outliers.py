@@ -7,6 +7,7 @@ from pcwlad_geo.matching.outliers import (
     NEIGHBOURS,
     SCATTERS,
     axis_sigma_px,
+    confirmed,
     consistent,
     contradicted_clusters,
 )
@@ -238,3 +239,17 @@ def test_clusters_of_few_matches_or_on_a_line(n: int) -> None:
     line = np.column_stack([np.arange(2.0 * n), np.zeros(2 * n)])
     moved = np.where(line[:, :1] > 1.8 * n, 20.0, 0.0) + np.zeros((2 * n, 2))
     assert contradicted_clusters(line, moved, WINDOW) == []
+
+
+def test_ground_that_moved_by_itself_confirms_its_matches_and_scattered_errors_do_not() -> None:
+    rng = np.random.default_rng(4)
+    xy = rng.uniform(0, 400, (600, 2))
+    slide = np.abs(xy - 200).max(axis=1) < 60
+    wrong = ~slide & (rng.random(600) < 0.1)
+    displacement = rng.normal(0, 0.05, (600, 2)) + slide[:, None] * np.array([5.0, -3.0])
+    displacement[wrong] += rng.uniform(-6, 6, (int(wrong.sum()), 2))
+    index = np.flatnonzero(slide | wrong)
+    found = confirmed(xy, displacement, index, np.zeros((len(index), 2)), 81)
+    assert found[slide[index]].all()
+    assert found[wrong[index]].mean() < 0.05
+    assert not confirmed(xy[:2], displacement[:2], np.array([0]), np.zeros((1, 2)), 81).any()
