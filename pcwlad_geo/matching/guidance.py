@@ -144,7 +144,10 @@ class Lost:
         return Lost(self.reference_xy_px[index], self.guide.part(index), self.limit_px[index])
 
     def moved(self, reference_xy_px: Float64, target_xy_px: Float64) -> Lost:
-        """Return them with a constant, (2,) (col, row), added to positions in either image."""
+        """Return them with constants added to positions in either image.
+
+        The (2,) `reference_xy_px` and `target_xy_px` are (col, row).
+        """
         guide = self.guide.moved(target_xy_px - reference_xy_px)
         return replace(self, reference_xy_px=self.reference_xy_px + reference_xy_px, guide=guide)
 

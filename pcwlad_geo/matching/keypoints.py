@@ -50,7 +50,7 @@ class Candidates:
         return {"candidates": len(self), **dict(zip(OUTCOMES[1:], number[1:], strict=True))}
 
     def part(self, index: Bool | Index) -> Candidates:
-        """Return the candidates at the `index` or of the mask."""
+        """Return the m candidates of the (n,) mask, or at the (m,) `index`."""
         return Candidates(self.reference_xy_px[index], self.outcome[index])
 
     def shifted(self, xy_px: Float64) -> Candidates:
