@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -43,6 +43,7 @@ from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.matching.pose import search_pose
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import map_px
+from pcwlad_geo.registration.run import run
 
 sys.path.insert(0, str(REPOSITORY / "sample_data"))
 from make_sample_data import true_displacement_px
@@ -67,6 +68,7 @@ UNRELATED_CASES: Final = 2000
 UNRELATED_AT_A_TIME: Final = 200
 NODATA: Final = -9999.0
 SEARCH_S, REFUSED_S = 2.0, 4.0
+UNSEARCHED_RATIO: Final = 1.02
 
 
 def pose(
@@ -493,7 +495,7 @@ def _unrelated_job(data: Path, number: int, folder: Path) -> tuple[str, str, Job
 
 
 def _time(data: Path, scratch: Path, _runner: Runner, _share: float) -> Iterator[Table]:
-    """Yield the CPU time of the search alone, on 512² px."""
+    """Yield the CPU time of the search alone, and of a match that needs none, left to find out and told."""
     cv2.setNumThreads(1)
     side = np.s_[:512, :512]
     reference, near = read(landsat(data).reference)[side], read(rgbnir(data).reference)[side]
@@ -505,12 +507,25 @@ def _time(data: Path, scratch: Path, _runner: Runner, _share: float) -> Iterator
         partial(search_pose, reference.astype(float), near.astype(float), everywhere, everywhere),
     ]
     related, unrelated = cheapest(searches, 2)
+    placed = [
+        write(scratch / f"{name}.tif", image, GRID, CRS) for name, image in (("r", reference), ("t", target))
+    ]
+    told: list[Settings] = [replace(SETTINGS, prealign=which) for which in ("auto", "georef")]
+    open_, sound = cheapest([partial(run, *placed, each, match_only=True) for each in told], 5)
     checks = [
         at_most("pose search, 512 x 512 px: CPU", related.cpu_s, SEARCH_S, "s", 2),
         at_most("of an unrelated pair", unrelated.cpu_s, REFUSED_S, "s", 2),
+        at_most(
+            "match with sound georeferencing, as a multiple", open_.cpu_s / sound.cpu_s, UNSEARCHED_RATIO
+        ),
     ]
-    rows: list[list[Cell]] = [["turned by 30 degrees", related.cpu_s], ["unrelated", unrelated.cpu_s]]
-    yield Table("Pose search alone, 512 x 512 px, one core", ("", "CPU s"), rows, checks)
+    rows: list[list[Cell]] = [
+        ["search: turned by 30 degrees", related.cpu_s],
+        ["search: unrelated", unrelated.cpu_s],
+        ["match, georeferencing sound: --prealign auto", open_.cpu_s],
+        ["match, georeferencing sound: --prealign georef", sound.cpu_s],
+    ]
+    yield Table("512 x 512 px, one core", ("", "CPU s"), rows, checks)
 
 
 PARTS: Final[dict[str, Callable[[Path, Path, Runner, float], Iterator[Table]]]] = {

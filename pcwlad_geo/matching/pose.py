@@ -340,10 +340,10 @@ def _best_shift(
     moving: _Cells, fixed: _Cells, opposite: bool, size: int, least: float, expected: tuple[int, int] | None
 ) -> tuple[Float64, float] | None:
     """Return the (3, 3) matrix from moving to fixed px at the best shift, and its score."""
-    spectra, mask = (fixed.spectra.conj(), fixed.mask.conj()) if opposite else (fixed.spectra, fixed.mask)
-    correlation = scipy.fft.irfft2((moving.spectra.conj() * spectra).sum(axis=0), (size, size))
     blocks = (size // MASK_STEP, MASK_STEP) * 2
-    overlap = scipy.fft.irfft2(moving.mask.conj() * mask, blocks[::2]) / MASK_STEP**2
+    correlation = scipy.fft.irfft2(_cross_spectrum(moving.spectra, fixed.spectra, opposite), (size, size))
+    overlap = scipy.fft.irfft2(_cross_spectrum(moving.mask[None], fixed.mask[None], opposite), blocks[::2])
+    overlap /= MASK_STEP**2
     weight = (overlap >= least) / np.sqrt(np.maximum(overlap, 1.0))
     score = (correlation.reshape(blocks) * weight[:, None, :, None]).reshape(size, size)
     from_px = np.diag([-1.0, -1.0, 1.0]) @ fixed.from_px if opposite else fixed.from_px
@@ -366,6 +366,13 @@ def _best_shift(
     return np.linalg.inv(from_px) @ _affine(
         np.eye(2), np.array([col, row], np.float64)
     ) @ moving.from_px, best
+
+
+def _cross_spectrum(moving: Complex64, fixed: Complex64, opposite: bool) -> Complex64:
+    """Sum the cross spectra of (harmonics, rows, cols); the fixed image turned by half has the conjugate."""
+    if opposite:
+        return np.asarray((moving * fixed).sum(axis=0).conj())
+    return np.asarray((moving.conj() * fixed).sum(axis=0))
 
 
 def _nearest_cycle(at: int, size: int, moving: int, first: int, fixed: int) -> int:
