@@ -96,6 +96,19 @@ def test_a_program_is_answered(
     np.testing.assert_allclose(dx, -told, atol=2e-6)  # predicted less observed, as the Georeferencer has it
 
 
+def test_of_fits_that_wait_the_newest_is_answered(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    fits = [{"do": "fit", "number": number, "model": "affine", "off": []} for number in range(400)]
+    requests = [*fits, {"do": "save", "number": -1, "path": str(tmp_path / "a.points")}, fits[0]]
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(map(json.dumps, requests)) + "\n"))
+    assert run(["edit", str(folder)]) == 0
+    events = [json.loads(line) for line in capfd.readouterr().out.splitlines()]
+    answered = [event["number"] for event in events if event["event"] in ("fit", "saved")]
+    assert answered[-3:] == [399, -1, 0]
+    assert len(answered) < 200
+
+
 def test_a_folder_without_a_registration_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["edit", str(tmp_path)]) == 2
     assert "no finished registration" in json.loads(capfd.readouterr().out)["message"]
