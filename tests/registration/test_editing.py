@@ -70,6 +70,13 @@ def test_a_point_beyond_the_image_is_kept_as_shown(folder: Path) -> None:
     assert editor.table.sigma_px[-1] == pytest.approx((1.0, 1.0))
 
 
+def test_a_point_nowhere_near_the_images_is_refused(folder: Path) -> None:
+    editor = editor_of(folder)
+    for place in (1e38, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="nowhere near the images"):
+            editor.add((place, 0.0), (0.0, 0.0))
+
+
 def test_a_program_is_answered(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
