@@ -83,13 +83,15 @@ class Editor:
         The place in the reference becomes that of the nearest corner that can be matched. Where there is
         none, the point is as it was shown, with a sigma of a pixel.
         """
-        views = self._pair.views
+        views, far = self._pair.views, f"a point at {reference_xy}, {target_xy} lies nowhere near the images"
+        if not np.isfinite([*reference_xy, *target_xy]).all():
+            raise InputError(far)
         given = tuple(
             info.grid.to_px(np.array([xy], dtype=np.float64))
             for info, xy in ((views.reference.info, reference_xy), (views.target.info, target_xy))
         )
-        if not np.abs(np.concatenate(given)).max() <= FAR_PX:  # also where a place is no number
-            raise InputError(f"a point at {reference_xy}, {target_xy} lies nowhere near the images")
+        if not np.abs(np.concatenate(given)).max() <= FAR_PX:
+            raise InputError(far)
         with trusting(self._pair.settings.trust):
             found = self._refined(given[0], given[1])
         reference_px, target_px, covariance_px2, score = found or (
