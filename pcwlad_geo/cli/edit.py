@@ -85,7 +85,7 @@ def _serve(editor: Editor, tell: Tell) -> None:
             continue
         try:
             _answer(editor, request, tell, waiting)
-        except (PcwladGeoError, KeyError, TypeError, ValueError, OSError) as error:
+        except (PcwladGeoError, KeyError, TypeError, ValueError, OverflowError, OSError) as error:
             tell("failed", {"number": request.get("number"), "message": str(error)})
 
 
@@ -109,6 +109,8 @@ def _answer(
 ) -> None:
     what, number = request.get("do"), request.get("number")
     off = {int(index) for index in request.get("off", ())}
+    if off and not 0 <= min(off) <= max(off) < len(editor.table):
+        raise ValueError(f"points are numbered from 0 to {len(editor.table) - 1}: leave others out of 'off'")
     if what == "fit":
         trial = editor.try_model(str(request["model"]), off)
         found = {"model": trial.model, "rmse_px": trial.rmse_px, "points": trial.points}

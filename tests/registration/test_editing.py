@@ -86,6 +86,7 @@ def test_a_program_is_answered(
         {"do": "fit", "number": 1, "model": "affine", "off": off},
         {"do": "save", "number": 2, "path": str(saved), "off": off},
         {"do": "dance", "number": 3},
+        {"do": "save", "number": 4, "path": str(saved), "off": [10**15]},
         "nonsense",
     ]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(map(json.dumps, requests)) + "\n"))
@@ -95,7 +96,7 @@ def test_a_program_is_answered(
     assert by_kind["ready"]["points"] == by_kind["fit"]["points"] + len(off)
     assert by_kind["fit"]["rmse_px"] < 0.2
     assert len(by_kind["fit"]["residual_px"]) == by_kind["ready"]["points"]
-    assert [event["number"] for event in events if event["event"] == "failed"] == [3, None]
+    assert [event["number"] for event in events if event["event"] == "failed"] == [3, 4, None]
     rows = [line.split(",") for line in saved.read_text().splitlines() if line[0].isdigit()]
     assert [index for index, row in enumerate(rows) if row[4] == "0"] == off
     dx = np.array([float(row[5]) for row in rows])
