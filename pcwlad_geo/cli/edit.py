@@ -81,10 +81,19 @@ def _serve(editor: Editor, tell: Tell) -> None:
 
     threading.Thread(target=read, daemon=True).start()
     while (request := waiting.get()) is not None:
+        if request.get("do") == "fit" and _asks_to_fit(waiting):
+            continue
         try:
             _answer(editor, request, tell, waiting)
-        except (PcwladGeoError, KeyError, TypeError, ValueError, OSError) as error:
+        except (PcwladGeoError, KeyError, TypeError, ValueError, OverflowError, OSError) as error:
             tell("failed", {"number": request.get("number"), "message": str(error)})
+
+
+def _asks_to_fit(waiting: queue.Queue[dict[str, Any] | None]) -> bool:
+    """Return whether the next request that waits is a fit, which makes one before it pointless."""
+    with waiting.mutex:
+        following = waiting.queue[0] if waiting.queue else None
+    return following is not None and following.get("do") == "fit"
 
 
 def _parsed(line: str) -> dict[str, Any]:
@@ -100,6 +109,8 @@ def _answer(
 ) -> None:
     what, number = request.get("do"), request.get("number")
     off = {int(index) for index in request.get("off", ())}
+    if off and not 0 <= min(off) <= max(off) < len(editor.table):
+        raise ValueError(f"points are numbered from 0 to {len(editor.table) - 1}: leave others out of 'off'")
     if what == "fit":
         trial = editor.try_model(str(request["model"]), off)
         found = {"model": trial.model, "rmse_px": trial.rmse_px, "points": trial.points}

@@ -22,6 +22,8 @@ from pcwlad_geo.tiepoints.table import TiePointTable, place
 from pcwlad_geo.tiepoints.text_files import write_points
 from pcwlad_geo.types import Float64
 
+FAR_PX: Final = 1e7
+"""Largest coordinate of a point in a file, px, either way."""
 AROUND_PX: Final = 48
 """Distance from a place that a user shows up to which a corner is taken for it, matching-grid px."""
 RADIUS_PX: Final = 16
@@ -81,11 +83,15 @@ class Editor:
         The place in the reference becomes that of the nearest corner that can be matched. Where there is
         none, the point is as it was shown, with a sigma of a pixel.
         """
-        views = self._pair.views
+        views, far = self._pair.views, f"a point at {reference_xy}, {target_xy} lies nowhere near the images"
+        if not np.isfinite([*reference_xy, *target_xy]).all():
+            raise InputError(far)
         given = tuple(
             info.grid.to_px(np.array([xy], dtype=np.float64))
             for info, xy in ((views.reference.info, reference_xy), (views.target.info, target_xy))
         )
+        if not np.abs(np.concatenate(given)).max() <= FAR_PX:
+            raise InputError(far)
         with trusting(self._pair.settings.trust):
             found = self._refined(given[0], given[1])
         reference_px, target_px, covariance_px2, score = found or (

@@ -27,6 +27,15 @@ SERIES_PX: Final = (760.0, 170.0)
 """Width and height of a time series, CSS px."""
 RANKED: Final = 5
 """Number of images named by their displacement."""
+MODEL_NAMES: Final = {
+    "shift": "a shift",
+    "affine": "an affine",
+    "polynomial": "a polynomial",
+    "polynomial2": "a polynomial of order 2",
+    "polynomial3": "a polynomial of order 3",
+    "tps": "a smooth spline",
+}
+"""What the correction of an image is, in words."""
 MAX_NAMED: Final = 40
 """Largest number of images whose names stand in the drawing."""
 
@@ -109,6 +118,8 @@ def page(found: Stack) -> str:
         typical_px=root_mean_square(used) or 0.0,
         worst_sigma_px=max(sigma),
         datum=found.datum,
+        model=MODEL_NAMES.get(found.images[-1].correction.name, found.images[-1].correction.name),
+        added=[name for names in found.added for name in names],
         shared=found.shared,
         unreadable=found.unreadable,
         unchecked=[

@@ -70,6 +70,13 @@ def test_a_point_beyond_the_image_is_kept_as_shown(folder: Path) -> None:
     assert editor.table.sigma_px[-1] == pytest.approx((1.0, 1.0))
 
 
+def test_a_point_nowhere_near_the_images_is_refused(folder: Path) -> None:
+    editor = editor_of(folder)
+    for place in (1e38, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="nowhere near the images"):
+            editor.add((place, 0.0), (0.0, 0.0))
+
+
 def test_a_program_is_answered(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -79,6 +86,7 @@ def test_a_program_is_answered(
         {"do": "fit", "number": 1, "model": "affine", "off": off},
         {"do": "save", "number": 2, "path": str(saved), "off": off},
         {"do": "dance", "number": 3},
+        {"do": "save", "number": 4, "path": str(saved), "off": [10**15]},
         "nonsense",
     ]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(map(json.dumps, requests)) + "\n"))
@@ -88,12 +96,25 @@ def test_a_program_is_answered(
     assert by_kind["ready"]["points"] == by_kind["fit"]["points"] + len(off)
     assert by_kind["fit"]["rmse_px"] < 0.2
     assert len(by_kind["fit"]["residual_px"]) == by_kind["ready"]["points"]
-    assert [event["number"] for event in events if event["event"] == "failed"] == [3, None]
+    assert [event["number"] for event in events if event["event"] == "failed"] == [3, 4, None]
     rows = [line.split(",") for line in saved.read_text().splitlines() if line[0].isdigit()]
     assert [index for index, row in enumerate(rows) if row[4] == "0"] == off
     dx = np.array([float(row[5]) for row in rows])
     told = np.array(by_kind["fit"]["residual_px"])[:, 0]
     np.testing.assert_allclose(dx, -told, atol=2e-6)  # predicted less observed, as the Georeferencer has it
+
+
+def test_of_fits_that_wait_the_newest_is_answered(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    fits = [{"do": "fit", "number": number, "model": "affine", "off": []} for number in range(400)]
+    requests = [*fits, {"do": "save", "number": -1, "path": str(tmp_path / "a.points")}, fits[0]]
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(map(json.dumps, requests)) + "\n"))
+    assert run(["edit", str(folder)]) == 0
+    events = [json.loads(line) for line in capfd.readouterr().out.splitlines()]
+    answered = [event["number"] for event in events if event["event"] in ("fit", "saved")]
+    assert answered[-3:] == [399, -1, 0]
+    assert len(answered) < 200
 
 
 def test_a_folder_without_a_registration_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

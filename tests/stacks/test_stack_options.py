@@ -82,6 +82,35 @@ def test_what_cannot_be_added_is_told(tmp_path: Path) -> None:
     assert run_command(["stack", "--add", str(image), str(tmp_path), "--max-pairs", "3"]) == 2
 
 
+def test_a_damaged_stack_takes_no_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    images = write_images(tmp_path, 3)
+    out = tmp_path / "out"
+    stack(images[:2], out_dir=out, jobs=1)
+    with pytest.raises(InputError, match=r"date1\.tif is named twice, or is in the stack already"):
+        stack_add([images[1]], out)
+    with pytest.raises(InputError, match=r"no image is left to be added: .*nowhere\.tif does not exist"):
+        stack_add([tmp_path / "nowhere.tif"], out)
+    numbers = numbers_of(out)
+    first, *others = numbers["images"]
+    outside = {**first, "given": {**first["given"], "name": "../date0"}}
+    for damage in (
+        {"images": 3},
+        {"images": [{"given": {"path": 1}}]},
+        {"images": [outside, *others]},
+        {"pairs": [{"reference": "date0", "target": "../../date1", "status": "used"}]},
+        {"control": [{"image": "date0"}]},
+        {"added": [["date7"]]},
+        {"model": "jitter"},
+        {"reference": None},
+        {"warnings": [4]},
+    ):
+        (out / "stack.json").write_text(json.dumps({**numbers, **damage}), encoding="utf-8")
+        with pytest.raises(InputError, match=r"is damaged.*: stack the images again"):
+            stack_add([images[2]], out)
+    assert run_command(["stack", "--add", str(images[2]), str(out)]) == 2
+    assert "is damaged" in capsys.readouterr().err
+
+
 def test_the_pairs_of_a_table_are_matched_and_no_others(
     tmp_path: Path, matched: list[tuple[str, str]]
 ) -> None:

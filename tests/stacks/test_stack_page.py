@@ -62,6 +62,7 @@ def test_the_net_is_drawn_and_what_does_not_fit_comes_first(tmp_path: Path) -> N
     assert rows[:2] == ["date0 – date1", "date0 – date3"]
     assert "1 pair contradicts" in text
     assert "late.tif could not be read" in text
+    assert "of each is an affine." in text
 
 
 def test_dates_are_drawn_as_a_series_and_cycles_name_the_pair_to_blame(tmp_path: Path) -> None:
