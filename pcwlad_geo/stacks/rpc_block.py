@@ -24,7 +24,7 @@ from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.rpc.dem import WGS84, ConstantHeight, Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
 from pcwlad_geo.stacks.adjustment import larger
-from pcwlad_geo.stacks.network import ALIKE, LEAST_CHECKED, POINT_LIMIT, RAYLEIGH_MEDIAN
+from pcwlad_geo.stacks.network import ALIKE, POINT_LIMIT, RAYLEIGH_MEDIAN
 from pcwlad_geo.types import Bool, Float64, Index
 
 MODELS: Final[Mapping[str, tuple[int, ...]]] = {"shift": (0,), "drift": (0, 2), "affine": (0, 1, 2)}
@@ -45,6 +45,8 @@ USUAL_PX: Final = 0.03
 """Standard deviation of the error that the points of a pair share, where no cycle tells it."""
 MIN_REDUNDANCY: Final = 0.3
 """Sum of the redundancies of the pairs from which their cycles tell that error."""
+UNCHECKED: Final = 0.1
+"""Of an offset that the other pairs check less, the rest is of the arithmetic."""
 NO_DATUM: Final = 1e-5
 """Combinations of biases of less information than this share of the best known one are a matter of datum."""
 NO_PARALLAX: Final = 1e-3
@@ -774,7 +776,7 @@ def _fit(problem: _Problem, state: _State, number: int, covariance: Float64) -> 
     return BlockFit(
         used,
         (float(offset[0]), float(offset[1])),
-        float(np.sqrt(max(variance, LEAST_CHECKED * own))),
+        float(np.sqrt(max(variance, UNCHECKED * own))),
         redundancy,
         state.scatters[number],
         problem.left_px(number, state),
