@@ -32,6 +32,7 @@ from pcwlad_geo.requirements import Requirement, RequirementResult
 from pcwlad_geo.stacks.adjustment import Adjustment
 from pcwlad_geo.stacks.basis import SPLINE_CELLS, Basis
 from pcwlad_geo.stacks.cycles import Closure, closure_of, root_mean_square, suspicion
+from pcwlad_geo.stacks.homography import FrameAdjustment
 from pcwlad_geo.stacks.inputs import StackInput
 from pcwlad_geo.stacks.pairs import ControlPoint, Frame, Measured, StackPair
 from pcwlad_geo.stacks.rpc_block import BlockAdjustment
@@ -361,7 +362,9 @@ def _image(
         sigma_px=_pair(sigma_px),
         sigma_m=None if sizes_m is None else _pair(sigma_px * sizes_m[0]),
         pairs=len(own),
-        correction=_correction(at_px, observed_px, adjustment.basis),
+        correction=adjustment.correction(number)
+        if isinstance(adjustment, FrameAdjustment)
+        else _correction(at_px, observed_px, adjustment.basis),
         registered=registered,
         suspicion=root_mean_square([suspicion(pair) for pair in own]) or 0.0,
         group=int(adjustment.group[number]),

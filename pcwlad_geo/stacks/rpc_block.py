@@ -97,7 +97,8 @@ class Sight:
     left_px: Float64
     """(n, 2) observed less predicted."""
     first_rate: Float64
-    """(n, 2, 2) derivatives of the predicted px by those of the first image, through the terrain."""
+    """(n, 2, 2) derivatives of the predicted px by those of the first image, through the terrain: the mean of
+    all points, as windows average what slopes change from point to point."""
     first_terms: Float64
     """(n, 3) terms 1, column, row of the first image's correction."""
     second_terms: Float64
@@ -440,11 +441,12 @@ def _sight(block: Block, pair: BlockPair, *, level: bool = False) -> Sight:
 
     at_px, ground_px = seen(pair.first_px), map_px(pair.first_px, grids[0], frame)
     sides = [seen(pair.first_px + step) - seen(pair.first_px - step) for step in np.eye(2) / 2]
+    rate = np.stack(sides, axis=2)
     height_rate = (seen(pair.first_px, HEIGHT_STEP_M) - at_px) / HEIGHT_STEP_M
     slope = np.zeros((len(pair), 2)) if level else _slope(grids, frame, ground_px)
     return Sight(
         pair.second_px - at_px,
-        np.stack(sides, axis=2),
+        np.broadcast_to(np.nanmean(rate, axis=0), rate.shape),
         Basis.over(grids[0].shape).values(pair.first_px),
         Basis.over(grids[1].shape).values(at_px),
         height_rate,

@@ -43,6 +43,7 @@ from pcwlad_geo.stacks.graph import (
     listed_pairs,
     quick_look,
 )
+from pcwlad_geo.stacks.homography import HOMOGRAPHY, homographies, or_homographies
 from pcwlad_geo.stacks.inputs import StackInput, listed, with_reference
 from pcwlad_geo.stacks.network import Edge, components
 from pcwlad_geo.stacks.page import page
@@ -210,7 +211,7 @@ def stack(
                 raise SettingsError("images with RPCs: a reference is the datum, and all hang together")
             return _stacked_rpcs(job, placed, unreadable, given, (pairs, max_pairs, gcps))
         looks = _looks(inputs, infos, unreadable, job.tell)
-        frame = _frame(inputs, infos, reference)
+        frame = _frame(inputs, infos, reference, job.settings.model)
         _check_places(job, frame, frame.names, given)
         found = [] if pairs is not None else candidates(frame, inputs, looks)
         chosen: Chosen = "listed" if pairs is not None else "auto" if max_pairs is None else "limited"
@@ -321,13 +322,15 @@ def stack_add(
     before = _numbers_of(Path(out_dir))
     if before.get("block") is not None:
         raise InputError(f"{out_dir} is a stack of images with RPCs: stack all images again")
+    if any(entry["model"]["name"] == "projective" for entry in before["images"]):
+        raise InputError(f"{out_dir} is a stack of frames with homographies: stack all images again")
     old, points = _of_before(before, Path(out_dir))
     own = {"ref_band": old[0].band, "tgt_band": old[0].band, "model": before["model"]}
     job = _job(out_dir, False, on_event, executor, options | own)
     with trusting(job.settings.trust):
         inputs, infos, unreadable = _readable(images, job.settings, job.tell, old)
         looks = _looks(inputs, infos, unreadable, job.tell)
-        frame = _frame(inputs, infos, str(before["reference"]))
+        frame = _frame(inputs, infos, str(before["reference"]), "auto")
         new = frame.names[len(old) :]
         if not new:
             raise InputError("no image is left to be added: " + "; ".join(unreadable.values()))
@@ -401,8 +404,13 @@ def _edges(
 def _adjusted(job: _Job, frame: Frame, edges: Sequence[Edge], stays: int | None, apart: bool) -> Adjustment:
     """Adjust all images by their pairs, with the model that these ask for."""
     count = max(len(frame.names), 1 + max(edge.first for edge in edges))  # control points are one more
+    if job.settings.model == HOMOGRAPHY:
+        return homographies(edges, count, datum=stays, apart=apart)
     basis = choose_basis(edges, count, job.settings.model, datum=stays, apart=apart)
-    return adjust(edges, count, basis=basis, datum=stays, apart=apart)
+    found = adjust(edges, count, basis=basis, datum=stays, apart=apart)
+    if frame.placed or job.settings.model != "auto":
+        return found
+    return or_homographies(found, edges, count, datum=stays, apart=apart)
 
 
 def asked(
@@ -499,9 +507,10 @@ def _measured_before(frame: Frame, folder: Path, entry: Mapping[str, Any]) -> Me
 
 
 def _check_settings(settings: Settings) -> None:
-    if settings.model not in TRIED and settings.dem is None:  # images with RPCs have models of their own
+    models = (*TRIED, HOMOGRAPHY)
+    if settings.model not in models and settings.dem is None:  # images with RPCs have models of their own
         raise SettingsError(
-            f"model = {settings.model!r}: a stack has the models {', '.join(TRIED)}: choose one of them"
+            f"model = {settings.model!r}: a stack has the models {', '.join(models)}: choose one of them"
         )
     of_one = [name for name in OF_ONE_RASTER if getattr(settings, name) is not None]
     if of_one:
@@ -561,7 +570,7 @@ def _looks(
     return looks
 
 
-def _frame(inputs: Sequence[StackInput], infos: list[RasterInfo], reference: str | None) -> Frame:
+def _frame(inputs: Sequence[StackInput], infos: list[RasterInfo], reference: str | None, model: str) -> Frame:
     names = [each.name for each in inputs]
     if reference is not None and reference not in names:
         raise InputError(f"the reference {reference} is none of the images {', '.join(names)}")
@@ -572,6 +581,10 @@ def _frame(inputs: Sequence[StackInput], infos: list[RasterInfo], reference: str
     if lacking and len(lacking) < len(names):
         raise InputError(
             f"{', '.join(lacking)} without georeferencing among images with it: give images of one kind"
+        )
+    if model == "projective" and not lacking:
+        raise SettingsError(
+            "model = 'projective': a homography an image is for frames without georeferencing"
         )
     number = 0 if reference is None else names.index(reference)
     return Frame(names, infos, infos[number].grid, not lacking, tuple(inputs), number)
