@@ -111,6 +111,7 @@ def page(found: Stack) -> str:
         datum=found.datum,
         shared=found.shared,
         unreadable=found.unreadable,
+        block=found.block,
         unchecked=[
             pair for pair in found.pairs if pair.redundancy is not None and pair.redundancy < UNCHECKED
         ],

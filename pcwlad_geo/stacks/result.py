@@ -139,7 +139,8 @@ class Stack:
     images: tuple[StackImage, ...]
     pairs: tuple[StackPair, ...]
     shared: float
-    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it."""
+    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it; of
+    images with RPCs in px."""
     datum: str
     """Name of the image that stays, or `mean`."""
     out_dir: Path
@@ -233,7 +234,8 @@ class StackNumbers:
     model: str
     """The model that was asked for."""
     shared: float
-    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it."""
+    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it; of
+    images with RPCs in px."""
     reference: str
     """Name of the image whose grid is the frame."""
     chosen: Chosen

@@ -500,7 +500,10 @@ def _weighted(problem: _Problem, state: _State) -> _State:
         own = residual[known]
         off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", own, weight[known], own), 1e-12))
         unit = max(1.0, float(np.median(off)) / RAYLEIGH_MEDIAN) if known.any() else 1.0
-        weight[known] *= (np.minimum(1.0, POINT_LIMIT * unit / off) / unit**2)[:, None, None]
+        factor = np.minimum(1.0, POINT_LIMIT * unit / off)
+        if pair.height_m is not None:  # a few, set one by one: a wrong one must not pull at all
+            factor = factor**3
+        weight[known] *= (factor / unit**2)[:, None, None]
         weights.append(weight)
         scatters.append(1.4826 * float(np.median(np.abs(residual[known]))) if known.any() else 0.0)
     return replace(state, weights=tuple(weights), scatters=tuple(scatters), sigma_height_m=sigma_m)

@@ -28,8 +28,9 @@ LEAST_PX: Final = 4.0
 """Least disagreement of two images, px, by which a DEM is called too high or too low."""
 BESIDE_SIGMAS: Final = 5.0
 """A DEM is called displaced by more sigmas."""
-BESIDE_PX: Final = 2.0
-"""And by at least so many of its pixels, or of the images'."""
+BESIDE_PX: Final = 3.0
+"""And by at least so many of its pixels, or of the images', and a few metres."""
+LEAST_BESIDE_M: Final = 3.0
 BESIDE_M: Final = 10.0
 """Without a reference, which RPCs may all miss alike, by at least so many metres."""
 SCALE: Final = 0.03
@@ -149,8 +150,7 @@ def _is_beside(
 ) -> bool:
     sizes = [pixel_sizes_m(grid, grid.middle_px) for grid in (dem.grid, block.frame)]
     least = BESIDE_PX * max(float(each.max()) for each in sizes if each is not None)
-    if not absolute:
-        least = max(least, BESIDE_M)
+    least = max(least, LEAST_BESIDE_M if absolute else BESIDE_M)
     return bool(np.hypot(*off_m) > max(least, BESIDE_SIGMAS * float(np.hypot(*sigma_m))))
 
 

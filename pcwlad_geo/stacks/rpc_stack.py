@@ -50,7 +50,7 @@ from pcwlad_geo.stacks.result import (
 from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockFit, BlockPair, adjust_block
 from pcwlad_geo.stacks.rpc_heights import DemCheck, check_dem
 from pcwlad_geo.tiepoints.readers import read_point_file
-from pcwlad_geo.types import PathLike
+from pcwlad_geo.types import Bool, PathLike
 
 POINTS: Final = 3000
 """Largest number of tie points of a pair in the adjustment, spread evenly."""
@@ -121,21 +121,23 @@ def place_images(
     ]
     base = reference if reference in on_map else on_map[0] if on_map else None
     kept: list[tuple[StackInput, RasterInfo, RpcPlacement | None]] = []
+    notes: list[str] = []
     for each, info in zip(inputs, infos, strict=True):
         try:
             placed = None if each.name == base else _placed(each, info, base, settings)
             kept.append((each, info if placed is None else placed.info, placed))
         except InputError as error:
             unreadable[each.path] = str(error)
-            tell(Warned(f"{each.name} is left out: {error}"))
+            notes.append(f"{each.name} is left out: {error}")
             continue
-        for warning in placed.warnings if placed else ():
-            tell(Warned(warning))
+        notes += placed.warnings if placed else ()
     if len(kept) < 2 or not any(placed for _, _, placed in kept):
         raise InputError(
-            "a block of images with RPCs needs two images, and one of them with an RPC: "
-            + ("; ".join(unreadable.values()) or "give more")
+            f"{len(kept)} of {len(names)} images can be placed, and with RPCs and a DEM two are "
+            f"needed, one of them with an RPC: {'; '.join(dict.fromkeys(unreadable.values())) or 'give more'}"
         )
+    for note in notes:
+        tell(Warned(note))
     kept.sort(key=lambda image: image[2] is not None)  # the reference first
     return _framed(kept, reference)
 
@@ -208,16 +210,16 @@ def without_ground(
     """
     frame = placed.frame
     shown = {image for pair in pairs for image in pair}
-    for number, name in enumerate(frame.names):
-        if number not in shown:
-            reason = f"{name} shares no ground with any other image, where its RPC puts it"
-            unreadable[frame.given(number).path] = reason
-            tell(Warned(f"{reason}: it is left out"))
     if not shown:
         raise InputError(
             f"{', '.join(frame.names)}: no two of the images share ground, where their RPCs put them: give "
             "images of one ground, each with its own RPC"
         )
+    for number, name in enumerate(frame.names):
+        if number not in shown:
+            reason = f"{name} shares no ground with any other image, where its RPC puts it"
+            unreadable[frame.given(number).path] = reason
+            tell(Warned(f"{reason}: it is left out"))
     return sorted(shown)
 
 
@@ -449,7 +451,7 @@ def _misfits(placed: PlacedImages, pairs: Sequence[BlockPair], adjustment: Block
         ends = (pair.first, pair.second)
         if not control and (placed.placements[0] is not None or 0 not in ends):
             continue
-        known = fit.weight.any(axis=(1, 2))
+        known = fit.weight.any(axis=(1, 2)) & ~(_off(pair, fit) if control else False)
         left = fit.left_px[known]
         size_m = _pixel_m(frame.infos[pair.second].grid)
         rmse = float(np.sqrt((left**2).sum(axis=1).mean())) if len(left) else float("nan")
@@ -468,14 +470,19 @@ def _misfits(placed: PlacedImages, pairs: Sequence[BlockPair], adjustment: Block
     return found
 
 
+def _off(pair: BlockPair, fit: BlockFit) -> Bool:
+    """Return the (n,) mask of the control points that contradict all others."""
+    off = np.hypot(*fit.left_px.T) / np.sqrt(np.trace(pair.covariance_px2, axis1=1, axis2=2) / 2)
+    return np.asarray(off > CONTROL_OFF * max(1.0, float(np.nanmedian(off))))
+
+
 def control_warnings(placed: PlacedImages, pairs: Sequence[BlockPair], found: BlockAdjustment) -> list[str]:
     """Name the control points that contradict the others."""
     told = []
     for pair, fit in zip(pairs, found.edges, strict=True):
         if pair.height_m is None:
             continue
-        off = np.hypot(*fit.left_px.T) / np.sqrt(np.trace(pair.covariance_px2, axis1=1, axis2=2) / 2)
-        for index in np.flatnonzero(off > CONTROL_OFF * max(1.0, float(np.nanmedian(off)))).tolist():
+        for index in np.flatnonzero(_off(pair, fit)).tolist():
             (col, row), length = pair.second_px[index], float(np.hypot(*fit.left_px[index]))
             name = placed.frame.names[pair.second]
             told.append(

@@ -112,9 +112,10 @@ class _Job:
     """What pairs gave that have been measured."""
 
     def tell(self, event: Event) -> None:
-        """Pass an event on, and keep what a warning says."""
+        """Pass an event on, and keep warnings; what was told of an image is not told of its pairs."""
         if isinstance(event, Warned):
-            if event.message in self.warnings:  # pairs are adjusted twice where sigma asks for more
+            # pairs are adjusted twice where sigma asks for more
+            if {event.message, event.message.partition(": ")[2]} & set(self.warnings):
                 return
             self.warnings.append(event.message)
         self.on_event(event)
