@@ -108,7 +108,7 @@ class HomographyBasis:
 
 
 def mixing_of(basis: Basis) -> Float64 | None:
-    """Return the (2 terms, p) coefficients of an image by p unknowns; None where they are the unknowns."""
+    """Return the (2 * terms, p) coefficients of an image by p unknowns; None where they are the unknowns."""
     return basis.mixing if isinstance(basis, HomographyBasis) else None
 
 

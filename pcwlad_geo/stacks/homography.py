@@ -32,6 +32,7 @@ STILL_PX: Final = 1e-4
 TOLERANCE_PX: Final = 1.0
 """Largest distance of a tie point from its epipolar line."""
 LEAST_TOLERANCE_PX: Final = 0.25
+"""Least limit of that distance."""
 SCATTERS: Final = 5.0
 """That limit, in robust scatters of the points about their lines."""
 LEAST: Final = 6

@@ -29,13 +29,15 @@ LEAST_PX: Final = 4.0
 BESIDE_SIGMAS: Final = 5.0
 """A DEM is called displaced by more sigmas."""
 BESIDE_PX: Final = 3.0
-"""And by at least so many of its pixels, or of the images', and a few metres."""
+"""And by at least so many of its pixels, or of the images'."""
 LEAST_BESIDE_M: Final = 3.0
+"""And by at least so many metres."""
 BESIDE_M: Final = 10.0
 """Without a reference, which RPCs may all miss alike, by at least so many metres."""
 SCALE: Final = 0.03
 """Least error of the scale of heights that is told."""
 SCALE_SIGMAS: Final = 5.0
+"""It is told beyond so many sigmas."""
 MIN_RELIEF: Final = 10.0
 """Least relief, in standard deviations of a point's height, that tells of the scale."""
 

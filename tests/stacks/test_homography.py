@@ -17,9 +17,8 @@ import pcwlad_geo
 from pcwlad_geo.correction.models import ProjectiveCorrection
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.stacks.adjustment import adjust
-from pcwlad_geo.stacks.homography import adjust_frames, homographies, on_epipolar_lines
+from pcwlad_geo.stacks.homography import FrameAdjustment, homographies, on_epipolar_lines, or_homographies
 from pcwlad_geo.stacks.network import Edge
-from pcwlad_geo.stacks.run import add
 from tests.scenes import make_grid, render, write
 
 Array = NDArray[np.float64]
@@ -86,16 +85,16 @@ def test_points_of_two_places_fit_no_geometry() -> None:
 def test_affines_are_kept_where_they_are_enough() -> None:
     level = tuple(np.vstack([matrix[:2], [0.0, 0.0, 1.0]]) for matrix in TILTED)
     ends = list(combinations(range(3), 2))
-    assert not hasattr(adjust_frames([edge(*each, level) for each in ends], 3, model="auto"), "matrices")
-    assert hasattr(adjust_frames([edge(*each) for each in ends], 3, model="auto"), "matrices")
+    for frames, better in ((level, False), (TILTED, True)):
+        edges = [edge(*each, frames) for each in ends]
+        found = or_homographies(adjust(edges, 3), edges, 3)
+        assert isinstance(found, FrameAdjustment) is better
 
 
-def test_mixed_unknowns_are_those_of_the_polynomial_where_nothing_is_mixed() -> None:
-    level = tuple(np.vstack([matrix[:2], [0.0, 0.0, 1.0]]) for matrix in TILTED)
-    edges = [edge(*each, level) for each in combinations(range(3), 2)]
-    plain, mixed = adjust(edges, 3), adjust(edges, 3, mixing=np.eye(6))
-    assert mixed.coefficients == pytest.approx(plain.coefficients)
-    assert mixed.covariance(1, PLACES) == pytest.approx(plain.covariance(1, PLACES))
+def test_frames_that_no_homography_connects_are_an_error() -> None:
+    few = edge(0, 1, n=4)
+    with pytest.raises(InputError, match="no homography"):
+        homographies([few, edge(0, 2)], 3)
 
 
 OPTIONS: Any = {"features": 100, "jobs": 1}
@@ -135,7 +134,7 @@ def test_a_series_of_frames_is_rectified(frames: Path, tmp_path: Path) -> None:
     numbers = json.loads((tmp_path / "out" / "stack.json").read_text(encoding="utf-8"))
     assert [image["model"]["name"] for image in numbers["images"]] == ["projective"] * 3
     with pytest.raises(InputError, match="homographies"):
-        add([images[0]], tmp_path / "out")
+        pcwlad_geo.stack_add([images[0]], tmp_path / "out")
 
 
 def test_georeferenced_images_have_no_homographies(tmp_path: Path) -> None:

@@ -221,7 +221,5 @@ def test_a_file_in_the_way_and_one_more_image(pair: Stack, folder: Path, tmp_pat
     images = [folder / "view0.tif", folder / "view1.tif"]
     how: Any = {**OPTIONS, "dem": folder / "dem.tif"}
     refused(images, "in the way", OutputError, **how, out_dir=tmp_path)
-    from pcwlad_geo.stacks.run import add
-
     with pytest.raises(InputError, match="images with RPCs"):
-        add([folder / "view2.tif"], pair.out_dir)
+        pcwlad_geo.stack_add([folder / "view2.tif"], pair.out_dir)
