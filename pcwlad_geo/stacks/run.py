@@ -164,7 +164,8 @@ def stack(
     band : int or str
         Number of the band that is matched, or its name in products.
     reference : str, optional
-        Name of the image whose grid is the frame; the first by default.
+        Name or file of the image whose grid is the frame; the first by default. Of images with RPCs, what
+        fixes them: an image on the map, or one of them that stays; by default their mean stays.
     datum : {"reference", "mean"}
         What stays: the reference, or the mean position of all images.
     pairs : path, optional
@@ -172,8 +173,8 @@ def stack(
     max_pairs : int, optional
         Largest number of pairs that are measured.
     gcps : path, optional
-        Table (CSV) of control points, columns `image`, `col`, `row`, `x`, `y` and if known `sigma`: they are
-        the datum, and no image stays.
+        Table (CSV) of control points, columns `image`, `col`, `row`, `x`, `y` and if known `sigma` (and `z`,
+        for images with RPCs): they are the datum, and no image stays.
     allow_components : bool
         Groups of images that no pair connects each get a datum of their own.
     overwrite : bool
@@ -184,7 +185,8 @@ def stack(
         Runs the tiles; None = `jobs` processes, or the workers of `scheduler`.
     **options
         Fields of `Settings` but those of one of two rasters; `model` is `auto`, `shift`, `affine`,
-        `polynomial` (of order 2 or 3) or `tps` (a spline).
+        `polynomial` (of order 2 or 3), `tps` (a spline) or, of frames without georeferencing, `projective`.
+        Images with RPCs need `dem` (and `dem_vertical`), and `model` is `auto`, `shift` or `affine`.
 
     Returns
     -------
