@@ -34,6 +34,7 @@ from benchmarks.studies.quality import quality
 from benchmarks.studies.refusal import refusal
 from benchmarks.studies.robustness import robustness
 from benchmarks.studies.rpc import rpc
+from benchmarks.studies.rpcblock import rpcblock
 from benchmarks.studies.sigma import sigma
 from benchmarks.studies.stack import stack
 from benchmarks.studies.tiles import tiles
@@ -62,6 +63,7 @@ STUDIES: dict[str, Study] = {
     "jitter": jitter,
     "pose": pose,
     "stack": stack,
+    "rpcblock": rpcblock,
 }
 
 

@@ -37,6 +37,7 @@ FUNCTION_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
 
 _REGISTER: Final = ("register",)
 _PAIR: Final = ("register", "match")
+_PLACED: Final = (*_PAIR, "stack")
 _REPORTING: Final = ("register", "match", "qa")
 _MATCHING: Final = (*_REPORTING, "stack")
 _CORRECTING: Final = ("register", "stack")
@@ -104,7 +105,7 @@ class Settings:
     """Part of the ground that is read, matched and written: x_min, y_min, x_max, y_max in the reference's
     CRS. Of the target a margin for its displacement is read too."""
     dem: Annotated[
-        Path | str | None, Option("Heights of the ground, for images with RPCs.", _PAIR, metavar="FILE")
+        Path | str | None, Option("Heights of the ground, for images with RPCs.", _PLACED, metavar="FILE")
     ] = None
     """Heights of the ground, for a target with RPCs."""
     dem_vertical: Annotated[
@@ -112,13 +113,13 @@ class Settings:
         Option(
             "What is added to the DEM's heights to count from the ellipsoid (0: they do), where its CRS"
             " does not tell: metres, or a geoid grid.",
-            _PAIR,
+            _PLACED,
             metavar="METRES|GRID",
         ),
     ] = None
     """Metres from the ellipsoid up to what the DEM's heights are above (0: the ellipsoid), or a file of them;
     None = the DEM's CRS tells."""
-    trust_rpc: Annotated[bool, Option("Use RPCs as they are, wherever they put an image.", _PAIR)] = False
+    trust_rpc: Annotated[bool, Option("Use RPCs as they are, wherever they put an image.", _PLACED)] = False
     """Use RPCs as they are, also where they put an image on ground that they cannot be made for."""
     method: Annotated[Method, Option("Fine matching method.", _MATCHING)] = "oriented"
     """Fine matching method."""

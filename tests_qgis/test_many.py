@@ -14,6 +14,7 @@ from qgis.core import (
     QgsApplication,
     QgsCoordinateReferenceSystem,
     QgsCoordinateTransform,
+    QgsProcessingException,
     QgsProcessingModelAlgorithm,
     QgsProcessingModelChildAlgorithm,
     QgsProcessingModelChildParameterSource,
@@ -70,6 +71,12 @@ def test_a_stack_is_adjusted(series: list[Path], tmp_path: Path) -> None:
     with Path(run.results["OUTPUT_CSV"]).open(encoding="utf-8") as file:
         assert len(list(csv.DictReader(file))) == 3
     assert len(list((tmp_path / "stack").glob("*_registered.tif"))) == 3
+
+
+def test_a_stack_hands_the_dem_on(series: list[Path], tmp_path: Path) -> None:
+    parameters = {"INPUTS": [str(path) for path in series[:2]], "DEM": str(series[2]), "DEM_VERTICAL": "0"}
+    with pytest.raises(QgsProcessingException, match="RPC"):  # these have none
+        run_algorithm("stack", {**parameters, **QUICK, "OUTPUT_FOLDER": str(tmp_path / "stack")})
 
 
 def test_a_model_of_the_modeler_runs_in_qgis_process(

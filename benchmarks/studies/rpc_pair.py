@@ -95,8 +95,8 @@ def _orthoimages(reference: Path, images: dict[str, Path]) -> Table:
         with rasterio.open(path) as file:
             window = file.window(*bounds).round_offsets().round_lengths()
             theirs = file.read(1, window=window, boundless=True, fill_value=0).astype(np.float64)
-        shifts = _phase_shifts(ours, theirs, valid & (theirs > 0), WINDOW_PX)
-        rows.append([name, len(shifts), *_summary(shifts)])
+        shifts = phase_shifts(ours, theirs, valid & (theirs > 0), WINDOW_PX)
+        rows.append([name, len(shifts), *summary(shifts)])
         distance = float(np.hypot(*np.median(shifts, axis=0)))
     checks = [at_most("orthoimages after the correction: apart", distance, LEFT_PX, "px")]
     header = ("img_02", "windows", "median column", "row", "its standard error", "row")
@@ -120,12 +120,12 @@ def _sibling(target: Path, registration: Path, pan: Path, scratch: Path) -> Tabl
         whole = file.window(*ms.bounds).round_offsets().round_lengths()
         fine = file.read(1, window=whole, boundless=True, fill_value=0).astype(np.float64)
     mean, covered = _block_mean(fine, round(size)), _block_mean((fine > 0).astype(float), round(size))
-    shifts = _phase_shifts(mean, theirs, (covered == 1.0) & (theirs > 0), WINDOW_PX // 2)
+    shifts = phase_shifts(mean, theirs, (covered == 1.0) & (theirs > 0), WINDOW_PX // 2)
     apart = np.median(shifts, axis=0) * size
     rows: list[list[Cell]] = [
         ["correction of the pan, its px", "", *(f"{value:+.4f}" for value in moved[0]), "", ""],
         ["carried over, px of the sibling", "", *(f"{value:+.4f}" for value in moved[1]), "", ""],
-        ["orthoimages apart, px of the sibling", len(shifts), *_summary(shifts)],
+        ["orthoimages apart, px of the sibling", len(shifts), *summary(shifts)],
     ]
     ratio_px = float(np.hypot(*(moved[1] * DECIMATION - moved[0])))
     checks = [
@@ -162,7 +162,7 @@ def _write_decimated(target: Path, path: Path) -> tuple[RpcModel, RpcModel]:
     return rpc, coarse
 
 
-def _phase_shifts(first: Array, second: Array, valid: Array, side: int) -> Array:
+def phase_shifts(first: Array, second: Array, valid: Array, side: int) -> Array:
     """Return (n, 2) shifts (col, row) of the second image against the first, in windows all valid."""
     taper = cv2.createHanningWindow((side, side), cv2.CV_64F)
     found = []
@@ -175,7 +175,7 @@ def _phase_shifts(first: Array, second: Array, valid: Array, side: int) -> Array
     return np.array(found).reshape(-1, 2)
 
 
-def _summary(shifts: Array) -> list[str]:
+def summary(shifts: Array) -> list[str]:
     """Return the median and its standard error; windows overlap by half, so that a quarter of them counts."""
     middle = np.median(shifts, axis=0)
     scatter = 1.4826 * np.median(np.abs(shifts - middle), axis=0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +15,11 @@ import rasterio
 from affine import Affine
 from numpy.typing import NDArray
 from PIL import Image
+from rasterio.crs import CRS
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.rpc import RPC
 from rasterio.vrt import WarpedVRT
+from rasterio.warp import reproject
 from scipy import ndimage
 
 mpl.use("agg")
@@ -28,7 +33,15 @@ sys.path.insert(0, str(SAMPLE))
 
 from landscape import ground  # noqa: E402
 
+from pcwlad_geo.raster.crs import transform_xy  # noqa: E402
+from pcwlad_geo.raster.gdal import ignoring  # noqa: E402
+from pcwlad_geo.raster.rpc.dem import WGS84, open_dem  # noqa: E402
+from pcwlad_geo.raster.rpc.files import to_gdal  # noqa: E402
+from pcwlad_geo.raster.rpc.grid import RpcGrid  # noqa: E402
+from pcwlad_geo.raster.rpc.model import RpcModel  # noqa: E402
+
 ORANGE, BLUE = "#ff7a00", "#1769aa"
+UTM: Final = CRS.from_epsg(32633)
 CORNER_XY_M: Final = np.array([500000.0, 4600000.0])
 
 Values = NDArray[np.float64]
@@ -91,6 +104,76 @@ def write_band(
     with rasterio.open(path, "w", driver="GTiff", **shape, **place) as file:
         file.write(np.clip(8000 + 20000 * image + 60 * noise, 1, 65535).astype("uint16"), 1)
     return Path(path)
+
+
+def write_dem(path: Path | str, side: int = 260, pixel_m: float = 60.0) -> Path:
+    """Write the heights of hills around the landscape, metres above the ellipsoid, and return the path."""
+    corner = CORNER_XY_M + 60 * pixel_m * np.array([-1, 1])
+    col, row = np.meshgrid(np.arange(side) + 0.5, np.arange(side) + 0.5)
+    heights = 400 + 150 * np.sin((col - 60) * pixel_m / 1500) * np.cos((row - 60) * pixel_m / 1900)
+    shape = {"width": side, "height": side, "count": 1, "dtype": "float32"}
+    place = {"crs": "EPSG:32633", "transform": Affine(pixel_m, 0, corner[0], 0, -pixel_m, corner[1])}
+    with rasterio.open(path, "w", driver="GTiff", **shape, **place) as file:
+        file.write(heights.astype("float32"), 1)
+    return Path(path)
+
+
+def write_raw(
+    path: Path | str,
+    dem: Path,
+    lean: Sequence[float],
+    error_px: Sequence[float] = (0.0, 0.0),
+    *,
+    side: int = 320,
+) -> Path:
+    """Write a raw image of the landscape, with an RPC as its only georeferencing, and return its path.
+
+    Parameters
+    ----------
+    path : path
+    dem : path
+        Heights of the ground.
+    lean : (float, float)
+        By how many px (col, row) a metre of height displaces the ground.
+    error_px : (float, float)
+        The image lies so far (col, row) beside where its RPC says.
+    side : int
+        Columns and rows, of 30 m.
+    """
+    middle = transform_xy((CORNER_XY_M + np.array([1, -1]) * side * 15)[None], UTM, WGS84)[0]
+    half = side / 2
+    scales = np.array([side * 15 / (111_320 * np.cos(np.deg2rad(middle[1]))), side * 15 / 111_320])
+    samp, line = (0.0, 1.0, 0.0, 300 * lean[0] / half), (0.0, 0.0, -1.0, 300 * lean[1] / half)
+    places = (half - 0.5, half - 0.5, middle[1], middle[0], 400.0, half, half, scales[1], scales[0], 300.0)
+    terms = [
+        (*(float(each) for each in some), *[0.0] * (20 - len(some))) for some in (line, (1,), samp, (1,))
+    ]
+    rpc = RpcModel(*(float(each) for each in places), *terms)
+    shape = {"width": side, "height": side, "count": 1, "dtype": "uint16"}
+    with ignoring(NotGeoreferencedWarning), rasterio.open(path, "w", driver="GTiff", **shape) as file:
+        file.rpcs = RPC.from_gdal(to_gdal(rpc))
+    heights = open_dem(dem, 0.0, (-180, -90, 180, 90))
+    grid = RpcGrid.of_file((side, side), rpc, heights, crs=UTM)
+    grid = replace(grid, heights=heights.held(grid.line_of_sight(grid.lattice_px(9))[0]))
+    centres = (np.arange(side * 2) + 0.5) / 2
+    at_px = np.stack(np.meshgrid(centres, centres), axis=-1).reshape(-1, 2)
+    x, y = (grid.to_xy(at_px - np.asarray(error_px)) - CORNER_XY_M).T.reshape(2, side * 2, side * 2)
+    image = ground(x, y, 11).red.astype(float).reshape(side, 2, side, 2).mean(axis=(1, 3))
+    noise = np.random.default_rng(side + round(100 * lean[0])).standard_normal(image.shape)
+    with ignoring(NotGeoreferencedWarning), rasterio.open(path, "r+") as file:
+        file.write(np.clip(8000 + 20000 * stretched(image) + 60 * noise, 1, 65535).astype("uint16"), 1)
+    return Path(path)
+
+
+def orthorectified(raw: Path | str, dem: Path, like: Path | str) -> Values:
+    """Return a raw image by its RPC as it is, on the pixels of another raster, NaN without data."""
+    with ignoring(NotGeoreferencedWarning), rasterio.open(raw) as file, rasterio.open(like) as other:
+        made = np.zeros(other.shape, "uint16")
+        reproject(
+            rasterio.band(file, 1), made, src_crs=WGS84, rpcs=file.rpcs, RPC_DEM=str(dem),
+            dst_crs=other.crs, dst_transform=other.transform, resampling=rasterio.enums.Resampling.cubic,
+        )  # fmt: skip
+    return np.where(made > 0, made.astype(float), np.nan)
 
 
 def cloud_cover(side: int, share: float, seed: int = 5) -> NDArray[np.bool_]:

@@ -39,8 +39,8 @@ ReferenceName = Annotated[
     str | None,
     typer.Option(
         "--reference",
-        metavar="NAME",
-        help="Image whose grid all get.  [default: the first]",
+        metavar="NAME|FILE",
+        help="Image whose grid all get; of images with RPCs, what fixes them.  [default: the first]",
         show_default=False,
     ),
 ]
@@ -71,7 +71,7 @@ Gcps = Annotated[
     typer.Option(
         "--gcps",
         metavar="FILE",
-        help="Control points as the datum (CSV: image, col, row, x, y, sigma).",
+        help="Control points as the datum (CSV: image, col, row, x, y, sigma; z for images with RPCs).",
         show_default=False,
     ),
 ]

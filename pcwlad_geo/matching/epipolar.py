@@ -201,13 +201,25 @@ def plane_residual_px(reference_xy_px: Float64, target_xy_px: Float64, kept: Boo
     """
     if np.count_nonzero(kept) < MIN_POINTS:
         return None
-    middle = reference_xy_px[kept].mean(axis=0)
-    first, second = reference_xy_px - middle, target_xy_px - middle
-    matrix, _ = cv2.findHomography(first[kept], second[kept], _sampling())
+    matrix = plane_of(reference_xy_px[kept], target_xy_px[kept])
+    if matrix is None:
+        return None
+    moved = np.column_stack([reference_xy_px, np.ones(len(reference_xy_px))]) @ matrix.T
+    return np.asarray(target_xy_px - moved[:, :2] / moved[:, 2:])
+
+
+def plane_of(reference_xy_px: Float64, target_xy_px: Float64) -> Float64 | None:
+    """Return the (3, 3) homography of one plane, fitted robustly to matches; None where none is found.
+
+    It maps (col, row, 1) of the (n, 2) `reference_xy_px` to those of the (n, 2) `target_xy_px`.
+    """
+    middle = reference_xy_px.mean(axis=0)
+    matrix, _ = cv2.findHomography(reference_xy_px - middle, target_xy_px - middle, _sampling())
     if matrix is None or not np.isfinite(matrix).all():
         return None
-    moved = np.column_stack([first, np.ones(len(first))]) @ np.asarray(matrix, np.float64).T
-    return np.asarray(second - moved[:, :2] / moved[:, 2:])
+    to_middle = np.array([[1.0, 0.0, -middle[0]], [0.0, 1.0, -middle[1]], [0.0, 0.0, 1.0]])
+    found = np.linalg.inv(to_middle) @ np.asarray(matrix, np.float64) @ to_middle
+    return np.asarray(found / found[2, 2])
 
 
 def _sampling() -> cv2.UsacParams:

@@ -18,7 +18,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.stacks.basis import Basis, basis_over, penalty_of, terms_of
+from pcwlad_geo.stacks.basis import Basis, basis_over, mixing_of, penalty_of, terms_of
 from pcwlad_geo.stacks.network import (
     ALIKE,
     BLOCKS,
@@ -108,7 +108,9 @@ class Adjustment:
             for number in range(int(self.group.max()) + 1):
                 members = self.group == number
                 rows[:, members] -= rows[:, members].mean(axis=1, keepdims=True)
-        free = np.delete(rows, self.fixed, axis=1).reshape(2 * terms, -1)
+        free = np.delete(rows, self.fixed, axis=1)
+        mixing = mixing_of(self.basis)
+        free = (free if mixing is None else free @ mixing).reshape(2 * terms, -1)
         solved = self._factor.solve(free.T)
         blocks = (free @ solved).reshape(2, terms, 2, terms)
         told = np.einsum("nt,atbs,ns->nab", values, blocks, values)
@@ -205,7 +207,7 @@ def adjust(
 
 
 def _network(images: int, basis: Basis, fixed: tuple[int, ...]) -> Network:
-    return Network(images, terms_of(basis), fixed, penalty_of(basis))
+    return Network(images, terms_of(basis), fixed, penalty_of(basis), mixing_of(basis))
 
 
 def extend(

@@ -66,6 +66,52 @@ class SplineBasis:
         return np.asarray(bending(self.grid).toarray()) / self.roughness**2
 
 
+@dataclass(frozen=True, eq=False)
+class HomographyBasis:
+    """An infinitesimal homography: a polynomial of order 2, of eight unknowns for both axes together."""
+
+    polynomial: PolynomialBasis
+
+    @property
+    def low_px(self) -> tuple[float, float]:
+        """Corner (x, y) of the ground, map units."""
+        return self.polynomial.low_px
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """Its middle."""
+        return self.polynomial.centre_px
+
+    @property
+    def radius_px(self) -> float:
+        """Half of its longer side."""
+        return self.polynomial.radius_px
+
+    def values(self, at_px: Float64) -> Float64:
+        """Return the (n, 6) values of 1, u, v, u², uv, v² at the (n, 2) positions `at_px` (x, y)."""
+        return self.polynomial.values(at_px)
+
+    @property
+    def mixing(self) -> Float64:
+        """The (12, 8) coefficients, axis by axis, by the parameters of a homography.
+
+        These are the displacement and slopes of each axis, then those of the horizon, which move (u, v) by
+        u (u, v) and by v (u, v).
+        """
+        found = np.zeros((12, 8))
+        for axis in range(2):
+            for term in range(3):
+                found[6 * axis + term, 3 * axis + term] = 1.0
+        found[3, 6] = found[10, 6] = 1.0  # u² along x, uv along y
+        found[4, 7] = found[11, 7] = 1.0  # uv along x, v² along y
+        return found
+
+
+def mixing_of(basis: Basis) -> Float64 | None:
+    """Return the (2 * terms, p) coefficients of an image by p unknowns; None where they are the unknowns."""
+    return basis.mixing if isinstance(basis, HomographyBasis) else None
+
+
 def terms_of(basis: Basis) -> int:
     """Return the number of functions of a basis."""
     return int(basis.values(np.array([basis.centre_px])).shape[1])

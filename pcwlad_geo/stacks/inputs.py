@@ -90,6 +90,21 @@ def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
             yield _named(image, band)
 
 
+def with_reference(
+    images: Sequence[PathLike], reference: str | None, band: int | str
+) -> tuple[Sequence[PathLike], str | None]:
+    """Return the images and the name of the reference, which may be named by its file, and is added then.
+
+    Raises `InputError` as `listed` does.
+    """
+    if reference is None or not Path(reference).is_file():
+        return images, reference
+    for each in listed(images, band):
+        if each.name == reference or (Path(each.path).exists() and Path(each.path).samefile(reference)):
+            return images, each.name
+    return [*images, reference], _named(reference, band).name
+
+
 def _named(path: str, band: int | str, given: Mapping[str, Any] | None = None) -> StackInput:
     """Return an image with the name of its file, and a date where its path tells one."""
     values = dict(given or {})

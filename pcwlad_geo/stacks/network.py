@@ -362,11 +362,18 @@ class Network:
     """Numbers of the images whose coefficients are no unknowns."""
     penalty: Float64
     """(terms, terms) normal matrix of what is known of an image's coefficients beforehand, axis by axis."""
+    mixing: Float64 | None = None
+    """(2 terms, p) coefficients of an image by its p unknowns, axis by axis; None: they are the unknowns."""
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns of an image."""
+        return 2 * self.terms if self.mixing is None else self.mixing.shape[1]
 
     @property
     def free(self) -> Index:
-        """The (free,) numbers of the coefficients that are unknowns."""
-        size = 2 * self.terms
+        """The (free,) numbers of the unknowns of images that are not fixed."""
+        size = self.size
         every = np.arange(self.images * size).reshape(self.images, size)
         return np.asarray(np.delete(every, self.fixed, axis=0).ravel())
 
@@ -404,7 +411,7 @@ class Network:
         shared : (edges,) array
             Standard deviation of the shared error of each, map units.
         """
-        size = 2 * self.terms
+        size = self.size
         chosen = [part for part, good in zip(parts, used, strict=True) if good]
         own, across, inner, seen, beside = (
             np.array([getattr(part, name) for part in chosen])
@@ -414,6 +421,8 @@ class Network:
         gain = np.linalg.solve(inner, across.transpose(0, 2, 1)).transpose(0, 2, 1)
         block = own - gain @ across.transpose(0, 2, 1)
         seen = seen - (gain @ beside[:, :, None])[:, :, 0]
+        if self.mixing is not None:
+            block, seen = self.mixing.T @ block @ self.mixing, seen @ self.mixing
         ends = np.array([(part.first, part.second) for part in chosen])
         right = np.zeros((self.images, size))
         np.add.at(right, ends[:, 0], -seen)
@@ -431,8 +440,10 @@ class Network:
 
     def unpacked(self, free: Float64) -> Float64:
         """Return the (images, terms, 2) coefficients of the (free,) `free`; zeros of images that stay."""
-        found = np.zeros(self.images * 2 * self.terms)
+        found = np.zeros(self.images * self.size)
         found[self.free] = free
+        if self.mixing is not None:
+            found = (found.reshape(self.images, -1) @ self.mixing.T).ravel()
         return np.asarray(found.reshape(self.images, 2, self.terms).transpose(0, 2, 1))
 
     def _fit(self, part: Part, coefficients: Float64, used: bool, shared: float, factor: SuperLU) -> EdgeFit:
@@ -440,7 +451,8 @@ class Network:
         offset = part.observed - part.values @ (coefficients[part.second] - coefficients[part.first])
         row = np.zeros((self.images, 2, self.terms))  # of x; the other axis is as well known
         row[part.second, 0], row[part.first, 0] = part.values, -part.values
-        free = row.ravel()[self.free]
+        of_image = row.reshape(self.images, -1)
+        free = (of_image if self.mixing is None else of_image @ self.mixing).ravel()[self.free]
         adjusted = float(free @ factor.solve(free))
         own = shared**2 + part.formal
         redundancy = max(0.0, 1.0 - adjusted / own) if used else 1.0

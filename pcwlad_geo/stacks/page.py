@@ -122,6 +122,7 @@ def page(found: Stack) -> str:
         added=[name for names in found.added for name in names],
         shared=found.shared,
         unreadable=found.unreadable,
+        block=found.block,
         unchecked=[
             pair for pair in found.pairs if pair.redundancy is not None and pair.redundancy < UNCHECKED
         ],

@@ -26,12 +26,17 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.raster.rpc.model import RpcModel
+from pcwlad_geo.registration.rpc import RpcRegistration
 from pcwlad_geo.requirements import Requirement, RequirementResult
 from pcwlad_geo.stacks.adjustment import Adjustment
 from pcwlad_geo.stacks.basis import SPLINE_CELLS, Basis
 from pcwlad_geo.stacks.cycles import Closure, closure_of, root_mean_square, suspicion
+from pcwlad_geo.stacks.homography import FrameAdjustment
 from pcwlad_geo.stacks.inputs import StackInput
 from pcwlad_geo.stacks.pairs import ControlPoint, Frame, Measured, StackPair
+from pcwlad_geo.stacks.rpc_block import BlockAdjustment
+from pcwlad_geo.stacks.rpc_heights import DemCheck
 from pcwlad_geo.text import cell, read_text
 from pcwlad_geo.types import Float64
 
@@ -48,6 +53,51 @@ FILES: Final = (NUMBERS, TABLE, PAGE)
 Chosen = Literal["auto", "listed", "limited"]
 NODES: Final = 15
 """Places along each axis of an image at which its correction is fitted and its sigma averaged."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageRpc:
+    """The corrected RPC of an image."""
+
+    origin: str
+    """File or tag in which the original was found."""
+    fold_error_px: float | None
+    """Largest distance between the corrected RPC and the correction of the original one, px."""
+    vrt: str
+    """File name of the original pixels with the corrected RPC."""
+    text: str
+    """File name of the corrected RPC as text."""
+    registration: RpcRegistration
+    """Both RPCs, and the heights used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """How an image fits what a block of RPC images lies on, beside how the images fit each other."""
+
+    kind: Literal["reference", "control points"]
+    image: str
+    points: int
+    median_px: tuple[float, float]
+    """Median distance (col, row) of its points, px of the image."""
+    rmse_px: float
+    rmse_m: float
+    residuals_px: tuple[tuple[float, float], ...] | None
+    """Of each control point (col, row), px, in the order of the table; null of a reference."""
+
+
+@dataclass(frozen=True, slots=True)
+class BlockNumbers:
+    """What is told of images with RPCs that were adjusted together over a DEM."""
+
+    model: str
+    """Correction of each RPC: shift, drift or affine."""
+    scores_px: Mapping[str, float]
+    """RMSE, px, by model, of tie points on ground that was left out."""
+    dem: DemCheck | None
+    """What the tie points say of the DEM."""
+    misfits: tuple[Misfit, ...]
+    """How the images fit the reference and the control points."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +123,8 @@ class StackImage:
     """Number of the group of images that pairs connect; those of another have another datum."""
     given: StackInput
     """As the user named it."""
+    rpc: ImageRpc | None = None
+    """Of an image with RPCs."""
 
     @property
     def date(self) -> str | None:
@@ -87,12 +139,13 @@ class Stack:
     images: tuple[StackImage, ...]
     pairs: tuple[StackPair, ...]
     shared: float
-    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it."""
+    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it; of
+    images with RPCs in px."""
     datum: str
     """Name of the image that stays, or `mean`."""
     out_dir: Path
     warnings: tuple[str, ...]
-    adjustment: Adjustment
+    adjustment: Adjustment | BlockAdjustment
     unreadable: Mapping[str, str]
     """Reason by path of the images that could not be read."""
     reference: str
@@ -105,6 +158,8 @@ class Stack:
     added: tuple[tuple[str, ...], ...] = ()
     """Names of the images that were added to the finished stack, together and one after another."""
     requirements: tuple[RequirementResult, ...] = ()
+    block: BlockNumbers | None = None
+    """Of images with RPCs."""
 
     @property
     def passed(self) -> bool | None:
@@ -141,6 +196,23 @@ class ImageEntry:
     """The correction, as `model` in report.json."""
     registered: str
     """File name of the corrected raster."""
+    rpc: RpcFiles | None = None
+    """Of an image with RPCs; else null."""
+
+
+@dataclass(frozen=True, slots=True)
+class RpcFiles:
+    """The corrected RPC of an image."""
+
+    origin: str
+    """File or tag in which the original was found."""
+    fold_error_px: float | None
+    """Largest distance between the corrected RPC and the correction of the original one, px."""
+    vrt: str
+    """File name of the original pixels with the corrected RPC."""
+    text: str
+    """File name of the corrected RPC as text."""
+    corrected: RpcModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +234,8 @@ class StackNumbers:
     model: str
     """The model that was asked for."""
     shared: float
-    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it."""
+    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it; of
+    images with RPCs in px."""
     reference: str
     """Name of the image whose grid is the frame."""
     chosen: Chosen
@@ -180,6 +253,8 @@ class StackNumbers:
     unreadable: Mapping[str, str]
     """Reason by path of the images that could not be read."""
     warnings: tuple[str, ...]
+    block: BlockNumbers | None = None
+    """Of images with RPCs; else null."""
 
 
 def stack_of(
@@ -289,7 +364,9 @@ def _image(
         sigma_px=_pair(sigma_px),
         sigma_m=None if sizes_m is None else _pair(sigma_px * sizes_m[0]),
         pairs=len(own),
-        correction=_correction(at_px, observed_px, adjustment.basis),
+        correction=adjustment.correction(number)
+        if isinstance(adjustment, FrameAdjustment)
+        else _correction(at_px, observed_px, adjustment.basis),
         registered=registered,
         suspicion=root_mean_square([suspicion(pair) for pair in own]) or 0.0,
         group=int(adjustment.group[number]),
@@ -369,6 +446,7 @@ def _numbers(found: Stack, settings: Settings) -> StackNumbers:
             image.given,
             image.correction.to_dict(),
             image.registered.name,
+            _rpc_files(image),
         )
         for image in found.images
     )
@@ -389,7 +467,15 @@ def _numbers(found: Stack, settings: Settings) -> StackNumbers:
         found.passed,
         found.unreadable,
         found.warnings,
+        found.block,
     )
+
+
+def _rpc_files(image: StackImage) -> RpcFiles | None:
+    rpc = image.rpc
+    if rpc is None:
+        return None
+    return RpcFiles(rpc.origin, rpc.fold_error_px, rpc.vrt, rpc.text, rpc.registration.corrected_grid.rpc)
 
 
 def _table(found: Stack) -> str:

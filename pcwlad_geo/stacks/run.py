@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -43,7 +43,8 @@ from pcwlad_geo.stacks.graph import (
     listed_pairs,
     quick_look,
 )
-from pcwlad_geo.stacks.inputs import StackInput, listed
+from pcwlad_geo.stacks.homography import HOMOGRAPHY, homographies, or_homographies
+from pcwlad_geo.stacks.inputs import StackInput, listed, with_reference
 from pcwlad_geo.stacks.network import Edge, components
 from pcwlad_geo.stacks.page import page
 from pcwlad_geo.stacks.pairs import (
@@ -69,6 +70,21 @@ from pcwlad_geo.stacks.result import (
     stack_of,
     write_numbers,
 )
+from pcwlad_geo.stacks.rpc_stack import (
+    PlacedImages,
+    adjusted,
+    block_stack,
+    control_points_of,
+    control_warnings,
+    has_rpcs,
+    output_grid_of,
+    part_of_images,
+    place_images,
+    rpc_files_of,
+    tie_points_of,
+    without_ground,
+    write_images,
+)
 from pcwlad_geo.stacks.stac import paths_of, write_catalogue
 from pcwlad_geo.text import read_json
 from pcwlad_geo.types import Float64, PathLike
@@ -78,7 +94,7 @@ if TYPE_CHECKING:
 
     from pcwlad_geo.job import Options
 
-OF_ONE_RASTER: Final = ("ref_mask", "tgt_mask", "tie_points", "dem", "dem_vertical", "tr", "te", "t_srs")
+OF_ONE_RASTER: Final = ("ref_mask", "tgt_mask", "tie_points", "tr", "te", "t_srs")
 """Options that a stack cannot take."""
 
 
@@ -96,9 +112,10 @@ class _Job:
     """What pairs gave that have been measured."""
 
     def tell(self, event: Event) -> None:
-        """Pass an event on, and keep what a warning says."""
+        """Pass an event on, and keep warnings; what was told of an image is not told of its pairs."""
         if isinstance(event, Warned):
-            if event.message in self.warnings:  # pairs are adjusted twice where sigma asks for more
+            # pairs are adjusted twice where sigma asks for more
+            if {event.message, event.message.partition(": ")[2]} & set(self.warnings):
                 return
             self.warnings.append(event.message)
         self.on_event(event)
@@ -147,7 +164,8 @@ def stack(
     band : int or str
         Number of the band that is matched, or its name in products.
     reference : str, optional
-        Name of the image whose grid is the frame; the first by default.
+        Name or file of the image whose grid is the frame; the first by default. Of images with RPCs, what
+        fixes them: an image on the map, or one of them that stays; by default their mean stays.
     datum : {"reference", "mean"}
         What stays: the reference, or the mean position of all images.
     pairs : path, optional
@@ -155,8 +173,8 @@ def stack(
     max_pairs : int, optional
         Largest number of pairs that are measured.
     gcps : path, optional
-        Table (CSV) of control points, columns `image`, `col`, `row`, `x`, `y` and if known `sigma`: they are
-        the datum, and no image stays.
+        Table (CSV) of control points, columns `image`, `col`, `row`, `x`, `y` and if known `sigma` (and `z`,
+        for images with RPCs): they are the datum, and no image stays.
     allow_components : bool
         Groups of images that no pair connects each get a datum of their own.
     overwrite : bool
@@ -167,7 +185,8 @@ def stack(
         Runs the tiles; None = `jobs` processes, or the workers of `scheduler`.
     **options
         Fields of `Settings` but those of one of two rasters; `model` is `auto`, `shift`, `affine`,
-        `polynomial` (of order 2 or 3) or `tps` (a spline).
+        `polynomial` (of order 2 or 3), `tps` (a spline) or, of frames without georeferencing, `projective`.
+        Images with RPCs need `dem` (and `dem_vertical`), and `model` is `auto`, `shift` or `affine`.
 
     Returns
     -------
@@ -186,12 +205,17 @@ def stack(
     if gcps is not None and datum == "mean":
         raise SettingsError("datum = 'mean' and control points are two datums: give one of them")
     with trusting(job.settings.trust):
+        images, reference = with_reference(images, reference, band)
         inputs, infos, unreadable = _readable(images, job.settings, job.tell)
+        given = [*images, *(each for each in (pairs, gcps) if each is not None)]
+        if has_rpcs(infos, job.settings):
+            placed = place_images(inputs, infos, reference, job.settings, unreadable, job.tell)
+            if allow_components or (datum == "mean" and placed.stays is not None):
+                raise SettingsError("images with RPCs: a reference is the datum, and all hang together")
+            return _stacked_rpcs(job, placed, unreadable, given, (pairs, max_pairs, gcps))
         looks = _looks(inputs, infos, unreadable, job.tell)
-        frame = _frame(inputs, infos, reference)
-        _check_places(
-            job, frame, frame.names, [*images, *(each for each in (pairs, gcps) if each is not None)]
-        )
+        frame = _frame(inputs, infos, reference, job.settings.model)
+        _check_places(job, frame, frame.names, given)
         found = [] if pairs is not None else candidates(frame, inputs, looks)
         chosen: Chosen = "listed" if pairs is not None else "auto" if max_pairs is None else "limited"
         if pairs is not None:
@@ -221,7 +245,49 @@ def stack(
             chosen,
         )
         result = replace(result, control=points)
-        return _written(job, result, frame, result.images)
+        return _written(job, result, lambda done: _warp(job, done, frame, done.images))
+
+
+def _stacked_rpcs(
+    job: _Job,
+    placed: PlacedImages,
+    unreadable: dict[str, str],
+    given: Sequence[PathLike],
+    choice: tuple[PathLike | None, int | None, PathLike | None],
+) -> Stack:
+    """Adjust images with RPCs; `choice` is the list of pairs, their largest number, and control points."""
+    listed_in, most, gcps = choice
+    frame = placed.frame
+    output_grid_of(placed, job.settings)
+    _check_places(job, frame, frame.names, given)
+    found = candidates(frame, frame.inputs, [None] * len(frame.infos))
+    shown = without_ground(placed, [each.pair for each in found], unreadable, job.tell)
+    if len(shown) < len(frame.names):
+        placed = part_of_images(placed, shown)
+        frame = placed.frame
+        found = candidates(frame, frame.inputs, [None] * len(frame.infos))
+    chosen: Chosen = "listed" if listed_in is not None else "auto" if most is None else "limited"
+    if listed_in is not None:
+        plan = listed_pairs(listed_in, frame, frame.inputs)[:most]
+    else:
+        plan = choose_pairs(found, len(frame.infos), most)
+    control = [] if gcps is None else control_points_of(gcps, placed)
+    measured = job.measured(frame, plan)
+    edges = [edge for edge, _ in measured if edge is not None]
+    check_connected(frame, edges, frame.reference, job.folder, False)
+    points = [*tie_points_of(measured), *control]
+    adjustment, check = adjusted(placed, points, job.settings)
+    for message in [*(check.wrong if check else ()), *control_warnings(placed, points, adjustment)]:
+        job.tell(Warned(message))
+    told = {
+        "folder": job.folder,
+        "settings": job.settings,
+        "unreadable": unreadable,
+        "chosen": chosen,
+        "warnings": job.warnings,
+    }
+    result = block_stack(placed, measured, points, adjustment, check, told)
+    return _written(job, result, lambda done: write_images(done, placed, job.settings, job.on_event))
 
 
 @products_found_once()
@@ -257,13 +323,17 @@ def stack_add(
         If a new image could not be matched with any other.
     """
     before = _numbers_of(Path(out_dir))
+    if before.get("block") is not None:
+        raise InputError(f"{out_dir} is a stack of images with RPCs: stack all images again")
+    if any(entry["model"]["name"] == "projective" for entry in before["images"]):
+        raise InputError(f"{out_dir} is a stack of frames with homographies: stack all images again")
     old, points = _of_before(before, Path(out_dir))
     own = {"ref_band": old[0].band, "tgt_band": old[0].band, "model": before["model"]}
     job = _job(out_dir, False, on_event, executor, options | own)
     with trusting(job.settings.trust):
         inputs, infos, unreadable = _readable(images, job.settings, job.tell, old)
         looks = _looks(inputs, infos, unreadable, job.tell)
-        frame = _frame(inputs, infos, str(before["reference"]))
+        frame = _frame(inputs, infos, str(before["reference"]), "auto")
         new = frame.names[len(old) :]
         if not new:
             raise InputError("no image is left to be added: " + "; ".join(unreadable.values()))
@@ -279,7 +349,8 @@ def stack_add(
         notes = [*before["warnings"], *job.warnings]
         result = stack_of(frame, measured, adjustment, job.folder, job.settings, notes, unreadable)
         result = replace(result, control=points, added=added)
-        return _written(job, result, frame, [each for each in result.images if each.name in new])
+        added_images = [each for each in result.images if each.name in new]
+        return _written(job, result, lambda done: _warp(job, done, frame, added_images))
 
 
 def _one_after_another(
@@ -336,8 +407,13 @@ def _edges(
 def _adjusted(job: _Job, frame: Frame, edges: Sequence[Edge], stays: int | None, apart: bool) -> Adjustment:
     """Adjust all images by their pairs, with the model that these ask for."""
     count = max(len(frame.names), 1 + max(edge.first for edge in edges))  # control points are one more
+    if job.settings.model == HOMOGRAPHY:
+        return homographies(edges, count, datum=stays, apart=apart)
     basis = choose_basis(edges, count, job.settings.model, datum=stays, apart=apart)
-    return adjust(edges, count, basis=basis, datum=stays, apart=apart)
+    found = adjust(edges, count, basis=basis, datum=stays, apart=apart)
+    if frame.placed or job.settings.model != "auto":
+        return found
+    return or_homographies(found, edges, count, datum=stays, apart=apart)
 
 
 def asked(
@@ -434,9 +510,10 @@ def _measured_before(frame: Frame, folder: Path, entry: Mapping[str, Any]) -> Me
 
 
 def _check_settings(settings: Settings) -> None:
-    if settings.model not in TRIED:
+    models = (*TRIED, HOMOGRAPHY)
+    if settings.model not in models and settings.dem is None:  # images with RPCs have models of their own
         raise SettingsError(
-            f"model = {settings.model!r}: a stack has the models {', '.join(TRIED)}: choose one of them"
+            f"model = {settings.model!r}: a stack has the models {', '.join(models)}: choose one of them"
         )
     of_one = [name for name in OF_ONE_RASTER if getattr(settings, name) is not None]
     if of_one:
@@ -496,7 +573,7 @@ def _looks(
     return looks
 
 
-def _frame(inputs: Sequence[StackInput], infos: list[RasterInfo], reference: str | None) -> Frame:
+def _frame(inputs: Sequence[StackInput], infos: list[RasterInfo], reference: str | None, model: str) -> Frame:
     names = [each.name for each in inputs]
     if reference is not None and reference not in names:
         raise InputError(f"the reference {reference} is none of the images {', '.join(names)}")
@@ -508,6 +585,10 @@ def _frame(inputs: Sequence[StackInput], infos: list[RasterInfo], reference: str
         raise InputError(
             f"{', '.join(lacking)} without georeferencing among images with it: give images of one kind"
         )
+    if model == "projective" and not lacking:
+        raise SettingsError(
+            "model = 'projective': a homography an image is for frames without georeferencing"
+        )
     number = 0 if reference is None else names.index(reference)
     return Frame(names, infos, infos[number].grid, not lacking, tuple(inputs), number)
 
@@ -517,7 +598,12 @@ def _check_places(job: _Job, frame: Frame, names: Sequence[str], given: Sequence
     folder = job.folder
     extension = OutputFormat.of(job.settings.of, job.settings.co).extension
     rasters = [folder / name.format(each) for each in names for name in (f"{{}}_registered.{extension}", VRT)]
-    places = [*(folder / name for name in FILES), *rasters, *paths_of(folder, names)]
+    places = [
+        *(folder / name for name in FILES),
+        *rasters,
+        *paths_of(folder, names),
+        *rpc_files_of(folder, names),
+    ]
     inputs = [Path(each) for each in [*given, *(info.uri for info in frame.infos)]]
     there = [place for place in places if os.path.lexists(place)]
     for place in there:
@@ -533,12 +619,12 @@ VRT: Final = "{}_corrected.vrt"
 """File name of the original pixels of an image with their corrected geotransform."""
 
 
-def _written(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -> Stack:
+def _written(job: _Job, found: Stack, write_corrected: Callable[[Stack], None]) -> Stack:
     """Write the results, corrected images only where the requirements are met or they are kept anyway."""
     found = replace(found, requirements=judge(found, parse_requirements(job.settings.require, "stack")))
     write_numbers(found, job.settings, page(found))
     if found.passed is not False or job.settings.keep:
-        _warp(job, found, frame, images)
+        write_corrected(found)
         write_catalogue(found, job.settings.of)
     return found
 

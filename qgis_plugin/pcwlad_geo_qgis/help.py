@@ -17,7 +17,7 @@ PARAMETERS = {
         "MSK_CLASSI rasters are understood."
     ),
     "INPUT_MASK": mark("Excludes pixels of the target: those where this raster is 0."),
-    "DEM": mark("Heights of the ground, for a target with rational polynomial coefficients (RPC)."),
+    "DEM": mark("Heights of the ground, for images with rational polynomial coefficients (RPC)."),
     "DEM_VERTICAL": mark("Metres, or the path of a geoid grid. 0: the heights count from the ellipsoid."),
     "MAX_CE90": mark(
         "90 % of the check points must lie within so many pixels. Otherwise no raster is written."
@@ -89,6 +89,7 @@ TITLES = {
     "REFERENCE_MASK": mark("Mask of the reference (0 = excluded; or QA_PIXEL, SCL)"),
     "INPUT_MASK": mark("Mask of the target (0 = excluded; or QA_PIXEL, SCL)"),
     "DEM": mark("DEM, for a target with RPCs"),
+    "stack.DEM": mark("DEM, for images with RPCs"),
     "DEM_VERTICAL": mark(
         "DEM: what is added to its heights to count from the ellipsoid, where its CRS does not tell"
     ),

@@ -29,6 +29,10 @@ WGS84: Final = CRS.from_epsg(4326)
 """CRS of longitudes and latitudes, in this order in all arrays."""
 MAX_PX_AT_ONCE: Final = 1 << 22
 """Largest number of pixels of a DEM that is read at a time."""
+MAX_PX_HELD: Final = 1 << 24
+"""Largest number of pixels of a DEM that are held in memory."""
+HELD_PX: Final = 64
+"""Margin around the ground for which they are, px of the DEM."""
 ROUNDING_PX: Final = 1e-6
 """Tolerance of the rounding errors of map coordinates."""
 
@@ -140,6 +144,20 @@ class Dem:
         """Return the (n,) heights as `at`, given (n, 2) `dem_px` (col, row) and (n, 2) `lon_lat`, degrees."""
         return self._own(dem_px) * self.metres_per_unit + self.undulation.at(lon_lat)
 
+    def held(self, lon_lat: Float64) -> Dem:
+        """Return the DEM with its heights around the (n, 2) `lon_lat`, degrees, held in memory.
+
+        Where these are too many, or none, it is the DEM as it is.
+        """
+        at_px = self.to_px(lon_lat)
+        at_px = at_px[np.isfinite(at_px).all(axis=1)]
+        if not len(at_px):
+            return self
+        window = Window.around(at_px.min(axis=0), at_px.max(axis=0)).padded(HELD_PX).clipped(self.grid.shape)
+        if window.empty or window.area_px2 > MAX_PX_HELD:
+            return self
+        return HeldDem(self.uri, self.grid, self.metres_per_unit, self.undulation, window, self._read(window))
+
     def ellipsoidal(self, window: Window) -> Float64:
         """Return the (rows, cols) heights above the ellipsoid, m, of a window of the file; NaN in holes."""
         cols, rows = np.arange(window.col, window.col_stop), np.arange(window.row, window.row_stop)
@@ -186,6 +204,20 @@ class Dem:
                 raise InputError(f"the DEM {self.uri} cannot be read: {root_cause(error)}") from error
             scaled = values.astype(np.float64) * dataset.scales[0] + dataset.offsets[0]
         return np.where(valid, scaled, np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldDem(Dem):
+    """A DEM a window of which is held in memory: lines of sight are followed without reading it again."""
+
+    window: Window
+    values: Float64
+    """(rows, cols) heights in the file's unit; NaN in holes."""
+
+    def _read(self, window: Window) -> Float64:
+        if window.intersection(self.window) != window:
+            return Dem._read(self, window)
+        return self.values[window.slices_in(self.window)]
 
 
 def _bilinear(values: Float64, index_xy: Float64) -> Float64:

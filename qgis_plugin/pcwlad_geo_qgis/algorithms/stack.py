@@ -9,7 +9,7 @@ from qgis import core
 from ..text import mark, tr
 from .base import Context, EngineAlgorithm, Feedback, Values, options_of
 
-ORDERS = ("auto", "shift", "affine", "polynomial", "tps")
+ORDERS = ("auto", "shift", "affine", "polynomial", "tps", "projective")
 DATUMS = ("reference", "mean")
 
 
@@ -20,11 +20,13 @@ class AdjustStack(EngineAlgorithm):
     TITLE = mark("Adjust a stack")
     HELP = mark(
         "Brings many rasters of one ground into one frame, all together: pairs are matched, one adjustment "
-        "gives every raster a correction, and pairs that contradict the others are left out.\n"
+        "gives every raster a correction, and pairs that contradict the others are left out. Raw images with "
+        "RPCs need a DEM: their RPCs are corrected, and they are orthorectified on one grid.\n"
         "<h3>Results</h3><b>Folder</b>: each raster on the grid of the reference, a table and a page with "
         "the sigma of each. Run again with the same folder, pairs that are done are not done twice.\n"
         "<b>Report</b>: opens in the Results Viewer."
     )
+    RASTERS = ("DEM",)
     LISTS = ("INPUTS",)
     CHOICES = {**EngineAlgorithm.CHOICES, "MODEL": ORDERS, "DATUM": DATUMS}
 
@@ -35,6 +37,8 @@ class AdjustStack(EngineAlgorithm):
         self.add(core.QgsProcessingParameterString, "REFERENCE_NAME", optional=True)
         self.add_choice("DATUM", "reference")
         self.add_choice("MODEL", "auto")
+        self.add(core.QgsProcessingParameterRasterLayer, "DEM", optional=True)
+        self.add(core.QgsProcessingParameterString, "DEM_VERTICAL", optional=True)
         self.add(number, "BAND", defaultValue=1, minValue=1, advanced=True)
         self.add(number, "MAX_PAIRS", optional=True, minValue=1, advanced=True)
         self.add_matching()
@@ -55,6 +59,8 @@ class AdjustStack(EngineAlgorithm):
             "--model": self.choice(parameters, "MODEL", context),
             "--band": str(self.parameterAsInt(parameters, "BAND", context)),
             "--max-pairs": str(pairs),
+            "--dem": "".join(self.paths("DEM")),
+            "--dem-vertical": self.parameterAsString(parameters, "DEM_VERTICAL", context),
         }
         arguments = ["stack", *self.paths("INPUTS"), *options_of(values), "--overwrite"]
         arguments += self.matching_options(parameters, context)

@@ -244,10 +244,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Stapel ausgleichen</translation>
     </message>
     <message>
-      <source>Brings many rasters of one ground into one frame, all together: pairs are matched, one adjustment gives every raster a correction, and pairs that contradict the others are left out.
+      <source>Brings many rasters of one ground into one frame, all together: pairs are matched, one adjustment gives every raster a correction, and pairs that contradict the others are left out. Raw images with RPCs need a DEM: their RPCs are corrected, and they are orthorectified on one grid.
 &lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Folder&lt;/b&gt;: each raster on the grid of the reference, a table and a page with the sigma of each. Run again with the same folder, pairs that are done are not done twice.
 &lt;b&gt;Report&lt;/b&gt;: opens in the Results Viewer.</source>
-      <translation>Bringt viele Raster desselben Geländes gemeinsam in einen Rahmen: Paare werden zugeordnet, eine Ausgleichung gibt jedem Raster eine Korrektur, und Paare, die den übrigen widersprechen, bleiben außer Acht.
+      <translation>Bringt viele Raster desselben Geländes gemeinsam in einen Rahmen: Paare werden zugeordnet, eine Ausgleichung gibt jedem Raster eine Korrektur, und Paare, die den übrigen widersprechen, bleiben außer Acht. Rohe Bilder mit RPC brauchen ein DGM: Ihre RPC werden korrigiert und sie selbst auf einem Gitter entzerrt.
 &lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Ordner&lt;/b&gt;: jedes Raster auf dem Gitter der Referenz, eine Tabelle und eine Seite mit dem Sigma eines jeden. Mit demselben Ordner erneut ausgeführt, werden fertige Paare nicht noch einmal gerechnet.
 &lt;b&gt;Bericht&lt;/b&gt;: öffnet sich in der Ergebnisanzeige.</translation>
     </message>
@@ -292,8 +292,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Schließt Pixel des Ziels aus: die, wo dieses Raster 0 ist.</translation>
     </message>
     <message>
-      <source>Heights of the ground, for a target with rational polynomial coefficients (RPC).</source>
-      <translation>Geländehöhen, für ein Ziel mit rationalen Polynomkoeffizienten (RPC).</translation>
+      <source>Heights of the ground, for images with rational polynomial coefficients (RPC).</source>
+      <translation>Geländehöhen, für Bilder mit rationalen Polynomkoeffizienten (RPC).</translation>
     </message>
     <message>
       <source>Metres, or the path of a geoid grid. 0: the heights count from the ellipsoid.</source>
@@ -486,6 +486,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>DEM, for a target with RPCs</source>
       <translation>DGM, für ein Ziel mit RPC</translation>
+    </message>
+    <message>
+      <source>DEM, for images with RPCs</source>
+      <translation>DGM, für Bilder mit RPC</translation>
     </message>
     <message>
       <source>DEM: what is added to its heights to count from the ellipsoid, where its CRS does not tell</source>

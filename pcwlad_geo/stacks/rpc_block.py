@@ -1,0 +1,790 @@
+"""The joint adjustment of the RPCs of many images from tie points intersected with a DEM.
+
+The place that one image of a pair observes is followed through its RPC to the DEM, and from there through
+the RPC of the other image to its pixels. What is observed there beside it is the bias of the second RPC less
+that of the first carried along, plus what an error of the DEM's height makes. The height of every tie point
+is an unknown with the DEM as its prior, eliminated point by point: a point counts fully across the epipolar
+line, and along it as far as the DEM is known (Grodecki & Dial 2003, doi:10.14358/PERS.69.1.59).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.geodesy import middle_pixel_size_m
+from pcwlad_geo.raster.grid import Grid, jacobian, map_px
+from pcwlad_geo.raster.rpc.dem import WGS84, ConstantHeight, Dem
+from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
+from pcwlad_geo.stacks.adjustment import larger
+from pcwlad_geo.stacks.network import ALIKE, POINT_LIMIT, RAYLEIGH_MEDIAN
+from pcwlad_geo.types import Bool, Float64, Index
+
+MODELS: Final[Mapping[str, tuple[int, ...]]] = {"shift": (0,), "drift": (0, 2), "affine": (0, 1, 2)}
+"""Corrections in image space, the simplest first: numbers of their terms among 1, column, row."""
+LINEARISED: Final = 10
+"""Largest number of times that lines of sight are intersected with the DEM anew."""
+STILL_PX: Final = 0.1
+"""They are not, once the DEM moves by less, its px."""
+REWEIGHTED: Final = 5
+"""Number of times that the points are weighted anew by how far they lie off."""
+CELLS: Final = 5
+"""The ground is divided into so many cells along each axis, which are left out in turn."""
+MIN_CELLS: Final = 6
+"""In fewer cells with points no model is chosen: it is the simplest."""
+MIN_GAIN_PX: Final = 0.05
+"""Least error that a model must take out of points left out to replace a simpler one."""
+USUAL_PX: Final = 0.03
+"""Standard deviation of the error that the points of a pair share, where no cycle tells it."""
+MIN_REDUNDANCY: Final = 0.3
+"""Sum of the redundancies of the pairs from which their cycles tell that error."""
+UNCHECKED: Final = 0.1
+"""Of an offset that the other pairs check less, the rest is of the arithmetic."""
+NO_DATUM: Final = 1e-5
+"""Combinations of biases of less information than this share of the best known one are a matter of datum."""
+NO_PARALLAX: Final = 1e-3
+"""Pairs that a metre of height displaces by fewer px tell nothing of heights."""
+LEAST_PX: Final = 0.01
+"""Least standard deviation of the error that the points of a pair share."""
+WRONG: Final = 5.0
+"""A pair that lies off what all others tell by more sigmas may be wrong."""
+WRONG_SHARE: Final = 0.5
+"""It is, if without it the others contradict each other by less than this share."""
+NEVER_PX: Final = 1e-6
+"""Standard deviation of a shared error that there is not."""
+LOOSE_PX: Final = 1e3
+"""What no point tells stays as it is, with this standard deviation."""
+STIFF: Final = 1e3
+"""Weight of the datum, in that of the best known parameter."""
+DEM_PLACE_M: Final = 30.0
+"""Standard deviation of the horizontal place of a DEM before its relief is compared with the points."""
+SLOPE_STEP_PX: Final = 1.0
+"""Step of the slope of the DEM, its px."""
+HEIGHT_STEP_M: Final = 1.0
+"""Step of the derivatives by the height of the DEM."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockPair:
+    """Tie points of two images in the pixels of their files; the ground itself may be one of the two."""
+
+    first: int
+    second: int
+    first_px: Float64
+    """(n, 2) observed pixels (col, row) of the first image."""
+    second_px: Float64
+    """(n, 2) those of the same places in the second image."""
+    covariance_px2: Float64
+    """(n, 2, 2) covariance of the second, given the first, px²."""
+    height_m: Float64 | None = None
+    """(n,) heights of control points above the ellipsoid; NaN, and None for tie points: those of the DEM."""
+
+    def __len__(self) -> int:
+        return len(self.first_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """Where the points of a pair are predicted in its second image, and what changes that."""
+
+    left_px: Float64
+    """(n, 2) observed less predicted."""
+    first_rate: Float64
+    """(n, 2, 2) derivatives of the predicted px by those of the first image, through the terrain: the mean of
+    all points, as windows average what slopes change from point to point."""
+    first_terms: Float64
+    """(n, 3) terms 1, column, row of the first image's correction."""
+    second_terms: Float64
+    height_rate: Float64
+    """(n, 2) derivative of the predicted px by the height of the DEM, px per metre."""
+    dem_rate: Float64
+    """(n, 2, 2) that by a shift of the DEM (col, row) in its own px, less what is like a change of height."""
+    ground_px: Float64
+    """(n, 2) px of the frame."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockFit:
+    """How the points of a pair agree with the adjustment."""
+
+    used: bool
+    offset_px: tuple[float, float]
+    """Their weighted mean distance from the adjustment (col, row), px of the second image."""
+    sigma_px: float
+    """Standard deviation of that along an axis, if the pair is right."""
+    redundancy: float
+    """Share of the offset that other pairs check."""
+    scatter_px: float
+    """Robust standard deviation of its points along an axis, heights free as far as the DEM is uncertain."""
+    left_px: Float64
+    """(n, 2) residuals."""
+    weight: Float64
+    """(n, 2, 2) weights of the points, 1/px²; 0 for those not used."""
+    sight: Sight
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockAdjustment:
+    """The corrections of all RPCs of a block, in one frame, and their covariance."""
+
+    model: str
+    """shift, drift or affine."""
+    scores: Mapping[str, float]
+    """RMSE (px) by model of points that were left out."""
+    corrections: tuple[AffineCorrection, ...]
+    """Of each image; the identity for one that stays."""
+    edges: tuple[BlockFit, ...]
+    shared_px: float
+    """Standard deviation of the error that all points of a pair share."""
+    sigma_height_m: float
+    """Robust standard deviation of the DEM's heights at the tie points, where parallax tells it."""
+    free: tuple[int, ...]
+    """Numbers of the images with a correction."""
+    shapes: tuple[tuple[int, int], ...]
+    """Rows and columns of each image."""
+    covariance_px2: Float64
+    """(p, p) covariance of the parameters of the free images: image by image, term by term, (col, row)."""
+    spread_px: Float64
+    """(cells, p) changes of the parameters without a cell of the ground, scaled as a jackknife asks for."""
+    datum_rank: int
+    """Number of combinations of the parameters that only the datum tells."""
+    by_height_px: Float64
+    """(images, 2) mean corrections (col, row) that a DEM one metre too high would bring about, px."""
+    dem_shift_px: Float64
+    """(2,) by which the DEM must be moved (col, row) for its relief to fit the points, its px."""
+    dem_sigma_px: Float64
+    """(2,) standard deviation of that."""
+
+    def sigma_px(self, image: int, at_px: Float64) -> Float64:
+        """Return the (n, 2) standard deviations (col, row) of a correction at the (n, 2) `at_px`, px."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance(image, at_px), axis1=1, axis2=2).clip(0.0)))
+
+    def covariance(self, image: int, at_px: Float64) -> Float64:
+        """Return the (n, 2, 2) covariance of an image's correction at its (n, 2) `at_px`, px²."""
+        if image not in self.free:
+            return np.zeros((len(at_px), 2, 2))
+        terms = MODELS[self.model]
+        size = 2 * len(terms)
+        begin = self.free.index(image) * size
+        own = slice(begin, begin + size)
+        design = _design(Basis.over(self.shapes[image]).values(at_px)[:, terms])
+        told = design @ self.covariance_px2[own, own] @ design.transpose(0, 2, 1)
+        changes = np.einsum("nap,kp->nak", design, self.spread_px[:, own])
+        return larger(np.asarray(told), np.asarray(changes @ changes.transpose(0, 2, 1)))
+
+
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """Terms 1, column, row, the last two from -1 to 1 over an image."""
+
+    centre_px: tuple[float, float]
+    radius_px: float
+
+    @staticmethod
+    def over(shape: tuple[int, int]) -> Basis:
+        """Return the basis of an image of `shape` (rows, columns)."""
+        rows, cols = shape
+        return Basis((cols / 2, rows / 2), max(rows, cols) / 2)
+
+    def values(self, at_px: Float64) -> Float64:
+        """Return the (n, 3) terms at the (n, 2) `at_px` (col, row)."""
+        return np.column_stack([np.ones(len(at_px)), (at_px - self.centre_px) / self.radius_px])
+
+    def correction(self, parameters: Float64, model: str) -> AffineCorrection:
+        """Return the correction of the (terms, 2) `parameters` of a model, px."""
+        full = np.zeros((3, 2))
+        full[list(MODELS[model])] = parameters
+        slope = full[1:].T / self.radius_px
+        shift = full[0] - slope @ np.array(self.centre_px)
+        return AffineCorrection(model, np.column_stack([np.eye(2) + slope, shift]))
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """The images of a block and the frame in which the ground is given."""
+
+    grids: tuple[Grid, ...]
+    """RPC grids of the images; plain ones of a reference, and of the ground for control points."""
+    frame: Grid
+    fixed: frozenset[int] = field(default_factory=frozenset)
+    """Numbers of the images with an RPC that stay."""
+
+    @property
+    def dem(self) -> Dem | None:
+        """The DEM of the RPC grids."""
+        found = (grid.heights for grid in self.grids if isinstance(grid, RpcGrid))
+        return next((each for each in found if isinstance(each, Dem)), None)
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """The images whose RPC is corrected."""
+        return tuple(
+            number
+            for number, grid in enumerate(self.grids)
+            if isinstance(grid, RpcGrid) and number not in self.fixed
+        )
+
+
+def raised(grid: Grid, by_m: float) -> Grid:
+    """Return a grid with ground higher by so many metres; a grid without heights is unchanged."""
+    if not isinstance(grid, RpcGrid):
+        return grid
+    if isinstance(grid.heights, ConstantHeight):
+        return replace(grid, heights=ConstantHeight(grid.heights.height_m + by_m))
+    heights: Dem = grid.heights
+    values = tuple(value + by_m for value in heights.undulation.values_m)
+    return replace(grid, heights=replace(heights, undulation=replace(heights.undulation, values_m=values)))
+
+
+def moved(grid: Grid, by_px: Float64) -> Grid:
+    """Return a grid whose DEM lies elsewhere, by the (2,) `by_px` (col, row) of its pixels."""
+    if not (isinstance(grid, RpcGrid) and isinstance(grid.heights, Dem)) or not by_px.any():
+        return grid
+    dem = grid.heights
+    place = dem.grid.part((float(by_px[0]), float(by_px[1])), dem.grid.shape)
+    return replace(grid, heights=replace(dem, grid=place))
+
+
+def adjust_block(
+    block: Block, pairs: Sequence[BlockPair], models: Sequence[str] = tuple(MODELS)
+) -> BlockAdjustment:
+    """Estimate the biases of all RPCs of a block together.
+
+    The simplest model is taken that no other beats in predicting cells of the ground that were left out, by
+    more than a standard error and 0.05 px. Where neither reference nor control points fix them, the biases
+    are those of the smallest sum of squares on the ground (inner constraints).
+
+    Parameters
+    ----------
+    block : Block
+    pairs : sequence of BlockPair
+        They connect all images.
+    models : sequence of str
+        Models to choose from, the simplest first.
+    """
+    rates = tuple(_sight(block, pair) for pair in pairs)
+    problems = {model: _Problem(block, tuple(pairs), model, rates) for model in models}
+    solved = {model: _solved(problem) for model, problem in problems.items()}
+    judge = next(reversed(solved.values())).weights
+    errors = {model: _left_out_px2(problems[model], solved[model], judge) for model in models}
+    chosen = models[0]
+    for model in models[1:]:
+        gain = errors[chosen] - errors[model]
+        clear = len(gain) >= MIN_CELLS and gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain))
+        if clear and gain.mean() > MIN_GAIN_PX**2:
+            chosen = model
+    scores = {model: float(np.sqrt(each.mean())) for model, each in errors.items() if len(each)}
+    return _result(problems[chosen], solved[chosen], scores)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """An adjustment as it proceeds."""
+
+    start: Float64
+    """(images, terms, 2) parameters with which the lines of sight were followed."""
+    parameters: Float64
+    start_dem_px: Float64
+    """(2,) shift of the DEM with which they were."""
+    sights: tuple[Sight, ...]
+    weights: tuple[Float64, ...]
+    """(n, 2, 2) of each pair."""
+    scatters: tuple[float, ...]
+    """Of each pair, px."""
+    offsets: Float64
+    """(pairs, 2) error that the points of each pair share, px of its second image."""
+    used: Bool
+    dem_px: Float64
+    """(2,) shift of the DEM (col, row), its px."""
+    shared_px: float = USUAL_PX
+    sigma_height_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """The unknowns of an adjustment with one model: images, then terms, then (col, row)."""
+
+    block: Block
+    pairs: tuple[BlockPair, ...]
+    model: str
+    rates: tuple[Sight, ...]
+    """Of each pair by the RPCs as they are: the derivatives hardly change."""
+
+    @property
+    def terms(self) -> list[int]:
+        """Numbers of the terms of the model."""
+        return list(MODELS[self.model])
+
+    @property
+    def size(self) -> int:
+        """Number of parameters of an image."""
+        return 2 * len(self.terms)
+
+    @property
+    def dem_prior_px(self) -> float:
+        """Standard deviation of the place of the DEM, its px."""
+        dem = self.block.dem
+        return DEM_PLACE_M / max(middle_pixel_size_m(dem.grid) or (DEM_PLACE_M,)) if dem else NEVER_PX
+
+    @property
+    def unknowns(self) -> int:
+        """Number of parameters of all free images."""
+        return len(self.block.free) * self.size
+
+    def correction(self, image: int, parameters: Float64) -> AffineCorrection:
+        """Return the correction of an image, given those of all, (images, terms, 2)."""
+        return Basis.over(self.block.grids[image].shape).correction(parameters[image], self.model)
+
+    def flat(self, parameters: Float64) -> Float64:
+        """Return the (unknowns,) of the (images, terms, 2) `parameters`."""
+        return np.asarray(parameters[list(self.block.free)].reshape(-1))
+
+    def design(self, pair: BlockPair, sight: Sight) -> tuple[Float64, Index]:
+        """Return the (n, 2, q) design of a pair and the (q,) numbers of its unknowns."""
+        blocks, places = [np.zeros((len(pair), 2, 0))], [np.zeros(0, np.intp)]
+        for image, terms, rate in (
+            (pair.second, sight.second_terms, np.eye(2)),
+            (pair.first, sight.first_terms, -sight.first_rate),
+        ):
+            if image in self.block.free:
+                begin = self.block.free.index(image) * self.size
+                blocks.append(rate @ _design(terms[:, self.terms]))
+                places.append(np.arange(begin, begin + self.size))
+        return np.concatenate(blocks, axis=2), np.concatenate(places)
+
+    def left_px(self, number: int, state: _State) -> Float64:
+        """Return the (n, 2) distances of a pair's points from the adjustment."""
+        sight = state.sights[number]
+        design, places = self.design(self.pairs[number], sight)
+        step = self.flat(state.parameters - state.start)[places]
+        return np.asarray(
+            sight.left_px - design @ step - sight.dem_rate @ (state.dem_px - state.start_dem_px)
+        )
+
+
+def _design(terms: Float64) -> Float64:
+    """Return the (n, 2, 2 k) design of (n, k) terms: each has a parameter of columns and one of rows."""
+    n, count = terms.shape
+    return np.asarray(np.einsum("nk,ab->nakb", terms, np.eye(2)).reshape(n, 2, 2 * count))
+
+
+def _of_slope(height_rate: Float64, slope: Float64) -> Float64:
+    """Return the (n, 2, 2) effect of moving a DEM of (n, 2) `slope`, from the (n, 2) effect of its height."""
+    return np.nan_to_num(-height_rate[:, :, None] * slope[:, None, :])
+
+
+def _solved(problem: _Problem) -> _State:
+    """Iterate until lines of sight, weights and the pairs in use no longer change."""
+    count = len(problem.pairs)
+    zero = np.zeros((len(problem.block.grids), len(problem.terms), 2))
+    state = _State(
+        zero, zero, np.zeros(2), (), (), (), np.zeros((count, 2)), np.ones(count, bool), np.zeros(2)
+    )
+    datum = _datum(problem)
+    for turn in range(LINEARISED):
+        before_px = state.dem_px
+        sights = _without_mean_slope([_seen_again(problem, number, state) for number in range(count)])
+        state = replace(state, start=state.parameters, start_dem_px=state.dem_px, sights=sights)
+        state = _reweighted(problem, state, datum)
+        if turn and np.abs(state.dem_px - before_px).max() < STILL_PX:
+            break
+    for _ in range(count):
+        better = _without_the_worst(problem, state, datum)
+        if better is None:
+            break
+        state = _reweighted(problem, better, datum)
+    return state
+
+
+def _reweighted(problem: _Problem, state: _State, datum: Float64) -> _State:
+    for _ in range(REWEIGHTED):
+        state = _step(problem, _weighted(problem, state), datum)
+    return state
+
+
+def _seen_again(problem: _Problem, number: int, state: _State) -> Sight:
+    """Follow the points of a pair with the corrections and the place of the DEM so far."""
+    pair, frame = problem.pairs[number], problem.block.frame
+    one, other = (problem.correction(image, state.parameters) for image in (pair.first, pair.second))
+    grids = [moved(problem.block.grids[image], state.dem_px) for image in (pair.first, pair.second)]
+    predicted_px = one.inverse(pair.first_px)
+    ground_px = map_px(predicted_px, grids[0], frame)
+    at_px = _seen(grids[1], frame, ground_px, pair.height_m)
+    rate = problem.rates[number].height_rate
+    slope = _slope(grids, frame, ground_px)
+    return replace(
+        problem.rates[number],
+        left_px=pair.second_px - other.forward(at_px),
+        dem_rate=_of_slope(rate, slope),
+        first_terms=Basis.over(grids[0].shape).values(predicted_px),
+        second_terms=Basis.over(grids[1].shape).values(at_px),
+        ground_px=ground_px,
+    )
+
+
+def _sight(block: Block, pair: BlockPair, *, level: bool = False) -> Sight:
+    """Follow the points of a pair through the first image, the ground (`level` or not), the second image."""
+    grids, frame = [block.grids[image] for image in (pair.first, pair.second)], block.frame
+    if level:
+        grids = [at_mean_height(grid) for grid in grids]
+
+    def seen(px: Float64, higher_m: float = 0.0) -> Float64:
+        first, second = (raised(grid, higher_m) if higher_m else grid for grid in grids)
+        return _seen(second, frame, map_px(px, first, frame), pair.height_m)
+
+    at_px, ground_px = seen(pair.first_px), map_px(pair.first_px, grids[0], frame)
+    sides = [seen(pair.first_px + step) - seen(pair.first_px - step) for step in np.eye(2) / 2]
+    rate = np.stack(sides, axis=2)
+    height_rate = (seen(pair.first_px, HEIGHT_STEP_M) - at_px) / HEIGHT_STEP_M
+    slope = np.zeros((len(pair), 2)) if level else _slope(grids, frame, ground_px)
+    return Sight(
+        pair.second_px - at_px,
+        np.broadcast_to(np.nanmean(rate, axis=0), rate.shape),
+        Basis.over(grids[0].shape).values(pair.first_px),
+        Basis.over(grids[1].shape).values(at_px),
+        height_rate,
+        _of_slope(height_rate, slope),
+        ground_px,
+    )
+
+
+def _slope(grids: Sequence[Grid], frame: Grid, ground_px: Float64) -> Float64:
+    """Return the (n, 2) slope of the DEM at the (n, 2) `ground_px` of the frame, m per px of the DEM."""
+    for grid in grids:
+        if isinstance(grid, RpcGrid) and isinstance(grid.heights, Dem):
+            dem = grid.heights
+            at_px = map_px(ground_px, frame, dem.grid)
+            lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
+            steps = SLOPE_STEP_PX * np.eye(2)
+            ends = [dem.at_px(at_px + step, lon_lat) - dem.at_px(at_px - step, lon_lat) for step in steps]
+            return np.nan_to_num(np.stack(ends, axis=1) / (2 * SLOPE_STEP_PX))
+    return np.zeros((len(ground_px), 2))
+
+
+def _without_mean_slope(sights: Sequence[Sight]) -> tuple[Sight, ...]:
+    """Take off the effect of moving the DEM what is like a change of its height."""
+    rate = np.nan_to_num(np.concatenate([sight.height_rate for sight in sights]))
+    moving = np.concatenate([sight.dem_rate for sight in sights])
+    alike = np.einsum("na,nab->b", rate, moving) / max(float((rate**2).sum()), NO_PARALLAX**2)
+    return tuple(
+        replace(sight, dem_rate=sight.dem_rate - np.nan_to_num(sight.height_rate)[:, :, None] * alike)
+        for sight in sights
+    )
+
+
+def _seen(grid: Grid, frame: Grid, ground_px: Float64, height_m: Float64 | None) -> Float64:
+    """Return the (n, 2) px of an image that see the (n, 2) `ground_px` of the frame, at its own heights."""
+    at_px = map_px(ground_px, frame, grid)
+    if height_m is None or not isinstance(grid, RpcGrid):
+        return at_px
+    lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
+    told = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height_m])))
+    return np.where(np.isfinite(height_m)[:, None], told, at_px)
+
+
+def _weighted(problem: _Problem, state: _State) -> _State:
+    """Weight all points by their residuals, and estimate the uncertainty of the DEM."""
+    left = [problem.left_px(number, state) - state.offsets[number] for number in range(len(problem.pairs))]
+    sigma_m = _height_sigma(problem, state.sights, left)
+    weights, scatters = [], []
+    for pair, sight, residual in zip(problem.pairs, state.sights, left, strict=True):
+        weight = _weights(pair, sight, sigma_m)
+        known = np.asarray(weight.any(axis=(1, 2)))
+        own = residual[known]
+        off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", own, weight[known], own), 1e-12))
+        unit = max(1.0, float(np.median(off)) / RAYLEIGH_MEDIAN) if known.any() else 1.0
+        factor = np.minimum(1.0, POINT_LIMIT * unit / off)
+        if pair.height_m is not None:  # a few, set one by one: a wrong one must not pull at all
+            factor = factor**3
+        weight[known] *= (factor / unit**2)[:, None, None]
+        weights.append(weight)
+        scatters.append(1.4826 * float(np.median(np.abs(residual[known]))) if known.any() else 0.0)
+    return replace(state, weights=tuple(weights), scatters=tuple(scatters), sigma_height_m=sigma_m)
+
+
+def _weights(pair: BlockPair, sight: Sight, sigma_height_m: float = 0.0) -> Float64:
+    """Return the (n, 2, 2) inverse covariances of a pair's points, heights eliminated; 0 where unknown."""
+    rate = sight.height_rate
+    covariance = pair.covariance_px2 + sigma_height_m**2 * rate[:, :, None] * rate[:, None, :]
+    known = np.isfinite(sight.left_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+    known &= np.isfinite(sight.first_rate).all(axis=(1, 2))
+    weight = np.zeros_like(covariance)
+    weight[known] = np.linalg.inv(covariance[known])
+    return weight
+
+
+def implied_heights(pair: BlockPair, sight: Sight, residual_px: Float64) -> tuple[Float64, Float64]:
+    """Return by how much (n,) points lie above the DEM, and the (n,) variance of that, metres and m².
+
+    NaN where there is no parallax. The (n, 2) `residual_px` are distances from an adjustment.
+    """
+    weight = np.linalg.inv(pair.covariance_px2)
+    told = np.einsum("na,nab,nb->n", sight.height_rate, weight, sight.height_rate)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        height = np.einsum("na,nab,nb->n", sight.height_rate, weight, residual_px) / told
+        seen = np.hypot(*sight.height_rate.T) >= NO_PARALLAX
+        return np.where(seen, height, np.nan), np.where(seen, 1 / told, np.nan)
+
+
+def _height_sigma(problem: _Problem, sights: Sequence[Sight], left: Sequence[Float64]) -> float:
+    """Return the robust standard deviation of the DEM at the points, beyond their own errors, metres."""
+    found = [implied_heights(*each) for each in zip(problem.pairs, sights, left, strict=True)]
+    height, variance = (np.concatenate(each) for each in zip(*found, strict=True))
+    told = np.isfinite(height) & np.isfinite(variance)
+    if not told.any():
+        return 0.0
+    typical = 1.4826 * float(np.median(np.abs(height[told])))
+    return float(np.sqrt(max(typical**2 - float(np.median(variance[told])), 0.0)))
+
+
+def _equations(
+    problem: _Problem, state: _State, datum: Float64, keep: Sequence[Float64] | None = None
+) -> tuple[Float64, Float64]:
+    """Return the normal matrix and the right-hand side of the parameters, the shared errors, the DEM's shift.
+
+    Parameters
+    ----------
+    datum : (unknowns, d) array
+        Combinations of the parameters that are zero.
+    keep : sequence of (n,) arrays, optional
+        Factors of the points of each pair.
+    """
+    unknowns, size = problem.unknowns, problem.unknowns + 2 * len(problem.pairs) + 2
+    whole, right = np.zeros((size, size)), np.zeros(size)
+    whole[[-1, -2], [-1, -2]] = problem.dem_prior_px**-2
+    right[-2:] = -state.start_dem_px * problem.dem_prior_px**-2
+    for number, pair in enumerate(problem.pairs):
+        at = unknowns + 2 * number
+        # control points are seen one by one
+        prior = state.shared_px**-2 if pair.height_m is None else 1.0 / NEVER_PX**2
+        whole[[at, at + 1], [at, at + 1]] += prior
+        if not state.used[number]:
+            continue
+        sight, weight = state.sights[number], state.weights[number]
+        known = weight.any(axis=(1, 2))
+        design, places = problem.design(pair, sight)
+        alike = np.broadcast_to(np.eye(2), (len(pair), 2, 2))
+        design = np.concatenate([design, alike, sight.dem_rate], axis=2)[known]
+        weight = weight[known] if keep is None else weight[known] * keep[number][known, None, None]
+        places = np.concatenate([places, [at, at + 1, size - 2, size - 1]])
+        weighted = weight @ design
+        whole[np.ix_(places, places)] += np.einsum("nap,naq->pq", design, weighted)
+        right[places] += np.einsum("nap,na->p", weighted, sight.left_px[known])
+    own = np.diag_indices(unknowns)
+    stiff = STIFF * max(float(whole[own].max(initial=0.0)), 1.0)
+    whole[:unknowns, :unknowns] += stiff * datum @ datum.T
+    whole[own] += LOOSE_PX**-2
+    return whole, right
+
+
+def _datum(problem: _Problem) -> Float64:
+    """Return the (unknowns, d) orthonormal combinations of the parameters that are a matter of datum.
+
+    They are those that hardly change anything on level ground: the DEM's own relief is no datum.
+    """
+    block = problem.block
+    zero = np.zeros((len(block.grids), len(problem.terms), 2))
+    sights = tuple(_sight(block, pair, level=True) for pair in problem.pairs)
+    weights = tuple(_weights(*each) for each in zip(problem.pairs, sights, strict=True))
+    count = len(problem.pairs)
+    none = np.zeros(2)
+    used = np.ones(count, bool)
+    state = _State(zero, zero, none, sights, weights, (), np.zeros((count, 2)), used, none, NEVER_PX)
+    whole, _ = _equations(problem, state, np.zeros((problem.unknowns, 0)))
+    normal = whole[: problem.unknowns, : problem.unknowns]
+    # in lengths on the ground, so that none but the smallest biases there are of the smallest sum of squares
+    scale = np.repeat([_pixel(block.grids[image], block.frame) for image in block.free], problem.size)
+    value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
+    free = vector[:, value < NO_DATUM * value[-1]] * scale[:, None] if len(value) else vector
+    return np.linalg.qr(free)[0]
+
+
+def _pixel(grid: Grid, frame: Grid) -> float:
+    """Return the size of a pixel of an image in px of the frame."""
+    step = jacobian(grid.middle_px, at_mean_height(grid), frame)[0]
+    return float(np.sqrt(abs(np.linalg.det(step))))
+
+
+def _step(problem: _Problem, state: _State, datum: Float64) -> _State:
+    """Solve the equations, and estimate the error that the points of a pair share by the cycles."""
+    whole, right = _equations(problem, state, datum)
+    solution = np.linalg.solve(whole, right)
+    parameters = state.start.copy()
+    free = list(problem.block.free)
+    parameters[free] += solution[: problem.unknowns].reshape(len(free), len(problem.terms), 2)
+    offsets = np.asarray(solution[problem.unknowns : -2].reshape(-1, 2), np.float64)
+    posterior = np.diagonal(np.linalg.inv(whole))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
+    told = state.used & np.array([pair.height_m is None for pair in problem.pairs])
+    redundancy = float(np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0)[told].sum())
+    shared_px = USUAL_PX
+    if redundancy >= MIN_REDUNDANCY:
+        shared_px = max(float(np.sqrt((offsets[told] ** 2).sum() / (2 * redundancy))), LEAST_PX)
+    dem_px = state.start_dem_px + solution[-2:]
+    return replace(state, parameters=parameters, offsets=offsets, shared_px=shared_px, dem_px=dem_px)
+
+
+def _without_the_worst(problem: _Problem, state: _State, datum: Float64) -> _State | None:
+    """Return the state without the pair that contradicts all others; None if none does, or none can tell.
+
+    Without it the others must still check each other, and contradict each other much less.
+    """
+    found: list[tuple[float, _State]] = []
+    for number in np.flatnonzero(state.used).tolist():
+        used = state.used.copy()
+        used[number] = False
+        if not _connected(problem, used):
+            continue
+        trial = replace(state, used=used, shared_px=USUAL_PX)
+        for _ in range(3):
+            trial = _step(problem, trial, datum)
+        off = float(np.hypot(*_mean_left(problem, trial, number)[0]))
+        if off > WRONG * max(trial.shared_px, USUAL_PX) and WRONG_SHARE * state.shared_px > trial.shared_px:
+            found.append((trial.shared_px, trial))
+    if not found:
+        return None
+    best = min(found, key=lambda each: each[0])[1]
+    return best if _checks_itself(problem, best, datum) else None
+
+
+def _checks_itself(problem: _Problem, state: _State, datum: Float64) -> bool:
+    """Whether the pairs in use form cycles, which tell that they agree."""
+    whole, _ = _equations(problem, state, datum)
+    posterior = np.diagonal(np.linalg.inv(whole))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
+    redundancy = np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0)
+    return float(redundancy[state.used].sum()) >= MIN_REDUNDANCY
+
+
+def _connected(problem: _Problem, used: Bool) -> bool:
+    ends = [(pair.first, pair.second) for pair, good in zip(problem.pairs, used, strict=True) if good]
+    links = coo_array(
+        (np.ones(len(ends)), np.array(ends).reshape(-1, 2).T), shape=(len(problem.block.grids),) * 2
+    )
+    _, group = connected_components(links, directed=False)
+    every = {image for pair in problem.pairs for image in (pair.first, pair.second)}
+    return len({int(group[image]) for image in every}) == 1
+
+
+def _mean_left(problem: _Problem, state: _State, number: int) -> tuple[Float64, Float64, Float64]:
+    """Return the (2,) weighted mean distance of a pair's points, its (2, 2) formal covariance, its design."""
+    weight = state.weights[number]
+    total = np.linalg.inv(weight.sum(axis=0) + 1e-12 * np.eye(2))
+    known = weight.any(axis=(1, 2))
+    design, places = problem.design(problem.pairs[number], state.sights[number])
+    mean = np.zeros((2, problem.unknowns))
+    mean[:, places] = total @ np.einsum("nab,nbp->ap", weight[known], design[known])
+    left = problem.left_px(number, state)[known]
+    return np.asarray(total @ np.einsum("nab,nb->a", weight[known], left)), total, mean
+
+
+def _cells(sights: Sequence[Sight]) -> list[Index]:
+    """Return the (n,) number of the cell of the ground of the points of each pair."""
+    every = np.concatenate([sight.ground_px for sight in sights])
+    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    size = np.maximum(high - low, 1e-9)
+    found = []
+    for sight in sights:
+        place = np.clip(np.nan_to_num((sight.ground_px - low) / size) * CELLS, 0, CELLS - 1).astype(np.intp)
+        found.append(place[:, 1] * CELLS + place[:, 0])
+    return found
+
+
+def _without_cells(problem: _Problem, state: _State) -> Iterator[tuple[list[Bool], Float64]]:
+    """Yield the points of each cell of the ground, pair by pair, and the (unknowns,) step without them."""
+    datum, cells = _datum(problem), _cells(state.sights)
+    for number in np.unique(np.concatenate(cells)).tolist():
+        inside = [cell == number for cell in cells]
+        if sum(int(each.sum()) for each in inside) * 2 > sum(len(each) for each in inside):
+            continue  # what is left of it tells nothing
+        whole, right = _equations(problem, state, datum, [(~each).astype(np.float64) for each in inside])
+        yield [np.asarray(each) for each in inside], np.asarray(np.linalg.solve(whole, right), np.float64)
+
+
+def _left_out_px2(problem: _Problem, state: _State, judge: Sequence[Float64]) -> Float64:
+    """Return the (cells,) mean squared error, px², of points that were predicted without their cell.
+
+    Weighted by the (n, 2, 2) weights `judge` of each pair.
+    """
+    found = []
+    unit = sum(float(np.trace(each.sum(axis=0))) for each in judge) / sum(len(each) for each in judge)
+    for inside, solution in _without_cells(problem, state):
+        squares, count = 0.0, 0
+        for number, chosen in enumerate(inside):
+            design, places = problem.design(problem.pairs[number], state.sights[number])
+            known = chosen & judge[number].any(axis=(1, 2)) & state.weights[number].any(axis=(1, 2))
+            at = problem.unknowns + 2 * number
+            left = state.sights[number].left_px[known] - design[known] @ solution[places]
+            left = left - solution[at : at + 2] - state.sights[number].dem_rate[known] @ solution[-2:]
+            squares += float(np.einsum("na,nab,nb->", left, judge[number][known], left))
+            count += int(known.sum())
+        if count:
+            found.append(2 * squares / count / unit)
+    return np.array(found)
+
+
+def _result(problem: _Problem, state: _State, scores: Mapping[str, float]) -> BlockAdjustment:
+    """Return the adjustment with its covariance and what it says of each pair."""
+    datum, unknowns = _datum(problem), problem.unknowns
+    whole, _ = _equations(problem, state, datum)
+    covariance = np.asarray(np.linalg.inv(whole), np.float64)
+    steps = np.array([step for _, step in _without_cells(problem, state)])
+    spread = np.zeros((1, len(whole)))
+    if len(steps) > 1:
+        spread = (steps - steps.mean(axis=0)) * ALIKE * np.sqrt((len(steps) - 1) / len(steps))
+    dem_px2 = np.maximum(np.diagonal(covariance)[-2:], (spread[:, -2:] ** 2).sum(axis=0))
+    own = np.ascontiguousarray(covariance[:unknowns, :unknowns])
+    return BlockAdjustment(
+        model=problem.model,
+        scores=dict(scores),
+        corrections=tuple(
+            problem.correction(image, state.parameters) for image in range(len(problem.block.grids))
+        ),
+        edges=tuple(_fit(problem, state, number, own) for number in range(len(problem.pairs))),
+        shared_px=state.shared_px,
+        sigma_height_m=state.sigma_height_m,
+        free=problem.block.free,
+        shapes=tuple(grid.shape for grid in problem.block.grids),
+        covariance_px2=own,
+        spread_px=np.asarray(spread[:, :unknowns]),
+        datum_rank=datum.shape[1],
+        by_height_px=_response_to_height(problem, state, datum),
+        dem_shift_px=state.dem_px,
+        dem_sigma_px=np.sqrt(dem_px2),
+    )
+
+
+def _response_to_height(problem: _Problem, state: _State, datum: Float64) -> Float64:
+    """Return `BlockAdjustment.by_height_px`, of level ground: its relief is told by the other unknowns."""
+    level = [_sight(problem.block, pair, level=True) for pair in problem.pairs]
+    sights = tuple(replace(sight, left_px=-sight.height_rate) for sight in level)
+    whole, right = _equations(problem, replace(state, sights=sights, start_dem_px=np.zeros(2)), datum)
+    found = np.zeros((len(problem.block.grids), 2))
+    step = np.linalg.solve(whole, right)[: problem.unknowns].reshape(-1, len(problem.terms), 2)
+    found[list(problem.block.free)] = step[:, 0]
+    return found
+
+
+def _fit(problem: _Problem, state: _State, number: int, covariance: Float64) -> BlockFit:
+    offset, formal, mean = _mean_left(problem, state, number)
+    own = float(np.trace(formal)) / 2
+    own += state.shared_px**2 if problem.pairs[number].height_m is None else 0.0
+    adjusted = float(np.trace(mean @ covariance @ mean.T)) / 2
+    used = bool(state.used[number])
+    redundancy = max(0.0, 1.0 - adjusted / own) if used else 1.0
+    variance = own * redundancy if used else own + adjusted
+    return BlockFit(
+        used,
+        (float(offset[0]), float(offset[1])),
+        float(np.sqrt(max(variance, UNCHECKED * own))),
+        redundancy,
+        state.scatters[number],
+        problem.left_px(number, state),
+        state.weights[number],
+        state.sights[number],
+    )

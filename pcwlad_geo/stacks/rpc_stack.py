@@ -1,0 +1,559 @@
+"""Stacks of images with RPCs: their places over a DEM, the points between them, and what is written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rasterio.crs import CRS
+
+from pcwlad_geo.band_warping import WarpOutput, apply
+from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.correction.points import thin
+from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.events import Event, EventCallback, Progress, Warned
+from pcwlad_geo.limits import check_grid
+from pcwlad_geo.options import Settings
+from pcwlad_geo.outputs.folder import place_file, place_with_files, stage_inside
+from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band
+from pcwlad_geo.raster.crs import transform_xy, utm_zone_of
+from pcwlad_geo.raster.geodesy import pixel_sizes_m
+from pcwlad_geo.raster.grid import Grid, linear_part, map_px
+from pcwlad_geo.raster.identity import identify
+from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.raster.output_grid import GridRequest
+from pcwlad_geo.raster.rpc.dem import Dem
+from pcwlad_geo.raster.rpc.files import RpcSource, read_rpc, to_gdal, write_rpc_text
+from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
+from pcwlad_geo.raster.rpc.ortho import SLIVER_PX, ortho_grid
+from pcwlad_geo.raster.rpc.view import LATTICE, RpcPlacement, ground_grid, place_by_rpc
+from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster.vrt import write_rpc_vrt
+from pcwlad_geo.registration.inputs import requested_grid
+from pcwlad_geo.registration.rpc import MODELS, RpcRegistration, check_model, corrected_rpc
+from pcwlad_geo.report.finished import FinishedRegistration
+from pcwlad_geo.stacks.cycles import closure_of, root_mean_square, suspicion
+from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
+from pcwlad_geo.stacks.pairs import CONTROL_SIGMA_PX, Frame, Measured, StackPair
+from pcwlad_geo.stacks.result import (
+    NODES,
+    BlockNumbers,
+    ImageRpc,
+    Misfit,
+    Stack,
+    StackImage,
+    raster_name,
+)
+from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockFit, BlockPair, adjust_block
+from pcwlad_geo.stacks.rpc_heights import DemCheck, check_dem
+from pcwlad_geo.tiepoints.readers import read_point_file
+from pcwlad_geo.types import Bool, PathLike
+
+POINTS: Final = 3000
+"""Largest number of tie points of a pair in the adjustment, spread evenly."""
+CONTROL_OFF: Final = 5.0
+"""A control point that lies off by more sigmas is named."""
+RPC_FILES: Final = ("rpc", "rpc_text")
+"""Kinds of the files of a corrected RPC."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedImages:
+    """The images of a block over the ground."""
+
+    frame: Frame
+    """Its grid is that of all orthorectified images."""
+    placements: tuple[RpcPlacement | None, ...]
+    """Of each image; None for the reference, which lies on the map."""
+    stays: int | None
+    """Number of the image that stays; None: the mean of all does, or control points tell."""
+
+    @property
+    def block(self) -> Block:
+        """The images and, last, the ground itself."""
+        grids = (*(info.grid for info in self.frame.infos), self.frame.grid)
+        return Block(grids, self.frame.grid, frozenset(() if self.stays is None else (self.stays,)))
+
+
+def has_rpcs(infos: Sequence[RasterInfo], settings: Settings) -> bool:
+    """Return whether images are to be placed by RPCs: one has no other georeferencing, or there is a DEM."""
+    return settings.dem is not None or any(_rpc_of(info) is not None for info in infos)
+
+
+def _rpc_of(info: RasterInfo) -> RpcSource | None:
+    return None if info.georeferenced else read_rpc(info.uri)
+
+
+def place_images(
+    inputs: Sequence[StackInput],
+    infos: Sequence[RasterInfo],
+    reference: str | None,
+    settings: Settings,
+    unreadable: dict[str, str],
+    tell: EventCallback,
+) -> PlacedImages:
+    """Place the images of a block over the DEM; those that cannot be are named and left out.
+
+    An image on the map is the reference, the one of that name or the first.
+
+    Raises
+    ------
+    InputError
+        If there is no DEM, no image with an RPC, or fewer than two images are left.
+    """
+    if settings.dem is None:
+        given = [each.name for each, info in zip(inputs, infos, strict=True) if _rpc_of(info) is not None]
+        raise InputError(
+            f"{', '.join(given)}: images with RPCs lie on the ground by a DEM only: give --dem "
+            "(and --dem-vertical)"
+        )
+    check_model(settings.model)
+    names = [each.name for each in inputs]
+    if reference is not None and reference not in names:
+        raise InputError(f"the reference {reference} is none of the images {', '.join(names)}")
+    on_map = [
+        name
+        for name, info in zip(names, infos, strict=True)
+        if info.georeferenced and info.grid.crs is not None
+    ]
+    base = reference if reference in on_map else on_map[0] if on_map else None
+    kept: list[tuple[StackInput, RasterInfo, RpcPlacement | None]] = []
+    notes: list[str] = []
+    for each, info in zip(inputs, infos, strict=True):
+        try:
+            placed = None if each.name == base else _placed(each, info, base, settings)
+            kept.append((each, info if placed is None else placed.info, placed))
+        except InputError as error:
+            unreadable[each.path] = str(error)
+            notes.append(f"{each.name} is left out: {error}")
+            continue
+        notes += placed.warnings if placed else ()
+    if len(kept) < 2 or not any(placed for _, _, placed in kept):
+        raise InputError(
+            f"{len(kept)} of {len(names)} images can be placed, and with RPCs and a DEM two are "
+            f"needed, one of them with an RPC: {'; '.join(dict.fromkeys(unreadable.values())) or 'give more'}"
+        )
+    for note in notes:
+        tell(Warned(note))
+    kept.sort(key=lambda image: image[2] is not None)  # the reference first
+    return _framed(kept, reference)
+
+
+def _placed(given: StackInput, info: RasterInfo, base: str | None, settings: Settings) -> RpcPlacement:
+    """Place an image by its RPC, with the heights around it in memory."""
+    source = _rpc_of(info)
+    if source is None:
+        why = f"and {base} is the reference" if info.georeferenced else "nor a geotransform"
+        raise InputError(f"{given.path} has no RPC that counts (tag, .RPB or _RPC.TXT), {why}")
+    placed = place_by_rpc(info, source, str(settings.dem), settings.dem_vertical, trusted=settings.trust_rpc)
+    grid = placed.info.grid
+    if isinstance(grid, RpcGrid) and isinstance(grid.heights, Dem):
+        lon_lat, _ = grid.line_of_sight(grid.lattice_px(LATTICE))
+        grid = replace(grid, heights=grid.heights.held(lon_lat))
+    return replace(placed, info=replace(placed.info, grid=grid))
+
+
+def _framed(
+    kept: Sequence[tuple[StackInput, RasterInfo, RpcPlacement | None]], reference: str | None
+) -> PlacedImages:
+    """Return the images in the CRS and on the grid of all results."""
+    grids = [info.grid for _, info, _ in kept]
+    own = kept[0][2] is None
+    raw = [grid for grid in grids if isinstance(grid, RpcGrid)]
+    crs = grids[0].crs if own else _ground_crs(raw[0])
+    raw = [replace(grid, crs=crs) for grid in raw]
+    common = common_grid(grids[0] if own else ground_grid(raw[0]), raw)
+    placed_at = iter(raw)
+    infos, placements = [], []
+    for _, info, placed in kept:
+        grid = info.grid if placed is None else next(placed_at)
+        infos.append(replace(info, grid=grid))
+        placements.append(None if placed is None else replace(placed, info=infos[-1]))
+    names = [given.name for given, _, _ in kept]
+    number = 0 if own else names.index(reference) if reference else None
+    frame = Frame(names, infos, common, True, tuple(given for given, _, _ in kept), number or 0)
+    return PlacedImages(frame, tuple(placements), number)
+
+
+def _ground_crs(grid: RpcGrid) -> CRS:
+    """Return the CRS of a DEM in metres, else the UTM zone."""
+    crs = grid.heights.grid.crs if isinstance(grid.heights, Dem) else None
+    if crs is not None and crs.is_projected and crs.linear_units_factor[1] == 1.0:
+        return crs
+    return utm_zone_of(grid.line_of_sight(grid.middle_px)[0][0])
+
+
+def common_grid(base: Grid, images: Sequence[RpcGrid]) -> Grid:
+    """Return the grid of all orthorectified images: the lattice of a map grid, at the finest pixel size.
+
+    Raises `InputError` if an image cannot be placed in its CRS, or the grid has too many pixels.
+    """
+    own = [ortho_grid(base, image) for image in images]
+    finest = min(own, key=lambda grid: abs(float(np.linalg.det(linear_part(grid.transform)))))
+    outlines = np.concatenate([map_px(grid.boundary_px(), grid, finest) for grid in own])
+    low, high = np.floor(outlines.min(axis=0) + SLIVER_PX), np.ceil(outlines.max(axis=0) - SLIVER_PX)
+    pixels = sum(grid.shape[0] * grid.shape[1] for grid in images)
+    check_grid("the common grid of all images", (high - low).tolist(), pixels)
+    cols, rows = (high - low).astype(int).tolist()
+    return finest.part((float(low[0]), float(low[1])), (rows, cols))
+
+
+def without_ground(
+    placed: PlacedImages, pairs: Sequence[tuple[int, int]], unreadable: dict[str, str], tell: EventCallback
+) -> list[int]:
+    """Return the numbers of the images that share ground with another; the others are named.
+
+    Raises `InputError` if no two images do.
+    """
+    frame = placed.frame
+    shown = {image for pair in pairs for image in pair}
+    if not shown:
+        raise InputError(
+            f"{', '.join(frame.names)}: no two of the images share ground, where their RPCs put them: give "
+            "images of one ground, each with its own RPC"
+        )
+    for number, name in enumerate(frame.names):
+        if number not in shown:
+            reason = f"{name} shares no ground with any other image, where its RPC puts it"
+            unreadable[frame.given(number).path] = reason
+            tell(Warned(f"{reason}: it is left out"))
+    return sorted(shown)
+
+
+def part_of_images(placed: PlacedImages, chosen: Sequence[int]) -> PlacedImages:
+    """Return a block of some of its images."""
+    frame = placed.frame
+    stays = chosen.index(placed.stays) if placed.stays in chosen else None
+    part = replace(
+        frame,
+        names=[frame.names[number] for number in chosen],
+        infos=[frame.infos[number] for number in chosen],
+        inputs=tuple(frame.inputs[number] for number in chosen),
+        reference=stays or 0,
+    )
+    return PlacedImages(part, tuple(placed.placements[number] for number in chosen), stays)
+
+
+def tie_points_of(measured: Sequence[Measured]) -> list[BlockPair]:
+    """Return the tie points of the pairs that were matched, in the pixels of their files."""
+    found = []
+    for edge, pair in measured:
+        if edge is None:
+            continue
+        points = read_point_file(pair.folder / "tiepoints.csv")
+        sigma_px = points.sigma_px
+        if sigma_px is None:
+            raise InputError(f"{pair.folder} has tie points without sigma: remove it, and run again")
+        good = points.enabled & (sigma_px > 0).all(axis=1)
+        chosen = np.flatnonzero(good)[thin(points.target[good], np.hypot(*sigma_px[good].T), POINTS)]
+        covariance = np.einsum("na,ab->nab", sigma_px[chosen] ** 2, np.eye(2))
+        ends = edge.first, edge.second
+        found.append(BlockPair(*ends, points.reference[chosen], points.target[chosen], covariance))
+    return found
+
+
+def control_points_of(table: PathLike, placed: PlacedImages) -> list[BlockPair]:
+    """Return the control points of a table, image by image, as points between the ground and the image.
+
+    It has the columns image, col, row (px of the file, corner-based), x, y (CRS of the reference; without
+    one, of the DEM) and, if known, z (metres above the ellipsoid; else the DEM's height) and sigma (metres
+    along an axis).
+
+    Raises
+    ------
+    InputError
+        If the table cannot be used.
+    """
+    frame, block = placed.frame, placed.block
+    rows = read_table(Path(table), ("image", "col", "row", "x", "y"))
+    dem = block.dem
+    crs = frame.grid.crs if placed.placements[0] is None or dem is None else dem.grid.crs
+    found = []
+    for name in dict.fromkeys(row["image"] for row in rows):
+        number = frame.names.index(name) if name in frame.names else None
+        if number is None or placed.placements[number] is None:
+            raise InputError(f"{table} names {name}, which is none of the images with RPCs")
+        own = [row for row in rows if row["image"] == name]
+        at = np.array([[number_of(row, column) for column in ("col", "row", "x", "y")] for row in own])
+        height = np.array([number_of(row, "z") if row.get("z") else np.nan for row in own])
+        size_m = _pixel_m(frame.infos[number].grid)
+        sigma_px = np.array(
+            [number_of(row, "sigma") / size_m if row.get("sigma") else CONTROL_SIGMA_PX for row in own]
+        )
+        if not (np.isfinite(at).all() and (sigma_px > 0).all()):
+            raise InputError(f"{table}: the control points of {name} need finite numbers and sigmas above 0")
+        ground_px = frame.grid.to_px(transform_xy(at[:, 2:], crs, frame.grid.crs))
+        covariance = sigma_px[:, None, None] ** 2 * np.eye(2)
+        found.append(BlockPair(len(frame.names), number, ground_px, at[:, :2], covariance, height))
+    return found
+
+
+def _pixel_m(grid: Grid) -> float:
+    sizes = pixel_sizes_m(at_mean_height(grid), grid.middle_px)
+    return 1.0 if sizes is None else float(np.mean(sizes[0]))
+
+
+def adjusted(
+    placed: PlacedImages, pairs: Sequence[BlockPair], settings: Settings
+) -> tuple[BlockAdjustment, DemCheck | None]:
+    """Adjust a block, and ask the tie points what they say of the DEM.
+
+    A wrong DEM looks like RPCs that drift: with one, a shift of each is all that is told.
+    """
+    block = placed.block
+    control = any(pair.height_m is not None for pair in pairs)
+    absolute = control or placed.placements[0] is None
+    if control:
+        block = replace(block, fixed=frozenset())
+    simple = adjust_block(block, pairs, ("shift",))
+    check = check_dem(block, pairs, simple, absolute)
+    left_open = settings.model in ("auto", "rpc")
+    if settings.model == "shift" or (left_open and check is not None and check.wrong):
+        return simple, check
+    models = MODELS if left_open else (settings.model,)
+    return adjust_block(block, pairs, models), check
+
+
+def block_stack(
+    placed: PlacedImages,
+    measured: Sequence[Measured],
+    pairs: Sequence[BlockPair],
+    adjustment: BlockAdjustment,
+    check: DemCheck | None,
+    told: Mapping[str, Any],
+) -> Stack:
+    """Return what the adjustment of a block says of each pair and each image.
+
+    Parameters
+    ----------
+    told : mapping
+        `folder`, `settings`, `unreadable`, `chosen` and `warnings` of the job.
+    """
+    frame, folder = placed.frame, Path(told["folder"])
+    fits = dict(zip((id(pair) for pair in pairs), adjustment.edges, strict=True))
+    tied = iter([pair for pair in pairs if pair.height_m is None])
+    warnings, stacked = list(told["warnings"]), []
+    for edge, pair in measured:
+        own = None if edge is None else next(tied)
+        stacked.append(pair if own is None else _pair(placed, pair, own, fits[id(own)], warnings))
+    used = [pair for pair in stacked if pair.status == "used"]
+    extension = OutputFormat.of(told["settings"].of, told["settings"].co).extension
+    images = tuple(
+        _image(placed, number, adjustment, folder / raster_name(name, extension), used)
+        for number, name in enumerate(frame.names)
+    )
+    control = any(pair.height_m is not None for pair in pairs)
+    own_datum = "mean" if placed.stays is None else frame.names[placed.stays]
+    numbers = BlockNumbers(
+        adjustment.model,
+        {model: round(score, 4) for model, score in adjustment.scores.items()},
+        check,
+        tuple(_misfits(placed, pairs, adjustment)),
+    )
+    return Stack(
+        images,
+        tuple(stacked),
+        adjustment.shared_px,
+        "control points" if control else own_datum,
+        folder,
+        tuple(warnings),
+        adjustment,
+        told["unreadable"],
+        frame.names[frame.reference],
+        told["chosen"],
+        closure_of(stacked),
+        block=numbers,
+    )
+
+
+def _pair(
+    placed: PlacedImages, pair: StackPair, points: BlockPair, fit: BlockFit, warnings: list[str]
+) -> StackPair:
+    """Return a pair with how it agrees with the adjustment, px of the frame."""
+    frame = placed.frame
+    grid = at_mean_height(frame.infos[points.second].grid)
+    scale = np.stack(
+        [
+            (
+                map_px(grid.middle_px + step, grid, frame.grid)
+                - map_px(grid.middle_px - step, grid, frame.grid)
+            )[0]
+            for step in np.eye(2) / 2
+        ],
+        axis=1,
+    )
+    offset, size = scale @ np.array(fit.offset_px), float(np.sqrt(abs(np.linalg.det(scale))))
+    reason = None
+    if not fit.used:
+        reason = f"its points lie {np.hypot(*offset):.2f} px off what the other pairs tell"
+        warnings.append(f"{pair.reference} – {pair.target}: left out: {reason}")
+    return replace(
+        pair,
+        status="used" if fit.used else "left out",
+        reason=reason,
+        points=len(points),
+        offset_px=(float(offset[0]), float(offset[1])),
+        sigma_px=fit.sigma_px * size,
+        redundancy=fit.redundancy,
+        scatter_px=fit.scatter_px * size,
+    )
+
+
+def _image(
+    placed: PlacedImages,
+    number: int,
+    adjustment: BlockAdjustment,
+    registered: Path,
+    used: Sequence[StackPair],
+) -> StackImage:
+    frame, placement = placed.frame, placed.placements[number]
+    info, name, correction = frame.infos[number], frame.names[number], adjustment.corrections[number]
+    at_px = info.grid.lattice_px(NODES)
+    covariance = adjustment.covariance(number, at_px)
+    sigma_px = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0).clip(0.0))
+    sizes_m = pixel_sizes_m(at_mean_height(info.grid), info.grid.middle_px)
+    own = [pair for pair in used if name in (pair.reference, pair.target)]
+    rpc = None
+    if placement is not None:
+        corrected = corrected_rpc(placement, correction)
+        rpc = ImageRpc(corrected.origin, corrected.bias_error_px, *_rpc_names(name), corrected)
+    shift_px = (correction.forward(at_px) - at_px).mean(axis=0)
+    sigma_m = None if sizes_m is None else sigma_px * sizes_m[0]
+    return StackImage(
+        name=name,
+        path=info.uri,
+        shift_px=(float(shift_px[0]), float(shift_px[1])),
+        sigma_px=(float(sigma_px[0]), float(sigma_px[1])),
+        sigma_m=None if sigma_m is None else (float(sigma_m[0]), float(sigma_m[1])),
+        pairs=len(own),
+        correction=correction,
+        registered=registered,
+        suspicion=root_mean_square([suspicion(pair) for pair in own]) or 0.0,
+        group=0,
+        given=frame.given(number),
+        rpc=rpc,
+    )
+
+
+def _rpc_names(name: str) -> tuple[str, str]:
+    vrt, text = (NAMES[kind].format(stem=name) for kind in RPC_FILES)
+    return vrt, text
+
+
+def _misfits(placed: PlacedImages, pairs: Sequence[BlockPair], adjustment: BlockAdjustment) -> list[Misfit]:
+    """Return how the images fit what the block lies on: the reference's tie points and control points."""
+    frame, found = placed.frame, []
+    for pair, fit in zip(pairs, adjustment.edges, strict=True):
+        control = pair.height_m is not None
+        ends = (pair.first, pair.second)
+        if not control and (placed.placements[0] is not None or 0 not in ends):
+            continue
+        known = fit.weight.any(axis=(1, 2)) & ~(_off(pair, fit) if control else False)
+        left = fit.left_px[known]
+        size_m = _pixel_m(frame.infos[pair.second].grid)
+        rmse = float(np.sqrt((left**2).sum(axis=1).mean())) if len(left) else float("nan")
+        mean = np.median(left, axis=0) if len(left) else np.full(2, np.nan)
+        found.append(
+            Misfit(
+                "control points" if control else "reference",
+                frame.names[max(number for number in ends if number < len(frame.names))],
+                int(known.sum()),
+                (float(mean[0]), float(mean[1])),
+                rmse,
+                rmse * size_m,
+                tuple((float(col), float(row)) for col, row in fit.left_px) if control else None,
+            )
+        )
+    return found
+
+
+def _off(pair: BlockPair, fit: BlockFit) -> Bool:
+    """Return the (n,) mask of the control points that contradict all others."""
+    off = np.hypot(*fit.left_px.T) / np.sqrt(np.trace(pair.covariance_px2, axis1=1, axis2=2) / 2)
+    return np.asarray(off > CONTROL_OFF * max(1.0, float(np.nanmedian(off))))
+
+
+def control_warnings(placed: PlacedImages, pairs: Sequence[BlockPair], found: BlockAdjustment) -> list[str]:
+    """Name the control points that contradict the others."""
+    told = []
+    for pair, fit in zip(pairs, found.edges, strict=True):
+        if pair.height_m is None:
+            continue
+        for index in np.flatnonzero(_off(pair, fit)).tolist():
+            (col, row), length = pair.second_px[index], float(np.hypot(*fit.left_px[index]))
+            name = placed.frame.names[pair.second]
+            told.append(
+                f"the control point at ({col:.1f}, {row:.1f}) px (col, row) of {name} lies {length:.1f} "
+                "px off what all others tell: check its coordinates"
+            )
+    return told
+
+
+def output_grid_of(placed: PlacedImages, settings: Settings) -> Grid:
+    """Return the grid on which all images are written."""
+    made = OutputFormat.of(settings.of, settings.co)
+    if made.is_vrt:
+        raise SettingsError("of = 'VRT': a VRT cannot hold an orthorectified image; give --of COG or GTiff")
+    if settings.grid == "target":
+        raise SettingsError("grid = 'target': the pixels of an image with RPC are no grid on the ground")
+    return requested_grid(settings).fixed(placed.frame.grid) or placed.frame.grid
+
+
+def write_images(found: Stack, placed: PlacedImages, settings: Settings, on_event: EventCallback) -> None:
+    """Write each image on the common grid, and the corrected RPCs with the original pixels."""
+    grid, made = output_grid_of(placed, settings), OutputFormat.of(settings.of, settings.co)
+
+    def quiet(event: Event) -> None:
+        if isinstance(event, Warned):
+            on_event(event)
+
+    for number, image in enumerate(found.images):
+        on_event(Progress("images", number, len(found.images)))
+        if image.rpc is None:
+            _warp_reference(
+                placed.frame,
+                image,
+                WarpOutput(grid, GridRequest(like=grid), made, settings.resampling),
+                quiet,
+            )
+            continue
+        how = BandOutput(grid, settings.resampling, made, image.registered)
+        _write_image(found.out_dir, image, image.rpc, how, quiet)
+    on_event(Progress("images", len(found.images), len(found.images)))
+
+
+def _write_image(
+    folder: Path, image: StackImage, rpc: ImageRpc, how: BandOutput, on_event: EventCallback
+) -> None:
+    corrected: RpcRegistration = rpc.registration
+    model = corrected.corrected_grid.rpc
+    with stage_inside(folder) as stage:
+        orthorectify_band(image.path, stage / image.registered.name, corrected.corrected_grid, how, on_event)
+        write_rpc_vrt(stage / rpc.vrt, image.path, to_gdal(model), final_path=folder / rpc.vrt)
+        write_rpc_text(model, stage / rpc.text)
+        place_with_files(stage / image.registered.name, image.registered, overwrite=True)
+        for name in (rpc.vrt, rpc.text):
+            place_file(stage / name, folder / name, overwrite=True)
+
+
+def _warp_reference(frame: Frame, image: StackImage, wanted: WarpOutput, on_event: EventCallback) -> None:
+    """Resample the reference, which stays where it is, onto the common grid."""
+    info = frame.infos[frame.names.index(image.name)]
+    done = FinishedRegistration(
+        AffineCorrection("shift", np.eye(2, 3)),
+        wanted.reference_grid,
+        info.grid,
+        wanted.request,
+        wanted.format,
+        wanted.resampling,
+        inputs=tuple(identify(info.uri)),
+    )
+    apply(done, [info.uri], [image.registered], wanted, False, True, on_event)
+
+
+def rpc_files_of(folder: Path, names: Sequence[str]) -> list[Path]:
+    """Return the files of corrected RPCs that images of these names would have."""
+    return [folder / file for name in names for file in _rpc_names(name)]

@@ -1,0 +1,43 @@
+"""One hilly scene seen by several sensors with RPCs, each of which errs by a known bias."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.raster.rpc.model import RpcModel
+from tests.rpc_scene import PX_PER_M, make_rpc, rpc_grid, write_dem, write_image
+from tests.scenes import render
+
+Array = NDArray[np.float64]
+
+VIEWS = ((1.0, 1.0), (-1.5, 0.4), (0.2, -2.0))
+"""Displacement of each view by height, in that of `rpc_scene`."""
+TRUTH_PX = np.array([[1.4, -0.6], [-1.1, 0.9], [0.3, 0.5]])
+"""By how much each image lies beside where its RPC says."""
+
+
+def view_rpc(by_height: tuple[float, float]) -> RpcModel:
+    """Return the RPC of the scene seen from another side."""
+    rpc = make_rpc()
+    samp, line = list(rpc.samp_num_coeff), list(rpc.line_num_coeff)
+    higher = PX_PER_M * np.array(by_height) * rpc.height_scale / [rpc.samp_scale, rpc.line_scale]
+    samp[3], line[3] = float(higher[0]), float(higher[1])
+    return replace(rpc, samp_num_coeff=tuple(samp), line_num_coeff=tuple(line))
+
+
+def write_views(folder: Path, count: int = len(VIEWS)) -> tuple[list[Path], Path]:
+    """Write the images, whose noise differs, and the DEM; return their paths."""
+    dem = write_dem(folder / "dem.tif")
+    rng = np.random.default_rng(3)
+    images = []
+    for number, (view, bias) in enumerate(zip(VIEWS[:count], TRUTH_PX, strict=False)):
+        rpc = view_rpc(view)
+        seen = render(rpc_grid(dem, rpc), displacement_px=bias, noise=0.0)
+        seen = seen + rng.normal(0.0, 1.0, seen.shape)
+        values = np.clip(np.rint(seen * 200), 1, 65535).astype(np.uint16)
+        images.append(write_image(folder / f"view{number}.tif", values, rpc))
+    return images, dem

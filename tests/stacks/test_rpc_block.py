@@ -1,0 +1,162 @@
+"""The joint adjustment of RPCs, of points whose truth is known, and what it says of the DEM."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pcwlad_geo.raster.grid import map_px
+from pcwlad_geo.raster.rpc.dem import Dem
+from pcwlad_geo.raster.rpc.grid import RpcGrid
+from pcwlad_geo.raster.rpc.view import ground_grid
+from pcwlad_geo.stacks.rpc_block import Block, BlockPair, adjust_block, moved, raised
+from pcwlad_geo.stacks.rpc_heights import check_dem
+from tests.rpc_scene import SHAPE, rpc_grid, write_dem
+from tests.scenes import CRS_OF_SCENE
+from tests.stacks.rpc_views import view_rpc
+
+Array = NDArray[np.float64]
+
+STEEP = ((2.0, 1.5), (-2.0, 1.0), (0.5, -3.0))
+"""Views in which ten metres of height are some tenths of a pixel."""
+NOISE_PX = 0.03
+
+
+@pytest.fixture(scope="module")
+def grids(tmp_path_factory: pytest.TempPathFactory) -> tuple[RpcGrid, ...]:
+    dem = write_dem(tmp_path_factory.mktemp("dem") / "dem.tif")
+    found = []
+    for view in STEEP:
+        grid = replace(rpc_grid(dem, view_rpc(view)), crs=CRS_OF_SCENE)
+        assert isinstance(grid.heights, Dem)
+        lon_lat, _ = grid.line_of_sight(grid.lattice_px(9))
+        found.append(replace(grid, heights=grid.heights.held(lon_lat)))
+    return tuple(found)
+
+
+def observed(
+    grids: tuple[RpcGrid, ...], biases: Array, ends: tuple[int, int], n: int = 300, seed: int = 0
+) -> BlockPair:
+    """Tie points of two images that lie beside where their RPCs say, in px (col, row)."""
+    rng = np.random.default_rng(seed + 10 * ends[0] + ends[1])
+    first = rng.uniform((20.0, 20.0), (SHAPE[1] - 20.0, SHAPE[0] - 20.0), (n, 2))
+    second = map_px(first, grids[ends[0]], grids[ends[1]])
+    known = np.isfinite(second).all(axis=1)
+    first, second = first[known] + biases[ends[0]], second[known] + biases[ends[1]]
+    second = second + rng.normal(0.0, NOISE_PX, second.shape)
+    return BlockPair(*ends, first, second, np.tile(NOISE_PX**2 * np.eye(2), (len(second), 1, 1)))
+
+
+def shifts(found: object, count: int) -> Array:
+    middle = np.array([[SHAPE[1] / 2, SHAPE[0] / 2]])
+    corrections = found.corrections[:count]  # type: ignore[attr-defined]
+    return np.concatenate([each.forward(middle) - middle for each in corrections])
+
+
+BIASES = np.array([[2.0, -1.0], [-1.5, 2.5], [0.5, 0.5]])
+PAIRS = ((0, 1), (0, 2), (1, 2))
+
+
+def test_biases_are_found_where_an_image_stays(grids: tuple[RpcGrid, ...]) -> None:
+    biases = BIASES - BIASES[0]
+    pairs = [observed(grids, biases, ends) for ends in PAIRS]
+    found = adjust_block(Block(grids, ground_grid(grids[0]), frozenset({0})), pairs)
+    assert found.model == "shift"
+    assert shifts(found, 3) == pytest.approx(biases, abs=0.02)
+    for image in (1, 2):
+        sigma = found.sigma_px(image, np.array([[100.0, 100.0]]))
+        assert (np.abs(shifts(found, 3) - biases)[image] < 4 * sigma).all()
+
+
+def test_without_a_reference_the_mean_stays(grids: tuple[RpcGrid, ...]) -> None:
+    pairs = [observed(grids, BIASES, ends) for ends in PAIRS]
+    found = adjust_block(Block(grids, ground_grid(grids[0])), pairs, ("shift",))
+    assert found.datum_rank == 2
+    away = shifts(found, 3) - BIASES
+    assert away == pytest.approx(np.tile(away.mean(axis=0), (3, 1)), abs=0.15)  # views differ in scale
+    assert shifts(found, 3).mean(axis=0) == pytest.approx(np.zeros(2), abs=0.1)
+
+
+def test_a_drift_is_chosen_where_the_points_show_it(grids: tuple[RpcGrid, ...]) -> None:
+    pair = observed(grids, np.zeros((3, 2)), (0, 1))
+    drift = (pair.second_px[:, 1:] / SHAPE[0] - 0.5) * np.array([[0.8, -0.5]])
+    found = adjust_block(
+        Block(grids, ground_grid(grids[0]), frozenset({0})), [replace(pair, second_px=pair.second_px + drift)]
+    )
+    assert found.model == "drift"
+    ends = np.array([[160.0, 0.0], [160.0, SHAPE[0]]])
+    moved_px = found.corrections[1].forward(ends) - ends
+    assert moved_px[1] - moved_px[0] == pytest.approx([0.8, -0.5], abs=0.03)
+
+
+def test_a_wrong_pair_is_left_out_where_others_check_it(grids: tuple[RpcGrid, ...]) -> None:
+    four = (*grids, grids[0])
+    biases = np.vstack([BIASES - BIASES[0], [[1.0, 1.0]]])
+    pairs = [observed(four, biases, ends) for ends in (*PAIRS, (0, 3), (1, 3), (2, 3))]
+    pairs[4] = replace(pairs[4], second_px=pairs[4].second_px + np.array([4.0, -3.0]))
+    found = adjust_block(Block(four, ground_grid(grids[0]), frozenset({0})), pairs, ("shift",))
+    assert [fit.used for fit in found.edges] == [True, True, True, True, False, True]
+    assert shifts(found, 4) == pytest.approx(biases, abs=0.05)
+    assert found.edges[4].offset_px == pytest.approx((4.0, -3.0), abs=0.1)
+
+
+def test_control_points_fix_the_block_and_a_wrong_one_hardly_counts(grids: tuple[RpcGrid, ...]) -> None:
+    pairs = [observed(grids, BIASES, ends) for ends in PAIRS]
+    frame = ground_grid(grids[0])
+    at_px = np.random.default_rng(5).uniform(60.0, 240.0, (6, 2))
+    ground = map_px(at_px, grids[1], frame)
+    _, height_m = grids[1].line_of_sight(at_px)
+    height_m[2:] = np.nan  # the DEM's
+    seen = at_px + BIASES[1]
+    seen[4] += (20.0, 0.0)
+    control = BlockPair(3, 1, ground, seen, np.tile(0.05**2 * np.eye(2), (6, 1, 1)), height_m)
+    found = adjust_block(Block((*grids, frame), frame), [*pairs, control], ("shift",))
+    assert found.datum_rank == 0
+    assert shifts(found, 3) == pytest.approx(BIASES, abs=0.06)
+
+
+@pytest.mark.parametrize("too_high_m", [-300.0, 300.0])
+def test_a_dem_that_is_too_high_is_told(grids: tuple[RpcGrid, ...], too_high_m: float) -> None:
+    pairs = [observed(grids, 0.1 * BIASES, ends) for ends in PAIRS]
+    wrong = tuple(raised(grid, too_high_m) for grid in grids)
+    block = Block(wrong, ground_grid(grids[0]))
+    check = check_dem(block, pairs, adjust_block(block, pairs, ("shift",)), absolute=False)
+    assert check is not None
+    assert check.too_high_m == pytest.approx(too_high_m, abs=30.0)
+    assert any("too high" if too_high_m > 0 else "too low" in each for each in check.wrong)
+
+
+def test_a_dem_beside_its_place_is_told_and_moved_back(grids: tuple[RpcGrid, ...]) -> None:
+    biases = BIASES - BIASES[0]
+    pairs = [observed(grids, biases, ends) for ends in PAIRS]
+    wrong = tuple(moved(grid, np.array([4.0, -3.0])) for grid in grids)  # 60 m px
+    block = Block(wrong, ground_grid(grids[0]), frozenset({0}))
+    found = adjust_block(block, pairs, ("shift",))
+    check = check_dem(block, pairs, found, absolute=True)
+    assert check is not None
+    assert check.beside_m == pytest.approx((240.0, 180.0), abs=15.0)
+    assert len(check.wrong) == 1
+    assert "beside" in check.wrong[0]
+    assert shifts(found, 3) == pytest.approx(biases, abs=0.05)
+
+
+def test_a_right_dem_is_not_called_wrong(grids: tuple[RpcGrid, ...]) -> None:
+    pairs = [observed(grids, BIASES, ends) for ends in PAIRS]
+    block = Block(grids, ground_grid(grids[0]))
+    check = check_dem(block, pairs, adjust_block(block, pairs, ("shift",)), absolute=False)
+    assert check is not None
+    assert check.wrong == ()
+    assert check.scale == pytest.approx(0.0, abs=0.01)
+
+
+def test_heights_held_in_memory_are_those_of_the_file(tmp_path: Path) -> None:
+    grid = rpc_grid(write_dem(tmp_path / "dem.tif"))
+    assert isinstance(grid.heights, Dem)
+    lon_lat, height_m = grid.line_of_sight(grid.lattice_px(7))
+    held = grid.heights.held(lon_lat[:10])
+    assert held is not grid.heights
+    assert held.at(lon_lat) == pytest.approx(height_m, abs=1e-3)  # also beside what is held
