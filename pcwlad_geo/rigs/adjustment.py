@@ -1,10 +1,10 @@
 """Least squares over all captures: lenses, how they stand, and the ground that each capture saw.
 
-A point seen by the reference lens in direction (x, y) at nearness q (the mean distance over its depth) is seen
-by lens i in the direction of R·(x, y, 1) + q·b. Nearness is a plane of the direction for each capture (level
-ground is one exactly), and a deviation of each point from it, the relief, which is eliminated. Two captures
-of the reference lens whose frames overlap are tied the same way, with a rotation and a base of their own: that
-tells the distortion that all lenses have in common, which frames of one moment hardly do.
+A point that the reference lens sees in direction (x, y) at nearness q (the mean distance over its depth) is
+seen by lens i in the direction of R·(x, y, 1) + q·b. Nearness is a plane of the direction for each capture
+(level ground is one exactly), and a deviation of each point from it, the relief, which is eliminated. Two
+captures of the reference lens whose frames overlap are tied the same way, with a rotation and a base of their own:
+that tells the distortion that all lenses have in common, which frames of one moment hardly do.
 
 References
 ----------
@@ -40,8 +40,11 @@ LEAST_FAR_PX: Final = 0.6
 """A point nearer than this to the model is never left out."""
 MODEL_SIGMA_PX: Final = 0.06
 """What the model itself leaves, and bands that look different, added to the sigma of every point."""
-RELIEF: Final = 0.08
-"""Standard deviation of a point's nearness from the plane of its capture, as a share."""
+RELIEF_PX: Final = 0.1
+"""Standard deviation of a point from the plane of its capture, as parallax of the lens of the longest baseline.
+"""
+RELIEF: Final = (0.02, 0.3)
+"""Smallest and largest of it, in nearness."""
 MEAN_SIGMA: Final = 1e-3
 """With this standard deviation the mean nearness of all captures is 1: the unit of the baselines."""
 
@@ -123,15 +126,19 @@ class Adjusted:
     """Standard deviation of the residuals over that expected of them."""
 
 
-def adjust(first: State, sigma: State, seen: Observations, overlap: float, *, unit: bool = True) -> Adjusted:
+def adjust(
+    first: State, expected: State, sigma: State, seen: Observations, overlap: float, *, unit: bool = True
+) -> Adjusted:
     """Adjust all parameters.
 
     Parameters
     ----------
     first : State
-        Where to begin, and what is expected.
+        Where to begin.
+    expected : State
+        What is expected without the tie points.
     sigma : State
-        How far each parameter is expected from there; 0 holds it.
+        How far each parameter may be from there; 0 holds it where it begins.
     seen : Observations
         Tie points.
     overlap : float
@@ -142,27 +149,29 @@ def adjust(first: State, sigma: State, seen: Observations, overlap: float, *, un
     state, point = first, seen.points()
     seen = replace(seen, sigma_px=np.hypot(seen.sigma_px, MODEL_SIGMA_PX) * math.sqrt(max(overlap, 1.0)))
     relief = np.zeros(point.max() + 1)
-    scale, expected = sigma.vector, first.vector
+    scale, before = sigma.vector, expected.vector
     free = np.flatnonzero(scale > 0)
     kept = np.ones(len(seen), bool)
     damping, normal = 1e-3, np.eye(len(free))
+    level = np.zeros(len(seen))
     for turn in range(ROUNDS):
-        residual = seen.seen_px - predict(state, seen, relief[point])
-        weight, kept = _weights(residual, seen, turn)
-        jacobian, by_relief = _jacobian(state, seen, relief[point], set(free.tolist()))
+        # linear at no relief: where it is, longer baselines would be drawn towards less of it
+        residual = seen.seen_px - predict(state, seen, level)
+        jacobian, by_relief = _jacobian(state, seen, level, set(free.tolist()))
+        weight, kept = _weights(residual - by_relief * relief[point, None], seen, turn)
         columns = jacobian[:, free] @ sparse.diags(scale[free])
-        step, more, normal = _step(
-            columns, by_relief, residual, weight, point, relief,
-            (expected - state.vector)[free] / scale[free], _mean_row(state, free, scale * unit), damping,
+        step, relief, normal = _step(
+            columns, by_relief.ravel(), residual, weight, point, _relief_sigma(state),
+            (before - state.vector)[free] / scale[free], _mean_row(state, free, scale * unit), damping,
         )  # fmt: skip
         change = np.zeros(len(scale))
         change[free] = scale[free] * step
-        state, relief = state.with_vector(state.vector + change), np.clip(relief + more, -0.5, 0.5)
+        state = state.with_vector(state.vector + change)
         moved = np.abs(columns @ step).max(initial=0.0)
         damping = damping / 10 if damping > 1e-9 else 0.0
         if moved < STILL_PX and turn > 3:
             break
-    residual = seen.seen_px - predict(state, seen, relief[point])
+    residual = seen.seen_px - predict(state, seen, np.clip(relief, -0.5, 0.5)[point])
     weight, kept = _weights(residual, seen, ROUNDS)
     factor = _spread(residual, seen, kept)
     covariance = np.zeros((len(scale), len(scale)))
@@ -173,7 +182,7 @@ def adjust(first: State, sigma: State, seen: Observations, overlap: float, *, un
 
 
 def predict(state: State, seen: Observations, relief: Float64) -> Float64:
-    """Return the (n, 2) px at which the lenses see the points; `relief` is the (n,) share beside the plane."""
+    """Return the (n, 2) px at which lenses see the points; `relief` is the (n,) share beside the plane."""
     first = rays(seen.reference_px, state.lenses[0], state.models[0])
     return _seen(state, seen, first, relief)
 
@@ -215,7 +224,7 @@ def _spread(residual: Float64, seen: Observations, kept: Bool) -> float:
 def _jacobian(
     state: State, seen: Observations, relief: Float64, free: set[int]
 ) -> tuple[sparse.csr_matrix, Float64]:
-    """Return the (2 n, parameters) derivatives of the predictions, and (2 n,) those by relief.
+    """Return the (2 n, parameters) derivatives of the predictions, and (n, 2) those by relief.
 
     Columns of parameters that are not `free` are left empty.
     """
@@ -245,7 +254,7 @@ def _jacobian(
         change = (_seen(replace(state, planes=moved), seen, first, relief) - now) / 1e-4
         entries.append((lenses + poses + seen.capture * OF_PLANE + k, change))
         if k == 0:
-            by_relief = change.ravel()
+            by_relief = change
     columns = np.concatenate([np.repeat(column, 2) for column, _ in entries])
     values = np.concatenate([change.ravel() for _, change in entries])
     rows = np.tile(np.arange(2 * n), len(entries))
@@ -253,11 +262,16 @@ def _jacobian(
     return matrix, by_relief
 
 
+def _relief_sigma(state: State) -> float:
+    """Return the standard deviation of a point's nearness from the plane of its capture."""
+    base = float(np.hypot(*state.poses[: len(state.lenses), 3:5].T).max())
+    return float(np.clip(RELIEF_PX / max(base * state.lenses[0, 0], 1e-9), *RELIEF))
+
+
 def _steps(focal_px: float) -> Float64:
     """Return steps of the parameters of a lens that move px by little."""
-    return np.array([0.01, 0.01, 0.01, 1e-5, 1e-5, 1e-5, 1e-6, 1e-6]) * np.array(
-        [focal_px / 1e3] * 3 + [1] * 5
-    )
+    lengths, ratios = [1e-5 * focal_px] * 3, [1e-5, 1e-5, 1e-5, 1e-6, 1e-6]
+    return np.array([*lengths, *ratios])
 
 
 def _mean_row(state: State, free: Index, scale: Float64) -> tuple[Float64, float]:
@@ -274,12 +288,12 @@ def _step(
     residual: Float64,
     weight: Float64,
     point: Index,
-    relief: Float64,
+    relief_sigma: float,
     expected: Float64,
     mean: tuple[Float64, float],
     damping: float,
 ) -> tuple[Float64, Float64, Float64]:
-    """Return the step of the parameters, that of the relief, and the normal matrix without the relief.
+    """Return the step of the parameters, the relief of each point, and the normal matrix without relief.
 
     The parameters are in units of their expected deviation, so that what is expected of them adds 1 to the
     diagonal.
@@ -289,12 +303,11 @@ def _step(
     normal = (columns.T @ weighted).toarray() + np.eye(columns.shape[1])
     normal += np.outer(mean[0], mean[0]) / MEAN_SIGMA**2
     right = weighted.T @ residual.ravel() + expected + mean[0] * mean[1] / MEAN_SIGMA**2
-    own = np.bincount(number, twice * by_relief**2, len(relief)) + 1 / RELIEF**2
-    gather = sparse.csr_matrix(
-        (twice * by_relief, (np.arange(len(number)), number)), (len(number), len(relief))
-    )
+    count = int(point.max()) + 1
+    own = np.bincount(number, twice * by_relief**2, count) + 1 / relief_sigma**2
+    gather = sparse.csr_matrix((twice * by_relief, (np.arange(len(number)), number)), (len(number), count))
     cross = (columns.T @ gather).tocsr()
-    pull = np.asarray(gather.T @ residual.ravel()) - relief / RELIEF**2
+    pull = np.asarray(gather.T @ residual.ravel())
     inner = sparse.diags(1 / own)
     reduced = normal - (cross @ inner @ cross.T).toarray()
     step = np.linalg.solve(reduced + damping * np.diag(np.diag(reduced)), right - cross @ (pull / own))

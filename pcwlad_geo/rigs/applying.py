@@ -20,7 +20,7 @@ from pcwlad_geo.matching.refinement import ChannelMaps, Start, refine
 from pcwlad_geo.raster.gdal import ignoring, reading
 from pcwlad_geo.raster.opening import check_dataset
 from pcwlad_geo.raster.source import open_raster
-from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust
+from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust, predict
 from pcwlad_geo.rigs.captures import Capture, Frame, read_frame
 from pcwlad_geo.rigs.learning import NEAR_SIGMA, look
 from pcwlad_geo.rigs.rig import Rig, RigLens, coefficients_of, map_places, measured_side, resampled
@@ -44,10 +44,12 @@ LEAST_PLACES: Final = 12
 """Number of them that must agree."""
 AGREE_PX: Final = 1.0
 """Distance from the model within which a place agrees, px of the measured frame."""
+LEAST_SIGMA_PX: Final = 0.05
+"""Standard deviation of a place, px of the measured frame, at best."""
 FAR: Final = 6.0
 """How many times nearer than the nearest capture learned from, or farther than the farthest, is believed."""
 MOVED_PX: Final = 1.5
-"""Where a place moved further than this from the prediction, px of the measured frame, all are measured again."""
+"""Where places moved further from the prediction, px of the measured frame, all are measured again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +86,7 @@ class CaptureOutcome:
     distance_m: float | None = None
     """Distance of the ground, where the rig knows metres."""
     sigma_px: float | None = None
-    """Largest standard deviation of a lens's position in the middle of the frame, as this capture tells it."""
+    """Largest standard deviation of a lens's position in the middle of the frame, by this capture."""
     seconds: float | None = None
     done_before: bool = False
 
@@ -201,7 +203,7 @@ def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed
 
 
 def _starts(rig: Rig, middle: float) -> list[float]:
-    """Return the nearness to begin with: as learned, then others that move a lens by more than is searched."""
+    """Return nearness to begin with: as learned, then others that move a lens by more than is searched."""
     parallax = max(float(np.hypot(*each.baseline[:2])) for each in rig.lenses) * rig.reference.lens.focal_px
     shape = rig.reference.lens.shape
     factor = max(shape) / measured_side(shape)
@@ -223,16 +225,15 @@ def _measured(rig: Rig, values: Sequence[Float32], plane: Float64) -> Observatio
         corners = textured(first, first_valid & second_valid, window)
         if len(corners) < LEAST_PLACES:
             raise BadCaptureError(f"lens {each.name} has too little structure where {rig.names[0]} sees it")
-        maps = [_channels(*image) for image in ((first, first_valid), (second, second_valid))]
+        maps = _channels(first, first_valid), _channels(second, second_valid)
         start = Start(np.zeros((len(corners), 2)), np.zeros((len(corners), 2, 2)))
-        found = refine(*maps, corners, start, window_px=window)
+        found = refine(maps[0], maps[1], corners, start, window_px=window)
         good = found.converged
-        sigma = np.sqrt(np.trace(found.covariance_px2[good], axis1=1, axis2=2) / 2)
+        variance = np.trace(found.covariance_px2[good], axis1=1, axis2=2) / 2
+        sigma: Float64 = np.maximum(np.sqrt(variance), LEAST_SIGMA_PX) * factor
         origin_px = (corners[good][:, ::-1] + 0.5) * factor
         target_px = origin_px + found.shift_xy_px[good] * factor
-        parts.append(
-            _as_observations(rig, number, plane, origin_px, target_px, np.maximum(sigma, 0.05) * factor)
-        )
+        parts.append(_as_observations(rig, number, plane, origin_px, target_px, sigma))
     return Observations.joined(parts)
 
 
@@ -314,12 +315,12 @@ def _adjusted(
     slack = NEAR_SIGMA[0 if told else 1] * near
     planes = np.array([[slack, rig.tilt * near, rig.tilt * near]])
     begin = replace(first, planes=plane[None])
-    result = adjust(first, State(first.models, np.zeros_like(lenses), free, planes), seen, 1.0, unit=False)
+    sigma = State(first.models, np.zeros_like(lenses), free, planes)
+    result = adjust(begin, first, sigma, seen, 1.0, unit=False)
     scale = rig.reference.lens.focal_px / lenses[seen.lens, 0]
     length = np.hypot(*result.residual_px.T) * scale
     _check_agreement(rig, seen, length, result)
     turned = tuple(replace(each, rotation=result.state.poses[k, :3]) for k, each in enumerate(rig.lenses))
-    sigma = _sigma_px(rig, result, count)
     factor = np.array([_factor(rig, each) for each in rig.lenses])[seen.lens]
     agreeing = length < AGREE_PX * factor
     placed = Placed(
@@ -327,7 +328,7 @@ def _adjusted(
         result.state.planes[0],
         int(agreeing.sum()),
         float(np.median(length[agreeing])),
-        sigma,
+        _sigma_px(rig, result, count),
     )
     before = replace(begin, poses=np.stack([np.r_[each.rotation, each.baseline] for each in now.lenses]))
     moved = np.hypot(*(_shift(before, seen) - _shift(result.state, seen)).T) * scale
@@ -335,8 +336,6 @@ def _adjusted(
 
 
 def _shift(state: State, seen: Observations) -> Float64:
-    from pcwlad_geo.rigs.adjustment import predict
-
     return predict(state, seen, np.zeros(len(seen)))
 
 
@@ -482,5 +481,8 @@ def _common_tags(task: CaptureTask, placed: Placed, frame: Frame) -> Mapping[str
         "CAMERA_MODEL": "pinhole, no distortion",
         "CAMERA_FOCAL_PX": f"{lens.focal_px:.4f}",
         "CAMERA_PRINCIPAL_POINT_PX": f"{col:.4f} {row:.4f}",
+        "RIG_ROTATIONS_RAD": "; ".join(
+            " ".join(f"{each:.9f}" for each in lens.rotation) for lens in placed.rig.lenses
+        ),
         "RIG_NEARNESS": " ".join(f"{each:.6f}" for each in placed.plane),
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -136,7 +136,7 @@ def group(files: Sequence[Path], pattern: str | None = None) -> tuple[list[Captu
             continue
         name = match["capture"] if match else file.stem
         identity = frame.capture_id if frame.capture_id and pattern is None else f"{file.parent}/{name}"
-        read.append((identity, name, _named(frame, frame_lens)))
+        read.append((identity, name, replace(frame, lens=frame_lens)))
     return _captures(read, unread), unread
 
 
@@ -167,12 +167,6 @@ def _compiled(pattern: str) -> re.Pattern[str]:
     if not {"capture", "lens"} <= compiled.groupindex.keys():
         raise SettingsError(f"pattern = {pattern!r} lacks the groups (?P<capture>…) and (?P<lens>…)")
     return compiled
-
-
-def _named(frame: Frame, lens: str) -> Frame:
-    from dataclasses import replace
-
-    return replace(frame, lens=lens)
 
 
 def read_frame_facts(path: PathLike, lens: str = "") -> Frame:

@@ -29,6 +29,10 @@ START_SIDE_PX: Final = 360
 """Longer side of the frames in which lenses are first matched."""
 COARSE_SIDE_PX: Final = 480
 """That of the first round, where the lenses are not yet known well."""
+COARSE_CAPTURES: Final = 5
+"""Number of captures of the first round."""
+ROUND_RADII_PX: Final = (7, 4)
+"""Radius of the search in each of the rounds after it."""
 TRIES: Final = 4
 """Captures in which a start is looked for."""
 MIN_START: Final = 16
@@ -60,8 +64,6 @@ class LearnSettings:
     """What a rig is learned with."""
 
     features: int = 400
-    rounds: int = 2
-    """Rounds of matching after the coarse one."""
     overlaps: bool = True
     """Whether captures that overlap are matched too."""
 
@@ -117,23 +119,25 @@ def learn(
     order = sorted(captures[0].frames.values(), key=lambda each: (each.order, -_pixels(each), each.lens))
     names = [each.lens for each in order]
     lenses = [first_lens(each, fisheye, _focal_default(each)) for each in order]
-    chosen = [captures[k] for k in np.unique(np.linspace(0, len(captures) - 1, MOST_CAPTURES).astype(int))]
-    state = _first_state(chosen, names, lenses)
-    state = _started(state, chosen, names, lenses, runner, on_event)
-    told = [each.told is not None for each in order], [bool(each.focal_px or each.told) for each in order]
-    heights = [each.height_m is not None for each in chosen]
-    sigma = _sigmas(state, order, told, all(heights))
-    seen = _matched(state, chosen, names, lenses, COARSE_SIDE_PX, 10, settings.features, runner, on_event)
-    found = adjust(state, sigma, seen, 1.0)
-    state = found.state
+    told = list(lenses)
+    chosen = _evenly(captures, MOST_CAPTURES)
+    some = _evenly(chosen, COARSE_CAPTURES)
+    state = _started(_first_state(some, names, lenses), some, names, lenses, runner, on_event)
+    sigma = _sigmas(state, order, _all_heights(some))
+    seen = _matched(state, some, names, lenses, COARSE_SIDE_PX, 10, settings.features, runner, on_event)
+    state = adjust(state, _first_state(some, names, told), sigma, seen, 1.0).state
+    expected = _first_state(chosen, names, told)
+    state = replace(expected, lenses=state.lenses, poses=state.poses)
+    sigma = _sigmas(state, order, _all_heights(chosen))
     if settings.overlaps and len(chosen) > 1:
-        extra = _overlapping(found.state, chosen, names[0], lenses[0], runner, on_event)
+        extra = _overlapping(state, chosen, names[0], lenses[0], runner, on_event)
         state, sigma = _with_poses(state, sigma, extra)
-    for _ in range(settings.rounds):
-        lenses = [replace(lens, vector=v) for lens, v in zip(lenses, found.state.lenses, strict=True)]
+        expected = replace(expected, poses=state.poses * _between_captures(state), overlaps=state.overlaps)
+    for radius in ROUND_RADII_PX:
+        lenses = [replace(lens, vector=v) for lens, v in zip(lenses, state.lenses, strict=True)]
         side = measured_side(order[0].shape)
-        seen = _matched(state, chosen, names, lenses, side, 5, settings.features, runner, on_event)
-        found = adjust(state, sigma, seen, _overlap(seen, order))
+        seen = _matched(state, chosen, names, lenses, side, radius, settings.features, runner, on_event)
+        found = adjust(state, expected, sigma, seen, _overlap(seen, order))
         state = found.state
     return _rig_of(found, seen, chosen, order, names)
 
@@ -156,13 +160,25 @@ def _first_state(chosen: Sequence[Capture], names: Sequence[str], lenses: Sequen
     return State(models, np.stack([each.vector for each in lenses]), np.zeros((len(names), 6)), planes)
 
 
-def _sigmas(
-    state: State, order: Sequence[Frame], told: tuple[Sequence[bool], Sequence[bool]], heights: bool
-) -> State:
+def _evenly(captures: Sequence[Capture], most: int) -> list[Capture]:
+    return [captures[k] for k in np.unique(np.linspace(0, len(captures) - 1, most).astype(int))]
+
+
+def _all_heights(chosen: Sequence[Capture]) -> bool:
+    return all(each.height_m is not None for each in chosen)
+
+
+def _between_captures(state: State) -> Float64:
+    """Return the (poses, 1) mask of poses between captures: only of these a start is an expectation."""
+    return np.asarray(np.arange(len(state.poses)) >= len(state.lenses), np.float64)[:, None]
+
+
+def _sigmas(state: State, order: Sequence[Frame], heights: bool) -> State:
     """Return how far each parameter is expected from its start."""
     lenses = np.empty_like(state.lenses)
     for number, frame in enumerate(order):
-        calibrated, focal_known = told[0][number], told[1][number]
+        calibrated = frame.told is not None
+        focal_known = calibrated or frame.focal_px is not None
         focal_px, side = state.lenses[number, 0], max(frame.shape)
         corner = math.hypot(*frame.shape) / 2 / focal_px
         bend, shear = (each[0 if calibrated else 1] for each in (BEND_SIGMA_PX, SHEAR_SIGMA_PX))
@@ -213,8 +229,8 @@ def _started(
             return replace(state, poses=poses, lenses=vectors)
     missing = ", ".join(names[k] for k in left)
     raise RegistrationRejectedError(
-        f"lens {missing} cannot be matched with {names[0]} in {min(TRIES, len(chosen))} captures: give captures "
-        "of ground with structure, in flight, not of a panel"
+        f"lens {missing} cannot be matched with {names[0]} in {min(TRIES, len(chosen))} captures: give "
+        "captures of ground with structure, in flight, not of a panel"
     )
 
 
@@ -238,9 +254,18 @@ def find_start(reference: Frame, seen: Frame, first: Lens, second: Lens, focal_t
     if focal_told:
         factor = max(max(reference.shape) / START_SIDE_PX, first.focal_px / second.focal_px, 1.0)
         task = _Task(
-            0, 1, 1, reference, seen, (first, second), np.zeros(6), np.array([1.0, 0, 0]),
-            round(max(reference.shape) / factor), 16, 250,
-        )  # fmt: skip
+            0,
+            1,
+            1,
+            reference,
+            seen,
+            (first, second),
+            np.zeros(6),
+            np.array([1.0, 0, 0]),
+            round(max(reference.shape) / factor),
+            16,
+            250,
+        )
         points = _matched_here(task, *images)
         if points is not None and len(points[0]) >= MIN_START:
             matrix, inside = cv2.estimateAffinePartial2D(
@@ -249,8 +274,8 @@ def find_start(reference: Frame, seen: Frame, first: Lens, second: Lens, focal_t
                 ransacReprojThreshold=AGREE_PX * factor * second.focal_px / first.focal_px,
             )
             if matrix is not None and inside.sum() >= max(MIN_START, 0.5 * len(points[0])):
-                return _as_rotation(first, second, matrix, focal_told)
-    found = similarity_of(*images, SCALES)
+                return _as_rotation(first, second, np.asarray(matrix, np.float64), focal_told)
+    found = similarity_of(images[0], images[1], SCALES)
     return None if found is None else _as_rotation(first, second, found, focal_told)
 
 
@@ -264,7 +289,7 @@ def similarity_of(reference: Float32, target: Float32, scales: tuple[float, floa
         steps.append(values.shape[1] / cols)
     ratio = steps[0] / steps[1]
     valid = [np.ones(each.shape, bool) for each in small]
-    found = search_pose(*small, *valid, scales=(scales[0] * ratio, scales[1] * ratio))
+    found = search_pose(small[0], small[1], valid[0], valid[1], scales=(scales[0] * ratio, scales[1] * ratio))
     if found is None or not (found.accepted or found.agreeing >= 12):
         return None
     linear = found.matrix[:, :2] * steps[1] / steps[0]
@@ -327,7 +352,7 @@ def _matched(
                 _side(side_px, now[0], now[k]),
                 radius_px,
                 features,
-            )  # fmt: skip
+            )
             for k in range(1, len(names))
         ]
     for pose, (one, other) in enumerate(state.overlaps, len(names)):
@@ -345,7 +370,7 @@ def _matched(
                 side_px,
                 3 * radius_px,
                 features,
-            )  # fmt: skip
+            )
         )
     found = runner.run(match_task, [(task,) for task in tasks], "matching", on_event).results
     good = [each for each in found if each is not None]
@@ -420,7 +445,7 @@ def _pair_in_view(
     shrink = max(1.0, float(steps)) if np.isfinite(steps) else 1.0
     small = [max(16, round(n / shrink)) for n in task.seen.shape]
     if shrink > 1.2:  # averaged before it is resampled more coarsely
-        seen = cv2.resize(seen, (small[1], small[0]), interpolation=cv2.INTER_AREA)
+        seen = np.asarray(cv2.resize(seen, (small[1], small[0]), interpolation=cv2.INTER_AREA), np.float32)
         at = at * (np.array(small[::-1]) / np.array(task.seen.shape[::-1]))
     warped = resampled(coefficients_of(np.ascontiguousarray(seen, np.float32)), at, counts, (rows, cols))
     valid = np.isfinite(warped)
@@ -464,7 +489,7 @@ def _overlapping(
 def find_overlap(one: Frame, other: Frame, lens: Lens, plane: Float64) -> Float64 | None:
     """Return rotation and base from one capture to another; None where they do not overlap clearly."""
     images = [read_frame(each.path, each.shape) for each in (one, other)]
-    matrix = similarity_of(*images, (0.7, 1.4))
+    matrix = similarity_of(images[0], images[1], (0.75, 1.34))
     if matrix is None:
         return None
     places = lattice(lens.shape, max(lens.shape) // 6)

@@ -180,7 +180,7 @@ def _radial(radius: Float64, k: Float64, model: LensModel) -> Float64:
     angle = np.arctan(radius)
     square = angle**2
     bent = angle * (1 + square * (k[0] + square * (k[1] + square * k[2])))
-    return np.divide(bent, radius, out=np.ones_like(bent), where=radius > 1e-12)
+    return np.asarray(np.divide(bent, radius, out=np.ones_like(bent), where=radius > 1e-12))
 
 
 def _tangential(x: Float64, y: Float64, p: Float64) -> tuple[Float64, Float64]:

@@ -129,6 +129,13 @@ class Rig:
         lens = self.reference.lens
         return np.asarray(rays * lens.focal_px + lens.vector[1:3])
 
+    def offset_px(self, lens: RigLens) -> tuple[float, float]:
+        """Return how far (col, row) a lens sees the middle of the reference's view from its own middle."""
+        first, second = self.reference.lens, lens.lens
+        ray = first.rays(np.array([[first.shape[1] / 2, first.shape[0] / 2]]))
+        seen = lens.seen(ray, np.ones(1))[0] - np.array([second.shape[1] / 2, second.shape[0] / 2])
+        return float(seen[0]), float(seen[1])
+
     def crop(self) -> tuple[int, int, int, int]:
         """Return first column, first row, columns and rows of the part that all lenses see.
 

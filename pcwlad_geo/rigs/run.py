@@ -127,7 +127,7 @@ def rig_learn(
             on_event(
                 Warned(
                     f"lens {each.name}: the calibration in its frames is off by {off[0]:.2f} px RMS, at most "
-                    f"{off[1]:.2f} px, by the tie points (± {each.distortion_sigma_px:.2f} px): it was refined"
+                    f"{off[1]:.2f} px, by the tie points (± {each.distortion_sigma_px:.2f}): it was refined"
                 )
             )
     if out is not None:
@@ -154,8 +154,8 @@ def rig_apply(
     """Bring the lenses of many captures onto each other: one raster for each capture.
 
     A bad capture (a panel, too near, blurred, a lens covered or missing) is named in a warning and in the
-    summary, and the others are corrected. A capture that an earlier run has corrected from the same files with
-    the same rig is not corrected again.
+    summary, and the others are corrected. A capture that an earlier run has corrected from the same files
+    with the same rig is not corrected again.
 
     Parameters
     ----------
