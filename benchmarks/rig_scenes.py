@@ -296,3 +296,10 @@ def write_capture(
         ):
             out.write(values, 1)
             out.update_tags(ns="xml:XMP", **{"xml:XMP": text})
+        clean_packet(path, text)
+
+
+def clean_packet(path: Path, text: str) -> None:
+    """Remove the name of the tag that rasterio writes before an XMP packet."""
+    name, packet = b"xml:XMP=", text.encode()
+    path.write_bytes(path.read_bytes().replace(name + packet, packet + b" " * len(name)))

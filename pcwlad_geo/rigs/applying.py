@@ -34,8 +34,8 @@ WINDOW_PX: Final = 61
 """Side of the window of a place."""
 SMOOTH_PX: Final = 1.0
 """Sigma of the Gaussian on the gradients."""
-BLURRED: Final = 0.45
-"""Share of the detail learned below which a frame is blurred."""
+BLURRED: Final = 0.55
+"""Share of the least detail learned below which a frame is blurred."""
 COVERED: Final = 0.12
 """Share of the contrast learned below which a lens is covered."""
 LEAST_AGREEING: Final = 0.3

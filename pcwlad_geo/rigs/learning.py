@@ -628,23 +628,32 @@ def _precision(found: Adjusted, number: int, shape: tuple[int, int]) -> tuple[tu
 
 
 def _look(frames: Sequence[Frame]) -> Sharpness:
-    """Return what the frames of a lens look like, the median of a few."""
-    some = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, 5).astype(int))]
+    """Return what the frames of a lens look like: the least detail, and the median contrast, of some."""
+    some = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, 8).astype(int))]
     looks = [look(read_frame(each.path, each.shape)) for each in some]
-    return Sharpness(
-        float(np.median([each.detail for each in looks])), float(np.median([each.contrast for each in looks]))
-    )
+    return Sharpness(min(each.detail for each in looks), float(np.median([each.contrast for each in looks])))
 
 
 def look(values: Float32) -> Sharpness:
     """Return what a (rows, cols) frame looks like.
 
     Noise has as much energy in the finest detail as blur takes away: so the bands of one and of two px are
-    compared, of which noise holds little after the first smoothing.
+    compared, of which noise holds little after the first smoothing. Motion takes detail away along its
+    direction alone: the least of four directions counts.
     """
     fine = cv2.GaussianBlur(values, (0, 0), 1.0)
     middle = cv2.GaussianBlur(values, (0, 0), 2.0)
     coarse = cv2.GaussianBlur(values, (0, 0), 4.0)
-    detail = float(np.mean(np.square(fine - middle))) / max(float(np.mean(np.square(middle - coarse))), 1e-12)
+    sharp, soft = fine - middle, middle - coarse
+    ratios = [
+        _slope_energy(sharp, 1, *step) / max(_slope_energy(soft, 2, *step), 1e-12)
+        for step in ((0, 1), (1, 0), (1, 1), (1, -1))
+    ]
     mean = abs(float(values.mean()))
-    return Sharpness(detail, float(values.std()) / max(mean, 1e-12))
+    return Sharpness(min(ratios), float(values.std()) / max(mean, 1e-12))
+
+
+def _slope_energy(plane: Float32, length: int, down: int, right: int) -> float:
+    """Return the mean square of differences along a direction, over so many px."""
+    moved = np.roll(plane, (length * down, length * right), (0, 1))
+    return float(np.mean(np.square(plane - moved)))

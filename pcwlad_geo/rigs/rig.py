@@ -38,7 +38,7 @@ class Sharpness:
     """What a lens's frames looked like where it was learned: against it, blur and covers are told."""
 
     detail: float
-    """Energy of the finest detail over that of the next coarser one."""
+    """Energy of the finest detail over that of the next coarser one, in the direction where it is least."""
     contrast: float
     """Standard deviation of the values over their mean."""
 

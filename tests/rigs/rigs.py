@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import rasterio
+from rasterio.errors import NotGeoreferencedWarning
 
 from benchmarks.rig_scenes import (
     Flown,
@@ -21,6 +22,7 @@ from benchmarks.rig_scenes import (
     seen_by,
     write_capture,
 )
+from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.rigs.lenses import lattice
 from pcwlad_geo.rigs.learning import look
 from pcwlad_geo.rigs.rig import Rig, RigLens
@@ -56,7 +58,7 @@ def true_rig(rig: Sequence[TrueLens], frames: Path, name: str) -> Rig:
     """Return the rig as it is; its frames of one good capture tell what it sees."""
     found = []
     for number, each in enumerate(rig, 1):
-        with rasterio.open(frames / f"{name}_{number}.tif") as dataset:
+        with ignoring(NotGeoreferencedWarning), rasterio.open(frames / f"{name}_{number}.tif") as dataset:
             values = dataset.read(1).astype(np.float32)
         found.append(
             RigLens(
@@ -79,7 +81,7 @@ def applied_errors(
     known: Rig, rig: Sequence[TrueLens], capture: Flown, land: Ground, raster: Path
 ) -> list[float]:
     """Return for each lens but the first the median distance, px, from where it should have been read."""
-    with rasterio.open(raster) as dataset:
+    with ignoring(NotGeoreferencedWarning), rasterio.open(raster) as dataset:
         tags = dataset.tags()
     plane = np.array([float(each) for each in tags["RIG_NEARNESS"].split()])
     turns = [np.array([float(v) for v in each.split()]) for each in tags["RIG_ROTATIONS_RAD"].split(";")]

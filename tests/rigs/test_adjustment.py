@@ -108,7 +108,10 @@ def test_captures_that_overlap_tell_the_distortion_that_all_lenses_share() -> No
     with_pair = replace(true, poses=np.vstack([true.poses, pair]), overlaps=((0, 1),))
     places = np.round(lattice(SHAPE, 24) * 8) / 8
     part = Observations(
-        *(np.full(len(places), number) for number in (0, 3, 0)), places, places, np.full(len(places), SIGMA_PX)
+        *(np.full(len(places), number) for number in (0, 3, 0)),
+        places,
+        places,
+        np.full(len(places), SIGMA_PX),
     )
     seen = predict(with_pair, part, 0.03 * random.normal(size=len(places)))
     inside = Lens("brown", SHAPE, true.lenses[0]).inside(seen)

@@ -79,7 +79,16 @@ def test_micasense_calibration_is_read() -> None:
     lens = told_lens(xmp, exif, (960, 1280))
     assert lens is not None
     assert lens.vector == pytest.approx(
-        [1449.36, 2.35363 * 266.667 + 0.5, 1.79947 * 266.667 + 0.5, -0.0968, 0.1404, -0.0230, 0.00028, 0.00066]
+        [
+            1449.36,
+            2.35363 * 266.667 + 0.5,
+            1.79947 * 266.667 + 0.5,
+            -0.0968,
+            0.1404,
+            -0.0230,
+            0.00028,
+            0.00066,
+        ]
     )
     # the same focal length in mm
     in_mm = told_lens(xmp | {"PerspectiveFocalLength": ("5.4351",)}, exif, (960, 1280))
