@@ -32,6 +32,7 @@ from benchmarks.studies.paper import paper
 from benchmarks.studies.pose import PARTS, pose
 from benchmarks.studies.quality import quality
 from benchmarks.studies.refusal import refusal
+from benchmarks.studies.rig import rig
 from benchmarks.studies.robustness import robustness
 from benchmarks.studies.rpc import rpc
 from benchmarks.studies.sigma import sigma
@@ -62,6 +63,7 @@ STUDIES: dict[str, Study] = {
     "jitter": jitter,
     "pose": pose,
     "stack": stack,
+    "rig": rig,
 }
 
 

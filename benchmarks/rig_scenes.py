@@ -303,3 +303,31 @@ def clean_packet(path: Path, text: str) -> None:
     """Remove the name of the tag that rasterio writes before an XMP packet."""
     name, packet = b"xml:XMP=", text.encode()
     path.write_bytes(path.read_bytes().replace(name + packet, packet + b" " * len(name)))
+
+
+def made_thermal(seed: int, *, told: bool) -> tuple[TrueLens, ...]:
+    """Make a visible lens and a thermal one beside it, of another focal length and few pixels."""
+    random = np.random.default_rng(seed)
+    lenses = []
+    for name, (rows, cols), focal, mix, place in (
+        ("Visible", (960, 1280), 1400.0, (0.6, 0.1, 1.0), (0.0, 0.0)),
+        ("Thermal", (120, 160), 190.0, (-0.2, 0.7, 0.9), (0.03, 0.01)),
+    ):
+        centre = np.array([cols, rows]) / 2 + random.normal(size=2) * 0.005 * cols
+        bend = np.array([-0.06, 0.05, 0.0]) + random.normal(size=3) * [0.005, 0.01, 0]
+        lens = Lens("brown", (rows, cols), np.array([focal, *centre, *bend, 0, 0]))
+        off = np.array([1.005 * focal, cols / 2, rows / 2, *(bend * 0.8), 0, 0])
+        turn = rotation(*(random.normal(size=3) * 0.012 * (name == "Thermal")))
+        calibration = replace(lens, vector=off) if told else None
+        lenses.append(
+            TrueLens(
+                name,
+                lens,
+                turn,
+                np.array([*place, 0.0]),
+                mix,
+                calibration,
+                noise=0.01 if cols > 200 else 0.02,
+            )
+        )
+    return tuple(lenses)

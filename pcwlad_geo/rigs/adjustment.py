@@ -3,8 +3,8 @@
 A point that the reference lens sees in direction (x, y) at nearness q (the mean distance over its depth) is
 seen by lens i in the direction of R·(x, y, 1) + q·b. Nearness is a plane of the direction for each capture
 (level ground is one exactly), and a deviation of each point from it, the relief, which is eliminated. Two
-captures of the reference lens whose frames overlap are tied the same way, with a rotation and a base of their own:
-that tells the distortion that all lenses have in common, which frames of one moment hardly do.
+captures of the reference lens whose frames overlap are tied the same way, with a rotation and a base of their
+own: that tells the distortion that all lenses have in common, which frames of one moment hardly do.
 
 References
 ----------
@@ -26,8 +26,11 @@ from pcwlad_geo.rigs.lenses import LensModel, project, rays
 from pcwlad_geo.types import Bool, Float64, Index
 
 OF_LENS: Final = 8
+"""Parameters of a lens."""
 OF_POSE: Final = 6
+"""Parameters of a pose."""
 OF_PLANE: Final = 3
+"""Parameters of the ground of a capture."""
 ROUNDS: Final = 14
 """Largest number of Gauss–Newton steps."""
 STILL_PX: Final = 1e-4
@@ -41,8 +44,7 @@ LEAST_FAR_PX: Final = 0.6
 MODEL_SIGMA_PX: Final = 0.06
 """What the model itself leaves, and bands that look different, added to the sigma of every point."""
 RELIEF_PX: Final = 0.1
-"""Standard deviation of a point from the plane of its capture, as parallax of the lens of the longest baseline.
-"""
+"""Standard deviation of a point from its capture's plane, as parallax of the lens of the longest baseline."""
 RELIEF: Final = (0.02, 0.3)
 """Smallest and largest of it, in nearness."""
 MEAN_SIGMA: Final = 1e-3
@@ -97,11 +99,11 @@ class State:
 
     @property
     def vector(self) -> Float64:
-        """All parameters, one after another."""
+        """(parameters,) all of them, one after another."""
         return np.concatenate([self.lenses.ravel(), self.poses.ravel(), self.planes.ravel()])
 
     def with_vector(self, vector: Float64) -> State:
-        """Return the state of a vector of all parameters."""
+        """Return the state of a (parameters,) `vector` of all of them."""
         first, second = self.lenses.size, self.lenses.size + self.poses.size
         return replace(
             self,

@@ -142,7 +142,10 @@ def _expected_nearness(rig: Rig, capture: Capture) -> float | None:
 
 
 def check_looks(rig: Rig, values: Sequence[Float32]) -> None:
-    """Raise `BadCaptureError` where a frame is blurred, or shows nothing, against what was learned."""
+    """Raise `BadCaptureError` where a frame is blurred, or shows nothing, against what was learned.
+
+    The `values` are the (rows, cols) frames in the order of the lenses of the `rig`.
+    """
     covered, blurred = [], []
     for each, frame in zip(rig.lenses, values, strict=True):
         seen = look(frame)
@@ -230,8 +233,8 @@ def _measured(rig: Rig, values: Sequence[Float32], plane: Float64) -> Observatio
         found = refine(maps[0], maps[1], corners, start, window_px=window)
         good = found.converged
         variance = np.trace(found.covariance_px2[good], axis1=1, axis2=2) / 2
-        sigma: Float64 = np.maximum(np.sqrt(variance), LEAST_SIGMA_PX) * factor
-        origin_px = (corners[good][:, ::-1] + 0.5) * factor
+        sigma: Float64 = np.asarray(factor * np.maximum(np.sqrt(variance), LEAST_SIGMA_PX), np.float64)
+        origin_px: Float64 = np.asarray((corners[good][:, ::-1] + 0.5) * factor, np.float64)
         target_px = origin_px + found.shift_xy_px[good] * factor
         parts.append(_as_observations(rig, number, plane, origin_px, target_px, sigma))
     return Observations.joined(parts)
@@ -284,7 +287,15 @@ def _channels(values: Float32, valid: Bool) -> ChannelMaps:
 
 
 def textured(values: Float32, valid: Bool, window_px: int) -> Index:
-    """Return (n, 2) row, column of the best corner of each cell of a frame, away from its edges."""
+    """Return (n, 2) row, column of the best corner of each cell of a frame, away from its edges.
+
+    Parameters
+    ----------
+    values, valid : (rows, cols) float32 and bool array
+        The frame, and its pixels that count.
+    window_px : int
+        Side of the window that must be valid.
+    """
     rows, cols = values.shape
     side = max(8.0, math.sqrt(rows * cols / CELLS))
     response = cv2.cornerMinEigenVal(cv2.GaussianBlur(values, (0, 0), 1.0), 9)
@@ -388,7 +399,10 @@ def _sigma_px(rig: Rig, result: Adjusted, count: int) -> float:
 def write_capture(
     task: CaptureTask, placed: Placed, frames: Sequence[Frame], values: Sequence[Float32]
 ) -> None:
-    """Warp every lens once into the common crop and write one raster, with names, wavelengths and EXIF."""
+    """Warp every lens once into the common crop and write one raster, with names, wavelengths and EXIF.
+
+    The `values` are the (rows, cols) `frames` of the lenses as they were measured.
+    """
     left, top, cols, rows = task.crop
     places, counts = map_places((rows, cols), (float(left), float(top)), 1.0)
     rays = placed.rig.common_rays(places)

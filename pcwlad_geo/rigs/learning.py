@@ -15,7 +15,7 @@ from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.matching.matcher import match_arrays
-from pcwlad_geo.matching.pose import SCALES, search_pose
+from pcwlad_geo.matching.pose import search_pose
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust
 from pcwlad_geo.rigs.captures import Capture, Frame, first_lens, read_frame
@@ -35,10 +35,14 @@ ROUND_RADII_PX: Final = (7, 4)
 """Radius of the search in each of the rounds after it."""
 TRIES: Final = 4
 """Captures in which a start is looked for."""
+SCALE_SPREAD: Final = (1.3, 2.2)
+"""Factor within which the ratio of two focal lengths is searched: where both are told, and elsewhere."""
 MIN_START: Final = 16
 """Least number of points that agree on a start."""
 AGREE_PX: Final = 2.5
 """Distance within which they agree, px of the small frames."""
+MIN_OVERLAPPING: Final = 25
+"""Least number of features that agree on how two captures overlap."""
 MIN_POINTS: Final = 20
 """Least number of tie points of a lens in a capture."""
 FOCAL_SIGMA: Final = (0.01, 0.15)
@@ -239,7 +243,7 @@ def _focal_is_told(frame: Frame) -> bool:
 
 
 def find_start(reference: Frame, seen: Frame, first: Lens, second: Lens, focal_told: bool) -> Float64 | None:
-    """Return rotation vector and focal length of a lens from one capture; None where none is found.
+    """Return (4,) rotation vector and focal length of a lens from one capture; None where none is found.
 
     Parameters
     ----------
@@ -275,12 +279,22 @@ def find_start(reference: Frame, seen: Frame, first: Lens, second: Lens, focal_t
             )
             if matrix is not None and inside.sum() >= max(MIN_START, 0.5 * len(points[0])):
                 return _as_rotation(first, second, np.asarray(matrix, np.float64), focal_told)
-    found = similarity_of(images[0], images[1], SCALES)
+    expected = second.focal_px / first.focal_px
+    spread = SCALE_SPREAD[0 if focal_told else 1]
+    found = similarity_of(images[0], images[1], (expected / spread, expected * spread))
     return None if found is None else _as_rotation(first, second, found, focal_told)
 
 
 def similarity_of(reference: Float32, target: Float32, scales: tuple[float, float]) -> Float64 | None:
-    """Return the (2, 3) similarity from px of a frame to px of another, corner-based; None without one."""
+    """Return the (2, 3) similarity from px of a frame to px of another, corner-based; None without one.
+
+    Parameters
+    ----------
+    reference, target : (rows, cols) float32 array
+        The frames, of any sizes.
+    scales : (float, float)
+        Smallest and largest scale, target px per reference px.
+    """
     small, steps = [], []
     for values in (reference, target):
         factor = min(1.0, START_SIDE_PX / max(values.shape))
@@ -487,9 +501,19 @@ def _overlapping(
 
 
 def find_overlap(one: Frame, other: Frame, lens: Lens, plane: Float64) -> Float64 | None:
-    """Return rotation and base from one capture to another; None where they do not overlap clearly."""
+    """Return the (6,) rotation and base between two captures; None where they do not overlap clearly.
+
+    Parameters
+    ----------
+    one, other : Frame
+        Of the reference lens in both captures.
+    lens : Lens
+        Of the reference.
+    plane : (3,) array
+        Nearness of the first capture.
+    """
     images = [read_frame(each.path, each.shape) for each in (one, other)]
-    matrix = similarity_of(images[0], images[1], (0.75, 1.34))
+    matrix = overlap_of(images[0], images[1])
     if matrix is None:
         return None
     places = lattice(lens.shape, max(lens.shape) // 6)
@@ -507,6 +531,40 @@ def find_overlap(one: Frame, other: Frame, lens: Lens, plane: Float64) -> Float6
             return None
         pose = _fitted_pose(lens, plane, points[0], points[1], pose, (0, 1, 2, 3, 4, 5))
     return pose
+
+
+def overlap_of(reference: Float32, target: Float32) -> Float64 | None:
+    """Return the (2, 3) similarity between two frames of one lens; None where they do not overlap clearly.
+
+    Frames of one band look alike: features are enough, and much faster than a search for the pose.
+
+    Parameters
+    ----------
+    reference, target : (rows, cols) float32 array
+        The frames, of the same size.
+    """
+    factor = min(1.0, COARSE_SIDE_PX / max(reference.shape))
+    found = []
+    for values in (reference, target):
+        rows, cols = (max(16, round(n * factor)) for n in values.shape)
+        small = cv2.resize(values, (cols, rows), interpolation=cv2.INTER_AREA)
+        low, high = np.percentile(small, (1, 99))
+        grey = np.clip((small - low) / max(high - low, 1e-9) * 255, 0, 255).astype(np.uint8)
+        points, descriptors = cv2.SIFT.create(800).detectAndCompute(grey, None)
+        if descriptors is None or len(points) < MIN_OVERLAPPING:
+            return None
+        places = (np.array([each.pt for each in points]) + 0.5) / np.array([cols, rows])
+        found.append((places * np.array(values.shape[::-1]), descriptors))
+    pairs = cv2.BFMatcher().knnMatch(found[0][1], found[1][1], k=2)
+    good = [first for first, second in pairs if first.distance < 0.8 * second.distance]
+    if len(good) < MIN_OVERLAPPING:
+        return None
+    source = found[0][0][[each.queryIdx for each in good]]
+    aim = found[1][0][[each.trainIdx for each in good]]
+    matrix, inside = cv2.estimateAffinePartial2D(source, aim, ransacReprojThreshold=6 / factor)
+    if matrix is None or int(inside.sum()) < MIN_OVERLAPPING:
+        return None
+    return np.asarray(matrix, np.float64)
 
 
 def _fitted_pose(
@@ -635,7 +693,7 @@ def _look(frames: Sequence[Frame]) -> Sharpness:
 
 
 def look(values: Float32) -> Sharpness:
-    """Return what a (rows, cols) frame looks like.
+    """Return what a frame of (rows, cols) `values` looks like.
 
     Noise has as much energy in the finest detail as blur takes away: so the bands of one and of two px are
     compared, of which noise holds little after the first smoothing. Motion takes detail away along its

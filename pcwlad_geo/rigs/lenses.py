@@ -57,17 +57,17 @@ class Lens:
         return math.hypot(*self.shape) / 2 / self.focal_px
 
     def project(self, rays: Float64) -> Float64:
-        """Return the (n, 2) px of (n, 2) directions; NaN where the distortion folds back."""
+        """Return the (n, 2) px of the (n, 2) directions `rays`; NaN where the distortion folds back."""
         limit = self._largest_radius()
         seen = project(rays, self.vector, self.model)
         return np.where((np.hypot(*rays.T) < limit)[:, None], seen, np.nan)
 
     def rays(self, xy_px: Float64) -> Float64:
-        """Return the (n, 2) directions of (n, 2) px."""
+        """Return the (n, 2) directions of the (n, 2) px `xy_px`."""
         return rays(xy_px, self.vector, self.model)
 
     def inside(self, xy_px: Float64, margin_px: float = 0.0) -> Bool:
-        """Return the (n,) mask of px in the frame, at least `margin_px` from its edges."""
+        """Return the (n,) mask of the (n, 2) `xy_px` that are `margin_px` or more inside the frame."""
         rows, cols = self.shape
         col, row = xy_px.T
         return np.asarray(
@@ -159,7 +159,15 @@ def project(rays: Float64, vector: Float64, model: LensModel) -> Float64:
 
 
 def rays(xy_px: Float64, vector: Float64, model: LensModel) -> Float64:
-    """Return the (n, 2) directions of (n, 2) px; `vector` and `model` as in `project`."""
+    """Return the (n, 2) directions of px, the inverse of `project`.
+
+    Parameters
+    ----------
+    xy_px : (n, 2) array
+        Positions.
+    vector, model : (8,) array and {"brown", "fisheye"}
+        Of the lens.
+    """
     seen_x = (xy_px[:, 0] - vector[1]) / vector[0]
     seen_y = (xy_px[:, 1] - vector[2]) / vector[0]
     direction = _undo_radial(seen_x, seen_y, vector[3:6], model)

@@ -78,9 +78,10 @@ class RigLens:
         return float(np.sqrt((length**2).mean())), float(length.max())
 
     def seen(self, rays: Float64, nearness: Float64) -> Float64:
-        """Return the (n, 2) px at which the lens sees points in (n, 2) directions from the reference.
+        """Return the (n, 2) px at which the lens sees points.
 
-        `nearness` is (n,), the mean distance over the depth of each point.
+        The (n, 2) `rays` are their directions from the reference, and the (n,) `nearness` is the mean
+        distance over the depth of each.
         """
         axes = np.column_stack([rays, np.ones(len(rays))]) @ self.matrix.T + nearness[:, None] * self.baseline
         ahead = axes[:, 2] > 0.05
@@ -120,12 +121,12 @@ class Rig:
         return tuple(each.name for each in self.lenses)
 
     def common_rays(self, xy_px: Float64) -> Float64:
-        """Return the (n, 2) directions of (n, 2) px of the common frame: the reference's, undistorted."""
+        """Return the (n, 2) directions of (n, 2) `xy_px` of the common frame, the reference's undistorted."""
         lens = self.reference.lens
         return (xy_px - lens.vector[1:3]) / lens.focal_px
 
     def common_px(self, rays: Float64) -> Float64:
-        """Return the (n, 2) px of the common frame of (n, 2) directions."""
+        """Return the (n, 2) px of the common frame of the (n, 2) directions `rays`."""
         lens = self.reference.lens
         return np.asarray(rays * lens.focal_px + lens.vector[1:3])
 
@@ -266,7 +267,7 @@ def _triple(values: Sequence[float]) -> Float64:
 
 
 def coefficients_of(values: Float32) -> Float32:
-    """Return the coefficients of the cubic B-spline through a (rows, cols) frame."""
+    """Return the (rows, cols) coefficients of the cubic B-spline through (rows, cols) `values`."""
     out = np.empty_like(values)
     spline_coefficients(values, out)
     return out
@@ -305,7 +306,7 @@ def map_places(
 def resampled(
     coefficients: Float32, seen_px: Float64, counts: tuple[int, int], shape: tuple[int, int]
 ) -> Float32:
-    """Return a frame resampled once, by a cubic B-spline; NaN where it does not reach.
+    """Return a frame resampled once to (rows, cols), by a cubic B-spline; NaN where it does not reach.
 
     Parameters
     ----------
