@@ -37,6 +37,8 @@ TRIES: Final = 4
 """Captures in which a start is looked for."""
 SCALE_SPREAD: Final = (1.3, 2.2)
 """Factor within which the ratio of two focal lengths is searched: where both are told, and elsewhere."""
+SCALES: Final = tuple(float(1.08**step) for step in sorted(range(-9, 10), key=abs))
+"""Factors on a focal length that nothing tells, the likely ones first."""
 MIN_START: Final = 16
 """Least number of points that agree on a start."""
 AGREE_PX: Final = 2.5
@@ -255,34 +257,37 @@ def find_start(reference: Frame, seen: Frame, first: Lens, second: Lens, focal_t
         Whether the focal length of the lens is known beside that of the reference.
     """
     images = [read_frame(each.path, each.shape) for each in (reference, seen)]
-    if focal_told:
-        factor = max(max(reference.shape) / START_SIDE_PX, first.focal_px / second.focal_px, 1.0)
-        task = _Task(
-            0,
-            1,
-            1,
-            reference,
-            seen,
-            (first, second),
-            np.zeros(6),
-            np.array([1.0, 0, 0]),
-            round(max(reference.shape) / factor),
-            16,
-            250,
-        )
-        points = _matched_here(task, *images)
-        if points is not None and len(points[0]) >= MIN_START:
-            matrix, inside = cv2.estimateAffinePartial2D(
-                points[0],
-                points[1],
-                ransacReprojThreshold=AGREE_PX * factor * second.focal_px / first.focal_px,
-            )
-            if matrix is not None and inside.sum() >= max(MIN_START, 0.5 * len(points[0])):
-                return _as_rotation(first, second, np.asarray(matrix, np.float64), focal_told)
+    for scale in [1.0] if focal_told else SCALES:
+        vector = second.vector.copy()
+        vector[0] *= scale
+        matrix = _agreed_similarity(reference, seen, images, first, replace(second, vector=vector))
+        if matrix is not None:
+            return _as_rotation(first, second, matrix, focal_told)
     expected = second.focal_px / first.focal_px
     spread = SCALE_SPREAD[0 if focal_told else 1]
     found = similarity_of(images[0], images[1], (expected / spread, expected * spread))
     return None if found is None else _as_rotation(first, second, found, focal_told)
+
+
+def _agreed_similarity(
+    reference: Frame, seen: Frame, images: Sequence[Float32], first: Lens, second: Lens
+) -> Float64 | None:
+    """Return the (2, 3) similarity from px of the reference to px of a lens that looks the same way, nearly.
+
+    None where too few points of both agree on one.
+    """
+    side = round(np.clip(max(reference.shape) * second.focal_px / first.focal_px, 160, START_SIDE_PX))
+    level = np.array([1.0, 0.0, 0.0])
+    task = _Task(0, 1, 1, reference, seen, (first, second), np.zeros(6), level, side, 16, 250)
+    points = _matched_here(task, images[0], images[1])
+    if points is None or len(points[0]) < MIN_START:
+        return None
+    factor = max(reference.shape) / side
+    within_px = AGREE_PX * factor * second.focal_px / first.focal_px
+    matrix, inside = cv2.estimateAffinePartial2D(points[0], points[1], ransacReprojThreshold=within_px)
+    if matrix is None or inside.sum() < max(MIN_START, 0.5 * len(points[0])):
+        return None
+    return np.asarray(matrix, np.float64)
 
 
 def similarity_of(reference: Float32, target: Float32, scales: tuple[float, float]) -> Float64 | None:
@@ -513,30 +518,21 @@ def find_overlap(one: Frame, other: Frame, lens: Lens, plane: Float64) -> Float6
         Nearness of the first capture.
     """
     images = [read_frame(each.path, each.shape) for each in (one, other)]
-    matrix = overlap_of(images[0], images[1])
-    if matrix is None:
+    found = overlap_of(images[0], images[1])
+    if found is None:
         return None
-    places = lattice(lens.shape, max(lens.shape) // 6)
-    wanted = places @ matrix[:, :2].T + matrix[:, 2]
-    inside = lens.inside(wanted)
-    if inside.sum() < 8:
-        return None
+    source, aim, matrix = found
     start = np.zeros(6)
     start[2] = math.atan2(matrix[1, 0], matrix[0, 0])
-    pose = _fitted_pose(lens, plane, places[inside], wanted[inside], start, (2, 3, 4, 5))
-    for radius in (20, 12):
-        task = _Task(0, 0, 0, one, other, (lens, lens), pose, plane, COARSE_SIDE_PX, radius, 250)
-        points = _matched_here(task, *images)
-        if points is None or len(points[0]) < 2 * MIN_POINTS:
-            return None
-        pose = _fitted_pose(lens, plane, points[0], points[1], pose, (0, 1, 2, 3, 4, 5))
-    return pose
+    pose = _fitted_pose(lens, plane, source, aim, start, (2, 3, 4, 5))
+    return _fitted_pose(lens, plane, source, aim, pose, (0, 1, 2, 3, 4, 5))
 
 
-def overlap_of(reference: Float32, target: Float32) -> Float64 | None:
-    """Return the (2, 3) similarity between two frames of one lens; None where they do not overlap clearly.
+def overlap_of(reference: Float32, target: Float32) -> tuple[Float64, Float64, Float64] | None:
+    """Return what two frames of one lens have in common: None where they do not overlap clearly.
 
-    Frames of one band look alike: features are enough, and much faster than a search for the pose.
+    Frames of one band look alike: features are enough, and much faster than a search for the pose. Returned
+    are (n, 2) px of both, corner-based, and the (2, 3) similarity between them.
 
     Parameters
     ----------
@@ -564,7 +560,8 @@ def overlap_of(reference: Float32, target: Float32) -> Float64 | None:
     matrix, inside = cv2.estimateAffinePartial2D(source, aim, ransacReprojThreshold=6 / factor)
     if matrix is None or int(inside.sum()) < MIN_OVERLAPPING:
         return None
-    return np.asarray(matrix, np.float64)
+    kept = inside.ravel() > 0
+    return source[kept], aim[kept], np.asarray(matrix, np.float64)
 
 
 def _fitted_pose(

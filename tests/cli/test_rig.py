@@ -52,8 +52,8 @@ def test_bad_input_is_one_line_and_status_2(
         for lens in (1, 2):
             frame(tmp_path / "mixed" / f"IMG_{capture}_{lens}.tif", shape)
     (tmp_path / "wrong.json").write_text(json.dumps({"kind": "another"}))
-    result = cli("rig", *arguments, cwd=tmp_path)
-    assert result.status == 2, result.stderr
+    result = cli("rig", *arguments)
+    assert result.returncode == 2, result.stderr
     errors = [line for line in result.stderr.splitlines() if line.startswith("error")]
     assert len(errors) == 1
     assert said in errors[0]

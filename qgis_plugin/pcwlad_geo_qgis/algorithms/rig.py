@@ -23,9 +23,9 @@ class AlignCameraBands(EngineAlgorithm):
     )
 
     def initAlgorithm(self, configuration: object = None) -> None:
-        file, behavior = core.QgsProcessingParameterFile, core.QgsProcessingParameterFile.Behavior
-        self.add(file, "CAPTURES", behavior=behavior.Folder)
-        self.add(file, "RIG", behavior=behavior.File, extension="json", optional=True)
+        file = core.QgsProcessingParameterFile
+        self.add(file, "CAPTURES", behavior=core.QgsProcessingParameterFile.Behavior.Folder)
+        self.add(file, "RIG", extension="json", optional=True)
         self.add_folder(optional=False)
         self.addOutput(core.QgsProcessingOutputFile("OUTPUT_CSV", self.title("OUTPUT_CSV")))
         self.add_results(core.QgsProcessingOutputNumber, "IMAGES")
