@@ -32,6 +32,7 @@ from benchmarks.studies.paper import paper
 from benchmarks.studies.pose import PARTS, pose
 from benchmarks.studies.quality import quality
 from benchmarks.studies.refusal import refusal
+from benchmarks.studies.rig import rig
 from benchmarks.studies.robustness import robustness
 from benchmarks.studies.rpc import rpc
 from benchmarks.studies.rpcblock import rpcblock
@@ -64,6 +65,7 @@ STUDIES: dict[str, Study] = {
     "pose": pose,
     "stack": stack,
     "rpcblock": rpcblock,
+    "rig": rig,
 }
 
 

@@ -48,6 +48,9 @@ if TYPE_CHECKING:
     from pcwlad_geo.registration.prealign import Pose, Prealignment
     from pcwlad_geo.registration.result import Matches, Pair, Registration
     from pcwlad_geo.requirements import RequirementResult
+    from pcwlad_geo.rigs.applying import CaptureOutcome
+    from pcwlad_geo.rigs.rig import Rig, RigLens
+    from pcwlad_geo.rigs.run import RigApplied, rig_apply, rig_learn
     from pcwlad_geo.stacks.pairs import StackPair
     from pcwlad_geo.stacks.result import Stack, StackImage
     from pcwlad_geo.stacks.run import stack, stack_add
@@ -59,6 +62,7 @@ __all__ = [
     "Accuracy",
     "BatchResult",
     "CancelledError",
+    "CaptureOutcome",
     "Correction",
     "DataArrayLike",
     "Event",
@@ -87,6 +91,9 @@ __all__ = [
     "RegistrationRejectedError",
     "RequirementError",
     "RequirementResult",
+    "Rig",
+    "RigApplied",
+    "RigLens",
     "Runner",
     "Settings",
     "SettingsError",
@@ -108,6 +115,8 @@ __all__ = [
     "open_pair",
     "qa",
     "register",
+    "rig_apply",
+    "rig_learn",
     "stack",
     "stack_add",
     "warp",
@@ -137,6 +146,9 @@ _NAMES = {
     "registration.prealign": ("Pose", "Prealignment"),
     "registration.result": ("Matches", "Pair", "Registration"),
     "requirements": ("RequirementResult",),
+    "rigs.applying": ("CaptureOutcome",),
+    "rigs.rig": ("Rig", "RigLens"),
+    "rigs.run": ("RigApplied", "rig_apply", "rig_learn"),
     "stacks.pairs": ("StackPair",),
     "stacks.result": ("Stack", "StackImage"),
     "stacks.run": ("stack", "stack_add"),

@@ -44,7 +44,7 @@ _CORRECTING: Final = ("register", "stack")
 _WARPING: Final = ("register", "warp")
 _KEEPING: Final = ("register", "batch", "stack")
 _TABLES_TOO: Final = ("register", "match", "batch", "stack")
-_RUNNERS: Final = ("register", "match", "qa", "batch", "stack")
+_RUNNERS: Final = ("register", "match", "qa", "batch", "stack", "rig")
 _EVERYWHERE: Final = (*_RUNNERS, "warp", "edit")
 _NOWHERE: Final = ()
 # The commands that take an option; those of _NOWHERE are for Python, TOML files and tables alone.

@@ -19,12 +19,13 @@ from pcwlad_geo import job as workflow
 from pcwlad_geo import options as settings
 
 FUNCTIONS = {
-    "batch", "fit", "match", "match_arrays", "match_files", "open_pair", "qa", "register", "stack",
-    "stack_add", "warp",
+    "batch", "fit", "match", "match_arrays", "match_files", "open_pair", "qa", "register", "rig_apply",
+    "rig_learn", "stack", "stack_add", "warp",
 }  # fmt: skip
 RESULTS = {
     "Accuracy", "BatchResult", "Correction", "FittedCorrection", "Grid", "Matches", "Pair", "PairResult",
     "Pose", "Prealignment", "QaResult", "Quality", "RasterInfo", "Registration", "RequirementResult",
+    "CaptureOutcome", "Rig", "RigApplied", "RigLens",
     "Stack", "StackImage", "StackPair", "TiePointTable", "TiePoints", "Verdict",
 }  # fmt: skip
 ARGUMENTS = {

@@ -14,6 +14,7 @@ from pcwlad_geo.cli.edit import edit
 from pcwlad_geo.cli.job import run_job
 from pcwlad_geo.cli.progress import show_error
 from pcwlad_geo.cli.qa import qa
+from pcwlad_geo.cli.rig import rig
 from pcwlad_geo.cli.stack import stack
 from pcwlad_geo.cli.warp import warp
 from pcwlad_geo.errors import InputError
@@ -72,6 +73,7 @@ app.command()(warp)
 app.command()(qa)
 app.command()(batch)
 app.command()(stack)
+app.add_typer(rig, name="rig")
 app.command(hidden=True)(edit)  # a conversation between programs
 
 

@@ -32,6 +32,8 @@ RATIO: Final = (1 / 64, 64.0)
 WORTH_SAYING: Final = 1.05
 """Ratio of the pixels from which it is told."""
 _DRONE: Final = "http://www.dji.com/drone-dji/1.0/"
+_RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns# "
+"""Elements of lists, which name nothing."""
 _NUMBER: Final = re.compile(r"[(\s]*([+-]?\d+(?:\.\d+)?)\s*\)?\s*$")
 
 
@@ -150,40 +152,60 @@ def _within(value: float, limits: tuple[float, float]) -> float | None:
 
 
 class _StopReadingError(Exception):
-    """The document holds what is not read, or all that is wanted is known."""
+    """The document holds what is not read."""
 
 
-def _relative_altitude(tags: Mapping[str, str]) -> float | None:
-    """Return RelativeAltitude of an XMP packet, m; None where there is none.
+def exif_of(dataset: DatasetReader) -> Mapping[str, str]:
+    """Return the EXIF tags of an open raster, by their names as GDAL writes them."""
+    return _tags(dataset, "EXIF")
 
-    Packets of more than `XMP_BYTES` are not parsed, nor is anything after a document type, where entities
-    would be declared.
+
+def number_of(exif: Mapping[str, str], name: str) -> float | None:
+    """Return the positive number of an EXIF tag, by its name without EXIF; None where there is none."""
+    return _number(exif, name)
+
+
+def xmp_of(dataset: DatasetReader) -> dict[str, tuple[str, ...]]:
+    """Return what the XMP packet of an open raster says: values by ``namespace name``.
+
+    Attributes and elements count alike, and the items of a list in their order. Packets of more than
+    `XMP_BYTES` are not parsed, nor is anything after a document type, where entities would be declared.
     """
+    return _xmp_values(_tags(dataset, "xml:XMP"))
+
+
+def _xmp_values(tags: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
     text = next(iter(tags.values()), "")
     if not text or len(text) > XMP_BYTES:
-        return None
-    name = f"{_DRONE} RelativeAltitude"
-    found: list[str] = []
+        return {}
+    found: dict[str, list[str]] = {}
     inside: list[str] = []
 
     def begin(element: str, attributes: Mapping[str, str]) -> None:
-        if name in attributes:
-            found.append(attributes[name])
-            raise _StopReadingError
+        for name, value in attributes.items():
+            found.setdefault(name, []).append(value.strip())
         inside.append(element)
 
     def read(data: str) -> None:
-        if inside and inside[-1] == name:
-            found.append(data)
+        named = [each for each in inside if not each.startswith(_RDF)]
+        if named and data.strip():
+            found.setdefault(named[-1], []).append(data.strip())
 
     def refuse(*_: object) -> None:
         raise _StopReadingError
 
     parser = expat.ParserCreate(namespace_separator=" ")
+    parser.buffer_text = True
     parser.StartElementHandler, parser.CharacterDataHandler = begin, read
     parser.EndElementHandler = lambda _: inside.pop()
     parser.StartDoctypeDeclHandler = refuse
     with suppress(expat.ExpatError, _StopReadingError, UnicodeEncodeError):
         parser.Parse(text.strip("\x00\ufeff \r\n\t"), True)
-    match = _NUMBER.match("".join(found)[:40])
+    return {name: tuple(values) for name, values in found.items()}
+
+
+def _relative_altitude(tags: Mapping[str, str]) -> float | None:
+    """Return RelativeAltitude of an XMP packet, m; None where there is none."""
+    values = _xmp_values(tags).get(f"{_DRONE} RelativeAltitude", ("",))
+    match = _NUMBER.match(values[0][:40])
     return _within(float(match[1]), HEIGHT_M) if match else None

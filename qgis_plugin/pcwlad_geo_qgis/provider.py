@@ -16,6 +16,7 @@ from .algorithms.install_engine import InstallEngine
 from .algorithms.many import RegisterMany
 from .algorithms.match import MatchOnly
 from .algorithms.register import RegisterRaster
+from .algorithms.rig import AlignCameraBands
 from .algorithms.stack import AdjustStack
 from .model.settings import SETTING
 from .text import speak, tr
@@ -65,6 +66,7 @@ class PcwladGeoProvider(QgsProcessingProvider):
             BandToBandQa,
             RegisterMany,
             AdjustStack,
+            AlignCameraBands,
             CheckEngine,
             InstallEngine,
         ):

@@ -240,6 +240,36 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Nur georeferenzieren lassen sich die Modelle Verschiebung und affin: Wählen Sie eines davon, oder automatisch.</translation>
     </message>
     <message>
+      <source>Align the bands of a drone camera</source>
+      <translation>Bänder einer Drohnenkamera ausrichten</translation>
+    </message>
+    <message>
+      <source>Brings the lenses of a multispectral or thermal camera onto each other: one raster with all bands for each capture. Give a folder of raw frames; the rig is learned from them, or read from RIG.json.
+&lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Folder&lt;/b&gt;: the rasters, RIG.json, and a table that names bad captures and why.</source>
+      <translation>Bringt die Objektive einer Multispektral- oder Wärmebildkamera aufeinander: je Aufnahme ein Raster mit allen Bändern. Geben Sie einen Ordner mit Rohbildern an; die Anordnung der Objektive wird daraus gelernt oder aus RIG.json gelesen.
+&lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Ordner&lt;/b&gt;: die Raster, RIG.json und eine Tabelle, die schlechte Aufnahmen mit dem Grund nennt.</translation>
+    </message>
+    <message>
+      <source>Raw frames as the camera wrote them, one file a lens, of captures in flight.</source>
+      <translation>Rohbilder, wie die Kamera sie schrieb, eine Datei je Objektiv, von Aufnahmen im Flug.</translation>
+    </message>
+    <message>
+      <source>What an earlier run has learned of this camera. Not set: it is learned from the frames.</source>
+      <translation>Was ein früherer Lauf über diese Kamera gelernt hat. Ohne Angabe wird es aus den Bildern gelernt.</translation>
+    </message>
+    <message>
+      <source>Folder of raw frames</source>
+      <translation>Ordner mit Rohbildern</translation>
+    </message>
+    <message>
+      <source>RIG.json of this camera (not set: learned)</source>
+      <translation>RIG.json dieser Kamera (ohne Angabe: wird gelernt)</translation>
+    </message>
+    <message>
+      <source>Table, a line a capture</source>
+      <translation>Tabelle, eine Zeile je Aufnahme</translation>
+    </message>
+    <message>
       <source>Adjust a stack</source>
       <translation>Stapel ausgleichen</translation>
     </message>

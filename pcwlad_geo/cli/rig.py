@@ -1,0 +1,185 @@
+"""``pcwlad-geo rig``: learn a camera with several lenses, and bring its captures into one frame each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pcwlad_geo.cli import options as o
+from pcwlad_geo.cli.batch import STATUS_OF
+from pcwlad_geo.cli.job import Ending, run_guarded
+from pcwlad_geo.cli.options import collect
+from pcwlad_geo.cli.outcome import columns
+from pcwlad_geo.errors import OutputError
+from pcwlad_geo.events import EventCallback
+from pcwlad_geo.options import Settings
+from pcwlad_geo.text import visible
+
+if TYPE_CHECKING:
+    from pcwlad_geo.rigs.rig import Rig
+    from pcwlad_geo.rigs.run import RigApplied
+
+rig = typer.Typer(
+    help="Cameras with several lenses: learn the rig, apply it to captures.", no_args_is_help=True
+)
+
+Captures = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="CAPTURES…", help="Raw frames of the camera, or folders of them.", show_default=False
+    ),
+]
+RigFile = Annotated[
+    Path, typer.Argument(metavar="RIG.json", help="What rig learn has written.", show_default=False)
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "-o", "--out", metavar="RIG.json", help="File to write.  [default: RIG.json]", show_default=False
+    ),
+]
+Pattern = Annotated[
+    str | None,
+    typer.Option(
+        "--pattern",
+        metavar="REGEX",
+        help="What file names without ending look like, with (?P<capture>…) and (?P<lens>…), where neither "
+        "XMP nor usual names tell what belongs together.",
+        show_default=False,
+    ),
+]
+Fisheye = Annotated[
+    bool, typer.Option("--fisheye", help="Lenses without a calibration in their frames are fisheyes.")
+]
+HEADER = ("lens", "focal px", "moved px", "sigma px", "told calibration off px")
+"""Header of the table of lenses."""
+
+
+@rig.command("learn")
+@o.takes_settings("rig")
+def learn(
+    context: typer.Context,
+    captures: Captures,
+    out: Out = None,
+    pattern: Pattern = None,
+    fisheye: Fisheye = False,
+    progress: o.ProgressOption = "auto",
+    watch_stdin: o.WatchStdin = False,
+    config: o.Config = None,
+    overwrite: o.Overwrite = False,
+    debug: o.Debug = False,
+) -> None:
+    """Learn distortion, orientation and parallax of all lenses from a few CAPTURES in flight."""
+    params = context.params
+    run_guarded(params, lambda on_event: _learn(params, on_event), lambda: None)
+
+
+@rig.command("apply")
+@o.takes_settings("rig")
+def apply(
+    context: typer.Context,
+    rig_file: RigFile,
+    captures: Captures,
+    out_dir: o.OutDir = None,
+    pattern: Pattern = None,
+    progress: o.ProgressOption = "auto",
+    watch_stdin: o.WatchStdin = False,
+    config: o.Config = None,
+    overwrite: o.Overwrite = False,
+    debug: o.Debug = False,
+) -> None:
+    """Bring the lenses of all CAPTURES onto each other: one raster each; bad captures are named."""
+    params = context.params
+    run_guarded(params, lambda on_event: _apply(params, on_event), lambda: None)
+
+
+def _running(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options about where the work runs, and what may be opened."""
+    settings = Settings.from_options(collect(params, params["config"]))
+    return {name: getattr(settings, name) for name in ("jobs", "scheduler", "allow_remote", "trust_vrt")}
+
+
+def _learn(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
+    running = _running(params)
+    from pcwlad_geo.rigs.run import rig_learn
+
+    out = params["out"] or Path("RIG.json")
+    if out.is_dir():
+        raise OutputError(f"{out} is a folder: name the file to write, such as {out / 'RIG.json'}")
+    found = rig_learn(
+        params["captures"],
+        out=out,
+        pattern=params["pattern"],
+        fisheye=params["fisheye"],
+        overwrite=params["overwrite"],
+        on_event=on_event,
+        **running,
+    )
+    return _learned(found, out)
+
+
+def _learned(found: Rig, out: Path) -> Ending:
+    rows, lenses = [HEADER], []
+    for each in found.lenses:
+        off = each.off_by_px()
+        moved = found.offset_px(each)
+        rows.append(
+            (
+                each.name,
+                f"{each.lens.focal_px:.1f}",
+                f"{moved[0]:+.1f} {moved[1]:+.1f}",
+                f"{each.mapping_sigma_px[0]:.3f}",
+                "none told" if off is None else f"{off[0]:.2f} (at most {off[1]:.2f})",
+            )
+        )
+        lenses.append({"name": each.name, "told_off_by_px": None if off is None else list(off)})
+    lines = columns(rows, (0,))
+    lines += [
+        "",
+        f"{found.captures} captures, {found.points} tie points, residual {found.residual_px:.3f} px",
+    ]
+    lines.append(f"rig: {out}")
+    figures: dict[str, object] = {
+        "captures": found.captures,
+        "points": found.points,
+        "residual_px": found.residual_px,
+        "lenses": lenses,
+        "exit_status": 0,
+        "paths": {"rig": str(out.absolute())},
+    }
+    return Ending(figures, visible("\n".join(lines)) + "\n")
+
+
+def _apply(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
+    running = _running(params)
+    from pcwlad_geo.rigs.run import rig_apply
+
+    found = rig_apply(
+        params["rig_file"],
+        params["captures"],
+        out_dir=params["out_dir"] or "rig_applied",
+        pattern=params["pattern"],
+        overwrite=params["overwrite"],
+        on_event=on_event,
+        **running,
+    )
+    return _applied(found)
+
+
+def _applied(found: RigApplied) -> Ending:
+    counts = {status: found.count(status) for status in ("corrected", "rejected", "unusable", "failed")}
+    status = next((STATUS_OF[each] for each in STATUS_OF if counts.get(each)), 0)
+    bad = [each for each in found.captures if each.status != "corrected"]
+    lines = [f"{each.name}: {each.status}: {each.reason}" for each in bad]
+    lines.append(", ".join(f"{count} {each}" for each, count in counts.items() if count))
+    lines.append(f"summary: {found.summary.absolute()}")
+    figures: dict[str, object] = {
+        **counts,
+        "bad": [{"capture": each.name, "status": each.status, "reason": each.reason} for each in bad],
+        "exit_status": status,
+        "paths": {"summary": str(found.summary.absolute())},
+    }
+    return Ending(figures, visible("\n".join(lines)) + "\n", status)

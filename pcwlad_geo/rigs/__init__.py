@@ -1,0 +1,1 @@
+"""Camera rigs: several lenses that look the same way, learned from captures and brought onto each other."""

@@ -1,0 +1,316 @@
+"""Least squares over all captures: lenses, how they stand, and the ground that each capture saw.
+
+A point that the reference lens sees in direction (x, y) at nearness q (the mean distance over its depth) is
+seen by lens i in the direction of R·(x, y, 1) + q·b. Nearness is a plane of the direction for each capture
+(level ground is one exactly), and a deviation of each point from it, the relief, which is eliminated. Two
+captures of the reference lens whose frames overlap are tied the same way, with a rotation and a base of their
+own: that tells the distortion that all lenses have in common, which frames of one moment hardly do.
+
+References
+----------
+.. [1] Triggs, B. et al. (2000), Bundle adjustment: a modern synthesis, doi:10.1007/3-540-44480-7_21.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+from scipy import sparse
+
+from pcwlad_geo.rigs.lenses import LensModel, project, rays
+from pcwlad_geo.types import Bool, Float64, Index
+
+OF_LENS: Final = 8
+"""Parameters of a lens."""
+OF_POSE: Final = 6
+"""Parameters of a pose."""
+OF_PLANE: Final = 3
+"""Parameters of the ground of a capture."""
+ROUNDS: Final = 14
+"""Largest number of Gauss–Newton steps."""
+STILL_PX: Final = 1e-4
+"""A step that moves no prediction further ends the iteration."""
+HUBER: Final = 1.5
+"""Residuals beyond so many sigmas count by their size, not by its square."""
+TOO_FAR: Final = 6.0
+"""Residuals beyond so many sigmas, and `LEAST_FAR_PX`, do not count."""
+LEAST_FAR_PX: Final = 0.6
+"""A point nearer than this to the model is never left out."""
+MODEL_SIGMA_PX: Final = 0.06
+"""What the model itself leaves, and bands that look different, added to the sigma of every point."""
+RELIEF_PX: Final = 0.1
+"""Standard deviation of a point from its capture's plane, as parallax of the lens of the longest baseline."""
+RELIEF: Final = (0.02, 0.3)
+"""Smallest and largest of it, in nearness."""
+MEAN_SIGMA: Final = 1e-3
+"""With this standard deviation the mean nearness of all captures is 1: the unit of the baselines."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """n positions at which lenses saw points of the reference lens."""
+
+    capture: Index
+    """(n,) number of the capture whose plane holds the point."""
+    pose: Index
+    """(n,) number of the pose: that of the lens, or beyond the lenses that of another capture."""
+    lens: Index
+    """(n,) number of the lens that saw it."""
+    reference_px: Float64
+    """(n, 2) position in the raw frame of the reference lens."""
+    seen_px: Float64
+    """(n, 2) position in the raw frame of the lens."""
+    sigma_px: Float64
+    """(n,) standard deviation per axis, in px of the lens."""
+
+    def __len__(self) -> int:
+        return len(self.sigma_px)
+
+    @staticmethod
+    def joined(parts: Sequence[Observations]) -> Observations:
+        """Return the observations of all parts."""
+        names = ("capture", "pose", "lens", "reference_px", "seen_px", "sigma_px")
+        return Observations(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def points(self) -> Index:
+        """Return the (n,) number of the point that each observation is of."""
+        keys = np.column_stack([self.capture, np.round(self.reference_px * 8).astype(np.int64)])
+        return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1]).ravel()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """What is adjusted."""
+
+    models: tuple[LensModel, ...]
+    lenses: Float64
+    """(lenses, 8), see `lenses.PARAMETERS`."""
+    poses: Float64
+    """(poses, 6) rotation vector and baseline; the first is the reference's and stays zero."""
+    planes: Float64
+    """(captures, 3) nearness on the axis, and its slopes by x and y."""
+    overlaps: tuple[tuple[int, int], ...] = ()
+    """For each pose beyond those of the lenses the two captures that it is between."""
+
+    @property
+    def vector(self) -> Float64:
+        """(parameters,) all of them, one after another."""
+        return np.concatenate([self.lenses.ravel(), self.poses.ravel(), self.planes.ravel()])
+
+    def with_vector(self, vector: Float64) -> State:
+        """Return the state of a (parameters,) `vector` of all of them."""
+        first, second = self.lenses.size, self.lenses.size + self.poses.size
+        return replace(
+            self,
+            lenses=vector[:first].reshape(self.lenses.shape),
+            poses=vector[first:second].reshape(self.poses.shape),
+            planes=vector[second:].reshape(self.planes.shape),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjusted:
+    """The result of an adjustment."""
+
+    state: State
+    covariance: Float64
+    """Of all parameters in the order of `State.vector`."""
+    residual_px: Float64
+    """(n, 2) observed minus predicted."""
+    kept: Bool
+    """(n,) observations that count."""
+    factor: float
+    """Standard deviation of the residuals over that expected of them."""
+
+
+def adjust(
+    first: State, expected: State, sigma: State, seen: Observations, overlap: float, *, unit: bool = True
+) -> Adjusted:
+    """Adjust all parameters.
+
+    Parameters
+    ----------
+    first : State
+        Where to begin.
+    expected : State
+        What is expected without the tie points.
+    sigma : State
+        How far each parameter may be from there; 0 holds it where it begins.
+    seen : Observations
+        Tie points.
+    overlap : float
+        How many points share a window: their errors are not independent.
+    unit : bool
+        Whether the mean nearness of the captures is 1; otherwise it is free, as the baselines are known.
+    """
+    state, point = first, seen.points()
+    seen = replace(seen, sigma_px=np.hypot(seen.sigma_px, MODEL_SIGMA_PX) * math.sqrt(max(overlap, 1.0)))
+    relief = np.zeros(point.max() + 1)
+    scale, before = sigma.vector, expected.vector
+    free = np.flatnonzero(scale > 0)
+    kept = np.ones(len(seen), bool)
+    damping, normal = 1e-3, np.eye(len(free))
+    level = np.zeros(len(seen))
+    for turn in range(ROUNDS):
+        # linear at no relief: where it is, longer baselines would be drawn towards less of it
+        residual = seen.seen_px - predict(state, seen, level)
+        jacobian, by_relief = _jacobian(state, seen, level, set(free.tolist()))
+        weight, kept = _weights(residual - by_relief * relief[point, None], seen, turn)
+        columns = jacobian[:, free] @ sparse.diags(scale[free])
+        step, relief, normal = _step(
+            columns, by_relief.ravel(), residual, weight, point, _relief_sigma(state),
+            (before - state.vector)[free] / scale[free], _mean_row(state, free, scale * unit), damping,
+        )  # fmt: skip
+        change = np.zeros(len(scale))
+        change[free] = scale[free] * step
+        state = state.with_vector(state.vector + change)
+        moved = np.abs(columns @ step).max(initial=0.0)
+        damping = damping / 10 if damping > 1e-9 else 0.0
+        if moved < STILL_PX and turn > 3:
+            break
+    residual = seen.seen_px - predict(state, seen, np.clip(relief, -0.5, 0.5)[point])
+    weight, kept = _weights(residual, seen, ROUNDS)
+    factor = _spread(residual, seen, kept)
+    covariance = np.zeros((len(scale), len(scale)))
+    covariance[np.ix_(free, free)] = (
+        np.linalg.inv(normal) * np.outer(scale[free], scale[free]) * max(factor, 1.0) ** 2
+    )
+    return Adjusted(state, covariance, residual, kept, factor)
+
+
+def predict(state: State, seen: Observations, relief: Float64) -> Float64:
+    """Return the (n, 2) px at which lenses see the points; `relief` is the (n,) share beside the plane."""
+    first = rays(seen.reference_px, state.lenses[0], state.models[0])
+    return _seen(state, seen, first, relief)
+
+
+def _seen(state: State, seen: Observations, first: Float64, relief: Float64) -> Float64:
+    axes = np.column_stack([first, np.ones(len(first))])
+    plane = state.planes[seen.capture]
+    nearness = plane[:, 0] + plane[:, 1] * first[:, 0] + plane[:, 2] * first[:, 1] + relief
+    matrices = np.stack([cv2.Rodrigues(pose[:3])[0] for pose in state.poses])
+    turned = np.einsum("nij,nj->ni", matrices[seen.pose], axes)
+    turned += nearness[:, None] * state.poses[seen.pose, 3:]
+    direction = turned[:, :2] / np.maximum(turned[:, 2:], 0.05)
+    result = np.empty_like(first)
+    for number, model in enumerate(state.models):
+        some = seen.lens == number
+        if some.any():
+            result[some] = project(direction[some], state.lenses[number], model)
+    return result
+
+
+def _weights(residual: Float64, seen: Observations, turn: int) -> tuple[Float64, Bool]:
+    """Return the (n,) weights, px⁻², and which observations count; the first turns are more patient."""
+    sigma, length = seen.sigma_px, np.hypot(*residual.T)
+    spread = max(1.0, float(np.median(length / sigma)) / 1.18)
+    ratio = length / (sigma * spread)
+    far = TOO_FAR * (4 if turn < 3 else 1)
+    kept = (ratio < far) | (length < LEAST_FAR_PX)
+    huber = np.minimum(1.0, HUBER * 1.41 / np.maximum(ratio, 1e-9))
+    return np.where(kept, huber / sigma**2, 0.0), np.asarray(kept)
+
+
+def _spread(residual: Float64, seen: Observations, kept: Bool) -> float:
+    """Return the robust standard deviation of the residuals over that expected."""
+    if not kept.any():
+        return 1.0
+    return float(np.median(np.abs(residual[kept]) / seen.sigma_px[kept, None]) * 1.4826)
+
+
+def _jacobian(
+    state: State, seen: Observations, relief: Float64, free: set[int]
+) -> tuple[sparse.csr_matrix, Float64]:
+    """Return the (2 n, parameters) derivatives of the predictions, and (n, 2) those by relief.
+
+    Columns of parameters that are not `free` are left empty.
+    """
+    n, lenses, poses = len(seen), state.lenses.size, state.poses.size
+    first = rays(seen.reference_px, state.lenses[0], state.models[0])
+    now = _seen(state, seen, first, relief)
+    entries: list[tuple[Index, Float64]] = []
+    for k in range(OF_LENS):
+        step = float(_steps(state.lenses[0, 0])[k])
+        moved = state.lenses.copy()
+        moved[:, k] += step
+        if free.intersection(range(k, lenses, OF_LENS)):
+            own = replace(state, lenses=moved)
+            entries.append((seen.lens * OF_LENS + k, (_seen(own, seen, first, relief) - now) / step))
+        if k in free:
+            other = rays(seen.reference_px, moved[0], state.models[0])
+            entries.append((np.full(n, k), (_seen(state, seen, other, relief) - now) / step))
+    for k in range(OF_POSE):
+        if free.intersection(range(lenses + k, lenses + poses, OF_POSE)):
+            moved = state.poses.copy()
+            moved[:, k] += 1e-6
+            change = (_seen(replace(state, poses=moved), seen, first, relief) - now) / 1e-6
+            entries.append((lenses + seen.pose * OF_POSE + k, change))
+    for k in range(OF_PLANE):
+        moved = state.planes.copy()
+        moved[:, k] += 1e-4
+        change = (_seen(replace(state, planes=moved), seen, first, relief) - now) / 1e-4
+        entries.append((lenses + poses + seen.capture * OF_PLANE + k, change))
+        if k == 0:
+            by_relief = change
+    columns = np.concatenate([np.repeat(column, 2) for column, _ in entries])
+    values = np.concatenate([change.ravel() for _, change in entries])
+    rows = np.tile(np.arange(2 * n), len(entries))
+    matrix = sparse.csr_matrix((values, (rows, columns)), (2 * n, lenses + poses + state.planes.size))
+    return matrix, by_relief
+
+
+def _relief_sigma(state: State) -> float:
+    """Return the standard deviation of a point's nearness from the plane of its capture."""
+    base = float(np.hypot(*state.poses[: len(state.lenses), 3:5].T).max())
+    return float(np.clip(RELIEF_PX / max(base * state.lenses[0, 0], 1e-9), *RELIEF))
+
+
+def _steps(focal_px: float) -> Float64:
+    """Return steps of the parameters of a lens that move px by little."""
+    lengths, ratios = [1e-5 * focal_px] * 3, [1e-5, 1e-5, 1e-5, 1e-6, 1e-6]
+    return np.array([*lengths, *ratios])
+
+
+def _mean_row(state: State, free: Index, scale: Float64) -> tuple[Float64, float]:
+    """Return the derivatives of the mean nearness of the captures, and how far it is from 1."""
+    row = np.zeros(len(scale))
+    begin = state.lenses.size + state.poses.size
+    row[begin::OF_PLANE] = 1 / len(state.planes)
+    return (row * scale)[free], 1.0 - float(state.planes[:, 0].mean())
+
+
+def _step(
+    columns: sparse.csr_matrix,
+    by_relief: Float64,
+    residual: Float64,
+    weight: Float64,
+    point: Index,
+    relief_sigma: float,
+    expected: Float64,
+    mean: tuple[Float64, float],
+    damping: float,
+) -> tuple[Float64, Float64, Float64]:
+    """Return the step of the parameters, the relief of each point, and the normal matrix without relief.
+
+    The parameters are in units of their expected deviation, so that what is expected of them adds 1 to the
+    diagonal.
+    """
+    twice, number = np.repeat(weight, 2), np.repeat(point, 2)
+    weighted = sparse.diags(twice) @ columns
+    normal = (columns.T @ weighted).toarray() + np.eye(columns.shape[1])
+    normal += np.outer(mean[0], mean[0]) / MEAN_SIGMA**2
+    right = weighted.T @ residual.ravel() + expected + mean[0] * mean[1] / MEAN_SIGMA**2
+    count = int(point.max()) + 1
+    own = np.bincount(number, twice * by_relief**2, count) + 1 / relief_sigma**2
+    gather = sparse.csr_matrix((twice * by_relief, (np.arange(len(number)), number)), (len(number), count))
+    cross = (columns.T @ gather).tocsr()
+    pull = np.asarray(gather.T @ residual.ravel())
+    inner = sparse.diags(1 / own)
+    reduced = normal - (cross @ inner @ cross.T).toarray()
+    step = np.linalg.solve(reduced + damping * np.diag(np.diag(reduced)), right - cross @ (pull / own))
+    return step, (pull - cross.T @ step) / own, reduced

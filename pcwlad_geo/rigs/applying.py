@@ -1,0 +1,502 @@
+"""One capture: is it good, where was its ground, and the warp of every lens into the common frame."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
+
+import cv2
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.errors import NotGeoreferencedWarning
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching.maps import oriented_gradients, scene_epsilon
+from pcwlad_geo.matching.refinement import ChannelMaps, Start, refine
+from pcwlad_geo.raster.gdal import ignoring, reading
+from pcwlad_geo.raster.opening import check_dataset
+from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust, predict
+from pcwlad_geo.rigs.captures import Capture, Frame, read_frame
+from pcwlad_geo.rigs.learning import NEAR_SIGMA, look
+from pcwlad_geo.rigs.rig import Rig, RigLens, coefficients_of, map_places, measured_side, resampled
+from pcwlad_geo.types import Bool, Float32, Float64, Index
+
+Status = Literal["corrected", "rejected", "unusable", "failed"]
+
+CELLS: Final = 160
+"""Number of places that are measured in every lens."""
+WINDOW_PX: Final = 61
+"""Side of the window of a place."""
+SMOOTH_PX: Final = 1.0
+"""Sigma of the Gaussian on the gradients."""
+BLURRED: Final = 0.55
+"""Share of the least detail learned below which a frame is blurred."""
+COVERED: Final = 0.12
+"""Share of the contrast learned below which a lens is covered."""
+LEAST_AGREEING: Final = 0.3
+"""Share of the places of a lens that must agree with the rig."""
+LEAST_PLACES: Final = 12
+"""Number of them that must agree."""
+AGREE_PX: Final = 1.0
+"""Distance from the model within which a place agrees, px of the measured frame."""
+LEAST_SIGMA_PX: Final = 0.05
+"""Standard deviation of a place, px of the measured frame, at best."""
+FAR: Final = 6.0
+"""How many times nearer than the nearest capture learned from, or farther than the farthest, is believed."""
+MOVED_PX: Final = 1.5
+"""Where places moved further from the prediction, px of the measured frame, all are measured again."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CaptureTask:
+    """What a worker needs to correct one capture."""
+
+    rig: Rig
+    capture: Capture
+    crop: tuple[int, int, int, int]
+    """First column and row in the common frame, columns and rows."""
+    path: str
+    """Where the raster is written."""
+    digest: str
+    """Identity of the inputs, which the raster keeps."""
+    compress: str = "DEFLATE"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CaptureOutcome:
+    """What became of a capture."""
+
+    name: str
+    status: Status
+    """`rejected`: a bad capture; `unusable`: its files cannot be used; `failed`: an unexpected error."""
+    reason: str | None = None
+    file: str | None = None
+    """Name of the raster in the output folder."""
+    points: int | None = None
+    """Places that agree with the rig."""
+    residual_px: float | None = None
+    """Their median distance from it, px of the common frame."""
+    nearness: float | None = None
+    """Mean distance of the captures learned from over that of this one."""
+    distance_m: float | None = None
+    """Distance of the ground, where the rig knows metres."""
+    sigma_px: float | None = None
+    """Largest standard deviation of a lens's position in the middle of the frame, by this capture."""
+    seconds: float | None = None
+    done_before: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """Where the ground of a capture was, and how its lenses stood."""
+
+    rig: Rig
+    """The rig, with the rotations of this capture."""
+    plane: Float64
+    """(3,) nearness on the axis, and its slopes."""
+    points: int
+    residual_px: float
+    sigma_px: float
+
+
+class BadCaptureError(Exception):
+    """The capture cannot be corrected, and why."""
+
+
+def correct_capture(task: CaptureTask) -> CaptureOutcome:
+    """Correct one capture, or say why that cannot be done; nothing is raised but for an unexpected error."""
+    begun = time.perf_counter()
+    name = task.capture.name
+    try:
+        frames = [task.capture.frames[each] for each in task.rig.names]
+        values = [read_frame(each.path, each.shape) for each in frames]
+        check_looks(task.rig, values)
+        placed = place(task.rig, values, _expected_nearness(task.rig, task.capture))
+        write_capture(task, placed, frames, values)
+    except BadCaptureError as error:
+        return CaptureOutcome(name, "rejected", str(error))
+    except InputError as error:
+        return CaptureOutcome(name, "unusable", str(error))
+    near = float(placed.plane[0])
+    return CaptureOutcome(
+        name,
+        "corrected",
+        file=f"{name}.tif",
+        points=placed.points,
+        residual_px=placed.residual_px,
+        nearness=near,
+        distance_m=None if task.rig.distance_m is None else task.rig.distance_m / near,
+        sigma_px=placed.sigma_px,
+        seconds=time.perf_counter() - begun,
+    )
+
+
+def _expected_nearness(rig: Rig, capture: Capture) -> float | None:
+    height = capture.height_m
+    return None if height is None or rig.distance_m is None else rig.distance_m / height
+
+
+def check_looks(rig: Rig, values: Sequence[Float32]) -> None:
+    """Raise `BadCaptureError` where a frame is blurred, or shows nothing, against what was learned.
+
+    The `values` are the (rows, cols) frames in the order of the lenses of the `rig`.
+    """
+    covered, blurred = [], []
+    for each, frame in zip(rig.lenses, values, strict=True):
+        seen = look(frame)
+        if not seen.contrast > COVERED * each.sharpness.contrast:
+            covered.append(each.name)
+        elif seen.detail < BLURRED * each.sharpness.detail:
+            blurred.append(each.name)
+    if covered:
+        raise BadCaptureError(
+            f"lens {', '.join(covered)} shows hardly anything: it was covered, or it failed"
+        )
+    if blurred:
+        raise BadCaptureError(f"lens {', '.join(blurred)} is blurred")
+
+
+def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed:
+    """Find the ground of a capture and the small turns of its lenses.
+
+    Parameters
+    ----------
+    rig : Rig
+    values : sequence of (rows, cols) float32 arrays
+        The frames, in the order of the rig's lenses.
+    expected : float, optional
+        Nearness as the frames tell it.
+
+    Raises
+    ------
+    BadCaptureError
+        If the lenses do not show one ground as the rig sees it.
+    """
+    middle = math.sqrt(rig.nearness[0] * rig.nearness[1])
+    near = expected if expected is not None else middle
+    plane = np.array([near, 0.0, 0.0])
+    starts = [near] if expected is not None else _starts(rig, middle)
+    best: tuple[float, Placed, float] | None = None
+    reasons: list[str] = []
+    for start in starts:
+        plane = np.array([start, 0.0, 0.0])
+        now, moved = rig, math.inf
+        try:
+            for _ in range(3):
+                seen = _measured(now, values, plane)
+                placed, moved = _adjusted(now, rig, seen, plane, near, expected is not None)
+                now, plane = placed.rig, placed.plane
+                if moved < MOVED_PX:
+                    break
+        except BadCaptureError as error:
+            reasons.append(str(error))
+            continue
+        if best is None or placed.points > best[1].points:
+            best = (start, placed, moved)
+        if placed.points > 0.6 * CELLS * (len(values) - 1):
+            break
+    if best is None:
+        raise BadCaptureError(reasons[0])
+    return best[1]
+
+
+def _starts(rig: Rig, middle: float) -> list[float]:
+    """Return nearness to begin with: as learned, then others that move a lens by more than is searched."""
+    parallax = max(float(np.hypot(*each.baseline[:2])) for each in rig.lenses) * rig.reference.lens.focal_px
+    shape = rig.reference.lens.shape
+    factor = max(shape) / measured_side(shape)
+    starts = [middle]
+    for near in np.geomspace(rig.nearness[0] / 2, rig.nearness[1] * 2, 5):
+        if abs(near - middle) * parallax > 1.5 * factor:
+            starts.append(float(near))
+    return starts
+
+
+def _measured(rig: Rig, values: Sequence[Float32], plane: Float64) -> Observations:
+    """Measure places of the reference in the other lenses, all in the common frame at a part of its size."""
+    parts = []
+    for number, each in enumerate(rig.lenses[1:], 1):
+        factor = _factor(rig, each)
+        first, first_valid = _in_view(rig, rig.reference, values[0], plane, factor)
+        second, second_valid = _in_view(rig, each, values[number], plane, factor)
+        window = int(np.clip(0.25 * min(first.shape), 21, WINDOW_PX)) // 2 * 2 + 1
+        corners = textured(first, first_valid & second_valid, window)
+        if len(corners) < LEAST_PLACES:
+            raise BadCaptureError(f"lens {each.name} has too little structure where {rig.names[0]} sees it")
+        maps = _channels(first, first_valid), _channels(second, second_valid)
+        start = Start(np.zeros((len(corners), 2)), np.zeros((len(corners), 2, 2)))
+        found = refine(maps[0], maps[1], corners, start, window_px=window)
+        good = found.converged
+        variance = np.trace(found.covariance_px2[good], axis1=1, axis2=2) / 2
+        sigma: Float64 = np.asarray(factor * np.maximum(np.sqrt(variance), LEAST_SIGMA_PX), np.float64)
+        origin_px: Float64 = np.asarray((corners[good][:, ::-1] + 0.5) * factor, np.float64)
+        target_px = origin_px + found.shift_xy_px[good] * factor
+        parts.append(_as_observations(rig, number, plane, origin_px, target_px, sigma))
+    return Observations.joined(parts)
+
+
+def _as_observations(
+    rig: Rig, number: int, plane: Float64, origin_px: Float64, target_px: Float64, sigma_px: Float64
+) -> Observations:
+    """Return places of the common frame as positions in the raw frames."""
+    lens = rig.lenses[number]
+    rays, moved = rig.common_rays(origin_px), rig.common_rays(target_px)
+    seen = lens.seen(moved, plane[0] + moved @ plane[1:])
+    raw = rig.reference.lens.project(rays)
+    good = np.isfinite(seen).all(axis=1) & np.isfinite(raw).all(axis=1)
+    count = int(good.sum())
+    per_px = lens.lens.focal_px / rig.reference.lens.focal_px
+    return Observations(
+        np.zeros(count, np.intp),
+        np.full(count, number),
+        np.full(count, number),
+        raw[good],
+        seen[good],
+        sigma_px[good] * per_px,
+    )
+
+
+def _in_view(rig: Rig, each: RigLens, values: Float32, plane: Float64, factor: float) -> tuple[Float32, Bool]:
+    """Return a lens in the common frame at a part of its size, and where it sees that."""
+    rows, cols = (round(n / factor) for n in rig.reference.lens.shape)
+    places, counts = map_places((rows, cols), (0.0, 0.0), factor)
+    rays = rig.common_rays(places)
+    at = each.seen(rays, plane[0] + rays @ plane[1:])
+    shrink = max(1.0, factor * each.lens.focal_px / rig.reference.lens.focal_px)
+    if shrink > 1.2:
+        small = [max(16, round(n / shrink)) for n in values.shape]
+        at = at * (np.array(small[::-1]) / np.array(values.shape[::-1]))
+        values = np.asarray(
+            cv2.resize(values, (small[1], small[0]), interpolation=cv2.INTER_AREA), np.float32
+        )
+    warped = resampled(coefficients_of(values), at, counts, (rows, cols))
+    valid = np.isfinite(warped)
+    fill = float(warped[valid].mean()) if valid.any() else 0.0
+    return np.where(valid, warped, np.float32(fill)), valid
+
+
+def _channels(values: Float32, valid: Bool) -> ChannelMaps:
+    maps, _ = oriented_gradients(values, scene_epsilon(values, valid), SMOOTH_PX)
+    inside = cv2.erode(valid.astype(np.uint8), np.ones((7, 7), np.uint8), borderValue=1)
+    return ChannelMaps.of(maps, np.asarray(inside, bool))
+
+
+def textured(values: Float32, valid: Bool, window_px: int) -> Index:
+    """Return (n, 2) row, column of the best corner of each cell of a frame, away from its edges.
+
+    Parameters
+    ----------
+    values, valid : (rows, cols) float32 and bool array
+        The frame, and its pixels that count.
+    window_px : int
+        Side of the window that must be valid.
+    """
+    rows, cols = values.shape
+    side = max(8.0, math.sqrt(rows * cols / CELLS))
+    response = cv2.cornerMinEigenVal(cv2.GaussianBlur(values, (0, 0), 1.0), 9)
+    kernel = np.ones((window_px, window_px), np.uint8)
+    inside = cv2.erode(valid.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    response = np.where(inside > 0, response, -1.0)
+    found = []
+    for top in np.arange(0, rows, side).astype(int):
+        for left in np.arange(0, cols, side).astype(int):
+            cell = response[top : top + round(side), left : left + round(side)]
+            row, col = np.unravel_index(int(cell.argmax()), cell.shape)
+            if cell[row, col] > 0:
+                found.append((top + row, left + col))
+    return np.array(found, np.intp).reshape(-1, 2)
+
+
+def _adjusted(
+    now: Rig, rig: Rig, seen: Observations, plane: Float64, near: float, told: bool
+) -> tuple[Placed, float]:
+    """Return where the ground was and how the lenses turned, and how far the places were off before."""
+    count = len(rig.lenses)
+    poses = np.stack([np.concatenate([each.rotation, each.baseline]) for each in rig.lenses])
+    lenses = np.stack([each.lens.vector for each in rig.lenses])
+    first = State(tuple(each.lens.model for each in rig.lenses), lenses, poses, np.array([[near, 0, 0]]))
+    turn = rig.wander_px / rig.reference.lens.focal_px
+    free = np.zeros_like(poses)
+    free[1:, :2], free[1:, 2] = turn, turn / rig.reference.lens.corner
+    slack = NEAR_SIGMA[0 if told else 1] * near
+    planes = np.array([[slack, rig.tilt * near, rig.tilt * near]])
+    begin = replace(first, planes=plane[None])
+    sigma = State(first.models, np.zeros_like(lenses), free, planes)
+    result = adjust(begin, first, sigma, seen, 1.0, unit=False)
+    scale = rig.reference.lens.focal_px / lenses[seen.lens, 0]
+    length = np.hypot(*result.residual_px.T) * scale
+    _check_agreement(rig, seen, length, result)
+    turned = tuple(replace(each, rotation=result.state.poses[k, :3]) for k, each in enumerate(rig.lenses))
+    factor = np.array([_factor(rig, each) for each in rig.lenses])[seen.lens]
+    agreeing = length < AGREE_PX * factor
+    placed = Placed(
+        replace(rig, lenses=turned),
+        result.state.planes[0],
+        int(agreeing.sum()),
+        float(np.median(length[agreeing])),
+        _sigma_px(rig, result, count),
+    )
+    before = replace(begin, poses=np.stack([np.r_[each.rotation, each.baseline] for each in now.lenses]))
+    moved = np.hypot(*(_shift(before, seen) - _shift(result.state, seen)).T) * scale
+    return placed, float(np.percentile(moved / factor, 90))
+
+
+def _shift(state: State, seen: Observations) -> Float64:
+    return predict(state, seen, np.zeros(len(seen)))
+
+
+def _factor(rig: Rig, lens: RigLens) -> float:
+    """Return how many px of the reference a px is in which a lens is measured: never finer than its own."""
+    first = rig.reference.lens
+    return max(max(first.shape) / measured_side(first.shape), first.focal_px / lens.lens.focal_px)
+
+
+def _check_agreement(rig: Rig, seen: Observations, length: Float64, result: Adjusted) -> None:
+    """Raise where a lens does not show what the reference shows, or the ground is where none can be."""
+    lost = []
+    for number, each in enumerate(rig.lenses[1:], 1):
+        factor = _factor(rig, each)
+        own = length[seen.lens == number]
+        agreeing = int((own < AGREE_PX * factor).sum())
+        if agreeing < LEAST_PLACES or agreeing < LEAST_AGREEING * len(own):
+            lost.append(f"{each.name} ({agreeing} of {len(own)} places)")
+    near = float(result.state.planes[0, 0])
+    if lost:
+        where = (
+            "too near, of a panel, or of a lens that was covered"
+            if len(lost) > 1
+            else "or one lens was covered"
+        )
+        raise BadCaptureError(
+            f"lens {', '.join(lost)} does not see what {rig.names[0]} sees: a capture {where}"
+        )
+    if not rig.nearness[0] / FAR < near < rig.nearness[1] * FAR:
+        away = "" if rig.distance_m is None else f" ({rig.distance_m / max(near, 1e-9):.1f} m)"
+        raise BadCaptureError(
+            f"its ground is {1 / max(near, 1e-9):.2g} times as far as learned{away}: too near or too far"
+        )
+
+
+def _sigma_px(rig: Rig, result: Adjusted, count: int) -> float:
+    """Return the largest standard deviation of a lens's position on the axis, px of the common frame."""
+    focal, begin = rig.reference.lens.focal_px, 8 * count
+    plane = begin + 6 * count
+    largest = 0.0
+    for number in range(1, count):
+        index = [begin + 6 * number, begin + 6 * number + 1, plane]
+        x, y = rig.lenses[number].baseline[:2]
+        covariance = result.covariance[np.ix_(index, index)]
+        rows = focal * np.array([[0.0, 1.0, x], [-1.0, 0.0, y]])
+        largest = max(largest, float(np.sqrt(np.diag(rows @ covariance @ rows.T).max())))
+    return largest
+
+
+def write_capture(
+    task: CaptureTask, placed: Placed, frames: Sequence[Frame], values: Sequence[Float32]
+) -> None:
+    """Warp every lens once into the common crop and write one raster, with names, wavelengths and EXIF.
+
+    The `values` are the (rows, cols) `frames` of the lenses as they were measured.
+    """
+    left, top, cols, rows = task.crop
+    places, counts = map_places((rows, cols), (float(left), float(top)), 1.0)
+    rays = placed.rig.common_rays(places)
+    near = placed.plane[0] + rays @ placed.plane[1:]
+    bands: list[tuple[str, RigLens, Frame, NDArray[Any]]] = []
+    dtype = np.result_type(*(each.dtype for each in frames))
+    for each, frame, seen in zip(placed.rig.lenses, frames, values, strict=True):
+        at = each.seen(rays, near)
+        planes = _bands_of(frame, seen)
+        for number, plane in enumerate(planes, 1):
+            name = each.name if len(planes) == 1 else f"{each.name} {number}"
+            warped = resampled(coefficients_of(plane), at, counts, (rows, cols))
+            bands.append((name, each, frame, _as_type(warped, dtype)))
+    _write(task, placed, dtype, (rows, cols), bands)
+
+
+def _bands_of(frame: Frame, values: Float32) -> list[Float32]:
+    """Return the bands of a frame; `values` are those of the only one."""
+    with open_raster(frame.path) as dataset:
+        if dataset.count == 1:
+            return [values]
+        check_dataset(frame.path, dataset, 1)
+        with reading(frame.path):
+            read = dataset.read(list(range(1, min(dataset.count, 3) + 1)), out_dtype=np.float32)
+    return [np.ascontiguousarray(each) for each in read]
+
+
+def _as_type(warped: Float32, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return values in the type of the output: 0, or NaN, is where a lens does not see."""
+    if dtype.kind == "f":
+        return warped.astype(dtype)
+    limits = np.iinfo(dtype)
+    known = np.isfinite(warped)
+    least = 1 if limits.min == 0 else limits.min  # a value that is 0 is told from none, as gdalwarp does it
+    whole = np.clip(np.rint(np.where(known, warped, 0)), least, limits.max).astype(dtype)
+    return np.where(known, whole, 0).astype(dtype)
+
+
+def _write(
+    task: CaptureTask,
+    placed: Placed,
+    dtype: np.dtype[Any],
+    shape: tuple[int, int],
+    bands: Sequence[tuple[str, RigLens, Frame, NDArray[Any]]],
+) -> None:
+    predictor = "3" if dtype.kind == "f" else "2"
+    with (
+        ignoring(NotGeoreferencedWarning),
+        rasterio.open(
+            task.path,
+            "w",
+            driver="GTiff",
+            height=shape[0],
+            width=shape[1],
+            count=len(bands),
+            dtype=dtype.name,
+            nodata=math.nan if dtype.kind == "f" else 0,
+            tiled=True,
+            compress=task.compress,
+            predictor=predictor,
+            zlevel=1,
+            interleave="band",
+            photometric="MINISBLACK",
+        ) as out,
+    ):
+        out.update_tags(**_common_tags(task, placed, bands[0][2]))
+        for number, (name, lens, frame, values) in enumerate(bands, 1):
+            out.write(values, number)
+            out.set_band_description(number, name)
+            out.update_tags(number, **{f"XMP_{key}": value for key, value in frame.xmp.items()})
+            if lens.wavelength_nm is not None:
+                centre, width = lens.wavelength_nm
+                out.update_tags(number, WAVELENGTH=f"{centre:g}", WAVELENGTH_UNITS="nm", FWHM=f"{width:g}")
+                out.update_tags(
+                    number,
+                    ns="IMAGERY",
+                    CENTRAL_WAVELENGTH_UM=f"{centre / 1e3:g}",
+                    FWHM_UM=f"{width / 1e3:g}",
+                )
+
+
+def _common_tags(task: CaptureTask, placed: Placed, frame: Frame) -> Mapping[str, str]:
+    left, top, *_ = task.crop
+    lens = task.rig.reference.lens
+    col, row = lens.vector[1:3] - (left, top)
+    return {
+        **frame.exif,
+        "PCWLAD_GEO_CAPTURE": task.capture.name,
+        "PCWLAD_GEO_INPUTS": task.digest,
+        "CAMERA_MODEL": "pinhole, no distortion",
+        "CAMERA_FOCAL_PX": f"{lens.focal_px:.4f}",
+        "CAMERA_PRINCIPAL_POINT_PX": f"{col:.4f} {row:.4f}",
+        "RIG_ROTATIONS_RAD": "; ".join(
+            " ".join(f"{each:.9f}" for each in lens.rotation) for lens in placed.rig.lenses
+        ),
+        "RIG_NEARNESS": " ".join(f"{each:.6f}" for each in placed.plane),
+    }

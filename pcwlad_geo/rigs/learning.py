@@ -1,0 +1,714 @@
+"""Learning of a rig: tie points between the lenses of some captures, and one adjustment of all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from pcwlad_geo.errors import InputError, RegistrationRejectedError
+from pcwlad_geo.events import EventCallback
+from pcwlad_geo.execution.runner import Runner
+from pcwlad_geo.matching.matcher import match_arrays
+from pcwlad_geo.matching.pose import search_pose
+from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust
+from pcwlad_geo.rigs.captures import Capture, Frame, first_lens, read_frame
+from pcwlad_geo.rigs.lenses import Lens, lattice
+from pcwlad_geo.rigs.rig import Rig, RigLens, Sharpness, coefficients_of, map_places, measured_side, resampled
+from pcwlad_geo.types import Bool, Float32, Float64
+
+MOST_CAPTURES: Final = 30
+"""Largest number of captures that are learned from; of more, these are taken evenly."""
+START_SIDE_PX: Final = 360
+"""Longer side of the frames in which lenses are first matched."""
+COARSE_SIDE_PX: Final = 480
+"""That of the first round, where the lenses are not yet known well."""
+COARSE_CAPTURES: Final = 5
+"""Number of captures of the first round."""
+ROUND_RADII_PX: Final = (7, 4)
+"""Radius of the search in each of the rounds after it."""
+TRIES: Final = 4
+"""Captures in which a start is looked for."""
+SCALE_SPREAD: Final = (1.3, 2.2)
+"""Factor within which the ratio of two focal lengths is searched: where both are told, and elsewhere."""
+SCALES: Final = tuple(float(1.08**step) for step in sorted(range(-9, 10), key=abs))
+"""Factors on a focal length that nothing tells, the likely ones first."""
+MIN_START: Final = 16
+"""Least number of points that agree on a start."""
+AGREE_PX: Final = 2.5
+"""Distance within which they agree, px of the small frames."""
+MIN_OVERLAPPING: Final = 25
+"""Least number of features that agree on how two captures overlap."""
+MIN_POINTS: Final = 20
+"""Least number of tie points of a lens in a capture."""
+FOCAL_SIGMA: Final = (0.01, 0.15)
+"""Expected relative deviation of the focal length: where the frame tells it, and elsewhere."""
+CENTRE_SIGMA: Final = (0.004, 0.02)
+"""Of the principal point, as a share of the frame's longer side."""
+BEND_SIGMA_PX: Final = (1.0, 40.0)
+"""Of the distortion at the corners, px, by each radial term."""
+SHEAR_SIGMA_PX: Final = (0.5, 6.0)
+"""Of the tangential terms."""
+TURN_SIGMA: Final = 0.15
+"""Of the rotation of a lens, rad."""
+BASE_SIGMA: Final = (0.004, 0.004, 0.001)
+"""Of the baseline over the mean distance; the lenses of a rig stand in one plane, nearly."""
+TILT_SIGMA: Final = 0.2
+"""Of the slopes of nearness per direction."""
+NEAR_SIGMA: Final = (0.15, 0.6)
+"""Of the nearness of a capture: where the frames tell their height, and elsewhere."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnSettings:
+    """What a rig is learned with."""
+
+    features: int = 400
+    overlaps: bool = True
+    """Whether captures that overlap are matched too."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """One lens of one capture against its reference, or the reference of another capture."""
+
+    capture: int
+    pose: int
+    lens: int
+    reference: Frame
+    seen: Frame
+    models: tuple[Lens, Lens]
+    pose_vector: Float64
+    plane: Float64
+    side_px: int
+    radius_px: int
+    features: int
+
+    def seen_px(self, reference_px: Float64) -> Float64:
+        """Return the (n, 2) px at which the lens should see (n, 2) px of the reference's raw frame."""
+        first, second = self.models
+        return _between(first, second, self.pose_vector, self.plane, reference_px)
+
+
+def learn(
+    captures: Sequence[Capture],
+    settings: LearnSettings,
+    fisheye: bool,
+    runner: Runner,
+    on_event: EventCallback,
+) -> Rig:
+    """Return the rig of captures that have all lenses.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        All with the same lenses, of the same sizes.
+    settings : LearnSettings
+    fisheye : bool
+        Whether lenses that tell no calibration are fisheyes.
+    runner : Runner
+        Runs the matching.
+    on_event : callable
+        Receives `Progress` and `Warned` events.
+
+    Raises
+    ------
+    RegistrationRejectedError
+        If a lens cannot be matched.
+    """
+    order = sorted(captures[0].frames.values(), key=lambda each: (each.order, -_pixels(each), each.lens))
+    names = [each.lens for each in order]
+    lenses = [first_lens(each, fisheye, _focal_default(each)) for each in order]
+    told = list(lenses)
+    chosen = _evenly(captures, MOST_CAPTURES)
+    some = _evenly(chosen, COARSE_CAPTURES)
+    state = _started(_first_state(some, names, lenses), some, names, lenses, runner, on_event)
+    sigma = _sigmas(state, order, _all_heights(some))
+    seen = _matched(state, some, names, lenses, COARSE_SIDE_PX, 10, settings.features, runner, on_event)
+    state = adjust(state, _first_state(some, names, told), sigma, seen, 1.0).state
+    expected = _first_state(chosen, names, told)
+    state = replace(expected, lenses=state.lenses, poses=state.poses)
+    sigma = _sigmas(state, order, _all_heights(chosen))
+    if settings.overlaps and len(chosen) > 1:
+        extra = _overlapping(state, chosen, names[0], lenses[0], runner, on_event)
+        state, sigma = _with_poses(state, sigma, extra)
+        expected = replace(expected, poses=state.poses * _between_captures(state), overlaps=state.overlaps)
+    for radius in ROUND_RADII_PX:
+        lenses = [replace(lens, vector=v) for lens, v in zip(lenses, state.lenses, strict=True)]
+        side = measured_side(order[0].shape)
+        seen = _matched(state, chosen, names, lenses, side, radius, settings.features, runner, on_event)
+        found = adjust(state, expected, sigma, seen, _overlap(seen, order))
+        state = found.state
+    return _rig_of(found, seen, chosen, order, names)
+
+
+def _pixels(frame: Frame) -> int:
+    return frame.shape[0] * frame.shape[1]
+
+
+def _focal_default(frame: Frame) -> float:
+    return 1.1 * max(frame.shape)
+
+
+def _first_state(chosen: Sequence[Capture], names: Sequence[str], lenses: Sequence[Lens]) -> State:
+    heights = np.array([each.height_m or np.nan for each in chosen])
+    planes = np.zeros((len(chosen), 3))
+    planes[:, 0] = 1.0
+    if np.isfinite(heights).all():
+        planes[:, 0] = 1 / heights / np.mean(1 / heights)
+    models = tuple(each.model for each in lenses)
+    return State(models, np.stack([each.vector for each in lenses]), np.zeros((len(names), 6)), planes)
+
+
+def _evenly(captures: Sequence[Capture], most: int) -> list[Capture]:
+    return [captures[k] for k in np.unique(np.linspace(0, len(captures) - 1, most).astype(int))]
+
+
+def _all_heights(chosen: Sequence[Capture]) -> bool:
+    return all(each.height_m is not None for each in chosen)
+
+
+def _between_captures(state: State) -> Float64:
+    """Return the (poses, 1) mask of poses between captures: only of these a start is an expectation."""
+    return np.asarray(np.arange(len(state.poses)) >= len(state.lenses), np.float64)[:, None]
+
+
+def _sigmas(state: State, order: Sequence[Frame], heights: bool) -> State:
+    """Return how far each parameter is expected from its start."""
+    lenses = np.empty_like(state.lenses)
+    for number, frame in enumerate(order):
+        calibrated = frame.told is not None
+        focal_known = calibrated or frame.focal_px is not None
+        focal_px, side = state.lenses[number, 0], max(frame.shape)
+        corner = math.hypot(*frame.shape) / 2 / focal_px
+        bend, shear = (each[0 if calibrated else 1] for each in (BEND_SIGMA_PX, SHEAR_SIGMA_PX))
+        share = side / 1280  # frames of fewer pixels bend by fewer
+        lenses[number, 0] = FOCAL_SIGMA[0 if focal_known else 1] * focal_px
+        lenses[number, 1:3] = CENTRE_SIGMA[0 if calibrated else 1] * side
+        lenses[number, 3:6] = bend * share / focal_px / corner ** np.array([3, 5, 7])
+        lenses[number, 6:8] = shear * share / focal_px / (3 * corner**2)
+    poses = np.zeros_like(state.poses)
+    poses[1:, :3], poses[1:, 3:] = TURN_SIGMA, BASE_SIGMA
+    planes = np.empty_like(state.planes)
+    planes[:, 0], planes[:, 1:] = NEAR_SIGMA[0 if heights else 1], TILT_SIGMA
+    return State(state.models, lenses, poses, planes)
+
+
+def _between(first: Lens, second: Lens, pose: Float64, plane: Float64, reference_px: Float64) -> Float64:
+    rays = first.rays(reference_px)
+    axes = np.column_stack([rays, np.ones(len(rays))])
+    turned = axes @ cv2.Rodrigues(pose[:3])[0].T + (axes[:, [2, 0, 1]] @ plane)[:, None] * pose[3:]
+    turned[turned[:, 2] < 0.05] = np.nan
+    return second.project(turned[:, :2] / turned[:, 2:])
+
+
+def _started(
+    state: State,
+    chosen: Sequence[Capture],
+    names: Sequence[str],
+    lenses: list[Lens],
+    runner: Runner,
+    on_event: EventCallback,
+) -> State:
+    """Return the state with a rotation, and where it is not told a focal length, of every lens."""
+    poses, vectors = state.poses.copy(), state.lenses.copy()
+    left = list(range(1, len(names)))
+    for number in np.unique(np.linspace(0, len(chosen) - 1, TRIES).astype(int)):
+        frames = chosen[number].frames
+        calls = [
+            (frames[names[0]], frames[names[k]], lenses[0], lenses[k], _focal_is_told(frames[names[k]]))
+            for k in left
+        ]
+        results = runner.run(find_start, calls, "starts", on_event).results
+        for k, found in zip(list(left), results, strict=True):
+            if found is not None:
+                poses[k, :3], vectors[k, 0] = found[:3], found[3]
+                lenses[k] = replace(lenses[k], vector=vectors[k])
+                left.remove(k)
+        if not left:
+            return replace(state, poses=poses, lenses=vectors)
+    missing = ", ".join(names[k] for k in left)
+    raise RegistrationRejectedError(
+        f"lens {missing} cannot be matched with {names[0]} in {min(TRIES, len(chosen))} captures: give "
+        "captures of ground with structure, in flight, not of a panel"
+    )
+
+
+def _focal_is_told(frame: Frame) -> bool:
+    return frame.told is not None or frame.focal_px is not None
+
+
+def find_start(reference: Frame, seen: Frame, first: Lens, second: Lens, focal_told: bool) -> Float64 | None:
+    """Return (4,) rotation vector and focal length of a lens from one capture; None where none is found.
+
+    Parameters
+    ----------
+    reference, seen : Frame
+        Frames of the reference and of the lens.
+    first, second : Lens
+        Their lenses as far as they are known.
+    focal_told : bool
+        Whether the focal length of the lens is known beside that of the reference.
+    """
+    images = [read_frame(each.path, each.shape) for each in (reference, seen)]
+    for scale in [1.0] if focal_told else SCALES:
+        vector = second.vector.copy()
+        vector[0] *= scale
+        matrix = _agreed_similarity(reference, seen, images, first, replace(second, vector=vector))
+        if matrix is not None:
+            return _as_rotation(first, second, matrix, focal_told)
+    expected = second.focal_px / first.focal_px
+    spread = SCALE_SPREAD[0 if focal_told else 1]
+    found = similarity_of(images[0], images[1], (expected / spread, expected * spread))
+    return None if found is None else _as_rotation(first, second, found, focal_told)
+
+
+def _agreed_similarity(
+    reference: Frame, seen: Frame, images: Sequence[Float32], first: Lens, second: Lens
+) -> Float64 | None:
+    """Return the (2, 3) similarity from px of the reference to px of a lens that looks the same way, nearly.
+
+    None where too few points of both agree on one.
+    """
+    side = round(np.clip(max(reference.shape) * second.focal_px / first.focal_px, 160, START_SIDE_PX))
+    level = np.array([1.0, 0.0, 0.0])
+    task = _Task(0, 1, 1, reference, seen, (first, second), np.zeros(6), level, side, 16, 250)
+    points = _matched_here(task, images[0], images[1])
+    if points is None or len(points[0]) < MIN_START:
+        return None
+    factor = max(reference.shape) / side
+    within_px = AGREE_PX * factor * second.focal_px / first.focal_px
+    matrix, inside = cv2.estimateAffinePartial2D(points[0], points[1], ransacReprojThreshold=within_px)
+    if matrix is None or inside.sum() < max(MIN_START, 0.5 * len(points[0])):
+        return None
+    return np.asarray(matrix, np.float64)
+
+
+def similarity_of(reference: Float32, target: Float32, scales: tuple[float, float]) -> Float64 | None:
+    """Return the (2, 3) similarity from px of a frame to px of another, corner-based; None without one.
+
+    Parameters
+    ----------
+    reference, target : (rows, cols) float32 array
+        The frames, of any sizes.
+    scales : (float, float)
+        Smallest and largest scale, target px per reference px.
+    """
+    small, steps = [], []
+    for values in (reference, target):
+        factor = min(1.0, START_SIDE_PX / max(values.shape))
+        rows, cols = (max(16, round(n * factor)) for n in values.shape)
+        small.append(cv2.resize(values, (cols, rows), interpolation=cv2.INTER_AREA).astype(np.float32))
+        steps.append(values.shape[1] / cols)
+    ratio = steps[0] / steps[1]
+    valid = [np.ones(each.shape, bool) for each in small]
+    found = search_pose(small[0], small[1], valid[0], valid[1], scales=(scales[0] * ratio, scales[1] * ratio))
+    if found is None or not (found.accepted or found.agreeing >= 12):
+        return None
+    linear = found.matrix[:, :2] * steps[1] / steps[0]
+    half = np.array([0.5, 0.5])
+    origin = steps[1] * (found.matrix[:, 2] - found.matrix[:, :2] @ half + half)
+    return np.column_stack([linear, origin])
+
+
+def _as_rotation(first: Lens, second: Lens, matrix: Float64, focal_told: bool) -> Float64:
+    """Return rotation vector and focal length that place px nearly as a similarity does."""
+    places = lattice(first.shape, max(first.shape) // 4)
+    wanted = places @ matrix[:, :2].T + matrix[:, 2]
+    inside = second.inside(wanted, -0.1 * max(second.shape))
+    if inside.sum() >= 4:
+        places, wanted = places[inside], wanted[inside]
+    rays = first.rays(places)
+    scale = math.sqrt(abs(float(np.linalg.det(matrix[:, :2]))))
+    focal = second.focal_px if focal_told else first.focal_px * scale
+    angle = math.atan2(matrix[1, 0], matrix[0, 0])
+
+    def wrong(x: Float64) -> Float64:
+        vector = second.vector.copy()
+        vector[0] = focal * (1.0 if focal_told else math.exp(x[3]))
+        turned = np.column_stack([rays, np.ones(len(rays))]) @ cv2.Rodrigues(x[:3])[0].T
+        seen = vector[0] * turned[:, :2] / np.maximum(turned[:, 2:], 0.05) + vector[1:3]
+        return np.asarray((seen - wanted).ravel())
+
+    best = least_squares(wrong, np.array([0.0, 0.0, angle, 0.0])).x
+    best[3] = focal * (1.0 if focal_told else math.exp(best[3]))
+    return np.asarray(best, np.float64)
+
+
+def _matched(
+    state: State,
+    chosen: Sequence[Capture],
+    names: Sequence[str],
+    lenses: Sequence[Lens],
+    side_px: int,
+    radius_px: int,
+    features: int,
+    runner: Runner,
+    on_event: EventCallback,
+) -> Observations:
+    """Match every lens of every capture, and captures that have a pose between them."""
+    tasks = []
+    now = [replace(lens, vector=vector) for lens, vector in zip(lenses, state.lenses, strict=True)]
+    for number, capture in enumerate(chosen):
+        frames = [capture.frames[name] for name in names]
+        plane = state.planes[number]
+        tasks += [
+            _Task(
+                number,
+                k,
+                k,
+                frames[0],
+                frames[k],
+                (now[0], now[k]),
+                state.poses[k],
+                plane,
+                _side(side_px, now[0], now[k]),
+                radius_px,
+                features,
+            )
+            for k in range(1, len(names))
+        ]
+    for pose, (one, other) in enumerate(state.overlaps, len(names)):
+        frames = [chosen[k].frames[names[0]] for k in (one, other)]
+        tasks.append(
+            _Task(
+                one,
+                pose,
+                0,
+                frames[0],
+                frames[1],
+                (now[0], now[0]),
+                state.poses[pose],
+                state.planes[one],
+                side_px,
+                3 * radius_px,
+                features,
+            )
+        )
+    found = runner.run(match_task, [(task,) for task in tasks], "matching", on_event).results
+    good = [each for each in found if each is not None]
+    counts = np.bincount(
+        np.concatenate([each.lens[:1] for each in good] or [np.zeros(0, int)]), minlength=len(names)
+    )
+    lost = [names[k] for k in range(1, len(names)) if counts[k] == 0]
+    if lost:
+        raise RegistrationRejectedError(
+            f"lens {', '.join(lost)} cannot be matched with {names[0]} in any of {len(chosen)} captures"
+        )
+    return Observations.joined(good)
+
+
+def _side(side_px: int, first: Lens, second: Lens) -> int:
+    """Return the longer side of the frame to match in: at least the coarser one's px, at most `side_px`."""
+    finest = max(first.shape) / max(1.0, first.focal_px / second.focal_px)
+    return round(min(side_px, finest))
+
+
+def match_task(task: _Task) -> Observations | None:
+    """Return what a lens sees of its reference; None where too few points are found."""
+    images = [read_frame(each.path, each.shape) for each in (task.reference, task.seen)]
+    found = _matched_here(task, *images)
+    if found is None or len(found[0]) < MIN_POINTS:
+        return None
+    reference_px, seen_px, sigma_px = found
+    count = len(reference_px)
+    return Observations(
+        np.full(count, task.capture),
+        np.full(count, task.pose),
+        np.full(count, task.lens),
+        reference_px,
+        seen_px,
+        sigma_px,
+    )
+
+
+def _matched_here(task: _Task, reference: Float32, seen: Float32) -> tuple[Float64, Float64, Float64] | None:
+    """Match a lens, warped into the raw frame of the reference; return px of both and their sigma."""
+    factor = max(task.reference.shape) / min(task.side_px, max(task.reference.shape))
+    images, valid = _pair_in_view(task, reference, seen, factor)
+    settings = match_settings(images[0].shape, task.radius_px, task.features)
+    try:
+        points = match_arrays(*images, target_valid=valid, settings=settings)
+    except InputError:  # too small, or nothing to compare
+        return None
+    points = points[np.asarray((points.sigma_px < 1.0).all(axis=1))]
+    return _in_frames(task, points, factor)
+
+
+def _in_frames(task: _Task, points: TiePoints, factor: float) -> tuple[Float64, Float64, Float64]:
+    """Return the px in both raw frames of points in the view, and their sigma in px of the lens."""
+    reference_px = points.reference_xy_px * factor
+    seen_px = task.seen_px(points.target_xy_px * factor)
+    aside_px = task.seen_px(points.target_xy_px * factor + 1.0)
+    per_px = np.hypot(*(aside_px - seen_px).T) / math.sqrt(2)
+    sigma_px = np.sqrt((points.sigma_px**2).mean(axis=1)) * factor * per_px
+    good = np.isfinite(seen_px).all(axis=1) & np.isfinite(sigma_px)
+    return reference_px[good], seen_px[good], sigma_px[good]
+
+
+def _pair_in_view(
+    task: _Task, reference: Float32, seen: Float32, factor: float
+) -> tuple[tuple[Float32, Float32], Bool]:
+    """Return the reference, and the lens as the reference should see it, with the mask of the latter."""
+    rows, cols = (max(16, round(n / factor)) for n in task.reference.shape)
+    view = cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA) if factor > 1 else reference
+    places, counts = map_places((rows, cols), (0.0, 0.0), factor)
+    at = task.seen_px(places)
+    steps = np.nanmedian(np.abs(np.diff(at.reshape(*counts, 2)[:, :, 0], axis=1))) / 8
+    shrink = max(1.0, float(steps)) if np.isfinite(steps) else 1.0
+    small = [max(16, round(n / shrink)) for n in task.seen.shape]
+    if shrink > 1.2:  # averaged before it is resampled more coarsely
+        seen = np.asarray(cv2.resize(seen, (small[1], small[0]), interpolation=cv2.INTER_AREA), np.float32)
+        at = at * (np.array(small[::-1]) / np.array(task.seen.shape[::-1]))
+    warped = resampled(coefficients_of(np.ascontiguousarray(seen, np.float32)), at, counts, (rows, cols))
+    valid = np.isfinite(warped)
+    return (np.asarray(view, np.float32), np.nan_to_num(warped)), valid
+
+
+def match_settings(shape: tuple[int, ...], radius_px: int, features: int) -> MatchSettings:
+    """Return settings for frames of a `shape`: windows that are small enough for it."""
+    side = int(np.clip(0.2 * min(shape), 31, 81)) // 2 * 2 + 1
+    template = min(101, side + 20)
+    return MatchSettings(
+        features=features, search_radius=radius_px, window=side, template=template, ssim_min=0.0
+    )
+
+
+def _overlap(seen: Observations, order: Sequence[Frame]) -> float:
+    """Return how many points share a window, on average."""
+    views = len(np.unique(np.column_stack([seen.capture, seen.pose]), axis=0))
+    side = match_settings(order[0].shape, 5, 1).window
+    return len(seen) / max(views, 1) * side**2 / _pixels(order[0])
+
+
+def _overlapping(
+    state: State,
+    chosen: Sequence[Capture],
+    name: str,
+    lens: Lens,
+    runner: Runner,
+    on_event: EventCallback,
+) -> list[tuple[int, int, Float64]]:
+    """Return captures whose reference frames overlap with the next one's, and the pose between them."""
+    lens = replace(lens, vector=state.lenses[0])
+    calls = [
+        (chosen[k].frames[name], chosen[k + 1].frames[name], lens, state.planes[k])
+        for k in range(len(chosen) - 1)
+    ]
+    found = runner.run(find_overlap, calls, "overlaps", on_event).results
+    return [(k, k + 1, pose) for k, pose in enumerate(found) if pose is not None]
+
+
+def find_overlap(one: Frame, other: Frame, lens: Lens, plane: Float64) -> Float64 | None:
+    """Return the (6,) rotation and base between two captures; None where they do not overlap clearly.
+
+    Parameters
+    ----------
+    one, other : Frame
+        Of the reference lens in both captures.
+    lens : Lens
+        Of the reference.
+    plane : (3,) array
+        Nearness of the first capture.
+    """
+    images = [read_frame(each.path, each.shape) for each in (one, other)]
+    found = overlap_of(images[0], images[1])
+    if found is None:
+        return None
+    source, aim, matrix = found
+    start = np.zeros(6)
+    start[2] = math.atan2(matrix[1, 0], matrix[0, 0])
+    pose = _fitted_pose(lens, plane, source, aim, start, (2, 3, 4, 5))
+    return _fitted_pose(lens, plane, source, aim, pose, (0, 1, 2, 3, 4, 5))
+
+
+def overlap_of(reference: Float32, target: Float32) -> tuple[Float64, Float64, Float64] | None:
+    """Return what two frames of one lens have in common: None where they do not overlap clearly.
+
+    Frames of one band look alike: features are enough, and much faster than a search for the pose. Returned
+    are (n, 2) px of both, corner-based, and the (2, 3) similarity between them.
+
+    Parameters
+    ----------
+    reference, target : (rows, cols) float32 array
+        The frames, of the same size.
+    """
+    factor = min(1.0, COARSE_SIDE_PX / max(reference.shape))
+    found = []
+    for values in (reference, target):
+        rows, cols = (max(16, round(n * factor)) for n in values.shape)
+        small = cv2.resize(values, (cols, rows), interpolation=cv2.INTER_AREA)
+        low, high = np.percentile(small, (1, 99))
+        grey = np.clip((small - low) / max(high - low, 1e-9) * 255, 0, 255).astype(np.uint8)
+        points, descriptors = cv2.SIFT.create(800).detectAndCompute(grey, None)
+        if descriptors is None or len(points) < MIN_OVERLAPPING:
+            return None
+        places = (np.array([each.pt for each in points]) + 0.5) / np.array([cols, rows])
+        found.append((places * np.array(values.shape[::-1]), descriptors))
+    pairs = cv2.BFMatcher().knnMatch(found[0][1], found[1][1], k=2)
+    good = [first for first, second in pairs if first.distance < 0.8 * second.distance]
+    if len(good) < MIN_OVERLAPPING:
+        return None
+    source = found[0][0][[each.queryIdx for each in good]]
+    aim = found[1][0][[each.trainIdx for each in good]]
+    matrix, inside = cv2.estimateAffinePartial2D(source, aim, ransacReprojThreshold=6 / factor)
+    if matrix is None or int(inside.sum()) < MIN_OVERLAPPING:
+        return None
+    kept = inside.ravel() > 0
+    return source[kept], aim[kept], np.asarray(matrix, np.float64)
+
+
+def _fitted_pose(
+    lens: Lens, plane: Float64, reference_px: Float64, seen_px: Float64, first: Float64, free: Sequence[int]
+) -> Float64:
+    """Return the pose between two captures that fits points best, most of them on the plane."""
+
+    def wrong(x: Float64) -> Float64:
+        pose = first.copy()
+        pose[list(free)] = x
+        at = _between(lens, lens, pose, plane, reference_px)
+        return np.asarray(np.nan_to_num(at - seen_px, nan=1e3).ravel())
+
+    found = least_squares(wrong, first[list(free)], loss="soft_l1", f_scale=2.0, x_scale=0.01)
+    pose = first.copy()
+    pose[list(free)] = found.x
+    return pose
+
+
+def _with_poses(state: State, sigma: State, extra: Sequence[tuple[int, int, Float64]]) -> tuple[State, State]:
+    """Return state and expected deviations with the poses between captures added."""
+    if not extra:
+        return state, sigma
+    poses = np.vstack([state.poses, *(pose for *_, pose in extra)])
+    loose = np.tile([0.5, 0.5, 0.5, 2.0, 2.0, 2.0], (len(extra), 1))
+    pairs = tuple((one, other) for one, other, _ in extra)
+    return (
+        replace(state, poses=poses, overlaps=pairs),
+        replace(sigma, poses=np.vstack([sigma.poses, loose]), overlaps=pairs),
+    )
+
+
+def _rig_of(
+    found: Adjusted,
+    seen: Observations,
+    chosen: Sequence[Capture],
+    order: Sequence[Frame],
+    names: Sequence[str],
+) -> Rig:
+    """Return the rig of an adjustment, with the precision of what it maps."""
+    state = found.state
+    deviation = np.sqrt(np.maximum(np.diag(found.covariance), 0))
+    looks = [_look([each.frames[name] for each in chosen]) for name in names]
+    lenses = []
+    for number, frame in enumerate(order):
+        lens = Lens(state.models[number], frame.shape, state.lenses[number])
+        first, pose = number * 8, state.lenses.size + number * 6
+        mapping, distortion = _precision(found, number, frame.shape)
+        lenses.append(
+            RigLens(
+                name=names[number],
+                lens=lens,
+                rotation=state.poses[number, :3],
+                baseline=state.poses[number, 3:],
+                sigma=np.concatenate([deviation[first : first + 8], deviation[pose : pose + 6]]),
+                mapping_sigma_px=mapping,
+                distortion_sigma_px=distortion,
+                told=frame.told,
+                sharpness=looks[number],
+                wavelength_nm=frame.wavelength_nm,
+            )
+        )
+    heights = [each.height_m for each in chosen]
+    known = [each for each in heights if each]
+    distance = len(known) / sum(1 / each for each in known) if len(known) == len(heights) else None
+    between = seen.pose < len(names)
+    length = np.hypot(*found.residual_px.T)[found.kept & between]
+    return Rig(
+        lenses=tuple(lenses),
+        camera=order[0].camera,
+        distance_m=distance,
+        nearness=(float(state.planes[:, 0].min()), float(state.planes[:, 0].max())),
+        tilt=float(np.clip(np.sqrt((state.planes[:, 1:] ** 2).mean()), 0.05, 0.5)),
+        wander_px=_wander(found, seen, len(names)),
+        captures=len(chosen),
+        points=int((found.kept & between).sum()),
+        residual_px=float(np.median(length)),
+    )
+
+
+def _wander(found: Adjusted, seen: Observations, lenses: int) -> float:
+    """Return how far the points of a lens in one capture are off together, px, beyond chance."""
+    offs = []
+    for capture in np.unique(seen.capture):
+        for lens in range(1, lenses):
+            some = found.kept & (seen.capture == capture) & (seen.pose == lens)
+            if some.sum() >= MIN_POINTS:
+                offs.append(np.median(found.residual_px[some], axis=0))
+    return float(np.clip(np.sqrt(np.mean(np.square(offs))) if offs else 0.05, 0.02, 1.0))
+
+
+def _precision(found: Adjusted, number: int, shape: tuple[int, int]) -> tuple[tuple[float, float], float]:
+    """Return median and largest sigma of what a lens is mapped to, and the largest of its distortion."""
+    state = found.state
+    reference = Lens(state.models[0], shape, state.lenses[0])
+    places = lattice(reference.shape, max(shape) // 8)
+    generator = np.random.default_rng(0)  # sampled, as the chain of the derivatives would be long
+    own = [*range(8), *range(number * 8, number * 8 + 8)]
+    pose = state.lenses.size + number * 6
+    index = np.unique([*own, *range(pose, pose + 6)])
+    covariance = found.covariance[np.ix_(index, index)]
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0))
+    moved, bent = [], []
+    now = Lens(state.models[number], shape, state.lenses[number])
+    base = _between(reference, now, state.poses[number], np.array([1.0, 0, 0]), places)
+    for _ in range(60):
+        vector = state.vector
+        vector[index] += root @ generator.standard_normal(len(index))
+        other = state.with_vector(vector)
+        first = replace(reference, vector=other.lenses[0])
+        second = replace(now, vector=other.lenses[number])
+        moved.append(_between(first, second, other.poses[number], np.array([1.0, 0, 0]), places) - base)
+        bent.append(now.distortion_px(second, max(shape) // 8))
+    sigma = np.sqrt(np.nanmean(np.square(moved), axis=0).mean(axis=1))
+    shortest = min(map(len, bent))
+    bend = np.sqrt(np.mean([np.square(each[:shortest]) for each in bent], axis=0).mean(axis=1))
+    return (float(np.nanmedian(sigma)), float(np.nanmax(sigma))), float(bend.max())
+
+
+def _look(frames: Sequence[Frame]) -> Sharpness:
+    """Return what the frames of a lens look like: the least detail, and the median contrast, of some."""
+    some = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, 8).astype(int))]
+    looks = [look(read_frame(each.path, each.shape)) for each in some]
+    return Sharpness(min(each.detail for each in looks), float(np.median([each.contrast for each in looks])))
+
+
+def look(values: Float32) -> Sharpness:
+    """Return what a frame of (rows, cols) `values` looks like.
+
+    Noise has as much energy in the finest detail as blur takes away: so the bands of one and of two px are
+    compared, of which noise holds little after the first smoothing. Motion takes detail away along its
+    direction alone: the least of four directions counts.
+    """
+    fine = cv2.GaussianBlur(values, (0, 0), 1.0)
+    middle = cv2.GaussianBlur(values, (0, 0), 2.0)
+    coarse = cv2.GaussianBlur(values, (0, 0), 4.0)
+    sharp, soft = fine - middle, middle - coarse
+    ratios = [
+        _slope_energy(sharp, 1, *step) / max(_slope_energy(soft, 2, *step), 1e-12)
+        for step in ((0, 1), (1, 0), (1, 1), (1, -1))
+    ]
+    mean = abs(float(values.mean()))
+    return Sharpness(min(ratios), float(values.std()) / max(mean, 1e-12))
+
+
+def _slope_energy(plane: Float32, length: int, down: int, right: int) -> float:
+    """Return the mean square of differences along a direction, over so many px."""
+    moved = np.roll(plane, (length * down, length * right), (0, 1))
+    return float(np.mean(np.square(plane - moved)))

@@ -1,0 +1,364 @@
+"""A learned rig: its lenses, how they stand to each other, RIG.json, and the warp of a frame."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching.kernels.compiled import compiled
+from pcwlad_geo.matching.refinement import spline_coefficients
+from pcwlad_geo.rigs.lenses import Lens, lattice
+from pcwlad_geo.text import read_json
+from pcwlad_geo.types import Float32, Float64, PathLike
+
+SCHEMA_VERSION: Final = 1
+"""Of RIG.json."""
+POSE: Final = ("rotation_x", "rotation_y", "rotation_z", "baseline_x", "baseline_y", "baseline_z")
+"""How a lens stands to the reference: rotation vector, rad, and origin of its rays over the mean distance."""
+MAP_STEP_PX: Final = 8
+"""Spacing of the exact positions of a warp; between them it is linear, to about 0.002 px."""
+LEAST_SIDE_PX: Final = 640
+"""Frames are not averaged to fewer px than this, longer side."""
+LARGEST_SIDE_PX: Final = 1300
+"""Longer side of the largest frames that are measured."""
+MIN_CROP: Final = 0.3
+"""Least share of the reference's rows and columns that all lenses see."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sharpness:
+    """What a lens's frames looked like where it was learned: against it, blur and covers are told."""
+
+    detail: float
+    """Energy of the finest detail over that of the next coarser one, in the direction where it is least."""
+    contrast: float
+    """Standard deviation of the values over their mean."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigLens:
+    """One lens of a rig."""
+
+    name: str
+    lens: Lens
+    rotation: Float64
+    """(3,) rotation vector from the reference's axes to the lens's, rad."""
+    baseline: Float64
+    """(3,) what is added to a rotated ray for a point at the mean distance, per unit of its depth."""
+    sigma: Float64
+    """(14,) standard deviations: those of the parameters of the lens, then of its pose, see `POSE`."""
+    mapping_sigma_px: tuple[float, float]
+    """Standard deviation of the position at which the lens sees what the reference sees: median and largest
+    over the frame."""
+    distortion_sigma_px: float
+    """Largest standard deviation of its distortion over the frame."""
+    told: Lens | None
+    """The calibration that the frames themselves hold."""
+    sharpness: Sharpness
+    wavelength_nm: tuple[float, float] | None = None
+
+    @property
+    def matrix(self) -> Float64:
+        """(3, 3) rotation from the reference's axes."""
+        return np.asarray(cv2.Rodrigues(self.rotation)[0], np.float64)
+
+    def off_by_px(self) -> tuple[float, float] | None:
+        """Return RMS and largest difference, px, of the calibration in the frames to the learned one."""
+        if self.told is None:
+            return None
+        length = np.hypot(*self.lens.distortion_px(self.told).T)
+        return float(np.sqrt((length**2).mean())), float(length.max())
+
+    def seen(self, rays: Float64, nearness: Float64) -> Float64:
+        """Return the (n, 2) px at which the lens sees points.
+
+        The (n, 2) `rays` are their directions from the reference, and the (n,) `nearness` is the mean
+        distance over the depth of each.
+        """
+        axes = np.column_stack([rays, np.ones(len(rays))]) @ self.matrix.T + nearness[:, None] * self.baseline
+        ahead = axes[:, 2] > 0.05
+        axes[~ahead] = np.nan
+        return self.lens.project(axes[:, :2] / axes[:, 2:])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """Lenses that look the same way; the first is the reference."""
+
+    lenses: tuple[RigLens, ...]
+    camera: str
+    """Make, model and serial number that the frames told."""
+    distance_m: float | None
+    """The mean distance, the unit of the baselines; None where no frame told its height."""
+    nearness: tuple[float, float]
+    """Smallest and largest mean distance over distance of the captures that it was learned from."""
+    tilt: float
+    """Standard deviation of the slope of nearness per direction."""
+    wander_px: float
+    """Standard deviation of how a lens moves against the others from capture to capture."""
+    captures: int
+    points: int
+    residual_px: float
+    """Median distance of the tie points from the model."""
+    seconds: float = 0.0
+
+    @property
+    def reference(self) -> RigLens:
+        """The lens whose frame the others are brought onto."""
+        return self.lenses[0]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the lenses."""
+        return tuple(each.name for each in self.lenses)
+
+    def common_rays(self, xy_px: Float64) -> Float64:
+        """Return the (n, 2) directions of (n, 2) `xy_px` of the common frame, the reference's undistorted."""
+        lens = self.reference.lens
+        return (xy_px - lens.vector[1:3]) / lens.focal_px
+
+    def common_px(self, rays: Float64) -> Float64:
+        """Return the (n, 2) px of the common frame of the (n, 2) directions `rays`."""
+        lens = self.reference.lens
+        return np.asarray(rays * lens.focal_px + lens.vector[1:3])
+
+    def offset_px(self, lens: RigLens) -> tuple[float, float]:
+        """Return how far (col, row) a lens sees the middle of the reference's view from its own middle."""
+        first, second = self.reference.lens, lens.lens
+        ray = first.rays(np.array([[first.shape[1] / 2, first.shape[0] / 2]]))
+        seen = lens.seen(ray, np.ones(1))[0] - np.array([second.shape[1] / 2, second.shape[0] / 2])
+        return float(seen[0]), float(seen[1])
+
+    def crop(self) -> tuple[int, int, int, int]:
+        """Return first column, first row, columns and rows of the part that all lenses see.
+
+        It is taken at the nearest and at the farthest of the captures learned from; what a lens does not see
+        of it in another capture is masked. Raises `InputError` if the lenses have too little in common.
+        """
+        rows, cols = self.reference.lens.shape
+        places = lattice((rows, cols), 8)
+        seen = np.ones(len(places), bool)
+        rays = self.common_rays(places)
+        for near in self.nearness:
+            for lens in self.lenses:
+                at = lens.seen(rays, np.full(len(rays), near))
+                seen &= lens.lens.inside(np.nan_to_num(at, nan=-1e9), 1.0)
+        if seen.any():
+            low, high = np.ceil(places[seen].min(axis=0)), np.floor(places[seen].max(axis=0))
+            size = (high - low).astype(int)
+            if (size >= np.array([64, 64])).all() or (size >= MIN_CROP * np.array([cols, rows])).all():
+                return int(low[0]), int(low[1]), int(size[0]), int(size[1])
+        raise InputError(
+            f"the lenses {', '.join(self.names)} hardly look at the same ground: is this one rig?"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of RIG.json."""
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "kind": "pcwlad-geo rig",
+            "camera": self.camera,
+            "reference": self.reference.name,
+            "distance_m": self.distance_m,
+            "nearness": list(self.nearness),
+            "tilt": self.tilt,
+            "wander_px": self.wander_px,
+            "captures": self.captures,
+            "points": self.points,
+            "residual_px": self.residual_px,
+            "seconds": self.seconds,
+            "lenses": [_lens_json(each) for each in self.lenses],
+        }
+
+    def write(self, path: Path) -> None:
+        """Write RIG.json."""
+        path.write_text(json.dumps(self.to_json(), indent=1) + "\n", encoding="utf-8")
+
+    @staticmethod
+    def from_json(values: Mapping[str, Any]) -> Rig:
+        """Return the rig that `to_json` has told; raises `KeyError`, `TypeError` or `ValueError`."""
+        if values["kind"] != "pcwlad-geo rig" or int(values["schema_version"]) != SCHEMA_VERSION:
+            raise ValueError("no rig of this version")
+        lenses = tuple(_lens_from(each) for each in values["lenses"])
+        if not 2 <= len(lenses) <= 16 or len({each.name for each in lenses}) != len(lenses):
+            raise ValueError("no two lenses")
+        low, high = (float(each) for each in values["nearness"])
+        numbers = [float(values[name]) for name in ("tilt", "wander_px", "residual_px", "seconds")]
+        if not 0 < low <= high < 1e6 or not all(math.isfinite(each) for each in numbers):
+            raise ValueError("no distances")
+        metres = values["distance_m"]
+        return Rig(
+            lenses=lenses,
+            camera=str(values["camera"]),
+            distance_m=None if metres is None else float(metres),
+            nearness=(low, high),
+            tilt=numbers[0],
+            wander_px=numbers[1],
+            captures=int(values["captures"]),
+            points=int(values["points"]),
+            residual_px=numbers[2],
+            seconds=numbers[3],
+        )
+
+    @staticmethod
+    def read(path: PathLike) -> Rig:
+        """Read RIG.json; raises `InputError` if it is none."""
+        try:
+            return Rig.from_json(read_json(Path(path)))
+        except OSError as error:
+            raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+        except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+            raise InputError(f"{path} is no rig of pcwlad-geo: make one with pcwlad-geo rig learn") from error
+
+
+def _lens_json(each: RigLens) -> dict[str, Any]:
+    off = each.off_by_px()
+    names = [*each.lens.to_json()][3:]
+    return {
+        "name": each.name,
+        "wavelength_nm": None if each.wavelength_nm is None else list(each.wavelength_nm),
+        **each.lens.to_json(),
+        "rotation_rad": each.rotation.tolist(),
+        "baseline": each.baseline.tolist(),
+        "sigma": dict(zip([*names, *POSE], each.sigma.tolist(), strict=True)),
+        "mapping_sigma_px": {"median": each.mapping_sigma_px[0], "largest": each.mapping_sigma_px[1]},
+        "distortion_sigma_px": each.distortion_sigma_px,
+        "told": None if each.told is None else each.told.to_json(),
+        "told_off_by_px": None if off is None else {"rms": off[0], "largest": off[1]},
+        "detail": each.sharpness.detail,
+        "contrast": each.sharpness.contrast,
+    }
+
+
+def _lens_from(values: Mapping[str, Any]) -> RigLens:
+    lens, wavelength, told = Lens.from_json(values), values["wavelength_nm"], values["told"]
+    sigma = np.array([float(each) for each in values["sigma"].values()])
+    rotation, baseline = (_triple(values[name]) for name in ("rotation_rad", "baseline"))
+    if sigma.shape != (14,) or not np.isfinite(sigma).all():
+        raise ValueError("no sigmas")
+    pair = values["mapping_sigma_px"]
+    return RigLens(
+        name=str(values["name"]),
+        lens=lens,
+        rotation=rotation,
+        baseline=baseline,
+        sigma=sigma,
+        mapping_sigma_px=(float(pair["median"]), float(pair["largest"])),
+        distortion_sigma_px=float(values["distortion_sigma_px"]),
+        told=None if told is None else Lens.from_json(told),
+        sharpness=Sharpness(float(values["detail"]), float(values["contrast"])),
+        wavelength_nm=None if wavelength is None else (float(wavelength[0]), float(wavelength[1])),
+    )
+
+
+def _triple(values: Sequence[float]) -> Float64:
+    triple = np.array([float(each) for each in values])
+    if triple.shape != (3,) or not np.isfinite(triple).all():
+        raise ValueError("no vector")
+    return triple
+
+
+def coefficients_of(values: Float32) -> Float32:
+    """Return the (rows, cols) coefficients of the cubic B-spline through (rows, cols) `values`."""
+    out = np.empty_like(values)
+    spline_coefficients(values, out)
+    return out
+
+
+def measured_side(shape: tuple[int, int]) -> int:
+    """Return the longer side of the frames in which frames of a `shape` are measured.
+
+    Frames of many px are averaged by two: what is left of their finest detail is the lens's own asymmetric
+    blur more than the ground's detail, and lies up to 0.1 px aside of all else.
+    """
+    side = max(shape)
+    return round(min(side, LARGEST_SIDE_PX, max(LEAST_SIDE_PX, side / 2)))
+
+
+def map_places(
+    shape: tuple[int, int], origin: tuple[float, float], step_px: float
+) -> tuple[Float64, tuple[int, int]]:
+    """Return the (n, 2) places (col, row) where a warp is computed exactly, and their rows and columns.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns of the output.
+    origin : (float, float)
+        Column and row of its top-left corner, in the plane of the places.
+    step_px : float
+        Px of that plane to a px of the output.
+    """
+    counts = [math.ceil(size / MAP_STEP_PX) + 1 for size in shape]
+    row, col = (np.arange(count) * MAP_STEP_PX + 0.5 for count in counts)
+    cols, rows = np.meshgrid(origin[0] + step_px * col, origin[1] + step_px * row)
+    return np.column_stack([cols.ravel(), rows.ravel()]), (counts[0], counts[1])
+
+
+def resampled(
+    coefficients: Float32, seen_px: Float64, counts: tuple[int, int], shape: tuple[int, int]
+) -> Float32:
+    """Return a frame resampled once to (rows, cols), by a cubic B-spline; NaN where it does not reach.
+
+    Parameters
+    ----------
+    coefficients : (rows, cols) float32 array
+        Of the frame, see `coefficients_of`.
+    seen_px : (n, 2) array
+        Px of the frame (col, row), corner-based, at the places of `map_places`, which also gives `counts`.
+    counts, shape : (int, int)
+        Rows and columns of these places, and of the output.
+    """
+    out = np.empty(shape, np.float32)
+    grid = np.nan_to_num(seen_px, nan=-1e9).reshape(*counts, 2)
+    _resample(coefficients, np.ascontiguousarray(grid), MAP_STEP_PX, out)
+    return out
+
+
+@compiled(fastmath=False)
+def _resample(plane: Float32, grid: Float64, step: int, out: Float32) -> None:
+    """Evaluate the spline of `plane` at the positions of `grid`, linear between its nodes."""
+    rows, cols = plane.shape
+    weights_x, weights_y = np.empty(4), np.empty(4)
+    for r in range(out.shape[0]):
+        i, v = r // step, (r % step) / step
+        for c in range(out.shape[1]):
+            j, u = c // step, (c % step) / step
+            x = (1 - v) * ((1 - u) * grid[i, j, 0] + u * grid[i, j + 1, 0]) + v * (
+                (1 - u) * grid[i + 1, j, 0] + u * grid[i + 1, j + 1, 0]
+            )
+            y = (1 - v) * ((1 - u) * grid[i, j, 1] + u * grid[i, j + 1, 1]) + v * (
+                (1 - u) * grid[i + 1, j, 1] + u * grid[i + 1, j + 1, 1]
+            )
+            if not (x >= 0.0 and y >= 0.0 and x <= cols and y <= rows):
+                out[r, c] = np.nan
+                continue
+            x, y = x - 0.5, y - 0.5
+            left, top = int(np.floor(x)), int(np.floor(y))
+            for t, w in ((x - left, weights_x), (y - top, weights_y)):
+                s = 1.0 - t
+                w[0] = s * s * s / 6.0
+                w[1] = 2.0 / 3.0 - t * t * (2.0 - t) / 2.0
+                w[2] = 2.0 / 3.0 - s * s * (2.0 - s) / 2.0
+                w[3] = t * t * t / 6.0
+            total = 0.0
+            for k in range(4):
+                row = abs(top - 1 + k)
+                if row > rows - 1:
+                    row = 2 * (rows - 1) - row
+                along = 0.0
+                for m in range(4):
+                    col = abs(left - 1 + m)
+                    if col > cols - 1:
+                        col = 2 * (cols - 1) - col
+                    along += weights_x[m] * plane[row, col]
+                total += weights_y[k] * along
+            out[r, c] = total

@@ -1,0 +1,399 @@
+"""The two jobs: learn a rig from some captures, and apply it to many."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Final
+
+from pcwlad_geo.errors import InputError, OutputError
+from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
+from pcwlad_geo.execution.processes import available_cores, open_runner
+from pcwlad_geo.execution.runner import Runner
+from pcwlad_geo.limits import JOBS
+from pcwlad_geo.outputs.folder import place_file, stage_inside
+from pcwlad_geo.raster.source import plain_name
+from pcwlad_geo.raster.trust import Trust, trusting
+from pcwlad_geo.rigs.applying import CaptureOutcome, CaptureTask, correct_capture
+from pcwlad_geo.rigs.captures import MAX_LENSES, Capture, find_frames, group
+from pcwlad_geo.rigs.learning import LearnSettings, learn
+from pcwlad_geo.rigs.rig import Rig
+from pcwlad_geo.text import cell, joined, read_json
+from pcwlad_geo.types import PathLike
+
+SUMMARY: Final = "summary.csv"
+"""A line for each capture."""
+NUMBERS: Final = "rig_apply.json"
+"""The same with what is needed to go on where a run was stopped."""
+CHUNK: Final = 16
+"""Captures for each process between two updates of the summary."""
+COLUMNS: Final = tuple(field.name for field in fields(CaptureOutcome))
+"""Of the summary."""
+_PRELOAD: Final = "pcwlad_geo.rigs.applying"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigApplied:
+    """What became of all captures."""
+
+    captures: tuple[CaptureOutcome, ...]
+    """By name."""
+    out_dir: Path
+    unread: tuple[tuple[str, str], ...]
+    """Files that are no frames, and why."""
+
+    @property
+    def summary(self) -> Path:
+        """Path of the summary."""
+        return self.out_dir / SUMMARY
+
+    def count(self, status: str) -> int:
+        """Return the number of captures with a status: corrected, rejected, unusable or failed."""
+        return sum(each.status == status for each in self.captures)
+
+
+def rig_learn(
+    captures: Sequence[PathLike],
+    *,
+    out: PathLike | None = None,
+    pattern: str | None = None,
+    fisheye: bool = False,
+    overwrite: bool = False,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    allow_remote: bool = False,
+    trust_vrt: bool = False,
+    executor: Executor | Runner | None = None,
+    on_event: EventCallback = ignore,
+) -> Rig:
+    """Learn how the lenses of a camera stand to each other, and their distortion, from some captures.
+
+    Parameters
+    ----------
+    captures : sequence of path
+        Frames, or folders of frames, raw as the camera wrote them; of one camera. A few captures at different
+        heights tell the parallax of the lenses, some that overlap the distortion that all share.
+    out : path, optional
+        File to write, RIG.json.
+    pattern : str, optional
+        Regular expression of file names without ending, with the groups `capture` and `lens`, where neither
+        XMP nor the usual names tell what belongs together.
+    fisheye : bool
+        Whether lenses without a calibration in their frames are fisheyes.
+    overwrite : bool
+        Replace `out` where it exists.
+    jobs, scheduler, executor, allow_remote, trust_vrt
+        As `register` takes them.
+    on_event : callable
+        Receives `Progress` and `Warned` events.
+
+    Returns
+    -------
+    Rig
+
+    Raises
+    ------
+    InputError
+        If there are no captures with all lenses, or they are of several cameras.
+    RegistrationRejectedError
+        If a lens cannot be matched with the others.
+    OutputError
+        If `out` cannot be written.
+    """
+    begun = time.perf_counter()
+    if out is not None and Path(out).exists() and not overwrite:
+        raise OutputError(f"{out} exists: give --overwrite to replace it, or another name")
+    with trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
+        found, unread = group(find_frames(captures), pattern)
+        for file, reason in unread:
+            on_event(Warned(reason if file in reason else f"{file}: {reason}"))
+        whole = list(_whole(found, on_event))
+        _check_one_camera(whole)
+        runner = open_runner(executor, on_event, jobs=_processes(jobs), scheduler=scheduler, preload=_PRELOAD)
+        with runner as opened:
+            rig = learn(whole, LearnSettings(), fisheye, opened, on_event)
+    rig = replace(rig, seconds=time.perf_counter() - begun)
+    for each in rig.lenses:
+        off = each.off_by_px()
+        if off is not None and off[1] > max(0.5, 2 * each.distortion_sigma_px):
+            on_event(
+                Warned(
+                    f"lens {each.name}: the calibration in its frames is off by {off[0]:.2f} px RMS, at most "
+                    f"{off[1]:.2f} px, by the tie points (± {each.distortion_sigma_px:.2f}): it was refined"
+                )
+            )
+    if out is not None:
+        with stage_inside(Path(out).parent) as stage:
+            rig.write(stage / "rig.json")
+            place_file(stage / "rig.json", out, overwrite=overwrite)
+    return rig
+
+
+def rig_apply(
+    rig: Rig | PathLike,
+    captures: Sequence[PathLike],
+    *,
+    out_dir: PathLike,
+    pattern: str | None = None,
+    overwrite: bool = False,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    allow_remote: bool = False,
+    trust_vrt: bool = False,
+    executor: Executor | Runner | None = None,
+    on_event: EventCallback = ignore,
+) -> RigApplied:
+    """Bring the lenses of many captures onto each other: one raster for each capture.
+
+    A bad capture (a panel, too near, blurred, a lens covered or missing) is named in a warning and in the
+    summary, and the others are corrected. A capture that an earlier run has corrected from the same files
+    with the same rig is not corrected again.
+
+    Parameters
+    ----------
+    rig : Rig or path
+        Of `rig_learn`, or RIG.json.
+    captures : sequence of path
+        Frames, or folders of frames.
+    out_dir : path
+        Folder of the rasters, `summary.csv` and `rig_apply.json`.
+    pattern, overwrite, jobs, scheduler, executor, allow_remote, trust_vrt, on_event
+        As `rig_learn` takes them; `overwrite` corrects all captures anew.
+
+    Returns
+    -------
+    RigApplied
+
+    Raises
+    ------
+    InputError
+        If there are no captures, or all are of another camera than the rig.
+    OutputError
+        If the results cannot be written.
+    """
+    known = rig if isinstance(rig, Rig) else Rig.read(rig)
+    folder, crop = Path(out_dir), known.crop()
+    with trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
+        found, unread = group(find_frames(captures), pattern)
+        usable, outcomes = _sorted_out(known, found)
+        before = _finished_before(folder)
+        runner = open_runner(executor, on_event, jobs=_processes(jobs), scheduler=scheduler, preload=_PRELOAD)
+        with runner as opened, stage_inside(folder) as stage:
+            tasks = []
+            for capture in usable:
+                digest = _digest(known, capture)
+                earlier = before.get(capture.name)
+                if not overwrite and earlier and earlier[0] == digest and _is_there(folder, earlier[1]):
+                    outcomes.append(replace(earlier[1], done_before=True))
+                    continue
+                path = str(stage / plain_name(f"{capture.name}.tif"))
+                tasks.append(CaptureTask(known, capture, crop, path, digest))
+            _apply(tasks, outcomes, folder, overwrite, before, opened, on_event)
+        ordered = tuple(sorted(outcomes, key=lambda each: each.name))
+        for each in ordered:
+            if each.reason is not None:
+                on_event(Warned(f"{each.name}: {each.status}: {each.reason}"))
+        for file, reason in unread:
+            on_event(Warned(reason if file in reason else f"{file}: {reason}"))
+        _write_summary(folder, ordered, _digests(before) | {task.capture.name: task.digest for task in tasks})
+    return RigApplied(ordered, folder, tuple(unread))
+
+
+def _apply(
+    tasks: Sequence[CaptureTask],
+    outcomes: list[CaptureOutcome],
+    folder: Path,
+    overwrite: bool,
+    before: Mapping[str, tuple[str, CaptureOutcome]],
+    runner: Runner,
+    on_event: EventCallback,
+) -> None:
+    """Correct captures, and keep the summary after each part of them."""
+    runner.expect(len(tasks))
+    chunk = CHUNK * available_cores()
+    digests = _digests(before) | {task.capture.name: task.digest for task in tasks}
+    for begin in range(0, len(tasks), chunk):
+        part = tasks[begin : begin + chunk]
+
+        def tell(event: Any, begin: int = begin) -> None:  # noqa: ANN401
+            if isinstance(event, Progress):
+                event = Progress("captures", begin + event.done, len(tasks))
+            on_event(event)
+
+        results = runner.run(_corrected, [(task,) for task in part], "captures", tell).results
+        for task, outcome in zip(part, results, strict=True):
+            outcomes.append(_placed(task, outcome, folder, overwrite or task.capture.name in before))
+        _write_summary(folder, sorted(outcomes, key=lambda each: each.name), digests)
+
+
+def _corrected(task: CaptureTask) -> CaptureOutcome:
+    """Correct one capture; what nobody expected is told, and the others go on."""
+    try:
+        return correct_capture(task)
+    except Exception as error:  # of any kind: the other captures are corrected nevertheless
+        reason = f"unexpected {type(error).__name__}: {joined(error)}"
+        return CaptureOutcome(task.capture.name, "failed", reason)
+
+
+def _placed(task: CaptureTask, outcome: CaptureOutcome, folder: Path, overwrite: bool) -> CaptureOutcome:
+    """Move a finished raster into the folder."""
+    if outcome.status != "corrected":
+        return outcome
+    staged = Path(task.path)
+    try:
+        place_file(staged, folder / staged.name, overwrite=overwrite)
+    except OutputError as error:
+        if not (folder / staged.name).exists() or overwrite:
+            raise
+        return CaptureOutcome(outcome.name, "unusable", str(error))
+    return replace(outcome, file=staged.name)
+
+
+def _processes(jobs: int | None) -> int | None:
+    if jobs is not None and not 1 <= jobs <= JOBS:
+        raise InputError(f"jobs = {jobs}: give 1 to {JOBS} processes")
+    return jobs
+
+
+def _whole(found: Sequence[Capture], on_event: EventCallback) -> Iterator[Capture]:
+    """Yield the captures that have all lenses; name those that lack one."""
+    names = Counter(name for capture in found for name in capture.frames)
+    # a lens of a stray file is none of the rig's
+    lenses = {name for name, count in names.items() if count >= max(1, 0.5 * len(found))}
+    if not 2 <= len(lenses) <= MAX_LENSES:
+        told = ", ".join(sorted(names)) or "none"
+        raise InputError(
+            f"the {len(found)} captures found have not two to {MAX_LENSES} lenses in common (lenses: "
+            f"{told[:200]}): name frames of one camera, or give --pattern"
+        )
+    complete = 0
+    for capture in found:
+        lacking = sorted(lenses - capture.frames.keys())
+        if lacking:
+            on_event(Warned(f"{capture.name}: left out: lens {', '.join(lacking)} is missing"))
+            continue
+        complete += 1
+        yield replace(capture, frames={name: capture.frames[name] for name in sorted(lenses)})
+    if not complete:
+        raise InputError(f"none of {len(found)} captures has all lenses ({', '.join(sorted(lenses))})")
+
+
+def _check_one_camera(captures: Sequence[Capture]) -> None:
+    first = captures[0]
+    for capture in captures:
+        for name, frame in capture.frames.items():
+            other = first.frames[name]
+            if frame.shape != other.shape:
+                raise InputError(
+                    f"{frame.path} has {frame.shape[1]} x {frame.shape[0]} px and {other.path} "
+                    f"{other.shape[1]} x {other.shape[0]}: give captures of one camera"
+                )
+            if frame.camera != other.camera:
+                raise InputError(
+                    f"{frame.path} is of the camera '{frame.camera}' and {other.path} of '{other.camera}': "
+                    "give captures of one camera"
+                )
+
+
+def _sorted_out(rig: Rig, found: Sequence[Capture]) -> tuple[list[Capture], list[CaptureOutcome]]:
+    """Return the captures that can be tried, and what is wrong with the others."""
+    usable, outcomes, others = [], [], []
+    for capture in found:
+        lacking = [name for name in rig.names if name not in capture.frames]
+        other = None if lacking else _other_camera(rig, capture)
+        if lacking:
+            outcomes.append(CaptureOutcome(capture.name, "unusable", f"lens {', '.join(lacking)} is missing"))
+        elif other is not None:
+            outcomes.append(CaptureOutcome(capture.name, "unusable", other))
+            others.append(other)
+        else:
+            usable.append(capture)
+    if not usable:
+        lenses = sorted({name for capture in found for name in capture.frames})
+        raise InputError(
+            f"{others[0]}: give the RIG.json of this camera"
+            if others
+            else f"no capture has the lenses of the rig ({', '.join(rig.names)}; found: "
+            f"{', '.join(lenses)[:200] or 'none'}): is this its camera?"
+        )
+    return usable, outcomes
+
+
+def _other_camera(rig: Rig, capture: Capture) -> str | None:
+    """Return why a capture is not of the rig's camera; None if it may be."""
+    for each in rig.lenses:
+        frame = capture.frames[each.name]
+        if frame.shape != each.lens.shape:
+            return (
+                f"{frame.path} has {frame.shape[1]} x {frame.shape[0]} px, and the rig's lens {each.name} "
+                f"{each.lens.shape[1]} x {each.lens.shape[0]}"
+            )
+    frame = capture.frames[rig.reference.name]
+    if rig.camera and frame.camera and frame.camera != rig.camera:
+        return f"{frame.path} is of the camera '{frame.camera}', and the rig of '{rig.camera}'"
+    return None
+
+
+def _digest(rig: Rig, capture: Capture) -> str:
+    """Return what tells whether a capture was corrected from the same files with the same rig."""
+    state: list[object] = [{**rig.to_json(), "seconds": 0}]
+    for name in rig.names:
+        path = capture.frames[name].path
+        try:
+            about = Path(path).stat()
+            state.append([path, about.st_size, about.st_mtime_ns])
+        except OSError:
+            state.append([path])
+    return hashlib.sha256(json.dumps(state).encode()).hexdigest()
+
+
+def _finished_before(folder: Path) -> dict[str, tuple[str, CaptureOutcome]]:
+    """Return the captures that an earlier run has corrected, with the digests of their inputs."""
+    try:
+        before = read_json(folder / NUMBERS)
+        found = {}
+        for each in before["captures"]:
+            outcome = CaptureOutcome(**{name: each[name] for name in COLUMNS})
+            if outcome.status == "corrected":
+                found[outcome.name] = str(each["inputs"]), outcome
+        return found
+    except (OSError, InputError, KeyError, TypeError, ValueError, AttributeError):
+        return {}
+
+
+def _digests(before: Mapping[str, tuple[str, CaptureOutcome]]) -> dict[str, str]:
+    return {name: digest for name, (digest, _) in before.items()}
+
+
+def _is_there(folder: Path, outcome: CaptureOutcome) -> bool:
+    return outcome.file is not None and (folder / plain_name(outcome.file)).is_file()
+
+
+def _write_summary(folder: Path, outcomes: Sequence[CaptureOutcome], digests: Mapping[str, str]) -> None:
+    """Write the table and the numbers, each complete or unchanged."""
+    rows = [asdict(each) for each in outcomes]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(
+        {name: cell({True: "yes", False: "no"}[value] if isinstance(value, bool) else value)
+         for name, value in row.items()}
+        for row in rows
+    )  # fmt: skip
+    numbers = {
+        "schema_version": 1,
+        "captures": [{**row, "inputs": digests.get(row["name"], "")} for row in rows],
+    }
+    with stage_inside(folder) as stage:
+        (stage / SUMMARY).write_text(text.getvalue(), encoding="utf-8", errors="backslashreplace", newline="")
+        (stage / NUMBERS).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+        for name in (SUMMARY, NUMBERS):
+            place_file(stage / name, folder / name, overwrite=True)
