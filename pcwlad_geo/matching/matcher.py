@@ -47,6 +47,9 @@ rank, so that a divisor of the points of a cell would sample one rank only."""
 COARSER_ABOVE_PX: Final = 160
 """Wider windows are tried on every second pixel: a tenth of the time, at the cost of some hundredths of a
 pixel, by which aliases draw the match towards whole pixels."""
+MEASURED_UP_TO_PX: Final = 181
+"""Side of the largest window that points are measured with: one of 257 px takes twice as long for no more than
+a hundredth of a pixel."""
 AGAIN_PX: Final = 129
 """Least side of the window in which candidates without a match are tried once more."""
 RETURNS_PX: Final = 0.25
@@ -341,7 +344,8 @@ def try_again(
         Which of the lost they are.
     """
     widest = max(settings.template, *settings.windows)  # the arrays reach as far
-    window_px = max(min(AGAIN_PX, widest), *scales.windows_px)
+    largest = max(scales.windows_px)
+    window_px = widest if largest >= MEASURED_UP_TO_PX else max(min(AGAIN_PX, widest), largest)
     coarser = window_px > COARSER_ABOVE_PX
     corners = np.floor(lost.reference_xy_px[:, ::-1]).astype(np.intp)
     refine_them = _refine_coarser if coarser else _refine_both
@@ -445,7 +449,8 @@ def choose_scales(
     first = Scales.of(settings.window)
     tried = settings.windows[:TRIED_FIRST]
     moved, coarser = seen(tried, False), None
-    for larger in (*settings.windows[TRIED_FIRST:], None):
+    open_to = [window for window in settings.windows[TRIED_FIRST:] if window <= MEASURED_UP_TO_PX]
+    for larger in (*open_to, None):
         errors = window_errors(moved, tried)
         if errors is None or not settings.open_window:
             return first, errors

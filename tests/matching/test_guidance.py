@@ -114,7 +114,12 @@ def test_the_window_is_small_where_the_field_bends_and_large_where_noise_rules(
 ) -> None:
     found = [window_errors(by_windows(noise_px, curvature, seed=seed), WINDOWS_PX) for seed in range(20)]
     errors = [each for each in found if each is not None]
-    assert [each.best(WINDOWS_PX, 81).window_px for each in errors].count(most) >= 17
+    chosen = [each.best(WINDOWS_PX, 81) for each in errors]
+    # where hardly any noise is left, 61 px corrected by 129 are as good
+    also = 61 if noise_px < 0.03 else most
+    assert sum(each.window_px in (most, also) for each in chosen) >= 17
+    if also != most:
+        assert all(each.weights[-1] < 0 for each in chosen if len(each.weights) == 2)
     sigma_px = np.sqrt(np.median([each.variance_px2(Scales.of(81)) for each in errors]))
     assert sigma_px == pytest.approx(np.hypot(noise_px, curvature * 81**2 / 24), rel=0.2)
 
@@ -157,8 +162,9 @@ def test_larger_windows_are_tried_while_they_seem_good() -> None:
         return asked, choose_scales(seen, settings)[0]
 
     asked, scales = tried(0.08, 0.0)
-    assert asked == [(61, 81, 129, 0), (129, 1), (181, 1), (257, 1)]
-    assert scales.window_px == 257
+    # 257 px are for finding what was lost, not for measuring
+    assert asked == [(61, 81, 129, 0), (129, 1), (181, 1)]
+    assert scales.window_px == 181
     asked, scales = tried(0.02, 2e-4)
     assert asked == [(61, 81, 129, 0)]
     assert scales.windows_px == (81, 129)
