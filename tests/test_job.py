@@ -193,7 +193,7 @@ def test_stages_follow_one_another_to_the_end(pair: tuple[Path, Path], tmp_path:
     pcwlad_geo.register(*pair, out_dir=tmp_path / "out", on_event=events.append, **QUICK)
     steps = [event for event in events if isinstance(event, Progress)]
     stages = list(dict.fromkeys(step.stage for step in steps))
-    assert stages == ["reading", "matching", "fitting", "writing", "warping"]
+    assert stages == ["reading", "matching", "refining", "fitting", "writing", "warping"]
     for stage in stages:
         of_stage = [step for step in steps if step.stage == stage]
         assert [step.done for step in of_stage] == sorted(step.done for step in of_stage)

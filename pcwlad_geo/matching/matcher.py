@@ -180,14 +180,15 @@ def match_candidates(pair: PreparedPair, core: Core, settings: MatchSettings) ->
         refined, agree, forward_backward = _refine_both(
             pair.channels, corners[some], start, settings, settings.backward
         )
+        seen = _is_seen(pair.channels, corners[some], refined.shift_xy_px)
         outcome[some] = np.select(
-            [~refined.converged, ~agree],
-            [OUTCOMES.index(name) for name in ("not_converged", "directions_disagree")],
+            [~refined.converged, ~agree, ~seen],
+            [OUTCOMES.index(name) for name in ("not_converged", "directions_disagree", "not_comparable")],
         )
         points = _points(
             corners[some], refined.shift_xy_px, refined.covariance_px2, score[some], forward_backward
         )
-        found = refined.converged & agree
+        found = refined.converged & agree & seen
         return points[found], found
 
     if settings.spare == 0 or settings.features_area_px2 is None:
@@ -358,6 +359,7 @@ def try_again(
     )
     off_px = np.linalg.norm(refined.shift_xy_px - lost.guide.structure_xy_px, axis=1)
     good = refined.converged & (apart_px < RETURNS_PX) & (off_px < lost.limit_px)
+    good &= _is_seen(pair, corners, refined.shift_xy_px)
     index = np.flatnonzero(good)
     points = _points(
         corners[index],
@@ -368,6 +370,14 @@ def try_again(
     )
     guide = replace(lost.guide, one_way=False).part(index)
     return rematch_with(pair, points, guide, settings, scales), index
+
+
+def _is_seen(pair: ChannelPair, corners: Index, shift_xy_px: Float64) -> Bool:
+    """Return whether matches lie on valid pixels of the target: a large window sees across a small cloud."""
+    valid = pair.target.valid
+    there = np.floor(np.nan_to_num(_centres(corners) + shift_xy_px)).astype(np.intp)[:, ::-1]
+    row, col = np.clip(there, 0, np.array(valid.shape) - 1).T
+    return np.asarray(valid[row, col])
 
 
 def can_try_again(settings: MatchSettings) -> bool:
