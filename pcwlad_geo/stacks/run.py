@@ -325,8 +325,6 @@ def stack_add(
     before = _numbers_of(Path(out_dir))
     if before.get("block") is not None:
         raise InputError(f"{out_dir} is a stack of images with RPCs: stack all images again")
-    if any(entry["model"]["name"] == "projective" for entry in before["images"]):
-        raise InputError(f"{out_dir} is a stack of frames with homographies: stack all images again")
     old, points = _of_before(before, Path(out_dir))
     own = {"ref_band": old[0].band, "tgt_band": old[0].band, "model": before["model"]}
     job = _job(out_dir, False, on_event, executor, options | own)
@@ -453,8 +451,9 @@ PIXELS_ALIKE: Final = 0.1
 
 
 def _of_before(before: Mapping[str, Any], folder: Path) -> tuple[list[StackInput], tuple[ControlPoint, ...]]:
-    """Return the images and control points of a finished stack; raises `InputError` if it is damaged."""
+    """Return the images and control points of a finished stack; raises `InputError` if it takes no more."""
     try:
+        projective = HOMOGRAPHY in [entry["model"]["name"] for entry in before["images"]]
         old = [StackInput(**entry["given"]) for entry in before["images"]]
         names = [each.name for each in old]
         later = [name for each in before["added"] for name in each]
@@ -464,7 +463,7 @@ def _of_before(before: Mapping[str, Any], folder: Path) -> tuple[list[StackInput
             and all(name and name == plain_name(name) for name in names)
             and names[len(names) - len(later) :] == later
             and {*ends, before["reference"]} <= set(names)
-            and before["model"] in TRIED
+            and before["model"] in (*TRIED, HOMOGRAPHY)
             and all(each["status"] in ("used", "left out", "refused") for each in before["pairs"])
             and all(isinstance(text, str) for text in (before["datum"], *before["warnings"]))
             and all(isinstance(each.path, str) and isinstance(each.band, int | str) for each in old)
@@ -475,6 +474,8 @@ def _of_before(before: Mapping[str, Any], folder: Path) -> tuple[list[StackInput
         raise InputError(f"{folder / NUMBERS} is damaged ({error}): stack the images again") from error
     if not whole:
         raise InputError(f"{folder / NUMBERS} is damaged: stack the images again")
+    if projective:
+        raise InputError(f"{folder} is a stack of frames with homographies: stack all images again")
     return old, points
 
 
