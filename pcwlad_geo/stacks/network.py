@@ -35,6 +35,7 @@ UNDETERMINED: Final = (
     "the points of an image do not determine its correction, as they are few or lie on a line: "
     "give more, or a simpler --model"
 )
+"""What an error says of images whose points leave their corrections open."""
 BLOCKS: Final = 3
 """An image is divided into so many blocks along each axis, which are left out in turn."""
 ALIKE: Final = 1.4
@@ -227,7 +228,17 @@ class Fold:
 
 
 def folds_of(edge: Edge, basis: Basis, coefficients: Float64, side: float, whole: Part) -> list[Fold]:
-    """Return each block of the points of an edge, left out; see `blocks_of`."""
+    """Return each block of the points of an edge, left out; see `blocks_of`.
+
+    Parameters
+    ----------
+    coefficients : (images, functions, 2) array
+        Of the corrections, along columns and rows.
+    side : float
+        Of a block, px.
+    whole : Part
+        All points of the edge.
+    """
     points = _weighted(edge, basis, coefficients)
     number = _numbers(points, basis, side)
     return [
