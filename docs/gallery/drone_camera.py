@@ -26,7 +26,9 @@ with tempfile.TemporaryDirectory() as folder:
     pcwlad_geo.rig_apply(rig, [raw], out_dir=Path(folder) / "bands", jobs=1)
     before = [read(raw / f"C_0_{number}.tif") for number in (4, 3, 2)]
     with rasterio.open(Path(folder) / "bands" / "C_0.tif") as file:
-        after = [file.read(file.descriptions.index(name) + 1).astype(float) for name in ("NIR", "Red", "Green")]
+        after = [
+            file.read(file.descriptions.index(name) + 1).astype(float) for name in ("NIR", "Red", "Green")
+        ]
 
 figure, axes = panels(["the raw frames", f"one raster; residual {rig.residual_px:.2f} px"])
 for axis, bands in zip(axes, (before, after), strict=True):

@@ -48,8 +48,8 @@ COARSER_ABOVE_PX: Final = 160
 """Wider windows are tried on every second pixel: a tenth of the time, at the cost of some hundredths of a
 pixel, by which aliases draw the match towards whole pixels."""
 MEASURED_UP_TO_PX: Final = 181
-"""Side of the largest window that points are measured with: one of 257 px takes twice as long for no more than
-a hundredth of a pixel."""
+"""Side of the largest window that points are measured with: one of 257 px takes twice as long, for no more
+than a hundredth of a pixel."""
 AGAIN_PX: Final = 129
 """Least side of the window in which candidates without a match are tried once more."""
 RETURNS_PX: Final = 0.25

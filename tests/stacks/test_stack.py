@@ -135,7 +135,9 @@ def test_what_cannot_be_stacked_is_told(tmp_path: Path) -> None:
         stack([one, plain])
     with pytest.raises(SettingsError, match="models auto, shift, affine, polynomial, tps"):
         stack([one, plain], model="jitter")
-    with pytest.raises(InputError, match="1 of 2 images can be placed, and with RPCs and a DEM two are needed"):
+    with pytest.raises(
+        InputError, match="1 of 2 images can be placed, and with RPCs and a DEM two are needed"
+    ):
         stack([one, plain], dem="dem.tif")
     with pytest.raises(InputError, match="the reference two is none of the images"):
         stack([one, write(tmp_path / "other.tif", render(GRID), GRID)], reference="two")
