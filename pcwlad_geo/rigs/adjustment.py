@@ -13,7 +13,6 @@ References
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -33,6 +32,10 @@ OF_PLANE: Final = 3
 """Parameters of the ground of a capture."""
 ROUNDS: Final = 14
 """Largest number of Gauss–Newton steps."""
+PATIENT: Final = 3
+"""Steps in which residuals may be larger, as the state is not yet near."""
+LEAST_SHARE: Final = 0.2
+"""The sigma of a lens's points is not below this share of what their matching says."""
 STILL_PX: Final = 1e-4
 """A step that moves no prediction further ends the iteration."""
 HUBER: Final = 1.5
@@ -129,7 +132,14 @@ class Adjusted:
 
 
 def adjust(
-    first: State, expected: State, sigma: State, seen: Observations, overlap: float, *, unit: bool = True
+    first: State,
+    expected: State,
+    sigma: State,
+    seen: Observations,
+    overlap: float,
+    *,
+    unit: bool = True,
+    by_lens: bool = False,
 ) -> Adjusted:
     """Adjust all parameters.
 
@@ -147,9 +157,12 @@ def adjust(
         How many points share a window: their errors are not independent.
     unit : bool
         Whether the mean nearness of the captures is 1; otherwise it is free, as the baselines are known.
+    by_lens : bool
+        Whether the points of each lens, and those between captures, have the sigma that their residuals say.
     """
     state, point = first, seen.points()
-    seen = replace(seen, sigma_px=np.hypot(seen.sigma_px, MODEL_SIGMA_PX) * math.sqrt(max(overlap, 1.0)))
+    seen = replace(seen, sigma_px=np.hypot(seen.sigma_px, MODEL_SIGMA_PX))
+    given_px, alike = seen.sigma_px, max(overlap, 1.0)
     relief = np.zeros(point.max() + 1)
     scale, before = sigma.vector, expected.vector
     free = np.flatnonzero(scale > 0)
@@ -160,7 +173,12 @@ def adjust(
         # linear at no relief: where it is, longer baselines would be drawn towards less of it
         residual = seen.seen_px - predict(state, seen, level)
         jacobian, by_relief = _jacobian(state, seen, level, set(free.tolist()))
+        if by_lens and turn >= PATIENT:
+            seen = replace(
+                seen, sigma_px=given_px * _share_by_lens(state, seen, residual, by_relief, given_px)
+            )
         weight, kept = _weights(residual - by_relief * relief[point, None], seen, turn)
+        weight = weight / alike
         columns = jacobian[:, free] @ sparse.diags(scale[free])
         step, relief, normal = _step(
             columns, by_relief.ravel(), residual, weight, point, _relief_sigma(state),
@@ -171,7 +189,7 @@ def adjust(
         state = state.with_vector(state.vector + change)
         moved = np.abs(columns @ step).max(initial=0.0)
         damping = damping / 10 if damping > 1e-9 else 0.0
-        if moved < STILL_PX and turn > 3:
+        if moved < STILL_PX and turn > PATIENT:
             break
     residual = seen.seen_px - predict(state, seen, np.clip(relief, -0.5, 0.5)[point])
     weight, kept = _weights(residual, seen, ROUNDS)
@@ -210,7 +228,7 @@ def _weights(residual: Float64, seen: Observations, turn: int) -> tuple[Float64,
     sigma, length = seen.sigma_px, np.hypot(*residual.T)
     spread = max(1.0, float(np.median(length / sigma)) / 1.18)
     ratio = length / (sigma * spread)
-    far = TOO_FAR * (4 if turn < 3 else 1)
+    far = TOO_FAR * (4 if turn < PATIENT else 1)
     kept = (ratio < far) | (length < LEAST_FAR_PX)
     huber = np.minimum(1.0, HUBER * 1.41 / np.maximum(ratio, 1e-9))
     return np.where(kept, huber / sigma**2, 0.0), np.asarray(kept)
@@ -221,6 +239,23 @@ def _spread(residual: Float64, seen: Observations, kept: Bool) -> float:
     if not kept.any():
         return 1.0
     return float(np.median(np.abs(residual[kept]) / seen.sigma_px[kept, None]) * 1.4826)
+
+
+def _share_by_lens(
+    state: State, seen: Observations, residual: Float64, by_relief: Float64, sigma_px: Float64
+) -> Float64:
+    """Return the (n,) sigma of the points of a lens, or between captures, over that expected of them.
+
+    Residuals count across the parallax: along it the relief of each point takes most of them.
+    """
+    length = np.maximum(np.hypot(*by_relief.T), 1e-12)
+    across = np.abs(residual[:, 0] * by_relief[:, 1] - residual[:, 1] * by_relief[:, 0]) / length / sigma_px
+    share = np.ones(len(seen))
+    group = np.minimum(seen.pose, len(state.lenses))
+    for each in np.unique(group):
+        some = group == each
+        share[some] = max(LEAST_SHARE, 1.4826 * float(np.median(across[some])))
+    return share
 
 
 def _jacobian(

@@ -48,6 +48,9 @@ LEAST_SIGMA_PX: Final = 0.05
 """Standard deviation of a place, px of the measured frame, at best."""
 FAR: Final = 6.0
 """How many times nearer than the nearest capture learned from, or farther than the farthest, is believed."""
+CHANCE: Final = 0.55
+"""Median distance of the agreeing places of a lens, over that within which they agree, from which they do so
+by chance: of places that lie anywhere it is 0.7."""
 MOVED_PX: Final = 1.5
 """Where places moved further from the prediction, px of the measured frame, all are measured again."""
 
@@ -224,7 +227,7 @@ def _measured(rig: Rig, values: Sequence[Float32], plane: Float64) -> Observatio
         factor = _factor(rig, each)
         first, first_valid = _in_view(rig, rig.reference, values[0], plane, factor)
         second, second_valid = _in_view(rig, each, values[number], plane, factor)
-        window = int(np.clip(0.25 * min(first.shape), 21, WINDOW_PX)) // 2 * 2 + 1
+        window = _window_px(first.shape)
         corners = textured(first, first_valid & second_valid, window)
         if len(corners) < LEAST_PLACES:
             raise BadCaptureError(f"lens {each.name} has too little structure where {rig.names[0]} sees it")
@@ -238,6 +241,16 @@ def _measured(rig: Rig, values: Sequence[Float32], plane: Float64) -> Observatio
         target_px = origin_px + found.shift_xy_px[good] * factor
         parts.append(_as_observations(rig, number, plane, origin_px, target_px, sigma))
     return Observations.joined(parts)
+
+
+def _window_px(shape: Sequence[int]) -> int:
+    return int(np.clip(0.25 * min(shape), 21, WINDOW_PX)) // 2 * 2 + 1
+
+
+def _overlap(rig: Rig, seen: Observations) -> float:
+    """Return how many places of a lens share a window, on average: their errors are not independent."""
+    shape = [round(n / _factor(rig, rig.lenses[1])) for n in rig.reference.lens.shape]
+    return len(seen) / (len(rig.lenses) - 1) * _window_px(shape) ** 2 / math.prod(shape)
 
 
 def _as_observations(
@@ -327,7 +340,7 @@ def _adjusted(
     planes = np.array([[slack, rig.tilt * near, rig.tilt * near]])
     begin = replace(first, planes=plane[None])
     sigma = State(first.models, np.zeros_like(lenses), free, planes)
-    result = adjust(begin, first, sigma, seen, 1.0, unit=False)
+    result = adjust(begin, first, sigma, seen, _overlap(rig, seen), unit=False)
     scale = rig.reference.lens.focal_px / lenses[seen.lens, 0]
     length = np.hypot(*result.residual_px.T) * scale
     _check_agreement(rig, seen, length, result)
@@ -363,7 +376,8 @@ def _check_agreement(rig: Rig, seen: Observations, length: Float64, result: Adju
         factor = _factor(rig, each)
         own = length[seen.lens == number]
         agreeing = int((own < AGREE_PX * factor).sum())
-        if agreeing < LEAST_PLACES or agreeing < LEAST_AGREEING * len(own):
+        near_px = float(np.median(own[own < AGREE_PX * factor])) if agreeing else math.inf
+        if agreeing < max(LEAST_PLACES, LEAST_AGREEING * len(own)) or near_px > CHANCE * AGREE_PX * factor:
             lost.append(f"{each.name} ({agreeing} of {len(own)} places)")
     near = float(result.state.planes[0, 0])
     if lost:

@@ -31,12 +31,16 @@ COARSE_SIDE_PX: Final = 480
 """That of the first round, where the lenses are not yet known well."""
 COARSE_CAPTURES: Final = 5
 """Number of captures of the first round."""
-ROUND_RADII_PX: Final = (7, 4)
-"""Radius of the search in each of the rounds after it."""
+ROUNDS: Final = ((7, 1.0), (3, 0.75), (3, 0.75))
+"""Radius of the search, px, and size of the windows in each of the rounds after it: near the edges of a frame
+large windows see to one side only, and are led by where the round before has put them."""
 TRIES: Final = 4
 """Captures in which a start is looked for."""
 SCALE_SPREAD: Final = (1.3, 2.2)
 """Factor within which the ratio of two focal lengths is searched: where both are told, and elsewhere."""
+RIM: Final = 0.5
+"""Points between captures are not nearer to an edge of a frame than this share of their window: what is seen
+from aside deforms windows, and those that are cut are drawn inwards."""
 SCALES: Final = tuple(float(1.08**step) for step in sorted(range(-9, 10), key=abs))
 """Factors on a focal length that nothing tells, the likely ones first."""
 MIN_START: Final = 16
@@ -89,6 +93,8 @@ class _Task:
     side_px: int
     radius_px: int
     features: int
+    share: float = 1.0
+    """Size of the windows over the usual one."""
 
     def seen_px(self, reference_px: Float64) -> Float64:
         """Return the (n, 2) px at which the lens should see (n, 2) px of the reference's raw frame."""
@@ -139,11 +145,12 @@ def learn(
         extra = _overlapping(state, chosen, names[0], lenses[0], runner, on_event)
         state, sigma = _with_poses(state, sigma, extra)
         expected = replace(expected, poses=state.poses * _between_captures(state), overlaps=state.overlaps)
-    for radius in ROUND_RADII_PX:
+    for radius, share in ROUNDS:
         lenses = [replace(lens, vector=v) for lens, v in zip(lenses, state.lenses, strict=True)]
         side = measured_side(order[0].shape)
-        seen = _matched(state, chosen, names, lenses, side, radius, settings.features, runner, on_event)
-        found = adjust(state, expected, sigma, seen, _overlap(seen, order))
+        features = round(settings.features / share**2)
+        seen = _matched(state, chosen, names, lenses, side, radius, features, runner, on_event, share)
+        found = adjust(state, expected, sigma, seen, _overlap(seen, order, share), by_lens=True)
         state = found.state
     return _rig_of(found, seen, chosen, order, names)
 
@@ -351,6 +358,7 @@ def _matched(
     features: int,
     runner: Runner,
     on_event: EventCallback,
+    share: float = 1.0,
 ) -> Observations:
     """Match every lens of every capture, and captures that have a pose between them."""
     tasks = []
@@ -371,6 +379,7 @@ def _matched(
                 _side(side_px, now[0], now[k]),
                 radius_px,
                 features,
+                share,
             )
             for k in range(1, len(names))
         ]
@@ -389,6 +398,7 @@ def _matched(
                 side_px,
                 3 * radius_px,
                 features,
+                share,
             )
         )
     found = runner.run(match_task, [(task,) for task in tasks], "matching", on_event).results
@@ -430,36 +440,50 @@ def match_task(task: _Task) -> Observations | None:
 
 def _matched_here(task: _Task, reference: Float32, seen: Float32) -> tuple[Float64, Float64, Float64] | None:
     """Match a lens, warped into the raw frame of the reference; return px of both and their sigma."""
-    factor = max(task.reference.shape) / min(task.side_px, max(task.reference.shape))
-    images, valid = _pair_in_view(task, reference, seen, factor)
-    settings = match_settings(images[0].shape, task.radius_px, task.features)
+    whole = task.reference.shape
+    factor = max(whole) / min(task.side_px, max(whole))
+    rows, cols = (max(16, round(n / factor)) for n in whole)
+    factor_xy = np.array([whole[1] / cols, whole[0] / rows])  # whole px make them differ a little
+    images, valid = _pair_in_view(task, reference, seen, (rows, cols), factor_xy)
+    settings = match_settings(images[0].shape, task.radius_px, task.features, task.share)
     try:
         points = match_arrays(*images, target_valid=valid, settings=settings)
     except InputError:  # too small, or nothing to compare
         return None
     points = points[np.asarray((points.sigma_px < 1.0).all(axis=1))]
-    return _in_frames(task, points, factor)
+    found = _in_frames(task, points, factor_xy)
+    if task.lens != 0:
+        return found
+    rim_px = RIM * settings.window * factor  # another capture of the reference
+    inside = _inside(found[0], whole, rim_px) & _inside(found[1], whole, rim_px)
+    return found[0][inside], found[1][inside], found[2][inside]
 
 
-def _in_frames(task: _Task, points: TiePoints, factor: float) -> tuple[Float64, Float64, Float64]:
+def _inside(xy_px: Float64, shape: tuple[int, int], rim_px: float) -> Bool:
+    return np.asarray(((xy_px > rim_px) & (xy_px < np.array(shape[::-1]) - rim_px)).all(axis=1))
+
+
+def _in_frames(task: _Task, points: TiePoints, factor_xy: Float64) -> tuple[Float64, Float64, Float64]:
     """Return the px in both raw frames of points in the view, and their sigma in px of the lens."""
-    reference_px = points.reference_xy_px * factor
-    seen_px = task.seen_px(points.target_xy_px * factor)
-    aside_px = task.seen_px(points.target_xy_px * factor + 1.0)
+    reference_px = points.reference_xy_px * factor_xy
+    seen_px = task.seen_px(points.target_xy_px * factor_xy)
+    aside_px = task.seen_px(points.target_xy_px * factor_xy + 1.0)
     per_px = np.hypot(*(aside_px - seen_px).T) / math.sqrt(2)
-    sigma_px = np.sqrt((points.sigma_px**2).mean(axis=1)) * factor * per_px
+    sigma_px = np.sqrt((points.sigma_px**2).mean(axis=1)) * factor_xy.mean() * per_px
     good = np.isfinite(seen_px).all(axis=1) & np.isfinite(sigma_px)
     return reference_px[good], seen_px[good], sigma_px[good]
 
 
 def _pair_in_view(
-    task: _Task, reference: Float32, seen: Float32, factor: float
+    task: _Task, reference: Float32, seen: Float32, shape: tuple[int, int], factor_xy: Float64
 ) -> tuple[tuple[Float32, Float32], Bool]:
     """Return the reference, and the lens as the reference should see it, with the mask of the latter."""
-    rows, cols = (max(16, round(n / factor)) for n in task.reference.shape)
-    view = cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA) if factor > 1 else reference
-    places, counts = map_places((rows, cols), (0.0, 0.0), factor)
-    at = task.seen_px(places)
+    rows, cols = shape
+    view = reference
+    if shape != reference.shape:
+        view = cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA)
+    places, counts = map_places(shape, (0.0, 0.0), 1.0)
+    at = task.seen_px(places * factor_xy)
     steps = np.nanmedian(np.abs(np.diff(at.reshape(*counts, 2)[:, :, 0], axis=1))) / 8
     shrink = max(1.0, float(steps)) if np.isfinite(steps) else 1.0
     small = [max(16, round(n / shrink)) for n in task.seen.shape]
@@ -471,19 +495,21 @@ def _pair_in_view(
     return (np.asarray(view, np.float32), np.nan_to_num(warped)), valid
 
 
-def match_settings(shape: tuple[int, ...], radius_px: int, features: int) -> MatchSettings:
-    """Return settings for frames of a `shape`: windows that are small enough for it."""
-    side = int(np.clip(0.2 * min(shape), 31, 81)) // 2 * 2 + 1
+def match_settings(
+    shape: tuple[int, ...], radius_px: int, features: int, share: float = 1.0
+) -> MatchSettings:
+    """Return settings for frames of a `shape`: windows small enough for it, or a `share` of these."""
+    side = int(np.clip(0.2 * share * min(shape), 31, 81 * share)) // 2 * 2 + 1
     template = min(101, side + 20)
     return MatchSettings(
         features=features, search_radius=radius_px, window=side, template=template, ssim_min=0.0
     )
 
 
-def _overlap(seen: Observations, order: Sequence[Frame]) -> float:
+def _overlap(seen: Observations, order: Sequence[Frame], share: float) -> float:
     """Return how many points share a window, on average."""
     views = len(np.unique(np.column_stack([seen.capture, seen.pose]), axis=0))
-    side = match_settings(order[0].shape, 5, 1).window
+    side = match_settings(order[0].shape, 5, 1, share).window
     return len(seen) / max(views, 1) * side**2 / _pixels(order[0])
 
 
@@ -495,14 +521,12 @@ def _overlapping(
     runner: Runner,
     on_event: EventCallback,
 ) -> list[tuple[int, int, Float64]]:
-    """Return captures whose reference frames overlap with the next one's, and the pose between them."""
+    """Return captures whose reference frames overlap with the next two's, and the poses between them."""
     lens = replace(lens, vector=state.lenses[0])
-    calls = [
-        (chosen[k].frames[name], chosen[k + 1].frames[name], lens, state.planes[k])
-        for k in range(len(chosen) - 1)
-    ]
+    pairs = [(k, k + step) for step in (1, 2) for k in range(len(chosen) - step)]
+    calls = [(chosen[k].frames[name], chosen[m].frames[name], lens, state.planes[k]) for k, m in pairs]
     found = runner.run(find_overlap, calls, "overlaps", on_event).results
-    return [(k, k + 1, pose) for k, pose in enumerate(found) if pose is not None]
+    return [(k, m, pose) for (k, m), pose in zip(pairs, found, strict=True) if pose is not None]
 
 
 def find_overlap(one: Frame, other: Frame, lens: Lens, plane: Float64) -> Float64 | None:
@@ -704,8 +728,8 @@ def look(values: Float32) -> Sharpness:
         _slope_energy(sharp, 1, *step) / max(_slope_energy(soft, 2, *step), 1e-12)
         for step in ((0, 1), (1, 0), (1, 1), (1, -1))
     ]
-    mean = abs(float(values.mean()))
-    return Sharpness(min(ratios), float(values.std()) / max(mean, 1e-12))
+    mean = abs(float(values.mean()))  # without noise, as dark frames have the more of it
+    return Sharpness(min(ratios), float(coarse.std()) / max(mean, 1e-12))
 
 
 def _slope_energy(plane: Float32, length: int, down: int, right: int) -> float:

@@ -8,7 +8,7 @@ import io
 import json
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -196,14 +196,19 @@ def rig_apply(
                     continue
                 path = str(stage / plain_name(f"{capture.name}.tif"))
                 tasks.append(CaptureTask(known, capture, crop, path, digest))
-            _apply(tasks, outcomes, folder, overwrite, before, opened, on_event)
+            digests = _digests(before) | {task.capture.name: task.digest for task in tasks}
+
+            def write_summary() -> None:
+                _write_summary(stage, folder, sorted(outcomes, key=lambda each: each.name), digests)
+
+            _apply(tasks, outcomes, folder, overwrite, before, opened, on_event, write_summary)
+            write_summary()
         ordered = tuple(sorted(outcomes, key=lambda each: each.name))
         for each in ordered:
             if each.reason is not None:
                 on_event(Warned(f"{each.name}: {each.status}: {each.reason}"))
         for file, reason in unread:
             on_event(Warned(reason if file in reason else f"{file}: {reason}"))
-        _write_summary(folder, ordered, _digests(before) | {task.capture.name: task.digest for task in tasks})
     return RigApplied(ordered, folder, tuple(unread))
 
 
@@ -215,11 +220,11 @@ def _apply(
     before: Mapping[str, tuple[str, CaptureOutcome]],
     runner: Runner,
     on_event: EventCallback,
+    write_summary: Callable[[], None],
 ) -> None:
-    """Correct captures, and keep the summary after each part of them."""
+    """Correct captures, and write the summary after each part of them."""
     runner.expect(len(tasks))
     chunk = CHUNK * available_cores()
-    digests = _digests(before) | {task.capture.name: task.digest for task in tasks}
     for begin in range(0, len(tasks), chunk):
         part = tasks[begin : begin + chunk]
 
@@ -231,7 +236,7 @@ def _apply(
         results = runner.run(_corrected, [(task,) for task in part], "captures", tell).results
         for task, outcome in zip(part, results, strict=True):
             outcomes.append(_placed(task, outcome, folder, overwrite or task.capture.name in before))
-        _write_summary(folder, sorted(outcomes, key=lambda each: each.name), digests)
+        write_summary()
 
 
 def _corrected(task: CaptureTask) -> CaptureOutcome:
@@ -377,7 +382,9 @@ def _is_there(folder: Path, outcome: CaptureOutcome) -> bool:
     return outcome.file is not None and (folder / plain_name(outcome.file)).is_file()
 
 
-def _write_summary(folder: Path, outcomes: Sequence[CaptureOutcome], digests: Mapping[str, str]) -> None:
+def _write_summary(
+    stage: Path, folder: Path, outcomes: Sequence[CaptureOutcome], digests: Mapping[str, str]
+) -> None:
     """Write the table and the numbers, each complete or unchanged."""
     rows = [asdict(each) for each in outcomes]
     text = io.StringIO()
@@ -392,8 +399,7 @@ def _write_summary(folder: Path, outcomes: Sequence[CaptureOutcome], digests: Ma
         "schema_version": 1,
         "captures": [{**row, "inputs": digests.get(row["name"], "")} for row in rows],
     }
-    with stage_inside(folder) as stage:
-        (stage / SUMMARY).write_text(text.getvalue(), encoding="utf-8", errors="backslashreplace", newline="")
-        (stage / NUMBERS).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-        for name in (SUMMARY, NUMBERS):
-            place_file(stage / name, folder / name, overwrite=True)
+    (stage / SUMMARY).write_text(text.getvalue(), encoding="utf-8", errors="backslashreplace", newline="")
+    (stage / NUMBERS).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    for name in (SUMMARY, NUMBERS):
+        place_file(stage / name, folder / name, overwrite=True)

@@ -122,6 +122,17 @@ def test_what_is_done_is_not_done_again(
     assert {file.name: file.stat().st_mtime_ns for file in applied.out_dir.glob("*.tif")} == before
 
 
+def test_captures_of_all_parts_of_a_long_flight_are_corrected(
+    known: pg.Rig, frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The summary that is written after each part leaves the rasters of the next a place."""
+    monkeypatch.setattr("pcwlad_geo.rigs.run.CHUNK", 1)
+    monkeypatch.setattr("pcwlad_geo.rigs.run.available_cores", lambda: 1)
+    good = [file for name in GOOD for file in sorted(frames.glob(f"{name}_*"))]
+    found = pg.rig_apply(known, good, out_dir=tmp_path, executor=InThisProcess())
+    assert found.count("corrected") == len(GOOD) > 1
+
+
 def test_another_rig_does_it_again(known: pg.Rig, frames: Path, tmp_path: Path) -> None:
     files = sorted(frames.glob("GOOD_1_*"))
     pg.rig_apply(known, files, out_dir=tmp_path, executor=InThisProcess())

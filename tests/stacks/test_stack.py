@@ -30,9 +30,12 @@ SHIFTS_PX = np.array([[0.0, 0.0], [1.7, -2.4], [-0.6, 1.3], [2.2, 0.8]])
 
 
 def write_images(folder: Path, count: int = 3) -> list[Path]:
+    """Write images of one scene, each with noise of its own: shared noise would draw pairs to no shift."""
+    rng = np.random.default_rng(2)
+    images = [render(GRID, displacement_px=SHIFTS_PX[k], noise=0.0) for k in range(count)]
     return [
-        write(folder / f"date{k}.tif", render(GRID, displacement_px=SHIFTS_PX[k], noise=2.0), GRID)
-        for k in range(count)
+        write(folder / f"date{k}.tif", image + 2.0 * rng.standard_normal(image.shape), GRID)
+        for k, image in enumerate(images)
     ]
 
 
