@@ -13,6 +13,7 @@ References
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -30,6 +31,8 @@ OF_POSE: Final = 6
 """Parameters of a pose."""
 OF_PLANE: Final = 3
 """Parameters of the ground of a capture."""
+TRIES: Final = 8
+"""Steps tried from one place, each shorter than the last, until one reduces the misfit."""
 ROUNDS: Final = 14
 """Largest number of Gauss–Newton steps."""
 PATIENT: Final = 3
@@ -180,15 +183,21 @@ def adjust(
         weight, kept = _weights(residual - by_relief * relief[point, None], seen, turn)
         weight = weight / alike
         columns = jacobian[:, free] @ sparse.diags(scale[free])
-        step, relief, normal = _step(
-            columns, by_relief.ravel(), residual, weight, point, _relief_sigma(state),
-            (before - state.vector)[free] / scale[free], _mean_row(state, free, scale * unit), damping,
-        )  # fmt: skip
-        change = np.zeros(len(scale))
-        change[free] = scale[free] * step
-        state = state.with_vector(state.vector + change)
-        moved = np.abs(columns @ step).max(initial=0.0)
-        damping = damping / 10 if damping > 1e-9 else 0.0
+        problem = _Problem(weight, point, _relief_sigma(state), before, scale, free, unit)
+        least, moved = problem.cost(state, residual, by_relief), 0.0
+        for _ in range(TRIES):
+            step, relief, normal = _step(
+                columns, by_relief.ravel(), residual, weight, point, problem.relief_sigma,
+                (before - state.vector)[free] / scale[free], _mean_row(state, free, scale * unit), damping,
+            )  # fmt: skip
+            change = np.zeros(len(scale))
+            change[free] = scale[free] * step
+            there = state.with_vector(state.vector + change)
+            if problem.cost(there, *_misfit(there, seen, level)) <= least * (1 + 1e-9):
+                state, moved = there, np.abs(columns @ step).max(initial=0.0)
+                damping = damping / 10 if damping > 1e-9 else 0.0
+                break
+            damping = max(10 * damping, 1e-6)  # too far for what is linear
         if moved < STILL_PX and turn > PATIENT:
             break
     residual = seen.seen_px - predict(state, seen, np.clip(relief, -0.5, 0.5)[point])
@@ -199,6 +208,39 @@ def adjust(
         np.linalg.inv(normal) * np.outer(scale[free], scale[free]) * max(factor, 1.0) ** 2
     )
     return Adjusted(state, covariance, residual, kept, factor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """What a step is to reduce, with the weights of the place where it begins."""
+
+    weight: Float64
+    point: Index
+    relief_sigma: float
+    expected: Float64
+    scale: Float64
+    free: Index
+    unit: bool
+
+    def cost(self, state: State, residual: Float64, by_relief: Float64) -> float:
+        """Return the sum of squares of a state, each point at its best relief; infinite if it has none."""
+        count = int(self.point.max()) + 1
+        weight = np.where(self.weight > 0, self.weight, 0.0)
+        square = np.bincount(self.point, weight * (residual**2).sum(axis=1), count)
+        along = np.bincount(self.point, weight * (residual * by_relief).sum(axis=1), count)
+        own = np.bincount(self.point, weight * (by_relief**2).sum(axis=1), count)
+        left = float((square - along**2 / (own + 1 / self.relief_sigma**2)).sum())
+        off = ((self.expected - state.vector)[self.free] / self.scale[self.free]) ** 2
+        mean = _mean_row(state, self.free, self.scale * self.unit)[1] / MEAN_SIGMA if self.unit else 0.0
+        total = left + float(off.sum()) + mean**2
+        return total if math.isfinite(total) else math.inf
+
+
+def _misfit(state: State, seen: Observations, relief: Float64) -> tuple[Float64, Float64]:
+    """Return the (n, 2) residuals of a state, and their derivatives by relief."""
+    first = rays(seen.reference_px, state.lenses[0], state.models[0])
+    now = _seen(state, seen, first, relief)
+    return seen.seen_px - now, (_seen(state, seen, first, relief + 1e-4) - now) / 1e-4
 
 
 def predict(state: State, seen: Observations, relief: Float64) -> Float64:

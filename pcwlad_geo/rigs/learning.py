@@ -481,7 +481,7 @@ def _pair_in_view(
     rows, cols = shape
     view = reference
     if shape != reference.shape:
-        view = cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA)
+        view = np.asarray(cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
     places, counts = map_places(shape, (0.0, 0.0), 1.0)
     at = task.seen_px(places * factor_xy)
     steps = np.nanmedian(np.abs(np.diff(at.reshape(*counts, 2)[:, :, 0], axis=1))) / 8
