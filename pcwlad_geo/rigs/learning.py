@@ -403,15 +403,19 @@ def _matched(
         )
     found = runner.run(match_task, [(task,) for task in tasks], "matching", on_event).results
     good = [each for each in found if each is not None]
+    _check_all_matched(good, names, len(chosen))
+    return Observations.joined(good)
+
+
+def _check_all_matched(found: Sequence[Observations], names: Sequence[str], captures: int) -> None:
     counts = np.bincount(
-        np.concatenate([each.lens[:1] for each in good] or [np.zeros(0, int)]), minlength=len(names)
+        np.concatenate([each.lens[:1] for each in found] or [np.zeros(0, int)]), minlength=len(names)
     )
     lost = [names[k] for k in range(1, len(names)) if counts[k] == 0]
     if lost:
         raise RegistrationRejectedError(
-            f"lens {', '.join(lost)} cannot be matched with {names[0]} in any of {len(chosen)} captures"
+            f"lens {', '.join(lost)} cannot be matched with {names[0]} in any of {captures} captures"
         )
-    return Observations.joined(good)
 
 
 def _side(side_px: int, first: Lens, second: Lens) -> int:
