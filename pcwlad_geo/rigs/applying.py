@@ -89,7 +89,7 @@ class CaptureOutcome:
     distance_m: float | None = None
     """Distance of the ground, where the rig knows metres."""
     sigma_px: float | None = None
-    """Largest standard deviation of a lens's position in the middle of the frame, by this capture."""
+    """Largest standard deviation of a lens's position in the middle of the frame."""
     seconds: float | None = None
     done_before: bool = False
 
@@ -397,7 +397,7 @@ def _check_agreement(rig: Rig, seen: Observations, length: Float64, result: Adju
 
 
 def _sigma_px(rig: Rig, result: Adjusted, count: int) -> float:
-    """Return the largest standard deviation of a lens's position on the axis, px of the common frame."""
+    """Return the largest sigma of a lens's position on the axis, px of the common frame: capture and rig."""
     focal, begin = rig.reference.lens.focal_px, 8 * count
     plane = begin + 6 * count
     largest = 0.0
@@ -406,7 +406,8 @@ def _sigma_px(rig: Rig, result: Adjusted, count: int) -> float:
         x, y = rig.lenses[number].baseline[:2]
         covariance = result.covariance[np.ix_(index, index)]
         rows = focal * np.array([[0.0, 1.0, x], [-1.0, 0.0, y]])
-        largest = max(largest, float(np.sqrt(np.diag(rows @ covariance @ rows.T).max())))
+        of_capture = float(np.sqrt(np.diag(rows @ covariance @ rows.T).max()))
+        largest = max(largest, math.hypot(of_capture, rig.lenses[number].mapping_sigma_px[0]))
     return largest
 
 
