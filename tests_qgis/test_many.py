@@ -79,6 +79,12 @@ def test_a_stack_hands_the_dem_on(series: list[Path], tmp_path: Path) -> None:
         run_algorithm("stack", {**parameters, **QUICK, "OUTPUT_FOLDER": str(tmp_path / "stack")})
 
 
+def test_a_folder_without_frames_is_told_by_the_engine(tmp_path: Path) -> None:
+    parameters = {"CAPTURES": str(tmp_path), "OUTPUT_FOLDER": str(tmp_path / "bands")}
+    with pytest.raises(QgsProcessingException, match="frames"):
+        run_algorithm("rig", parameters)
+
+
 def test_a_model_of_the_modeler_runs_in_qgis_process(
     profile: Path,  # noqa: F811
     sample: tuple[Path, Path],
