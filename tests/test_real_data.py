@@ -85,7 +85,8 @@ def test_parallax_of_the_uav_pair_is_kept(shared_data: Path) -> None:
     assert found.geometry.across_px < 0.3
     counts = [np.count_nonzero(each.tie_points.status != "rejected") for each in (found, planar)]
     assert counts[0] > counts[1]  # the second try brings most of them back on a plane, too
-    assert found.accuracy["check_px"].rmse < planar.accuracy["check_px"].rmse + 0.1
+    # not the RMSE: a tall object that is kept lies pixels off any plane
+    assert found.accuracy["check_px"].ce90 < planar.accuracy["check_px"].ce90 + 0.1
 
 
 @pytest.fixture(scope="module")
