@@ -31,9 +31,9 @@ COARSE_SIDE_PX: Final = 480
 """That of the first round, where the lenses are not yet known well."""
 COARSE_CAPTURES: Final = 5
 """Number of captures of the first round."""
-ROUNDS: Final = ((7, 1.0), (3, 0.75), (3, 0.75))
-"""Radius of the search, px, and size of the windows in each of the rounds after it: near the edges of a frame
-large windows see to one side only, and are led by where the round before has put them."""
+ROUND_RADII_PX: Final = (7, 4, 3)
+"""Radius of the search in each of the rounds after it: near the edges of a frame windows see to one side, and
+are led by where the round before has put them."""
 TRIES: Final = 4
 """Captures in which a start is looked for."""
 SCALE_SPREAD: Final = (1.3, 2.2)
@@ -93,8 +93,6 @@ class _Task:
     side_px: int
     radius_px: int
     features: int
-    share: float = 1.0
-    """Size of the windows over the usual one."""
 
     def seen_px(self, reference_px: Float64) -> Float64:
         """Return the (n, 2) px at which the lens should see (n, 2) px of the reference's raw frame."""
@@ -145,12 +143,11 @@ def learn(
         extra = _overlapping(state, chosen, names[0], lenses[0], runner, on_event)
         state, sigma = _with_poses(state, sigma, extra)
         expected = replace(expected, poses=state.poses * _between_captures(state), overlaps=state.overlaps)
-    for radius, share in ROUNDS:
+    for radius in ROUND_RADII_PX:
         lenses = [replace(lens, vector=v) for lens, v in zip(lenses, state.lenses, strict=True)]
         side = measured_side(order[0].shape)
-        features = round(settings.features / share**2)
-        seen = _matched(state, chosen, names, lenses, side, radius, features, runner, on_event, share)
-        found = adjust(state, expected, sigma, seen, _overlap(seen, order, share), by_lens=True)
+        seen = _matched(state, chosen, names, lenses, side, radius, settings.features, runner, on_event)
+        found = adjust(state, expected, sigma, seen, _overlap(seen, order), by_lens=True)
         state = found.state
     return _rig_of(found, seen, chosen, order, names)
 
@@ -358,7 +355,6 @@ def _matched(
     features: int,
     runner: Runner,
     on_event: EventCallback,
-    share: float = 1.0,
 ) -> Observations:
     """Match every lens of every capture, and captures that have a pose between them."""
     tasks = []
@@ -379,7 +375,6 @@ def _matched(
                 _side(side_px, now[0], now[k]),
                 radius_px,
                 features,
-                share,
             )
             for k in range(1, len(names))
         ]
@@ -398,7 +393,6 @@ def _matched(
                 side_px,
                 3 * radius_px,
                 features,
-                share,
             )
         )
     found = runner.run(match_task, [(task,) for task in tasks], "matching", on_event).results
@@ -449,7 +443,7 @@ def _matched_here(task: _Task, reference: Float32, seen: Float32) -> tuple[Float
     rows, cols = (max(16, round(n / factor)) for n in whole)
     factor_xy = np.array([whole[1] / cols, whole[0] / rows])  # whole px make them differ a little
     images, valid = _pair_in_view(task, reference, seen, (rows, cols), factor_xy)
-    settings = match_settings(images[0].shape, task.radius_px, task.features, task.share)
+    settings = match_settings(images[0].shape, task.radius_px, task.features)
     try:
         points = match_arrays(*images, target_valid=valid, settings=settings)
     except InputError:  # too small, or nothing to compare
@@ -499,21 +493,19 @@ def _pair_in_view(
     return (np.asarray(view, np.float32), np.nan_to_num(warped)), valid
 
 
-def match_settings(
-    shape: tuple[int, ...], radius_px: int, features: int, share: float = 1.0
-) -> MatchSettings:
-    """Return settings for frames of a `shape`: windows small enough for it, or a `share` of these."""
-    side = int(np.clip(0.2 * share * min(shape), 31, 81 * share)) // 2 * 2 + 1
+def match_settings(shape: tuple[int, ...], radius_px: int, features: int) -> MatchSettings:
+    """Return settings for frames of a `shape`: windows that are small enough for it."""
+    side = int(np.clip(0.2 * min(shape), 31, 81)) // 2 * 2 + 1
     template = min(101, side + 20)
     return MatchSettings(
         features=features, search_radius=radius_px, window=side, template=template, ssim_min=0.0
     )
 
 
-def _overlap(seen: Observations, order: Sequence[Frame], share: float) -> float:
+def _overlap(seen: Observations, order: Sequence[Frame]) -> float:
     """Return how many points share a window, on average."""
     views = len(np.unique(np.column_stack([seen.capture, seen.pose]), axis=0))
-    side = match_settings(order[0].shape, 5, 1, share).window
+    side = match_settings(order[0].shape, 5, 1).window
     return len(seen) / max(views, 1) * side**2 / _pixels(order[0])
 
 
