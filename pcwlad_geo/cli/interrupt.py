@@ -29,7 +29,8 @@ def cancellable(forced_end: Callable[[], None], *, watch_stdin: bool = False) ->
 
     Python runs signal handlers between two byte codes of the main thread, which a long call of a C library
     delays. The wakeup descriptor is written at once, so a thread that reads it can wait `GRACE_S` and then
-    clean up and end the process itself.
+    clean up and end the process itself. Handlers can be set in the main thread alone: in any other one the
+    caller's own are left as they are.
 
     Parameters
     ----------
@@ -38,6 +39,9 @@ def cancellable(forced_end: Callable[[], None], *, watch_stdin: bool = False) ->
     watch_stdin : bool
         Whether the end of standard input interrupts the run too.
     """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     finished = threading.Event()
     reader, writer = socket.socketpair()
     writer.setblocking(False)

@@ -95,6 +95,19 @@ def test_everything_is_put_back(interrupted: bool) -> None:
     assert [signal.getsignal(each) for each in SIGNALS] == before
 
 
+def test_a_command_run_in_another_thread_leaves_the_signals_as_they_are() -> None:
+    before, during = [signal.getsignal(each) for each in SIGNALS], []
+
+    def command() -> None:
+        with cancellable(nothing):
+            during.extend([*(signal.getsignal(each) for each in SIGNALS), len(watchers())])
+
+    thread = threading.Thread(target=command)
+    thread.start()
+    thread.join(PATIENCE_S)
+    assert during == [*before, 0]
+
+
 def test_a_main_thread_that_is_stuck_is_ended_after_its_grace(
     ended: list[object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
