@@ -18,13 +18,12 @@ from benchmarks.tables import Cell, Check, Table, at_most
 from pcwlad_geo.raster.grid import jacobian
 from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
 from pcwlad_geo.raster.rpc.grid import at_mean_height
-from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import orthorectify
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from pcwlad_geo.stacks.result import Stack
-from tests.rpc_scene import PX_PER_M, UNDULATION_M, make_rpc, rpc_grid, write_dem, write_image
-from tests.scenes import render
+from tests.rpc_scene import UNDULATION_M, write_dem
+from tests.stacks.rpc_views import view_rpc, write_view
 
 IMAGES: Final = ("img_01", "img_02")
 REFERENCE: Final = "ortho_01"
@@ -206,12 +205,10 @@ def _synthetic(scratch: Path) -> Table:
     dem = write_dem(scratch / "hills.tif")
     images, truth = {}, []
     for number, view in enumerate(VIEWS):
-        rpc = _view(view)
+        rpc = view_rpc(view)
         truth.append(rng.uniform(-3.0, 3.0, 2))
-        seen = render(rpc_grid(dem, rpc), displacement_px=truth[-1], noise=0.0)
-        values = np.clip(np.rint(200 * (seen + rng.normal(0.0, 1.0, seen.shape))), 1, 65535)
         path = scratch / f"view{number}.tif"
-        images[path.stem] = write_image(path, values.astype(np.uint16), rpc)
+        images[path.stem] = write_view(path, dem, rpc, truth[-1], rng)
     found = _stack(scratch / "views", images, dem, vertical_m=UNDULATION_M)
     frame = describe(found.images[0].registered).grid
     grids = [at_mean_height(image.rpc.registration.original) for image in found.images if image.rpc]
@@ -231,12 +228,3 @@ def _synthetic(scratch: Path) -> Table:
     header = ("", "error in column", "row", "sigma column", "row")
     title = f"{len(VIEWS)} synthetic views of hills, errors of up to 3 px put in, mean datum, px"
     return Table(title, header, rows, checks)
-
-
-def _view(by_height: tuple[float, float]) -> RpcModel:
-    """Return the RPC of the scene seen from another side."""
-    rpc = make_rpc()
-    samp, line = list(rpc.samp_num_coeff), list(rpc.line_num_coeff)
-    higher = PX_PER_M * np.array(by_height) * rpc.height_scale / [rpc.samp_scale, rpc.line_scale]
-    samp[3], line[3] = float(higher[0]), float(higher[1])
-    return replace(rpc, samp_num_coeff=tuple(samp), line_num_coeff=tuple(line))

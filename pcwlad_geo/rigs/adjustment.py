@@ -171,11 +171,11 @@ def adjust(
     free = np.flatnonzero(scale > 0)
     kept = np.ones(len(seen), bool)
     damping, normal = 1e-3, np.eye(len(free))
+    # linear at no relief: where it is, longer baselines would be drawn towards less of it
     level = np.zeros(len(seen))
+    residual, by_relief = _misfit(state, seen, level)
     for turn in range(ROUNDS):
-        # linear at no relief: where it is, longer baselines would be drawn towards less of it
-        residual = seen.seen_px - predict(state, seen, level)
-        jacobian, by_relief = _jacobian(state, seen, level, set(free.tolist()))
+        jacobian = _jacobian(state, seen, level, set(free.tolist()))
         if by_lens and turn >= PATIENT:
             seen = replace(
                 seen, sigma_px=given_px * _share_by_lens(state, seen, residual, by_relief, given_px)
@@ -193,8 +193,10 @@ def adjust(
             change = np.zeros(len(scale))
             change[free] = scale[free] * step
             there = state.with_vector(state.vector + change)
-            if problem.cost(there, *_misfit(there, seen, level)) <= least * (1 + 1e-9):
+            misfit = _misfit(there, seen, level)
+            if problem.cost(there, *misfit) <= least * (1 + 1e-9):
                 state, moved = there, np.abs(columns @ step).max(initial=0.0)
+                residual, by_relief = misfit
                 damping = damping / 10 if damping > 1e-9 else 0.0
                 break
             damping = max(10 * damping, 1e-6)  # too far for what is linear
@@ -225,7 +227,7 @@ class _Problem:
     def cost(self, state: State, residual: Float64, by_relief: Float64) -> float:
         """Return the sum of squares of a state, each point at its best relief; infinite if it has none."""
         count = int(self.point.max()) + 1
-        weight = np.where(self.weight > 0, self.weight, 0.0)
+        weight = self.weight
         square = np.bincount(self.point, weight * (residual**2).sum(axis=1), count)
         along = np.bincount(self.point, weight * (residual * by_relief).sum(axis=1), count)
         own = np.bincount(self.point, weight * (by_relief**2).sum(axis=1), count)
@@ -300,10 +302,8 @@ def _share_by_lens(
     return share
 
 
-def _jacobian(
-    state: State, seen: Observations, relief: Float64, free: set[int]
-) -> tuple[sparse.csr_matrix, Float64]:
-    """Return the (2 n, parameters) derivatives of the predictions, and (n, 2) those by relief.
+def _jacobian(state: State, seen: Observations, relief: Float64, free: set[int]) -> sparse.csr_matrix:
+    """Return the (2 n, parameters) derivatives of the predictions.
 
     Columns of parameters that are not `free` are left empty.
     """
@@ -332,13 +332,10 @@ def _jacobian(
         moved[:, k] += 1e-4
         change = (_seen(replace(state, planes=moved), seen, first, relief) - now) / 1e-4
         entries.append((lenses + poses + seen.capture * OF_PLANE + k, change))
-        if k == 0:
-            by_relief = change
     columns = np.concatenate([np.repeat(column, 2) for column, _ in entries])
     values = np.concatenate([change.ravel() for _, change in entries])
     rows = np.tile(np.arange(2 * n), len(entries))
-    matrix = sparse.csr_matrix((values, (rows, columns)), (2 * n, lenses + poses + state.planes.size))
-    return matrix, by_relief
+    return sparse.csr_matrix((values, (rows, columns)), (2 * n, lenses + poses + state.planes.size))
 
 
 def _relief_sigma(state: State) -> float:

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-import cv2
 import numpy as np
 
 from pcwlad_geo.correction.models import PolynomialBasis, ProjectiveCorrection
@@ -57,11 +56,11 @@ class FrameAdjustment(Adjustment):
 
     def displacement(self, image: int, xy: Float64) -> Float64:
         """Return by how much a frame sees the (n, 2) px `xy` of the reference beside these, (n, 2)."""
-        return np.asarray(_moved(self.matrices[image], xy) - xy)
+        return np.asarray(self.correction(image).forward(xy) - xy)
 
     def to_ground(self, image: int, xy: Float64) -> Float64:
         """Return the (n, 2) px of the reference that are seen at the (n, 2) px `xy` of a frame."""
-        return _moved(np.linalg.inv(self.matrices[image]), xy)
+        return self.correction(image).inverse(xy)
 
     def covariance(self, image: int, xy: Float64, other: int | None = None) -> Float64:
         """Return the (n, 2, 2) covariance of a frame's displacement at (n, 2) px `xy` of the reference, px².
@@ -76,7 +75,7 @@ class FrameAdjustment(Adjustment):
 
     def correction(self, image: int) -> ProjectiveCorrection:
         """Return the correction of a frame."""
-        return ProjectiveCorrection("projective", self.matrices[image])
+        return ProjectiveCorrection(HOMOGRAPHY, self.matrices[image])
 
 
 def on_epipolar_lines(edge: Edge) -> Edge | None:
@@ -208,20 +207,17 @@ def _chained(edges: Sequence[Edge], images: int, first: int) -> Float64:
 
 
 def _rectified(edge: Edge, matrices: Float64) -> Edge:
-    """Return the points of a pair in px of the reference, as the homographies so far place them."""
-    first, second = (np.linalg.inv(matrices[image]) for image in (edge.first, edge.second))
-    rate = _rate(second, edge.second_xy)
-    covariance = rate @ edge.covariance @ rate.transpose(0, 2, 1)
-    return replace(
-        edge,
-        first_xy=_moved(first, edge.first_xy),
-        second_xy=_moved(second, edge.second_xy),
-        covariance=np.asarray(covariance),
-    )
+    """Return the points of a pair in px of the reference, as the homographies so far place them.
 
-
-def _moved(matrix: Float64, xy: Float64) -> Float64:
-    return np.asarray(cv2.perspectiveTransform(np.asarray(xy, np.float64)[None], matrix)[0], np.float64)
+    Raises `InputError` if one is beyond the horizon.
+    """
+    first, second = (ProjectiveCorrection(HOMOGRAPHY, matrices[image]) for image in (edge.first, edge.second))
+    first_xy, second_xy = first.inverse(edge.first_xy), second.inverse(edge.second_xy)
+    if not (np.isfinite(first_xy).all() and np.isfinite(second_xy).all()):
+        raise InputError("no homography fits the tie points of all frames: choose another model")
+    rate = _rate(np.asarray(np.linalg.inv(second.matrix)), edge.second_xy)
+    covariance = np.asarray(rate @ edge.covariance @ rate.transpose(0, 2, 1))
+    return replace(edge, first_xy=first_xy, second_xy=second_xy, covariance=covariance)
 
 
 def _rate(matrix: Float64, xy: Float64) -> Float64:

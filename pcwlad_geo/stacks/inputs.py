@@ -90,6 +90,12 @@ def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
             yield _named(image, band)
 
 
+def check_reference(reference: str | None, names: Sequence[str]) -> None:
+    """Raise `InputError` if a reference is given, and is none of the images of these names."""
+    if reference is not None and reference not in names:
+        raise InputError(f"the reference {reference} is none of the images {', '.join(names)}")
+
+
 def with_reference(
     images: Sequence[PathLike], reference: str | None, band: int | str
 ) -> tuple[Sequence[PathLike], str | None]:

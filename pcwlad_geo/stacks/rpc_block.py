@@ -232,6 +232,12 @@ class Block:
         )
 
 
+def pixel_in_frame(block: Block, image: int) -> float:
+    """Return the size of a pixel in the middle of an image, px of the frame."""
+    grid = at_mean_height(block.grids[image])
+    return float(np.sqrt(abs(np.linalg.det(jacobian(grid.middle_px, grid, block.frame)[0]))))
+
+
 def raised(grid: Grid, by_m: float) -> Grid:
     """Return a grid with ground higher by so many metres; a grid without heights is unchanged."""
     if not isinstance(grid, RpcGrid):
@@ -600,16 +606,10 @@ def _datum(problem: _Problem) -> Float64:
     whole, _ = _equations(problem, state, np.zeros((problem.unknowns, 0)))
     normal = whole[: problem.unknowns, : problem.unknowns]
     # in lengths on the ground, so that none but the smallest biases there are of the smallest sum of squares
-    scale = np.repeat([_pixel(block.grids[image], block.frame) for image in block.free], problem.size)
+    scale = np.repeat([pixel_in_frame(block, image) for image in block.free], problem.size)
     value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
     free = vector[:, value < NO_DATUM * value[-1]] * scale[:, None] if len(value) else vector
     return np.linalg.qr(free)[0]
-
-
-def _pixel(grid: Grid, frame: Grid) -> float:
-    """Return the size of a pixel of an image in px of the frame."""
-    step = jacobian(grid.middle_px, at_mean_height(grid), frame)[0]
-    return float(np.sqrt(abs(np.linalg.det(step))))
 
 
 def _step(problem: _Problem, state: _State, datum: Float64) -> _State:
@@ -620,14 +620,19 @@ def _step(problem: _Problem, state: _State, datum: Float64) -> _State:
     free = list(problem.block.free)
     parameters[free] += solution[: problem.unknowns].reshape(len(free), len(problem.terms), 2)
     offsets = np.asarray(solution[problem.unknowns : -2].reshape(-1, 2), np.float64)
-    posterior = np.diagonal(np.linalg.inv(whole))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
     told = state.used & np.array([pair.height_m is None for pair in problem.pairs])
-    redundancy = float(np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0)[told].sum())
+    redundancy = float(_redundancy(problem, state, whole)[told].sum())
     shared_px = USUAL_PX
     if redundancy >= MIN_REDUNDANCY:
         shared_px = max(float(np.sqrt((offsets[told] ** 2).sum() / (2 * redundancy))), LEAST_PX)
     dem_px = state.start_dem_px + solution[-2:]
     return replace(state, parameters=parameters, offsets=offsets, shared_px=shared_px, dem_px=dem_px)
+
+
+def _redundancy(problem: _Problem, state: _State, whole: Float64) -> Float64:
+    """Return the (pairs,) share of the error that the points of each pair share that other pairs check."""
+    posterior = np.diagonal(np.linalg.inv(whole))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
+    return np.asarray(np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0))
 
 
 def _without_the_worst(problem: _Problem, state: _State, datum: Float64) -> _State | None:
@@ -656,9 +661,7 @@ def _without_the_worst(problem: _Problem, state: _State, datum: Float64) -> _Sta
 def _checks_itself(problem: _Problem, state: _State, datum: Float64) -> bool:
     """Whether the pairs in use form cycles, which tell that they agree."""
     whole, _ = _equations(problem, state, datum)
-    posterior = np.diagonal(np.linalg.inv(whole))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
-    redundancy = np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0)
-    return float(redundancy[state.used].sum()) >= MIN_REDUNDANCY
+    return float(_redundancy(problem, state, whole)[state.used].sum()) >= MIN_REDUNDANCY
 
 
 def _connected(problem: _Problem, used: Bool) -> bool:

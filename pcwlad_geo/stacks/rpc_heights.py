@@ -16,10 +16,14 @@ from scipy.special import betainc
 
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
-from pcwlad_geo.raster.grid import jacobian
 from pcwlad_geo.raster.rpc.dem import WGS84, Dem
-from pcwlad_geo.raster.rpc.grid import at_mean_height
-from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockPair, implied_heights
+from pcwlad_geo.stacks.rpc_block import (
+    Block,
+    BlockAdjustment,
+    BlockPair,
+    implied_heights,
+    pixel_in_frame,
+)
 from pcwlad_geo.types import Float64
 
 BY_CHANCE: Final = 0.1
@@ -111,7 +115,7 @@ def _too_high(
     block: Block, pairs: Sequence[BlockPair], found: BlockAdjustment
 ) -> tuple[float | None, float | None, float | None]:
     """Return how much too high the DEM seems, the chance of that, and what it sets images apart by, px."""
-    size = {image: _pixel(block, image) for image in found.free}
+    size = {image: pixel_in_frame(block, image) for image in found.free}
     made, seen = [], []
     for image in found.free:
         middle = block.grids[image].middle_px
@@ -128,12 +132,6 @@ def _too_high(
     alike = height_m**2 * power / float(biases @ biases)
     chance = 1.0 - float(betainc(0.5, (freedom - 1) / 2, min(alike, 1.0)))
     return height_m, chance, abs(height_m) * rate
-
-
-def _pixel(block: Block, image: int) -> float:
-    """Return the size of a pixel of an image, px of the frame."""
-    grid = at_mean_height(block.grids[image])
-    return float(np.sqrt(abs(np.linalg.det(jacobian(grid.middle_px, grid, block.frame)[0]))))
 
 
 def _beside(

@@ -21,7 +21,7 @@ from pcwlad_geo.outputs.folder import place_file, place_with_files, stage_inside
 from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band
 from pcwlad_geo.raster.crs import transform_xy, utm_zone_of
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
-from pcwlad_geo.raster.grid import Grid, linear_part, map_px
+from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest
@@ -36,7 +36,7 @@ from pcwlad_geo.registration.inputs import requested_grid
 from pcwlad_geo.registration.rpc import MODELS, RpcRegistration, check_model, corrected_rpc
 from pcwlad_geo.report.finished import FinishedRegistration
 from pcwlad_geo.stacks.cycles import closure_of, root_mean_square, suspicion
-from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
+from pcwlad_geo.stacks.inputs import StackInput, check_reference, number_of, read_table
 from pcwlad_geo.stacks.pairs import CONTROL_SIGMA_PX, Frame, Measured, StackPair
 from pcwlad_geo.stacks.result import (
     NODES,
@@ -112,8 +112,7 @@ def place_images(
         )
     check_model(settings.model)
     names = [each.name for each in inputs]
-    if reference is not None and reference not in names:
-        raise InputError(f"the reference {reference} is none of the images {', '.join(names)}")
+    check_reference(reference, names)
     on_map = [
         name
         for name, info in zip(names, infos, strict=True)
@@ -375,16 +374,7 @@ def _pair(
     """Return a pair with how it agrees with the adjustment, px of the frame."""
     frame = placed.frame
     grid = at_mean_height(frame.infos[points.second].grid)
-    scale = np.stack(
-        [
-            (
-                map_px(grid.middle_px + step, grid, frame.grid)
-                - map_px(grid.middle_px - step, grid, frame.grid)
-            )[0]
-            for step in np.eye(2) / 2
-        ],
-        axis=1,
-    )
+    scale = jacobian(grid.middle_px, grid, frame.grid)[0]
     offset, size = scale @ np.array(fit.offset_px), float(np.sqrt(abs(np.linalg.det(scale))))
     reason = None
     if not fit.used:

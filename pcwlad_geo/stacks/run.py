@@ -44,7 +44,7 @@ from pcwlad_geo.stacks.graph import (
     quick_look,
 )
 from pcwlad_geo.stacks.homography import HOMOGRAPHY, homographies, or_homographies
-from pcwlad_geo.stacks.inputs import StackInput, listed, with_reference
+from pcwlad_geo.stacks.inputs import StackInput, check_reference, listed, with_reference
 from pcwlad_geo.stacks.network import Edge, components
 from pcwlad_geo.stacks.page import page
 from pcwlad_geo.stacks.pairs import (
@@ -217,12 +217,8 @@ def stack(
         frame = _frame(inputs, infos, reference, job.settings.model)
         _check_places(job, frame, frame.names, given)
         found = [] if pairs is not None else candidates(frame, inputs, looks)
-        chosen: Chosen = "listed" if pairs is not None else "auto" if max_pairs is None else "limited"
-        if pairs is not None:
-            plan = listed_pairs(pairs, frame, inputs)[:max_pairs]
-        else:
-            before = () if max_pairs is not None else _pairs_before(job.folder, frame)
-            plan = choose_pairs(found, len(infos), max_pairs, before)
+        before = _pairs_before(job.folder, frame) if pairs is None and max_pairs is None else ()
+        chosen, plan = _planned(frame, found, pairs, max_pairs, before)
         points = () if gcps is None else control_points(gcps)
         control = control_edges(points, frame)
         stays = None if datum == "mean" else len(infos) if control else frame.reference
@@ -266,11 +262,7 @@ def _stacked_rpcs(
         placed = part_of_images(placed, shown)
         frame = placed.frame
         found = candidates(frame, frame.inputs, [None] * len(frame.infos))
-    chosen: Chosen = "listed" if listed_in is not None else "auto" if most is None else "limited"
-    if listed_in is not None:
-        plan = listed_pairs(listed_in, frame, frame.inputs)[:most]
-    else:
-        plan = choose_pairs(found, len(frame.infos), most)
+    chosen, plan = _planned(frame, found, listed_in, most)
     control = [] if gcps is None else control_points_of(gcps, placed)
     measured = job.measured(frame, plan)
     edges = [edge for edge, _ in measured if edge is not None]
@@ -389,6 +381,19 @@ def _job(
     parse_requirements(settings.require, "stack")
     _check_settings(settings)
     return _Job(settings, Path(out_dir or "stack"), overwrite, on_event, executor)
+
+
+def _planned(
+    frame: Frame,
+    found: Sequence[Candidate],
+    listed_in: PathLike | None,
+    most: int | None,
+    before: Sequence[tuple[int, int]] = (),
+) -> tuple[Chosen, list[tuple[int, int]]]:
+    """Return how pairs are chosen, and the pairs: those of a table, or of the candidates `most` at most."""
+    if listed_in is not None:
+        return "listed", listed_pairs(listed_in, frame, frame.inputs)[:most]
+    return "auto" if most is None else "limited", choose_pairs(found, len(frame.infos), most, before)
 
 
 def _edges(
@@ -576,8 +581,7 @@ def _looks(
 
 def _frame(inputs: Sequence[StackInput], infos: list[RasterInfo], reference: str | None, model: str) -> Frame:
     names = [each.name for each in inputs]
-    if reference is not None and reference not in names:
-        raise InputError(f"the reference {reference} is none of the images {', '.join(names)}")
+    check_reference(reference, names)
     for name, info in zip(names, infos, strict=True):
         if type(info.grid) is not Grid:
             raise InputError(f"{name} has no plain geotransform: a stack takes images with one, or with none")

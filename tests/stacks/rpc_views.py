@@ -29,15 +29,18 @@ def view_rpc(by_height: tuple[float, float]) -> RpcModel:
     return replace(rpc, samp_num_coeff=tuple(samp), line_num_coeff=tuple(line))
 
 
+def write_view(path: Path, dem: Path, rpc: RpcModel, bias_px: Array, noise: np.random.Generator) -> Path:
+    """Write an image of the scene, which lies by `bias_px` (col, row) beside where its RPC says."""
+    seen = render(rpc_grid(dem, rpc), displacement_px=bias_px, noise=0.0)
+    seen = seen + noise.normal(0.0, 1.0, seen.shape)
+    return write_image(path, np.clip(np.rint(seen * 200), 1, 65535).astype(np.uint16), rpc)
+
+
 def write_views(folder: Path, count: int = len(VIEWS)) -> tuple[list[Path], Path]:
     """Write the images, whose noise differs, and the DEM; return their paths."""
     dem = write_dem(folder / "dem.tif")
     rng = np.random.default_rng(3)
     images = []
     for number, (view, bias) in enumerate(zip(VIEWS[:count], TRUTH_PX, strict=False)):
-        rpc = view_rpc(view)
-        seen = render(rpc_grid(dem, rpc), displacement_px=bias, noise=0.0)
-        seen = seen + rng.normal(0.0, 1.0, seen.shape)
-        values = np.clip(np.rint(seen * 200), 1, 65535).astype(np.uint16)
-        images.append(write_image(folder / f"view{number}.tif", values, rpc))
+        images.append(write_view(folder / f"view{number}.tif", dem, view_rpc(view), bias, rng))
     return images, dem
