@@ -66,7 +66,9 @@ STIFF: Final = 1e3
 DEM_PLACE_M: Final = 30.0
 """Standard deviation of the horizontal place of a DEM before its relief is compared with the points."""
 SLOPE_STEP_PX: Final = 1.0
-"""Step of the slope of the DEM, its px."""
+"""Least step of the slope of the DEM, its px."""
+PARTS: Final = 5
+"""Heights are averaged over so many by so many places of a window."""
 HEIGHT_STEP_M: Final = 1.0
 """Step of the derivatives by the height of the DEM."""
 
@@ -85,6 +87,8 @@ class BlockPair:
     """(n, 2, 2) covariance of the second, given the first, px²."""
     height_m: Float64 | None = None
     """(n,) heights of control points above the ellipsoid; NaN, and None for tie points: those of the DEM."""
+    window_px: float = 0.0
+    """Side of the windows in which they were matched, px of the frame: points tell of most of these."""
 
     def __len__(self) -> int:
         return len(self.first_px)
@@ -249,15 +253,6 @@ def raised(grid: Grid, by_m: float) -> Grid:
     return replace(grid, heights=replace(heights, undulation=replace(heights.undulation, values_m=values)))
 
 
-def moved(grid: Grid, by_px: Float64) -> Grid:
-    """Return a grid whose DEM lies elsewhere, by the (2,) `by_px` (col, row) of its pixels."""
-    if not (isinstance(grid, RpcGrid) and isinstance(grid.heights, Dem)) or not by_px.any():
-        return grid
-    dem = grid.heights
-    place = dem.grid.part((float(by_px[0]), float(by_px[1])), dem.grid.shape)
-    return replace(grid, heights=replace(dem, grid=place))
-
-
 def adjust_block(
     block: Block, pairs: Sequence[BlockPair], models: Sequence[str] = tuple(MODELS)
 ) -> BlockAdjustment:
@@ -416,18 +411,22 @@ def _reweighted(problem: _Problem, state: _State, datum: Float64) -> _State:
 
 
 def _seen_again(problem: _Problem, number: int, state: _State) -> Sight:
-    """Follow the points of a pair with the corrections and the place of the DEM so far."""
+    """Follow the points of a pair with the corrections and the place of the DEM so far.
+
+    The images were matched over the DEM where it was given: a place elsewhere changes what a window shows by
+    the mean of the change of height in it.
+    """
     pair, frame = problem.pairs[number], problem.block.frame
     one, other = (problem.correction(image, state.parameters) for image in (pair.first, pair.second))
-    grids = [moved(problem.block.grids[image], state.dem_px) for image in (pair.first, pair.second)]
+    grids = [problem.block.grids[image] for image in (pair.first, pair.second)]
     predicted_px = one.inverse(pair.first_px)
     ground_px = map_px(predicted_px, grids[0], frame)
     at_px = _seen(grids[1], frame, ground_px, pair.height_m)
     rate = problem.rates[number].height_rate
-    slope = _slope(grids, frame, ground_px)
+    higher_m, slope = _relief(problem.block, ground_px, pair.window_px, state.dem_px)
     return replace(
         problem.rates[number],
-        left_px=pair.second_px - other.forward(at_px),
+        left_px=pair.second_px - other.forward(at_px + rate * higher_m[:, None]),
         dem_rate=_of_slope(rate, slope),
         first_terms=Basis.over(grids[0].shape).values(predicted_px),
         second_terms=Basis.over(grids[1].shape).values(at_px),
@@ -449,7 +448,9 @@ def _sight(block: Block, pair: BlockPair, *, level: bool = False) -> Sight:
     sides = [seen(pair.first_px + step) - seen(pair.first_px - step) for step in np.eye(2) / 2]
     rate = np.stack(sides, axis=2)
     height_rate = (seen(pair.first_px, HEIGHT_STEP_M) - at_px) / HEIGHT_STEP_M
-    slope = np.zeros((len(pair), 2)) if level else _slope(grids, frame, ground_px)
+    slope = np.zeros((len(pair), 2))
+    if not level:
+        slope = _relief(block, ground_px, pair.window_px, np.zeros(2))[1]
     return Sight(
         pair.second_px - at_px,
         np.broadcast_to(np.nanmean(rate, axis=0), rate.shape),
@@ -461,17 +462,36 @@ def _sight(block: Block, pair: BlockPair, *, level: bool = False) -> Sight:
     )
 
 
-def _slope(grids: Sequence[Grid], frame: Grid, ground_px: Float64) -> Float64:
-    """Return the (n, 2) slope of the DEM at the (n, 2) `ground_px` of the frame, m per px of the DEM."""
-    for grid in grids:
-        if isinstance(grid, RpcGrid) and isinstance(grid.heights, Dem):
-            dem = grid.heights
-            at_px = map_px(ground_px, frame, dem.grid)
-            lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
-            steps = SLOPE_STEP_PX * np.eye(2)
-            ends = [dem.at_px(at_px + step, lon_lat) - dem.at_px(at_px - step, lon_lat) for step in steps]
-            return np.nan_to_num(np.stack(ends, axis=1) / (2 * SLOPE_STEP_PX))
-    return np.zeros((len(ground_px), 2))
+def _relief(block: Block, ground_px: Float64, window_px: float, dem_px: Float64) -> tuple[Float64, Float64]:
+    """Return what moving the DEM does to the heights at the (n, 2) `ground_px` of the frame.
+
+    Returned are the (n,) metres by which it is higher there once moved by the (2,) `dem_px` (col, row), its
+    px, and its (n, 2) slope then, m per px of the DEM. Both are medians over windows of `window_px`: the
+    place of least absolute deviation is that of most of a window.
+    """
+    dem, frame = block.dem, block.frame
+    if dem is None:
+        return np.zeros(len(ground_px)), np.zeros((len(ground_px), 2))
+    lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
+    rate = jacobian(frame.middle_px, frame, dem.grid)[0]
+    at_px = map_px(ground_px, frame, dem.grid)
+    count = PARTS if window_px > 0 else 1
+    parts = (np.arange(count) + 0.5) / count - 0.5
+    asides = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 2) * window_px @ rate.T
+    step_px = max(SLOPE_STEP_PX, 0.5 * window_px / count * float(np.sqrt(abs(np.linalg.det(rate)))))
+    given = [dem.at_px(at_px + aside, lon_lat) for aside in asides]
+
+    def higher(by_px: Float64) -> Float64:
+        moved = [dem.at_px(at_px + aside - by_px, lon_lat) for aside in asides]
+        change = np.stack(moved) - np.stack(given)
+        known = np.isfinite(change).any(axis=0)
+        result = np.zeros(len(at_px))
+        result[known] = np.nanmedian(change[:, known], axis=0)
+        return result
+
+    # higher where the ground rises against the direction in which the DEM is moved
+    ends = [higher(dem_px - step) - higher(dem_px + step) for step in step_px * np.eye(2)]
+    return higher(dem_px), np.stack(ends, axis=1) / (2 * step_px)
 
 
 def _without_mean_slope(sights: Sequence[Sight]) -> tuple[Sight, ...]:

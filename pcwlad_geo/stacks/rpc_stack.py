@@ -49,6 +49,7 @@ from pcwlad_geo.stacks.result import (
 )
 from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockFit, BlockPair, adjust_block
 from pcwlad_geo.stacks.rpc_heights import DemCheck, check_dem
+from pcwlad_geo.text import read_json
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.types import Bool, PathLike
 
@@ -250,7 +251,10 @@ def tie_points_of(measured: Sequence[Measured]) -> list[BlockPair]:
         chosen = np.flatnonzero(good)[thin(points.target[good], np.hypot(*sigma_px[good].T), POINTS)]
         covariance = np.einsum("na,ab->nab", sigma_px[chosen] ** 2, np.eye(2))
         ends = edge.first, edge.second
-        found.append(BlockPair(*ends, points.reference[chosen], points.target[chosen], covariance))
+        window_px = float(read_json(pair.folder / "report.json")["window_px"])
+        found.append(
+            BlockPair(*ends, points.reference[chosen], points.target[chosen], covariance, window_px=window_px)
+        )
     return found
 
 

@@ -13,7 +13,7 @@ from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.view import ground_grid
-from pcwlad_geo.stacks.rpc_block import Block, BlockPair, adjust_block, moved, raised
+from pcwlad_geo.stacks.rpc_block import Block, BlockPair, adjust_block, raised
 from pcwlad_geo.stacks.rpc_heights import check_dem
 from tests.rpc_scene import SHAPE, rpc_grid, write_dem
 from tests.scenes import CRS_OF_SCENE
@@ -49,6 +49,13 @@ def observed(
     first, second = first[known] + biases[ends[0]], second[known] + biases[ends[1]]
     second = second + rng.normal(0.0, NOISE_PX, second.shape)
     return BlockPair(*ends, first, second, np.tile(NOISE_PX**2 * np.eye(2), (len(second), 1, 1)))
+
+
+def moved(grid: RpcGrid, by_px: tuple[float, float]) -> RpcGrid:
+    """Return a grid whose DEM lies elsewhere, by so many of its pixels (col, row)."""
+    assert isinstance(grid.heights, Dem)
+    dem = grid.heights
+    return replace(grid, heights=replace(dem, grid=dem.grid.part(by_px, dem.grid.shape)))
 
 
 def shifts(found: object, count: int) -> Array:
@@ -133,7 +140,7 @@ def test_a_dem_that_is_too_high_is_told(grids: tuple[RpcGrid, ...], too_high_m: 
 def test_a_dem_beside_its_place_is_told_and_moved_back(grids: tuple[RpcGrid, ...]) -> None:
     biases = BIASES - BIASES[0]
     pairs = [observed(grids, biases, ends) for ends in PAIRS]
-    wrong = tuple(moved(grid, np.array([4.0, -3.0])) for grid in grids)  # 60 m px
+    wrong = tuple(moved(grid, (4.0, -3.0)) for grid in grids)  # 60 m px
     block = Block(wrong, ground_grid(grids[0]), frozenset({0}))
     found = adjust_block(block, pairs, ("shift",))
     check = check_dem(block, pairs, found, absolute=True)
@@ -142,6 +149,37 @@ def test_a_dem_beside_its_place_is_told_and_moved_back(grids: tuple[RpcGrid, ...
     assert len(check.wrong) == 1
     assert "beside" in check.wrong[0]
     assert shifts(found, 3) == pytest.approx(biases, abs=0.05)
+
+
+def seen_in_windows(
+    grids: tuple[RpcGrid, ...], wrong: tuple[RpcGrid, ...], ends: tuple[int, int], window_px: float
+) -> BlockPair:
+    """Tie points of windows matched over a wrong DEM: each has the median displacement in its window."""
+    rng = np.random.default_rng(ends[0] + 10 * ends[1])
+    first = rng.uniform((60.0, 60.0), (SHAPE[1] - 60.0, SHAPE[0] - 60.0), (300, 2))
+    aside = (np.arange(11) / 10 - 0.5) * window_px
+    asides = np.stack(np.meshgrid(aside, aside), axis=-1).reshape(-1, 2)
+    off = [
+        map_px(first + each, grids[ends[0]], grids[ends[1]])
+        - map_px(first + each, wrong[ends[0]], wrong[ends[1]])
+        for each in asides
+    ]
+    second = map_px(first, wrong[ends[0]], wrong[ends[1]]) + np.median(off, axis=0)
+    second += rng.normal(0.0, NOISE_PX, second.shape)
+    covariance_px2 = np.tile(NOISE_PX**2 * np.eye(2), (300, 1, 1))
+    return BlockPair(*ends, first, second, covariance_px2, window_px=window_px)
+
+
+def test_windows_that_see_much_relief_tell_where_the_dem_lies(grids: tuple[RpcGrid, ...]) -> None:
+    wrong, window_px = tuple(moved(grid, (4.0, -3.0)) for grid in grids), 41.0
+    pairs = [seen_in_windows(grids, wrong, ends, window_px) for ends in PAIRS]
+    points = [replace(pair, window_px=0.0) for pair in pairs]  # as if each told of its middle alone
+    found = [
+        adjust_block(Block(wrong, ground_grid(grids[0])), each, ("shift",)).dem_shift_px
+        for each in (pairs, points)
+    ]
+    errors_px = np.hypot(*(np.array(found) - (-4.0, 3.0)).T)
+    assert errors_px[0] < 0.3 < 0.5 < errors_px[1]
 
 
 def test_a_right_dem_is_not_called_wrong(grids: tuple[RpcGrid, ...]) -> None:
