@@ -114,6 +114,7 @@ def test_the_toolbox_lists_the_algorithms(seen: dict[str, Any]) -> None:
         "Install engine",
         "Register many rasters",
         "Adjust a stack",
+        "Align the bands of a drone camera",
     }
 
 
