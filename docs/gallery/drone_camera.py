@@ -1,4 +1,4 @@
-"""A drone's camera with five lenses, learned from three captures: each becomes one raster."""
+"""A drone's camera with three lenses, learned from three captures: each becomes one raster."""
 
 import sys
 import tempfile
@@ -19,12 +19,12 @@ PART = np.s_[40:300, 140:500]
 warnings.simplefilter("ignore", NotGeoreferencedWarning)
 
 with tempfile.TemporaryDirectory() as folder:
-    ground, lenses, raw = Ground.made(3, side=2048), made_rig(3), Path(folder) / "raw"
+    ground, lenses, raw = Ground.made(3, side=2048), made_rig(3)[1:4], Path(folder) / "raw"
     for number, flown in enumerate(flight(3, 3, ground, heights_m=(30.0, 60.0))):
         write_capture(raw, f"C_{number}", lenses, flown, ground, seed=number, height=True)
     rig = pcwlad_geo.rig_learn([raw], jobs=1)
     pcwlad_geo.rig_apply(rig, [raw], out_dir=Path(folder) / "bands", jobs=1)
-    before = [read(raw / f"C_0_{number}.tif") for number in (4, 3, 2)]
+    before = [read(raw / f"C_0_{number}.tif") for number in (3, 2, 1)]
     with rasterio.open(Path(folder) / "bands" / "C_0.tif") as file:
         after = [
             file.read(file.descriptions.index(name) + 1).astype(float) for name in ("NIR", "Red", "Green")
