@@ -5,6 +5,7 @@ It stays open and answers requests, a JSON object a line on standard input, with
 
 from __future__ import annotations
 
+import io
 import json
 import queue
 import sys
@@ -73,11 +74,15 @@ def _open(folder: Path, trust: Mapping[str, bool]) -> tuple[Editor, str]:
 def _serve(editor: Editor, tell: Tell) -> None:
     """Answer requests until standard input ends; the newest fit counts, others that wait are left out."""
     waiting: queue.Queue[dict[str, Any] | None] = queue.Queue()
+    if isinstance(sys.stdin, io.TextIOWrapper):  # a line that is no UTF-8 is a wrong request like any other
+        sys.stdin.reconfigure(encoding="utf-8", errors="replace")
 
     def read() -> None:
-        for line in sys.stdin:
-            waiting.put(_parsed(line))
-        waiting.put(None)
+        try:
+            for line in sys.stdin:
+                waiting.put(_parsed(line))
+        finally:
+            waiting.put(None)
 
     threading.Thread(target=read, daemon=True).start()
     while (request := waiting.get()) is not None:
@@ -99,7 +104,7 @@ def _asks_to_fit(waiting: queue.Queue[dict[str, Any] | None]) -> bool:
 def _parsed(line: str) -> dict[str, Any]:
     try:
         request = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):  # the latter by brackets in brackets
         request = None
     return request if isinstance(request, dict) else {"do": line.strip()}
 

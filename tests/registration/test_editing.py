@@ -104,6 +104,17 @@ def test_a_program_is_answered(
     np.testing.assert_allclose(dx, -told, atol=2e-6)  # predicted less observed, as the Georeferencer has it
 
 
+def test_lines_that_are_no_requests_are_answered_too(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    lines = [b'{"do": "\xff"}', b"\xff\xfe", b"[" * 100_000, b'{"do": "fit", "number": 5, "model": "affine"}']
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"\n".join(lines)), encoding="ascii"))
+    assert run(["edit", str(folder)]) == 0
+    events = [json.loads(line) for line in capfd.readouterr().out.splitlines()]
+    told = [event["event"] for event in events if event["event"] != "model"]
+    assert told == ["ready", "failed", "failed", "failed", "fit"]
+
+
 def test_of_fits_that_wait_the_newest_is_answered(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
