@@ -71,6 +71,23 @@ def test_missing_file(register: Register) -> None:
         assert_refused(register("ref.tif", folder), "is a folder")
 
 
+@pytest.mark.parametrize(
+    "arguments", [("register", "{}", "{}"), ("stack", "{}", "{}"), ("qa", "{}", "{}"), ("rig", "learn", "{}")]
+)
+def test_a_name_that_no_file_can_have(
+    arguments: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run([each.format(400 * "1") for each in arguments]) == 2
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    assert "so long a name" in error
+    assert not list(tmp_path.iterdir())
+
+
 def test_not_a_raster(register: Register, tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
     assert_refused(register("notes.txt"), "notes.txt is not a raster")

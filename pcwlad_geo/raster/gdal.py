@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import threading
 import warnings
@@ -156,6 +157,8 @@ def explained(error: BaseException) -> PcwladGeoError | None:
             f"this needs more memory than there is ({root_cause(error) or 'none left'}): give --jobs 1, a "
             "smaller --window or --search-radius, or smaller rasters"
         )
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+        return InputError(f"there can be no file of so long a name: {error.filename}: give a shorter one")
     if isinstance(error, LIBRARY_ERRORS):
         return InputError(
             f"the input cannot be used: {root_cause(error)}; check the rasters' files and CRSs (gdalinfo)"
