@@ -68,7 +68,7 @@ DEM_PLACE_M: Final = 30.0
 SLOPE_STEP_PX: Final = 1.0
 """Least step of the slope of the DEM, its px."""
 PARTS: Final = 5
-"""Heights are averaged over so many by so many places of a window."""
+"""Heights are compared at so many by so many places of a window."""
 HEIGHT_STEP_M: Final = 1.0
 """Step of the derivatives by the height of the DEM."""
 
@@ -88,7 +88,7 @@ class BlockPair:
     height_m: Float64 | None = None
     """(n,) heights of control points above the ellipsoid; NaN, and None for tie points: those of the DEM."""
     window_px: float = 0.0
-    """Side of the windows in which they were matched, px of the frame: points tell of most of these."""
+    """Side of the windows in which they were matched, px of the frame; 0: points tell of their own places."""
 
     def __len__(self) -> int:
         return len(self.first_px)
@@ -376,11 +376,6 @@ def _design(terms: Float64) -> Float64:
     return np.asarray(np.einsum("nk,ab->nakb", terms, np.eye(2)).reshape(n, 2, 2 * count))
 
 
-def _of_slope(height_rate: Float64, slope: Float64) -> Float64:
-    """Return the (n, 2, 2) effect of moving a DEM of (n, 2) `slope`, from the (n, 2) effect of its height."""
-    return np.nan_to_num(-height_rate[:, :, None] * slope[:, None, :])
-
-
 def _solved(problem: _Problem) -> _State:
     """Iterate until lines of sight, weights and the pairs in use no longer change."""
     count = len(problem.pairs)
@@ -414,7 +409,7 @@ def _seen_again(problem: _Problem, number: int, state: _State) -> Sight:
     """Follow the points of a pair with the corrections and the place of the DEM so far.
 
     The images were matched over the DEM where it was given: a place elsewhere changes what a window shows by
-    the mean of the change of height in it.
+    the median change of height in it.
     """
     pair, frame = problem.pairs[number], problem.block.frame
     one, other = (problem.correction(image, state.parameters) for image in (pair.first, pair.second))
@@ -427,7 +422,7 @@ def _seen_again(problem: _Problem, number: int, state: _State) -> Sight:
     return replace(
         problem.rates[number],
         left_px=pair.second_px - other.forward(at_px + rate * higher_m[:, None]),
-        dem_rate=_of_slope(rate, slope),
+        dem_rate=np.nan_to_num(-rate[:, :, None] * slope[:, None, :]),
         first_terms=Basis.over(grids[0].shape).values(predicted_px),
         second_terms=Basis.over(grids[1].shape).values(at_px),
         ground_px=ground_px,
@@ -435,7 +430,10 @@ def _seen_again(problem: _Problem, number: int, state: _State) -> Sight:
 
 
 def _sight(block: Block, pair: BlockPair, *, level: bool = False) -> Sight:
-    """Follow the points of a pair through the first image, the ground (`level` or not), the second image."""
+    """Follow the points of a pair through the first image, the ground (`level` or not), the second image.
+
+    The DEM stays where it is: `dem_rate` is 0.
+    """
     grids, frame = [block.grids[image] for image in (pair.first, pair.second)], block.frame
     if level:
         grids = [at_mean_height(grid) for grid in grids]
@@ -448,16 +446,13 @@ def _sight(block: Block, pair: BlockPair, *, level: bool = False) -> Sight:
     sides = [seen(pair.first_px + step) - seen(pair.first_px - step) for step in np.eye(2) / 2]
     rate = np.stack(sides, axis=2)
     height_rate = (seen(pair.first_px, HEIGHT_STEP_M) - at_px) / HEIGHT_STEP_M
-    slope = np.zeros((len(pair), 2))
-    if not level:
-        slope = _relief(block, ground_px, pair.window_px, np.zeros(2))[1]
     return Sight(
         pair.second_px - at_px,
         np.broadcast_to(np.nanmean(rate, axis=0), rate.shape),
         Basis.over(grids[0].shape).values(pair.first_px),
         Basis.over(grids[1].shape).values(at_px),
         height_rate,
-        _of_slope(height_rate, slope),
+        np.zeros((len(pair), 2, 2)),
         ground_px,
     )
 
@@ -650,7 +645,7 @@ def _step(problem: _Problem, state: _State, datum: Float64) -> _State:
 
 
 def _redundancy(problem: _Problem, state: _State, whole: Float64) -> Float64:
-    """Return the (pairs,) share of the error that the points of each pair share that other pairs check."""
+    """Return for each of the (pairs,) how much of its shared error the other pairs check, from 0 to 1."""
     posterior = np.diagonal(np.linalg.inv(whole))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
     return np.asarray(np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0))
 

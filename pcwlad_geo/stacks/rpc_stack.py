@@ -34,7 +34,7 @@ from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from pcwlad_geo.registration.inputs import requested_grid
 from pcwlad_geo.registration.rpc import MODELS, RpcRegistration, check_model, corrected_rpc
-from pcwlad_geo.report.finished import FinishedRegistration
+from pcwlad_geo.report.finished import FinishedRegistration, read_report
 from pcwlad_geo.stacks.cycles import closure_of, root_mean_square, suspicion
 from pcwlad_geo.stacks.inputs import StackInput, check_reference, number_of, read_table
 from pcwlad_geo.stacks.pairs import CONTROL_SIGMA_PX, Frame, Measured, StackPair
@@ -49,7 +49,6 @@ from pcwlad_geo.stacks.result import (
 )
 from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockFit, BlockPair, adjust_block
 from pcwlad_geo.stacks.rpc_heights import DemCheck, check_dem
-from pcwlad_geo.text import read_json
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.types import Bool, PathLike
 
@@ -251,7 +250,7 @@ def tie_points_of(measured: Sequence[Measured]) -> list[BlockPair]:
         chosen = np.flatnonzero(good)[thin(points.target[good], np.hypot(*sigma_px[good].T), POINTS)]
         covariance = np.einsum("na,ab->nab", sigma_px[chosen] ** 2, np.eye(2))
         ends = edge.first, edge.second
-        window_px = float(read_json(pair.folder / "report.json")["window_px"])
+        window_px = float(read_report(pair.folder)["window_px"])
         found.append(
             BlockPair(*ends, points.reference[chosen], points.target[chosen], covariance, window_px=window_px)
         )
