@@ -192,8 +192,8 @@ def test_the_model_follows_the_field(kind: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", FIELDS)
 def test_the_model_follows_the_field_and_is_never_worse_than_a_simpler_one(kind: str) -> None:
-    cases = [choose_for(kind, seed) for seed in range(10)]
-    assert sum(right for right, _ in cases) >= 9
+    cases = [choose_for(kind, seed) for seed in range(20)]
+    assert sum(right for right, _ in cases) >= 18
     rmse = np.array([each for _, each in cases])
     chosen, simpler = rmse[:, 0], rmse[:, 1:].min(axis=1)
     assert (chosen < simpler + 0.03).all()
