@@ -33,6 +33,23 @@ CHANCE_FACTOR: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
+class Motion:
+    """Matches that agree on a displacement, which other matches of the pair contradict."""
+
+    displacement_px: tuple[float, float]
+    """Their median displacement (col, row) from where the start places the target, matching-grid px."""
+    points: int
+    share: float
+    """Of all matches, consistent or not."""
+    places: int
+    """Number of separate places in which most matches agree with it."""
+    box_px: tuple[float, float, float, float]
+    """Least and largest (col, row) of the places of its matches in the reference, matching-grid px."""
+    significance: float
+    """-log10 of the probability that unrelated images agree as much."""
+
+
+@dataclass(frozen=True, slots=True)
 class Verdict:
     """Whether the tie points of a pair are accepted, and the evidence."""
 

@@ -17,7 +17,9 @@ from pcwlad_geo.job import match_elsewhere, match_files, write_match
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.registration.fitting import Grade
 from pcwlad_geo.registration.inputs import estimate_tile_count
+from pcwlad_geo.registration.judge import Motion
 from pcwlad_geo.report.finished import read_report, report_of_same_job
 from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
 from pcwlad_geo.stacks.network import Edge, components
@@ -62,6 +64,12 @@ class StackPair:
     """Share of the offset that other pairs check; nothing tells whether a pair of 0 is wrong."""
     scatter_px: float | None = None
     """Robust standard deviation of its points along an axis, px of the frame."""
+    quality: Grade | None = None
+    """Of the pair by itself: how far its matches agree with one smooth displacement; null where refused."""
+    quality_reasons: tuple[str, ...] = ()
+    """Why it is not good."""
+    motions: tuple[Motion, ...] = ()
+    """What parts of its matches agree on, where that is more than one displacement: that used comes first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
