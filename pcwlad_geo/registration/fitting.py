@@ -229,6 +229,11 @@ class Quality:
     kept_share: float
     """Share of the matches that agree with their neighbours."""
 
+    def with_reason(self, reason: Reason) -> Quality:
+        """Return the quality with a reason that matches gave before the fit."""
+        worst_first = sorted((*self.reasons, reason), key=lambda each: GRADES.index(each.grade))
+        return replace(self, grade=worst_first[0].grade, reasons=tuple(worst_first))
+
     @property
     def refusal(self) -> str | None:
         """Why no corrected raster should be made; None if one may be.

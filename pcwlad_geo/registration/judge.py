@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.registration.prealign import Prealignment
-from pcwlad_geo.types import Bool, Float64
+from pcwlad_geo.types import Bool, Float64, Index
 
 MIN_POINTS: Final = 12
 """Least number of consistent tie points of an accepted pair."""
@@ -31,6 +33,25 @@ AT_BORDER: Final = 0.25
 CHANCE_FACTOR: Final = 2.0
 """Factor on the chance of agreement, as matches of unrelated images are not uniform over the search."""
 
+MAX_MOTIONS: Final = 3
+"""Largest number of motions that are told apart."""
+TILTED: Final = 1.2
+"""Matches are compared about a common plane where so many times as many agree then."""
+BETWEEN: Final = 0.25
+"""Largest share of a motion's matches, in number, that lie halfway to another: a smooth field fills that."""
+SAMPLE: Final = 4000
+"""Largest number of matches among which the most frequent displacement is looked for."""
+GEOREFERENCED_PX: Final = 3.0
+"""Typical error of a georeferencing, matching-grid px: of motions the likelier lies nearer to it (Cauchy)."""
+PRODUCT_M: Final = 15.0
+"""The same of bands of one product, metres: half of what Landsat 8 allows its thermal bands (LE90 30 m)."""
+CLEARER: Final = 2.0
+"""So many times as much must speak for the motion of most matches as for any other."""
+IMPOSSIBLE: Final = 10.0
+"""Bands of one product do not lie apart by so many typical errors."""
+DECISIVE: Final = 20.0
+"""So many times as much must speak for another motion, so that it is taken instead."""
+
 
 @dataclass(frozen=True, slots=True)
 class Motion:
@@ -47,6 +68,10 @@ class Motion:
     """Least and largest (col, row) of the places of its matches in the reference, matching-grid px."""
     significance: float
     """-log10 of the probability that unrelated images agree as much."""
+
+    def __str__(self) -> str:
+        col, row = self.displacement_px
+        return f"({col:+.1f}, {row:+.1f}) px by {self.points} points in {self.places} separate places"
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +169,134 @@ def _common_plane(matches: TiePoints, kept: Bool) -> tuple[Float64, float]:
     solution = np.linalg.lstsq(design[kept], matches.displacement_px[kept], rcond=None)[0]
     rise_px = np.abs(solution[1:]) * (np.ptp(xy, axis=0) / 2)[:, None]  # from the middle to the border
     return design @ solution, float(np.prod(1 + rise_px / AGREE_PX))
+
+
+def motions_of(
+    matches: TiePoints, kept: Bool, offset_px: Float64, window_px: int, radius_px: int
+) -> list[tuple[Motion, Bool]]:
+    """Find the displacements on each of which so many matches agree that it would be accepted by itself.
+
+    Clouds seen from another angle or at another time, and the ground below them, are two such motions. What
+    varies smoothly over the scene is one, even where most of it was rejected.
+
+    Parameters
+    ----------
+    matches : TiePoints
+        All of the first pass, consistent or not.
+    kept : (n,) bool array
+        The consistent ones.
+    offset_px : (2,) array
+        Displacement (col, row) of a target that lies where the start places it.
+    window_px, radius_px : int
+        As `judge` takes them.
+
+    Returns
+    -------
+    list of (Motion, (n,) bool array)
+        The one with most matches first, each with the mask of its matches; empty where there are few.
+    """
+    if kept.sum() < MIN_POINTS:
+        return []
+    moved = matches.displacement_px - offset_px
+    plane_px = _common_plane(matches, kept)[0] - offset_px
+    flat = moved - plane_px + plane_px[kept].mean(axis=0)
+    some = slice(None, None, -(-len(moved) // SAMPLE))
+    if _most_frequent(flat[some])[1] > TILTED * _most_frequent(moved[some])[1]:
+        moved = flat
+    cells = np.floor(matches.reference_xy_px / (CELL_PER_WINDOW * window_px)).astype(np.intp)
+    cell_of = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    found: list[tuple[Motion, Bool]] = []
+    left = np.ones(len(moved), bool)
+    while len(found) < MAX_MOTIONS and left.sum() >= MIN_POINTS:
+        candidates = moved[left]
+        middle_px = _most_frequent(candidates[:: -(-len(candidates) // SAMPLE)])[0]
+        near = np.linalg.norm(moved - middle_px, axis=1) < AGREE_PX
+        motion = _motion(matches.reference_xy_px, moved, near, cell_of, radius_px)
+        enough = motion.points >= MIN_POINTS and motion.places >= MIN_CELLS
+        if not enough or motion.significance < MIN_SIGNIFICANCE:
+            break
+        if all(_apart(moved, motion, other) for other, _ in found):
+            found.append((motion, near))
+        left &= np.linalg.norm(moved - middle_px, axis=1) >= 2 * AGREE_PX
+    return found
+
+
+def _most_frequent(moved: Float64) -> tuple[Float64, int]:
+    """Return the displacement with which most agree, and how many do."""
+    tree = cKDTree(moved)
+    count = tree.query_ball_point(moved, AGREE_PX, return_length=True)
+    around = moved[tree.query_ball_point(moved[np.argmax(count)], AGREE_PX)]
+    return np.median(around, axis=0), int(count.max())
+
+
+def _motion(xy: Float64, moved: Float64, near: Bool, cell_of: Index, radius_px: int) -> Motion:
+    total = np.bincount(cell_of)
+    places = int((np.bincount(cell_of, weights=near) >= total / 2).sum())
+    share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
+    evidence = evidence_against_chance(places, len(total), min(0.5, CHANCE_FACTOR * share))
+    (left, top), (right, bottom) = xy[near].min(axis=0), xy[near].max(axis=0)
+    col, row = np.median(moved[near], axis=0).tolist()
+    return Motion(
+        (col, row),
+        int(near.sum()),
+        float(near.mean()),
+        places,
+        (float(left), float(top), float(right), float(bottom)),
+        max(0.0, evidence + float(np.log10(share))),
+    )
+
+
+def _apart(moved: Float64, one: Motion, other: Motion) -> bool:
+    """Whether hardly any match lies halfway between two motions."""
+    begin = np.asarray(other.displacement_px)
+    way = np.asarray(one.displacement_px) - begin
+    along = (moved - begin) @ way / (way @ way)
+    aside = np.linalg.norm(moved - begin - along[:, None] * way, axis=1)
+    halfway = (np.abs(along - 0.5) < 1 / 6) & (aside < AGREE_PX)
+    return bool(halfway.sum() <= BETWEEN * min(one.points, other.points))
+
+
+def odds_of(motion: Motion, scale_px: float | None) -> float:
+    """Return how much speaks for a motion: its places, and how near it lies to the georeferencing.
+
+    Parameters
+    ----------
+    motion : Motion
+    scale_px : float, optional
+        Typical error of the georeferencing, matching-grid px; None where there is none.
+    """
+    far = 0.0 if scale_px is None else float(np.hypot(*motion.displacement_px)) / scale_px
+    return motion.places / (1 + far**2)
+
+
+def undecided(motions: Sequence[Motion], georeferenced: bool) -> str:
+    """Return why a pair of several motions is refused, and what to do."""
+    seen = ", ".join(str(motion) for motion in motions)
+    near = ", or --prealign georef with a small --search-radius" if georeferenced else ""
+    return (
+        f"the matches agree on {len(motions)} different displacements, and nothing tells which is that of "
+        f"the ground: {seen}. Clouds, or parts of the scene at another depth, have moved: give a mask "
+        f"(--ref-mask, --tgt-mask) with 0 on what moves{near}"
+    )
+
+
+def another_motion(motions: Sequence[Motion]) -> str:
+    """Return what is told of a pair of several motions, of which the first was taken."""
+    others = ", ".join(str(motion) for motion in motions[1:])
+    return (
+        f"the matches agree on {len(motions)} different displacements: {motions[0]} was taken for that of "
+        f"the ground, and {others} for what moves, such as clouds, or lies at another depth: there the "
+        "correction does not hold"
+    )
+
+
+def impossible(motion: Motion) -> str:
+    """Return why bands of one product are refused that seem to lie far apart, and what to do."""
+    return (
+        "bands of one product lie within some metres of each other, and the matches say otherwise: "
+        f"{motion}. They are probably on clouds, which each band sees elsewhere: give a mask (--ref-mask, "
+        "--tgt-mask) with 0 there; or --prealign search, if a band has really been moved"
+    )
 
 
 def _nothing_to_match(counts: dict[str, int]) -> str | None:

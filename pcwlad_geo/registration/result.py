@@ -26,7 +26,7 @@ from pcwlad_geo.raster.rpc.view import RpcPlacement
 from pcwlad_geo.raster.source import RasterInfo, file_name, has_quick_overview
 from pcwlad_geo.registration.fitting import Quality
 from pcwlad_geo.registration.inputs import InputFile
-from pcwlad_geo.registration.judge import Verdict
+from pcwlad_geo.registration.judge import Motion, Verdict
 from pcwlad_geo.registration.planning import MIN_TEXTURE, texture_of
 from pcwlad_geo.registration.prealign import Overviews, Prealignment, direct_start, searches_first
 from pcwlad_geo.registration.rpc import RpcRegistration
@@ -343,6 +343,8 @@ class Matches:
     """Side of the window that they were refined with, matching-grid px; of a file's points, as asked for."""
     geometry: PairGeometry = PairGeometry("planar")
     """By what the tie points were told from wrong matches."""
+    motions: tuple[Motion, ...] = ()
+    """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
     warnings: tuple[str, ...] = ()
     """Of all steps up to this one."""
     seconds: dict[str, float] = field(default_factory=dict)
@@ -417,6 +419,8 @@ class Registration:
     """How the correction was chosen, and its precision anywhere; None where there is none."""
     geometry: PairGeometry = PairGeometry("planar")
     """By what the tie points were told from wrong matches."""
+    motions: tuple[Motion, ...] = ()
+    """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
     rpc: RpcRegistration | None = None
     """The target's RPC, where that places it."""
     quality: Quality | None = None

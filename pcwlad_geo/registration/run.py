@@ -30,8 +30,16 @@ from pcwlad_geo.raster.rpc.view import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band, with_compression_blocks, without_collar
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.raster.view import file_px_per_px
-from pcwlad_geo.registration.fitting import AssessedFit, assess, fit_correction, footprint_px, user_points
+from pcwlad_geo.registration.fitting import (
+    AssessedFit,
+    Reason,
+    assess,
+    fit_correction,
+    footprint_px,
+    user_points,
+)
 from pcwlad_geo.registration.inputs import identify_inputs, resolve
+from pcwlad_geo.registration.judge import another_motion
 from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Prealignment, read_overviews
 from pcwlad_geo.registration.result import (
@@ -212,10 +220,13 @@ def fit(
         fitted = fit_correction(table, settings, footprint, sizes_m, shape, candidates, smooth, frames)
         places = _common_px(matches.record, matches.views, target)
         quality = assess(fitted.table, matches.every, fitted.selection, places, footprint)
+        if matches.motions:
+            quality = quality.with_reason(Reason("fair", another_motion(matches.motions)))
         log.on_event(Progress("fitting", 1, 1))
     refusal = None if settings.tie_points else quality.refusal
     for reason in () if refusal else quality.reasons:
-        log.warn(reason.text)
+        if reason.text not in log.warnings:
+            log.warn(reason.text)
     return AssessedFit(fitted, quality, refusal, settings, tuple(log.warnings), log.seconds)
 
 
@@ -272,6 +283,7 @@ def conclude(matches: Matches, fit: AssessedFit | None = None) -> Registration:
         settings=fit.settings if fit else pair.settings,
         selection=fitted.selection if fitted else None,
         geometry=matches.geometry,
+        motions=matches.motions,
         quality=fit.quality if fit else None,
         record=matches.record,
         rpc=corrected_rpc(pair.rpc, correction) if pair.rpc else None,
@@ -377,7 +389,12 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
     geometry = PairGeometry.of(table, matched.epipolar and matched.verdict.accepted)
     verdict, record = matched.verdict, matched.record
     window_px = matched.window_px
-    return Matches(pair, table, verdict, matched.counts, start, record, views, table, window_px, geometry)
+    motions = tuple(motion for motion, _ in matched.motions) if len(matched.motions) > 1 else ()
+    if motions and verdict.accepted:
+        log.warn(another_motion(motions))
+    return Matches(
+        pair, table, verdict, matched.counts, start, record, views, table, window_px, geometry, motions
+    )
 
 
 def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo) -> Float64:

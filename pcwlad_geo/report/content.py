@@ -18,6 +18,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.registration.fitting import Grade
 from pcwlad_geo.registration.inputs import INLINE, InputFile
+from pcwlad_geo.registration.judge import Motion
 from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.registration.result import PairGeometry, Status
 from pcwlad_geo.report.statistics import DIGITS, REASONS, Group
@@ -264,6 +265,8 @@ class Report:
     """What the matching started from, matching-grid px."""
     geometry: PairGeometry
     """By what the tie points were told from wrong matches."""
+    motions: tuple[Motion, ...]
+    """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
     window_px: int | None
     """Side of the window that the tie points were refined with, matching-grid px; null for those of a
     file."""

@@ -82,6 +82,7 @@ def summarise(
         output_grid=_grid(output_grid) if output_grid else None,
         prealignment=registration.prealignment,
         geometry=registration.geometry,
+        motions=registration.motions,
         window_px=registration.window_px,
         tie_points=_tie_point_counts(registration),
         counts=registration.counts,

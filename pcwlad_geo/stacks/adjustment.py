@@ -51,6 +51,9 @@ ALPHA: Final = 0.01
 """Probability that of all pairs of a stack, all right, one is left out."""
 TYPICAL: Final = (FREEDOM * (2.0 ** (2 / FREEDOM) - 1)) ** 0.5
 """Median of an offset of such a pair, in sigmas."""
+CONTESTED: Final = 2.0
+"""An image is contested where what holds it in place has not so many times the evidence of what was left
+out and agrees on another place."""
 MIN_REDUNDANCY: Final = 0.1
 """A pair that the others check less says nothing about the error that pairs have."""
 
@@ -77,6 +80,8 @@ class Adjustment:
     spread: Float64
     """(blocks, images, terms, 2): changes of the coefficients without a block of the ground, scaled so that
     the sum of their products is the covariance (jackknife: Tukey 1958, doi:10.1214/aoms/1177706647)."""
+    contested: tuple[int, ...] = ()
+    """Numbers of the images that pairs left out place elsewhere, with about as much evidence."""
 
     def displacement(self, image: int, xy: Float64) -> Float64:
         """Return by how much an image places the ground at (n, 2) positions `xy` beside itself, (n, 2)."""
@@ -188,13 +193,15 @@ def adjust(
     network, side = _network(images, basis, fixed), side_of_blocks(edges)
     coefficients = np.zeros((images, network.terms, 2))
     used, shared = np.ones(len(edges), bool), 0.0
+    evidence = np.array([edge.evidence for edge in edges])
     for _ in range(LINEARISED):  # at the ground that the displacements so far tell
         before = coefficients
         parts = [part_of(edge, basis, before, side) for edge in edges]
         shared = shared or _first_shared(network, parts)
         for _ in range(images):
             settled = _settled(network, parts, used, shared)
-            used, shared = _outvoted(network, parts, settled), settled.shared
+            used, _ = _outvoted(network, parts, settled, evidence)
+            shared = settled.shared
             if (used == settled.used).all():
                 break
         coefficients, fits = settled.solution.coefficients, settled.solution.fits
@@ -203,7 +210,8 @@ def adjust(
     if datum is None:
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
     normal = settled.solution.normal
-    return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread)
+    contested = _outvoted(network, parts, settled, evidence)[1]
+    return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread, contested)
 
 
 def _network(images: int, basis: Basis, fixed: tuple[int, ...]) -> Network:
@@ -255,6 +263,7 @@ def extend(
         fixed=network.fixed,
         datum=images - 1 if ground and before.datum == old else before.datum,
         spread=_about_mean(spread, group) if before.datum is None else spread,
+        contested=(*before.contested, *(each + old - 1 for each in placed.contested)),
     )
 
 
@@ -386,10 +395,16 @@ def _shared_error(solution: Solution, used: Bool, before: float) -> float:
     return before * float(np.median(checked)) / TYPICAL if checked else before
 
 
-def _outvoted(network: Network, parts: Sequence[Part], settled: _Settled) -> Bool:
-    """Return the pairs in use; those of an image give way to more others that agree on another place."""
+def _outvoted(
+    network: Network, parts: Sequence[Part], settled: _Settled, evidence: Float64
+) -> tuple[Bool, tuple[int, ...]]:
+    """Return the pairs in use, and the images that are contested.
+
+    The pairs of an image give way to others that agree on another place and have more evidence together: many
+    pairs may err by one cause. Where those that were left out have nearly as much, the image is contested.
+    """
     used, solution, limit = settled.used, settled.solution, critical(len(parts))
-    found = used.copy()
+    found, contested = used.copy(), []
     for image in range(network.images):
         at = [k for k, part in enumerate(parts) if image in (part.first, part.second)]
         away = [k for k in at if not used[k]]
@@ -402,12 +417,15 @@ def _outvoted(network: Network, parts: Sequence[Part], settled: _Settled) -> Boo
             ]
             for k in away
         ]
-        most = max(groups, key=len, default=[])
-        if len(most) > len(at) - len(away):
+        most = max(groups, key=lambda group: float(evidence[group].sum()), default=[])
+        held = float(evidence[[k for k in at if used[k]]].sum())
+        if evidence[most].sum() > held:
             found[at] = False
             found[most] = True
             break
-    return found
+        if most and image not in network.fixed and evidence[most].sum() * CONTESTED >= held:
+            contested.append(image)
+    return found, tuple(contested)
 
 
 def _still_connected(edges: Sequence[Part], images: int, used: Bool, wanted: Bool, ratio: Float64) -> Bool:

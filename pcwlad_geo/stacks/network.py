@@ -58,6 +58,8 @@ class Edge:
     """(n, 2, 2) covariance of their differences, map units²."""
     images: Float64 | None = None
     """(n,) number of images that share each point, see `linked`; None: these two."""
+    evidence: float = 1.0
+    """How much speaks for the pair by itself, relative to others."""
 
     def __len__(self) -> int:
         return len(self.first_xy)

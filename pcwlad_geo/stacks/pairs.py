@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,9 +17,9 @@ from pcwlad_geo.job import match_elsewhere, match_files, write_match
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.registration.fitting import Grade
+from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, Grade
 from pcwlad_geo.registration.inputs import estimate_tile_count
-from pcwlad_geo.registration.judge import Motion
+from pcwlad_geo.registration.judge import GEOREFERENCED_PX, Motion, another_motion
 from pcwlad_geo.report.finished import read_report, report_of_same_job
 from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
 from pcwlad_geo.stacks.network import Edge, components
@@ -40,6 +40,11 @@ MIN_CONTROL: Final = 4
 """Least number of control points of an image."""
 CONTROL_SIGMA_PX: Final = 0.5
 """Standard deviation of a control point where the table tells none, px of the frame."""
+
+PLACE_PX: Final = 60.0
+"""Side of the squares that count as separate places of a pair, px of the frame: as the pair's own verdict."""
+CONTROL_EVIDENCE: Final = 50.0
+"""Evidence of control points: as of a pair with points in so many places."""
 
 PairStatus = Literal["used", "left out", "refused"]
 
@@ -142,7 +147,7 @@ def _measured(
 ) -> Measured:
     """Return what a matched pair gave, from its folder unless there is a reason that it gave nothing."""
     names = frame.names[pair[0]], frame.names[pair[1]]
-    edge = None
+    edge, report = None, {}
     if reason is None:
         report = read_report(place)  # also its warnings: a run that was killed and goes on tells the same
         for warning in report.get("warnings", ()):
@@ -152,7 +157,34 @@ def _measured(
     if edge is None:
         reason = reason or f"fewer than {MIN_POINTS} tie points"
         on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
-    return edge, StackPair(*names, "refused" if edge is None else "used", reason, place)
+    motions = tuple(Motion(**each) for each in report.get("motions", ()))
+    found = StackPair(*names, "refused" if edge is None else "used", reason, place, motions=motions)
+    return edge, found if edge is None else graded(found, edge, report)
+
+
+def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
+    """Return a pair with the grade that its points and its report give it."""
+    place = edge.first_xy - edge.first_xy.mean(axis=0)
+    x, y = (place / max(float(np.abs(place).max()), 1e-9)).T
+    smooth, moved = (
+        np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y]),
+        edge.second_xy - edge.first_xy,
+    )
+    left = moved - smooth @ np.linalg.lstsq(smooth, moved, rcond=None)[0]
+    off_px = float(np.percentile(np.hypot(*left.T), 90))
+    counts = report.get("tie_points", {})
+    kept = 1 - counts.get("rejected", 0) / max(counts.get("total", 0), 1)
+    grade: Grade = "good" if off_px <= GOOD_PX else "fair" if off_px <= FAIR_PX else "poor"
+    reasons = (
+        [] if grade == "good" else [f"a tenth of its points lie {off_px:.2f} px off a smooth displacement"]
+    )
+    if pair.motions:
+        grade = "fair" if grade == "good" else grade
+        reasons.append(another_motion(pair.motions))
+    if kept < FEW_KEPT:
+        grade = "poor"
+        reasons.append(f"only {100 * kept:.0f} % of the matches agree with their neighbours")
+    return replace(pair, quality=grade, quality_reasons=tuple(reasons))
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +306,10 @@ def edge_of(frame: Frame, one: int, other: int, place: Path) -> Edge | None:
     known = np.isfinite(np.column_stack([first, second])).all(axis=1)
     if known.sum() < MIN_POINTS:
         return None
-    return Edge(one, other, first[known], second[known], covariance[known])
+    first, second = first[known], second[known]
+    places = len(np.unique(np.floor(first / PLACE_PX), axis=0))
+    far = float(np.hypot(*np.median(second - first, axis=0))) / GEOREFERENCED_PX if frame.placed else 0.0
+    return Edge(one, other, first, second, covariance[known], evidence=places / (1 + far**2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,7 +379,9 @@ def control_edges(points: Sequence[ControlPoint], frame: Frame, ground: int | No
         image = frame.names.index(name)
         covariance = sigma[:, None, None] ** 2 * np.eye(2)
         number = len(frame.names) if ground is None else ground
-        found.append(Edge(number, image, on_ground, frame.from_image(image, at_px), covariance))
+        found.append(
+            Edge(number, image, on_ground, frame.from_image(image, at_px), covariance, None, CONTROL_EVIDENCE)
+        )
     return found
 
 

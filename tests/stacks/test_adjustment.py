@@ -226,3 +226,25 @@ def test_images_without_a_connection_are_named() -> None:
     edges = [truth.edge(rng, *pair, shared=0.0, sigma=0.1) for pair in ((0, 1), (2, 3))]
     with pytest.raises(InputError, match=r"2 groups .* images \[2, 3\]"):
         adjust(edges, 4)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pairs_of_one_cause_do_not_outvote_those_of_more_evidence(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = make(rng, 7, slopes=0.1)
+    edges = []
+    for one, other in combinations(range(7), 2):
+        cloud = other == 6 and one >= 2  # four of the six pairs of the thermal band
+        off = np.array([4.9, -11.4]) if cloud else 0.0
+        edge = truth.edge(rng, one, other, shared=0.05, sigma=0.1, off=off)
+        edges.append(replace(edge, evidence=1.5 if cloud else 15.0))
+    found = adjust(edges, 7)
+    assert np.abs(errors(found, truth, 0)).max() < 0.3
+    left_out = {
+        (edge.first, edge.second) for edge, fit in zip(edges, found.edges, strict=True) if not fit.used
+    }
+    assert left_out == {(one, 6) for one in range(2, 6)}
+    assert found.contested == ()
+    alike = adjust([replace(edge, evidence=10.0) for edge in edges], 7)
+    assert alike.contested == (6,)  # four against two of the same evidence: the many, with a doubt
+    assert np.abs(errors(alike, truth, 0)[6]).max() > 10.0

@@ -1,0 +1,112 @@
+"""Pairs in which parts of the scene have moved: clouds over ground, and a small thing that moves."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.options import Settings
+from pcwlad_geo.products.detect import same_product
+from pcwlad_geo.registration.judge import motions_of
+from pcwlad_geo.registration.run import run
+from tests.scenes import make_grid, render, write
+
+Array = NDArray[np.float64]
+
+GROUND_PX = (0.3, -0.2)
+CLOUDS_PX = (4.0, -9.0)
+SIDE = 400
+
+
+def clouded(moved: tuple[float, float], share: float) -> Array:
+    """Return how far clouds cover each pixel; they cover a share of the rows, and drift with an image."""
+    rows, cols = np.mgrid[:SIDE, :SIDE].astype(float)
+    edge = share * SIDE + 12 * np.sin((cols - moved[0]) / 25)
+    return np.asarray(1 / (1 + np.exp((rows - moved[1] - edge) / 2)))
+
+
+def band(name: str, ground_px: tuple[float, float], clouds_px: tuple[float, float], share: float) -> Array:
+    grid, cover = make_grid((SIDE, SIDE)), clouded(clouds_px, share)
+    clouds = render(grid, name, seed=9, displacement_px=clouds_px)
+    return cover * clouds + (1 - cover) * render(grid, name, seed=2, displacement_px=ground_px)
+
+
+def pair(folder: Path, names: tuple[str, str], share: float) -> tuple[Path, Path]:
+    grid = make_grid((SIDE, SIDE))
+    return (
+        write(folder / names[0], band("red", (0.0, 0.0), (0.0, 0.0), share), grid),
+        write(folder / names[1], band("thermal", GROUND_PX, CLOUDS_PX, share), grid),
+    )
+
+
+def test_bands_of_one_product_follow_the_ground_below_most_clouds(tmp_path: Path) -> None:
+    (tmp_path / "scene_MTL.txt").write_text("GROUP = L1_METADATA_FILE\n")
+    found = run(*pair(tmp_path, ("scene_B4.tif", "scene_B10.tif"), 0.65), Settings())
+    assert found.status == "registered"
+    at = np.array([[SIDE / 2, SIDE * 0.85]])
+    assert found.correction is not None
+    assert np.abs(found.correction.forward(at) - at - GROUND_PX).max() < 0.1
+    assert len(found.motions) == 2
+    assert np.hypot(*np.subtract(found.motions[1].displacement_px, CLOUDS_PX)) < 0.3
+    assert found.quality is not None and found.quality.grade != "good"
+    assert sum("different displacements" in warning for warning in found.warnings) == 1
+
+
+def test_other_images_of_two_motions_are_refused_with_both_named(tmp_path: Path) -> None:
+    found = run(*pair(tmp_path, ("first.tif", "second.tif"), 0.65), Settings())
+    assert found.status == "rejected"
+    assert found.reason is not None and "2 different displacements" in found.reason
+    assert re.search(r"\(\+(3\.9|4\.0), -(8\.9|9\.0)\) px", found.reason)
+
+
+def test_a_few_clouds_leave_the_ground_its_place(tmp_path: Path) -> None:
+    found = run(*pair(tmp_path, ("first.tif", "second.tif"), 0.3), Settings())
+    assert found.status == "registered"
+    kept = found.tie_points.select("fit", "check", "unused").displacement_px
+    assert np.linalg.norm(kept - GROUND_PX, axis=1).max() < 2.0
+    assert len(found.motions) == 2
+
+
+def test_a_ship_that_moves_is_no_second_motion(tmp_path: Path) -> None:
+    grid = make_grid((SIDE, SIDE))
+    first, second = (
+        render(grid, name, seed=2, displacement_px=moved)
+        for name, moved in (("red", (0.0, 0.0)), ("thermal", GROUND_PX))
+    )
+    first[200:230, 100:112] = 250.0
+    second[205:235, 107:119] = 250.0
+    found = run(write(tmp_path / "a.tif", first, grid), write(tmp_path / "b.tif", second, grid), Settings())
+    assert found.status == "registered" and found.motions == ()
+    assert found.quality is not None and found.quality.grade == "good"
+
+
+@pytest.mark.parametrize("bend", ["rotation", "curve", "noise"])
+def test_what_varies_smoothly_is_one_motion(bend: str) -> None:
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(0, 1000, (900, 2))
+    moved = {
+        "rotation": (xy - 500) @ np.array([[0.0, 0.02], [-0.02, 0.0]]),
+        "curve": 12 * ((xy - 500) / 500) ** 2,
+        "noise": rng.uniform(-12, 12, xy.shape) * (rng.random((900, 1)) < 0.4),
+    }[bend]
+    points = TiePoints(xy, xy + moved, np.tile(np.eye(2), (900, 1, 1)), np.ones(900), np.zeros(900))
+    kept = np.linalg.norm(moved, axis=1) < 1e-9 if bend == "noise" else np.ones(900, bool)
+    assert len(motions_of(points, kept, np.zeros(2), 81, 12)) <= 1
+
+
+def test_bands_are_of_one_product_by_their_names_and_metadata(tmp_path: Path) -> None:
+    assert not same_product(tmp_path / "l8_B4.tif", tmp_path / "l8_B10.tif")
+    (tmp_path / "l8_MTL.txt").touch()
+    assert same_product(tmp_path / "l8_B4.tif", f"vrt://{tmp_path}/l8_B10.tif?a_nodata=0")
+    assert not same_product(tmp_path / "l8_B4.tif", tmp_path / "l8_B4.tif")
+    assert not same_product(tmp_path / "l8_B4.tif", tmp_path / "l9_B10.tif")
+    safe = "GRANULE/L2A/IMG_DATA"
+    assert same_product(
+        f"{safe}/R10m/T32TQM_20200101T101031_B04_10m.jp2", f"{safe}/R60m/T32TQM_20200101T101031_B01_60m.jp2"
+    )
+    assert not same_product("T32TQM_20200101T101031_B04.jp2", "T32TQM_20200106T101031_B04.jp2")
