@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import re
 from collections.abc import Iterator
@@ -135,23 +136,18 @@ _BAND_FILE: Final = re.compile(r"(?P<scene>.+?)_(?:SR_|ST_)?B(?:\d{1,2}|8A)(?:_\
 
 
 def same_product(one: PathLike, other: PathLike) -> bool:
-    """Return whether two files are bands of one Landsat or Sentinel-2 product: of one sensor and moment.
+    """Return whether two files, or GDAL URIs of files, are bands of one Landsat or Sentinel-2 product.
 
-    Their names differ in the band alone, and are those of a mission, or lie beside the product's metadata
-    (`SCENE_MTL.txt`). GDAL URIs of files are taken as well.
+    Their names differ in the band alone, and are those of a mission, or lie beside a `NAME_MTL` file.
     """
-    places = [Path(os.fspath(each).removeprefix("vrt://").split("?")[0]) for each in (one, other)]
-    scenes = []
-    for place in places:
-        match = _BAND_FILE.fullmatch(place.stem)
-        folder = place.parent.parent if re.fullmatch(r"R\d\dm", place.parent.name) else place.parent
-        scenes.append((folder, match["scene"].upper()) if match else None)
-    if scenes[0] is None or scenes[0] != scenes[1] or places[0] == places[1]:
+    first, second = (Path(os.fspath(each).removeprefix("vrt://").split("?")[0]) for each in (one, other))
+    match, like = (_BAND_FILE.fullmatch(place.stem) for place in (first, second))
+    places = [re.sub(r"/R\d\dm$", "", place.parent.as_posix()) for place in (first, second)]
+    if not match or not like or match["scene"] != like["scene"] or len(set(places)) > 1 or first == second:
         return False
-    if native_px_m(places[0].stem, None) is not None or _OLD_LANDSAT.fullmatch(places[0].stem):
+    if native_px_m(first.stem, None) is not None or _OLD_LANDSAT.fullmatch(first.stem):
         return True
-    name = f"{scenes[0][1]}_MTL."
-    return any(each.name.upper().startswith(name) for each in places[0].parent.glob("*_[Mm][Tt][Ll].*"))
+    return any(first.parent.glob(f"{glob.escape(match['scene'])}_MTL.*"))
 
 
 _STEM: Final = re.compile(r"(_MTL\.(txt|json|xml)|(\.SAFE)?(\.zip|\.tar|\.tar\.gz|\.tgz)?)$", re.IGNORECASE)

@@ -229,10 +229,10 @@ class Quality:
     kept_share: float
     """Share of the matches that agree with their neighbours."""
 
-    def with_reason(self, reason: Reason) -> Quality:
-        """Return the quality with a reason that matches gave before the fit."""
-        worst_first = sorted((*self.reasons, reason), key=lambda each: GRADES.index(each.grade))
-        return replace(self, grade=worst_first[0].grade, reasons=tuple(worst_first))
+    def at_most_fair(self, text: str) -> Quality:
+        """Return the quality with one more reason why it is not good."""
+        reasons = (*self.reasons, Reason("fair", text))
+        return replace(self, grade=min(self.grade, "fair", key=GRADES.index), reasons=reasons)
 
     @property
     def refusal(self) -> str | None:

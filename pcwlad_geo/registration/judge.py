@@ -11,8 +11,10 @@ from scipy.spatial import cKDTree
 
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.raster.geodesy import middle_pixel_size_m
+from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.registration.prealign import Prealignment
-from pcwlad_geo.types import Bool, Float64, Index
+from pcwlad_geo.types import Bool, Float64
 
 MIN_POINTS: Final = 12
 """Least number of consistent tie points of an accepted pair."""
@@ -33,8 +35,6 @@ AT_BORDER: Final = 0.25
 CHANCE_FACTOR: Final = 2.0
 """Factor on the chance of agreement, as matches of unrelated images are not uniform over the search."""
 
-MAX_MOTIONS: Final = 3
-"""Largest number of motions that are told apart."""
 TILTED: Final = 1.2
 """Matches are compared about a common plane where so many times as many agree then."""
 BETWEEN: Final = 0.25
@@ -58,20 +58,23 @@ class Motion:
     """Matches that agree on a displacement, which other matches of the pair contradict."""
 
     displacement_px: tuple[float, float]
-    """Their median displacement (col, row) from where the start places the target, matching-grid px."""
+    """Their median displacement (col, row), matching-grid px."""
     points: int
     share: float
     """Of all matches, consistent or not."""
     places: int
     """Number of separate places in which most matches agree with it."""
-    box_px: tuple[float, float, float, float]
-    """Least and largest (col, row) of the places of its matches in the reference, matching-grid px."""
     significance: float
     """-log10 of the probability that unrelated images agree as much."""
 
     def __str__(self) -> str:
         col, row = self.displacement_px
         return f"({col:+.1f}, {row:+.1f}) px by {self.points} points in {self.places} separate places"
+
+    def odds(self, error_px: float | None) -> float:
+        """Return how much speaks for it, where a georeferencing errs by so much, if there is one."""
+        far = np.hypot(*self.displacement_px) / error_px if error_px else 0.0
+        return float(self.places / (1 + far**2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,74 +179,48 @@ def motions_of(
 ) -> list[tuple[Motion, Bool]]:
     """Find the displacements on each of which so many matches agree that it would be accepted by itself.
 
-    Clouds seen from another angle or at another time, and the ground below them, are two such motions. What
-    varies smoothly over the scene is one, even where most of it was rejected.
-
-    Parameters
-    ----------
-    matches : TiePoints
-        All of the first pass, consistent or not.
-    kept : (n,) bool array
-        The consistent ones.
-    offset_px : (2,) array
-        Displacement (col, row) of a target that lies where the start places it.
-    window_px, radius_px : int
-        As `judge` takes them.
-
-    Returns
-    -------
-    list of (Motion, (n,) bool array)
-        The one with most matches first, each with the mask of its matches; empty where there are few.
+    Clouds seen from another angle or at another time, and the ground below them, are two such motions; what
+    varies smoothly over the scene is one. Each comes with the (n,) bool array of its matches, that with most
+    first; none where few of all n matches are consistent, the (n,) bool array `kept`. The `offset_px` is the
+    (2,) displacement (col, row) of a target that lies where its georeferencing says; window and radius are
+    those of `judge`.
     """
     if kept.sum() < MIN_POINTS:
         return []
-    moved = matches.displacement_px - offset_px
-    plane_px = _common_plane(matches, kept)[0] - offset_px
+    xy, moved = matches.reference_xy_px, matches.displacement_px - offset_px
+    plane_px = _common_plane(matches, kept)[0]
     flat = moved - plane_px + plane_px[kept].mean(axis=0)
-    some = slice(None, None, -(-len(moved) // SAMPLE))
-    if _most_frequent(flat[some])[1] > TILTED * _most_frequent(moved[some])[1]:
+    if _most_frequent(flat)[1] > TILTED * _most_frequent(moved)[1]:
         moved = flat
-    cells = np.floor(matches.reference_xy_px / (CELL_PER_WINDOW * window_px)).astype(np.intp)
+    cells = np.floor(xy / (CELL_PER_WINDOW * window_px)).astype(np.intp)
     cell_of = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    total = np.bincount(cell_of)
+    share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
     found: list[tuple[Motion, Bool]] = []
     left = np.ones(len(moved), bool)
-    while len(found) < MAX_MOTIONS and left.sum() >= MIN_POINTS:
-        candidates = moved[left]
-        middle_px = _most_frequent(candidates[:: -(-len(candidates) // SAMPLE)])[0]
-        near = np.linalg.norm(moved - middle_px, axis=1) < AGREE_PX
-        motion = _motion(matches.reference_xy_px, moved, near, cell_of, radius_px)
-        enough = motion.points >= MIN_POINTS and motion.places >= MIN_CELLS
-        if not enough or motion.significance < MIN_SIGNIFICANCE:
+    while left.sum() >= MIN_POINTS:
+        middle_px = _most_frequent(moved[left])[0]
+        off_px = np.linalg.norm(moved - middle_px, axis=1)
+        near, left = off_px < AGREE_PX, left & (off_px >= 2 * AGREE_PX)
+        places = int((np.bincount(cell_of, weights=near) >= total / 2).sum())
+        evidence = evidence_against_chance(places, len(total), min(0.5, CHANCE_FACTOR * share))
+        significance = max(0.0, evidence + float(np.log10(share)))
+        if near.sum() < MIN_POINTS or places < MIN_CELLS or significance < MIN_SIGNIFICANCE:
             break
+        col, row = np.median(moved[near], axis=0).tolist()
+        motion = Motion((col, row), int(near.sum()), float(near.mean()), places, significance)
         if all(_apart(moved, motion, other) for other, _ in found):
             found.append((motion, near))
-        left &= np.linalg.norm(moved - middle_px, axis=1) >= 2 * AGREE_PX
     return found
 
 
 def _most_frequent(moved: Float64) -> tuple[Float64, int]:
     """Return the displacement with which most agree, and how many do."""
-    tree = cKDTree(moved)
-    count = tree.query_ball_point(moved, AGREE_PX, return_length=True)
-    around = moved[tree.query_ball_point(moved[np.argmax(count)], AGREE_PX)]
+    some = moved[:: -(-len(moved) // SAMPLE)]
+    tree = cKDTree(some)
+    count = tree.query_ball_point(some, AGREE_PX, return_length=True)
+    around = some[tree.query_ball_point(some[np.argmax(count)], AGREE_PX)]
     return np.median(around, axis=0), int(count.max())
-
-
-def _motion(xy: Float64, moved: Float64, near: Bool, cell_of: Index, radius_px: int) -> Motion:
-    total = np.bincount(cell_of)
-    places = int((np.bincount(cell_of, weights=near) >= total / 2).sum())
-    share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
-    evidence = evidence_against_chance(places, len(total), min(0.5, CHANCE_FACTOR * share))
-    (left, top), (right, bottom) = xy[near].min(axis=0), xy[near].max(axis=0)
-    col, row = np.median(moved[near], axis=0).tolist()
-    return Motion(
-        (col, row),
-        int(near.sum()),
-        float(near.mean()),
-        places,
-        (float(left), float(top), float(right), float(bottom)),
-        max(0.0, evidence + float(np.log10(share))),
-    )
 
 
 def _apart(moved: Float64, one: Motion, other: Motion) -> bool:
@@ -256,46 +233,50 @@ def _apart(moved: Float64, one: Motion, other: Motion) -> bool:
     return bool(halfway.sum() <= BETWEEN * min(one.points, other.points))
 
 
-def odds_of(motion: Motion, scale_px: float | None) -> float:
-    """Return how much speaks for a motion: its places, and how near it lies to the georeferencing.
+def error_of_georeferencing_px(grid: Grid, of_one_product: bool) -> float:
+    """Return by how much georeferencing typically errs, px of a grid."""
+    sizes_m = middle_pixel_size_m(grid) if of_one_product else None
+    return GEOREFERENCED_PX if sizes_m is None else PRODUCT_M / max(sizes_m)
 
-    Parameters
-    ----------
-    motion : Motion
-    scale_px : float, optional
-        Typical error of the georeferencing, matching-grid px; None where there is none.
+
+def motion_of_the_ground(
+    motions: Sequence[tuple[Motion, Bool]], kept: Bool, error_px: float | None, of_one_product: bool
+) -> tuple[list[tuple[Motion, Bool]], tuple[Motion, Bool] | None, str | None]:
+    """Return motions, the likeliest first, the one of most (n,) `kept` matches, and why they are refused.
+
+    What is georeferenced, with a typical error, lies near its place, and bands of one product do to some
+    metres: a motion far away has to be seen in many more places than one that is near.
     """
-    far = 0.0 if scale_px is None else float(np.hypot(*motion.displacement_px)) / scale_px
-    return motion.places / (1 + far**2)
+    if not motions:
+        return [], None, None
+    usual = max(motions, key=lambda each: np.count_nonzero(each[1] & kept))
+    likely = sorted(motions, key=lambda each: -each[0].odds(error_px))
+    odds = [motion.odds(error_px) for motion, _ in likely]
+    least = CLEARER * max(odds[1:], default=0.0) if likely[0] is usual else DECISIVE * usual[0].odds(error_px)
+    best, reason = likely[0][0], None
+    if odds[0] < least:
+        reason = told_of([motion for motion, _ in likely], taken=False)
+    elif error_px and of_one_product and np.hypot(*best.displacement_px) > IMPOSSIBLE * error_px:
+        reason = (
+            f"bands of a product lie within some metres of each other, and the matches agree on {best}, "
+            "probably on clouds, which each band sees elsewhere: give a mask (--ref-mask, --tgt-mask) with 0 "
+            "there; or --prealign search, if a band has really been moved"
+        )
+    return likely, usual, reason
 
 
-def undecided(motions: Sequence[Motion], georeferenced: bool) -> str:
-    """Return why a pair of several motions is refused, and what to do."""
-    seen = ", ".join(str(motion) for motion in motions)
-    near = ", or --prealign georef with a small --search-radius" if georeferenced else ""
+def told_of(motions: Sequence[Motion], taken: bool) -> str:
+    """Return what is told of a pair of several motions: that the first was taken, or why it is refused."""
+    each = "; ".join(map(str, motions))
+    seen = f"the matches agree on {len(motions)} different displacements ({each})"
+    if taken:
+        return (
+            f"{seen}: the first was taken for that of the ground, the rest for clouds or what else moves, or "
+            "lies at another depth; there the correction does not hold"
+        )
     return (
-        f"the matches agree on {len(motions)} different displacements, and nothing tells which is that of "
-        f"the ground: {seen}. Clouds, or parts of the scene at another depth, have moved: give a mask "
-        f"(--ref-mask, --tgt-mask) with 0 on what moves{near}"
-    )
-
-
-def another_motion(motions: Sequence[Motion]) -> str:
-    """Return what is told of a pair of several motions, of which the first was taken."""
-    others = ", ".join(str(motion) for motion in motions[1:])
-    return (
-        f"the matches agree on {len(motions)} different displacements: {motions[0]} was taken for that of "
-        f"the ground, and {others} for what moves, such as clouds, or lies at another depth: there the "
-        "correction does not hold"
-    )
-
-
-def impossible(motion: Motion) -> str:
-    """Return why bands of one product are refused that seem to lie far apart, and what to do."""
-    return (
-        "bands of one product lie within some metres of each other, and the matches say otherwise: "
-        f"{motion}. They are probably on clouds, which each band sees elsewhere: give a mask (--ref-mask, "
-        "--tgt-mask) with 0 there; or --prealign search, if a band has really been moved"
+        f"{seen}, and nothing tells which is that of the ground: give a mask (--ref-mask, --tgt-mask) with 0 "
+        "on clouds and what else moves, or --prealign georef with a small --search-radius"
     )
 
 

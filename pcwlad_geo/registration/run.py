@@ -30,16 +30,9 @@ from pcwlad_geo.raster.rpc.view import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band, with_compression_blocks, without_collar
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.raster.view import file_px_per_px
-from pcwlad_geo.registration.fitting import (
-    AssessedFit,
-    Reason,
-    assess,
-    fit_correction,
-    footprint_px,
-    user_points,
-)
+from pcwlad_geo.registration.fitting import AssessedFit, assess, fit_correction, footprint_px, user_points
 from pcwlad_geo.registration.inputs import identify_inputs, resolve
-from pcwlad_geo.registration.judge import another_motion
+from pcwlad_geo.registration.judge import told_of
 from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Prealignment, read_overviews
 from pcwlad_geo.registration.result import (
@@ -221,7 +214,7 @@ def fit(
         places = _common_px(matches.record, matches.views, target)
         quality = assess(fitted.table, matches.every, fitted.selection, places, footprint)
         if matches.motions:
-            quality = quality.with_reason(Reason("fair", another_motion(matches.motions)))
+            quality = quality.at_most_fair(told_of(matches.motions, taken=True))
         log.on_event(Progress("fitting", 1, 1))
     refusal = None if settings.tie_points else quality.refusal
     for reason in () if refusal else quality.reasons:
@@ -391,7 +384,7 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
     window_px = matched.window_px
     motions = tuple(motion for motion, _ in matched.motions) if len(matched.motions) > 1 else ()
     if motions and verdict.accepted:
-        log.warn(another_motion(motions))
+        log.warn(told_of(motions, taken=True))
     return Matches(
         pair, table, verdict, matched.counts, start, record, views, table, window_px, geometry, motions
     )

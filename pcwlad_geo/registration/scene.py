@@ -47,25 +47,18 @@ from pcwlad_geo.matching.types import (
 )
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.detect import same_product
-from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.view import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.judge import (
-    CLEARER,
-    DECISIVE,
-    GEOREFERENCED_PX,
-    IMPOSSIBLE,
     MIN_SIGNIFICANCE,
-    PRODUCT_M,
     Motion,
     Verdict,
-    impossible,
+    error_of_georeferencing_px,
     judge,
+    motion_of_the_ground,
     motions_of,
-    odds_of,
     refusal,
-    undecided,
 )
 from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, plan
 from pcwlad_geo.registration.prealign import (
@@ -118,8 +111,6 @@ GOLDEN: Final = (5**0.5 - 1) / 2
 """Multiples of the golden ratio, modulo 1, are spread evenly, however many are taken."""
 SMALLER_WINDOWS: Final = (0.56, 0.75)
 """Sides of the windows that tell the error of a given one, shares of its own."""
-MIN_RADIUS_PX: Final = 2
-"""Least search radius around a motion, of which others are kept away."""
 NEAR_PX: Final = 0.5
 """A target that was found nearer than this to where it was assumed is not matched again, target px."""
 
@@ -140,7 +131,7 @@ class Matched:
     """Side of the window of the last pass."""
     epipolar: bool = False
     """Whether the matches were kept by their epipolar lines, which allow every depth."""
-    motions: tuple[tuple[Motion, Bool], ...] = ()
+    motions: Sequence[tuple[Motion, Bool]] = ()
     """What parts of the matches agree on, see `judge.motions_of`; that which was taken comes first."""
 
 
@@ -209,7 +200,6 @@ def match_scene(
     verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=odds)
     kept, verdict, epipolar = _by_geometry(matches, kept, verdict, pair, prealignment, settings, matching)
     window_px = matching.window
-    motions: tuple[tuple[Motion, Bool], ...] = ()
     if verdict.accepted:
         with log.stage("refining"):
             again = _second_pass(first, matches, kept, matching, not planned.sites, log, runner)
@@ -223,7 +213,7 @@ def match_scene(
             verdict = judge(first.matches, found, counts, matching.window, radius_px, evidence=odds)
     if verdict.accepted and not epipolar:
         offset_px = np.asarray(pair.offset_px, dtype=np.float64)
-        motions = tuple(motions_of(matches, kept, offset_px, matching.window, radius_px))
+        motions = motions_of(matches, kept, offset_px, matching.window, radius_px)
     counts["inconsistent"] = int((~kept).sum())
     counts["tie_points"] = int(kept.sum())
     record = record_matching(
@@ -646,68 +636,27 @@ def _match_again_in_pose(
 def _of_the_ground(
     matched: Matched, start: Start, settings: Settings, log: JobLog, runner: Runner
 ) -> Matched:
-    """Return the matches of the motion that the ground has, refused where nothing tells which that is.
-
-    What is georeferenced lies near its place, and the bands of one product do to some metres: a motion far
-    away has to be seen in many more places than one that is near.
-    """
-    if not matched.motions:
-        return matched
-    scale_px = _error_px(start.pair, matched.prealignment, settings)
-    motions = sorted(matched.motions, key=lambda each: -int((each[1] & matched.kept).sum()))
-    odds = [odds_of(motion, scale_px) for motion, _ in motions]
-    best = int(np.argmax(odds))
-    by_likelihood = sorted(zip(odds, motions, strict=True), key=lambda each: -each[0])
-    matched = replace(matched, motions=tuple(each for _, each in by_likelihood))
-    motion = motions[best][0]
-    if best > 0 and odds[best] >= DECISIVE * odds[0]:
-        return _matched_around(matched, start, motion, settings, log, runner)
-    reason = None
-    if best > 0 or max(odds[1:], default=0.0) * CLEARER > odds[0]:
-        reason = undecided([each for each, _ in motions], scale_px is not None)
-    elif (
-        _of_one_product(start.pair) and scale_px and np.hypot(*motion.displacement_px) > IMPOSSIBLE * scale_px
-    ):
-        reason = impossible(motion)
-    if reason:
+    """Return the matches of the motion that the ground has, refused where nothing tells which that is."""
+    pair, before = start.pair, start.prealignment
+    of_one_product = same_product(pair.reference.info.uri, pair.target.info.uri)
+    believed = pair.georeferenced and before.pose is None and settings.prealign not in ("search", "none")
+    error_px = error_of_georeferencing_px(pair.reference.grid, of_one_product) if believed else None
+    motions, usual, reason = motion_of_the_ground(matched.motions, matched.kept, error_px, of_one_product)
+    matched = replace(matched, motions=motions)
+    if reason is not None:
         return replace(matched, verdict=replace(matched.verdict, accepted=False, reason=reason))
-    if scale_px is None or len(motions) == 1:  # of frames, another depth moves otherwise, and is right
+    if error_px is None or len(motions) < 2:  # parts of frames move by their depth, and are right
         return matched
+    if motions[0] is not usual:  # again, beyond the reach of the others
+        best = motions[0][0]
+        apart_px = np.subtract([other.displacement_px for other, _ in motions[1:]], best.displacement_px)
+        radius_px = min(before.search_radius_px, max(2, int(np.hypot(*apart_px.T).min() / 3)))
+        shift_px, evidence = best.displacement_px, best.significance
+        around = replace(before, shift_px=shift_px, search_radius_px=radius_px, evidence=evidence)
+        return replace(match_scene(pair, start.overviews, around, settings, log, runner), motions=motions)
     kept = matched.kept & ~np.any([near for _, near in motions[1:]], axis=0)
     counts = {**matched.counts, "inconsistent": int((~kept).sum()), "tie_points": int(kept.sum())}
     return replace(matched, kept=kept, counts=counts)
-
-
-def _matched_around(
-    matched: Matched, start: Start, motion: Motion, settings: Settings, log: JobLog, runner: Runner
-) -> Matched:
-    """Match a target again around a motion, beyond the reach of the others; refused where that fails."""
-    others = [each.displacement_px for each, _ in matched.motions if each != motion]
-    apart_px = float(np.hypot(*np.subtract(others, motion.displacement_px).T).min())
-    radius_px = max(MIN_RADIUS_PX, min(int(apart_px / 3), matched.prealignment.search_radius_px))
-    around = replace(
-        matched.prealignment,
-        shift_px=motion.displacement_px,
-        search_radius_px=radius_px,
-        evidence=motion.significance,
-    )
-    found = match_scene(start.pair, start.overviews, around, settings, log, runner)
-    if found.verdict.accepted:
-        return replace(found, motions=matched.motions)
-    reason = undecided([each for each, _ in matched.motions], True)
-    return replace(matched, verdict=replace(matched.verdict, accepted=False, reason=reason))
-
-
-def _error_px(pair: ViewPair, start: Prealignment, settings: Settings) -> float | None:
-    """Return the typical error of the georeferencing, matching-grid px; None where that is not believed."""
-    if not pair.georeferenced or start.pose is not None or settings.prealign in ("search", "none"):
-        return None
-    sizes_m = middle_pixel_size_m(pair.reference.grid) if _of_one_product(pair) else None
-    return GEOREFERENCED_PX if sizes_m is None else PRODUCT_M / max(sizes_m)
-
-
-def _of_one_product(pair: ViewPair) -> bool:
-    return same_product(pair.reference.info.uri, pair.target.info.uri)
 
 
 def _warn_of_georeferencing(pair: ViewPair, prealignment: Prealignment, log: JobLog) -> None:

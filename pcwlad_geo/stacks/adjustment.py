@@ -200,7 +200,7 @@ def adjust(
         shared = shared or _first_shared(network, parts)
         for _ in range(images):
             settled = _settled(network, parts, used, shared)
-            used, _ = _outvoted(network, parts, settled, evidence)
+            used, contested = _outvoted(network, parts, settled, evidence)
             shared = settled.shared
             if (used == settled.used).all():
                 break
@@ -210,7 +210,6 @@ def adjust(
     if datum is None:
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
     normal = settled.solution.normal
-    contested = _outvoted(network, parts, settled, evidence)[1]
     return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread, contested)
 
 
@@ -400,8 +399,8 @@ def _outvoted(
 ) -> tuple[Bool, tuple[int, ...]]:
     """Return the pairs in use, and the images that are contested.
 
-    The pairs of an image give way to others that agree on another place and have more evidence together: many
-    pairs may err by one cause. Where those that were left out have nearly as much, the image is contested.
+    The pairs of an image give way to others that agree on another place and have more evidence together, as
+    many may err by one cause. Where those left out have nearly as much, the image is contested.
     """
     used, solution, limit = settled.used, settled.solution, critical(len(parts))
     found, contested = used.copy(), []

@@ -17,10 +17,11 @@ from pcwlad_geo.job import match_elsewhere, match_files, write_match
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, Grade
+from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, GRADES, Grade
 from pcwlad_geo.registration.inputs import estimate_tile_count
-from pcwlad_geo.registration.judge import GEOREFERENCED_PX, Motion, another_motion
+from pcwlad_geo.registration.judge import GEOREFERENCED_PX, Motion, told_of
 from pcwlad_geo.report.finished import read_report, report_of_same_job
+from pcwlad_geo.stacks.basis import basis_over
 from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
 from pcwlad_geo.stacks.network import Edge, components
 from pcwlad_geo.text import joined
@@ -138,11 +139,11 @@ def measure(
         on_event(Progress("pairs", done, len(tasks)))
         reasons[number] = match_pair(*tasks[number].arguments, on_event, runner)
     for number, (pair, task) in enumerate(zip(chosen, tasks, strict=True)):
-        yield _measured(frame, pair, task.place, reasons.get(number), on_event)
+        yield measured_pair(frame, pair, task.place, reasons.get(number), on_event)
     on_event(Progress("pairs", len(tasks), len(tasks)))
 
 
-def _measured(
+def measured_pair(
     frame: Frame, pair: tuple[int, int], place: Path, reason: str | None, on_event: EventCallback
 ) -> Measured:
     """Return what a matched pair gave, from its folder unless there is a reason that it gave nothing."""
@@ -164,27 +165,19 @@ def _measured(
 
 def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
     """Return a pair with the grade that its points and its report give it."""
-    place = edge.first_xy - edge.first_xy.mean(axis=0)
-    x, y = (place / max(float(np.abs(place).max()), 1e-9)).T
-    smooth, moved = (
-        np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y]),
-        edge.second_xy - edge.first_xy,
-    )
+    smooth = basis_over([edge.first_xy], "polynomial2").values(edge.first_xy)
+    moved = edge.second_xy - edge.first_xy
     left = moved - smooth @ np.linalg.lstsq(smooth, moved, rcond=None)[0]
-    off_px = float(np.percentile(np.hypot(*left.T), 90))
-    counts = report.get("tie_points", {})
+    off_px, counts = float(np.percentile(np.hypot(*left.T), 90)), report.get("tie_points", {})
     kept = 1 - counts.get("rejected", 0) / max(counts.get("total", 0), 1)
-    grade: Grade = "good" if off_px <= GOOD_PX else "fair" if off_px <= FAIR_PX else "poor"
-    reasons = (
-        [] if grade == "good" else [f"a tenth of its points lie {off_px:.2f} px off a smooth displacement"]
-    )
-    if pair.motions:
-        grade = "fair" if grade == "good" else grade
-        reasons.append(another_motion(pair.motions))
+    reasons: list[tuple[Grade, str]] = [("fair", told_of(pair.motions, taken=True))] if pair.motions else []
+    if off_px > GOOD_PX:
+        text = f"a tenth of its points lie more than {off_px:.2f} px off a smooth displacement"
+        reasons.append(("fair" if off_px <= FAIR_PX else "poor", text))
     if kept < FEW_KEPT:
-        grade = "poor"
-        reasons.append(f"only {100 * kept:.0f} % of the matches agree with their neighbours")
-    return replace(pair, quality=grade, quality_reasons=tuple(reasons))
+        reasons.append(("poor", f"only {100 * kept:.0f} % of the matches agree with their neighbours"))
+    grade: Grade = min((grade for grade, _ in reasons), key=GRADES.index, default="good")
+    return replace(pair, quality=grade, quality_reasons=tuple(text for _, text in reasons))
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,12 +52,11 @@ from pcwlad_geo.stacks.pairs import (
     ControlPoint,
     Frame,
     Measured,
-    StackPair,
     check_connected,
     control_edges,
     control_points,
-    edge_of,
     measure,
+    measured_pair,
 )
 from pcwlad_geo.stacks.result import (
     FILES,
@@ -508,11 +507,9 @@ def _pairs_before(folder: Path, frame: Frame) -> list[tuple[int, int]]:
 def _measured_before(frame: Frame, folder: Path, entry: Mapping[str, Any]) -> Measured:
     """Return what a pair gave that a finished stack lists."""
     names = str(entry["reference"]), str(entry["target"])
-    place = folder / PAIRS / "__".join(names)
-    if entry["status"] == "refused":
-        return None, StackPair(*names, "refused", str(entry["reason"]), place)
-    one, other = (frame.names.index(name) for name in names)
-    return edge_of(frame, one, other, place), StackPair(*names, "used", None, place)
+    reason = str(entry["reason"]) if entry["status"] == "refused" else None
+    ends = frame.names.index(names[0]), frame.names.index(names[1])
+    return measured_pair(frame, ends, folder / PAIRS / "__".join(names), reason, ignore)
 
 
 def _check_settings(settings: Settings) -> None:
