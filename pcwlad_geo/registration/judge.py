@@ -258,9 +258,8 @@ def motion_of_the_ground(
         reason = told_of([motion for motion, _ in likely], taken=False)
     elif error_px and of_one_product and np.hypot(*best.displacement_px) > IMPOSSIBLE * error_px:
         reason = (
-            f"bands of a product lie within some metres of each other, and the matches agree on {best}, "
-            "probably on clouds, which each band sees elsewhere: give a mask (--ref-mask, --tgt-mask) with 0 "
-            "there; or --prealign search, if a band has really been moved"
+            f"bands of a product lie within metres of each other, and the matches agree on {best}, probably "
+            "clouds: mask them (--ref-mask, --tgt-mask), or give --prealign search if a band has been moved"
         )
     return likely, usual, reason
 
@@ -271,7 +270,7 @@ def told_of(motions: Sequence[Motion], taken: bool) -> str:
     seen = f"the matches agree on {len(motions)} different displacements ({each})"
     if taken:
         return (
-            f"{seen}: the first was taken for that of the ground, the rest for clouds or what else moves, or "
+            f"{seen}: the first was taken for that of the ground, the rest for clouds, what else moves or "
             "lies at another depth; there the correction does not hold"
         )
     return (

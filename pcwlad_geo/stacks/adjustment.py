@@ -128,13 +128,7 @@ class Adjustment:
 
 
 def larger(one: Float64, other: Float64) -> Float64:
-    """Return the (n, 2, 2) covariances that are in each direction the larger of two.
-
-    Parameters
-    ----------
-    one, other : (n, 2, 2) array
-        Covariances in one unit.
-    """
+    """Return the (n, 2, 2) covariances that in each direction are the larger of two, of one unit."""
     size = np.trace(one, axis1=1, axis2=2) + np.trace(other, axis1=1, axis2=2)
     least = (1e-9 * size + 1e-30)[:, None, None] * np.eye(2)
     root = np.linalg.cholesky(one + least)

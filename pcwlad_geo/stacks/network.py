@@ -232,14 +232,7 @@ class Fold:
 def folds_of(edge: Edge, basis: Basis, coefficients: Float64, side: float, whole: Part) -> list[Fold]:
     """Return each block of the points of an edge, left out; see `blocks_of`.
 
-    Parameters
-    ----------
-    coefficients : (images, functions, 2) array
-        Of the corrections, along columns and rows.
-    side : float
-        Of a block, px.
-    whole : Part
-        All points of the edge.
+    The (images, terms, 2) `coefficients` tell the ground so far; `whole` are all points of the edge.
     """
     points = _weighted(edge, basis, coefficients)
     number = _numbers(points, basis, side)
@@ -416,13 +409,7 @@ class Network:
     def equations(self, parts: Sequence[Part], used: Bool, shared: Float64) -> tuple[csc_array, Float64]:
         """Return the (free, free) normal matrix of the coefficients, and the (free,) right-hand side.
 
-        Parameters
-        ----------
-        parts : sequence of Part
-        used : (edges,) bool array
-            Edges that count.
-        shared : (edges,) array
-            Standard deviation of the shared error of each, map units.
+        The (edges,) arrays `used` and `shared` are those of `solve`.
         """
         size = self.size
         chosen = [part for part, good in zip(parts, used, strict=True) if good]

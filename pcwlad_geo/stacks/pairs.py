@@ -243,19 +243,9 @@ def match_pair(
     on_event: EventCallback = ignore,
     runner: Runner | None = None,
 ) -> str | None:
-    """Match a pair into a folder; return why it could not be, None where the folder tells.
+    """Match a pair of files into the folder `place`; return why it could not be, None where the folder tells.
 
-    Parameters
-    ----------
-    inputs : tuple of str
-        Paths of reference and target.
-    settings : Settings
-    place : Path
-        The folder.
-    on_event : callable
-        Receives what the job does; its warnings are told later, from the folder.
-    runner : Runner, optional
-        Runs the tiles; this process by default.
+    The runner, this process by default, runs the tiles. Warnings are told later, from the folder.
     """
 
     def of_this(event: Event) -> None:
