@@ -244,8 +244,9 @@ def motion_of_the_ground(
 ) -> tuple[list[tuple[Motion, Bool]], tuple[Motion, Bool] | None, str | None]:
     """Return motions, the likeliest first, the one of most (n,) `kept` matches, and why they are refused.
 
-    What is georeferenced, with a typical error, lies near its place, and bands of one product do to some
-    metres: a motion far away has to be seen in many more places than one that is near.
+    The `motions` come with the (n,) masks of their matches. What is georeferenced, with a typical error, lies
+    near its place, and bands of one product do to some metres: a motion far away has to be seen in many more
+    places than one that is near.
     """
     if not motions:
         return [], None, None

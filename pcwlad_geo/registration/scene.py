@@ -639,6 +639,8 @@ def _of_the_ground(
     """Return the matches of the motion that the ground has, refused where nothing tells which that is."""
     pair, before = start.pair, start.prealignment
     of_one_product = same_product(pair.reference.info.uri, pair.target.info.uri)
+    if not can_be_posed(pair):  # by an RPC, which errs by more, and relief moves parts of the scene
+        return replace(matched, motions=())
     believed = pair.georeferenced and before.pose is None and settings.prealign not in ("search", "none")
     error_px = error_of_georeferencing_px(pair.reference.grid, of_one_product) if believed else None
     motions, usual, reason = motion_of_the_ground(matched.motions, matched.kept, error_px, of_one_product)

@@ -54,6 +54,8 @@ TYPICAL: Final = (FREEDOM * (2.0 ** (2 / FREEDOM) - 1)) ** 0.5
 CONTESTED: Final = 2.0
 """An image is contested where what holds it in place has not so many times the evidence of what was left
 out and agrees on another place."""
+FAR_BEYOND: Final = 5.0
+"""What is known beforehand counts half where an image is found so many of its sigmas beyond."""
 MIN_REDUNDANCY: Final = 0.1
 """A pair that the others check less says nothing about the error that pairs have."""
 
@@ -128,7 +130,7 @@ class Adjustment:
 
 
 def larger(one: Float64, other: Float64) -> Float64:
-    """Return the (n, 2, 2) covariances that in each direction are the larger of two, of one unit."""
+    """Return in each direction the larger of two covariances, `one` and `other`, all (n, 2, 2)."""
     size = np.trace(one, axis1=1, axis2=2) + np.trace(other, axis1=1, axis2=2)
     least = (1e-9 * size + 1e-30)[:, None, None] * np.eye(2)
     root = np.linalg.cholesky(one + least)
@@ -147,6 +149,7 @@ def adjust(
     datum: int | None = 0,
     apart: bool = False,
     basis: Basis | None = None,
+    sigma_known: Float64 | None = None,
 ) -> Adjustment:
     """Estimate the displacements of all images from the tie points of their pairs.
 
@@ -171,6 +174,9 @@ def adjust(
         image stays.
     basis : Basis, optional
         Instead of that of the model over the points.
+    sigma_known : (images,) array, optional
+        Standard deviation of the displacement of each along an axis as known beforehand, map units; infinite
+        where it is not. One found far beyond counts for less.
 
     Raises
     ------
@@ -190,14 +196,18 @@ def adjust(
     evidence = np.array([edge.evidence for edge in edges])
     for _ in range(LINEARISED):  # at the ground that the displacements so far tell
         before = coefficients
+        if sigma_known is not None and shared:  # not before the pairs themselves say how they err
+            network = replace(network, known=_known(edges, basis, before, sigma_known))
         parts = [part_of(edge, basis, before, side) for edge in edges]
         shared = shared or _first_shared(network, parts)
-        for _ in range(images):
-            settled = _settled(network, parts, used, shared)
+        for turn in range(SETTLING):
+            # two answers that replace each other: that of more evidence is the last
+            settled = _settled(network, parts, used, shared, kept=turn == SETTLING - 1)
             used, contested = _outvoted(network, parts, settled, evidence)
             shared = settled.shared
             if (used == settled.used).all():
                 break
+        used = settled.used
         coefficients, fits = settled.solution.coefficients, settled.solution.fits
     fits = tuple(replace(fit, used=bool(good)) for fit, good in zip(fits, used, strict=True))
     spread = _spread(network, edges, basis, before, parts, used, settled.sigma, side)
@@ -205,6 +215,15 @@ def adjust(
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
     normal = settled.solution.normal
     return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread, contested)
+
+
+def _known(edges: Sequence[Edge], basis: Basis, coefficients: Float64, sigma: Float64) -> Float64:
+    """Return `Network.known` of images whose displacements have a (images,) sigma beforehand."""
+    values = basis.values(np.concatenate([edge.first_xy for edge in edges]))
+    moment = values.T @ values / len(values)
+    squares = np.einsum("ita,ts,isa->i", coefficients, moment, coefficients)
+    weight = 1 / (sigma**2 + squares / FAR_BEYOND**2)
+    return np.asarray(weight[:, None, None] * moment)
 
 
 def _network(images: int, basis: Basis, fixed: tuple[int, ...]) -> Network:
@@ -346,8 +365,10 @@ class _Settled:
     """(edges,) standard deviations of the shared error, with what its own offset tells of each."""
 
 
-def _settled(network: Network, parts: Sequence[Part], used: Bool, shared: float) -> _Settled:
-    """Solve, and leave out pairs that contradict the others, until both no longer change.
+def _settled(
+    network: Network, parts: Sequence[Part], used: Bool, shared: float, kept: bool = False
+) -> _Settled:
+    """Solve, and leave out pairs that contradict the others unless they are `kept`, until nothing changes.
 
     What a pair shares has a sigma known to `FREEDOM` degrees of freedom: its own offset adds two more, so
     that pairs somewhat off count for less (the weights of Student's t distribution: Lange, Little, Taylor
@@ -366,7 +387,7 @@ def _settled(network: Network, parts: Sequence[Part], used: Bool, shared: float)
         before, shared = shared, max(_shared_error(solution, used, shared), LEAST_SHARED)
         ratio = np.array([fit.ratio for fit in fits]) * before / shared
         # one that was left out is tested again, against the sigma of what is in use now
-        again = _still_connected(parts, network.images, used, ratio <= limit, ratio)
+        again = used if kept else _still_connected(parts, network.images, used, ratio <= limit, ratio)
         more = np.sqrt((FREEDOM + np.minimum(ratio, limit) ** 2) / (FREEDOM + 2))
         same = (again == used).all() and abs(shared - before) <= 0.01 * before
         if same and np.abs(more / own - 1).max() <= 0.02:

@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array, eye_array, kron
+from scipy.sparse import block_diag, coo_array, csc_array, eye_array, kron
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial import cKDTree
@@ -370,6 +370,8 @@ class Network:
     """(terms, terms) normal matrix of what is known of an image's coefficients beforehand, axis by axis."""
     mixing: Float64 | None = None
     """(2 terms, p) coefficients of an image by its p unknowns, axis by axis; None: they are the unknowns."""
+    known: Float64 | None = None
+    """(images, terms, terms) normal matrices of what is known of each beforehand, axis by axis, besides."""
 
     @property
     def size(self) -> int:
@@ -435,6 +437,8 @@ class Network:
         whole = coo_array((data, (rows, cols)), shape=(self.images * size,) * 2).tocsc()
         if self.penalty.any():
             whole = whole + kron(eye_array(2 * self.images), self.penalty, format="csc")
+        if self.known is not None:
+            whole = whole + block_diag([np.kron(np.eye(2), each) for each in self.known], format="csc")
         free = self.free
         return csc_array(whole[free][:, free]), right.ravel()[free]
 

@@ -15,6 +15,8 @@ from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import match_elsewhere, match_files, write_match
 from pcwlad_geo.options import Settings
+from pcwlad_geo.products.detect import same_product
+from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, GRADES, Grade
@@ -44,6 +46,9 @@ CONTROL_SIGMA_PX: Final = 0.5
 
 PLACE_PX: Final = 60.0
 """Side of the squares that count as separate places of a pair, px of the frame: as the pair's own verdict."""
+PRODUCT_SIGMA_M: Final = 5.0
+"""Standard deviation of a band of a product beside another along an axis, metres: what Landsat 8 requires of
+its bands (LE90 4.5 m, thermal ones 30 m), and Sentinel-2 (0.3 px at three sigmas), is on both sides of it."""
 CONTROL_EVIDENCE: Final = 50.0
 """Evidence of control points: as of a pair with points in so many places."""
 
@@ -293,6 +298,17 @@ def edge_of(frame: Frame, one: int, other: int, place: Path) -> Edge | None:
     places = len(np.unique(np.floor(first / PLACE_PX), axis=0))
     far = float(np.hypot(*np.median(second - first, axis=0))) / GEOREFERENCED_PX if frame.placed else 0.0
     return Edge(one, other, first, second, covariance[known], evidence=places / (1 + far**2))
+
+
+def sigma_known(frame: Frame, datum: int | None, count: int) -> Float64 | None:
+    """Return the (count,) sigmas, px of the frame, by which images lie as the datum does: of its product."""
+    sizes_m = middle_pixel_size_m(frame.grid)
+    if datum is None or datum >= len(frame.infos) or sizes_m is None or not frame.placed:
+        return None
+    found = np.full(count, np.inf)
+    beside = [same_product(frame.infos[datum].uri, info.uri) for info in frame.infos]
+    found[: len(beside)][beside] = PRODUCT_SIGMA_M / max(sizes_m)
+    return found if any(beside) else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,6 +57,7 @@ from pcwlad_geo.stacks.pairs import (
     control_points,
     measure,
     measured_pair,
+    sigma_known,
 )
 from pcwlad_geo.stacks.result import (
     FILES,
@@ -412,7 +413,8 @@ def _adjusted(job: _Job, frame: Frame, edges: Sequence[Edge], stays: int | None,
     if job.settings.model == HOMOGRAPHY:
         return homographies(edges, count, datum=stays, apart=apart)
     basis = choose_basis(edges, count, job.settings.model, datum=stays, apart=apart)
-    found = adjust(edges, count, basis=basis, datum=stays, apart=apart)
+    known = sigma_known(frame, stays, count) if job.settings.prealign not in ("search", "none") else None
+    found = adjust(edges, count, basis=basis, datum=stays, apart=apart, sigma_known=known)
     if frame.placed or job.settings.model != "auto":
         return found
     return or_homographies(found, edges, count, datum=stays, apart=apart)

@@ -248,3 +248,22 @@ def test_pairs_of_one_cause_do_not_outvote_those_of_more_evidence(seed: int) -> 
     alike = adjust([replace(edge, evidence=10.0) for edge in edges], 7)
     assert alike.contested == (6,)  # four against two of the same evidence: the many, with a doubt
     assert np.abs(errors(alike, truth, 0)[6]).max() > 10.0
+
+
+def test_what_is_known_of_a_product_settles_pairs_that_contradict_each_other() -> None:
+    rng = np.random.default_rng(4)
+    truth = Truth(np.zeros((3, 3, 2)))
+    clouds = {(0, 1): np.array([0.2, -0.6]), (0, 2): np.array([0.1, -0.2]), (1, 2): np.array([0.1, 0.1])}
+    edges = [truth.edge(rng, *pair, shared=0.0, sigma=0.3, off=off) for pair, off in clouds.items()]
+    sigma = np.array([np.inf, 0.1, 0.1])
+    alone, known = adjust(edges, 3), adjust(edges, 3, sigma_known=sigma)
+    assert np.abs(errors(alone, truth, 0)).max() > 0.4
+    assert np.abs(errors(known, truth, 0)).max() < 0.3
+
+
+def test_what_is_known_of_a_product_does_not_hide_a_band_that_has_moved() -> None:
+    rng = np.random.default_rng(5)
+    truth = make(rng, 4, slopes=0.0)
+    edges = [truth.edge(rng, *pair, shared=0.0, sigma=0.05) for pair in combinations(range(4), 2)]
+    found = adjust(edges, 4, sigma_known=np.array([np.inf, 0.17, 0.17, 0.17]))
+    assert np.abs(errors(found, truth, 0)).max() < 0.02
