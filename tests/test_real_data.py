@@ -144,3 +144,37 @@ def test_raw_frames_of_three_lenses_close(shared_data: Path, tmp_path: Path) -> 
     (triangle,) = result.triangles
     assert triangle.cells >= 12
     assert triangle.mean_px == pytest.approx((0.0, 0.0), abs=0.05)
+
+
+@pytest.fixture
+def clouded_landsat(shared_data: Path) -> Path:
+    """Bands of a Landsat 8 crop, more than half of it clouded; parallax moves the clouds of B10 by 12 px."""
+    folder = shared_data / "real" / "landsat_clouds"
+    if not folder.is_dir():
+        pytest.skip(f"no {folder}")
+    return folder
+
+
+@pytest.mark.slow
+def test_a_thermal_band_follows_the_ground_below_the_clouds(clouded_landsat: Path) -> None:
+    found = run(clouded_landsat / "l8_B4.tif", clouded_landsat / "l8_B10.tif", Settings())
+    assert np.abs(shift_of(found) - (0.06, -0.04)).max() < 0.3
+    assert found.quality is not None
+    assert found.quality.grade != "good"
+
+
+@pytest.mark.slow
+def test_the_same_bands_without_their_product_are_refused(clouded_landsat: Path, tmp_path: Path) -> None:
+    for band, name in (("B4", "red"), ("B10", "thermal")):
+        (tmp_path / f"{name}.tif").write_bytes((clouded_landsat / f"l8_{band}.tif").read_bytes())
+    found = run(tmp_path / "red.tif", tmp_path / "thermal.tif", Settings())
+    assert found.status == "rejected"
+    assert "2 different displacements" in str(found.reason)
+
+
+@pytest.mark.slow
+def test_a_stack_of_clouded_bands_follows_the_ground(clouded_landsat: Path, tmp_path: Path) -> None:
+    bands = [clouded_landsat / f"l8_{band}.tif" for band in ("B1", "B2", "B4", "B5", "B10")]
+    found = pcwlad_geo.stack(bands, out_dir=tmp_path / "stack")
+    for image in found.images:
+        assert np.hypot(*image.shift_px) < 0.3, image.name

@@ -306,7 +306,7 @@ def sigma_known(frame: Frame, datum: int | None, count: int) -> Float64 | None:
     if datum is None or datum >= len(frame.infos) or sizes_m is None or not frame.placed:
         return None
     found = np.full(count, np.inf)
-    beside = [same_product(frame.infos[datum].uri, info.uri) for info in frame.infos]
+    beside = [same_product(frame.infos[datum].uri, info.uri) for info in frame.infos[:count]]
     found[: len(beside)][beside] = PRODUCT_SIGMA_M / max(sizes_m)
     return found if any(beside) else None
 

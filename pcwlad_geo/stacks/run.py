@@ -360,7 +360,8 @@ def _one_after_another(
     known = [edge for edge in edges if max(edge.first, edge.second) < count]
     first, nodes = [*known, *control], count + bool(control)
     basis = choose_basis(first, nodes, str(before["model"]), datum=stays, apart=True)
-    found = adjust(first, nodes, basis=basis, datum=stays, apart=True)
+    prior = None if control else sigma_known(frame, stays, nodes)
+    found = adjust(first, nodes, basis=basis, datum=stays, apart=True, sigma_known=prior)
     for number in added:
         more = [edge for edge in edges if count <= max(edge.first, edge.second) < count + number]
         control = control_edges(points, frame, count)
