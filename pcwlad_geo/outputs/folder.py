@@ -214,7 +214,8 @@ class OutputFolder:
                 self._lock.acquire()
                 sweep(self.out_dir)
                 check_output_folder(self.out_dir, self._overwrite, self._results)
-                check_outputs([self.out_dir / name for name in sorted(self._replaceable())], self._inputs)
+                old = [self.out_dir / name for name in sorted(self._replaceable())]
+                check_outputs([place for place in old if _is_file(place)], self._inputs)
                 self._stage = stage_of(self.out_dir)  # set first: an interrupt may come at any moment
                 self._stage.mkdir(FOLDER_MODE)
         except BaseException:
