@@ -10,7 +10,7 @@ from typing import Final
 
 from fuzz.kept import Reproducer, reproducers, seed
 from fuzz.mutators import archives, arguments, raw, text, tiff, xml
-from fuzz.recipes import OUT, RECIPES, VARIATIONS, Recipe
+from fuzz.recipes import OUT, VARIATIONS, Recipe, named
 
 Mutator = Callable[[Random, bytes], tuple[bytes, str]]
 
@@ -63,7 +63,9 @@ def mutator_of(name: str) -> Mutator:
     return raw.damage if suffix in _BINARY else text.damage
 
 
-def case(seed_number: int, number: int, only: Collection[int] | None = None) -> Case:
+def case(
+    seed_number: int, number: int, only: Collection[int] | None = None, recipe_part: str | None = None
+) -> Case:
     """Return the input of a number.
 
     Parameters
@@ -74,14 +76,17 @@ def case(seed_number: int, number: int, only: Collection[int] | None = None) -> 
         Of the input, from 0.
     only : collection of int, optional
         Apply these of its edits alone, counted from 0; to find the one that matters.
+    recipe_part : str, optional
+        Of all recipes only those that have this in their name, and no kept inputs.
     """
     random = Random(f"{seed_number}/{number}")
     kept = reproducers()
-    if kept and random.random() < KEPT_SHARE:
+    if recipe_part is None and kept and random.random() < KEPT_SHARE:
         made = whole(random.choice(kept))
         victims = tuple(name for name in made.files if name not in ("ref.tif", "s_strip.tif"))
     else:
-        recipe = random.choices(RECIPES, [each.weight for each in RECIPES])[0]
+        recipes = named(recipe_part)
+        recipe = random.choices(recipes, [each.weight for each in recipes])[0]
         made, victims = _of_recipe(recipe, random), recipe.victims
     made = replace(made, name=f"{seed_number}/{number} {made.name}", figures=number % FIGURES_EVERY == 0)
     count = random.choices((1, 2, 3, 5), (70, 15, 10, 5))[0]

@@ -14,7 +14,7 @@ from fuzz.orders import CASE, Outcome
 
 EXPECTED: Final = (0, 2, 3, 4)
 """Exit statuses that are ends: done, unusable, refused, a requirement not met."""
-OF_MANY: Final = ("batch", "qa", "stack")
+OF_MANY: Final = ("batch", "qa", "stack", "rig")
 """Commands whose table, on standard output, may say why the exit status is 2 or 3."""
 RESULTS: Final = {"register": "report.json", "match": "report.json", "batch": "summary.csv",
                   "qa": "qa.json", "stack": "stack.json"}  # fmt: skip
@@ -144,7 +144,7 @@ def _results(case: Case, outcome: Outcome, folder: Path) -> Iterator[Failure]:
     before = any(name.startswith(f"{case.out_dir}/") for name in (*case.files, *case.places))
     written = sorted(path for path in out.rglob("*") if path.is_file()) if out.is_dir() else []
     command = case.argv[0]
-    partly = command == "batch" or (command == "stack" and (out / "pairs").is_dir())
+    partly = command in ("batch", "rig") or (command == "stack" and (out / "pairs").is_dir())
     if outcome.status == 2 and not partly and not before and written:
         yield Failure("files of a run that is refused", written[0].suffix)
     ends = (0, 4) if command == "stack" else (0, 3, 4)

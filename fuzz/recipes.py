@@ -58,6 +58,8 @@ class Recipe:
             self.command[0] == "qa" and "--trend" not in self.command
         ):
             return (*self.command, "-o", self.out_dir, *MATCHING)
+        if self.command[0] == "rig":
+            return (*self.command, "-o", self.out_dir, "--jobs", "1", "--progress", "none")
         return (*self.command, "-o", self.out_dir, "--progress", "none")
 
 
@@ -182,7 +184,29 @@ def _edits() -> Iterator[Recipe]:
     yield Recipe("image of edit", 0.5, ("edit", "done"), pair, (*done, REQUESTS))
 
 
+FRAMES: Final = ("cap/IMG_0001_1.tif", "cap/IMG_0001_2.tif")
+"""A capture of two lenses."""
+
+
+def _rigs() -> Iterator[Recipe]:
+    command = ("rig", "apply", "RIG.json", "cap")
+    yield Recipe("rig", 1.5, command, ("RIG.json",), FRAMES)
+    yield Recipe("frames of a rig", 1.0, command, FRAMES, ("RIG.json",))
+    learn = ("rig", "learn", "cap")
+    yield Recipe("rig learned", 0.3, learn, FRAMES, (), out_dir="o.json")
+    yield Recipe("arguments of rig", 0.4, command, (), ("RIG.json", *FRAMES))
+
+
+def named(part: str | None) -> tuple[Recipe, ...]:
+    """Return the recipes whose name holds a part; all without one."""
+    found = tuple(each for each in RECIPES if part is None or part in each.name)
+    if not found:
+        raise ValueError(f"no recipe has {part!r} in its name: {', '.join(each.name for each in RECIPES)}")
+    return found
+
+
 RECIPES: Final = (
+    *_rigs(),
     *_stacks(),
     *_edits(),
     *_images(),

@@ -2,7 +2,7 @@
 
 Usage::
 
-    python fuzz/run.py [--count N | --minutes N] [--seed S] [--jobs J] [--save FOLDER]
+    python fuzz/run.py [--count N | --minutes N] [--seed S] [--jobs J] [--recipe TEXT] [--save FOLDER]
     python fuzz/run.py --replay FOLDER…
 
 The kept inputs of `fuzz/corpus/hostile` are run first, as they are, then N mutants. The same seed gives the
@@ -56,13 +56,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(f"saved inputs ({len(kept)})", map(_as_it_is(limits), kept), servers, asked.save)
         if (
             asked.first == 0
+            and asked.recipe is None
             and not asked.no_kept
             and (kept := [whole(each) for each in reproducers(asked.hostile)])
         ):
             status |= _run("kept inputs", map(_as_it_is(limits), kept), servers, asked.save)
         until = time.monotonic() + 60 * asked.minutes if asked.minutes else float("inf")
         numbers = count(asked.first) if asked.minutes else range(asked.first, asked.first + asked.count)
-        todo = (_mutant(asked.seed, number, limits) for number in _before(until, numbers))
+        todo = (_mutant(asked.seed, number, limits, asked.recipe) for number in _before(until, numbers))
         status |= _run(mutants, todo, servers, asked.save)
     return status
 
@@ -82,6 +83,7 @@ def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--memory", type=int, default=Limits().memory_mb, metavar="MB", help="limit of memory (3072)"
     )
+    parser.add_argument("--recipe", metavar="TEXT", help="mutants of the recipes with this in their name")
     parser.add_argument("--save", type=Path, metavar="FOLDER", help="where inputs that fail are kept")
     parser.add_argument("--replay", type=Path, nargs="+", metavar="FOLDER", help="run saved inputs again")
     parser.add_argument("--no-kept", action="store_true", help="leave out the kept inputs")
@@ -122,23 +124,29 @@ def _as_it_is(limits: Limits) -> Callable[[Case], Work]:
     return of
 
 
-def _mutant(seed: int, number: int, limits: Limits) -> Work:
+def _mutant(seed: int, number: int, limits: Limits, recipe: str | None) -> Work:
     def work(server: ForkServer) -> tuple[str, Case, Outcome, list[Failure]]:
-        made = case(seed, number)
+        made = case(seed, number, recipe_part=recipe)
         outcome, failures = server.run(made, limits)
         if failures and len(made.edits) > 1:
-            made = _smallest(seed, number, made, failures, server, limits)
+            made = _smallest(seed, number, made, failures, server, limits, recipe)
         return f"{seed}/{number}", made, outcome, failures
 
     return work
 
 
 def _smallest(
-    seed: int, number: int, made: Case, failures: list[Failure], server: ForkServer, limits: Limits
+    seed: int,
+    number: int,
+    made: Case,
+    failures: list[Failure],
+    server: ForkServer,
+    limits: Limits,
+    recipe: str | None,
 ) -> Case:
     """Return the input with one of its edits alone, where that fails in the same way."""
     for index in range(len(made.edits)):
-        alone = case(seed, number, only=(index,))
+        alone = case(seed, number, only=(index,), recipe_part=recipe)
         if set(server.run(alone, limits)[1]) == set(failures):
             return alone
     return made

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TypedDict
 
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.errors import InputError, OutputError, SettingsError
+from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.options import OutputGrid, Resampling, Settings
 from pcwlad_geo.outputs.folder import place_file, place_with_files, stage_inside
+from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band, warp_band
 from pcwlad_geo.raster import warping
 from pcwlad_geo.raster.grid import Grid, map_px
@@ -224,7 +225,7 @@ def apply(
     _warn_of_changes(inputs, finished, on_event)
     files = _rpc_paths(sources, places, beside=rpc_beside and finished.rpc is not None)
     every = [place for each in files for place in each.values()]
-    _check_places(sources, every, overwrite=overwrite)
+    check_outputs(every, sources, overwrite=overwrite)
     if finished.rpc is None:
         write = _by_correction(sources, files, finished, wanted, on_event)
     else:
@@ -333,14 +334,3 @@ def _rpc_paths(sources: Sequence[str], rasters: Sequence[Path], *, beside: bool)
         | {kind: raster.with_name(NAMES[kind].format(stem=Path(source).stem)) for kind in kinds}
         for source, raster in zip(sources, rasters, strict=True)
     ]
-
-
-def _check_places(sources: Sequence[str], places: Sequence[Path], *, overwrite: bool) -> None:
-    """Raise where an output would replace an input, another output, or a file that may not be replaced."""
-    for place in places:
-        if places.count(place) > 1:
-            raise InputError(f"two of the rasters would be written to {place}: warp them into two folders")
-        if any(place.exists() and Path(source).exists() and place.samefile(source) for source in sources):
-            raise OutputError(f"the output {place} is an input too: choose another output folder")
-        if place.exists() and not overwrite:
-            raise OutputError(f"{place} exists: give --overwrite to replace it, or another folder")

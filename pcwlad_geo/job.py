@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
@@ -12,13 +12,13 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict
 
 from pcwlad_geo import options as s
-from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError, RequirementError
+from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError
 from pcwlad_geo.events import Event, EventCallback, Progress, ignore
 from pcwlad_geo.execution.processes import open_runner
 from pcwlad_geo.execution.runner import InThisProcess, Runner
-from pcwlad_geo.limits import NAME_BYTES
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder, place_file, place_with_files
+from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.outputs.write import OUTPUTS, write
 from pcwlad_geo.products.detect import products_found_once as products_found_once
 from pcwlad_geo.products.detect import stem_of
@@ -336,7 +336,8 @@ def _run_and_write(
     requirements = parse_requirements(job.settings.require, job.command)
     with trusting(job.settings.trust):
         inside, elsewhere = _check_outputs(job)
-        with OutputFolder(job.places["numbers"].parent, overwrite=job.overwrite) as folder:
+        place = job.places["numbers"].parent
+        with OutputFolder(place, overwrite=job.overwrite, inputs=_files_of(job)) as folder:
             staged = {
                 kind: folder.stage / inside[kind].name
                 if kind in elsewhere
@@ -378,11 +379,17 @@ def _check_outputs(job: _Job) -> tuple[dict[str, Path], dict[str, Path]]:
         out_dir=job.places["numbers"].parent,
     )
     elsewhere = {kind: path for kind, path in job.places.items() if path != inside[kind]}
-    _check_places(job.places, elsewhere, [*job.inputs, *job.settings.files], job.overwrite)
+    check_outputs([*job.places.values()], _files_of(job))
+    check_outputs([*elsewhere.values()], overwrite=job.overwrite)
     OutputFormat.of(job.settings.of, job.settings.co)
     if "raster" in job.places:
         check_output(*job.inputs, job.settings)
     return inside, elsewhere
+
+
+def _files_of(job: _Job) -> list[PathLike | None]:
+    """Return the files that a job reads, and what else its inputs are named by."""
+    return [*job.inputs, *job.settings.files]
 
 
 def _band_paths(job: _Job, folder: OutputFolder) -> dict[ProductBand, Path]:
@@ -435,37 +442,3 @@ def _preloading(on_event: EventCallback) -> EventCallback:
         on_event(event)
 
     return tell
-
-
-def _check_name(place: Path) -> None:
-    """Raise where no file of this name can be made, or GDAL cannot make it."""
-    try:
-        sizes = [len(part.encode()) for part in place.parts]
-    except UnicodeEncodeError as error:
-        raise OutputError(
-            f"the output {str(place)!r} has a name that is not UTF-8, which GDAL needs: rename the target, "
-            "or give another folder (-o)"
-        ) from error
-    if max(sizes) > NAME_BYTES:
-        raise OutputError(
-            f"the output {place} has a name of {max(sizes)} bytes, and at most {NAME_BYTES} are possible: "
-            "give the target a shorter name, or another folder (-o)"
-        )
-
-
-def _check_places(
-    places: Mapping[str, Path],
-    elsewhere: Mapping[str, Path],
-    inputs: Iterable[PathLike | None],
-    overwrite: bool,
-) -> None:
-    """Raise where an output would replace an input, or a file that may not be replaced."""
-    for place in places.values():
-        _check_name(place)
-    files = [Path(file) for file in inputs if file is not None and Path(file).exists()]
-    for place in places.values():
-        if place.exists() and any(place.samefile(file) for file in files):
-            raise OutputError(f"the output {place} is an input too: choose another output folder or name")
-    for place in elsewhere.values():
-        if place.exists() and not overwrite:
-            raise OutputError(f"{place} exists: give --overwrite to replace it, or another name")

@@ -71,6 +71,10 @@ SIGMA_PX: Final = (1e-4, 1e4)
 """Least and largest sigma of a tie point of a file, px; 64-bit numbers cannot weigh others together."""
 POINTS: Final = 250_000
 """Largest number of tie points of a file; all are held in memory and used in each fit."""
+JSON_DEPTH: Final = 50
+"""Levels of objects and lists within each other in a JSON file; those of STAC have about ten."""
+JSON_DIGITS: Final = 300
+"""Largest number of digits of a whole number in a JSON file, which a float still holds."""
 TEXT_BYTES: Final = 2**26
 """Largest size of an unpacked text file (table, side file, metadata of a product)."""
 XMP_BYTES: Final = 2**20

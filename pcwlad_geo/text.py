@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import html
 import json
+import math
 import os
 import stat
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import TEXT_BYTES
+from pcwlad_geo.limits import JSON_DEPTH, JSON_DIGITS, TEXT_BYTES
 
 _KINDS: Final = (
     (stat.S_ISFIFO, "a named pipe"),
@@ -101,12 +102,53 @@ def read_json(path: Path) -> Any:  # noqa: ANN401  # of any structure
     OSError
         If it cannot be read.
     ValueError
-        If it is no JSON in UTF-8, or nested too deeply.
+        If it is no JSON in UTF-8, or not as `parse_json` takes it.
+    """
+    return parse_json(read_text(path))
+
+
+def parse_json(text: str) -> Any:  # noqa: ANN401  # of any structure
+    """Return the value of a JSON text, in which numbers are finite and little is nested.
+
+    Raises `ValueError` if it is no JSON, holds NaN, an infinite number or a whole one of more than
+    `JSON_DIGITS` digits, or is nested deeper than `JSON_DEPTH`.
     """
     try:
-        return json.loads(read_text(path))
+        found = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
+    level = [found]
+    for _ in range(JSON_DEPTH):
+        level = [inner for each in level for inner in _inside(each) if isinstance(inner, dict | list)]
+        if not level:
+            return found
+    raise ValueError("nested too deeply")
+
+
+def finite(value: object) -> object:
+    """Return a value of dicts, lists and plain values with None for each number that JSON cannot hold."""
+    if isinstance(value, dict):
+        return {name: finite(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _inside(value: object) -> Iterable[object]:
+    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text[:20]} is no finite number")
+    return number
+
+
+def _whole(text: str) -> int:
+    if len(text) > JSON_DIGITS:
+        raise ValueError(f"a number has {len(text)} digits")
+    return int(text)
 
 
 T = TypeVar("T")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -17,7 +18,7 @@ from pcwlad_geo.cli.qa import qa
 from pcwlad_geo.cli.rig import rig
 from pcwlad_geo.cli.stack import stack
 from pcwlad_geo.cli.warp import warp
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.errors import InputError, PcwladGeoError
 
 app = typer.Typer(
     name="pcwlad-geo",
@@ -96,10 +97,18 @@ def options(
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit status; usage errors are one line on standard error."""
     try:
+        Path.cwd()
+    except OSError as error:
+        show_error(f"the working folder cannot be used ({error.strerror}): change to another one")
+        return InputError.exit_status
+    try:
         status = app(list(arguments) or ["--help"], standalone_mode=False)
     except typer.TyperException as error:
         show_error(error.format_message())
         return error.exit_code
+    except PcwladGeoError as error:  # before a run could report it
+        show_error(error)
+        return error.exit_status
     except typer.Abort:
         return 130
     except MemoryError:  # before the work, or while reporting its end

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import queue
 import sys
 import threading
@@ -19,8 +20,9 @@ import typer
 from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.progress import protocol_stream
 from pcwlad_geo.cli.warp import Folder
-from pcwlad_geo.errors import InputError, PcwladGeoError
+from pcwlad_geo.errors import InputError, PcwladGeoError, SettingsError
 from pcwlad_geo.options import Settings, to_setting
+from pcwlad_geo.text import finite, parse_json
 
 if TYPE_CHECKING:
     from pcwlad_geo.registration.editing import Editor
@@ -29,6 +31,9 @@ QUICK: Final = ("shift", "affine", "projective", "polynomial2", "tps")
 """Models that are fitted besides the one asked for, while no request waits."""
 NOT_TAKEN: Final = ("allow_remote", "trust_vrt", "scheduler", "jobs", "tie_points", "require")
 """Settings of the registration that do not hold here: the first two are yours alone to give."""
+
+SHOWN: Final = 300
+"""Largest length of what an answer repeats of a request."""
 
 Tell = Callable[[str, Mapping[str, object]], None]
 
@@ -39,7 +44,7 @@ def edit(context: typer.Context, registration: Folder, progress: o.ProgressOptio
     with protocol_stream() as stream:
 
         def tell(event: str, values: Mapping[str, object]) -> None:
-            stream.write(json.dumps({"event": event, **values}) + "\n")
+            stream.write(json.dumps(finite({"event": event, **values}), allow_nan=False) + "\n")
             stream.flush()
 
         trust = {name: bool(context.params[name]) for name in ("allow_remote", "trust_vrt")}
@@ -61,14 +66,20 @@ def _open(folder: Path, trust: Mapping[str, bool]) -> tuple[Editor, str]:
     report = read_report(folder)
     if report.get("status") != "registered":
         raise InputError(f"{folder} holds no finished registration: give the output folder of register")
-    told = {
-        name: to_setting(name, value)
-        for name, value in report["settings"].items()
-        if name not in NOT_TAKEN and value is not None
-    }
-    settings = Settings.from_options({**told, **trust})
-    pair = open_pair(report["reference"]["path"], report["target"]["path"], settings)
-    return Editor(pair, folder / "tiepoints.csv"), str(report["model"]["name"])
+    try:
+        told = {
+            name: to_setting(name, value)
+            for name, value in report["settings"].items()
+            if name not in NOT_TAKEN and value is not None
+        }
+        settings = Settings.from_options({**told, **trust})
+        reference, target = (os.fspath(report[which]["path"]) for which in ("reference", "target"))
+        model = str(report["model"]["name"])
+    except (KeyError, TypeError, ValueError, AttributeError, SettingsError) as error:
+        raise InputError(
+            f"{folder} has a damaged report.json ({type(error).__name__}: {error}): register the pair again"
+        ) from error
+    return Editor(open_pair(reference, target, settings), folder / "tiepoints.csv"), model
 
 
 def _serve(editor: Editor, tell: Tell) -> None:
@@ -90,8 +101,10 @@ def _serve(editor: Editor, tell: Tell) -> None:
             continue
         try:
             _answer(editor, request, tell, waiting)
-        except (PcwladGeoError, KeyError, TypeError, ValueError, OverflowError, OSError) as error:
-            tell("failed", {"number": request.get("number"), "message": str(error)})
+        except Exception as error:  # of any kind: the program that asks is told, and may go on asking
+            known = isinstance(error, PcwladGeoError | ValueError | OSError)
+            message = str(error) if known else f"the request cannot be used ({type(error).__name__}: {error})"
+            tell("failed", {"number": request.get("number"), "message": message})
 
 
 def _asks_to_fit(waiting: queue.Queue[dict[str, Any] | None]) -> bool:
@@ -103,10 +116,14 @@ def _asks_to_fit(waiting: queue.Queue[dict[str, Any] | None]) -> bool:
 
 def _parsed(line: str) -> dict[str, Any]:
     try:
-        request = json.loads(line)
-    except (ValueError, RecursionError):  # the latter by brackets in brackets
+        request = parse_json(line)
+    except ValueError:
         request = None
-    return request if isinstance(request, dict) else {"do": line.strip()}
+    if not isinstance(request, dict):
+        return {"do": line.strip()[:SHOWN]}
+    # what an answer repeats of a request is short and of one value
+    plain = isinstance(request.get("number"), int | float | str) and len(str(request["number"])) <= SHOWN
+    return request if plain else {**request, "number": None}
 
 
 def _answer(
@@ -128,10 +145,21 @@ def _answer(
         refined = editor.add(tuple(request["reference_xy"]), tuple(request["target_xy"]))
         tell("added", {"number": number, "refined": refined, "point": _last(editor)})
     elif what == "save":
-        editor.save(Path(request["path"]), off)
+        _save(editor, Path(request["path"]), off)
         tell("saved", {"number": number, "path": request["path"]})
     else:
-        raise ValueError(f"unknown request {what!r}: give fit, add or save")
+        raise ValueError(f"unknown request {str(what)[:SHOWN]!r}: give fit, add or save")
+
+
+def _save(editor: Editor, place: Path, off: set[int]) -> None:
+    """Write the points, whole or not at all, and never over what was read."""
+    from pcwlad_geo.outputs.folder import place_file, stage_inside
+    from pcwlad_geo.outputs.places import check_outputs
+
+    check_outputs([place], editor.files)
+    with stage_inside(place.parent) as stage:
+        editor.save(stage / place.name, off)
+        place_file(stage / place.name, place, overwrite=True)
 
 
 def _tell_model(editor: Editor, model: str, off: set[int], number: object, tell: Tell) -> None:
@@ -148,5 +176,4 @@ def _last(editor: Editor) -> dict[str, object]:
     """Return the point that was added, as a row of tiepoints.csv."""
     from pcwlad_geo.tiepoints.table import columns_of
 
-    row = {name: values[-1].item() for name, values in columns_of(editor.table).items()}
-    return {name: None if value != value else value for name, value in row.items()}  # NaN
+    return {name: values[-1].item() for name, values in columns_of(editor.table).items()}

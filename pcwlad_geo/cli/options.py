@@ -59,6 +59,10 @@ def read_config(path: Path) -> dict[str, object]:
     except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or nested too deeply
         raise SettingsError(f"config file {path} is not valid TOML: {error}") from error
     values = {name.replace("-", "_"): value for name, value in values.items()}
+    if "start_matcher" in values:
+        raise SettingsError(
+            f"config file {path}: start_matcher runs code, which no file may name: give --start-matcher"
+        )
     unknown = sorted(set(values) - set(SETTINGS))
     if unknown:
         raise SettingsError(

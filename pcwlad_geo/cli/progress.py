@@ -12,7 +12,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Protocol, TextIO
 
 from pcwlad_geo.cli.options import ProgressStyle
-from pcwlad_geo.errors import CancelledError
+from pcwlad_geo.errors import CancelledError, OutputError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.text import one_line
 
@@ -26,6 +26,8 @@ def protocol_stream() -> Iterator[TextIO]:
 
     A stray print of Python or of a C library then cannot corrupt the protocol.
     """
+    if sys.stdout is None:
+        raise OutputError("standard output is closed, and --progress json writes there: open it")
     sys.stdout.flush()
     kept = os.dup(1)
     stream = os.fdopen(os.dup(kept), "w", encoding="utf-8", newline="\n")
@@ -33,7 +35,7 @@ def protocol_stream() -> Iterator[TextIO]:
     try:
         yield stream
     finally:
-        with suppress(BrokenPipeError):  # the reader has ended, which was detected before
+        with suppress(OSError):  # the reader has ended or the disk is full, which was detected before
             stream.close()
         sys.stdout.flush()
         os.dup2(kept, 1)
@@ -115,7 +117,9 @@ class Quiet:
         try:
             sys.stdout.write(summary)
             sys.stdout.flush()
-        except BrokenPipeError:  # the reader has ended; the files are written nevertheless
+        except (OSError, ValueError, AttributeError) as error:  # closed, full; the files are written already
+            if not isinstance(error, BrokenPipeError):  # a reader that has ended wants no more
+                self.event(Warned(f"the summary cannot be written to standard output: {error}"))
             sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115  # otherwise the last flush of the interpreter fails
 
     def error(self, message: str, details: dict[str, object]) -> None:
@@ -194,8 +198,10 @@ class JsonLines:
             try:
                 self._stream.write(line + "\n")
                 self._stream.flush()
-            except BrokenPipeError:
+            except OSError as error:
                 self._ended = True
+                if not isinstance(error, BrokenPipeError):
+                    raise OutputError(f"cannot write standard output: {error.strerror}") from error
                 if not last:  # the process that started the run has ended
                     raise CancelledError("the reader of standard output has gone") from None
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.coarse import match_coarsely
 from pcwlad_geo.matching.guidance import (
@@ -60,6 +60,10 @@ MIN_TO_SAMPLE: Final = 16
 Back = Literal["never", "sample", "as needed", "always"]
 
 
+LARGEST_VALUE: Final = 1e100
+"""Largest pixel value, so that squares and sums of squares are finite."""
+
+
 @dataclass(frozen=True, slots=True)
 class Core:
     """The part of a window, in array indices, whose corners are wanted; the rest is halo."""
@@ -100,7 +104,9 @@ def match_arrays(
     InputError
         If an image is not a real two-dimensional array, is constant, or is smaller than a window.
     """
-    settings = settings or MatchSettings()
+    settings = MatchSettings() if settings is None else settings
+    if not isinstance(settings, MatchSettings):
+        raise SettingsError(f"settings = {settings!r}: give MatchSettings(...)")
     ref, tgt = _image(reference, reference_valid, "reference"), _image(target, target_valid, "target")
     rows = max(ref.values.shape[0], tgt.values.shape[0])
     cols = max(ref.values.shape[1], tgt.values.shape[1])
@@ -651,10 +657,16 @@ def _image(values: NDArray[Any], valid: Bool | None, which: str) -> Image:
             f"the mask of the {which} has shape {np.shape(valid)}, the image {array.shape}: "
             "give one of the image's shape"
         )
-    good = np.isfinite(array) if valid is None else np.isfinite(array) & valid
+    if valid is not None and np.asarray(valid).dtype.kind not in "bui":
+        raise InputError(
+            f"the mask of the {which} is of {np.asarray(valid).dtype}: give True where a pixel counts"
+        )
+    good = np.isfinite(array) if valid is None else np.isfinite(array) & (np.asarray(valid) != 0)
     numbers = np.where(good, array, 0).astype(np.float64)
     if not good.any() or np.ptp(numbers[good]) == 0:
         raise InputError(f"the {which} is constant or has no valid pixel: there is nothing to match")
+    if np.abs(numbers).max() > LARGEST_VALUE:
+        raise InputError(f"the {which} has values beyond {LARGEST_VALUE:.0e}: mask them, or scale it")
     noise = replace(measure_noise(numbers, good), rounding=rounding_of(array.dtype.name))
     return Image(numbers, good, scene_epsilon(numbers, good), noise)
 

@@ -20,11 +20,11 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from pcwlad_geo.matching.coarse import ssim
+from pcwlad_geo.matching.kernels.compiled import compiled, compiled_part
 from pcwlad_geo.matching.keypoints import FULL_SCALE
 from pcwlad_geo.matching.prepare import ChannelPair
 from pcwlad_geo.matching.refinement import Refined, Start
@@ -98,7 +98,7 @@ def mutual_structure(
     return g.reshape(shape), i.reshape(shape), weight.reshape(shape)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _filter_windows(
     g0: Float64,
     i0: Float64,
@@ -125,7 +125,7 @@ def _filter_windows(
         _correlate(g0[k], i[k], area, radius, epsilon_g, epsilon_i, sums, products, weight[k], True)
 
 
-@njit(cache=True, nogil=True)
+@compiled_part()
 def _box_sums(values: Float64, radius: int, out: Float64, column: Float64) -> Float64:
     """Sum over the (2·radius + 1)² neighbourhood of each pixel, cut off at the border, into `out`."""
     rows, cols = values.shape
@@ -149,7 +149,7 @@ def _box_sums(values: Float64, radius: int, out: Float64, column: Float64) -> Fl
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled_part()
 def _moments(g: Float64, i: Float64, radius: int, sums: Float64, products: Float64) -> None:
     """Fill sums[0:5] with the neighbourhood sums of g, i, g², i² and gi."""
     rows, cols = g.shape
@@ -165,7 +165,7 @@ def _moments(g: Float64, i: Float64, radius: int, sums: Float64, products: Float
         _box_sums(products[n], radius, sums[2 + n], column)
 
 
-@njit(cache=True, nogil=True)
+@compiled_part()
 def _local_lines(
     g: Float64,
     i: Float64,
@@ -200,7 +200,7 @@ def _local_lines(
         _box_sums(products[0], radius, sums[n], column)
 
 
-@njit(cache=True, nogil=True)
+@compiled_part()
 def _update_images(
     g0: Float64,
     i0: Float64,
@@ -226,7 +226,7 @@ def _update_images(
             g[r, c] = (a11 * r2 - a12 * r1) / determinant
 
 
-@njit(cache=True, nogil=True)
+@compiled_part()
 def _correlate(
     g: Float64,
     i: Float64,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 
+from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.text import html_table, one_line_of
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -21,6 +22,16 @@ OTHER_WINDOWS_PX: Final = (61, 129)
 """Sides of those that the second pass may use instead."""
 LARGE_WINDOWS_PX: Final = (181, 257)
 """Sides of those that it may use, too, in a scene of one tile."""
+
+
+BOUNDS: Final = {
+    "template": (5, 4095),
+    "window": (5, 4095),
+    "search_radius": (0, 4096),
+    "features": (1, 10_000_000),
+    "iterations": (1, 1000),
+}
+"""Least and largest values of whole numbers among the settings; odd windows are the caller's affair."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +66,22 @@ class MatchSettings:
     """Points also matched backward: a sample, or, as needed, all if the sample shows a difference."""
     least_valid: float = 0.6
     """Least share of a window that must be valid in both images."""
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in BOUNDS.items():
+            value = getattr(self, name)
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int | np.integer)
+                or not least <= value <= most
+            ):
+                raise SettingsError(f"{name} = {value!r}: give a whole number from {least} to {most}")
+        for name, kind in (("method", Method), ("keypoints", Keypoints), ("consensus", Consensus)):
+            if getattr(self, name) not in get_args(kind):
+                words = ", ".join(get_args(kind))
+                raise SettingsError(f"{name} = {getattr(self, name)!r}: give one of {words}")
+        if not isinstance(self.ssim_min, int | float | np.number) or not -1 <= self.ssim_min <= 1:
+            raise SettingsError(f"ssim_min = {self.ssim_min!r}: give a number from -1 to 1")
 
     @property
     def windows(self) -> tuple[int, ...]:

@@ -16,6 +16,8 @@ from pcwlad_geo.outputs.places import (
     FOLDER_MODE,
     HOST,
     absolute,
+    check_outputs,
+    check_replaceable,
     disk_errors,
     make_folders,
     output_error,
@@ -41,6 +43,7 @@ from pcwlad_geo.outputs.stages import (
 )
 from pcwlad_geo.raster.output_format import files_of, verify_output
 from pcwlad_geo.text import read_json
+from pcwlad_geo.types import PathLike
 
 RESULTS: Final = "report.json"
 """The file that marks a folder with results; its entry `outputs` lists the files that belong to them."""
@@ -88,8 +91,7 @@ def place_file(staged: Path, final: str | os.PathLike[str], *, overwrite: bool =
     beside = place.with_name(f".{place.name}.{HOST}-{os.getpid()}")
     verify_output(staged)
     with disk_errors(place):
-        if os.path.lexists(place) and not overwrite:
-            raise OutputError(f"{place} exists: give --overwrite to replace it, or another name")
+        check_outputs([place], overwrite=overwrite)
         make_folders(place.parent)
         for left in of_dead_processes(place.parent, f".{place.name}.{HOST}-"):
             left.unlink(missing_ok=True)
@@ -145,6 +147,25 @@ def stage_inside(folder: str | os.PathLike[str]) -> Iterator[Path]:
         remove_empty(made)
 
 
+@contextmanager
+def lock_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
+    """Keep other runs out of a folder that is changed in place, for the time of the context.
+
+    Raises `OutputError` if another run writes to it, or its parent cannot be made or written to.
+    """
+    place = absolute(folder)
+    lock = FolderLock(place)
+    made: list[Path] = []
+    try:
+        with disk_errors(place):
+            made = make_folders(place.parent)
+            lock.acquire()
+        yield
+    finally:
+        lock.release()
+        remove_empty(made)
+
+
 class OutputFolder:
     """Context manager that collects the files of a run and moves them into their folder together.
 
@@ -160,6 +181,8 @@ class OutputFolder:
         Whether results of an earlier run, the files its report.json lists, may be replaced.
     results : str
         Name of the file that marks a folder with results, by default report.json.
+    inputs : iterable of path
+        The files that the run reads: an earlier run's results are not replaced where they are among them.
 
     Raises
     ------
@@ -168,11 +191,17 @@ class OutputFolder:
     """
 
     def __init__(
-        self, out_dir: str | os.PathLike[str], *, overwrite: bool = False, results: str = RESULTS
+        self,
+        out_dir: str | os.PathLike[str],
+        *,
+        overwrite: bool = False,
+        results: str = RESULTS,
+        inputs: Iterable[PathLike | None] = (),
     ) -> None:
         self.out_dir = absolute(out_dir)
         self._overwrite = overwrite
         self._results = results
+        self._inputs = tuple(inputs)
         self._made: list[Path] = []
         self._lock = FolderLock(self.out_dir)
         self._stage: Path | None = None
@@ -185,6 +214,8 @@ class OutputFolder:
                 self._lock.acquire()
                 sweep(self.out_dir)
                 check_output_folder(self.out_dir, self._overwrite, self._results)
+                old = [self.out_dir / name for name in sorted(self._replaceable())]
+                check_outputs([place for place in old if _is_file(place)], self._inputs)
                 self._stage = stage_of(self.out_dir)  # set first: an interrupt may come at any moment
                 self._stage.mkdir(FOLDER_MODE)
         except BaseException:
@@ -298,6 +329,7 @@ class OutputFolder:
                     f"{self.out_dir / name} is in the way and not from an earlier run: move it, "
                     f"or choose another output folder"
                 )
+            check_replaceable(self.out_dir / name)
 
     def _replaceable(self) -> frozenset[str]:
         listed = _listed_outputs(self.out_dir, self._results) if self._overwrite else None

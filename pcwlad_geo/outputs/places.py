@@ -9,13 +9,15 @@ import socket
 import sqlite3
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 from pcwlad_geo.errors import OutputError
+from pcwlad_geo.limits import NAME_BYTES
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
+from pcwlad_geo.types import PathLike
 
 HOST: Final = re.sub(r"[^A-Za-z0-9]+", "_", socket.gethostname()) or "host"
 """Name of this machine as used in file names."""
@@ -29,6 +31,74 @@ def absolute(path: str | os.PathLike[str]) -> Path:
     """Return an absolute path without "." and ".."; symbolic links are not resolved."""
     # resolve() would follow symbolic links, absolute() keeps "." and "..".
     return Path(os.path.abspath(path))  # noqa: PTH100
+
+
+def check_outputs(
+    places: Sequence[Path], inputs: Iterable[PathLike | None] = (), *, overwrite: bool = True
+) -> None:
+    """Check every path that a command will write, before any work.
+
+    Parameters
+    ----------
+    places : sequence of pathlib.Path
+        The files that will be written.
+    inputs : iterable of path
+        The files that are read; names that are no files, such as URIs of GDAL, and None are passed over.
+    overwrite : bool
+        Whether files that exist may be replaced.
+
+    Raises
+    ------
+    OutputError
+        If no file can have such a name, two outputs have one path (also where names that differ in case alone
+        are one), an output is an input under whatever name, or what lies there may not be replaced.
+    """
+    read = {(about.st_dev, about.st_ino) for about in map(_about, inputs) if about is not None}
+    taken: dict[str, Path] = {}
+    for place in places:
+        check_name(place)
+        other = taken.setdefault(os.path.realpath(place).casefold(), place)
+        if other is not place:
+            raise OutputError(f"two outputs would be written to {place}: give them different names")
+        about = _about(place)
+        if about is not None and (about.st_dev, about.st_ino) in read:
+            raise OutputError(f"the output {place} is an input too: choose another output folder or name")
+        check_replaceable(place)
+        if not overwrite and os.path.lexists(place):
+            raise OutputError(f"{place} exists: give --overwrite to replace it, or another name")
+
+
+def check_replaceable(place: Path) -> None:
+    """Raise `OutputError` if something other than a regular file lies at a path: that is never replaced."""
+    about = _about(place)
+    if about is not None and not stat.S_ISREG(about.st_mode):
+        kind = "a folder" if stat.S_ISDIR(about.st_mode) else "a device, a pipe or a socket"
+        raise OutputError(f"{place} is {kind}, and only files are replaced: choose another name")
+
+
+def check_name(place: Path) -> None:
+    """Raise `OutputError` if no file can have the name of a path, or GDAL cannot make such a file."""
+    try:
+        sizes = [len(part.encode()) for part in place.parts]
+    except UnicodeEncodeError as error:
+        raise OutputError(
+            f"the output {str(place)!r} has a name that is not UTF-8, which GDAL needs: rename the input, "
+            "or give another folder (-o)"
+        ) from error
+    if "\0" in str(place):
+        raise OutputError(f"the output {str(place)!r} has a NUL character in its name: give another name")
+    if max(sizes, default=0) > NAME_BYTES:
+        raise OutputError(
+            f"the output {place} has a name of {max(sizes)} bytes, and at most {NAME_BYTES} are possible: "
+            "give the input a shorter name, or another folder (-o)"
+        )
+
+
+def _about(path: PathLike | None) -> os.stat_result | None:
+    """Return what the system knows of the file that a path leads to; None where there is none."""
+    with suppress(OSError, ValueError):  # a GDAL URI may hold what no path can
+        return None if path is None else os.stat(path)  # noqa: PTH116
+    return None
 
 
 def alive(process: int) -> bool:

@@ -293,7 +293,7 @@ def discard(stage: Path, out_dir: Path) -> None:
     Raises `OSError` if it cannot be undone; the stage with the old files is then kept.
     """
     with _discarding:
-        if (stage / JOURNAL).is_file():
+        if (stage / JOURNAL).is_file() and _own(stage) and _own(stage / JOURNAL):
             _undo(stage, out_dir)
         shutil.rmtree(stage, ignore_errors=True)
 

@@ -251,7 +251,7 @@ def _transform(transform: object) -> Affine | None:
     try:
         numbers: tuple[float, ...] = tuple(transform)  # type: ignore[arg-type]  # whatever a caller gives
         return Affine(*map(float, numbers[:6]))
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"transform = {transform!r}: give an affine.Affine, or its numbers a, b, c, d, e, f"
         ) from error
@@ -262,7 +262,7 @@ def _crs(crs: object) -> CRS | None:
         return crs
     try:
         return CRS.from_user_input(crs)
-    except LIBRARY_ERRORS as error:
+    except (*LIBRARY_ERRORS, ValueError) as error:
         raise InputError(f"crs = {crs!r} is no CRS: give one such as 'EPSG:32633' ({error})") from error
 
 
@@ -290,7 +290,7 @@ def write_raster(raster: Raster, path: Path) -> None:
                     file.write_mask(np.where(mask, 0, 255).astype(np.uint8))
                 else:
                     file.write(np.where(mask, raster.nodata, np.ma.getdata(bands)).astype(bands.dtype))
-    except (ValueError, OverflowError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"the array of {bands.dtype} cannot be written as a raster: {error}") from error
     except (*LIBRARY_ERRORS, OSError) as error:
         raise OutputError(f"cannot write {path}: {error}; is the disk full?") from error

@@ -181,7 +181,7 @@ def plain_uri(uri: str) -> str:
 
 def plain_name(name: str) -> str:
     """Return a name usable for output files: no reserved character, no leading dot, never empty."""
-    return re.sub(r'[<>:"/\\|?*]+', "_", name).lstrip(".") or "raster"
+    return re.sub(r'[<>:"/\\|?*\x00-\x1f]+', "_", name).lstrip(".") or "raster"
 
 
 def has_quick_overview(info: RasterInfo) -> bool:
@@ -202,7 +202,7 @@ def same_band(a: RasterInfo, b: RasterInfo) -> bool:
         return True
     try:
         return Path(a.uri).samefile(b.uri)
-    except OSError:  # a GDAL URI, which is no path
+    except (OSError, ValueError):  # a GDAL URI, which is no path
         return False
 
 
@@ -252,6 +252,8 @@ def _opened(
 
 def _check_files(uri: str) -> None:
     """Raise where GDAL could wait for a pipe for ever: the raster, or what it looks for beside it."""
+    if "\0" in uri:  # where GDAL would end the name
+        raise InputError(f"the name {uri!r} holds a NUL character: no file has such a name")
     check_regular(uri)
     check_beside(uri)
 

@@ -20,7 +20,7 @@ from pcwlad_geo.registration.fitting import footprint_px, user_points
 from pcwlad_geo.registration.result import Pair
 from pcwlad_geo.tiepoints.table import TiePointTable, place
 from pcwlad_geo.tiepoints.text_files import write_points
-from pcwlad_geo.types import Float64
+from pcwlad_geo.types import Float64, PathLike
 
 FAR_PX: Final = 1e7
 """Largest coordinate of a point in a file, px, either way."""
@@ -50,6 +50,8 @@ class Editor:
 
     def __init__(self, pair: Pair, path: Path) -> None:
         self._pair = pair
+        self.files: tuple[PathLike, ...] = (path, *(file.identity.path for file in pair.inputs))
+        """What has been read: the tie points, and the files of both rasters."""
         with trusting(pair.settings.trust):
             self.table, _, _ = user_points(path, pair.views)
         self.off = np.flatnonzero(self.table.status == "rejected").tolist()

@@ -62,9 +62,10 @@ def load_start_matcher(name: str) -> StartMatcher:
         raise SettingsError(f"start_matcher = {name!r}: give package.module:function")
     try:
         found = importlib.import_module(module)
-    except ImportError as error:
+    except (Exception, SystemExit) as error:  # whatever a stranger's module raises
         raise SettingsError(
-            f"start_matcher = {name!r}: {module} cannot be imported ({error}): install it, or set PYTHONPATH"
+            f"start_matcher = {name!r}: {module} cannot be imported ({type(error).__name__}: {error}): "
+            "install it, or set PYTHONPATH"
         ) from error
     function: Any = getattr(found, attribute, None)
     if not callable(function):
@@ -120,7 +121,7 @@ def _found(
     try:
         reference_xy, target_xy = matcher(*images)
         points = [np.asarray(xy, np.float64).reshape(-1, 2) for xy in (reference_xy, target_xy)]
-    except Exception as error:  # whatever a stranger's function raises
+    except (Exception, SystemExit) as error:  # whatever a stranger's function raises
         raise InputError(
             f"the start matcher {name} failed: {type(error).__name__}: {error}; it takes two images and "
             "returns two (n, 2) arrays"

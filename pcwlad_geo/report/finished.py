@@ -13,7 +13,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from pcwlad_geo.correction.models import Correction, from_json
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import check_geotransform, check_shape
 from pcwlad_geo.options import RUNNING, Settings
 from pcwlad_geo.raster.grid import Grid, is_invertible, linear_part
@@ -72,11 +72,11 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
             target_grid=_grid(path, report["target"]),
             request=_request(path, report),
             made=OutputFormat.of(settings.get("of", "COG"), settings.get("co", ())),
-            resampling=str(settings["resampling"]),
+            resampling=Settings.from_options({"resampling": settings["resampling"]}).resampling,
             rpc=_rpc(report["rpc"], report["target"], settings) if report.get("rpc") else None,
             inputs=tuple(FileIdentity.from_json(each) for each in report.get("inputs", ())),
         )
-    except (KeyError, TypeError, ValueError, OverflowError, CRSError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, CRSError, SettingsError) as error:
         raise InputError(
             f"{path} is damaged ({type(error).__name__}: {error}): register the pair again"
         ) from error

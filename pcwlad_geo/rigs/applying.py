@@ -28,6 +28,8 @@ from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 Status = Literal["corrected", "rejected", "unusable", "failed"]
 
+CAPTURE_TAG: Final = "PCWLAD_GEO_CAPTURE"
+"""Tag of a raster with the name of its capture."""
 CELLS: Final = 160
 """Number of places that are measured in every lens."""
 WINDOW_PX: Final = 61
@@ -504,8 +506,9 @@ def _common_tags(task: CaptureTask, placed: Placed, frame: Frame) -> Mapping[str
     lens = task.rig.reference.lens
     col, row = lens.vector[1:3] - (left, top)
     return {
-        **frame.exif,
-        "PCWLAD_GEO_CAPTURE": task.capture.name,
+        # two names are parameters of rasterio's function for tags
+        **{name: value for name, value in frame.exif.items() if name not in ("bidx", "ns")},
+        CAPTURE_TAG: task.capture.name,
         "PCWLAD_GEO_INPUTS": task.digest,
         "CAMERA_MODEL": "pinhole, no distortion",
         "CAMERA_FOCAL_PX": f"{lens.focal_px:.4f}",

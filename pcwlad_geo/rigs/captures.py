@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +14,7 @@ import numpy as np
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.raster.cameras import MM_PER_UNIT, camera_of, exif_of, number_of, xmp_of
 from pcwlad_geo.raster.opening import check_dataset
-from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.raster.source import open_raster, plain_name
 from pcwlad_geo.rigs.lenses import Lens
 from pcwlad_geo.types import Float32, Float64, PathLike
 
@@ -150,12 +151,14 @@ def _captures(read: Sequence[tuple[str, str, Frame]], unread: list[tuple[str, st
             unread.append((frame.path, f"a second frame of lens {frame.lens} in capture {name}"))
         else:
             frames[frame.lens] = frame
-    used: dict[str, int] = {}
-    captures = []
+    captures, taken = [], set[str]()
     for identity, frames in groups.items():
-        name = names[identity]
-        used[name] = used.get(name, 0) + 1
-        captures.append(Capture(name if used[name] == 1 else f"{name}_{used[name]}", frames))
+        # results are named after captures: no two of them may be one file, whatever the file system
+        name = plain_name(names[identity])
+        numbered = (f"{name}_{number}" for number in count(2))
+        name = next(each for each in chain([name], numbered) if each.casefold() not in taken)
+        taken.add(name.casefold())
+        captures.append(Capture(name, frames))
     return sorted(captures, key=lambda each: each.name)
 
 

@@ -31,6 +31,8 @@ FAN: Final = 400
 BEYOND: Final = 1.6
 """How far beyond the corners of the frame, times its half diagonal, a ray is still followed."""
 
+FRAME_SIDE_PX: Final = 20_000
+"""Largest number of rows or columns of a frame; the largest cameras have 15,000."""
 WIDEST_RAD: Final = 1.5
 """Largest angle to the axis of a fisheye that has a direction."""
 
@@ -92,6 +94,8 @@ class Lens:
         places = lattice(self.shape, step)
         seen = other.project(self.rays(places))
         good = np.isfinite(seen).all(axis=1)
+        if good.sum() < 4:  # which a homography fits exactly
+            return np.empty((0, 2))
         return homography_residual(places[good], seen[good])
 
     def to_json(self) -> dict[str, Any]:
@@ -104,9 +108,12 @@ class Lens:
         """Return the lens that `to_json` has told; raises `KeyError`, `TypeError` or `ValueError`."""
         vector = np.array([float(values[name]) for name in PARAMETERS])
         model = values["model"]
+        rows, cols = int(values["rows"]), int(values["cols"])
         if model not in ("brown", "fisheye") or not np.isfinite(vector).all() or vector[0] <= 0:
             raise ValueError(f"no lens: {model}, {vector}")
-        return Lens(model, (int(values["rows"]), int(values["cols"])), vector)
+        if not 1 <= min(rows, cols) <= max(rows, cols) <= FRAME_SIDE_PX:
+            raise ValueError(f"no frame has {cols} x {rows} px")
+        return Lens(model, (rows, cols), vector)
 
 
 def lattice(shape: tuple[int, int], step: int) -> Float64:

@@ -29,6 +29,10 @@ LEAST_SIDE_PX: Final = 640
 """Frames are not averaged to fewer px than this, longer side."""
 LARGEST_SIDE_PX: Final = 1300
 """Longer side of the largest frames that are measured."""
+CROP_STEP_PX: Final = 8
+"""Spacing at which the common part of the frames is looked for."""
+CROP_STEPS: Final = 1000
+"""Largest number of steps along a side for that."""
 MIN_CROP: Final = 0.3
 """Least share of the reference's rows and columns that all lenses see."""
 
@@ -75,6 +79,8 @@ class RigLens:
         if self.told is None:
             return None
         length = np.hypot(*self.lens.distortion_px(self.told).T)
+        if not len(length):  # it maps nothing into the frame
+            return None
         return float(np.sqrt((length**2).mean())), float(length.max())
 
     def seen(self, rays: Float64, nearness: Float64) -> Float64:
@@ -144,7 +150,7 @@ class Rig:
         of it in another capture is masked. Raises `InputError` if the lenses have too little in common.
         """
         rows, cols = self.reference.lens.shape
-        places = lattice((rows, cols), 8)
+        places = lattice((rows, cols), max(CROP_STEP_PX, max(rows, cols) // CROP_STEPS))
         seen = np.ones(len(places), bool)
         rays = self.common_rays(places)
         for near in self.nearness:
@@ -215,7 +221,7 @@ class Rig:
             return Rig.from_json(read_json(Path(path)))
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-        except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
             raise InputError(f"{path} is no rig of pcwlad-geo: make one with pcwlad-geo rig learn") from error
 
 

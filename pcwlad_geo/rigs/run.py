@@ -19,10 +19,11 @@ from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.processes import available_cores, open_runner
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.limits import JOBS
-from pcwlad_geo.outputs.folder import place_file, stage_inside
-from pcwlad_geo.raster.source import plain_name
+from pcwlad_geo.outputs.folder import lock_folder, place_file, stage_inside
+from pcwlad_geo.outputs.places import check_outputs
+from pcwlad_geo.raster.source import open_raster, plain_name
 from pcwlad_geo.raster.trust import Trust, trusting
-from pcwlad_geo.rigs.applying import CaptureOutcome, CaptureTask, correct_capture
+from pcwlad_geo.rigs.applying import CAPTURE_TAG, CaptureOutcome, CaptureTask, correct_capture
 from pcwlad_geo.rigs.captures import MAX_LENSES, Capture, find_frames, group
 from pcwlad_geo.rigs.learning import LearnSettings, learn
 from pcwlad_geo.rigs.rig import Rig
@@ -109,10 +110,11 @@ def rig_learn(
         If `out` cannot be written.
     """
     begun = time.perf_counter()
-    if out is not None and Path(out).exists() and not overwrite:
-        raise OutputError(f"{out} exists: give --overwrite to replace it, or another name")
     with trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
-        found, unread = group(find_frames(captures), pattern)
+        files = find_frames(captures)
+        if out is not None:
+            check_outputs([Path(out)], files, overwrite=overwrite)
+        found, unread = group(files, pattern)
         for file, reason in unread:
             on_event(Warned(reason if file in reason else f"{file}: {reason}"))
         whole = list(_whole(found, on_event))
@@ -184,9 +186,12 @@ def rig_apply(
     with trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
         found, unread = group(find_frames(captures), pattern)
         usable, outcomes = _sorted_out(known, found)
-        before = _finished_before(folder)
+        read = [frame.path for capture in found for frame in capture.frames.values()]
+        rasters = [folder / f"{capture.name}.tif" for capture in usable]
+        check_outputs([*rasters, folder / SUMMARY, folder / NUMBERS], [*read, *_file_of(rig)])
         runner = open_runner(executor, on_event, jobs=_processes(jobs), scheduler=scheduler, preload=_PRELOAD)
-        with runner as opened, stage_inside(folder) as stage:
+        with lock_folder(folder), runner as opened, stage_inside(folder) as stage:
+            before = _finished_before(folder)
             tasks = []
             for capture in usable:
                 digest = _digest(known, capture)
@@ -194,14 +199,14 @@ def rig_apply(
                 if not overwrite and earlier and earlier[0] == digest and _is_there(folder, earlier[1]):
                     outcomes.append(replace(earlier[1], done_before=True))
                     continue
-                path = str(stage / plain_name(f"{capture.name}.tif"))
+                path = str(stage / f"{capture.name}.tif")
                 tasks.append(CaptureTask(known, capture, crop, path, digest))
             digests = _digests(before) | {task.capture.name: task.digest for task in tasks}
 
             def write_summary() -> None:
                 _write_summary(stage, folder, sorted(outcomes, key=lambda each: each.name), digests)
 
-            _apply(tasks, outcomes, folder, overwrite, before, opened, on_event, write_summary)
+            _apply(tasks, outcomes, folder, overwrite, opened, on_event, write_summary)
             write_summary()
         ordered = tuple(sorted(outcomes, key=lambda each: each.name))
         for each in ordered:
@@ -217,7 +222,6 @@ def _apply(
     outcomes: list[CaptureOutcome],
     folder: Path,
     overwrite: bool,
-    before: Mapping[str, tuple[str, CaptureOutcome]],
     runner: Runner,
     on_event: EventCallback,
     write_summary: Callable[[], None],
@@ -235,7 +239,7 @@ def _apply(
 
         results = runner.run(_corrected, [(task,) for task in part], "captures", tell).results
         for task, outcome in zip(part, results, strict=True):
-            outcomes.append(_placed(task, outcome, folder, overwrite or task.capture.name in before))
+            outcomes.append(_placed(task, outcome, folder, overwrite))
         write_summary()
 
 
@@ -253,13 +257,27 @@ def _placed(task: CaptureTask, outcome: CaptureOutcome, folder: Path, overwrite:
     if outcome.status != "corrected":
         return outcome
     staged = Path(task.path)
+    place = folder / staged.name
     try:
-        place_file(staged, folder / staged.name, overwrite=overwrite)
+        place_file(staged, place, overwrite=overwrite or _is_own(place))
     except OutputError as error:
-        if not (folder / staged.name).exists() or overwrite:
+        if not place.exists() or overwrite:
             raise
         return CaptureOutcome(outcome.name, "unusable", str(error))
     return replace(outcome, file=staged.name)
+
+
+def _is_own(place: Path) -> bool:
+    """Return whether a file is a raster of an earlier run, even of one stopped before its summary."""
+    try:
+        with open_raster(str(place)) as dataset:
+            return CAPTURE_TAG in dataset.tags()
+    except InputError:
+        return False
+
+
+def _file_of(rig: Rig | PathLike) -> list[PathLike]:
+    return [] if isinstance(rig, Rig) else [rig]
 
 
 def _processes(jobs: int | None) -> int | None:

@@ -28,6 +28,7 @@ from pcwlad_geo.stacks.network import (
     Part,
     Solution,
     blocks_of,
+    check_determined,
     components,
     errors_of,
     factorised,
@@ -126,7 +127,9 @@ class Adjustment:
 
     @cached_property
     def _factor(self) -> SuperLU:
-        return factorised(self.normal)
+        factor = factorised(self.normal)
+        check_determined(factor, self.normal)
+        return factor
 
 
 def larger(one: Float64, other: Float64) -> Float64:

@@ -44,6 +44,17 @@ class StackInput:
     cloud: float | None = None
     """Share of the image under clouds, 0 to 1."""
 
+    @staticmethod
+    def from_json(values: Mapping[str, Any]) -> StackInput:
+        """Return an image as stack.json names it; raises `TypeError` if a value is of a wrong type."""
+        found = StackInput(**values)
+        texts = (found.path, found.name, found.mask or "", found.date or "")
+        numbers = (found.sun_elevation or 0.0, found.cloud or 0.0)
+        sound = all(isinstance(each, str) for each in texts) and isinstance(found.band, int | str)
+        if not (sound and all(isinstance(each, int | float) for each in numbers)):
+            raise TypeError("an image is described by texts, a band and two numbers")
+        return found
+
     @property
     def day(self) -> datetime.date | None:
         """The day of acquisition."""
@@ -150,7 +161,7 @@ def _of_row(row: Mapping[str, str], folder: Path, band: int | str) -> StackInput
         if row.get(column):
             given[column] = number_of(row, column)
     text = row.get("band") or ""
-    own: int | str = (int(text) if text.isdecimal() else text) if text else band
+    own: int | str = (int(text) if text.isdecimal() and len(text) < 9 else text) if text else band
     return _named(os.fspath(folder / row["image"]), own, given)
 
 

@@ -23,6 +23,12 @@ RAYLEIGH_MEDIAN: Final = 1.1774
 """Median of a length of two normal components of unit variance."""
 SAME_PX: Final = 0.5
 """Points that lie nearer to each other in an image are of one feature, map units (px of the frame)."""
+NEIGHBOURS: Final = 16
+"""Points near a point that are looked for: enough to connect those of one feature."""
+INVERSE_STEPS: Final = 4
+"""Steps of the inverse iteration; a singular matrix shows after one or two."""
+RANK: Final = 1e-12
+"""Singular values below this share of the largest are zero."""
 MIN_BLOCKS: Final = 4
 """Fewer blocks tell nothing of what the points of a pair share."""
 POINT_LIMIT: Final = 3.0
@@ -186,14 +192,30 @@ def linked(edges: Sequence[Edge]) -> list[Edge]:
     links = [np.empty((0, 2), dtype=np.intp)]
     for number in np.unique(image):
         there = np.flatnonzero(image == number)
-        near = cKDTree(at[there]).query_pairs(SAME_PX, output_type="ndarray")
-        links.append(of_point[there[near]])
+        links.append(of_point[there[_near_pairs(at[there])]])
     one, other = np.concatenate(links).T
     graph = coo_array((np.ones(len(one)), (one, other)), shape=(count[-1], count[-1]))
     track = connected_components(graph, directed=False)[1]
     seen = np.unique(np.column_stack([track[of_point], image]), axis=0)[:, 0]
     images = np.bincount(seen, minlength=len(track)).astype(np.float64)[track]
     return [replace(edge, images=images[a:b]) for edge, (a, b) in zip(edges, pairwise(count), strict=True)]
+
+
+def _near_pairs(at: Float64) -> Index:
+    """Return (k, 2) numbers of points within `SAME_PX` of each other, which connect all that lie so near.
+
+    Of many points in one place each is paired with a few alone: all pairs would be as many as their square.
+    """
+    places, of_place = np.unique(np.round(at, 6), axis=0, return_inverse=True)
+    order = np.argsort(of_place.ravel(), kind="stable")
+    same = np.flatnonzero(np.diff(of_place.ravel()[order]) == 0)
+    equal = np.column_stack([order[same], order[same + 1]])
+    first = np.full(len(places), len(at))
+    np.minimum.at(first, of_place.ravel(), np.arange(len(at)))
+    distance, near = cKDTree(places).query(places, k=NEIGHBOURS + 1, distance_upper_bound=SAME_PX)
+    one, other = np.nonzero(np.isfinite(distance))
+    found = np.column_stack([first[one], first[near[one, other]]])
+    return np.vstack([equal, found[found[:, 0] != found[:, 1]]]).astype(np.intp)
 
 
 def side_of_blocks(edges: Sequence[Edge]) -> float:
@@ -297,7 +319,7 @@ def _error(points: _Weighted, sums: Sequence[Float64], number: Index) -> float:
     for each in np.unique(number):
         block = _sums(points, number == each)
         if np.trace(block[2]) <= np.trace(inner) / 2:
-            found.append(np.linalg.solve(inner - block[2], beside - block[4]))
+            found.append(_solved(inner - block[2], beside - block[4]))
     if len(found) < MIN_BLOCKS:
         return 0.0
     terms = points.near.shape[1]
@@ -305,6 +327,13 @@ def _error(points: _Weighted, sums: Sequence[Float64], number: Index) -> float:
     moment = points.near.T @ points.near / len(points.near)
     variance = np.einsum("kat,ts,kas->", changes, moment, changes) / 2 * (len(found) - 1) / len(found)
     return ALIKE * float(np.sqrt(variance))
+
+
+def _solved(normal: Float64, right: Float64) -> Float64:
+    """Solve (n, n) normal equations; what the points leave open, as slopes across a line of them, is 0."""
+    if np.linalg.cond(normal) < 1 / RANK:
+        return np.linalg.solve(normal, right).astype(np.float64, copy=False)
+    return np.linalg.lstsq(normal, right, rcond=RANK)[0].astype(np.float64)
 
 
 def _sums(points: _Weighted, chosen: Bool | slice) -> tuple[Float64, Float64, Float64, Float64, Float64]:
@@ -346,6 +375,20 @@ def factorised(normal: csc_array) -> SuperLU:
         return splu(normal)
     except RuntimeError as error:
         raise InputError(UNDETERMINED) from error
+
+
+def check_determined(factor: SuperLU, normal: csc_array) -> None:
+    """Raise `InputError` if a normal matrix is singular but for the rounding of its arithmetic.
+
+    The smallest eigenvalue of the matrix scaled to a diagonal of ones is found by inverse iteration.
+    """
+    scale = np.sqrt(np.maximum(np.abs(normal.diagonal()), np.finfo(np.float64).tiny))
+    vector = np.cos(np.arange(len(scale)))  # any vector that no structure of the matrix shares
+    for _ in range(INVERSE_STEPS):
+        vector = vector / np.linalg.norm(vector)
+        vector = scale * factor.solve(scale * vector)
+    if not np.linalg.norm(vector) < 1 / RANK:
+        raise InputError(UNDETERMINED)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

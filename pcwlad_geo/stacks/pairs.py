@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -14,6 +15,7 @@ from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import match_elsewhere, match_files, write_match
+from pcwlad_geo.limits import check_coordinates
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.detect import same_product
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
@@ -41,6 +43,8 @@ MIN_POINTS: Final = 12
 """Least number of tie points of a pair."""
 MIN_CONTROL: Final = 4
 """Least number of control points of an image."""
+LEAST_CONTROL_SIGMA_PX: Final = 1e-3
+"""Least standard deviation of a control point: no position in an image is known better, px of the frame."""
 CONTROL_SIGMA_PX: Final = 0.5
 """Standard deviation of a control point where the table tells none, px of the frame."""
 
@@ -336,13 +340,20 @@ def control_points(table: PathLike) -> tuple[ControlPoint, ...]:
     for row in read_table(Path(table), ("image", "col", "row", "x", "y")):
         values = [number_of(row, column) for column in ("col", "row", "x", "y")]
         sigma = number_of(row, "sigma") if row.get("sigma") else None
-        if not (np.isfinite(values).all() and (sigma is None or (np.isfinite(sigma) and sigma > 0))):
-            raise InputError(
-                f"{table}: the control points of {row['image']} need finite numbers and sigmas above 0"
-            )
         col_px, row_px, x, y = values
         found.append(ControlPoint(row["image"], col_px, row_px, x, y, sigma))
+        check_control(found[-1], str(table))
     return tuple(found)
+
+
+def check_control(point: ControlPoint, origin: str) -> None:
+    """Raise `InputError` if a control point of the file `origin` holds no usable numbers."""
+    values = (point.col, point.row, point.x, point.y, 1.0 if point.sigma is None else point.sigma)
+    if not all(math.isfinite(each) for each in values) or values[4] <= 0:
+        raise InputError(
+            f"{origin}: the control points of {point.image} need finite numbers and sigmas above 0"
+        )
+    check_coordinates(origin, values)
 
 
 def control_edges(points: Sequence[ControlPoint], frame: Frame, ground: int | None = None) -> list[Edge]:
@@ -375,7 +386,15 @@ def control_edges(points: Sequence[ControlPoint], frame: Frame, ground: int | No
         at_px = np.array([(point.col, point.row) for point in own])
         on_ground = frame.grid.to_px(np.array([(point.x, point.y) for point in own]))
         sigma = np.array([point.sigma / unit if point.sigma else CONTROL_SIGMA_PX for point in own])
+        sigma = np.maximum(sigma, LEAST_CONTROL_SIGMA_PX)
         image = frame.names.index(name)
+        off_px = np.hypot(*np.median(on_ground - frame.from_image(image, at_px), axis=0))
+        if not off_px <= sum(frame.grid.shape) + sum(frame.infos[image].grid.shape):
+            raise InputError(
+                f"the control points of {name} lie {off_px:.3g} px of the frame from where its "
+                "georeferencing places them: check the order of x and y, and their CRS, which is that of "
+                "the reference"
+            )
         covariance = sigma[:, None, None] ** 2 * np.eye(2)
         number = len(frame.names) if ground is None else ground
         found.append(

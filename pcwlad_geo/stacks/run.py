@@ -20,7 +20,8 @@ from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Settings
-from pcwlad_geo.outputs.folder import place_file, stage_inside
+from pcwlad_geo.outputs.folder import lock_folder, place_file, stage_inside
+from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.products.detect import products_found_once
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import identify
@@ -53,6 +54,7 @@ from pcwlad_geo.stacks.pairs import (
     Frame,
     Measured,
     check_connected,
+    check_control,
     control_edges,
     control_points,
     measure,
@@ -62,6 +64,7 @@ from pcwlad_geo.stacks.pairs import (
 from pcwlad_geo.stacks.result import (
     FILES,
     NUMBERS,
+    SCHEMA_VERSION,
     Chosen,
     Stack,
     StackImage,
@@ -85,7 +88,7 @@ from pcwlad_geo.stacks.rpc_stack import (
     without_ground,
     write_images,
 )
-from pcwlad_geo.stacks.stac import paths_of, write_catalogue
+from pcwlad_geo.stacks.stac import ITEMS, paths_of, write_catalogue
 from pcwlad_geo.text import read_json
 from pcwlad_geo.types import Float64, PathLike
 
@@ -204,7 +207,7 @@ def stack(
     job = _job(out_dir, overwrite, on_event, executor, options | {"ref_band": band, "tgt_band": band})
     if gcps is not None and datum == "mean":
         raise SettingsError("datum = 'mean' and control points are two datums: give one of them")
-    with trusting(job.settings.trust):
+    with trusting(job.settings.trust), lock_folder(job.folder):
         images, reference = with_reference(images, reference, band)
         inputs, infos, unreadable = _readable(images, job.settings, job.tell)
         given = [*images, *(each for each in (pairs, gcps) if each is not None)]
@@ -314,12 +317,23 @@ def stack_add(
     RegistrationRejectedError
         If a new image could not be matched with any other.
     """
+    with lock_folder(out_dir):
+        return _with_added(images, out_dir, on_event, executor, options)
+
+
+def _with_added(
+    images: Sequence[PathLike],
+    out_dir: PathLike,
+    on_event: EventCallback,
+    executor: Executor | Runner | None,
+    options: Options,
+) -> Stack:
     before = _numbers_of(Path(out_dir))
     if before.get("block") is not None:
         raise InputError(f"{out_dir} is a stack of images with RPCs: stack all images again")
     old, points = _of_before(before, Path(out_dir))
     own = {"ref_band": old[0].band, "tgt_band": old[0].band, "model": before["model"]}
-    job = _job(out_dir, False, on_event, executor, options | own)
+    job = _job(out_dir, False, on_event, executor, {**options, **own})
     with trusting(job.settings.trust):
         inputs, infos, unreadable = _readable(images, job.settings, job.tell, old)
         looks = _looks(inputs, infos, unreadable, job.tell)
@@ -461,7 +475,7 @@ def _of_before(before: Mapping[str, Any], folder: Path) -> tuple[list[StackInput
     """Return the images and control points of a finished stack; raises `InputError` if it takes no more."""
     try:
         projective = HOMOGRAPHY in [entry["model"]["name"] for entry in before["images"]]
-        old = [StackInput(**entry["given"]) for entry in before["images"]]
+        old = [StackInput.from_json(entry["given"]) for entry in before["images"]]
         names = [each.name for each in old]
         later = [name for each in before["added"] for name in each]
         ends = [pair[end] for pair in before["pairs"] for end in ("reference", "target")]
@@ -473,10 +487,10 @@ def _of_before(before: Mapping[str, Any], folder: Path) -> tuple[list[StackInput
             and before["model"] in (*TRIED, HOMOGRAPHY)
             and all(each["status"] in ("used", "left out", "refused") for each in before["pairs"])
             and all(isinstance(text, str) for text in (before["datum"], *before["warnings"]))
-            and all(isinstance(each.path, str) and isinstance(each.band, int | str) for each in old)
         )
         points = tuple(ControlPoint(**each) for each in before["control"])
-        np.array([(each.col, each.row, each.x, each.y, each.sigma or 1.0) for each in points], np.float64)
+        for each in points:
+            check_control(each, str(folder / NUMBERS))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder / NUMBERS} is damaged ({error}): stack the images again") from error
     if not whole:
@@ -490,7 +504,13 @@ def _numbers_of(folder: Path) -> dict[str, Any]:
     """Return the content of stack.json; raises `InputError` if the folder holds no stack."""
     if not is_stack(folder):
         raise InputError(f"{folder} holds no finished stack ({NUMBERS}): give the output folder of one")
-    return dict(read_json(folder / NUMBERS))
+    found = dict(read_json(folder / NUMBERS))
+    if found["schema_version"] != SCHEMA_VERSION:
+        raise InputError(
+            f"{folder / NUMBERS} has schema version {found['schema_version']}, this version reads "
+            f"{SCHEMA_VERSION}: stack the images again"
+        )
+    return found
 
 
 def _pairs_before(folder: Path, frame: Frame) -> list[tuple[int, int]]:
@@ -610,10 +630,10 @@ def _check_places(job: _Job, frame: Frame, names: Sequence[str], given: Sequence
         *rpc_files_of(folder, names),
     ]
     inputs = [Path(each) for each in [*given, *(info.uri for info in frame.infos)]]
+    check_outputs(places, inputs)
+    if os.path.lexists(folder / ITEMS) and not (folder / ITEMS).is_dir():
+        raise OutputError(f"{folder / ITEMS} is no folder, and the STAC items belong there: move it")
     there = [place for place in places if os.path.lexists(place)]
-    for place in there:
-        if any(each.exists() and place.samefile(each) for each in inputs):
-            raise OutputError(f"the output {place} is an input too: choose another output folder")
     if there and not is_stack(folder):
         raise OutputError(
             f"{there[0]} is in the way, and {folder} holds no earlier stack: choose another output folder"

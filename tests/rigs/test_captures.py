@@ -111,3 +111,22 @@ def test_what_a_frame_tells(tmp_path: Path) -> None:
     assert facts.xmp["Irradiance"] == "0.9"
     assert "CentralWavelength" not in facts.xmp
     assert facts.told is None
+
+
+@pytest.mark.parametrize(
+    ("names", "captures"),
+    [
+        (("a:b", "a|b"), ["a_b", "a_b_2"]),
+        ((".x", "x"), ["x", "x_2"]),
+        (("f1/IMG", "f2/IMG", "IMG_2"), ["IMG", "IMG_2", "IMG_2_2"]),
+        (("F/img", "G/IMG"), ["IMG_2", "img"]),
+    ],
+)
+def test_no_two_captures_have_the_name_of_one_file(
+    tmp_path: Path, names: tuple[str, ...], captures: list[str]
+) -> None:
+    files = [frame(tmp_path / f"{name}_{lens}.tif") for name in names for lens in (1, 2)]
+    found, unread = group(files)
+    assert [each.name for each in found] == captures
+    assert not unread
+    assert {frame.path for each in found for frame in each.frames.values()} == set(map(str, files))

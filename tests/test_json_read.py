@@ -1,0 +1,51 @@
+"""JSON of strangers: what `parse_json` takes, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcwlad_geo.limits import JSON_DEPTH, JSON_DIGITS
+from pcwlad_geo.text import finite, parse_json
+
+PLAIN = (
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
+)
+VALUES = st.recursive(PLAIN, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=20)
+
+
+@given(VALUES)
+def test_plain_json_is_what_json_says(value: object) -> None:
+    text = json.dumps(value)
+    assert parse_json(text) == json.loads(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "NaN",
+        "[-Infinity]",
+        '{"a": 1e999}',
+        "9" * (JSON_DIGITS + 1),
+        "[" * (JSON_DEPTH + 1) + "]" * (JSON_DEPTH + 1),
+        '{"a":' * 100_000,
+        "[" * 5000 + "]" * 5000,
+        "",
+    ],
+)
+def test_what_no_result_holds_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        parse_json(text)
+
+
+def test_the_deepest_and_longest_that_are_read() -> None:
+    assert parse_json("[" * JSON_DEPTH + "]" * JSON_DEPTH) is not None
+    assert parse_json("9" * JSON_DIGITS) == int("9" * JSON_DIGITS)
+
+
+def test_numbers_that_json_cannot_hold_become_null() -> None:
+    given = {"a": [1.5, float("nan"), (float("inf"), "x")], "b": None}
+    assert finite(given) == {"a": [1.5, None, [None, "x"]], "b": None}
