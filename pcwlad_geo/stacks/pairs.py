@@ -70,6 +70,11 @@ class StackPair:
     """Why it is not good."""
     motions: tuple[Motion, ...] = ()
     """What parts of its matches agree on, where that is more than one displacement: that used comes first."""
+    ce90_px: float | None = None
+    """Distance from the adjustment within which 90 % of its points lie, five neighbours averaged, px of the
+    frame."""
+    empty_share: float | None = None
+    """Of the squares of its reference in which both images have data, the part without a tie point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,17 +147,19 @@ def _measured(
 ) -> Measured:
     """Return what a matched pair gave, from its folder unless there is a reason that it gave nothing."""
     names = frame.names[pair[0]], frame.names[pair[1]]
-    edge = None
+    edge, empty_share = None, None
     if reason is None:
         report = read_report(place)  # also its warnings: a run that was killed and goes on tells the same
         for warning in report.get("warnings", ()):
             on_event(Warned(f"{names[0]} – {names[1]}: {warning}"))
         reason = str(report.get("reason")) if report.get("status") == "rejected" else None
         edge = edge_of(frame, *pair, place) if reason is None else None
+        empty_share = report.get("coverage", {}).get("empty_share")
     if edge is None:
         reason = reason or f"fewer than {MIN_POINTS} tie points"
         on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
-    return edge, StackPair(*names, "refused" if edge is None else "used", reason, place)
+    status: PairStatus = "refused" if edge is None else "used"
+    return edge, StackPair(*names, status, reason, place, empty_share=empty_share)
 
 
 @dataclass(frozen=True, slots=True)
