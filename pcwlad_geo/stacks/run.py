@@ -243,7 +243,7 @@ def stack(
             chosen,
         )
         result = replace(result, control=points)
-        return _written(job, result, lambda done: _warp(job, done, frame, done.images))
+        return _written(job, result, frame, lambda done: _warp(job, done, frame, done.images))
 
 
 def _stacked_rpcs(
@@ -281,7 +281,7 @@ def _stacked_rpcs(
         "warnings": job.warnings,
     }
     result = block_stack(placed, measured, points, adjustment, check, told)
-    return _written(job, result, lambda done: write_images(done, placed, job.settings, job.on_event))
+    return _written(job, result, frame, lambda done: write_images(done, placed, job.settings, job.on_event))
 
 
 @products_found_once()
@@ -344,6 +344,7 @@ def stack_add(
         return _written(
             job,
             result,
+            frame,
             lambda done: _warp(job, done, frame, [each for each in done.images if each.name in new]),
         )
 
@@ -629,7 +630,7 @@ VRT: Final = "{}_corrected.vrt"
 """File name of the original pixels of an image with their corrected geotransform."""
 
 
-def _written(job: _Job, found: Stack, write_corrected: Callable[[Stack], None]) -> Stack:
+def _written(job: _Job, found: Stack, frame: Frame, write_corrected: Callable[[Stack], None]) -> Stack:
     """Grade the images and write the results.
 
     Corrected images only of those that were not refused, where the requirements are met or they are kept
@@ -642,7 +643,7 @@ def _written(job: _Job, found: Stack, write_corrected: Callable[[Stack], None]) 
         job.tell(Warned(message))
     found = replace(found, warnings=tuple(dict.fromkeys([*found.warnings, *told])))
     found = replace(found, requirements=judge(found, parse_requirements(job.settings.require, "stack")))
-    write_numbers(found, job.settings, page(found))
+    write_numbers(found, job.settings, page(found, frame))
     _remove_refused(found)
     if not any(image.name != found.datum for image in found.written.images):
         raise RegistrationRejectedError(
