@@ -144,10 +144,12 @@ def _of_four(near: dict[str, set[str]], order: dict[str, int]) -> list[tuple[str
 
 SUPPORTED: Final = 1 / 2
 """An image is refused unless a larger share of its pairs supports its place."""
-WELL_SUPPORTED: Final = 2 / 3
-"""Least share of the pairs of a good image that support its place."""
+DOUBTED: Final = 1 / 3
+"""Share of the pairs of an image off its place from which it is not good: pairs may share a cause."""
 ORDER: Final = ("refused", *GRADES)
 """What an image can be graded, the worst first."""
+NOISE_OF_MEDIAN: Final = 0.53
+"""Standard deviation along an axis of the median of five normal errors, in their median distance from it."""
 PLACES: Final = 500
 """Largest number of places at which the residuals of a pair are looked at."""
 
@@ -176,19 +178,16 @@ class StackQuality:
 
 
 def left_ce90(at_px: Float64, left_px: Float64) -> float:
-    """Return the distance within which 90 % of the points of a pair lie from the adjustment.
+    """Return the distance within which 90 % of what a pair shows lies from the adjustment, px.
 
-    What a matching window shares counts, not the noise of single points.
-
-    Parameters
-    ----------
-    at_px, left_px : (n, 2) array
-        Their places, and what they lie off, px.
+    The (n, 2) `left_px` at the (n, 2) places `at_px` are averaged over neighbours, and the noise of single
+    points, by which neighbours differ, is taken out.
     """
     places = at_px[:: math.ceil(len(at_px) / PLACES)]
     residuals = Residuals(at_px, left_px, np.ones(len(at_px), bool))
     left = left_by_correction(residuals, places, FIRST_WINDOW_PX)
-    return float(np.percentile(np.hypot(*left.median_px.T), 90))
+    noise = SIGMA_90 * NOISE_OF_MEDIAN * float(np.median(left.spread_px))
+    return math.sqrt(max(0.0, float(np.percentile(np.hypot(*left.median_px.T), 90)) ** 2 - noise**2))
 
 
 def image_qualities(
@@ -291,8 +290,8 @@ def _judged(
             f"{sigma_px:.2f} px, and its pairs leave {left_px:.2f} px"
         )
         reasons.append(Reason("fair" if expected <= FAIR_PX else "poor", text))
-    far = next((limit for limit in (FAIR_PX, GOOD_PX) if off[limit] > 1 - WELL_SUPPORTED), None)
-    if far is not None:
+    far = FAIR_PX if off[FAIR_PX] > DOUBTED else GOOD_PX
+    if off[far] >= DOUBTED:
         text = f"{100 * off[far]:.0f} % of its pairs lie more than {far:g} px off its place"
         reasons.append(Reason("poor" if far == FAIR_PX else "fair", text))
     if not any((pair.redundancy or 0.0) >= MIN_REDUNDANCY for pair in used):

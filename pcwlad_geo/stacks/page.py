@@ -194,9 +194,9 @@ def _trust(found: Stack) -> Answer:
         text += f"; {away} {'pair contradicts' if away == 1 else 'pairs contradict'} the others"
     if closure.before_px is None:
         return Answer("Do the pairs agree?", f"{text}. No cycle of pairs checks them.", "caution")
-    text += f". All {closure.cycles} cycles of pairs close to {closure.before_px:.3f} px"
-    if closure.after_px is not None:
-        text += f", those of pairs in use to {closure.after_px:.3f} px"
+    text += f". Cycles of pairs ({closure.cycles}) close to {closure.before_px:.3f} px"
+    if closure.after_px not in (None, closure.before_px):
+        text += f", without those left out to {closure.after_px:.3f} px"
     return Answer("Do the pairs agree?", f"{text}.", "caution" if away else "good")
 
 
