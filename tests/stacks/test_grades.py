@@ -202,6 +202,7 @@ def shift_points(folder: Path, shift_px: float) -> None:
         csv.writer(file).writerows(rows)
 
 
+@pytest.mark.slow
 def test_a_refused_image_has_no_raster_and_the_run_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -211,9 +212,7 @@ def test_a_refused_image_has_no_raster_and_the_run_says_so(
     assert run_command(command) == 0
     assert "quality: good" in capsys.readouterr().out
     assert (out / "date3_registered.tif").is_file()
-    assert (
-        "The edge" in (out / "stack.html").read_text() or "most distinct" in (out / "stack.html").read_text()
-    )
+    assert (out / "stack.html").read_text(encoding="utf-8").count('class="pile"') >= 2  # before and after
     shift_points(out / "pairs/date1__date3", 12.0)
     shift_points(out / "pairs/date2__date3", -9.0)
     assert run_command(command) == 3
@@ -238,9 +237,9 @@ def test_a_refused_image_has_no_raster_and_the_run_says_so(
 
 
 @pytest.mark.slow
-def test_a_thermal_band_that_follows_clouds_is_refused_or_right(real_data: Path, tmp_path: Path) -> None:
+def test_a_thermal_band_that_follows_clouds_is_refused_or_right(shared_data: Path, tmp_path: Path) -> None:
     """With the clouds masked, B10 lies (0.06, -0.04) px off the visible bands (phase correlation)."""
-    folder = real_data / "real/landsat_clouds"
+    folder = shared_data / "real/landsat_clouds"
     if not folder.is_dir():
         pytest.skip(f"no real folder of bands under clouds in {folder}")
     images = [str(folder / f"l8_B{band}.tif") for band in (1, 2, 4, 5, 10)]
