@@ -147,19 +147,17 @@ def _measured(
 ) -> Measured:
     """Return what a matched pair gave, from its folder unless there is a reason that it gave nothing."""
     names = frame.names[pair[0]], frame.names[pair[1]]
-    edge, empty_share = None, None
+    edge = None
     if reason is None:
         report = read_report(place)  # also its warnings: a run that was killed and goes on tells the same
         for warning in report.get("warnings", ()):
             on_event(Warned(f"{names[0]} – {names[1]}: {warning}"))
         reason = str(report.get("reason")) if report.get("status") == "rejected" else None
         edge = edge_of(frame, *pair, place) if reason is None else None
-        empty_share = report.get("coverage", {}).get("empty_share")
     if edge is None:
         reason = reason or f"fewer than {MIN_POINTS} tie points"
         on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
-    status: PairStatus = "refused" if edge is None else "used"
-    return edge, StackPair(*names, status, reason, place, empty_share=empty_share)
+    return edge, StackPair(*names, "refused" if edge is None else "used", reason, place)
 
 
 @dataclass(frozen=True, slots=True)

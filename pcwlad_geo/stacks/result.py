@@ -28,6 +28,7 @@ from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.registration.rpc import RpcRegistration
+from pcwlad_geo.report.finished import read_report
 from pcwlad_geo.requirements import Requirement, RequirementResult
 from pcwlad_geo.stacks.adjustment import Adjustment
 from pcwlad_geo.stacks.basis import SPLINE_CELLS, Basis
@@ -323,6 +324,7 @@ def stack_of(
                 redundancy=fit.redundancy,
                 scatter_px=fit.scatter,
                 ce90_px=_left_ce90(edge, adjustment),
+                empty_share=empty_share(pair),
             )
         pairs.append(pair)
     used = [pair for pair in pairs if pair.status == "used"]
@@ -350,6 +352,12 @@ def _left_ce90(edge: Edge, adjustment: Adjustment) -> float:
     ground = adjustment.to_ground(edge.first, edge.first_xy)
     left = edge.second_xy - adjustment.displacement(edge.second, ground) - ground
     return left_ce90(edge.second_xy, left)
+
+
+def empty_share(pair: StackPair) -> float | None:
+    """Return `StackPair.empty_share` of a pair, from its report."""
+    share = read_report(pair.folder).get("coverage", {}).get("empty_share")
+    return None if share is None else float(share)
 
 
 def graded(found: Stack) -> Stack:

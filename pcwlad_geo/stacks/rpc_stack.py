@@ -45,6 +45,7 @@ from pcwlad_geo.stacks.result import (
     Misfit,
     Stack,
     StackImage,
+    empty_share,
     raster_name,
 )
 from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockFit, BlockPair, adjust_block
@@ -392,6 +393,7 @@ def _pair(
         redundancy=fit.redundancy,
         scatter_px=fit.scatter_px * size,
         ce90_px=left_ce90(points.second_px, fit.left_px) * size,
+        empty_share=empty_share(pair),
     )
 
 
