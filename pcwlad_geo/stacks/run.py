@@ -341,11 +341,13 @@ def stack_add(
         notes = [*before["warnings"], *job.warnings]
         result = stack_of(frame, measured, adjustment, job.folder, job.settings, notes, unreadable)
         result = replace(result, control=points, added=added)
+        refused = [each["name"] for each in before["images"] if each.get("registered", "") is None]
+        to_write = {*new, *refused}
         return _written(
             job,
             result,
             frame,
-            lambda done: _warp(job, done, frame, [each for each in done.images if each.name in new]),
+            lambda done: _warp(job, done, frame, [each for each in done.images if each.name in to_write]),
         )
 
 
