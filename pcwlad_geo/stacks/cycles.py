@@ -246,11 +246,9 @@ def image_qualities(
         share = {limit: off(name, about, limit) for limit in (FAIR_PX, GOOD_PX)}
         expected, reasons = _judged(about, sigma, unit_px[name], share)
         reasons.sort(key=lambda each: GRADES.index(each.grade))
-        grade = reasons[0].grade if reasons else "good"
-        texts = tuple(each.text for each in reasons)
-        found[name] = StackQuality(grade, texts, expected)
-        if name in refused:
-            found[name] = StackQuality("refused", (refused[name], *texts), expected)
+        grade = "refused" if name in refused else reasons[0].grade if reasons else "good"
+        texts = [refused[name]] if name in refused else []
+        found[name] = StackQuality(grade, (*texts, *(each.text for each in reasons)), expected)
     return found
 
 

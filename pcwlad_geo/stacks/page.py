@@ -37,12 +37,8 @@ CLASSES_PX: Final = (0.02, 0.05, 0.1, 0.3)
 """Class limits of the offset of a pair for its colour, constant so that pages can be compared."""
 SERIES_PX: Final = (760.0, 170.0)
 """Width and height of a time series, CSS px."""
-HEADLINES: Final = {
-    "good": Headline("{} images in one frame", "good"),
-    "fair": Headline("{} images in one frame, with care", "caution"),
-    "poor": Headline("{} images in one frame, poorly", "bad"),
-}
-"""Headlines by the grade of the stack."""
+CARE: Final = {"good": "", "fair": ", with care", "poor": ", poorly"}
+"""What the headline adds by the grade of the stack."""
 STATES: Final[dict[str, State]] = {"good": "good", "fair": "caution", "poor": "bad", "refused": "bad"}
 """Colours of the grades of images."""
 NAMED_DOUBTS: Final = 5
@@ -151,15 +147,14 @@ def page(found: Stack, frame: Frame | None = None) -> str:
 
 
 def _headline(found: Stack) -> Headline:
-    placed = len(found.written.images)
-    if found.passed is False:
-        return Headline(f"{placed} images in one frame, but a requirement is not met", "bad")
+    placed, given = len(found.written.images), len(found.images)
     if not any(image.name != found.datum for image in found.written.images):
         return Headline("No image could be placed reliably", "bad")
-    verdict, given = HEADLINES[found.quality.grade], len(found.images)
-    if placed < given:
-        return Headline(f"{placed} of {given} images in one frame, {given - placed} refused", "bad")
-    return Headline(verdict.text.format(placed), verdict.state)
+    told = CARE[found.quality.grade] if placed == given else f", {given - placed} refused"
+    told = ", but a requirement is not met" if found.passed is False else told
+    count = f"{placed} of {given}" if placed < given else f"{given}"
+    state = "bad" if found.passed is False else STATES[found.quality.grade]
+    return Headline(f"{count} images in one frame{told}", state)
 
 
 def _how_well(found: Stack) -> Answer:
@@ -206,11 +201,8 @@ def _worst_seen(found: Stack, frame: Frame, images: Sequence[StackImage]) -> Reg
     None where its files cannot be read, or no pair of it could be matched.
     """
     worst = next((image for image in images if image.name != found.datum), images[0])
-    about = [
-        pair
-        for pair in found.pairs
-        if worst.name in (pair.reference, pair.target) and pair.offset_px is not None
-    ]
+    measured = [pair for pair in found.pairs if pair.offset_px is not None]
+    about = [pair for pair in measured if worst.name in (pair.reference, pair.target)]
     if not about:
         return None
     pair = max(about, key=lambda each: (found.reference in (each.reference, each.target), each.points))
