@@ -52,7 +52,7 @@ QUANTITIES: Final = (
         "word",
         ("shift", "drift", "affine", "projective", "polynomial", "jitter", "tps", "field"),
     ),
-    Quantity("quality", ("register",), (">=", "="), "word", ("poor", "fair", "good")),
+    Quantity("quality", ("register", "stack"), (">=", "="), "word", ("poor", "fair", "good")),
 )
 """All figures that can be required."""
 NET: Final = ("std", "RMSE", "LE90", "CE90", "CE95", "CE99.7")
@@ -61,7 +61,7 @@ EXAMPLES: Final[dict[Command, str]] = {
     "register": "'CE90<=0.5px', 'fit RMSE<=5m', 'points>=100', 'coverage>=0.8' or 'model=shift'",
     "match": "'points>=100', 'coverage>=0.8', 'sigma<=0.2px' or 'displacement<=3px'",
     "qa": "'CE90<=0.3px'",
-    "stack": "'sigma<=0.1px', 'closure<=0.05px' or 'points>=100'",
+    "stack": "'quality>=fair', 'sigma<=0.1px', 'closure<=0.05px' or 'points>=100'",
 }
 """Examples of requirements by command, for messages."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,7 +13,7 @@ from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.job import Ending, run_guarded
 from pcwlad_geo.cli.options import collect
 from pcwlad_geo.cli.outcome import columns
-from pcwlad_geo.errors import InputError, RequirementError, SettingsError
+from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.options import BAND_NAME, Settings
 from pcwlad_geo.text import visible
@@ -20,7 +21,7 @@ from pcwlad_geo.text import visible
 if TYPE_CHECKING:
     from pcwlad_geo.stacks.result import Stack, StackImage
 
-HEADER = ("image", "shift px", "sigma px", "sigma m", "pairs")
+HEADER = ("image", "quality", "shift px", "sigma px", "sigma m", "pairs")
 """Header of the table of images."""
 
 Images = Annotated[
@@ -171,6 +172,8 @@ def _ending(found: Stack) -> Ending:
 
     counts = {status: sum(pair.status == status for pair in found.pairs) for status in _STATUSES}
     status = InputError.exit_status if found.unreadable else 0
+    if any(image.refused for image in found.images):
+        status = RegistrationRejectedError.exit_status
     if found.passed is False:
         status = RequirementError.exit_status
     paths = {
@@ -180,6 +183,8 @@ def _ending(found: Stack) -> Ending:
     }
     figures: dict[str, object] = {
         "images": len(found.images),
+        "quality": asdict(found.quality),
+        "refused": [image.name for image in found.images if image.refused],
         "pairs": counts,
         "unreadable": list(found.unreadable),
         "closure_px": found.closure.after_px,
@@ -188,8 +193,9 @@ def _ending(found: Stack) -> Ending:
         "exit_status": status,
         "paths": {kind: str(path.absolute()) for kind, path in paths.items()},
     }
-    lines = columns([HEADER, *(_row(image) for image in found.images)], (0,))
-    lines += ["", "pairs: " + ", ".join(f"{count} {each}" for each, count in counts.items() if count)]
+    lines = columns([HEADER, *(_row(image) for image in found.images)], (0, 1))
+    lines += ["", f"quality: {'; '.join([found.quality.grade, *found.quality.reasons[:1]])}"]
+    lines += ["pairs: " + ", ".join(f"{count} {each}" for each, count in counts.items() if count)]
     lines += [f"left out: {pair.reference} - {pair.target}: {pair.reason}" for pair in found.left_out]
     lines += [each.text for each in found.requirements]
     lines.append(f"report: {found.out_dir / PAGE}")
@@ -204,6 +210,7 @@ def _row(image: StackImage) -> tuple[str, ...]:
     metres = "" if image.sigma_m is None else f"{image.sigma_m[0]:.3f} {image.sigma_m[1]:.3f}"
     return (
         image.name,
+        image.quality.grade,
         f"{image.shift_px[0]:+.3f} {image.shift_px[1]:+.3f}",
         f"{image.sigma_px[0]:.3f} {image.sigma_px[1]:.3f}",
         metres,

@@ -197,7 +197,7 @@ def _page(report: Report, drawings: Drawings, *, paper: bool) -> str:
     names = {each.name: getattr(part, each.name) for part in (report, drawings) for each in fields(part)}
     grade = report.quality.grade if report.quality else None
     verdict = headline(report.status, grade, report.passed)
-    template = _environment().get_template("report.html.j2")
+    template = page_environment("pcwlad_geo.report").get_template("report.html.j2")
     return template.render(names, headline=verdict, answers=answers(report), paper=paper)
 
 
@@ -238,8 +238,9 @@ def warp_line(gcps_vrt: str) -> str:
 
 
 @cache  # templates are compiled once per process
-def _environment() -> Environment:
-    environment = templates_of("pcwlad_geo.report")
+def page_environment(package: str) -> Environment:
+    """Return the templates of a subpackage with the style, script and filters of this page."""
+    environment = templates_of(package)
     environment.filters["figure"] = _figure
     environment.filters["percent"] = percent
     environment.filters["pair"] = _pair

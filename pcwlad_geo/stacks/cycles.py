@@ -1,14 +1,30 @@
-"""Cycles of pairs: by how much they fail to close, and which pair is to blame."""
+"""What the pairs of a stack say against each other: cycles that fail to close, and the grades of images."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Final
+from statistics import median
+from typing import Final, Literal
 
+import numpy as np
+
+from pcwlad_geo.correction.error_statistics import Residuals, left_by_correction
+from pcwlad_geo.matching.types import FIRST_WINDOW_PX
+from pcwlad_geo.registration.fitting import (
+    FAIR_PX,
+    GOOD_PX,
+    GRADES,
+    MANY_SIGMAS,
+    MOSTLY,
+    SIGMA_90,
+    Reason,
+)
+from pcwlad_geo.stacks.adjustment import MIN_REDUNDANCY
 from pcwlad_geo.stacks.pairs import StackPair
+from pcwlad_geo.types import Float64
 
 MAX_CYCLES: Final = 20_000
 """Largest number of cycles that are looked at."""
@@ -124,3 +140,172 @@ def _of_four(near: dict[str, set[str]], order: dict[str, int]) -> list[tuple[str
         if len(found) > MAX_CYCLES:
             break
     return found[:MAX_CYCLES]
+
+
+SUPPORTED: Final = 1 / 2
+"""An image is refused unless a larger share of its pairs supports its place."""
+DOUBTED: Final = 1 / 3
+"""Share of the pairs of an image off its place from which it is not good: pairs may share a cause."""
+ORDER: Final = ("refused", *GRADES)
+"""What an image can be graded, the worst first."""
+NOISE_OF_MEDIAN: Final = 0.53
+"""Standard deviation along an axis of the median of five normal errors, in their median distance from it."""
+PLACES: Final = 500
+"""Largest number of places at which the residuals of a pair are looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class StackQuality:
+    """How far the place of an image can be relied on, or those of all images of a stack."""
+
+    grade: Literal["good", "fair", "poor", "refused"]
+    """good: 90 % of the image is expected to lie within 0.5 of its px, and nothing contradicts it; fair:
+    within 1 px; poor: neither; refused: its pairs do not tell its place, and it has no corrected raster. Of a
+    stack the worst of its images; poor where one was refused."""
+    reasons: tuple[str, ...]
+    """Why it is not good, the worst first."""
+    expected_ce90_px: float
+    """Error within which 90 % of the image is expected to lie, px of the image; of a stack the largest."""
+
+    @staticmethod
+    def of_all(found: Mapping[str, StackQuality]) -> StackQuality:
+        """Return the quality of a stack by those of its images."""
+        worst_first = sorted(found, key=lambda name: ORDER.index(found[name].grade))
+        grade = found[worst_first[0]].grade
+        reasons = (f"{name}: {reason}" for name in worst_first for reason in found[name].reasons[:1])
+        expected = max(each.expected_ce90_px for each in found.values())
+        return StackQuality("poor" if grade == "refused" else grade, tuple(reasons), expected)
+
+
+def left_ce90(at_px: Float64, left_px: Float64) -> float:
+    """Return the distance within which 90 % of what a pair shows lies from the adjustment, px.
+
+    The (n, 2) `left_px` at the (n, 2) places `at_px` are averaged over neighbours, and the noise of single
+    points, by which neighbours differ, is taken out.
+    """
+    places = at_px[:: math.ceil(len(at_px) / PLACES)]
+    residuals = Residuals(at_px, left_px, np.ones(len(at_px), bool))
+    left = left_by_correction(residuals, places, FIRST_WINDOW_PX)
+    noise = SIGMA_90 * NOISE_OF_MEDIAN * float(np.median(left.spread_px))
+    return math.sqrt(max(0.0, float(np.percentile(np.hypot(*left.median_px.T), 90)) ** 2 - noise**2))
+
+
+def image_qualities(
+    pairs: Sequence[StackPair],
+    sigma_px: Mapping[str, float],
+    unit_px: Mapping[str, float],
+    anchors: Collection[str],
+) -> dict[str, StackQuality]:
+    """Grade the images of a stack by what their pairs say for and against their places.
+
+    A pair that was left out is evidence that the adjustment has not used; of one in use the part that the
+    others check is (its offset by the root of its redundancy: Pope 1976).
+
+    Parameters
+    ----------
+    pairs : sequence of StackPair
+    sigma_px : mapping
+        Standard deviation of the position of each image along an axis, its own px.
+    unit_px : mapping
+        Side of the pixels of each image, px of the frame.
+    anchors : collection of str
+        Names of the images that stay, one a group; none where the mean or control points do.
+    """
+    measured = [pair for pair in pairs if pair.offset_px is not None]
+    own = [
+        (pair.sigma_px or 0.0) / math.sqrt(pair.redundancy)
+        for pair in measured
+        if pair.status == "used" and pair.redundancy is not None and pair.redundancy >= MIN_REDUNDANCY
+    ]
+    noise_px = MANY_SIGMAS * median(own or [0.0])
+
+    def off(name: str, among: Iterable[StackPair], limit_px: float) -> float:
+        """Return the share of the pairs of an image that lie off its place by more than a limit, its px."""
+        limit = max(limit_px * unit_px[name], noise_px)
+        far = [_discrepancy(pair) > limit for pair in among if name in (pair.reference, pair.target)]
+        return sum(far) / max(len(far), 1)
+
+    refused: dict[str, str] = {}
+    while True:  # what an image that was refused says of the others no longer counts
+        among = [pair for pair in measured if not {pair.reference, pair.target} & refused.keys()]
+        shares = {name: off(name, among, FAIR_PX) for name in sigma_px if name not in refused}
+        worst = max(shares.values(), default=0.0)
+        if worst < SUPPORTED:
+            break
+        refused |= {
+            name: f"{100 * worst:.0f} % of its pairs lie more than {FAIR_PX:g} px off where the others put it"
+            for name, share in shares.items()
+            if share == worst
+        }
+    refused |= _cut_off(among, shares, anchors, refused)
+    found = {}
+    for name, sigma in sigma_px.items():
+        about = [
+            pair for pair in (measured if name in refused else among) if name in (pair.reference, pair.target)
+        ]
+        share = {limit: off(name, about, limit) for limit in (FAIR_PX, GOOD_PX)}
+        expected, reasons = _judged(about, sigma, unit_px[name], share)
+        reasons.sort(key=lambda each: GRADES.index(each.grade))
+        grade = "refused" if name in refused else reasons[0].grade if reasons else "good"
+        texts = [refused[name]] if name in refused else []
+        found[name] = StackQuality(grade, (*texts, *(each.text for each in reasons)), expected)
+    return found
+
+
+def _discrepancy(pair: StackPair) -> float:
+    """Return by how much a pair lies off what the others tell, px of the frame, less what it tells itself."""
+    return math.hypot(*_offset(pair)) / math.sqrt(max(pair.redundancy or 0.0, MIN_REDUNDANCY))
+
+
+def _cut_off(
+    pairs: Sequence[StackPair], names: Collection[str], anchors: Collection[str], refused: Collection[str]
+) -> dict[str, str]:
+    """Return why images are refused that only images that were refused connect with those that stay."""
+    reached, new = set[str](), set(anchors) - set(refused)
+    if not refused or not anchors:
+        return {}
+    while new:
+        reached |= new
+        used = ({pair.reference, pair.target} for pair in pairs if pair.status == "used")
+        new = {name for ends in used if ends & reached for name in ends} - reached
+    reason = f"only {', '.join(refused)}, which cannot be placed, would connect it with the datum"
+    return {name: reason for name in names if name not in reached and name not in refused}
+
+
+def _judged(
+    pairs: Sequence[StackPair], sigma_px: float, unit_px: float, off: Mapping[float, float]
+) -> tuple[float, list[Reason]]:
+    """Return the expected CE90 of an image, its px, and what keeps it from being good.
+
+    `off` is the share of its pairs that lie off by more than each limit.
+    """
+    used, reasons = [pair for pair in pairs if pair.status == "used"], []
+    left_px = median([pair.ce90_px or 0.0 for pair in used] or [0.0]) / unit_px
+    expected = math.hypot(SIGMA_90 * sigma_px, left_px)
+    if expected > GOOD_PX:
+        text = (
+            f"a tenth of it is expected to lie more than {expected:.2f} px off: its position has a sigma of "
+            f"{sigma_px:.2f} px, and its pairs leave {left_px:.2f} px"
+        )
+        reasons.append(Reason("fair" if expected <= FAIR_PX else "poor", text))
+    far = FAIR_PX if off[FAIR_PX] > DOUBTED else GOOD_PX
+    if off[far] >= DOUBTED:
+        text = f"{100 * off[far]:.0f} % of its pairs lie more than {far:g} px off its place"
+        reasons.append(Reason("poor" if far == FAIR_PX else "fair", text))
+    if not any((pair.redundancy or 0.0) >= MIN_REDUNDANCY for pair in used):
+        reasons.append(Reason("fair", "no other pair checks those that place it"))
+    graded = sorted((_own_grade(pair) for pair in used), key=lambda each: GRADES.index(each.grade))
+    middle = graded[len(graded) // 2] if graded else Reason("good", "")
+    if middle.grade != "good":
+        share = sum(each.grade != "good" for each in graded)
+        text = f"{share} of the {len(used)} pairs that place it are not good: {middle.text}"
+        reasons.append(Reason(middle.grade, text))
+    return expected, reasons
+
+
+def _own_grade(pair: StackPair) -> Reason:
+    """Return the grade of a pair by itself, and why it is not better."""
+    empty = pair.empty_share or 0.0
+    if empty > MOSTLY and pair.quality != "poor":
+        return Reason("fair", f"{100 * empty:.0f} % of the common ground has no tie point")
+    return Reason(pair.quality or "good", "; ".join(pair.quality_reasons[:1]))

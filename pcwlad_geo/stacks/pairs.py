@@ -85,6 +85,11 @@ class StackPair:
     """Why it is not good."""
     motions: tuple[Motion, ...] = ()
     """What parts of its matches agree on, where that is more than one displacement: that used comes first."""
+    ce90_px: float | None = None
+    """Distance from the adjustment within which 90 % of its points lie, five neighbours averaged, px of the
+    frame."""
+    empty_share: float | None = None
+    """Of the squares of its reference in which both images have data, the part without a tie point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,12 +28,22 @@ from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.registration.rpc import RpcRegistration
+from pcwlad_geo.report.finished import read_report
 from pcwlad_geo.requirements import Requirement, RequirementResult
 from pcwlad_geo.stacks.adjustment import Adjustment
 from pcwlad_geo.stacks.basis import SPLINE_CELLS, Basis
-from pcwlad_geo.stacks.cycles import Closure, closure_of, root_mean_square, suspicion
+from pcwlad_geo.stacks.cycles import (
+    Closure,
+    StackQuality,
+    closure_of,
+    image_qualities,
+    left_ce90,
+    root_mean_square,
+    suspicion,
+)
 from pcwlad_geo.stacks.homography import FrameAdjustment
 from pcwlad_geo.stacks.inputs import StackInput
+from pcwlad_geo.stacks.network import Edge
 from pcwlad_geo.stacks.pairs import ControlPoint, Frame, Measured, StackPair
 from pcwlad_geo.stacks.rpc_block import BlockAdjustment
 from pcwlad_geo.stacks.rpc_heights import DemCheck
@@ -100,6 +110,10 @@ class BlockNumbers:
     """How the images fit the reference and the control points."""
 
 
+UNGRADED: Final = StackQuality("good", (), 0.0)
+"""Of an image, before its pairs are asked."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StackImage:
     """An image, and where the adjustment says that it lies."""
@@ -125,6 +139,15 @@ class StackImage:
     """As the user named it."""
     rpc: ImageRpc | None = None
     """Of an image with RPCs."""
+    frame_px: float = 1.0
+    """Side of its pixels, px of the frame."""
+    quality: StackQuality = UNGRADED
+    """How far its place can be relied on."""
+
+    @property
+    def refused(self) -> bool:
+        """Whether its pairs do not tell its place, so that it has no corrected raster."""
+        return self.quality.grade == "refused"
 
     @property
     def date(self) -> str | None:
@@ -167,6 +190,16 @@ class Stack:
         return all(each.met for each in self.requirements) if self.requirements else None
 
     @property
+    def quality(self) -> StackQuality:
+        """How far the places of all images can be relied on."""
+        return StackQuality.of_all({image.name: image.quality for image in self.images})
+
+    @property
+    def written(self) -> Stack:
+        """The stack of the images that get a corrected raster: without those that were refused."""
+        return replace(self, images=tuple(image for image in self.images if not image.refused))
+
+    @property
     def left_out(self) -> tuple[StackPair, ...]:
         """Pairs that contradict the others."""
         return tuple(pair for pair in self.pairs if pair.status == "left out")
@@ -194,8 +227,10 @@ class ImageEntry:
     """As the user named it."""
     model: Mapping[str, object]
     """The correction, as `model` in report.json."""
-    registered: str
-    """File name of the corrected raster."""
+    registered: str | None
+    """File name of the corrected raster; null of an image that was refused."""
+    quality: StackQuality
+    """How far its place can be relied on."""
     rpc: RpcFiles | None = None
     """Of an image with RPCs; else null."""
 
@@ -233,6 +268,8 @@ class StackNumbers:
     """Name of the image that stays, or `mean`."""
     model: str
     """The model that was asked for."""
+    quality: StackQuality
+    """How far the places of all images can be relied on."""
     shared: float
     """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it; of
     images with RPCs in px."""
@@ -286,6 +323,8 @@ def stack_of(
                 sigma_px=fit.sigma,
                 redundancy=fit.redundancy,
                 scatter_px=fit.scatter,
+                ce90_px=_left_ce90(edge, adjustment),
+                empty_share=empty_share(pair),
             )
         pairs.append(pair)
     used = [pair for pair in pairs if pair.status == "used"]
@@ -309,6 +348,32 @@ def stack_of(
     )
 
 
+def _left_ce90(edge: Edge, adjustment: Adjustment) -> float:
+    ground = adjustment.to_ground(edge.first, edge.first_xy)
+    left = edge.second_xy - adjustment.displacement(edge.second, ground) - ground
+    return left_ce90(edge.second_xy, left)
+
+
+def empty_share(pair: StackPair) -> float | None:
+    """Return `StackPair.empty_share` of a pair, from its report."""
+    share = read_report(pair.folder).get("coverage", {}).get("empty_share")
+    return None if share is None else float(share)
+
+
+def graded(found: Stack) -> Stack:
+    """Grade the images of a stack by their pairs."""
+    firsts = {image.group: image.name for image in reversed(found.images)}
+    groups = {image.name: image.group for image in found.images}
+    anchors = set[str]()
+    if found.datum in groups:
+        anchors = set((firsts | {groups[found.datum]: found.datum}).values())
+    sigma_px = {image.name: float(np.hypot(*image.sigma_px)) / 2**0.5 for image in found.images}
+    unit_px = {image.name: image.frame_px for image in found.images}
+    qualities = image_qualities(found.pairs, sigma_px, unit_px, anchors)
+    images = tuple(replace(image, quality=qualities[image.name]) for image in found.images)
+    return replace(found, images=images)
+
+
 def _datum(frame: Frame, adjustment: Adjustment) -> str:
     if adjustment.datum is None:
         return "mean"
@@ -316,7 +381,7 @@ def _datum(frame: Frame, adjustment: Adjustment) -> str:
 
 
 def judge(found: Stack, requirements: Sequence[Requirement]) -> tuple[RequirementResult, ...]:
-    """Evaluate requirements on the worst image (sigma, displacement), all cycles (closure) or pairs (points).
+    """Evaluate requirements on the worst image, all cycles (closure) or all pairs in use (points).
 
     Lengths in metres take the pixels of the frame.
     """
@@ -334,6 +399,9 @@ def judge(found: Stack, requirements: Sequence[Requirement]) -> tuple[Requiremen
     px_m = float(max(sizes_m)) if sizes_m else None
     results = []
     for each in requirements:
+        if each.statistic == "quality":
+            results.append(RequirementResult(each, found.quality.grade))
+            continue
         if each.statistic == "points":
             results.append(RequirementResult(each, float(min(used, default=0))))
             continue
@@ -371,6 +439,7 @@ def _image(
         suspicion=root_mean_square([suspicion(pair) for pair in own]) or 0.0,
         group=int(adjustment.group[number]),
         given=frame.given(number),
+        frame_px=float(abs(np.linalg.det(scale)).mean() ** -0.5),
     )
 
 
@@ -445,7 +514,8 @@ def _numbers(found: Stack, settings: Settings) -> StackNumbers:
             image.group,
             image.given,
             image.correction.to_dict(),
-            image.registered.name,
+            None if image.refused else image.registered.name,
+            image.quality,
             _rpc_files(image),
         )
         for image in found.images
@@ -455,6 +525,7 @@ def _numbers(found: Stack, settings: Settings) -> StackNumbers:
         SCHEMA_VERSION,
         found.datum,
         settings.model,
+        found.quality,
         found.shared,
         found.reference,
         found.chosen,
@@ -482,10 +553,13 @@ def _table(found: Stack) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     header = ("name", "path", "date", "shift_col_px", "shift_row_px", "sigma_col_px", "sigma_row_px")
-    writer.writerow([*header, "sigma_x_m", "sigma_y_m", "pairs", "suspicion", "group", "registered"])
+    writer.writerow(
+        [*header, "sigma_x_m", "sigma_y_m", "pairs", "suspicion", "group", "registered", "quality"]
+    )
     for image in found.images:
         metres = image.sigma_m or (None, None)
         figures = [each and round(each, 6) for each in (*image.shift_px, *image.sigma_px, *metres)]
         row = [image.name, image.path, image.date or "", *figures, image.pairs, round(image.suspicion, 3)]
-        writer.writerow([cell(value) for value in (*row, image.group, image.registered.name)])
+        row += [image.group, "" if image.refused else image.registered.name, image.quality.grade]
+        writer.writerow([cell(value) for value in row])
     return text.getvalue()

@@ -35,7 +35,7 @@ from pcwlad_geo.raster.vrt import write_rpc_vrt
 from pcwlad_geo.registration.inputs import requested_grid
 from pcwlad_geo.registration.rpc import MODELS, RpcRegistration, check_model, corrected_rpc
 from pcwlad_geo.report.finished import FinishedRegistration, read_report
-from pcwlad_geo.stacks.cycles import closure_of, root_mean_square, suspicion
+from pcwlad_geo.stacks.cycles import closure_of, left_ce90, root_mean_square, suspicion
 from pcwlad_geo.stacks.inputs import StackInput, check_reference, number_of, read_table
 from pcwlad_geo.stacks.pairs import CONTROL_SIGMA_PX, Frame, Measured, StackPair
 from pcwlad_geo.stacks.result import (
@@ -45,12 +45,13 @@ from pcwlad_geo.stacks.result import (
     Misfit,
     Stack,
     StackImage,
+    empty_share,
     raster_name,
 )
 from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockFit, BlockPair, adjust_block
 from pcwlad_geo.stacks.rpc_heights import DemCheck, check_dem
 from pcwlad_geo.tiepoints.readers import read_point_file
-from pcwlad_geo.types import Bool, PathLike
+from pcwlad_geo.types import Bool, Float64, PathLike
 
 POINTS: Final = 3000
 """Largest number of tie points of a pair in the adjustment, spread evenly."""
@@ -376,8 +377,7 @@ def _pair(
 ) -> StackPair:
     """Return a pair with how it agrees with the adjustment, px of the frame."""
     frame = placed.frame
-    grid = at_mean_height(frame.infos[points.second].grid)
-    scale = jacobian(grid.middle_px, grid, frame.grid)[0]
+    scale = _to_frame(frame, frame.infos[points.second].grid)
     offset, size = scale @ np.array(fit.offset_px), float(np.sqrt(abs(np.linalg.det(scale))))
     reason = None
     if not fit.used:
@@ -392,7 +392,15 @@ def _pair(
         sigma_px=fit.sigma_px * size,
         redundancy=fit.redundancy,
         scatter_px=fit.scatter_px * size,
+        ce90_px=left_ce90(points.second_px, fit.left_px) * size,
+        empty_share=empty_share(pair),
     )
+
+
+def _to_frame(frame: Frame, grid: Grid) -> Float64:
+    """Return the (2, 2) derivatives of the frame's px by those of an image, in its middle."""
+    level = at_mean_height(grid)
+    return np.asarray(jacobian(level.middle_px, level, frame.grid)[0])
 
 
 def _image(
@@ -428,6 +436,7 @@ def _image(
         group=0,
         given=frame.given(number),
         rpc=rpc,
+        frame_px=float(abs(np.linalg.det(_to_frame(frame, info.grid)))) ** 0.5,
     )
 
 

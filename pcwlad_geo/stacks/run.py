@@ -15,7 +15,7 @@ from shapely import Polygon, box
 
 from pcwlad_geo.band_warping import WarpOutput, apply
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.errors import InputError, OutputError, SettingsError
+from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner
@@ -64,10 +64,12 @@ from pcwlad_geo.stacks.pairs import (
 from pcwlad_geo.stacks.result import (
     FILES,
     NUMBERS,
+    PAGE,
     SCHEMA_VERSION,
     Chosen,
     Stack,
     StackImage,
+    graded,
     is_stack,
     judge,
     stack_of,
@@ -244,7 +246,7 @@ def stack(
             chosen,
         )
         result = replace(result, control=points)
-        return _written(job, result, lambda done: _warp(job, done, frame, done.images))
+        return _written(job, result, frame, lambda done: _warp(job, done, frame, done.images))
 
 
 def _stacked_rpcs(
@@ -282,7 +284,7 @@ def _stacked_rpcs(
         "warnings": job.warnings,
     }
     result = block_stack(placed, measured, points, adjustment, check, told)
-    return _written(job, result, lambda done: write_images(done, placed, job.settings, job.on_event))
+    return _written(job, result, frame, lambda done: write_images(done, placed, job.settings, job.on_event))
 
 
 @products_found_once()
@@ -353,8 +355,14 @@ def _with_added(
         notes = [*before["warnings"], *job.warnings]
         result = stack_of(frame, measured, adjustment, job.folder, job.settings, notes, unreadable)
         result = replace(result, control=points, added=added)
-        added_images = [each for each in result.images if each.name in new]
-        return _written(job, result, lambda done: _warp(job, done, frame, added_images))
+        refused = [each["name"] for each in before["images"] if each.get("registered", "") is None]
+        to_write = {*new, *refused}
+        return _written(
+            job,
+            result,
+            frame,
+            lambda done: _warp(job, done, frame, [each for each in done.images if each.name in to_write]),
+        )
 
 
 def _one_after_another(
@@ -644,14 +652,39 @@ VRT: Final = "{}_corrected.vrt"
 """File name of the original pixels of an image with their corrected geotransform."""
 
 
-def _written(job: _Job, found: Stack, write_corrected: Callable[[Stack], None]) -> Stack:
-    """Write the results, corrected images only where the requirements are met or they are kept anyway."""
+def _written(job: _Job, found: Stack, frame: Frame, write_corrected: Callable[[Stack], None]) -> Stack:
+    """Grade the images and write the results.
+
+    Corrected images only of those that were not refused, where the requirements are met or they are kept
+    anyway. Raises `RegistrationRejectedError` where none is left but those that stay.
+    """
+    found = graded(found)
+    doubtful = [image for image in found.images if image.quality.grade in ("refused", "poor")]
+    told = [f"{image.name}: {image.quality.grade}: {image.quality.reasons[0]}" for image in doubtful]
+    for message in told:
+        job.tell(Warned(message))
+    found = replace(found, warnings=tuple(dict.fromkeys([*found.warnings, *told])))
     found = replace(found, requirements=judge(found, parse_requirements(job.settings.require, "stack")))
-    write_numbers(found, job.settings, page(found))
+    write_numbers(found, job.settings, page(found, frame))
+    _remove_refused(found)
+    if not any(image.name != found.datum for image in found.written.images):
+        raise RegistrationRejectedError(
+            f"no image can be placed: {'; '.join(told)}; mask what moves, or give more images of the same "
+            f"ground (page: {found.out_dir / PAGE})"
+        )
     if found.passed is not False or job.settings.keep:
-        write_corrected(found)
-        write_catalogue(found, job.settings.of)
+        write_corrected(found.written)
+        write_catalogue(found.written, job.settings.of)
     return found
+
+
+def _remove_refused(found: Stack) -> None:
+    """Remove the corrected images that an earlier run has written of those that are refused now."""
+    for image in found.images:
+        if image.refused:
+            files = [found.out_dir / VRT.format(image.name), *rpc_files_of(found.out_dir, [image.name])]
+            for file in (image.registered, *files, paths_of(found.out_dir, [image.name])[-1]):
+                file.unlink(missing_ok=True)
 
 
 def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -> None:

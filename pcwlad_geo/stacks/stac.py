@@ -58,6 +58,7 @@ def _item(image: StackImage, grid: Grid, driver: str) -> dict[str, Any]:
         "pcwlad_geo:date_known": known,
         "pcwlad_geo:shift_px": list(image.shift_px),
         "pcwlad_geo:sigma_px": list(image.sigma_px),
+        "pcwlad_geo:quality": image.quality.grade,
     }
     if properties["proj:epsg"] is None and grid.crs is not None:
         properties["proj:wkt2"] = grid.crs.to_wkt()
