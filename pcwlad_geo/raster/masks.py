@@ -18,11 +18,22 @@ from pcwlad_geo.raster.file_tree import name_of_uri
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.types import Bool, Float64
 
-MaskKind = Literal["zeros", "QA_PIXEL", "SCL", "MSK_CLASSI"]
+MaskKind = Literal["zeros", "QA_PIXEL", "BQA", "SCL", "MSK_CLASSI"]
 """zeros: 0 = excluded; the other kinds have the names that the products give them."""
 
 QA_PIXEL_BITS: Final = (0, 1, 2, 3, 4)
 """Bits of Landsat Collection 2 whose pixels are excluded: fill, dilated cloud, cirrus, cloud, shadow."""
+BQA_BITS: Final = (0, 1, 4, 6, 8)
+"""The same of Collection 1: fill, dropped or hidden by terrain, cloud, medium or high confidence of cloud and
+of cloud shadow."""
+BQA_CIRRUS: Final = 0b11 << 11
+"""Both bits, of high confidence of cirrus: Collection 1 has no medium one."""
+OLD_BQA_BITS: Final = (0, 1, 2, 13, 15)
+"""The same of before the Collections: fill, dropped, hidden by terrain, and a confidence of cirrus and of
+cloud of more than a third."""
+OLD_BQA: Final = 1 << 13
+"""Least value that is of before the Collections: Collection 1 leaves these bits empty, and where a pixel has
+been looked at the confidence of cloud sets one of them."""
 SCL_CLASSES: Final = (0, 1, 3, 8, 9, 10)
 """Excluded classes of Sentinel-2 L2A: no data, defective, cloud shadow, medium or high cloud, cirrus."""
 CLASSI_BANDS: Final = (1, 2)
@@ -31,11 +42,12 @@ CLASSI_BANDS: Final = (1, 2)
 _ENDINGS: Final = r"(_\d+m)?(\.\w+)?$"
 _NAMES: Final[dict[MaskKind, str]] = {
     "QA_PIXEL": rf"(^|_)QA_PIXEL{_ENDINGS}",
+    "BQA": rf"(^|_)BQA{_ENDINGS}",
     "SCL": rf"(^|_)SCL{_ENDINGS}",
     "MSK_CLASSI": rf"(^|_)MSK_CLASSI(_B00)?{_ENDINGS}",
 }
 _OTHERS: Final = re.compile(
-    rf"(^|_)(BQA|QA_RADSAT|QA_AEROSOL|CLOUD_QA|ST_QA|MSK_(?!CLASSI)[A-Z]+(_B\w\w)?|CLD|SNW){_ENDINGS}",
+    rf"(^|_)(QA_RADSAT|QA_AEROSOL|CLOUD_QA|ST_QA|MSK_(?!CLASSI)[A-Z]+(_B\w\w)?|CLD|SNW){_ENDINGS}",
     re.IGNORECASE,
 )
 """Quality rasters with values of another meaning; as masks of zeros they would exclude the wrong pixels."""
@@ -55,10 +67,16 @@ def kind_of(uri: str, descriptions: Sequence[str | None], dtypes: Sequence[str])
                 return kind  # type: ignore[no-any-return]  # get_args has no types
     if _OTHERS.search(names[0]):
         raise InputError(
-            f"the mask {uri} is a quality raster whose values are not read: give QA_PIXEL, SCL, MSK_CLASSI, "
-            "or a mask of your own (0 = excluded) under another name"
+            f"the mask {uri} is a quality raster whose values are not read: give QA_PIXEL, BQA, SCL, "
+            "MSK_CLASSI, or a mask of your own (0 = excluded) under another name"
         )
     return "zeros"
+
+
+def is_quality_raster(name: str) -> bool:
+    """Whether a file has the name of a quality raster of a product, which is no image."""
+    known = any(re.search(each, name, re.IGNORECASE) for each in _NAMES.values())
+    return known or _OTHERS.search(name) is not None
 
 
 def bands_of(kind: MaskKind) -> tuple[int, ...]:
@@ -72,14 +90,23 @@ def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
     The (bands, rows, cols) `values` are those of the bands of `bands_of`, with the dtype of the file; NaN
     excludes. The result is a (rows, cols) array of bool.
     """
-    if kind == "QA_PIXEL":
-        rejected = sum(1 << bit for bit in QA_PIXEL_BITS)
-        return np.asarray((values[0].astype(np.int64) & rejected) == 0)
+    if kind in ("QA_PIXEL", "BQA"):
+        return _accepted_bits(kind, values[0].astype(np.int64))
     if kind == "SCL":
         return np.asarray(~np.isin(values[0], SCL_CLASSES))
     if kind == "MSK_CLASSI":
         return np.asarray((values == 0).all(axis=0))
     return np.asarray((values[0] != 0) & np.isfinite(values[0]))
+
+
+def _accepted_bits(kind: MaskKind, values: NDArray[np.int64]) -> Bool:
+    def none_of(bits: Sequence[int]) -> Bool:
+        return np.asarray((values & sum(1 << bit for bit in bits)) == 0)
+
+    if kind == "QA_PIXEL":
+        return none_of(QA_PIXEL_BITS)
+    cirrus = (values & BQA_CIRRUS) == BQA_CIRRUS
+    return np.where(values >= OLD_BQA, none_of(OLD_BQA_BITS), none_of(BQA_BITS) & ~cirrus)
 
 
 def _check(kind: MaskKind, uri: str, dtypes: Sequence[str]) -> None:
