@@ -20,7 +20,8 @@ from pcwlad_geo.raster.source import RasterInfo, describe, file_name, plain_name
 from pcwlad_geo.text import read_json, read_text
 from pcwlad_geo.types import PathLike
 
-_DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\d|3[01])(?!\d)")
+DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\d|3[01])(?!\d)")
+"""A date in a name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +122,7 @@ def _named(path: str, band: int | str, given: Mapping[str, Any] | None = None) -
     product = find_product(path)
     file = path if product is None or not isinstance(band, str) else product.band(band).uri
     values["name"] = plain_name(values.get("name") or Path(file_name(file)).stem)
-    found = next(filter(None, (_DATE.search(part) for part in reversed(Path(path).parts))), None)
+    found = next(filter(None, (DATE.search(part) for part in reversed(Path(path).parts))), None)
     if not values.get("date") and found:
         values["date"] = f"{found[1]}-{found[3]}-{found[4]}"
     return StackInput(path, band, **values)

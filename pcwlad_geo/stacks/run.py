@@ -22,6 +22,7 @@ from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.products.detect import products_found_once
+from pcwlad_geo.raster.gdal import usable_names
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
@@ -131,6 +132,7 @@ class _Job:
         return [self.known[pair] for pair in chosen]
 
 
+@usable_names()
 @products_found_once()
 def stack(
     images: Sequence[PathLike],
@@ -283,6 +285,7 @@ def _stacked_rpcs(
     return _written(job, result, lambda done: write_images(done, placed, job.settings, job.on_event))
 
 
+@usable_names()
 @products_found_once()
 def stack_add(
     images: Sequence[PathLike],
