@@ -23,6 +23,7 @@ from pcwlad_geo.outputs.write import OUTPUTS, write
 from pcwlad_geo.products.detect import products_found_once as products_found_once
 from pcwlad_geo.products.detect import stem_of
 from pcwlad_geo.raster.arrays import file_of
+from pcwlad_geo.raster.gdal import usable_names
 from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.source import file_name, plain_name
@@ -121,6 +122,7 @@ class _Job:
     overwrite: bool
 
 
+@usable_names()
 @products_found_once()
 def register(
     reference: PathLike | DatasetReader,
@@ -188,6 +190,7 @@ def register(
     return _run_and_write(job, executor, on_event)
 
 
+@usable_names()
 @products_found_once()
 def match_files(
     reference: PathLike | DatasetReader,

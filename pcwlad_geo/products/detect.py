@@ -201,7 +201,9 @@ def stem_of(path: PathLike) -> str:
     if place.name in ("", ".."):
         place = place.resolve()
     shortened = _STEM.sub("", place.name)
-    return shortened if shortened != place.name else place.stem if not place.is_dir() else place.name
+    if shortened != place.name:
+        return shortened
+    return place.name if os.path.isdir(place) else place.stem  # noqa: PTH112  # Path.is_dir raises for long names
 
 
 def _found(tree: FileTree) -> Product | None:

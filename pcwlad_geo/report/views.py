@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
@@ -36,6 +36,8 @@ MAX_SOURCE_PX: Final = 3000
 """Largest side of the part of a file that is read for a view."""
 SQUARES: Final = 8
 """Number of squares along a side of a checkerboard."""
+SAME_PART: Final = 0.5
+"""Share of their areas from which two views show the same part."""
 MOSTLY_VALID: Final = 0.99
 """Least share of valid pixels around a sample for it to be valid."""
 
@@ -83,7 +85,7 @@ def pair_views(registration: Registration) -> list[PairView]:
 
     The list is empty if the files cannot be read.
     """
-    views = []
+    views: list[PairView] = []
     rows, cols = registration.reference.grid.shape
     places = _places(registration.tie_points) or [("the middle", np.array([cols / 2, rows / 2]))]
     for title, centre in places:
@@ -91,7 +93,15 @@ def pair_views(registration: Registration) -> list[PairView]:
             view = _view(registration, title, centre)
         except (InputError, RasterioError):
             return []
-        if view is not None:
+        if view is None:
+            continue
+        apart = [np.abs(np.subtract(view.centre_px, other.centre_px)) for other in views]
+        side_px = _side(registration, centre)[0]
+        same = [bool(np.prod(np.maximum(0, 1 - each / side_px)) > SAME_PART) for each in apart]
+        if any(same):  # in a small frame one view shows both
+            number = same.index(True)
+            views[number] = replace(views[number], title=f"{views[number].title} and {title}")
+        else:
             views.append(view)
     return views
 
