@@ -35,7 +35,6 @@ from pcwlad_geo.raster.arrays import (
     read_raster,
     to_raster,
 )
-from pcwlad_geo.raster.gdal import usable_names
 from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.trust import trusting
@@ -58,7 +57,6 @@ GRID_OPTIONS: Final = ("grid", "like", "tr", "te", "t_srs")
 """Options that ask for another output grid than the reference's."""
 
 
-@usable_names()
 def open_pair(
     reference: RasterLike,
     target: RasterLike,

@@ -15,7 +15,6 @@ from pcwlad_geo.options import OutputGrid, Resampling, Settings
 from pcwlad_geo.outputs.folder import place_file, place_with_files, stage_inside
 from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band, warp_band
 from pcwlad_geo.raster import warping
-from pcwlad_geo.raster.gdal import usable_names
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
 from pcwlad_geo.raster.matching_grid import grid_on_plane_of
@@ -106,7 +105,6 @@ class WarpOptions(TypedDict, total=False):
     co: Sequence[str] | None
 
 
-@usable_names()
 def warp(
     registration: PathLike,
     rasters: Sequence[PathLike],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, suppress
@@ -23,7 +24,6 @@ from pcwlad_geo.outputs.write import OUTPUTS, write
 from pcwlad_geo.products.detect import products_found_once as products_found_once
 from pcwlad_geo.products.detect import stem_of
 from pcwlad_geo.raster.arrays import file_of
-from pcwlad_geo.raster.gdal import usable_names
 from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.source import file_name, plain_name
@@ -122,7 +122,6 @@ class _Job:
     overwrite: bool
 
 
-@usable_names()
 @products_found_once()
 def register(
     reference: PathLike | DatasetReader,
@@ -190,7 +189,6 @@ def register(
     return _run_and_write(job, executor, on_event)
 
 
-@usable_names()
 @products_found_once()
 def match_files(
     reference: PathLike | DatasetReader,
@@ -465,7 +463,7 @@ def _check_places(
     """Raise where an output would replace an input, or a file that may not be replaced."""
     for place in places.values():
         _check_name(place)
-    files = [Path(file) for file in inputs if file is not None and Path(file).exists()]
+    files = [Path(file) for file in inputs if file is not None and os.path.exists(file)]  # noqa: PTH110
     for place in places.values():
         if place.exists() and any(place.samefile(file) for file in files):
             raise OutputError(f"the output {place} is an input too: choose another output folder or name")

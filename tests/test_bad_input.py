@@ -84,9 +84,8 @@ def test_a_name_that_no_file_can_have(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert run([each.format(400 * "1") for each in arguments]) == 2
-    error = capsys.readouterr().err
-    assert len(error.splitlines()) == 1
-    assert "so long a name" in error or "give the target a shorter name" in error
+    *_, error = capsys.readouterr().err.splitlines()  # a stack names the images that it leaves out before
+    assert any(words in error for words in ("so long a name", "a shorter name", "does not exist")), error
     assert not list(tmp_path.iterdir())
 
 
@@ -103,6 +102,7 @@ LONG = 400 * "1"
         lambda ref: pcwlad_geo.match_files(LONG, ref),
         lambda ref: pcwlad_geo.open_pair(LONG, ref),
         lambda ref: pcwlad_geo.stack([LONG, ref]),
+        lambda ref: pcwlad_geo.stack([ref, ref], reference=LONG),
         lambda ref: pcwlad_geo.stack_add([LONG], LONG),
         lambda ref: pcwlad_geo.qa([LONG, ref]),
         lambda ref: pcwlad_geo.warp(LONG, [ref]),

@@ -15,6 +15,7 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import BAND_NAME
 from pcwlad_geo.products.detect import find_product, native_px_m, no_product, rasters_of, stem_of
 from pcwlad_geo.products.product import Product
+from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.source import RasterInfo, describe, file_name, open_raster, plain_uri, without_collar
 from pcwlad_geo.types import PathLike
@@ -62,7 +63,7 @@ def expand(
     product = find_product(path)
     if product is not None:
         return _of_product(product, wanted, mask)
-    files = rasters_of(path) if Path(path).is_dir() else []
+    files = rasters_of(path) if is_folder(path) else []
     return [each for file in files or [path] for each in _of_raster(file, wanted, mask)]
 
 

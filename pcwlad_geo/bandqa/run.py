@@ -28,7 +28,6 @@ from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products.detect import stem_of
-from pcwlad_geo.raster.gdal import usable_names
 from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
 from pcwlad_geo.raster.source import plain_name
 from pcwlad_geo.raster.trust import trusting
@@ -61,7 +60,6 @@ Settings of the correction (model, grid, format, resampling, write_sigma, keep) 
 """
 
 
-@usable_names()
 def qa(
     rasters: Sequence[PathLike] | PathLike,
     *,

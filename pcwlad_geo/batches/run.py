@@ -27,7 +27,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.places import HOST, disk_errors, make_folders, seal
 from pcwlad_geo.outputs.stages import of_dead_processes
 from pcwlad_geo.products.detect import products_found_once
-from pcwlad_geo.raster.gdal import explained, usable_names
+from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.report.finished import read_report, report_of_same_job
 from pcwlad_geo.text import cell, check_regular, joined
 from pcwlad_geo.types import PathLike
@@ -202,7 +202,6 @@ class BatchResult:
         return sum(outcome.status == status for outcome in self.pairs)
 
 
-@usable_names()
 def batch(
     pairs: PathLike,
     *,

@@ -15,7 +15,7 @@ import numpy as np
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.products import landsat, sentinel2
 from pcwlad_geo.products.product import Product
-from pcwlad_geo.raster.file_tree import FileTree, is_archive, tree_of
+from pcwlad_geo.raster.file_tree import FileTree, is_archive, is_folder, tree_of
 from pcwlad_geo.raster.masks import is_quality_raster
 from pcwlad_geo.raster.source import file_name, plain_uri
 from pcwlad_geo.types import Float64, PathLike
@@ -98,7 +98,7 @@ def no_product(path: str, band: str | None = None) -> str | None:
     requested by name.
     """
     place = Path(path)
-    if place.is_dir():
+    if is_folder(place):
         return _folder(place)
     if band is None:
         return None
@@ -201,9 +201,7 @@ def stem_of(path: PathLike) -> str:
     if place.name in ("", ".."):
         place = place.resolve()
     shortened = _STEM.sub("", place.name)
-    if shortened != place.name:
-        return shortened
-    return place.name if os.path.isdir(place) else place.stem  # noqa: PTH112  # Path.is_dir raises for long names
+    return shortened if shortened != place.name else place.stem if not is_folder(place) else place.name
 
 
 def _found(tree: FileTree) -> Product | None:
@@ -231,18 +229,10 @@ def _may_hold_product(folder: Path) -> bool:
     )
 
 
-_BAND_OF: Final = re.compile(
-    r"(?P<scene>.+?)_(?:(?:SR|ST)_)?B(?:\d{1,2}|8A)(?:_VCID_\d|_\d\dm)?\.(?:tiff?|jp2)", re.IGNORECASE
+BAND_OF: Final = re.compile(
+    r"(?P<scene>.+?)_(?:(?:SR|ST)_)?(?P<band>B(?:\d{1,2}|8A))(?:_VCID_\d|_\d\dm)?", re.IGNORECASE
 )
-"""File name of a band of a product."""
-_NAMED: Final = re.compile(
-    r"L[COTEM]0\d_L[12]\w\w_\d{6}_\d{8}_\d{8}_\d\d_\w\w|L[COTEM]\d{14}[A-Z]{3}\d\d|"
-    r"(?:L2A_)?T\d\d[A-Z]{3}_\d{8}T\d{6}",
-    re.IGNORECASE,
-)
-"""Names of scenes and tiles that are theirs alone, wherever their files lie."""
-
-
+"""File name, without its suffix, of a band of a product."""
 RASTERS: Final = (".tif", ".tiff", ".vrt", ".jp2", ".img")
 """Endings of the files of a folder that are taken for images."""
 
@@ -262,11 +252,12 @@ def of_one_product(first: str, second: str) -> bool:
         Paths or GDAL URIs. The names tell of Landsat and Sentinel-2, or those of renamed files in one folder
         the metadata file beside them (``a_B4.tif``, ``a_B10.tif``, ``a_MTL.txt``).
     """
-    one, other = (_BAND_OF.fullmatch(file_name(uri)) for uri in (first, second))
+    stems = [Path(file_name(uri)).stem for uri in (first, second)]
+    one, other = map(BAND_OF.fullmatch, stems)
     if one is None or other is None or one["scene"].upper() != other["scene"].upper():
         return False
-    if _NAMED.fullmatch(one["scene"]):
+    if any(native_px_m(stem, None) for stem in stems):  # a name that is the scene's alone
         return True
-    folder = Path(plain_uri(first)).parent
-    beside = any((folder / f"{one['scene']}_MTL.{end}").is_file() for end in ("txt", "json", "xml"))
-    return beside and folder == Path(plain_uri(second)).parent
+    folder, beside = (Path(plain_uri(uri)).parent for uri in (first, second))
+    ends = ("txt", "json", "xml")
+    return folder == beside and any((folder / f"{one['scene']}_MTL.{end}").is_file() for end in ends)

@@ -24,8 +24,6 @@ LISTED: Final = re.compile(r"\bFILE_NAME_BAND_\w{1,30}\W{1,9}?(L[\w.]{1,200}\.TI
 """Names of bands' files in the MTL; bounded, so that text of nonsense is read in linear time."""
 _COLLECTION: Final = re.compile(r"\bCOLLECTION_NUMBER\W{1,9}?(\d{1,2})\b")
 """The collection in the MTL, which older scenes lack."""
-_MISSION: Final = re.compile(r"\AL[COTEM]0?([1-9])|\bSPACECRAFT_ID\W{1,9}?LANDSAT_?([1-9])", re.IGNORECASE)
-"""The mission, at the begin of the identifier or in the MTL."""
 _QUALITY: Final = {"02": "QA_PIXEL.TIF", "01": "BQA.TIF", "": "BQA.TIF"}
 """Quality raster by collection; none: before the Collections."""
 
@@ -65,7 +63,6 @@ def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:
     made = {name: ProductBand(name, tree.uri(file)) for name, (_, file) in bands.items()}
     order = sorted(made, key=lambda name: (int(bands[name][0]["number"][1:]), name))
     quality = files.get(_QUALITY[collection])
-    mission = _MISSION.search(f"{identifier}\n{text}")
     level = f" {kind['level']}" if kind else ""
     return Product(
         path=str(tree.path),
@@ -73,7 +70,7 @@ def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:
         bands=tuple(made[name] for name in order),
         mask=tree.uri(quality) if quality else None,
         missing=_missing(text, identifier, files),
-        cirrus=("B9",) if mission is None or (mission[1] or mission[2]) in "89" else (),
+        cirrus=() if kind and identifier[3] not in "89" else ("B9",),
         aliases=_aliases(made, {name: match["number"] for name, (match, _) in bands.items()}),
     )
 

@@ -149,19 +149,6 @@ def reading(uri: str) -> Iterator[None]:
         ) from error
 
 
-@contextmanager
-def usable_names() -> Iterator[None]:
-    """Raise `InputError` for a name within the context that no file can have, instead of `OSError`."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno != errno.ENAMETOOLONG:
-            raise
-        raise InputError(
-            f"there can be no file of so long a name: {error.filename}: give a shorter one"
-        ) from error
-
-
 def explained(error: BaseException) -> PcwladGeoError | None:
     """Return the error to show for a library error that names no file; None for any other exception."""
     memory = isinstance(error, MemoryError) or isinstance(error.__cause__, MemoryError)  # OpenCV wraps it
@@ -170,6 +157,8 @@ def explained(error: BaseException) -> PcwladGeoError | None:
             f"this needs more memory than there is ({root_cause(error) or 'none left'}): give --jobs 1, a "
             "smaller --window or --search-radius, or smaller rasters"
         )
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+        return InputError(f"there can be no file of so long a name: {error.filename}: give a shorter one")
     if isinstance(error, LIBRARY_ERRORS):
         return InputError(
             f"the input cannot be used: {root_cause(error)}; check the rasters' files and CRSs (gdalinfo)"

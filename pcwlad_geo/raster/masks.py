@@ -23,17 +23,12 @@ MaskKind = Literal["zeros", "QA_PIXEL", "BQA", "SCL", "MSK_CLASSI"]
 
 QA_PIXEL_BITS: Final = (0, 1, 2, 3, 4)
 """Bits of Landsat Collection 2 whose pixels are excluded: fill, dilated cloud, cirrus, cloud, shadow."""
-BQA_BITS: Final = (0, 1, 4, 6, 8)
-"""The same of Collection 1: fill, dropped or hidden by terrain, cloud, medium or high confidence of cloud and
-of cloud shadow."""
-BQA_CIRRUS: Final = 0b11 << 11
-"""Both bits, of high confidence of cirrus: Collection 1 has no medium one."""
+BQA_BITS: Final = (0, 1, 4, 6, 8, 12)
+"""Of Collection 1: fill, dropped or hidden, cloud, a confidence above a third of cloud, shadow and cirrus."""
 OLD_BQA_BITS: Final = (0, 1, 2, 13, 15)
-"""The same of before the Collections: fill, dropped, hidden by terrain, and a confidence of cirrus and of
-cloud of more than a third."""
+"""Of before the Collections: fill, dropped, hidden, a confidence above a third of cirrus and cloud."""
 OLD_BQA: Final = 1 << 13
-"""Least value that is of before the Collections: Collection 1 leaves these bits empty, and where a pixel has
-been looked at the confidence of cloud sets one of them."""
+"""Least value of before the Collections, which always sets one of the bits that Collection 1 leaves empty."""
 SCL_CLASSES: Final = (0, 1, 3, 8, 9, 10)
 """Excluded classes of Sentinel-2 L2A: no data, defective, cloud shadow, medium or high cloud, cirrus."""
 CLASSI_BANDS: Final = (1, 2)
@@ -90,8 +85,11 @@ def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
     The (bands, rows, cols) `values` are those of the bands of `bands_of`, with the dtype of the file; NaN
     excludes. The result is a (rows, cols) array of bool.
     """
-    if kind in ("QA_PIXEL", "BQA"):
-        return _accepted_bits(kind, values[0].astype(np.int64))
+    if kind == "QA_PIXEL":
+        return _without(QA_PIXEL_BITS, values[0])
+    if kind == "BQA":
+        old, later = (_without(bits, values[0]) for bits in (OLD_BQA_BITS, BQA_BITS))
+        return np.where(values[0] >= OLD_BQA, old, later)
     if kind == "SCL":
         return np.asarray(~np.isin(values[0], SCL_CLASSES))
     if kind == "MSK_CLASSI":
@@ -99,14 +97,8 @@ def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
     return np.asarray((values[0] != 0) & np.isfinite(values[0]))
 
 
-def _accepted_bits(kind: MaskKind, values: NDArray[np.int64]) -> Bool:
-    def none_of(bits: Sequence[int]) -> Bool:
-        return np.asarray((values & sum(1 << bit for bit in bits)) == 0)
-
-    if kind == "QA_PIXEL":
-        return none_of(QA_PIXEL_BITS)
-    cirrus = (values & BQA_CIRRUS) == BQA_CIRRUS
-    return np.where(values >= OLD_BQA, none_of(OLD_BQA_BITS), none_of(BQA_BITS) & ~cirrus)
+def _without(bits: Sequence[int], values: NDArray[np.generic]) -> Bool:
+    return np.asarray((values.astype(np.int64) & sum(1 << bit for bit in bits)) == 0)
 
 
 def _check(kind: MaskKind, uri: str, dtypes: Sequence[str]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -36,8 +36,8 @@ MAX_SOURCE_PX: Final = 3000
 """Largest side of the part of a file that is read for a view."""
 SQUARES: Final = 8
 """Number of squares along a side of a checkerboard."""
-SAME_PART: Final = 0.5
-"""Share of their areas from which two views show the same part."""
+SAME_PART: Final = 0.25
+"""Views whose middles are less apart than this share of a side show the same part."""
 MOSTLY_VALID: Final = 0.99
 """Least share of valid pixels around a sample for it to be valid."""
 
@@ -95,13 +95,8 @@ def pair_views(registration: Registration) -> list[PairView]:
             return []
         if view is None:
             continue
-        apart = [np.abs(np.subtract(view.centre_px, other.centre_px)) for other in views]
-        side_px = _side(registration, centre)[0]
-        same = [bool(np.prod(np.maximum(0, 1 - each / side_px)) > SAME_PART) for each in apart]
-        if any(same):  # in a small frame one view shows both
-            number = same.index(True)
-            views[number] = replace(views[number], title=f"{views[number].title} and {title}")
-        else:
+        near_px = SAME_PART * _side(registration, centre)[0]
+        if all(np.ptp([view.centre_px, other.centre_px], axis=0).max() >= near_px for other in views):
             views.append(view)
     return views
 

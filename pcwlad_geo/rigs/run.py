@@ -20,7 +20,6 @@ from pcwlad_geo.execution.processes import available_cores, open_runner
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.limits import JOBS
 from pcwlad_geo.outputs.folder import place_file, stage_inside
-from pcwlad_geo.raster.gdal import usable_names
 from pcwlad_geo.raster.source import plain_name
 from pcwlad_geo.raster.trust import Trust, trusting
 from pcwlad_geo.rigs.applying import CaptureOutcome, CaptureTask, correct_capture
@@ -61,7 +60,6 @@ class RigApplied:
         return sum(each.status == status for each in self.captures)
 
 
-@usable_names()
 def rig_learn(
     captures: Sequence[PathLike],
     *,
@@ -139,7 +137,6 @@ def rig_learn(
     return rig
 
 
-@usable_names()
 def rig_apply(
     rig: Rig | PathLike,
     captures: Sequence[PathLike],

@@ -16,6 +16,7 @@ from typing import Any, Final
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import BATCH_ROWS, check_count
 from pcwlad_geo.products.detect import RASTERS, find_product, rasters_of
+from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.source import RasterInfo, describe, file_name, plain_name
 from pcwlad_geo.text import read_json, read_text
 from pcwlad_geo.types import PathLike
@@ -86,7 +87,7 @@ def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
             yield from _of_stac(place, band)
         elif len(products) == 1 and image in products and not isinstance(band, str):
             yield from (_named(image, each.name) for each in products[image].showing_ground())
-        elif place.is_dir() and image not in products:
+        elif is_folder(place) and image not in products:
             files = rasters_of(place)
             if not files:
                 raise InputError(f"{image} holds no raster ({', '.join(RASTERS)})")
@@ -108,7 +109,7 @@ def with_reference(
 
     Raises `InputError` as `listed` does.
     """
-    if reference is None or not Path(reference).is_file():
+    if reference is None or not os.path.isfile(reference):  # noqa: PTH113
         return images, reference
     for each in listed(images, band):
         if each.name == reference or (Path(each.path).exists() and Path(each.path).samefile(reference)):

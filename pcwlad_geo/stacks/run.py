@@ -22,7 +22,6 @@ from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.products.detect import products_found_once
-from pcwlad_geo.raster.gdal import usable_names
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
@@ -132,7 +131,6 @@ class _Job:
         return [self.known[pair] for pair in chosen]
 
 
-@usable_names()
 @products_found_once()
 def stack(
     images: Sequence[PathLike],
@@ -285,7 +283,6 @@ def _stacked_rpcs(
     return _written(job, result, lambda done: write_images(done, placed, job.settings, job.on_event))
 
 
-@usable_names()
 @products_found_once()
 def stack_add(
     images: Sequence[PathLike],
@@ -677,10 +674,7 @@ def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -
 
 
 def _finer(frame: Frame, number: int, settings: Settings) -> int:
-    """Return how many pixels of a band make one of the frame: within a product finer ones are kept.
-
-    The number is 1 where the settings ask for one grid, or the band is of another product than the reference.
-    """
+    """Return how many pixels of a band, along a side, make one of the frame; 1 unless of one product."""
     first, own = frame.given(frame.reference), frame.given(number)
     within = isinstance(own.band, str) and own.path == first.path
     if not within or settings.like is not None or settings.grid == "reference-exact":

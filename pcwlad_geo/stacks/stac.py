@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -12,6 +11,7 @@ import numpy as np
 from rasterio.crs import CRS
 
 from pcwlad_geo.outputs.folder import place_file, stage_inside
+from pcwlad_geo.products.detect import BAND_OF
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import describe
@@ -28,8 +28,6 @@ ITEMS: Final = "items"
 """Folder of its items."""
 DATA: Final = "data"
 """The asset of an item where no item has several."""
-_BAND: Final = re.compile(r"_(?:(?:SR|ST)_)?(B(?:\d{1,2}|8A))(?:_VCID_\d|_\d\dm)?$", re.IGNORECASE)
-"""Band of Landsat or Sentinel-2 at the end of an image's name."""
 UNKNOWN: Final = "1970-01-01T00:00:00Z"
 """Time of an image whose date is not known: STAC asks for one."""
 MEDIA: Final = {"COG": "image/tiff; application=geotiff; profile=cloud-optimized"}
@@ -64,8 +62,8 @@ def _band_of(image: StackImage) -> str:
     """Return the band that an image shows, as the user or its name says; else its name without the date."""
     if isinstance(image.given.band, str):
         return image.given.band
-    found = _BAND.search(image.name)
-    return found[1] if found else DATE.sub("", image.name).strip("_-. ") or DATA
+    found = BAND_OF.fullmatch(image.name)
+    return found["band"] if found else DATE.sub("", image.name).strip("_-. ") or DATA
 
 
 def _item(bands: Mapping[str, StackImage], grids: Mapping[str, Grid], driver: str) -> dict[str, Any]:
@@ -91,9 +89,7 @@ def _item(bands: Mapping[str, StackImage], grids: Mapping[str, Grid], driver: st
         "stac_extensions": [PROJECTION],
         "id": first.name,
         "collection": "stack",
-        "geometry": {"type": "Polygon", "coordinates": outlines[0]}
-        if len(outlines) == 1
-        else {"type": "MultiPolygon", "coordinates": outlines},
+        "geometry": {"type": "MultiPolygon", "coordinates": outlines},
         "bbox": _box(rings),
         "properties": properties,
         "links": [{"rel": rel, **link} for rel in ("root", "parent", "collection")],

@@ -57,7 +57,7 @@ def test_one_view_shows_both_where_the_frame_is_small(made: Registration) -> Non
     middle = np.array(made.reference.grid.shape[::-1]) / 2
     close = middle + (table.reference_px - middle) / 20
     (only,) = pair_views(replace(made, tie_points=replace(table, reference_px=close)))
-    assert only.title == "the most distinct match and the largest residual"
+    assert only.title == "the most distinct match"
 
 
 def test_the_target_lies_where_its_displacement_puts_it(made: Registration) -> None:

@@ -149,4 +149,4 @@ def test_bands_of_a_product_are_assets_of_one_item_each_on_its_grid(tmp_path: Pa
         with rasterio.open(only.parent / asset["href"]) as file:
             assert asset["proj:shape"] == list(file.shape)
             assert asset["proj:transform"] == list(file.transform)[:6]
-            assert item["geometry"]["type"] == "Polygon"
+            assert item["geometry"]["type"] == "MultiPolygon"
