@@ -84,9 +84,9 @@ class Settings:
     """Band of the target, from 1; its name where the target is a product."""
     ref_mask: Annotated[
         Path | str | None,
-        Option("Mask of the reference: 0 = excluded, or QA_PIXEL, SCL, MSK_CLASSI.", _PAIR, metavar="FILE"),
+        Option("Mask of the reference: 0 = excluded, or QA_PIXEL, BQA, SCL …", _PAIR, metavar="FILE"),
     ] = None
-    """Mask file (or GDAL URI) of the reference: 0 = excluded, or a QA_PIXEL, SCL or MSK_CLASSI raster."""
+    """Mask file (or GDAL URI) of the reference: 0 = excluded, or a quality raster (QA_PIXEL, BQA, SCL …)."""
     tgt_mask: Annotated[Path | str | None, Option("Mask of the target.", _PAIR, metavar="FILE")] = None
     """Mask file of the target."""
     tie_points: Annotated[

@@ -19,6 +19,9 @@ SAFE = "S2B_MSIL2A_20230809T100559_N0509_R022_T32TQM_20230809T133200.SAFE"
 SHIFT_M = (39.0, 27.0)
 """What is at a place is shown so far east and south of it (target products)."""
 CLEAR, CLOUD = 21824, 22280
+COLLECTION_1 = ("BQA", 2720, 2800)
+"""Name of the quality raster, and its words for clear ground and clouds."""
+BEFORE_COLLECTIONS = ("BQA", 20480, 53248)
 SIDE_M = 7200.0
 
 
@@ -43,6 +46,8 @@ def write_landsat(
     cloud: tuple[slice, slice] | None = None,
     bands: tuple[str, ...] = ("B4", "B8", "B10"),
     metadata: str = "txt",
+    quality_values: tuple[str, int, int] = ("QA_PIXEL", CLEAR, CLOUD),
+    collection: str | None = "02",
 ) -> Path:
     """Write a scene: B8 of 15 m with its corner 7.5 m off, TIRS bands as the negative of the others."""
     scene = folder / name
@@ -52,14 +57,18 @@ def write_landsat(
         kind = "thermal" if band.endswith(("B10", "B11")) else "red"
         numbers = np.clip(np.rint(seen_by(grid, kind, shift_m) * 100 + 5000), 1, 65535)
         save(scene / f"{name}_{band}.TIF", numbers.astype("uint16"), grid, nodata=0)
-    quality = np.full(grid_of(30.0).shape, CLEAR, "uint16")
+    quality_name, clear, clouded = quality_values
+    quality = np.full(grid_of(30.0).shape, clear, "uint16")
     if cloud is not None:
-        quality[cloud] = CLOUD
-    save(scene / f"{name}_QA_PIXEL.TIF", quality, grid_of(30.0), nodata=1)
+        quality[cloud] = clouded
+    save(scene / f"{name}_{quality_name}.TIF", quality, grid_of(30.0), nodata=1)
     numbers_of = [band.removeprefix("SR_").removeprefix("ST_")[1:] for band in bands]
     listed = {f"FILE_NAME_BAND_{n}": f"{name}_{band}.TIF" for n, band in zip(numbers_of, bands, strict=True)}
     listed |= {"FILE_NAME_QUALITY_L1_PIXEL": f"{name}_QA_PIXEL.TIF"}
-    other = {"FILE_NAME_BAND_1": f"{name.replace('L2SP', 'L1TP').replace('_T1', '_RT')}_B1.TIF"}
+    level_1 = name.replace("L2SP", "L1TP").replace("_T1", "_RT")
+    other = {"FILE_NAME_BAND_1": f"{level_1}_B1.TIF"} if level_1 != name else {}
+    if collection is not None:
+        other |= {"COLLECTION_NUMBER": collection}
     (scene / f"{name}_MTL.{metadata}").write_text(landsat_metadata(listed, other, metadata))
     return scene
 

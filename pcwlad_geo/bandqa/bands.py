@@ -13,8 +13,9 @@ from rasterio.enums import ColorInterp
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import BAND_NAME
-from pcwlad_geo.products.detect import find_product, native_px_m, no_product, stem_of
+from pcwlad_geo.products.detect import find_product, native_px_m, no_product, rasters_of, stem_of
 from pcwlad_geo.products.product import Product
+from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.source import RasterInfo, describe, file_name, open_raster, plain_uri, without_collar
 from pcwlad_geo.types import PathLike
@@ -48,8 +49,8 @@ def expand(
     Parameters
     ----------
     raster : path
-        A raster or a product (see `detect.find_product`); ``FILE:2,4-6`` and ``PRODUCT:B4,B10`` select these
-        bands of it.
+        A raster, a product (see `detect.find_product`) or a folder of rasters; ``FILE:2,4-6`` and
+        ``PRODUCT:B4,B10`` select these bands of it.
     bands : sequence of int or str, optional
         Bands if the argument names none; None = all that show the ground.
     mask : path, optional
@@ -60,7 +61,10 @@ def expand(
         raise InputError("a raster has an empty name: give its path")
     wanted = own or bands
     product = find_product(path)
-    return _of_raster(path, wanted, mask) if product is None else _of_product(product, wanted, mask)
+    if product is not None:
+        return _of_product(product, wanted, mask)
+    files = rasters_of(path) if is_folder(path) else []
+    return [each for file in files or [path] for each in _of_raster(file, wanted, mask)]
 
 
 def split_bands(raster: PathLike) -> tuple[str, list[int | str] | None]:

@@ -16,10 +16,15 @@ import numpy as np
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.products import landsat, sentinel2
 from pcwlad_geo.products.product import Product
-from pcwlad_geo.raster.file_tree import FileTree, is_archive, tree_of
+from pcwlad_geo.raster.file_tree import FileTree, is_archive, is_folder, tree_of
+from pcwlad_geo.raster.masks import is_quality_raster
+from pcwlad_geo.raster.source import file_name, plain_uri
 from pcwlad_geo.types import Float64, PathLike
 
-_LANDSAT: Final = re.compile(r"^L([COTEM])0([1-9])_\w{4}_\d{6}_.*?_(?:(?:SR|ST)_)?B(\d+)$", re.IGNORECASE)
+_LANDSAT: Final = re.compile(
+    r"^L([COTEM])(?:0([1-9])_\w{4}_\d{6}_.*?_(?:(?:SR|ST)_)?|([1-9])\d{13}[A-Z]{3}\d\d_)B(\d+)$",
+    re.IGNORECASE,
+)
 _SENTINEL2_BAND: Final = re.compile(
     r"^(?:L2A_)?(?:T\d{2}[A-Z]{3}_\d{8}T\d{6}|S2[A-D]_.*)_B(\d{1,2}|8A)(?:_\d+m)?$", re.IGNORECASE
 )
@@ -55,13 +60,13 @@ def native_px_m(stem: str, description: str | None) -> float | None:
     Parameters
     ----------
     stem : str
-        File name without its suffix: band files of Landsat Collection 2 and Sentinel-2 are recognised.
+        File name without its suffix: band files of Landsat and Sentinel-2 are recognised.
     description : str, optional
         Description of the band: surface temperature bands of Landsat are recognised (`ST_B10`; `ST_B6` of
         Landsat 4 to 7 may be 60 or 120 m and gives None).
     """
     if match := _LANDSAT.match(stem):
-        return _landsat(match[1].upper(), int(match[2]), match[3])
+        return _landsat(match[1].upper(), int(match[2] or match[3]), match[4])
     if match := _SENTINEL2_BAND.match(stem):
         return _SENTINEL2_M.get(match[1].upper().lstrip("0"))
     if description and (match := _SURFACE_TEMPERATURE.match(description.strip())):
@@ -94,7 +99,7 @@ def no_product(path: str, band: str | None = None) -> str | None:
     requested by name.
     """
     place = Path(path)
-    if place.is_dir():
+    if is_folder(place):
         return _folder(place)
     if band is None:
         return None
@@ -104,15 +109,15 @@ def no_product(path: str, band: str | None = None) -> str | None:
             "leave the band out, or give the folder of the product"
         )
     return (
-        f"band {band} of {path}: it is no product, and only the bands of Landsat Collection 2 and Sentinel-2 "
-        "products have names; give the number of a band, from 1"
+        f"band {band} of {path}: it is no product, and only the bands of Landsat and Sentinel-2 products "
+        "have names; give the number of a band, from 1"
     )
 
 
 def _folder(folder: Path) -> str:
     names = [entry.name for entry in folder.iterdir()]
     if any(_OLD_LANDSAT.fullmatch(name) for name in names):
-        what = "a Landsat scene of before the Collections"
+        what = "a Landsat scene of before the Collections without its bands and its MTL file"
     elif any(_TILED_LANDSAT.fullmatch(name) for name in names):
         what = "a Landsat analysis-ready tile"
     elif any(_SENTINEL2_NAME.fullmatch(name) for name in names):
@@ -122,12 +127,12 @@ def _folder(folder: Path) -> str:
         )
     else:
         return (
-            f"{folder} is a folder, and neither a Landsat Collection 2 nor a Sentinel-2 SAFE product: give a "
-            "raster file"
+            f"{folder} is a folder, and neither a Landsat scene nor a Sentinel-2 SAFE product: give a raster "
+            "file"
         )
     return (
-        f"{folder} holds {what}, which is not read as a product (scenes of Landsat Collection 2 and "
-        "Sentinel-2 are): give one of its band files, and a mask with 0 where there are clouds"
+        f"{folder} holds {what}, which is not read as a product (whole scenes of Landsat and Sentinel-2 "
+        "are): give one of its band files, and a mask with 0 where there are clouds"
     )
 
 
@@ -170,7 +175,7 @@ def products_found_once() -> Iterator[None]:
 def find_product(path: PathLike) -> Product | None:
     """Return the product at a path; None for a plain raster.
 
-    A product is given by a folder or an archive (.zip, .tar, .tar.gz) with a Landsat Collection 2 scene or a
+    A product is given by a folder or an archive (.zip, .tar, .tar.gz) with a Landsat scene or a
     Sentinel-2 SAFE, by the MTL file of the former or the MTD_MSIL*.xml of the latter. Raises `InputError` if
     the product cannot be used, or an archive holds none.
     """
@@ -192,8 +197,8 @@ def _search(path: PathLike) -> Product | None:
             return None
     except (OSError, ValueError):  # a GDAL URI that is not a path
         return None
-    match = landsat.FILE.fullmatch(place.name)
-    if match and landsat.METADATA.fullmatch(match["part"]):
+    match = landsat.METADATA.fullmatch(place.name)
+    if match and match["id"]:
         return landsat.find_landsat(_folder_of(place), match["id"])
     if sentinel2.METADATA.fullmatch(place.name):
         return sentinel2.find_sentinel2(tree_of(place.parent))
@@ -202,7 +207,7 @@ def _search(path: PathLike) -> Product | None:
     product = _found(tree_of(place))
     if product is None:
         raise InputError(
-            f"{path} holds no Landsat Collection 2 and no Sentinel-2 product: give a raster inside it as "
+            f"{path} holds no Landsat and no Sentinel-2 product: give a raster inside it as "
             "/vsizip/… or /vsitar/…"
         )
     return product
@@ -216,7 +221,7 @@ def stem_of(path: PathLike) -> str:
     if place.name in ("", ".."):
         place = place.resolve()
     shortened = _STEM.sub("", place.name)
-    return shortened if shortened != place.name else place.stem if not place.is_dir() else place.name
+    return shortened if shortened != place.name else place.stem if not is_folder(place) else place.name
 
 
 def _found(tree: FileTree) -> Product | None:
@@ -236,8 +241,43 @@ def _may_hold_product(folder: Path) -> bool:
     names = [entry.name for entry in folder.iterdir()]
     return any(
         landsat.FILE.fullmatch(name)
+        or landsat.METADATA.fullmatch(name)
         or sentinel2.METADATA.fullmatch(name)
         or name == "GRANULE"
         or name.upper().endswith(".SAFE")
         for name in names
     )
+
+
+BAND_OF: Final = re.compile(
+    r"(?P<scene>.+?)_(?:(?:SR|ST)_)?(?P<band>B(?:\d{1,2}|8A))(?:_VCID_\d|_\d\dm)?", re.IGNORECASE
+)
+"""File name, without its suffix, of a band of a product."""
+RASTERS: Final = (".tif", ".tiff", ".vrt", ".jp2", ".img")
+"""Endings of the files of a folder that are taken for images."""
+
+
+def rasters_of(folder: PathLike) -> list[str]:
+    """Return the images of a folder that is no product: all rasters but quality rasters, by name."""
+    files = sorted(file for file in Path(folder).iterdir() if file.suffix.casefold() in RASTERS)
+    return [os.fspath(file) for file in files if not is_quality_raster(file.name)]
+
+
+def of_one_product(first: str, second: str) -> bool:
+    """Whether two files are bands of one product, which were recorded and placed together.
+
+    Parameters
+    ----------
+    first, second : str
+        Paths or GDAL URIs. The names tell of Landsat and Sentinel-2, or those of renamed files in one folder
+        the metadata file beside them (``a_B4.tif``, ``a_B10.tif``, ``a_MTL.txt``).
+    """
+    stems = [Path(file_name(uri)).stem for uri in (first, second)]
+    one, other = map(BAND_OF.fullmatch, stems)
+    if one is None or other is None or one["scene"].upper() != other["scene"].upper():
+        return False
+    if any(native_px_m(stem, None) for stem in stems):  # a name that is the scene's alone
+        return True
+    folder, beside = (Path(plain_uri(uri)).parent for uri in (first, second))
+    ends = ("txt", "json", "xml")
+    return folder == beside and any((folder / f"{one['scene']}_MTL.{end}").is_file() for end in ends)

@@ -88,13 +88,16 @@ class Product:
         names = ",".join(band.name for band in self.bands)
         self._check_complete(f"name those to compare ({self.path}:{names})")
         cirrus = tuple(band for band in self.bands if band.name in self.cirrus)
-        ground = tuple(band for band in self.bands if band not in cirrus)
         notes = tuple(
             f"band {band.name} of {self.path} shows cirrus, not the ground, and is left out (name it to "
             "have it compared)"
             for band in cirrus
         )
-        return ground, notes
+        return self.showing_ground(), notes
+
+    def showing_ground(self) -> tuple[ProductBand, ...]:
+        """Return the bands that show the ground."""
+        return tuple(band for band in self.bands if band.name not in self.cirrus)
 
     def notes(self, masked: bool) -> tuple[str, ...]:
         """Return the warnings for the use of the product's bands; `masked`: the user gives a mask."""

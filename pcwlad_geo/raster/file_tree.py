@@ -17,6 +17,7 @@ from typing import IO, Final
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import MEMBERS, METADATA_BYTES, check_count, check_unpacked
 from pcwlad_geo.text import read_bytes
+from pcwlad_geo.types import PathLike
 
 _ZIP: Final = (".zip",)
 _TAR: Final = (".tar", ".tar.gz", ".tgz")
@@ -67,6 +68,11 @@ class FileTree:
         except (KeyError, *_DAMAGED) as error:
             raise InputError(f"{name} of {self.path} cannot be read: {error}") from error
         return data.decode("utf-8", errors="replace")
+
+
+def is_folder(path: PathLike) -> bool:
+    """Whether a path is a folder; False, where Path.is_dir raises, for a name that no file can have."""
+    return os.path.isdir(path)  # noqa: PTH112
 
 
 def is_archive(path: Path) -> bool:

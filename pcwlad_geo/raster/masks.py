@@ -18,11 +18,17 @@ from pcwlad_geo.raster.file_tree import name_of_uri
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.types import Bool, Float64
 
-MaskKind = Literal["zeros", "QA_PIXEL", "SCL", "MSK_CLASSI"]
+MaskKind = Literal["zeros", "QA_PIXEL", "BQA", "SCL", "MSK_CLASSI"]
 """zeros: 0 = excluded; the other kinds have the names that the products give them."""
 
 QA_PIXEL_BITS: Final = (0, 1, 2, 3, 4)
 """Bits of Landsat Collection 2 whose pixels are excluded: fill, dilated cloud, cirrus, cloud, shadow."""
+BQA_BITS: Final = (0, 1, 4, 6, 8, 12)
+"""Of Collection 1: fill, dropped or hidden, cloud, a confidence above a third of cloud, shadow and cirrus."""
+OLD_BQA_BITS: Final = (0, 1, 2, 13, 15)
+"""Of before the Collections: fill, dropped, hidden, a confidence above a third of cirrus and cloud."""
+OLD_BQA: Final = 1 << 13
+"""Least value of before the Collections, which always sets one of the bits that Collection 1 leaves empty."""
 SCL_CLASSES: Final = (0, 1, 3, 8, 9, 10)
 """Excluded classes of Sentinel-2 L2A: no data, defective, cloud shadow, medium or high cloud, cirrus."""
 CLASSI_BANDS: Final = (1, 2)
@@ -31,11 +37,12 @@ CLASSI_BANDS: Final = (1, 2)
 _ENDINGS: Final = r"(_\d+m)?(\.\w+)?$"
 _NAMES: Final[dict[MaskKind, str]] = {
     "QA_PIXEL": rf"(^|_)QA_PIXEL{_ENDINGS}",
+    "BQA": rf"(^|_)BQA{_ENDINGS}",
     "SCL": rf"(^|_)SCL{_ENDINGS}",
     "MSK_CLASSI": rf"(^|_)MSK_CLASSI(_B00)?{_ENDINGS}",
 }
 _OTHERS: Final = re.compile(
-    rf"(^|_)(BQA|QA_RADSAT|QA_AEROSOL|CLOUD_QA|ST_QA|MSK_(?!CLASSI)[A-Z]+(_B\w\w)?|CLD|SNW){_ENDINGS}",
+    rf"(^|_)(QA_RADSAT|QA_AEROSOL|CLOUD_QA|ST_QA|MSK_(?!CLASSI)[A-Z]+(_B\w\w)?|CLD|SNW){_ENDINGS}",
     re.IGNORECASE,
 )
 """Quality rasters with values of another meaning; as masks of zeros they would exclude the wrong pixels."""
@@ -55,10 +62,16 @@ def kind_of(uri: str, descriptions: Sequence[str | None], dtypes: Sequence[str])
                 return kind  # type: ignore[no-any-return]  # get_args has no types
     if _OTHERS.search(names[0]):
         raise InputError(
-            f"the mask {uri} is a quality raster whose values are not read: give QA_PIXEL, SCL, MSK_CLASSI, "
-            "or a mask of your own (0 = excluded) under another name"
+            f"the mask {uri} is a quality raster whose values are not read: give QA_PIXEL, BQA, SCL, "
+            "MSK_CLASSI, or a mask of your own (0 = excluded) under another name"
         )
     return "zeros"
+
+
+def is_quality_raster(name: str) -> bool:
+    """Whether a file has the name of a quality raster of a product, which is no image."""
+    known = any(re.search(each, name, re.IGNORECASE) for each in _NAMES.values())
+    return known or _OTHERS.search(name) is not None
 
 
 def bands_of(kind: MaskKind) -> tuple[int, ...]:
@@ -73,13 +86,19 @@ def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
     excludes. The result is a (rows, cols) array of bool.
     """
     if kind == "QA_PIXEL":
-        rejected = sum(1 << bit for bit in QA_PIXEL_BITS)
-        return np.asarray((values[0].astype(np.int64) & rejected) == 0)
+        return _without(QA_PIXEL_BITS, values[0])
+    if kind == "BQA":
+        old, later = (_without(bits, values[0]) for bits in (OLD_BQA_BITS, BQA_BITS))
+        return np.where(values[0] >= OLD_BQA, old, later)
     if kind == "SCL":
         return np.asarray(~np.isin(values[0], SCL_CLASSES))
     if kind == "MSK_CLASSI":
         return np.asarray((values == 0).all(axis=0))
     return np.asarray((values[0] != 0) & np.isfinite(values[0]))
+
+
+def _without(bits: Sequence[int], values: NDArray[np.generic]) -> Bool:
+    return np.asarray((values.astype(np.int64) & sum(1 << bit for bit in bits)) == 0)
 
 
 def _check(kind: MaskKind, uri: str, dtypes: Sequence[str]) -> None:

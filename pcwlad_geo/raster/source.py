@@ -265,7 +265,7 @@ def _why_not_opened(uri: str, error: Exception) -> str:
     try:
         if path.is_dir():
             return (
-                f"{uri} is a folder, and neither a Landsat Collection 2 nor a Sentinel-2 SAFE product: "
+                f"{uri} is a folder, and neither a Landsat scene nor a Sentinel-2 SAFE product: "
                 "give a raster file"
             )
         if path.is_file():

@@ -21,9 +21,10 @@ from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import open_raster
 
-# Georeferencing that a corrected raster must not inherit, and domains that GDAL derives by itself.
+# Georeferencing that a corrected raster must not inherit, and domains that GDAL derives by itself or would
+# write into a file of its own (IMD, of DigitalGlobe, where it also puts the text of an MTL).
 _DROPPED_DOMAINS = frozenset(
-    {"RPC", "GEOLOCATION", "IMAGE_STRUCTURE", "DERIVED_SUBDATASETS", "SUBDATASETS", "COLOR_PROFILE"}
+    {"RPC", "GEOLOCATION", "IMAGE_STRUCTURE", "DERIVED_SUBDATASETS", "SUBDATASETS", "COLOR_PROFILE", "IMD"}
 )
 Tags = dict[str, dict[str, str]]
 

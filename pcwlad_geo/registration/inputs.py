@@ -46,7 +46,7 @@ def estimate_tile_count(
     If both show the same ground, the coarser one counts, as matching happens on its grid. Remote files and
     products are not opened; the job reports what cannot be read.
     """
-    if not (Path(reference).is_file() and Path(target).is_file()):
+    if not (os.path.isfile(reference) and os.path.isfile(target)):  # noqa: PTH113
         return 0
     shapes = []
     with suppress(InputError):

@@ -296,10 +296,12 @@ def _too_few(points: int, agreeing: int, cells: int) -> str | None:
     """Return why points that agree are too few; None if they do not agree."""
     if agreeing < MOSTLY * cells or agreeing == 0:
         return None
+    needed = f"at least {MIN_POINTS} are needed"
+    if points >= MIN_POINTS:
+        needed = "points within a matching window say the same: more places are needed"
     return (
         f"{points} tie points agree, in {agreeing} of {cells} separate places, and so few say too little "
-        f"(at least {MIN_POINTS} points are needed, and some more places than {MIN_CELLS}): use rasters "
-        "that share more ground, masks that exclude less, or a smaller --window"
+        f"({needed}): use rasters that share more ground, masks that exclude less, or a smaller --window"
     )
 
 

@@ -16,6 +16,7 @@ from pcwlad_geo.correction.models import Correction, from_json
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import check_geotransform, check_shape
 from pcwlad_geo.options import RUNNING, Settings
+from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.grid import Grid, is_invertible, linear_part
 from pcwlad_geo.raster.identity import FileIdentity, same
 from pcwlad_geo.raster.output_format import OutputFormat
@@ -61,7 +62,7 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
     meet its requirements and was made without `keep`.
     """
     path = Path(folder)
-    path = path / NUMBERS if path.is_dir() else path
+    path = path / NUMBERS if is_folder(path) else path
     report = _report(path)
     try:
         _check_requirements(path, report)

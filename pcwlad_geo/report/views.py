@@ -36,6 +36,8 @@ MAX_SOURCE_PX: Final = 3000
 """Largest side of the part of a file that is read for a view."""
 SQUARES: Final = 8
 """Number of squares along a side of a checkerboard."""
+SAME_PART: Final = 0.25
+"""Views whose middles are less apart than this share of a side show the same part."""
 MOSTLY_VALID: Final = 0.99
 """Least share of valid pixels around a sample for it to be valid."""
 
@@ -83,7 +85,7 @@ def pair_views(registration: Registration) -> list[PairView]:
 
     The list is empty if the files cannot be read.
     """
-    views = []
+    views: list[PairView] = []
     rows, cols = registration.reference.grid.shape
     places = _places(registration.tie_points) or [("the middle", np.array([cols / 2, rows / 2]))]
     for title, centre in places:
@@ -91,7 +93,10 @@ def pair_views(registration: Registration) -> list[PairView]:
             view = _view(registration, title, centre)
         except (InputError, RasterioError):
             return []
-        if view is not None:
+        if view is None:
+            continue
+        near_px = SAME_PART * _side(registration, centre)[0]
+        if all(np.ptp([view.centre_px, other.centre_px], axis=0).max() >= near_px for other in views):
             views.append(view)
     return views
 

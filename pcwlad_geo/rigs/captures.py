@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ import numpy as np
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.raster.cameras import MM_PER_UNIT, camera_of, exif_of, number_of, xmp_of
+from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.opening import check_dataset
 from pcwlad_geo.raster.source import open_raster, plain_name
 from pcwlad_geo.rigs.lenses import Lens
@@ -85,11 +87,11 @@ def find_frames(captures: Iterable[PathLike]) -> list[Path]:
     files: list[Path] = []
     for each in captures:
         place = Path(each)
-        if place.is_dir():
+        if is_folder(place):
             files += sorted(
                 file for file in place.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file()
             )
-        elif place.exists():
+        elif os.path.exists(place):  # noqa: PTH110
             files.append(place)
         else:
             raise InputError(f"{place} does not exist: give frames, or folders of frames")

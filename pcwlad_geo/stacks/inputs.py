@@ -15,14 +15,14 @@ from typing import Any, Final
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import BATCH_ROWS, check_count
-from pcwlad_geo.products.detect import find_product
+from pcwlad_geo.products.detect import RASTERS, find_product, rasters_of
+from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.source import RasterInfo, describe, file_name, plain_name
 from pcwlad_geo.text import read_json, read_text
 from pcwlad_geo.types import PathLike
 
-RASTERS: Final = (".tif", ".tiff", ".vrt", ".jp2", ".img")
-"""Endings of the files of a folder that are taken for images."""
-_DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\d|3[01])(?!\d)")
+DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\d|3[01])(?!\d)")
+"""A date in a name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +67,14 @@ class StackInput:
         """Describe the band that is matched; raises `InputError` if it cannot be read."""
         product = find_product(self.path)
         if product is not None:
-            return describe(product.band(self.band).opened_as())
+            return describe(product.band(self.band).opened_as(), mask=self.mask or product.mask)
         return describe(self.path, band=self.band if isinstance(self.band, int) else 1, mask=self.mask)
 
 
 def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
     """Yield the images of rasters, folders, products, tables and STAC items, in their order.
+
+    A product that is the only one, without a name of a band, is all its bands that show the ground.
 
     Parameters
     ----------
@@ -86,17 +88,21 @@ def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
     InputError
         If a folder, a table or an item cannot be used.
     """
-    for image in [os.fspath(each) for each in images]:
+    names = [os.fspath(each) for each in images]
+    products = {name: found for name in names if (found := find_product(name)) is not None}
+    for image in names:
         place = Path(image)
         if image.casefold().endswith(".csv"):
             yield from (_of_row(row, place.parent, band) for row in read_table(place, ("image",)))
         elif image.casefold().endswith((".json", ".geojson")):
             yield from _of_stac(place, band)
-        elif place.is_dir() and find_product(image) is None:
-            files = sorted(file for file in place.iterdir() if file.suffix.casefold() in RASTERS)
+        elif len(products) == 1 and image in products and not isinstance(band, str):
+            yield from (_named(image, each.name) for each in products[image].showing_ground())
+        elif is_folder(place) and image not in products:
+            files = rasters_of(place)
             if not files:
                 raise InputError(f"{image} holds no raster ({', '.join(RASTERS)})")
-            yield from (_named(os.fspath(file), band) for file in files)
+            yield from (_named(file, band) for file in files)
         else:
             yield _named(image, band)
 
@@ -114,7 +120,7 @@ def with_reference(
 
     Raises `InputError` as `listed` does.
     """
-    if reference is None or not Path(reference).is_file():
+    if reference is None or not os.path.isfile(reference):  # noqa: PTH113
         return images, reference
     for each in listed(images, band):
         if each.name == reference or (Path(each.path).exists() and Path(each.path).samefile(reference)):
@@ -128,7 +134,7 @@ def _named(path: str, band: int | str, given: Mapping[str, Any] | None = None) -
     product = find_product(path)
     file = path if product is None or not isinstance(band, str) else product.band(band).uri
     values["name"] = plain_name(values.get("name") or Path(file_name(file)).stem)
-    found = next(filter(None, (_DATE.search(part) for part in reversed(Path(path).parts))), None)
+    found = next(filter(None, (DATE.search(part) for part in reversed(Path(path).parts))), None)
     if not values.get("date") and found:
         values["date"] = f"{found[1]}-{found[3]}-{found[4]}"
     return StackInput(path, band, **values)

@@ -26,6 +26,7 @@ from pcwlad_geo.products.detect import products_found_once
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.raster.source import RasterInfo, plain_name
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.raster.vrt import write_corrected_vrt
@@ -705,6 +706,10 @@ def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -
         beside = not Polygon(frame.from_image(number, info.grid.boundary_px())).intersects(shown)
         # an image beside the reference gets an extent of its own, on the same lattice
         request = requested_grid(replace(exact, grid="reference") if beside else exact)
+        finer = _finer(frame, number, settings)
+        if finer > 1 and not beside:
+            rows, cols = frame.grid.shape
+            request = GridRequest(like=frame.grid.scaled((finer * rows, finer * cols)))
         wanted = WarpOutput(frame.grid, request, made, settings.resampling)
         done = FinishedRegistration(
             image.correction,
@@ -719,6 +724,16 @@ def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -
         if isinstance(image.correction, AffineCorrection):
             _write_vrt(found.out_dir / VRT.format(image.name), info, image.correction)
     job.on_event(Progress("images", len(images), len(images)))
+
+
+def _finer(frame: Frame, number: int, settings: Settings) -> int:
+    """Return how many pixels of a band, along a side, make one of the frame; 1 unless of one product."""
+    first, own = frame.given(frame.reference), frame.given(number)
+    within = isinstance(own.band, str) and own.path == first.path
+    if not within or settings.like is not None or settings.grid == "reference-exact":
+        return 1
+    area = abs(float(np.linalg.det(frame.scale(number, frame.infos[number].grid.middle_px)[0])))
+    return max(1, round(float(1 / np.sqrt(area))))
 
 
 def _write_vrt(place: Path, info: RasterInfo, correction: AffineCorrection) -> None:

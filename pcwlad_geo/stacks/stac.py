@@ -11,19 +11,23 @@ import numpy as np
 from rasterio.crs import CRS
 
 from pcwlad_geo.outputs.folder import place_file, stage_inside
+from pcwlad_geo.products.detect import BAND_OF
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import describe
+from pcwlad_geo.stacks.inputs import DATE
 from pcwlad_geo.stacks.result import Stack, StackImage
 
 VERSION: Final = "1.0.0"
 """Of the STAC specification."""
-PROJECTION: Final = "https://stac-extensions.github.io/projection/v1.1.0/schema.json"
-"""Extension that tells CRS, shape and geotransform."""
+PROJECTION: Final = "https://stac-extensions.github.io/projection/v1.2.0/schema.json"
+"""Extension that tells CRS, shape and geotransform; this version has `proj:epsg` and `proj:code`."""
 COLLECTION: Final = "collection.json"
 """File name of the collection."""
 ITEMS: Final = "items"
 """Folder of its items."""
+DATA: Final = "data"
+"""The asset of an item where no item has several."""
 UNKNOWN: Final = "1970-01-01T00:00:00Z"
 """Time of an image whose date is not known: STAC asks for one."""
 MEDIA: Final = {"COG": "image/tiff; application=geotiff; profile=cloud-optimized"}
@@ -33,54 +37,79 @@ MEDIA: Final = {"COG": "image/tiff; application=geotiff; profile=cloud-optimized
 def catalogue(found: Stack, driver: str) -> dict[str, str]:
     """Return the texts of the collection and its items by path in the output folder.
 
-    The rasters must have been written. There is none where they have no CRS.
+    Images of one time are assets of one item, and so are undated bands of one product or raster. The rasters
+    must have been written. There is no collection where they have no CRS.
     """
     placed = [image for image in found.images if image.registered.is_file()]
-    grids = [describe(image.registered).grid for image in placed]
-    if not placed or any(grid.crs is None for grid in grids):
+    grids = {image.name: describe(image.registered).grid for image in placed}
+    if not placed or any(grid.crs is None for grid in grids.values()):
         return {}
-    items = [_item(image, grid, driver) for image, grid in zip(placed, grids, strict=True)]
+    times: dict[str, dict[str, StackImage]] = {}
+    for image in placed:
+        bands = times.setdefault(image.given.path if image.date is None else _time(image.date), {})
+        band = _band_of(image)
+        bands[image.name if band in bands else band] = image
+    if all(len(bands) == 1 for bands in times.values()):
+        times = {time: {DATA: image} for time, bands in times.items() for image in bands.values()}
+    items = [_item(bands, grids, driver) for bands in times.values()]
     texts = {f"{ITEMS}/{item['id']}.json": item for item in items}
     return {
         name: json.dumps(text, indent=1) + "\n" for name, text in {**texts, COLLECTION: _whole(items)}.items()
     }
 
 
-def _item(image: StackImage, grid: Grid, driver: str) -> dict[str, Any]:
-    ring = _outline(grid)
-    known = image.date is not None
-    time = _time(image.date) if image.date is not None else UNKNOWN
+def _band_of(image: StackImage) -> str:
+    """Return the band that an image shows, as the user or its name says; else its name without the date."""
+    if isinstance(image.given.band, str):
+        return image.given.band
+    found = BAND_OF.fullmatch(image.name)
+    return found["band"] if found else DATE.sub("", image.name).strip("_-. ") or DATA
+
+
+def _item(bands: Mapping[str, StackImage], grids: Mapping[str, Grid], driver: str) -> dict[str, Any]:
+    first = next(iter(bands.values()))
+    rings = [_outline(grids[image.name]) for image in bands.values()]
+    outlines = [[ring] for number, ring in enumerate(rings) if ring not in rings[:number]]
+    crs = grids[first.name].crs
+    epsg = None if crs is None else crs.to_epsg()
     properties: dict[str, Any] = {
-        "datetime": time,
-        "proj:epsg": grid.crs.to_epsg() if grid.crs is not None else None,
-        "proj:shape": list(grid.shape),
-        "proj:transform": list(grid.transform)[:6],
-        "pcwlad_geo:date_known": known,
-        "pcwlad_geo:shift_px": list(image.shift_px),
-        "pcwlad_geo:sigma_px": list(image.sigma_px),
-        "pcwlad_geo:quality": image.quality.grade,
+        "datetime": UNKNOWN if first.date is None else _time(first.date),
+        "proj:epsg": epsg,
+        "proj:code": None if epsg is None else f"EPSG:{epsg}",
+        **_placed(grids[first.name]),
+        "pcwlad_geo:date_known": first.date is not None,
     }
-    if properties["proj:epsg"] is None and grid.crs is not None:
-        properties["proj:wkt2"] = grid.crs.to_wkt()
+    if epsg is None and crs is not None:
+        properties["proj:wkt2"] = crs.to_wkt()
     link = {"type": "application/json", "href": f"../{COLLECTION}"}
+    media = MEDIA.get(driver.upper(), "image/tiff; application=geotiff")
     return {
         "type": "Feature",
         "stac_version": VERSION,
         "stac_extensions": [PROJECTION],
-        "id": image.name,
+        "id": first.name,
         "collection": "stack",
-        "geometry": {"type": "Polygon", "coordinates": [ring]},
-        "bbox": _box([ring]),
+        "geometry": {"type": "MultiPolygon", "coordinates": outlines},
+        "bbox": _box(rings),
         "properties": properties,
         "links": [{"rel": rel, **link} for rel in ("root", "parent", "collection")],
         "assets": {
-            "data": {
+            band: {
                 "href": f"../{image.registered.name}",
-                "type": MEDIA.get(driver.upper(), "image/tiff; application=geotiff"),
+                "type": media,
                 "roles": ["data"],
+                **_placed(grids[image.name]),
+                "pcwlad_geo:shift_px": list(image.shift_px),
+                "pcwlad_geo:sigma_px": list(image.sigma_px),
+                "pcwlad_geo:quality": image.quality.grade,
             }
+            for band, image in bands.items()
         },
     }
+
+
+def _placed(grid: Grid) -> dict[str, Any]:
+    return {"proj:shape": list(grid.shape), "proj:transform": list(grid.transform)[:6]}
 
 
 def _time(date: str) -> str:
@@ -105,7 +134,7 @@ def _box(rings: Sequence[Sequence[Sequence[float]]]) -> list[float]:
 
 def _whole(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     times = sorted(item["properties"]["datetime"] for item in items)
-    rings = [item["geometry"]["coordinates"][0] for item in items]
+    corners = [[item["bbox"][:2], item["bbox"][2:]] for item in items]
     links: list[dict[str, str]] = [{"rel": "root", "type": "application/json", "href": f"./{COLLECTION}"}]
     links += [
         {"rel": "item", "type": "application/geo+json", "href": f"./{ITEMS}/{item['id']}.json"}
@@ -117,7 +146,7 @@ def _whole(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "id": "stack",
         "description": "Images of one ground, adjusted together and resampled onto one grid",
         "license": "other",
-        "extent": {"spatial": {"bbox": [_box(rings)]}, "temporal": {"interval": [[times[0], times[-1]]]}},
+        "extent": {"spatial": {"bbox": [_box(corners)]}, "temporal": {"interval": [[times[0], times[-1]]]}},
         "links": links,
     }
 

@@ -156,6 +156,13 @@ def test_every_kind_of_trouble_stays_with_its_pair(calls: list[str], work: Path)
     assert Warned("good.tif (line 4): odd") in events
 
 
+def test_a_name_that_no_file_can_have_stays_with_its_pair(work: Path) -> None:
+    result = pcwlad_geo.batch(table(work, 400 * "1", "gone"), jobs=1)
+    assert statuses(result) == [("unusable", False)] * 2
+    assert "at most 255 are possible: give the target a shorter name" in str(result.pairs[0].reason)
+    assert "gone.tif does not exist" in str(result.pairs[1].reason)
+
+
 def test_what_libraries_raise_is_told_as_of_a_single_pair(
     calls: list[str], work: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -54,6 +54,8 @@ def write(path: Path, bands: np.ndarray, transform: Affine = TRANSFORM, crs: CRS
     [
         (f"/a/{LANDSAT}", [None], ["uint16"], "QA_PIXEL"),
         (f"C:\\a\\{LANDSAT.lower()}", [None], ["uint16"], "QA_PIXEL"),
+        ("LC08_L1TP_198030_20200809_20200918_01_T1_BQA.TIF", [None], ["uint16"], "BQA"),
+        ("l8_bqa.tif", [None], ["uint16"], "BQA"),
         (f"/vsizip//a/b.zip/IMG_DATA/R20m/{SCL}", [None], ["uint8"], "SCL"),
         ("https://host/S2B_32TQM_20200809_0_L2A/SCL.tif", [None], ["uint8"], "SCL"),
         (f"GRANULE/X/QI_DATA/{CLASSI}", [None] * 3, ["uint8"] * 3, "MSK_CLASSI"),
@@ -83,7 +85,6 @@ def test_a_quality_raster_of_impossible_bands_is_refused(name: str, dtypes: list
     [
         LANDSAT.replace("QA_PIXEL", "QA_RADSAT"),
         "LC08_L2SP_198030_20200809_20200918_02_T1_SR_QA_AEROSOL.TIF",
-        "LC08_L1TP_198030_20200809_20200918_01_T1_BQA.TIF",
         "MSK_CLDPRB_20m.jp2",
         "MSK_QUALIT_B04.jp2",
         "T32TQM_20200809T100559_CLD_20m.jp2",
@@ -103,6 +104,19 @@ def test_landsat_words() -> None:
 @pytest.mark.parametrize("bit", range(16))
 def test_landsat_bits(bit: int) -> None:
     assert accepted("QA_PIXEL", np.full((1, 1, 1), 1 << bit, "uint16")).item() == (bit > 4)
+
+
+# clear, saturated, water or snow; then fill, dropped or hidden, clouds, shadow, cirrus
+@pytest.mark.parametrize(
+    ("kept", "excluded"),
+    [
+        ((2720, 2724, 3744, 2732), (1, 2722, 2800, 2752, 6816, 2976)),  # Collection 1
+        ((20480, 20512, 23552, 16384), (1, 20482, 20484, 53248, 36864, 28672, 61440, 24576)),  # before
+    ],
+)
+def test_older_landsat_words(kept: tuple[int, ...], excluded: tuple[int, ...]) -> None:
+    words = np.array([[[*kept, *excluded]]], "uint16")
+    assert accepted("BQA", words).tolist() == [[True] * len(kept) + [False] * len(excluded)]
 
 
 def test_scene_classes() -> None:

@@ -9,10 +9,10 @@ import pytest
 import rasterio
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.products.detect import find_product, stem_of
+from pcwlad_geo.products.detect import find_product, native_px_m, of_one_product, rasters_of, stem_of
 from pcwlad_geo.products.product import Product
 from pcwlad_geo.raster.source import describe, file_name
-from tests.products import LANDSAT, SAFE, packed, write_landsat, write_safe
+from tests.products import BEFORE_COLLECTIONS, COLLECTION_1, LANDSAT, SAFE, packed, write_landsat, write_safe
 
 
 def product(path: Path) -> Product:
@@ -46,6 +46,62 @@ def test_landsat_level_2_takes_bands_by_either_name(tmp_path: Path) -> None:
     assert names(found) == ["SR_B4", "ST_B10"]
     assert found.band("B10") == found.band("ST_B10")
     assert found.missing == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "collection", "words", "kind"),
+    [
+        (LANDSAT.replace("_02_T1", "_01_T1"), "01", COLLECTION_1, "Landsat Collection 1 L1TP"),
+        ("LC81980302020222LGN00", None, BEFORE_COLLECTIONS, "pre-Collection Landsat"),
+        ("crop", None, BEFORE_COLLECTIONS, "pre-Collection Landsat"),
+        ("my.crop", "01", COLLECTION_1, "Landsat Collection 1"),
+        ("x", "02", ("QA_PIXEL", 21824, 22280), "Landsat Collection 2"),
+    ],
+)
+@pytest.mark.parametrize("ending", ["", ".zip"])
+def test_older_and_renamed_scenes_are_products(
+    name: str, collection: str | None, words: tuple[str, int, int], kind: str, ending: str, tmp_path: Path
+) -> None:
+    given = {"name": name, "collection": collection, "quality_values": words}
+    scene = write_landsat(tmp_path, bands=("B4", "B8", "B9", "B10"), **given)
+    found = product(packed(scene, ending) if ending else scene)
+    assert (found.kind, names(found), found.missing) == (kind, ["B4", "B8", "B9", "B10"], ())
+    assert [band.name for band in found.showing_ground()] == ["B4", "B8", "B10"]
+    assert found.mask is not None
+    assert file_name(found.mask) == f"{name}_{words[0]}.TIF"
+    info = describe(found.band("B4").opened_as(), mask=found.mask)
+    assert (info.mask_kind, info.nodata) == (words[0], 0)
+    assert product(scene / f"{name}_MTL.txt").kind == kind
+    (scene / f"{name}_B8.TIF").unlink()
+    assert product(scene).missing == (("B8",) if name.startswith("L") else ())
+
+
+def test_an_mtl_alone_makes_no_product(tmp_path: Path) -> None:
+    """Others name texts so too; a folder of rasters stays one, without its quality rasters."""
+    for name in ("site_MTL.txt", "site.tif", "other_B4.tif", "other_BQA.tif", "T32TQM_SCL.tif"):
+        (tmp_path / name).touch()
+    assert find_product(tmp_path) is None
+    assert rasters_of(tmp_path) == [str(tmp_path / name) for name in ("other_B4.tif", "site.tif")]
+
+
+def test_bands_of_one_product_are_known_by_their_names(tmp_path: Path) -> None:
+    crop = write_landsat(tmp_path, name="crop", collection=None, quality_values=BEFORE_COLLECTIONS)
+    four, ten = (str(crop / f"crop_B{number}.TIF") for number in (4, 10))
+    assert of_one_product(four, f"vrt://{ten}?a_nodata=0")
+    assert not of_one_product(four, str(tmp_path / "crop_B10.TIF"))
+    (crop / "crop_MTL.txt").unlink()
+    assert not of_one_product(four, ten)
+    assert of_one_product(f"a/{LANDSAT}_B4.TIF", f"/vsitar/b.tar/{LANDSAT}_ST_B10.TIF")
+    assert of_one_product("LE71980302000222LGN00_B4.TIF", "b/LE71980302000222LGN00_B6_VCID_1.TIF")
+    assert of_one_product("T32TQM_20230809T100559_B04_10m.jp2", "T32TQM_20230809T100559_B8A_20m.jp2")
+    assert not of_one_product(f"{LANDSAT}_B4.TIF", f"{LANDSAT.replace('20200809', '20200825')}_B4.TIF")
+    assert not of_one_product(f"{LANDSAT}_B4.TIF", f"{LANDSAT}_QA_PIXEL.TIF")
+    assert not of_one_product("site_B4.tif", "site_B5.tif")
+
+
+def test_native_pixels_of_older_names() -> None:
+    sizes = [native_px_m(f"LC81980302020222LGN00_B{band}", None) for band in (4, 8, 10)]
+    assert sizes == [30.0, 15.0, 100.0]
 
 
 def test_landsat_7_has_two_bands_6(tmp_path: Path) -> None:
@@ -212,7 +268,7 @@ def test_what_is_no_product(tmp_path: Path) -> None:
         find_product(archive)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "a.txt").write_text("a")
-    with pytest.raises(InputError, match="holds no Landsat Collection 2 and no Sentinel-2 product"):
+    with pytest.raises(InputError, match="holds no Landsat and no Sentinel-2 product"):
         find_product(packed(tmp_path / "other", ".tar"))
 
 
@@ -224,9 +280,9 @@ def test_several_products_and_another_collection_are_refused(tmp_path: Path) -> 
     with pytest.raises(InputError, match=r"holds 2 Landsat scenes .*give the MTL file of one"):
         find_product(scene)
     assert names(product(scene / f"{LANDSAT}_MTL.txt")) == ["B4"]
-    old = write_landsat(tmp_path, bands=("B4",), name=LANDSAT.replace("_02_T1", "_01_T1"))
-    with pytest.raises(InputError, match="no product of Landsat Collection 2"):
-        find_product(old)
+    later = write_landsat(tmp_path, bands=("B4",), name=LANDSAT.replace("_02_T1", "_03_T1"))
+    with pytest.raises(InputError, match="no product of Landsat Collection 1 or 2"):
+        find_product(later)
     safe = write_safe(tmp_path)
     granule = next((safe / "GRANULE").iterdir())
     second = granule.with_name("L2A_T32TQN_A033557_20230809T100559")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pcwlad_geo.bandqa.bands import expand
+from pcwlad_geo.bandqa.bands import Wanted, expand
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.detect import find_product, no_product
@@ -16,12 +16,12 @@ from pcwlad_geo.registration.inputs import resolve
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("LC81980302020222LGN00_B4.TIF", "a Landsat scene of before the Collections"),
+        ("LC81980302020222LGN00_B4.TIF", "before the Collections without its bands and its MTL file"),
         ("LT51980301999222FUI00_MTL.txt", "a Landsat scene of before the Collections"),
         ("LC08_CU_003008_20200809_20210504_02_SR_B4.TIF", "a Landsat analysis-ready tile"),
         ("T32TQM_20230809T100559_B04_10m.jp2", "band files of Sentinel-2 outside of their product"),
         ("R10m", "band files of Sentinel-2 outside of their product"),
-        ("b4.tif", "neither a Landsat Collection 2 nor a Sentinel-2 SAFE product: give a raster file"),
+        ("b4.tif", "neither a Landsat scene nor a Sentinel-2 SAFE product: give a raster file"),
     ],
 )
 @pytest.mark.parametrize("band", [1, "B4"])
@@ -31,13 +31,16 @@ def test_a_folder_is_told_by_what_it_holds(name: str, said: str, band: int | str
     with pytest.raises(InputError, match=said) as caught:
         resolve(tmp_path, "b10.tif", Settings(ref_band=band))
     assert "number" not in str(caught.value)
+    if name.casefold().endswith((".tif", ".jp2")):  # a quality report takes the rasters of a folder
+        assert expand(tmp_path, [1]) == [Wanted(str(tmp_path / name), 1, None)]
+        return
     with pytest.raises(InputError, match=said):
         expand(tmp_path, None, None)
 
 
 def test_another_collection_is_named(tmp_path: Path) -> None:
-    (tmp_path / "LC08_L1TP_198030_20180809_20180918_01_T1_B4.TIF").touch()
-    with pytest.raises(InputError, match=r"another collection \(LC08_L1TP_198030_20180809_20180918_01_T1\)"):
+    (tmp_path / "LC08_L1TP_198030_20180809_20280918_03_T1_B4.TIF").touch()
+    with pytest.raises(InputError, match=r"another collection \(LC08_L1TP_198030_20180809_20280918_03_T1\)"):
         resolve(tmp_path, "b10.tif", Settings(ref_band="B4"))
 
 

@@ -125,6 +125,15 @@ def test_places_that_mostly_agree_are_too_few_and_not_chance(agreeing: int, cell
     assert ("no better than chance" in reason) is not few
 
 
+def test_many_points_in_few_places_are_told_to_lack_places() -> None:
+    """Not to be fewer than the least number of points, which they exceed."""
+    reason = verdict([[RIGHT] * 30] * 3).reason or ""
+    assert reason.startswith("90 tie points agree, in 3 of 3 separate places")
+    assert "more places are needed" in reason
+    assert "at least" not in reason
+    assert "at least 12 are needed" in (verdict([[RIGHT]] * 3).reason or "")
+
+
 def test_no_point_at_all_is_no_agreement() -> None:
     reason = verdict([]).reason or ""
     assert "only 0 of 200 candidates agree" in reason

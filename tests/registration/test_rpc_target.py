@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from rasterio.fill import fillnodata
 from rasterio.rpc import RPC
 
 import pcwlad_geo
@@ -311,6 +312,22 @@ def test_a_dem_that_does_not_fit_is_an_error(pair: Pair, tmp_path: Path, name: s
     settings = Settings(dem=make(tmp_path / "dem.tif"), dem_vertical=0.0)
     with pytest.raises(InputError, match=message):
         place_target(describe(pair[0]), describe(pair[1]), settings)
+
+
+def test_holes_of_nan_are_filled_as_the_message_says(pair: Pair, tmp_path: Path) -> None:
+    values = holed().astype("float32")
+    dem = write(tmp_path / "dem.tif", values, dem_grid(), dtype="float32")
+    settings = Settings(dem=dem, dem_vertical=0.0)
+    with rasterio.open(dem, "r+") as file:
+        assert file.nodata is None
+        assert np.isnan(fillnodata(file.read(1), file.read_masks(1))).any()  # nothing is done
+        with pytest.raises(InputError, match=r"no nodata value, gdal_edit\.py -a_nodata nan DEM before it"):
+            place_target(describe(pair[0]), describe(pair[1]), settings)
+        file.nodata = np.nan
+    with rasterio.open(dem, "r+") as file:
+        file.write(fillnodata(file.read(1), file.read_masks(1)), 1)
+    placed, _ = place_target(describe(pair[0]), describe(pair[1]), settings)
+    assert placed is not None
 
 
 def test_holes_beside_the_image_are_no_matter(pair: Pair, tmp_path: Path) -> None:

@@ -50,6 +50,16 @@ def test_after_the_correction_both_show_the_same(made: Registration) -> None:
         assert np.median(before) > 4 * np.median(after) + 4
 
 
+def test_one_view_shows_both_where_the_frame_is_small(made: Registration) -> None:
+    """Two of nearly the same part would say the same twice."""
+    table = made.tie_points
+    assert len(pair_views(made)) == 2
+    middle = np.array(made.reference.grid.shape[::-1]) / 2
+    close = middle + (table.reference_px - middle) / 20
+    (only,) = pair_views(replace(made, tie_points=replace(table, reference_px=close)))
+    assert only.title == "the most distinct match"
+
+
 def test_the_target_lies_where_its_displacement_puts_it(made: Registration) -> None:
     """A view of n target px shows the displacement as SIDE_PX / n times as many of its own."""
     view = pair_views(made)[0]

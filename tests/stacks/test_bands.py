@@ -10,7 +10,7 @@ import pytest
 import rasterio
 from rasterio.enums import ColorInterp
 
-from pcwlad_geo.bandqa.bands import find_band, list_bands, parse_bands, split_bands, with_native_px
+from pcwlad_geo.bandqa.bands import expand, find_band, list_bands, parse_bands, split_bands, with_native_px
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.products.detect import native_px_m
 from tests.scenes import make_grid, write
@@ -83,6 +83,14 @@ def test_finer_bands_come_first(tmp_path: Path) -> None:
     assert names(coarse, fine) == ["fine", "coarse"]
 
 
+def test_a_folder_is_its_rasters_but_quality_rasters(tmp_path: Path) -> None:
+    for name in ("b.tif", "a.TIF", "x_BQA.tif", "x_QA_PIXEL.TIF"):
+        raster(tmp_path / name)
+    (tmp_path / "notes.txt").touch()
+    assert [band.name for band in list_bands([tmp_path])] == ["a", "b"]
+    assert [Path(wanted.uri).name for wanted in expand(tmp_path, [1])] == ["a.TIF", "b.tif"]
+
+
 def test_what_is_no_stack_is_told(tmp_path: Path) -> None:
     one = raster(tmp_path / "one.tif")
     with pytest.raises(InputError, match="compares two bands or more, and there is 1"):
@@ -95,8 +103,9 @@ def test_what_is_no_stack_is_told(tmp_path: Path) -> None:
         list_bands([one, tmp_path / "two.tif"])
     with pytest.raises(InputError, match="holds 1 band, and band 4 was asked for"):
         list_bands([f"{one}:1,4"])
+    (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="is a folder"):
-        list_bands([one, tmp_path])
+        list_bands([one, tmp_path / "empty"])
 
 
 @pytest.mark.parametrize("text", ["", "?", "0", "2-", "-2", "3-1", "1,,2", "1-99999"])

@@ -225,7 +225,8 @@ def _heights_around(
     if holes:
         raise InputError(
             f"the DEM {dem.uri} has holes below {info.uri}: {holes} of its pixels have no height; fill "
-            "them first (gdal_fillnodata.py DEM FILLED), or give another DEM"
+            "them first (gdal_fillnodata.py DEM FILLED; where they are NaN and the file has no nodata value, "
+            "gdal_edit.py -a_nodata nan DEM before it), or give another DEM"
         )
     heights = dem.nearest(lon_lat)
     _check_heights(info, dem, heights)
