@@ -229,10 +229,10 @@ class Quality:
     kept_share: float
     """Share of the matches that agree with their neighbours."""
 
-    def at_most_fair(self, text: str) -> Quality:
+    def at_most(self, grade: Grade, text: str) -> Quality:
         """Return the quality with one more reason why it is not good."""
-        reasons = (*self.reasons, Reason("fair", text))
-        return replace(self, grade=min(self.grade, "fair", key=GRADES.index), reasons=reasons)
+        reasons = sorted((*self.reasons, Reason(grade, text)), key=lambda each: GRADES.index(each.grade))
+        return replace(self, grade=reasons[0].grade, reasons=tuple(reasons))
 
     @property
     def refusal(self) -> str | None:

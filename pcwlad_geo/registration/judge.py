@@ -11,8 +11,6 @@ from scipy.spatial import cKDTree
 
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
-from pcwlad_geo.raster.geodesy import middle_pixel_size_m
-from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.types import Bool, Float64
 
@@ -231,12 +229,6 @@ def _apart(moved: Float64, one: Motion, other: Motion) -> bool:
     aside = np.linalg.norm(moved - begin - along[:, None] * way, axis=1)
     halfway = (np.abs(along - 0.5) < 1 / 6) & (aside < AGREE_PX)
     return bool(halfway.sum() <= BETWEEN * min(one.points, other.points))
-
-
-def error_of_georeferencing_px(grid: Grid, of_one_product: bool) -> float:
-    """Return by how much georeferencing typically errs, px of a grid."""
-    sizes_m = middle_pixel_size_m(grid) if of_one_product else None
-    return GEOREFERENCED_PX if sizes_m is None else PRODUCT_M / max(sizes_m)
 
 
 def motion_of_the_ground(

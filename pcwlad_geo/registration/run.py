@@ -15,6 +15,7 @@ from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.matching.outliers import consistent, contradicted_clusters
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.options import VRT_MODELS, Settings
+from pcwlad_geo.products.detect import same_product
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.identity import digest
@@ -30,9 +31,18 @@ from pcwlad_geo.raster.rpc.view import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band, with_compression_blocks, without_collar
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.raster.view import file_px_per_px
-from pcwlad_geo.registration.fitting import AssessedFit, assess, fit_correction, footprint_px, user_points
+from pcwlad_geo.registration.fitting import (
+    FAIR_PX,
+    GOOD_PX,
+    AssessedFit,
+    Quality,
+    assess,
+    fit_correction,
+    footprint_px,
+    user_points,
+)
 from pcwlad_geo.registration.inputs import identify_inputs, resolve
-from pcwlad_geo.registration.judge import told_of
+from pcwlad_geo.registration.judge import PRODUCT_M, told_of
 from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Prealignment, read_overviews
 from pcwlad_geo.registration.result import (
@@ -47,7 +57,7 @@ from pcwlad_geo.registration.result import (
 from pcwlad_geo.registration.rpc import MODELS, check_start, corrected_rpc, place_reference, place_target
 from pcwlad_geo.registration.scene import located, match_again_from_shifted_rpc, match_from_best_start
 from pcwlad_geo.registration.tiles import load_kernels
-from pcwlad_geo.tiepoints.table import overlap_middle_px, predict_target_px
+from pcwlad_geo.tiepoints.table import TiePointTable, overlap_middle_px, predict_target_px
 from pcwlad_geo.types import Bool, Float64, PathLike
 
 COMMON_STEP = 3
@@ -214,13 +224,27 @@ def fit(
         places = _common_px(matches.record, matches.views, target)
         quality = assess(fitted.table, matches.every, fitted.selection, places, footprint)
         if matches.motions:
-            quality = quality.at_most_fair(told_of(matches.motions, taken=True))
+            quality = quality.at_most("fair", told_of(matches.motions, taken=True))
+        if sizes_m is not None and same_product(matches.pair.reference.uri, target.uri):
+            quality = _with_prior(quality, table[table.status == "matched"], float(sizes_m.max()))
         log.on_event(Progress("fitting", 1, 1))
     refusal = None if settings.tie_points else quality.refusal
     for reason in () if refusal else quality.reasons:
         if reason.text not in log.warnings:
             log.warn(reason.text)
     return AssessedFit(fitted, quality, refusal, settings, tuple(log.warnings), log.seconds)
+
+
+def _with_prior(quality: Quality, points: TiePointTable, size_m: float) -> Quality:
+    """Return the quality of bands of one product, which lie within metres of each other, at their points."""
+    off_px = float(np.percentile(np.hypot(*points.displacement_px.T), 90))
+    if off_px <= max(GOOD_PX, PRODUCT_M / size_m):
+        return quality
+    return quality.at_most(
+        "fair" if off_px <= FAIR_PX else "poor",
+        f"a tenth of the tie points say that bands of one product lie more than {off_px * size_m:.0f} m "
+        "apart, which its geometry hardly allows: they may be on clouds, which each band sees elsewhere",
+    )
 
 
 def _of_the_main_surface(matches: Matches, footprint_px: float) -> Bool | None:

@@ -47,14 +47,16 @@ from pcwlad_geo.matching.types import (
 )
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.detect import same_product
+from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.view import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.judge import (
+    GEOREFERENCED_PX,
     MIN_SIGNIFICANCE,
+    PRODUCT_M,
     Motion,
     Verdict,
-    error_of_georeferencing_px,
     judge,
     motion_of_the_ground,
     motions_of,
@@ -642,7 +644,8 @@ def _of_the_ground(
     if not can_be_posed(pair):  # by an RPC, which errs by more, and relief moves parts of the scene
         return replace(matched, motions=())
     believed = pair.georeferenced and before.pose is None and settings.prealign not in ("search", "none")
-    error_px = error_of_georeferencing_px(pair.reference.grid, of_one_product) if believed else None
+    sizes_m = middle_pixel_size_m(pair.reference.grid) if of_one_product else None
+    error_px = None if not believed else PRODUCT_M / max(sizes_m) if sizes_m else GEOREFERENCED_PX
     motions, usual, reason = motion_of_the_ground(matched.motions, matched.kept, error_px, of_one_product)
     matched = replace(matched, motions=motions)
     if reason is not None:
