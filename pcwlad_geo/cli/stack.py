@@ -162,6 +162,7 @@ def _abandon(params: Mapping[str, Any]) -> None:
     from pcwlad_geo.outputs.folder import abandon
 
     folder = params["images"][0] if params["add"] else params["out_dir"] or "stack"
+    abandon(folder)
     pairs = Path(folder) / "pairs"
     for folder in pairs.iterdir() if pairs.is_dir() else ():
         abandon(folder)

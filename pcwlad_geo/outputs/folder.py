@@ -214,8 +214,7 @@ class OutputFolder:
                 self._lock.acquire()
                 sweep(self.out_dir)
                 check_output_folder(self.out_dir, self._overwrite, self._results)
-                old = [self.out_dir / name for name in sorted(self._replaceable())]
-                check_outputs([place for place in old if _is_file(place)], self._inputs)
+                self.protect(self._inputs)
                 self._stage = stage_of(self.out_dir)  # set first: an interrupt may come at any moment
                 self._stage.mkdir(FOLDER_MODE)
         except BaseException:
@@ -236,6 +235,21 @@ class OutputFolder:
         if self._stage is None:
             raise ValueError("the output folder is not entered")
         return self._stage
+
+    def protect(self, inputs: Iterable[PathLike | None]) -> None:
+        """Raise `OutputError` if files that are read are results of an earlier run, which may be replaced."""
+        old = [self.out_dir / name for name in sorted(self._replaceable())]
+        check_outputs([place for place in old if _is_file(place)], inputs)
+
+    def keep(self) -> None:
+        """Carry the files of the earlier run that this one has not made anew into its own results."""
+        for name in sorted(self._replaceable() - {self._results}):
+            old, new = self.out_dir / name, self.stage / name
+            if old.is_file() and not os.path.lexists(new):
+                try:
+                    new.hardlink_to(old)
+                except OSError:  # no links on this file system
+                    shutil.copy2(old, new)
 
     def writing(self) -> AbstractContextManager[None]:
         """Return a context that converts errors of writing files to an `OutputError` with the cause."""

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -21,14 +21,13 @@ from pcwlad_geo.correction.models import (
     SplineGrid,
     affine_between,
 )
-from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
-from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.registration.rpc import RpcRegistration
 from pcwlad_geo.report.finished import read_report
+from pcwlad_geo.report.summary import versions
 from pcwlad_geo.requirements import Requirement, RequirementResult
 from pcwlad_geo.stacks.adjustment import Adjustment
 from pcwlad_geo.stacks.basis import SPLINE_CELLS, Basis
@@ -47,7 +46,7 @@ from pcwlad_geo.stacks.network import Edge
 from pcwlad_geo.stacks.pairs import ControlPoint, Frame, Measured, StackPair
 from pcwlad_geo.stacks.rpc_block import BlockAdjustment
 from pcwlad_geo.stacks.rpc_heights import DemCheck
-from pcwlad_geo.text import cell, read_text
+from pcwlad_geo.text import cell
 from pcwlad_geo.types import Float64
 
 SCHEMA_VERSION: Final = 1
@@ -199,6 +198,11 @@ class Stack:
         """The stack of the images that get a corrected raster: without those that were refused."""
         return replace(self, images=tuple(image for image in self.images if not image.refused))
 
+    def moved(self, folder: Path) -> Stack:
+        """Return the stack with its rasters in another folder, such as that in which they are made."""
+        images = tuple(replace(each, registered=folder / each.registered.name) for each in self.images)
+        return replace(self, out_dir=folder, images=images)
+
     @property
     def left_out(self) -> tuple[StackPair, ...]:
         """Pairs that contradict the others."""
@@ -292,6 +296,10 @@ class StackNumbers:
     warnings: tuple[str, ...]
     block: BlockNumbers | None = None
     """Of images with RPCs; else null."""
+    outputs: tuple[str, ...] = ()
+    """Names of the files that belong to the result, which a later run may replace."""
+    versions: Mapping[str, str] = field(default_factory=versions)
+    """Of this program and of what it stands on."""
 
 
 def stack_of(
@@ -478,27 +486,14 @@ def raster_name(image: str, extension: str) -> str:
     return f"{image}_registered.{extension}"
 
 
-def is_stack(folder: Path) -> bool:
-    """Return whether a folder holds the results of a stack, which another may replace."""
-    try:
-        found = json.loads(read_text(folder / NUMBERS))
-    except (OSError, ValueError, RecursionError, InputError):
-        return False
-    return isinstance(found, dict) and {"schema_version", "shared", "images", "pairs"} <= found.keys()
-
-
-def write_numbers(found: Stack, settings: Settings, page: str) -> None:
-    """Write the numbers, the table and the page; each appears complete or not at all."""
-    with stage_inside(found.out_dir) as stage:
-        texts = {
-            NUMBERS: json.dumps(asdict(_numbers(found, settings)), indent=1, default=Path.as_posix) + "\n",
-            TABLE: _table(found),
-            PAGE: page,
-        }
-        for name, text in texts.items():
-            staged = stage / name
-            staged.write_text(text, encoding="utf-8", newline="")
-            place_file(staged, found.out_dir / name, overwrite=True)
+def write_numbers(found: Stack, settings: Settings, page: str, folder: Path) -> None:
+    """Write the table, the page, and the numbers, which list all files in the folder."""
+    (folder / TABLE).write_text(_table(found), encoding="utf-8", newline="")
+    (folder / PAGE).write_text(page, encoding="utf-8", newline="")
+    written = (*sorted(file.name for file in folder.iterdir() if file.is_file()), NUMBERS)
+    content = asdict(replace(_numbers(found, settings), outputs=written))
+    text = json.dumps(content, indent=1, default=Path.as_posix) + "\n"
+    (folder / NUMBERS).write_text(text, encoding="utf-8", newline="")
 
 
 def _numbers(found: Stack, settings: Settings) -> StackNumbers:

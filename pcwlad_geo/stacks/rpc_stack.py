@@ -17,7 +17,6 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned
 from pcwlad_geo.limits import check_grid
 from pcwlad_geo.options import Settings
-from pcwlad_geo.outputs.folder import place_file, place_with_files, stage_inside
 from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band
 from pcwlad_geo.raster.crs import transform_xy, utm_zone_of
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
@@ -504,8 +503,13 @@ def output_grid_of(placed: PlacedImages, settings: Settings) -> Grid:
     return requested_grid(settings).fixed(placed.frame.grid) or placed.frame.grid
 
 
-def write_images(found: Stack, placed: PlacedImages, settings: Settings, on_event: EventCallback) -> None:
-    """Write each image on the common grid, and the corrected RPCs with the original pixels."""
+def write_images(
+    found: Stack, placed: PlacedImages, folder: Path, settings: Settings, on_event: EventCallback
+) -> None:
+    """Write each image on the common grid, and the corrected RPCs with the original pixels.
+
+    The files will lie in `folder`, wherever `found` says that they are made.
+    """
     grid, made = output_grid_of(placed, settings), OutputFormat.of(settings.of, settings.co)
 
     def quiet(event: Event) -> None:
@@ -522,8 +526,8 @@ def write_images(found: Stack, placed: PlacedImages, settings: Settings, on_even
                 quiet,
             )
             continue
-        how = BandOutput(grid, settings.resampling, made, image.registered)
-        _write_image(found.out_dir, image, image.rpc, how, quiet)
+        how = BandOutput(grid, settings.resampling, made, folder / image.registered.name)
+        _write_image(folder, image, image.rpc, how, quiet)
     on_event(Progress("images", len(found.images), len(found.images)))
 
 
@@ -532,13 +536,10 @@ def _write_image(
 ) -> None:
     corrected: RpcRegistration = rpc.registration
     model = corrected.corrected_grid.rpc
-    with stage_inside(folder) as stage:
-        orthorectify_band(image.path, stage / image.registered.name, corrected.corrected_grid, how, on_event)
-        write_rpc_vrt(stage / rpc.vrt, image.path, to_gdal(model), final_path=folder / rpc.vrt)
-        write_rpc_text(model, stage / rpc.text)
-        place_with_files(stage / image.registered.name, image.registered, overwrite=True)
-        for name in (rpc.vrt, rpc.text):
-            place_file(stage / name, folder / name, overwrite=True)
+    orthorectify_band(image.path, image.registered, corrected.corrected_grid, how, on_event)
+    made_in = image.registered.parent
+    write_rpc_vrt(made_in / rpc.vrt, image.path, to_gdal(model), final_path=folder / rpc.vrt)
+    write_rpc_text(model, made_in / rpc.text)
 
 
 def _warp_reference(frame: Frame, image: StackImage, wanted: WarpOutput, on_event: EventCallback) -> None:
@@ -556,6 +557,6 @@ def _warp_reference(frame: Frame, image: StackImage, wanted: WarpOutput, on_even
     apply(done, [info.uri], [image.registered], wanted, False, True, on_event)
 
 
-def rpc_files_of(folder: Path, names: Sequence[str]) -> list[Path]:
-    """Return the files of corrected RPCs that images of these names would have."""
-    return [folder / file for name in names for file in _rpc_names(name)]
+def rpc_names(images: Sequence[str]) -> list[str]:
+    """Return the names of the files of corrected RPCs that images of these names would have."""
+    return [file for name in images for file in _rpc_names(name)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
@@ -15,12 +14,12 @@ from shapely import Polygon, box
 
 from pcwlad_geo.band_warping import WarpOutput, apply
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError, SettingsError
+from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Settings
-from pcwlad_geo.outputs.folder import lock_folder, place_file, stage_inside
+from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.products.detect import products_found_once
 from pcwlad_geo.raster.grid import Grid
@@ -71,7 +70,6 @@ from pcwlad_geo.stacks.result import (
     Stack,
     StackImage,
     graded,
-    is_stack,
     judge,
     stack_of,
     write_numbers,
@@ -86,12 +84,12 @@ from pcwlad_geo.stacks.rpc_stack import (
     output_grid_of,
     part_of_images,
     place_images,
-    rpc_files_of,
+    rpc_names,
     tie_points_of,
     without_ground,
     write_images,
 )
-from pcwlad_geo.stacks.stac import ITEMS, paths_of, write_catalogue
+from pcwlad_geo.stacks.stac import catalogue_names, write_catalogue
 from pcwlad_geo.text import read_json
 from pcwlad_geo.types import Float64, PathLike
 
@@ -210,7 +208,8 @@ def stack(
     job = _job(out_dir, overwrite, on_event, executor, options | {"ref_band": band, "tgt_band": band})
     if gcps is not None and datum == "mean":
         raise SettingsError("datum = 'mean' and control points are two datums: give one of them")
-    with trusting(job.settings.trust), lock_folder(job.folder):
+    out = OutputFolder(job.folder, overwrite=True, results=NUMBERS, inputs=images)
+    with trusting(job.settings.trust), out:
         images, reference = with_reference(images, reference, band)
         inputs, infos, unreadable = _readable(images, job.settings, job.tell)
         given = [*images, *(each for each in (pairs, gcps) if each is not None)]
@@ -218,10 +217,10 @@ def stack(
             placed = place_images(inputs, infos, reference, job.settings, unreadable, job.tell)
             if allow_components or (datum == "mean" and placed.stays is not None):
                 raise SettingsError("images with RPCs: a reference is the datum, and all hang together")
-            return _stacked_rpcs(job, placed, unreadable, given, (pairs, max_pairs, gcps))
+            return _stacked_rpcs(job, out, placed, unreadable, given, (pairs, max_pairs, gcps))
         looks = _looks(inputs, infos, unreadable, job.tell)
         frame = _frame(inputs, infos, reference, job.settings.model)
-        _check_places(job, frame, frame.names, given)
+        _check_places(job, out, frame, given)
         found = [] if pairs is not None else candidates(frame, inputs, looks)
         before = _pairs_before(job.folder, frame) if pairs is None and max_pairs is None else ()
         chosen, plan = _planned(frame, found, pairs, max_pairs, before)
@@ -247,11 +246,12 @@ def stack(
             chosen,
         )
         result = replace(result, control=points)
-        return _written(job, result, frame, lambda done: _warp(job, done, frame, done.images))
+        return _written(job, out, result, frame, lambda done: _warp(job, done, frame, done.images))
 
 
 def _stacked_rpcs(
     job: _Job,
+    out: OutputFolder,
     placed: PlacedImages,
     unreadable: dict[str, str],
     given: Sequence[PathLike],
@@ -261,7 +261,7 @@ def _stacked_rpcs(
     listed_in, most, gcps = choice
     frame = placed.frame
     output_grid_of(placed, job.settings)
-    _check_places(job, frame, frame.names, given)
+    _check_places(job, out, frame, given)
     found = candidates(frame, frame.inputs, [None] * len(frame.infos))
     shown = without_ground(placed, [each.pair for each in found], unreadable, job.tell)
     if len(shown) < len(frame.names):
@@ -285,7 +285,11 @@ def _stacked_rpcs(
         "warnings": job.warnings,
     }
     result = block_stack(placed, measured, points, adjustment, check, told)
-    return _written(job, result, frame, lambda done: write_images(done, placed, job.settings, job.on_event))
+
+    def write_corrected(done: Stack) -> None:
+        write_images(done, placed, job.folder, job.settings, job.on_event)
+
+    return _written(job, out, result, frame, write_corrected)
 
 
 @products_found_once()
@@ -320,21 +324,22 @@ def stack_add(
     RegistrationRejectedError
         If a new image could not be matched with any other.
     """
-    with lock_folder(out_dir):
-        return _with_added(images, out_dir, on_event, executor, options)
+    with OutputFolder(out_dir, overwrite=True, results=NUMBERS, inputs=images) as out:
+        return _with_added(images, Path(out_dir), out, on_event, executor, options)
 
 
 def _with_added(
     images: Sequence[PathLike],
-    out_dir: PathLike,
+    out_dir: Path,
+    out: OutputFolder,
     on_event: EventCallback,
     executor: Executor | Runner | None,
     options: Options,
 ) -> Stack:
-    before = _numbers_of(Path(out_dir))
+    before = _numbers_of(out_dir)
     if before.get("block") is not None:
         raise InputError(f"{out_dir} is a stack of images with RPCs: stack all images again")
-    old, points = _of_before(before, Path(out_dir))
+    old, points = _of_before(before, out_dir)
     own = {"ref_band": old[0].band, "tgt_band": old[0].band, "model": before["model"]}
     job = _job(out_dir, False, on_event, executor, {**options, **own})
     with trusting(job.settings.trust):
@@ -344,7 +349,7 @@ def _with_added(
         new = frame.names[len(old) :]
         if not new:
             raise InputError("no image is left to be added: " + "; ".join(unreadable.values()))
-        _check_places(job, frame, new, images)
+        _check_places(job, out, frame, images)
         measured = [_measured_before(frame, job.folder, entry) for entry in before["pairs"]]
         plan = [(frame.names.index(pair.reference), frame.names.index(pair.target)) for _, pair in measured]
         chosen = choose_pairs(candidates(frame, inputs, looks), len(infos), None, plan)[len(plan) :]
@@ -360,9 +365,11 @@ def _with_added(
         to_write = {*new, *refused}
         return _written(
             job,
+            out,
             result,
             frame,
             lambda done: _warp(job, done, frame, [each for each in done.images if each.name in to_write]),
+            keep=True,
         )
 
 
@@ -511,13 +518,17 @@ def _of_before(before: Mapping[str, Any], folder: Path) -> tuple[list[StackInput
 
 def _numbers_of(folder: Path) -> dict[str, Any]:
     """Return the content of stack.json; raises `InputError` if the folder holds no stack."""
-    if not is_stack(folder):
+    place = folder / NUMBERS
+    try:
+        found = read_json(place)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{folder} holds no finished stack: {NUMBERS} cannot be read ({error})") from error
+    if not isinstance(found, dict) or not {"schema_version", "shared", "images", "pairs"} <= found.keys():
         raise InputError(f"{folder} holds no finished stack ({NUMBERS}): give the output folder of one")
-    found = dict(read_json(folder / NUMBERS))
     if found["schema_version"] != SCHEMA_VERSION:
         raise InputError(
-            f"{folder / NUMBERS} has schema version {found['schema_version']}, this version reads "
-            f"{SCHEMA_VERSION}: stack the images again"
+            f"{place} has schema version {found['schema_version']}, this version reads {SCHEMA_VERSION}: "
+            "stack the images again"
         )
     return found
 
@@ -627,34 +638,31 @@ def _frame(inputs: Sequence[StackInput], infos: list[RasterInfo], reference: str
     return Frame(names, infos, infos[number].grid, not lacking, tuple(inputs), number)
 
 
-def _check_places(job: _Job, frame: Frame, names: Sequence[str], given: Sequence[PathLike]) -> None:
+def _check_places(job: _Job, out: OutputFolder, frame: Frame, given: Sequence[PathLike]) -> None:
     """Raise where a result would replace an input, or a file that no earlier stack has written."""
-    folder = job.folder
     extension = OutputFormat.of(job.settings.of, job.settings.co).extension
-    rasters = [folder / name.format(each) for each in names for name in (f"{{}}_registered.{extension}", VRT)]
-    places = [
-        *(folder / name for name in FILES),
-        *rasters,
-        *paths_of(folder, names),
-        *rpc_files_of(folder, names),
-    ]
-    inputs = [Path(each) for each in [*given, *(info.uri for info in frame.infos)]]
-    check_outputs(places, inputs)
-    if os.path.lexists(folder / ITEMS) and not (folder / ITEMS).is_dir():
-        raise OutputError(f"{folder / ITEMS} is no folder, and the STAC items belong there: move it")
-    there = [place for place in places if os.path.lexists(place)]
-    if there and not is_stack(folder):
-        raise OutputError(
-            f"{there[0]} is in the way, and {folder} holds no earlier stack: choose another output folder"
-        )
+    rasters = [name.format(each) for each in frame.names for name in (f"{{}}_registered.{extension}", VRT)]
+    names = [*FILES, *rasters, *catalogue_names(frame.names), *rpc_names(frame.names)]
+    inputs = [*given, *(info.uri for info in frame.infos)]
+    check_outputs([out.final_path(name) for name in names], inputs)
+    out.protect(inputs)
+    for name in names:
+        out.path(name)
 
 
 VRT: Final = "{}_corrected.vrt"
 """File name of the original pixels of an image with their corrected geotransform."""
 
 
-def _written(job: _Job, found: Stack, frame: Frame, write_corrected: Callable[[Stack], None]) -> Stack:
-    """Grade the images and write the results.
+def _written(
+    job: _Job,
+    out: OutputFolder,
+    found: Stack,
+    frame: Frame,
+    write_corrected: Callable[[Stack], None],
+    keep: bool = False,
+) -> Stack:
+    """Grade the images and write the results, which appear together; `keep` those of an earlier run.
 
     Corrected images only of those that were not refused, where the requirements are met or they are kept
     anyway. Raises `RegistrationRejectedError` where none is left but those that stay.
@@ -666,26 +674,22 @@ def _written(job: _Job, found: Stack, frame: Frame, write_corrected: Callable[[S
         job.tell(Warned(message))
     found = replace(found, warnings=tuple(dict.fromkeys([*found.warnings, *told])))
     found = replace(found, requirements=judge(found, parse_requirements(job.settings.require, "stack")))
-    write_numbers(found, job.settings, page(found, frame))
-    _remove_refused(found)
-    if not any(image.name != found.datum for image in found.written.images):
+    left = any(image.name != found.datum for image in found.written.images)
+    with out.writing():
+        if left and (found.passed is not False or job.settings.keep):
+            staged = found.written.moved(out.stage)
+            write_corrected(staged)
+            if keep:
+                out.keep()
+            write_catalogue(staged, job.settings.of)
+        write_numbers(found, job.settings, page(found, frame), out.stage)
+    out.commit()
+    if not left:
         raise RegistrationRejectedError(
             f"no image can be placed: {'; '.join(told)}; mask what moves, or give more images of the same "
             f"ground (page: {found.out_dir / PAGE})"
         )
-    if found.passed is not False or job.settings.keep:
-        write_corrected(found.written)
-        write_catalogue(found.written, job.settings.of)
     return found
-
-
-def _remove_refused(found: Stack) -> None:
-    """Remove the corrected images that an earlier run has written of those that are refused now."""
-    for image in found.images:
-        if image.refused:
-            files = [found.out_dir / VRT.format(image.name), *rpc_files_of(found.out_dir, [image.name])]
-            for file in (image.registered, *files, paths_of(found.out_dir, [image.name])[-1]):
-                file.unlink(missing_ok=True)
 
 
 def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -> None:
@@ -722,7 +726,9 @@ def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -
         )
         apply(done, [info.uri], [image.registered], wanted, False, True, quiet)
         if isinstance(image.correction, AffineCorrection):
-            _write_vrt(found.out_dir / VRT.format(image.name), info, image.correction)
+            name = VRT.format(image.name)
+            place = job.folder / name
+            write_corrected_vrt(found.out_dir / name, info.uri, image.correction, info.grid, final_path=place)
     job.on_event(Progress("images", len(images), len(images)))
 
 
@@ -734,9 +740,3 @@ def _finer(frame: Frame, number: int, settings: Settings) -> int:
         return 1
     area = abs(float(np.linalg.det(frame.scale(number, frame.infos[number].grid.middle_px)[0])))
     return max(1, round(float(1 / np.sqrt(area))))
-
-
-def _write_vrt(place: Path, info: RasterInfo, correction: AffineCorrection) -> None:
-    with stage_inside(place.parent) as stage:
-        write_corrected_vrt(stage / place.name, info.uri, correction, info.grid, final_path=place)
-        place_file(stage / place.name, place, overwrite=True)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from rasterio.crs import CRS
 
-from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.products.detect import BAND_OF
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
@@ -24,8 +22,8 @@ PROJECTION: Final = "https://stac-extensions.github.io/projection/v1.2.0/schema.
 """Extension that tells CRS, shape and geotransform; this version has `proj:epsg` and `proj:code`."""
 COLLECTION: Final = "collection.json"
 """File name of the collection."""
-ITEMS: Final = "items"
-"""Folder of its items."""
+ITEM: Final = "item_{}.json"
+"""File name of an item."""
 DATA: Final = "data"
 """The asset of an item where no item has several."""
 UNKNOWN: Final = "1970-01-01T00:00:00Z"
@@ -52,7 +50,7 @@ def catalogue(found: Stack, driver: str) -> dict[str, str]:
     if all(len(bands) == 1 for bands in times.values()):
         times = {time: {DATA: image} for time, bands in times.items() for image in bands.values()}
     items = [_item(bands, grids, driver) for bands in times.values()]
-    texts = {f"{ITEMS}/{item['id']}.json": item for item in items}
+    texts = {ITEM.format(item["id"]): item for item in items}
     return {
         name: json.dumps(text, indent=1) + "\n" for name, text in {**texts, COLLECTION: _whole(items)}.items()
     }
@@ -81,7 +79,7 @@ def _item(bands: Mapping[str, StackImage], grids: Mapping[str, Grid], driver: st
     }
     if epsg is None and crs is not None:
         properties["proj:wkt2"] = crs.to_wkt()
-    link = {"type": "application/json", "href": f"../{COLLECTION}"}
+    link = {"type": "application/json", "href": f"./{COLLECTION}"}
     media = MEDIA.get(driver.upper(), "image/tiff; application=geotiff")
     return {
         "type": "Feature",
@@ -95,7 +93,7 @@ def _item(bands: Mapping[str, StackImage], grids: Mapping[str, Grid], driver: st
         "links": [{"rel": rel, **link} for rel in ("root", "parent", "collection")],
         "assets": {
             band: {
-                "href": f"../{image.registered.name}",
+                "href": f"./{image.registered.name}",
                 "type": media,
                 "roles": ["data"],
                 **_placed(grids[image.name]),
@@ -137,7 +135,7 @@ def _whole(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     corners = [[item["bbox"][:2], item["bbox"][2:]] for item in items]
     links: list[dict[str, str]] = [{"rel": "root", "type": "application/json", "href": f"./{COLLECTION}"}]
     links += [
-        {"rel": "item", "type": "application/geo+json", "href": f"./{ITEMS}/{item['id']}.json"}
+        {"rel": "item", "type": "application/geo+json", "href": f"./{ITEM.format(item['id'])}"}
         for item in items
     ]
     return {
@@ -152,18 +150,11 @@ def _whole(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def write_catalogue(found: Stack, driver: str) -> None:
-    """Write the collection and its items beside the rasters; each file appears complete or not at all."""
-    texts = catalogue(found, driver)
-    if not texts:
-        return
-    (found.out_dir / ITEMS).mkdir(exist_ok=True)
-    with stage_inside(found.out_dir) as stage:
-        for name, text in texts.items():
-            staged = stage / Path(name).name
-            staged.write_text(text, encoding="utf-8", newline="")
-            place_file(staged, found.out_dir / name, overwrite=True)
+    """Write the collection and its items beside the rasters."""
+    for name, text in catalogue(found, driver).items():
+        (found.out_dir / name).write_text(text, encoding="utf-8", newline="")
 
 
-def paths_of(folder: Path, names: Sequence[str]) -> list[Path]:
-    """Return the files that the catalogue of images of these names would have."""
-    return [folder / COLLECTION, *(folder / ITEMS / f"{name}.json" for name in names)]
+def catalogue_names(images: Sequence[str]) -> list[str]:
+    """Return the names of the files that the catalogue of images of these names may have."""
+    return [COLLECTION, *(ITEM.format(name) for name in images)]

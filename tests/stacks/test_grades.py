@@ -225,9 +225,9 @@ def test_a_refused_image_has_no_raster_and_the_run_says_so(
     assert numbers["quality"]["grade"] == "poor"
     assert any(text.startswith("date3: refused") for text in numbers["warnings"])
     assert not (out / "date3_registered.tif").exists()  # that of the run before
-    assert not (out / "items/date3.json").exists()
+    assert not (out / "item_date3.json").exists()
     assert (out / "date2_registered.tif").is_file()
-    item = json.loads((out / "items/date2.json").read_text())
+    item = json.loads((out / "item_date2.json").read_text())
     assert item["properties"]["pcwlad_geo:quality"] == "good"
     with (out / "stack.csv").open(newline="") as file:
         assert [row["quality"] for row in csv.DictReader(file)] == ["good", "good", "good", "refused"]

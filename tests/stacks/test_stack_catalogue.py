@@ -119,8 +119,8 @@ def test_stackstac_loads_a_slice_an_item(
             assert item.properties["proj:code"] == "EPSG:32633"
             item.properties["proj:epsg"] = int(item.properties["proj:code"].removeprefix("EPSG:"))
         if code == "proj:epsg":  # the files themselves
-            folder = out / "items"
-            items = [json.loads((folder / f"{item.id}.json").read_text()) for item in items]
+            folder = out
+            items = [json.loads((folder / f"item_{item.id}.json").read_text()) for item in items]
             for item in items:
                 for asset in item["assets"].values():
                     asset["href"] = str(folder / asset["href"])
