@@ -102,7 +102,7 @@ LONG = 400 * "1"
         lambda ref: pcwlad_geo.match_files(LONG, ref),
         lambda ref: pcwlad_geo.open_pair(LONG, ref),
         lambda ref: pcwlad_geo.stack([LONG, ref]),
-        lambda ref: pcwlad_geo.stack([ref, ref], reference=LONG),
+        lambda ref: pcwlad_geo.stack([ref, LONG], reference=LONG),
         lambda ref: pcwlad_geo.stack_add([LONG], LONG),
         lambda ref: pcwlad_geo.qa([LONG, ref]),
         lambda ref: pcwlad_geo.warp(LONG, [ref]),
