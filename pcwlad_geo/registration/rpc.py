@@ -96,11 +96,14 @@ def _ground_crs(reference: RasterInfo, target: RasterInfo | None) -> CRS:
     """Return the CRS in which the ground below a reference with RPC is given."""
     if target is not None and target.grid.crs is not None:
         return target.grid.crs
-    grid = _rpc_grid(reference)
-    if isinstance(grid.heights, Dem) and grid.heights.grid.crs is not None:
-        crs = grid.heights.grid.crs
-        if crs.is_projected and crs.linear_units_factor[1] == 1.0:
-            return crs
+    return ground_crs(_rpc_grid(reference))
+
+
+def ground_crs(grid: RpcGrid) -> CRS:
+    """Return the CRS of a DEM in metres, else the UTM zone."""
+    crs = grid.heights.grid.crs if isinstance(grid.heights, Dem) else None
+    if crs is not None and crs.is_projected and crs.linear_units_factor[1] == 1.0:
+        return crs
     return utm_zone_of(grid.line_of_sight(grid.middle_px)[0][0])
 
 

@@ -44,7 +44,7 @@ from pcwlad_geo.stacks.homography import FrameAdjustment
 from pcwlad_geo.stacks.inputs import StackInput
 from pcwlad_geo.stacks.network import Edge
 from pcwlad_geo.stacks.pairs import ControlPoint, Frame, Measured, StackPair
-from pcwlad_geo.stacks.rpc_block import BlockAdjustment
+from pcwlad_geo.stacks.rpc_block import BlockAdjustment, LeftAside
 from pcwlad_geo.stacks.rpc_heights import DemCheck
 from pcwlad_geo.text import cell
 from pcwlad_geo.types import Float64
@@ -107,6 +107,10 @@ class BlockNumbers:
     """What the tie points say of the DEM."""
     misfits: tuple[Misfit, ...]
     """How the images fit the reference and the control points."""
+    left_aside: LeftAside | None
+    """How far tie points on ground that was left out lie off with the RPCs as they came and as corrected."""
+    warnings: tuple[str, ...]
+    """What speaks against the DEM (`dem.wrong`) and against control points."""
 
 
 UNGRADED: Final = StackQuality("good", (), 0.0)

@@ -36,7 +36,8 @@ STILL_PX: Final = 0.1
 REWEIGHTED: Final = 5
 """Number of times that the points are weighted anew by how far they lie off."""
 CELLS: Final = 5
-"""The ground is divided into so many cells along each axis, which are left out in turn."""
+"""The ground is divided into so many cells along each axis, which are left out in turn: fewer where they
+would be smaller than a pixel of the DEM, whose error neighbours would share."""
 MIN_CELLS: Final = 6
 """In fewer cells with points no model is chosen: it is the simplest."""
 MIN_GAIN_PX: Final = 0.05
@@ -63,8 +64,17 @@ LOOSE_PX: Final = 1e3
 """What no point tells stays as it is, with this standard deviation."""
 STIFF: Final = 1e3
 """Weight of the datum, in that of the best known parameter."""
-DEM_PLACE_M: Final = 30.0
-"""Standard deviation of the horizontal place of a DEM before its relief is compared with the points."""
+DEM_PLACE_M: Final = 100.0
+"""Standard deviation of the horizontal place of a DEM, as weak as errors of a datum are large."""
+PLACE_SIGMAS: Final = 5.0
+"""A DEM stays where it is, unless the relief tells by more sigmas that it lies elsewhere."""
+HEIGHT_LIMIT: Final = 0.2
+"""Heights off by more of their standard deviations count by their sign: what the ground of most points tells
+is their median, whatever lies on the rest (forest, cliffs, cells of a coarse DEM)."""
+WORSE_PX: Final = 0.1
+"""Points left aside that lie farther off by less after an adjustment are no worse than before."""
+WORSE_SIGMAS: Final = 2.0
+"""Nor are they within so many standard errors."""
 SLOPE_STEP_PX: Final = 1.0
 """Least step of the slope of the DEM, its px."""
 PARTS: Final = 5
@@ -112,6 +122,8 @@ class Sight:
     """(n, 2, 2) that by a shift of the DEM (col, row) in its own px, less what is like a change of height."""
     ground_px: Float64
     """(n, 2) px of the frame."""
+    crowding: float
+    """Number of points per pixel of the DEM that holds any: they share its error of height."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,10 +177,13 @@ class BlockAdjustment:
     """(2,) by which the DEM must be moved (col, row) for its relief to fit the points, its px."""
     dem_sigma_px: Float64
     """(2,) standard deviation of that."""
+    left_aside: LeftAside | None
+    """What points left aside say of the adjustment; None where all lie in one place."""
 
-    def sigma_px(self, image: int, at_px: Float64) -> Float64:
-        """Return the (n, 2) standard deviations (col, row) of a correction at the (n, 2) `at_px`, px."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariance(image, at_px), axis1=1, axis2=2).clip(0.0)))
+    @property
+    def dem_moved(self) -> bool:
+        """Whether the relief tells that the DEM lies elsewhere: corrections are those of its true place."""
+        return bool(np.hypot(*self.dem_shift_px) > PLACE_SIGMAS * np.hypot(*self.dem_sigma_px))
 
     def covariance(self, image: int, at_px: Float64) -> Float64:
         """Return the (n, 2, 2) covariance of an image's correction at its (n, 2) `at_px`, px²."""
@@ -182,6 +197,23 @@ class BlockAdjustment:
         told = design @ self.covariance_px2[own, own] @ design.transpose(0, 2, 1)
         changes = np.einsum("nap,kp->nak", design, self.spread_px[:, own])
         return larger(np.asarray(told), np.asarray(changes @ changes.transpose(0, 2, 1)))
+
+
+@dataclass(frozen=True, slots=True)
+class LeftAside:
+    """How far points lie off over the DEM as it is, cell by cell predicted from all others."""
+
+    before_px: float
+    """Mean distance with the RPCs as they came, px of the second image of a pair."""
+    after_px: float
+    """With the corrected ones."""
+    sigma_px: float
+    """Standard error of the difference, from cell to cell."""
+
+    @property
+    def worse(self) -> bool:
+        """Whether the adjustment did harm."""
+        return self.after_px - self.before_px > max(WORSE_PX, WORSE_SIGMAS * self.sigma_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,11 +261,8 @@ class Block:
     @property
     def free(self) -> tuple[int, ...]:
         """The images whose RPC is corrected."""
-        return tuple(
-            number
-            for number, grid in enumerate(self.grids)
-            if isinstance(grid, RpcGrid) and number not in self.fixed
-        )
+        placed = [number for number, grid in enumerate(self.grids) if isinstance(grid, RpcGrid)]
+        return tuple(number for number in placed if number not in self.fixed)
 
 
 def pixel_in_frame(block: Block, image: int) -> float:
@@ -254,13 +283,17 @@ def raised(grid: Grid, by_m: float) -> Grid:
 
 
 def adjust_block(
-    block: Block, pairs: Sequence[BlockPair], models: Sequence[str] = tuple(MODELS)
+    block: Block,
+    pairs: Sequence[BlockPair],
+    models: Sequence[str] = tuple(MODELS),
+    simpler: BlockAdjustment | None = None,
 ) -> BlockAdjustment:
     """Estimate the biases of all RPCs of a block together.
 
     The simplest model is taken that no other beats in predicting cells of the ground that were left out, by
     more than a standard error and 0.05 px. Where neither reference nor control points fix them, the biases
-    are those of the smallest sum of squares on the ground (inner constraints).
+    are those of the smallest sum of squares on the ground (inner constraints). The DEM stays in its place
+    unless its relief clearly tells another.
 
     Parameters
     ----------
@@ -269,9 +302,14 @@ def adjust_block(
         They connect all images.
     models : sequence of str
         Models to choose from, the simplest first.
+    simpler : BlockAdjustment, optional
+        One with the place of the DEM, where that was estimated before.
     """
     rates = tuple(_sight(block, pair) for pair in pairs)
-    problems = {model: _Problem(block, tuple(pairs), model, rates) for model in models}
+    if simpler is None:
+        free = _Problem(block, tuple(pairs), models[0], rates, dem_moves=True)
+        simpler = _result(free, _solved(free), {})
+    problems = {model: _Problem(block, tuple(pairs), model, rates, simpler.dem_moved) for model in models}
     solved = {model: _solved(problem) for model, problem in problems.items()}
     judge = next(reversed(solved.values())).weights
     errors = {model: _left_out_px2(problems[model], solved[model], judge) for model in models}
@@ -282,7 +320,8 @@ def adjust_block(
         if clear and gain.mean() > MIN_GAIN_PX**2:
             chosen = model
     scores = {model: float(np.sqrt(each.mean())) for model, each in errors.items() if len(each)}
-    return _result(problems[chosen], solved[chosen], scores)
+    result = _result(problems[chosen], solved[chosen], scores)
+    return replace(result, dem_shift_px=simpler.dem_shift_px, dem_sigma_px=simpler.dem_sigma_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -317,6 +356,8 @@ class _Problem:
     model: str
     rates: tuple[Sight, ...]
     """Of each pair by the RPCs as they are: the derivatives hardly change."""
+    dem_moves: bool = False
+    """Whether the place of the DEM is an unknown."""
 
     @property
     def terms(self) -> list[int]:
@@ -331,7 +372,7 @@ class _Problem:
     @property
     def dem_prior_px(self) -> float:
         """Standard deviation of the place of the DEM, its px."""
-        dem = self.block.dem
+        dem = self.block.dem if self.dem_moves else None
         return DEM_PLACE_M / max(middle_pixel_size_m(dem.grid) or (DEM_PLACE_M,)) if dem else NEVER_PX
 
     @property
@@ -454,7 +495,16 @@ def _sight(block: Block, pair: BlockPair, *, level: bool = False) -> Sight:
         height_rate,
         np.zeros((len(pair), 2, 2)),
         ground_px,
+        _crowding(block, ground_px),
     )
+
+
+def _crowding(block: Block, ground_px: Float64) -> float:
+    """Return `Sight.crowding` of points at the (n, 2) `ground_px` of the frame."""
+    if block.dem is None:
+        return 1.0
+    at_px = np.floor(map_px(ground_px, block.frame, block.dem.grid))
+    return len(at_px) / max(1, len(np.unique(at_px, axis=0)))
 
 
 def _relief(block: Block, ground_px: Float64, window_px: float, dem_px: Float64) -> tuple[Float64, Float64]:
@@ -516,7 +566,7 @@ def _weighted(problem: _Problem, state: _State) -> _State:
     sigma_m = _height_sigma(problem, state.sights, left)
     weights, scatters = [], []
     for pair, sight, residual in zip(problem.pairs, state.sights, left, strict=True):
-        weight = _weights(pair, sight, sigma_m)
+        weight = _weights(pair, sight, _height_variance(pair, sight, residual, sigma_m))
         known = np.asarray(weight.any(axis=(1, 2)))
         own = residual[known]
         off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", own, weight[known], own), 1e-12))
@@ -530,10 +580,17 @@ def _weighted(problem: _Problem, state: _State) -> _State:
     return replace(state, weights=tuple(weights), scatters=tuple(scatters), sigma_height_m=sigma_m)
 
 
-def _weights(pair: BlockPair, sight: Sight, sigma_height_m: float = 0.0) -> Float64:
-    """Return the (n, 2, 2) inverse covariances of a pair's points, heights eliminated; 0 where unknown."""
+def _height_variance(pair: BlockPair, sight: Sight, residual_px: Float64, sigma_m: float) -> Float64:
+    """Return the (n,) variances of the DEM's heights, m²: all points of one of its pixels count as one."""
+    height, _ = implied_heights(pair, sight, residual_px)
+    off = np.abs(np.nan_to_num(height)) / (HEIGHT_LIMIT * max(sigma_m, NEVER_PX))
+    return np.asarray(sigma_m**2 * sight.crowding * np.maximum(1.0, off))
+
+
+def _weights(pair: BlockPair, sight: Sight, variance_m2: Float64 | float = 0.0) -> Float64:
+    """Return the (n, 2, 2) inverse covariances of points, heights eliminated; 0 where unknown."""
     rate = sight.height_rate
-    covariance = pair.covariance_px2 + sigma_height_m**2 * rate[:, :, None] * rate[:, None, :]
+    covariance = pair.covariance_px2 + (variance_m2 * (rate[:, :, None] * rate[:, None, :]).T).T
     known = np.isfinite(sight.left_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
     known &= np.isfinite(sight.first_rate).all(axis=(1, 2))
     weight = np.zeros_like(covariance)
@@ -614,10 +671,8 @@ def _datum(problem: _Problem) -> Float64:
     zero = np.zeros((len(block.grids), len(problem.terms), 2))
     sights = tuple(_sight(block, pair, level=True) for pair in problem.pairs)
     weights = tuple(_weights(*each) for each in zip(problem.pairs, sights, strict=True))
-    count = len(problem.pairs)
-    none = np.zeros(2)
-    used = np.ones(count, bool)
-    state = _State(zero, zero, none, sights, weights, (), np.zeros((count, 2)), used, none, NEVER_PX)
+    none, used = np.zeros(2), np.ones(len(sights), bool)
+    state = _State(zero, zero, none, sights, weights, (), np.zeros((len(sights), 2)), used, none, NEVER_PX)
     whole, _ = _equations(problem, state, np.zeros((problem.unknowns, 0)))
     normal = whole[: problem.unknowns, : problem.unknowns]
     # in lengths on the ground, so that none but the smallest biases there are of the smallest sum of squares
@@ -670,13 +725,10 @@ def _without_the_worst(problem: _Problem, state: _State, datum: Float64) -> _Sta
     if not found:
         return None
     best = min(found, key=lambda each: each[0])[1]
-    return best if _checks_itself(problem, best, datum) else None
-
-
-def _checks_itself(problem: _Problem, state: _State, datum: Float64) -> bool:
-    """Whether the pairs in use form cycles, which tell that they agree."""
-    whole, _ = _equations(problem, state, datum)
-    return float(_redundancy(problem, state, whole)[state.used].sum()) >= MIN_REDUNDANCY
+    whole, _ = _equations(
+        problem, best, datum
+    )  # do the pairs in use form cycles, which tell that they agree?
+    return best if _redundancy(problem, best, whole)[best.used].sum() >= MIN_REDUNDANCY else None
 
 
 def _connected(problem: _Problem, used: Bool) -> bool:
@@ -701,21 +753,25 @@ def _mean_left(problem: _Problem, state: _State, number: int) -> tuple[Float64, 
     return np.asarray(total @ np.einsum("nab,nb->a", weight[known], left)), total, mean
 
 
-def _cells(sights: Sequence[Sight]) -> list[Index]:
-    """Return the (n,) number of the cell of the ground of the points of each pair."""
+def _cells(dem: Dem | None, frame: Grid, sights: Sequence[Sight]) -> list[Index]:
+    """Return the (n,) cell of the ground, no smaller than a pixel of a DEM, of the points of each pair."""
     every = np.concatenate([sight.ground_px for sight in sights])
     low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
     size = np.maximum(high - low, 1e-9)
+    count = np.full(2, CELLS)
+    if dem is not None:
+        rate = np.linalg.inv(jacobian(frame.middle_px, frame, dem.grid)[0])
+        count = np.clip(size / np.abs(rate).max(axis=1), 1, CELLS).astype(np.intp)
     found = []
     for sight in sights:
-        place = np.clip(np.nan_to_num((sight.ground_px - low) / size) * CELLS, 0, CELLS - 1).astype(np.intp)
+        place = np.clip(np.nan_to_num((sight.ground_px - low) / size) * count, 0, count - 1).astype(np.intp)
         found.append(place[:, 1] * CELLS + place[:, 0])
     return found
 
 
-def _without_cells(problem: _Problem, state: _State) -> Iterator[tuple[list[Bool], Float64]]:
+def _without_cells(problem: _Problem, state: _State, dem: Dem | None) -> Iterator[tuple[list[Bool], Float64]]:
     """Yield the points of each cell of the ground, pair by pair, and the (unknowns,) step without them."""
-    datum, cells = _datum(problem), _cells(state.sights)
+    datum, cells = _datum(problem), _cells(dem, problem.block.frame, state.sights)
     for number in np.unique(np.concatenate(cells)).tolist():
         inside = [cell == number for cell in cells]
         if sum(int(each.sum()) for each in inside) * 2 > sum(len(each) for each in inside):
@@ -731,7 +787,7 @@ def _left_out_px2(problem: _Problem, state: _State, judge: Sequence[Float64]) ->
     """
     found = []
     unit = sum(float(np.trace(each.sum(axis=0))) for each in judge) / sum(len(each) for each in judge)
-    for inside, solution in _without_cells(problem, state):
+    for inside, solution in _without_cells(problem, state, problem.block.dem):
         squares, count = 0.0, 0
         for number, chosen in enumerate(inside):
             design, places = problem.design(problem.pairs[number], state.sights[number])
@@ -751,7 +807,7 @@ def _result(problem: _Problem, state: _State, scores: Mapping[str, float]) -> Bl
     datum, unknowns = _datum(problem), problem.unknowns
     whole, _ = _equations(problem, state, datum)
     covariance = np.asarray(np.linalg.inv(whole), np.float64)
-    steps = np.array([step for _, step in _without_cells(problem, state)])
+    steps = np.array([step for _, step in _without_cells(problem, state, problem.block.dem)])
     spread = np.zeros((1, len(whole)))
     if len(steps) > 1:
         spread = (steps - steps.mean(axis=0)) * ALIKE * np.sqrt((len(steps) - 1) / len(steps))
@@ -774,7 +830,33 @@ def _result(problem: _Problem, state: _State, scores: Mapping[str, float]) -> Bl
         by_height_px=_response_to_height(problem, state, datum),
         dem_shift_px=state.dem_px,
         dem_sigma_px=np.sqrt(dem_px2),
+        left_aside=_left_aside(problem, state),
     )
+
+
+def _left_aside(problem: _Problem, state: _State) -> LeftAside | None:
+    """Compare the points of each cell before and after an adjustment without them.
+
+    Images are written over the DEM as it is, so that it is in its place here, wherever it may belong.
+    """
+    as_it_is, begun = replace(state, dem_px=np.zeros(2)), problem.flat(state.parameters - state.start)
+    pairs = [number for number in range(len(problem.pairs)) if state.used[number]]
+    sights = {number: _seen_again(problem, number, as_it_is) for number in pairs}
+    sums = [np.zeros((0, 3))]
+    for inside, solution in _without_cells(problem, state, None):
+        for number in pairs:
+            known = inside[number] & state.weights[number].any(axis=(1, 2))
+            design, places = problem.design(problem.pairs[number], sights[number])
+            step = (solution[: problem.unknowns] - begun)[places]
+            after = sights[number].left_px[known] - design[known] @ step
+            before = problem.rates[number].left_px[known]
+            sums.append(np.array([[known.sum(), np.hypot(*before.T).sum(), np.hypot(*after.T).sum()]]))
+    count, before_px, after_px = (np.concatenate(sums) / max(1.0, np.concatenate(sums)[:, 0].sum())).T
+    if not count.any():
+        return None
+    worse = after_px - before_px
+    spread = worse - worse.sum() * count
+    return LeftAside(float(before_px.sum()), float(after_px.sum()), float(np.sqrt((spread**2).sum())))
 
 
 def _response_to_height(problem: _Problem, state: _State, datum: Float64) -> Float64:

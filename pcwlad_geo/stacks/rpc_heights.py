@@ -18,6 +18,7 @@ from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.rpc.dem import WGS84, Dem
 from pcwlad_geo.stacks.rpc_block import (
+    PLACE_SIGMAS,
     Block,
     BlockAdjustment,
     BlockPair,
@@ -30,10 +31,8 @@ BY_CHANCE: Final = 0.1
 """Probability below which biases that all lie along the parallax are not taken for those of RPCs."""
 LEAST_PX: Final = 4.0
 """Least disagreement of two images, px, by which a DEM is called too high or too low."""
-BESIDE_SIGMAS: Final = 5.0
-"""A DEM is called displaced by more sigmas."""
 BESIDE_PX: Final = 3.0
-"""And by at least so many of its pixels, or of the images'."""
+"""A DEM is called displaced by at least so many of its pixels, or of the images', if that is significant."""
 LEAST_BESIDE_M: Final = 3.0
 """And by at least so many metres."""
 BESIDE_M: Final = 10.0
@@ -44,6 +43,8 @@ SCALE_SIGMAS: Final = 5.0
 """It is told beyond so many sigmas."""
 MIN_RELIEF: Final = 10.0
 """Least relief, in standard deviations of a point's height, that tells of the scale."""
+ROUGH_PX: Final = 2.0
+"""Least distance of two orthoimages that the scatter of a DEM's heights makes for them to be told of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +59,10 @@ class DemCheck:
     disagreement_px: float | None
     """By how much that would set two images apart, at most."""
     beside_m: tuple[float, float] | None
-    """How far (x, y) the relief of the DEM lies beside that of the tie points."""
+    """How far (x, y) the relief of the DEM lies beside that of the tie points; null where it cannot tell."""
     beside_sigma_m: tuple[float, float] | None
     scale: float | None
-    """By how much a metre of the DEM's relief is too high; null without enough relief."""
+    """By how much a metre of the DEM's relief is too high; null where it cannot tell."""
     scale_sigma: float | None
     scatter_m: float
     """Robust standard deviation of the DEM's heights at the tie points."""
@@ -80,21 +81,27 @@ def check_dem(
     if dem is None:
         return None
     height_m, chance, apart_px = _too_high(block, pairs, found)
-    beside_m, sigma_m = _beside(dem, found)
+    beside_m, sigma_m = _beside(block, dem, found, absolute)
     scale, scale_sigma = _scale(block, pairs, found)
     wrong: list[str] = []
     if chance is not None and chance < BY_CHANCE and apart_px is not None and apart_px >= LEAST_PX:
         wrong.append(_height_message(dem, height_m or 0.0, apart_px))
-    if beside_m is not None and sigma_m is not None and _is_beside(block, dem, beside_m, sigma_m, absolute):
+    if beside_m is not None and found.dem_moved and np.hypot(*beside_m) > _least_m(block, dem, absolute):
         wrong.append(
             f"the relief of the DEM {dem.uri} lies ({beside_m[0]:+.1f}, {beside_m[1]:+.1f}) m (x, y) beside "
             "the relief that the tie points show: check its position"
             + ("" if absolute else ", unless the RPCs of all images err by that")
         )
-    if scale is not None and scale_sigma is not None and abs(scale) > max(SCALE, SCALE_SIGMAS * scale_sigma):
+    if scale is not None and abs(scale) > max(SCALE, SCALE_SIGMAS * (scale_sigma or 0.0)):
         wrong.append(
             f"the relief of the DEM {dem.uri} is {100 * abs(scale):.0f} % too "
             f"{'high' if scale > 0 else 'low'}: check the unit of its heights, and whether it is smoothed"
+        )
+    rough_px = found.sigma_height_m * _parallax_px(found)
+    if rough_px > ROUGH_PX:
+        wrong.append(
+            f"the heights of the DEM {dem.uri} scatter by {found.sigma_height_m:.1f} m about those of the "
+            f"tie points, which sets orthoimages {rough_px:.1f} px apart from place to place"
         )
     return DemCheck(
         dem.uri, height_m, chance, apart_px, beside_m, sigma_m, scale, scale_sigma,
@@ -124,8 +131,7 @@ def _too_high(
     response, biases = np.concatenate(made), np.concatenate(seen)
     freedom = 2 * len(found.free) - min(found.datum_rank, 2)
     power = float(response @ response)
-    rates = [np.nanmedian(fit.sight.height_rate, axis=0) for fit in found.edges]
-    rate = max((float(np.hypot(*each)) for each in rates), default=0.0)
+    rate = _parallax_px(found)
     if freedom < 2 or not rate > 1e-3 or not power > 0 or not np.any(biases):
         return None, None, None
     height_m = float(response @ biases) / power
@@ -134,24 +140,31 @@ def _too_high(
     return height_m, chance, abs(height_m) * rate
 
 
+def _parallax_px(found: BlockAdjustment) -> float:
+    """Return by how much a metre of height sets two images apart, at most."""
+    rates = [np.nanmedian(fit.sight.height_rate, axis=0) for fit in found.edges]
+    return max((float(np.hypot(*each)) for each in rates), default=0.0)
+
+
 def _beside(
-    dem: Dem, found: BlockAdjustment
+    block: Block, dem: Dem, found: BlockAdjustment, absolute: bool
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+    """Return where the relief of the DEM lies, and its standard deviation; None where it cannot tell."""
     sizes = pixel_sizes_m(dem.grid, dem.grid.middle_px)
     if sizes is None:
         return None, None
     off, sigma = -found.dem_shift_px * sizes[0], found.dem_sigma_px * sizes[0]
+    if not found.dem_moved and PLACE_SIGMAS * np.hypot(*sigma) > _least_m(block, dem, absolute):
+        return None, None
     down = -1.0 if dem.grid.transform.e < 0 else 1.0
     return (float(off[0]), float(down * off[1])), (float(sigma[0]), float(sigma[1]))
 
 
-def _is_beside(
-    block: Block, dem: Dem, off_m: tuple[float, float], sigma_m: tuple[float, float], absolute: bool
-) -> bool:
+def _least_m(block: Block, dem: Dem, absolute: bool) -> float:
+    """Return the least displacement of a DEM that is told, metres."""
     sizes = [pixel_sizes_m(grid, grid.middle_px) for grid in (dem.grid, block.frame)]
     least = BESIDE_PX * max(float(each.max()) for each in sizes if each is not None)
-    least = max(least, LEAST_BESIDE_M if absolute else BESIDE_M)
-    return bool(np.hypot(*off_m) > max(least, BESIDE_SIGMAS * float(np.hypot(*sigma_m))))
+    return max(least, LEAST_BESIDE_M if absolute else BESIDE_M)
 
 
 def _scale(
@@ -172,7 +185,9 @@ def _scale(
 
     left = np.array([slope(near & (cell != number)) for number in numbers])
     sigma = 1.4 * float(np.sqrt((len(left) - 1) * left.var()))
-    return -slope(near), sigma
+    scale = -slope(near)
+    told = max(SCALE, abs(scale)) > SCALE_SIGMAS * sigma
+    return (scale, sigma) if told else (None, None)
 
 
 def _points(

@@ -8,17 +8,16 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rasterio.crs import CRS
 
 from pcwlad_geo.band_warping import WarpOutput, apply
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.correction.points import thin
-from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned
 from pcwlad_geo.limits import check_grid
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band
-from pcwlad_geo.raster.crs import transform_xy, utm_zone_of
+from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.identity import identify
@@ -32,7 +31,7 @@ from pcwlad_geo.raster.rpc.view import LATTICE, RpcPlacement, ground_grid, place
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from pcwlad_geo.registration.inputs import requested_grid
-from pcwlad_geo.registration.rpc import MODELS, RpcRegistration, check_model, corrected_rpc
+from pcwlad_geo.registration.rpc import MODELS, RpcRegistration, check_model, corrected_rpc, ground_crs
 from pcwlad_geo.report.finished import FinishedRegistration, read_report
 from pcwlad_geo.stacks.cycles import closure_of, left_ce90, root_mean_square, suspicion
 from pcwlad_geo.stacks.inputs import StackInput, check_reference, number_of, read_table
@@ -162,7 +161,7 @@ def _framed(
     grids = [info.grid for _, info, _ in kept]
     own = kept[0][2] is None
     raw = [grid for grid in grids if isinstance(grid, RpcGrid)]
-    crs = grids[0].crs if own else _ground_crs(raw[0])
+    crs = grids[0].crs if own else ground_crs(raw[0])
     raw = [replace(grid, crs=crs) for grid in raw]
     common = common_grid(grids[0] if own else ground_grid(raw[0]), raw)
     placed_at = iter(raw)
@@ -175,14 +174,6 @@ def _framed(
     number = 0 if own else names.index(reference) if reference else None
     frame = Frame(names, infos, common, True, tuple(given for given, _, _ in kept), number or 0)
     return PlacedImages(frame, tuple(placements), number)
-
-
-def _ground_crs(grid: RpcGrid) -> CRS:
-    """Return the CRS of a DEM in metres, else the UTM zone."""
-    crs = grid.heights.grid.crs if isinstance(grid.heights, Dem) else None
-    if crs is not None and crs.is_projected and crs.linear_units_factor[1] == 1.0:
-        return crs
-    return utm_zone_of(grid.line_of_sight(grid.middle_px)[0][0])
 
 
 def common_grid(base: Grid, images: Sequence[RpcGrid]) -> Grid:
@@ -303,20 +294,27 @@ def adjusted(
 ) -> tuple[BlockAdjustment, DemCheck | None]:
     """Adjust a block, and ask the tie points what they say of the DEM.
 
-    A wrong DEM looks like RPCs that drift: with one, a shift of each is all that is told.
+    A wrong DEM looks like RPCs that drift: with one, a shift of each is all that is told. Raises
+    `RegistrationRejectedError` if points left aside lie farther apart with the corrections than without.
     """
     block = placed.block
     control = any(pair.height_m is not None for pair in pairs)
     absolute = control or placed.placements[0] is None
     if control:
         block = replace(block, fixed=frozenset())
-    simple = adjust_block(block, pairs, ("shift",))
-    check = check_dem(block, pairs, simple, absolute)
+    found = adjust_block(block, pairs, ("shift",))
+    check = check_dem(block, pairs, found, absolute)
     left_open = settings.model in ("auto", "rpc")
-    if settings.model == "shift" or (left_open and check is not None and check.wrong):
-        return simple, check
-    models = MODELS if left_open else (settings.model,)
-    return adjust_block(block, pairs, models), check
+    if settings.model != "shift" and not (left_open and check is not None and check.wrong):
+        found = adjust_block(block, pairs, MODELS if left_open else (settings.model,), found)
+    aside = found.left_aside
+    if aside is not None and aside.worse:
+        raise RegistrationRejectedError(
+            f"tie points left aside lie {aside.after_px:.2f} px apart with the corrected RPCs and "
+            f"{aside.before_px:.2f} px with those of the files, over the DEM as it is: nothing is written; "
+            + "; ".join((check and check.wrong) or ["check the DEM and the pairs"])
+        )
+    return found, check
 
 
 def block_stack(
@@ -354,6 +352,8 @@ def block_stack(
         {model: round(score, 4) for model, score in adjustment.scores.items()},
         check,
         tuple(_misfits(placed, pairs, adjustment)),
+        adjustment.left_aside,
+        ((check and check.wrong) or ()) + tuple(control_warnings(placed, pairs, adjustment)),
     )
     return Stack(
         images,

@@ -4,18 +4,32 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from affine import Affine
 from numpy.typing import NDArray
 
-from pcwlad_geo.raster.grid import map_px
-from pcwlad_geo.raster.rpc.dem import Dem
+from pcwlad_geo.errors import RegistrationRejectedError
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster.rpc.dem import Dem, Undulation
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.view import ground_grid
-from pcwlad_geo.stacks.rpc_block import Block, BlockPair, adjust_block, raised
+from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockPair, adjust_block, raised
 from pcwlad_geo.stacks.rpc_heights import check_dem
-from tests.rpc_scene import SHAPE, rpc_grid, write_dem
+from pcwlad_geo.stacks.rpc_stack import adjusted
+from tests.rpc_scene import (
+    ORIGIN_XY_M,
+    SHAPE,
+    UNDULATION_M,
+    decimated,
+    dem_grid,
+    dem_values,
+    rpc_grid,
+    write_dem,
+)
 from tests.scenes import CRS_OF_SCENE
 from tests.stacks.rpc_views import view_rpc
 
@@ -75,7 +89,7 @@ def test_biases_are_found_where_an_image_stays(grids: tuple[RpcGrid, ...]) -> No
     assert found.model == "shift"
     assert shifts(found, 3) == pytest.approx(biases, abs=0.02)
     for image in (1, 2):
-        sigma = found.sigma_px(image, np.array([[100.0, 100.0]]))
+        sigma = np.sqrt(np.diagonal(found.covariance(image, np.array([[100.0, 100.0]]))[0]))
         assert (np.abs(shifts(found, 3) - biases)[image] < 4 * sigma).all()
 
 
@@ -198,3 +212,108 @@ def test_heights_held_in_memory_are_those_of_the_file(tmp_path: Path) -> None:
     held = grid.heights.held(lon_lat[:10])
     assert held is not grid.heights
     assert held.at(lon_lat) == pytest.approx(height_m, abs=1e-3)  # also beside what is held
+
+
+FINE = 60.0
+"""So many pixels of half a metre are as long as one of the scene, of which a small part is seen."""
+SMALL = (500, 500)
+LEANING = ((0.25, 0.15), (-0.2, 0.25))
+"""Views in which a metre of height sets two images of half a metre per pixel half a pixel apart."""
+SMALL_BIASES = np.array([[2.0, -1.5], [-2.0, 1.5]])
+
+
+def small_views(folder: Path, spacing_m: float, noise_m: float, seed: int) -> tuple[list[RpcGrid], ...]:
+    """Return the grids of two small images over the true DEM, and over a coarse one of noisy heights."""
+    rng = np.random.default_rng(seed)
+    side = int(6000.0 / spacing_m)
+    corner = ORIGIN_XY_M + np.array([1500.0, -1500.0]) + rng.uniform(0.0, spacing_m, 2)
+    coarse = Grid((side, side), Affine(spacing_m, 0.0, corner[0], 0.0, -spacing_m, corner[1]), CRS_OF_SCENE)
+    values = dem_values(coarse) + rng.normal(0.0, noise_m, (side, side))
+    true, given = write_dem(folder / "true.tif"), write_dem(folder / "given.tif", values, coarse)
+    found: tuple[list[RpcGrid], ...] = ([], [])
+    for view in LEANING:
+        rpc = decimated(view_rpc(view), 1 / FINE)
+        rpc = replace(rpc, samp_off=rpc.samp_off - 150 * FINE, line_off=rpc.line_off - 130 * FINE)
+        for path, grid, grids in zip((true, given), (dem_grid(), coarse), found, strict=True):
+            heights = Dem(str(path), grid, 1.0, Undulation.constant(UNDULATION_M))
+            grids.append(replace(RpcGrid.of_file(SMALL, rpc, heights), crs=CRS_OF_SCENE))
+    return found
+
+
+def seen_small(true: list[RpcGrid], biases: Array, seed: int = 0) -> BlockPair:
+    """Tie points of two small images with biases, px (col, row)."""
+    rng = np.random.default_rng(seed)
+    first = rng.uniform(40.0, 460.0, (400, 2))
+    second = map_px(first, true[0], true[1]) + rng.normal(0.0, NOISE_PX, (400, 2))
+    covariance_px2 = np.tile(NOISE_PX**2 * np.eye(2), (400, 1, 1))
+    return BlockPair(0, 1, first + biases[0], second + biases[1], covariance_px2)
+
+
+def left_over(grids: list[RpcGrid], pair: BlockPair, found: BlockAdjustment | None = None) -> Array:
+    """Return by how much points lie apart over a DEM, px, without the adjustment's own equations."""
+    if found is None:
+        return pair.second_px - map_px(pair.first_px, grids[0], grids[1])
+    one, other = found.corrections[:2]
+    return other.inverse(pair.second_px) - map_px(one.inverse(pair.first_px), grids[0], grids[1])
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("spacing_m", "noise_m"), [(90.0, 8.0), (90.0, 0.0), (30.0, 3.0)])
+def test_a_small_block_does_not_bend_to_its_dem(
+    tmp_path: Path, spacing_m: float, noise_m: float, seed: int
+) -> None:
+    true, given = small_views(tmp_path, spacing_m, noise_m, seed)
+    pair = seen_small(true, SMALL_BIASES, seed)
+    block = Block(tuple(given), ground_grid(given[0]))
+    found = adjust_block(block, [pair])
+    check = check_dem(block, [pair], found, absolute=False)
+    assert check is not None
+    assert not found.dem_moved
+    assert not any("beside" in each or " % too " in each for each in check.wrong)
+    before_px, after_px = left_over(given, pair), left_over(given, pair, found)
+    assert np.hypot(*np.median(after_px, axis=0)) < 0.1
+    assert found.left_aside is not None
+    assert not found.left_aside.worse
+    assert found.left_aside.before_px == pytest.approx(np.hypot(*before_px.T).mean(), rel=1e-3)
+    assert np.hypot(*after_px.T).mean() < found.left_aside.after_px < found.left_aside.before_px
+    # many points on few pixels of a DEM tell little of the biases along the parallax
+    middle_px = np.array([[250.0, 250.0]])
+    moved_px = [each.forward(middle_px)[0] - middle_px[0] for each in found.corrections[:2]]
+    off_px = np.hypot(*(moved_px[1] - moved_px[0] - (SMALL_BIASES[1] - SMALL_BIASES[0])))
+    sigma_px = [np.sqrt(np.trace(found.covariance(image, middle_px)[0])) for image in (0, 1)]
+    assert off_px < 3 * sum(sigma_px)
+
+
+def test_a_rough_dem_is_told_and_no_reason_for_a_drift(tmp_path: Path) -> None:
+    true, given = small_views(tmp_path, 90.0, 12.0, 1)
+    placed = SimpleNamespace(block=Block(tuple(given), ground_grid(given[0])), placements=[object()] * 2)
+    found, check = adjusted(placed, [seen_small(true, SMALL_BIASES)], Settings())  # type: ignore[arg-type]
+    assert found.model == "shift"
+    assert check is not None
+    assert len(check.wrong) == 1
+    assert "scatter" in check.wrong[0]
+
+
+def test_corrections_that_do_harm_are_refused(tmp_path: Path) -> None:
+    true, given = small_views(tmp_path, 30.0, 0.0, 0)
+    displaced = [moved(grid, (6.0, -6.0)) for grid in given]
+    # the RPCs err by just what hides the wrong place of the DEM
+    hidden = np.median(left_over(displaced, seen_small(true, np.zeros((2, 2)))), axis=0)
+    assert np.hypot(*hidden) > 2.0
+    pair = seen_small(true, np.array([hidden, -hidden]) / 2)
+    placed = SimpleNamespace(block=Block(tuple(displaced), ground_grid(given[0])), placements=[object()] * 2)
+    with pytest.raises(RegistrationRejectedError, match=r"left aside lie .* px apart .* beside"):
+        adjusted(placed, [pair], Settings())  # type: ignore[arg-type]
+
+
+def test_another_scale_of_heights_is_told(grids: tuple[RpcGrid, ...]) -> None:
+    pairs = [observed(grids, 0.1 * BIASES, ends) for ends in PAIRS]
+    wrong = []
+    for grid in grids:
+        assert isinstance(grid.heights, Dem)
+        wrong.append(replace(grid, heights=replace(grid.heights, metres_per_unit=1.1)))
+    block = Block(tuple(wrong), ground_grid(grids[0]))
+    check = check_dem(block, pairs, adjust_block(block, pairs, ("shift",)), absolute=False)
+    assert check is not None
+    assert check.scale == pytest.approx(0.1, abs=0.02)
+    assert any("10 % too high" in each or "9 % too high" in each for each in check.wrong)
