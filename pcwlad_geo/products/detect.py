@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import os
 import re
 from collections.abc import Iterator
@@ -136,25 +135,6 @@ def _folder(folder: Path) -> str:
     )
 
 
-_BAND_FILE: Final = re.compile(r"(?P<scene>.+?)_(?:SR_|ST_)?B(?:\d{1,2}|8A)(?:_\d\dm)?", re.IGNORECASE)
-"""Name, without its suffix, of a file of one band."""
-
-
-def same_product(one: PathLike, other: PathLike) -> bool:
-    """Return whether two files, or GDAL URIs of files, are bands of one Landsat or Sentinel-2 product.
-
-    Their names differ in the band alone, and are those of a mission, or lie beside a `NAME_MTL` file.
-    """
-    first, second = (Path(os.fspath(each).removeprefix("vrt://").split("?")[0]) for each in (one, other))
-    match, like = (_BAND_FILE.fullmatch(place.stem) for place in (first, second))
-    places = [re.sub(r"/R\d\dm$", "", place.parent.as_posix()) for place in (first, second)]
-    if not match or not like or match["scene"] != like["scene"] or len(set(places)) > 1 or first == second:
-        return False
-    if native_px_m(first.stem, None) is not None or _OLD_LANDSAT.fullmatch(first.stem):
-        return True
-    return any(first.parent.glob(f"{glob.escape(match['scene'])}_MTL.*"))
-
-
 _STEM: Final = re.compile(r"(_MTL\.(txt|json|xml)|(\.SAFE)?(\.zip|\.tar|\.tar\.gz|\.tgz)?)$", re.IGNORECASE)
 
 
@@ -274,7 +254,7 @@ def of_one_product(first: str, second: str) -> bool:
     """
     stems = [Path(file_name(uri)).stem for uri in (first, second)]
     one, other = map(BAND_OF.fullmatch, stems)
-    if one is None or other is None or one["scene"].upper() != other["scene"].upper():
+    if one is None or other is None or one["scene"].upper() != other["scene"].upper() or one[0] == other[0]:
         return False
     if any(native_px_m(stem, None) for stem in stems):  # a name that is the scene's alone
         return True

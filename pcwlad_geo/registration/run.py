@@ -15,7 +15,7 @@ from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.matching.outliers import consistent, contradicted_clusters
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.options import VRT_MODELS, Settings
-from pcwlad_geo.products.detect import same_product
+from pcwlad_geo.products.detect import of_one_product
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.identity import digest
@@ -225,7 +225,7 @@ def fit(
         quality = assess(fitted.table, matches.every, fitted.selection, places, footprint)
         if matches.motions:
             quality = quality.at_most("fair", told_of(matches.motions, taken=True))
-        if sizes_m is not None and same_product(matches.pair.reference.uri, target.uri):
+        if sizes_m is not None and of_one_product(matches.pair.reference.uri, target.uri):
             quality = _with_prior(quality, table[table.status == "matched"], float(sizes_m.max()))
         log.on_event(Progress("fitting", 1, 1))
     refusal = None if settings.tie_points else quality.refusal

@@ -46,7 +46,7 @@ from pcwlad_geo.matching.types import (
     TiePoints,
 )
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products.detect import same_product
+from pcwlad_geo.products.detect import of_one_product
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.view import plan_rpc_views
@@ -640,13 +640,13 @@ def _of_the_ground(
 ) -> Matched:
     """Return the matches of the motion that the ground has, refused where nothing tells which that is."""
     pair, before = start.pair, start.prealignment
-    of_one_product = same_product(pair.reference.info.uri, pair.target.info.uri)
+    one_product = of_one_product(pair.reference.info.uri, pair.target.info.uri)
     if not can_be_posed(pair):  # by an RPC, which errs by more, and relief moves parts of the scene
         return replace(matched, motions=())
     believed = pair.georeferenced and before.pose is None and settings.prealign not in ("search", "none")
-    sizes_m = middle_pixel_size_m(pair.reference.grid) if of_one_product else None
+    sizes_m = middle_pixel_size_m(pair.reference.grid) if one_product else None
     error_px = None if not believed else PRODUCT_M / max(sizes_m) if sizes_m else GEOREFERENCED_PX
-    motions, usual, reason = motion_of_the_ground(matched.motions, matched.kept, error_px, of_one_product)
+    motions, usual, reason = motion_of_the_ground(matched.motions, matched.kept, error_px, one_product)
     matched = replace(matched, motions=motions)
     if reason is not None:
         return replace(matched, verdict=replace(matched.verdict, accepted=False, reason=reason))

@@ -17,7 +17,7 @@ from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import match_elsewhere, match_files, write_match
 from pcwlad_geo.limits import check_coordinates
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products.detect import same_product
+from pcwlad_geo.products.detect import of_one_product
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
@@ -315,7 +315,7 @@ def sigma_known(frame: Frame, datum: int | None, count: int) -> Float64 | None:
     if datum is None or datum >= len(frame.infos) or sizes_m is None or not frame.placed:
         return None
     found = np.full(count, np.inf)
-    beside = [same_product(frame.infos[datum].uri, info.uri) for info in frame.infos[:count]]
+    beside = [of_one_product(frame.infos[datum].uri, info.uri) for info in frame.infos[:count]]
     found[: len(beside)][beside] = PRODUCT_SIGMA_M / max(sizes_m)
     return found if any(beside) else None
 

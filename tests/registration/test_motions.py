@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products.detect import same_product
+from pcwlad_geo.products.detect import of_one_product
 from pcwlad_geo.registration.judge import motions_of
 from pcwlad_geo.registration.run import run
 from tests.scenes import make_grid, render, write
@@ -104,13 +104,13 @@ def test_what_varies_smoothly_is_one_motion(bend: str) -> None:
 
 
 def test_bands_are_of_one_product_by_their_names_and_metadata(tmp_path: Path) -> None:
-    assert not same_product(tmp_path / "l8_B4.tif", tmp_path / "l8_B10.tif")
+    assert not of_one_product(str(tmp_path / "l8_B4.tif"), str(tmp_path / "l8_B10.tif"))
     (tmp_path / "l8_MTL.txt").touch()
-    assert same_product(tmp_path / "l8_B4.tif", f"vrt://{tmp_path}/l8_B10.tif?a_nodata=0")
-    assert not same_product(tmp_path / "l8_B4.tif", tmp_path / "l8_B4.tif")
-    assert not same_product(tmp_path / "l8_B4.tif", tmp_path / "l9_B10.tif")
+    assert of_one_product(str(tmp_path / "l8_B4.tif"), f"vrt://{tmp_path}/l8_B10.tif?a_nodata=0")
+    assert not of_one_product(str(tmp_path / "l8_B4.tif"), str(tmp_path / "l8_B4.tif"))
+    assert not of_one_product(str(tmp_path / "l8_B4.tif"), str(tmp_path / "l9_B10.tif"))
     safe = "GRANULE/L2A/IMG_DATA"
-    assert same_product(
+    assert of_one_product(
         f"{safe}/R10m/T32TQM_20200101T101031_B04_10m.jp2", f"{safe}/R60m/T32TQM_20200101T101031_B01_60m.jp2"
     )
-    assert not same_product("T32TQM_20200101T101031_B04.jp2", "T32TQM_20200106T101031_B04.jp2")
+    assert not of_one_product("T32TQM_20200101T101031_B04.jp2", "T32TQM_20200106T101031_B04.jp2")

@@ -140,7 +140,7 @@ def test_bands_of_a_product_are_assets_of_one_item_each_on_its_grid(tmp_path: Pa
         tmp_path, name="crop", collection=None, quality_values=BEFORE_COLLECTIONS, bands=("B4", "B8")
     )
     stack([scene], out_dir=tmp_path / "out", **FAST)
-    (only,) = (tmp_path / "out/items").iterdir()
+    (only,) = (tmp_path / "out").glob("item_*.json")
     item = json.loads(only.read_text())
     assert list(item["assets"]) == ["B4", "B8"]
     assert not item["properties"]["pcwlad_geo:date_known"]
