@@ -202,6 +202,7 @@ def match_scene(
     verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=odds)
     kept, verdict, epipolar = _by_geometry(matches, kept, verdict, pair, prealignment, settings, matching)
     window_px = matching.window
+    motions: Sequence[tuple[Motion, Bool]] = ()
     if verdict.accepted:
         with log.stage("refining"):
             again = _second_pass(first, matches, kept, matching, not planned.sites, log, runner)
