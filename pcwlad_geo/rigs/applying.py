@@ -271,18 +271,8 @@ def try_capture(rig: Rig, capture: Capture) -> float | str:
 def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed:
     """Find the ground of a capture and the small turns of its lenses.
 
-    Parameters
-    ----------
-    rig : Rig
-    values : sequence of (rows, cols) float32 arrays
-        The frames, in the order of the rig's lenses.
-    expected : float, optional
-        Nearness as the frames tell it.
-
-    Raises
-    ------
-    BadCaptureError
-        If the lenses do not show one ground as the rig sees it.
+    The (rows, cols) `values` are its frames in the order of the lenses, and `expected` is the nearness, where
+    they tell it. Raises `BadCaptureError` if the lenses do not show one ground as the rig sees it.
     """
     middle = math.sqrt(rig.nearness[0] * rig.nearness[1])
     near = expected if expected is not None else middle

@@ -45,13 +45,16 @@ COARSE_CAPTURES: Final = 5
 ROUND_RADII_PX: Final = (7, 4, 3)
 """Radius of the search in each of the rounds after it: near the edges of a frame windows see to one side, and
 are led by where the round before has put them."""
+WINDOW_SHARE: Final = (0.2, 0.1)
+"""Side of the windows as a share of the frame's shorter side: in all rounds, and in the last one. Smaller
+ones reach nearer to the corners, where distortion is largest; they need lenses that are known well."""
 TRIES: Final = 4
 """Captures in which a start is looked for."""
 SCALE_SPREAD: Final = (1.3, 2.2)
 """Factor within which the ratio of two focal lengths is searched: where both are told, and elsewhere."""
 RIM: Final = 0.5
-"""Points between captures are not nearer to an edge of a frame than this share of their window: what is seen
-from aside deforms windows, and those that are cut are drawn inwards."""
+"""Points between captures, and in the last round all, are not nearer to an edge of a frame than this share of
+their window: what is seen from aside deforms windows, and those that are cut are drawn inwards."""
 SCALES: Final = tuple(float(1.08**step) for step in sorted(range(-9, 10), key=abs))
 """Factors on a focal length that nothing tells, the likely ones first."""
 MIN_START: Final = 16
@@ -68,6 +71,8 @@ CENTRE_SIGMA: Final = (0.004, 0.02)
 """Of the principal point, as a share of the frame's longer side."""
 BEND_SIGMA_PX: Final = (1.0, 40.0)
 """Of the distortion at the corners, px, by each radial term."""
+TOLD_BEND: Final = np.array([1.0, 1.0, 1.0, 3.0, 3.0, 3.0, 1.0, 1.0])
+"""(8,) factor on the sigmas of a lens where captures overlap: they tell the distortion that all share."""
 SHEAR_SIGMA_PX: Final = (0.5, 6.0)
 """Of the tangential terms."""
 TURN_SIGMA: Final = 0.15
@@ -94,7 +99,8 @@ class _Task:
     plane: Float64
     side_px: int
     radius_px: int
-    features: int
+    share: float
+    """Of a window, see `WINDOW_SHARE`."""
 
     def seen_px(self, reference_px: Float64) -> Float64:
         """Return the (n, 2) px at which the lens should see (n, 2) px of the reference's raw frame."""
@@ -136,7 +142,7 @@ def learn(
     some = evenly(captures, COARSE_CAPTURES)
     state = _started(_first_state(some, names, lenses), some, names, lenses, runner, on_event)
     sigma = _sigmas(state, order, _all_heights(some))
-    seen = _matched(state, some, names, lenses, COARSE_SIDE_PX, 10, runner, on_event)
+    seen = _matched(state, some, names, lenses, COARSE_SIDE_PX, 10, WINDOW_SHARE[0], runner, on_event)
     state = adjust(state, _first_state(some, names, told), sigma, seen, 1.0).state
     expected = _first_state(captures, names, told)
     state = replace(expected, lenses=state.lenses, poses=state.poses)
@@ -147,9 +153,9 @@ def learn(
         expected = replace(expected, poses=state.poses * _between_captures(state), overlaps=state.overlaps)
     for radius in ROUND_RADII_PX:
         lenses = [replace(lens, vector=v) for lens, v in zip(lenses, state.lenses, strict=True)]
-        side = measured_side(order[0].shape)
-        seen = _matched(state, captures, names, lenses, side, radius, runner, on_event)
-        found = adjust(state, expected, sigma, seen, _overlap(seen, order), by_lens=True)
+        side, share = measured_side(order[0].shape), WINDOW_SHARE[radius == ROUND_RADII_PX[-1]]
+        seen = _matched(state, captures, names, lenses, side, radius, share, runner, on_event)
+        found = adjust(state, expected, sigma, seen, _overlap(seen, order, share), by_lens=True)
         state = found.state
     return _rig_of(found, seen, captures, looks, order)
 
@@ -279,7 +285,7 @@ def _agreed_similarity(
     """
     side = round(np.clip(max(reference.shape) * second.focal_px / first.focal_px, 160, START_SIDE_PX))
     level = np.array([1.0, 0.0, 0.0])
-    task = _Task(0, 1, 1, reference, seen, (first, second), np.zeros(6), level, side, 16, 250)
+    task = _Task(0, 1, 1, reference, seen, (first, second), np.zeros(6), level, side, 16, WINDOW_SHARE[0])
     points = _matched_here(task, images[0], images[1])
     if points is None or len(points[0]) < MIN_START:
         return None
@@ -345,6 +351,7 @@ def _matched(
     lenses: Sequence[Lens],
     side_px: int,
     radius_px: int,
+    share: float,
     runner: Runner,
     on_event: EventCallback,
 ) -> Observations:
@@ -357,11 +364,11 @@ def _matched(
         for k in range(1, len(names)):
             side, pair = _side(side_px, now[0], now[k]), (now[0], now[k])
             facts = number, k, k, frames[0], frames[k], pair, state.poses[k], plane
-            tasks.append(_Task(*facts, side, radius_px, FEATURES))
+            tasks.append(_Task(*facts, side, radius_px, share))
     for pose, (one, other) in enumerate(state.overlaps, len(names)):
         ends = (chosen[k].frames[names[0]] for k in (one, other))
         facts = one, pose, 0, *ends, (now[0], now[0]), state.poses[pose], state.planes[one]
-        tasks.append(_Task(*facts, side_px, 3 * radius_px, FEATURES))
+        tasks.append(_Task(*facts, side_px, 3 * radius_px, share))
     found = runner.run(match_task, [(task,) for task in tasks], "matching", on_event).results
     good = [each for each in found if each is not None]
     _check_all_matched(good, names, len(chosen))
@@ -403,16 +410,16 @@ def _matched_here(task: _Task, reference: Float32, seen: Float32) -> tuple[Float
     rows, cols = (max(16, round(n / factor)) for n in whole)
     factor_xy = np.array([whole[1] / cols, whole[0] / rows])  # whole px make them differ a little
     images, valid = _pair_in_view(task, reference, seen, (rows, cols), factor_xy)
-    settings = match_settings(images[0].shape, task.radius_px, task.features)
+    settings = match_settings(images[0].shape, task.radius_px, task.share)
     try:
         points = match_arrays(*images, target_valid=valid, settings=settings)
     except InputError:  # too small, or nothing to compare
         return None
     points = points[np.asarray((points.sigma_px < 1.0).all(axis=1))]
     found = _in_frames(task, points, factor_xy)
-    if task.lens != 0:
+    if task.lens != 0 and task.share != WINDOW_SHARE[1]:
         return found
-    rim_px = RIM * settings.window * factor  # another capture of the reference
+    rim_px = RIM * settings.window * factor  # another capture of the reference, or the last round
     inside = _inside(found[0], whole, rim_px) & _inside(found[1], whole, rim_px)
     return found[0][inside], found[1][inside], found[2][inside]
 
@@ -449,19 +456,19 @@ def _pair_in_view(
     return (np.asarray(view, np.float32), np.nan_to_num(warped)), valid
 
 
-def match_settings(shape: tuple[int, ...], radius_px: int, features: int) -> MatchSettings:
+def match_settings(shape: tuple[int, ...], radius_px: int, share: float) -> MatchSettings:
     """Return settings for frames of a `shape`: windows that are small enough for it."""
-    side = int(np.clip(0.2 * min(shape), 31, 81)) // 2 * 2 + 1
+    side = int(np.clip(share * min(shape), 31, 81)) // 2 * 2 + 1
     template = min(101, side + 20)
     return MatchSettings(
-        features=features, search_radius=radius_px, window=side, template=template, ssim_min=0.0
+        features=FEATURES, search_radius=radius_px, window=side, template=template, ssim_min=0.0
     )
 
 
-def _overlap(seen: Observations, order: Sequence[Frame]) -> float:
+def _overlap(seen: Observations, order: Sequence[Frame], share: float) -> float:
     """Return how many points share a window, on average."""
     views = len(np.unique(np.column_stack([seen.capture, seen.pose]), axis=0))
-    side = match_settings(order[0].shape, 5, 1).window
+    side = match_settings(order[0].shape, 5, share).window
     return len(seen) / max(views, 1) * side**2 / _pixels(order[0])
 
 
@@ -550,7 +557,9 @@ def _with_poses(state: State, sigma: State, extra: Sequence[tuple[int, int, Floa
     pairs = tuple((one, other) for one, other, _ in extra)
     return (
         replace(state, poses=poses, overlaps=pairs),
-        replace(sigma, poses=np.vstack([sigma.poses, loose]), overlaps=pairs),
+        replace(
+            sigma, lenses=sigma.lenses * TOLD_BEND, poses=np.vstack([sigma.poses, loose]), overlaps=pairs
+        ),
     )
 
 

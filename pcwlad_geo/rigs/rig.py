@@ -330,14 +330,8 @@ def resampled(
 ) -> Float32:
     """Return a frame resampled once to (rows, cols), by a cubic B-spline; NaN where it does not reach.
 
-    Parameters
-    ----------
-    coefficients : (rows, cols) float32 array
-        Of the frame, see `coefficients_of`.
-    seen_px : (n, 2) array
-        Px of the frame (col, row), corner-based, at the places of `map_places`, which also gives `counts`.
-    counts, shape : (int, int)
-        Rows and columns of these places, and of the output.
+    Given are its (rows, cols) `coefficients`, and the (n, 2) px, `seen_px`, at the places of `map_places`,
+    with the rows and columns of these, `counts`, and of the output.
     """
     out = np.empty(shape, np.float32)
     grid = np.nan_to_num(seen_px, nan=-1e9).reshape(*counts, 2)
