@@ -46,8 +46,9 @@ ROUND_RADII_PX: Final = (7, 4, 3)
 """Radius of the search in each of the rounds after it: near the edges of a frame windows see to one side, and
 are led by where the round before has put them."""
 WINDOW_SHARE: Final = (0.2, 0.1)
-"""Side of the windows as a share of the frame's shorter side: in all rounds, and in the last one. Smaller
-ones reach nearer to the corners, where distortion is largest; they need lenses that are known well."""
+"""Side of the windows as a share of the frame's shorter side: usually, and in the last round where captures
+overlap. Smaller ones reach nearer to the corners, where distortion is largest, and are noisier: one capture
+does not do for them."""
 TRIES: Final = 4
 """Captures in which a start is looked for."""
 SCALE_SPREAD: Final = (1.3, 2.2)
@@ -153,7 +154,8 @@ def learn(
         expected = replace(expected, poses=state.poses * _between_captures(state), overlaps=state.overlaps)
     for radius in ROUND_RADII_PX:
         lenses = [replace(lens, vector=v) for lens, v in zip(lenses, state.lenses, strict=True)]
-        side, share = measured_side(order[0].shape), WINDOW_SHARE[radius == ROUND_RADII_PX[-1]]
+        last = radius == ROUND_RADII_PX[-1] and len(state.overlaps) > 0
+        side, share = measured_side(order[0].shape), WINDOW_SHARE[last]
         seen = _matched(state, captures, names, lenses, side, radius, share, runner, on_event)
         found = adjust(state, expected, sigma, seen, _overlap(seen, order, share), by_lens=True)
         state = found.state
