@@ -58,6 +58,8 @@ class Flown:
     motion_px: float = 0.0
     covered: str | None = None
     panel: bool = False
+    """Of a calibration panel on dark ground: a grey square and its printed code."""
+    defocus_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,17 +249,22 @@ def render(lens: TrueLens, flown: Flown, ground: Ground, random: np.random.Gener
     rays, place = lens_rays(lens, flown, None)
     points = ground_points(ground, flown, rays, place)
     px_m = float(flown.place_m[2]) / lens.lens.focal_px
-    if flown.panel:  # a grey square with a rim, held below the drone, on dark ground
-        inside = (np.abs(points[:, :2] - flown.place_m[:2]) < 0.25).all(axis=1)
-        shade = np.where(inside.reshape(rows, cols), 1.5, -1.0) + 0.1 * ground.shade(
-            *(points[:, :2].T.reshape(2, rows, cols) * 20), px_m * 20, lens.mix
-        )
+    if flown.panel:
+        east, south = (points[:, :2] - flown.place_m[:2]).T.reshape(2, rows, cols)
+        shade = np.where((np.abs(east - 0.15) < 0.1) & (np.abs(south) < 0.1), 1.5, -1.0)
+        code = np.pad(cv2.QRCodeEncoder.create().encode("RP02-1234567-SC") > 0, 1, constant_values=True)
+        cell_m = 0.3 / len(code)
+        down, right = ((each / cell_m).astype(int) for each in (south + 0.15, east + 0.3))
+        on_code = (np.abs(south) < 0.15) & (np.abs(east + 0.15) < 0.15)
+        printed = code[np.clip(down, 0, len(code) - 1), np.clip(right, 0, len(code) - 1)]
+        shade = np.where(on_code, np.where(printed, 3.0, -3.0), shade)
+        shade += 0.1 * ground.shade(*(points[:, :2].T.reshape(2, rows, cols) * 20), px_m * 20, lens.mix)
     else:
         shade = ground.shade(*points[:, :2].T.reshape(2, rows, cols), px_m, lens.mix)
     values = 0.35 + 0.08 * shade
     if lens.name == flown.covered:
         values = np.full((rows, cols), 0.03) + 0.002 * values
-    values = cv2.GaussianBlur(values, (0, 0), lens.blur_px)
+    values = cv2.GaussianBlur(values, (0, 0), float(np.hypot(lens.blur_px, flown.defocus_px)))
     if flown.motion_px:
         kernel = np.zeros((41, 41))
         cv2.line(kernel, (20, 20), (20 + round(flown.motion_px), 20 + round(flown.motion_px / 2)), 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -140,12 +141,15 @@ def _learned(found: Rig, out: Path) -> Ending:
     lines += [
         "",
         f"{found.captures} captures, {found.points} tie points, residual {found.residual_px:.3f} px",
+        f"quality: {found.quality}, 90 % of the frame within {found.expected_ce90_px or math.nan:.2f} px",
     ]
     lines.append(f"rig: {out}")
     figures: dict[str, object] = {
         "captures": found.captures,
         "points": found.points,
         "residual_px": found.residual_px,
+        "quality": found.quality,
+        "expected_ce90_px": found.expected_ce90_px,
         "lenses": lenses,
         "exit_status": 0,
         "paths": {"rig": str(out.absolute())},
@@ -170,14 +174,20 @@ def _apply(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
 
 
 def _applied(found: RigApplied) -> Ending:
+    from pcwlad_geo.registration.fitting import GRADES
+
     counts = {status: found.count(status) for status in ("corrected", "rejected", "unusable", "failed")}
     status = next((STATUS_OF[each] for each in STATUS_OF if counts.get(each)), 0)
+    grades = {grade: found.count(grade) for grade in reversed(GRADES)}
     bad = [each for each in found.captures if each.status != "corrected"]
-    lines = [f"{each.name}: {each.status}: {each.reason}" for each in bad]
-    lines.append(", ".join(f"{count} {each}" for each, count in counts.items() if count))
+    lines = [
+        f"{each.name}: {each.quality or each.status}: {each.reason}" for each in found.captures if each.reason
+    ]
+    lines.append(", ".join(f"{count} {each}" for each, count in (counts | grades).items() if count))
     lines.append(f"summary: {found.summary.absolute()}")
     figures: dict[str, object] = {
         **counts,
+        "quality": grades,
         "bad": [{"capture": each.name, "status": each.status, "reason": each.reason} for each in bad],
         "exit_status": status,
         "paths": {"summary": str(found.summary.absolute())},

@@ -20,10 +20,21 @@ from pcwlad_geo.matching.refinement import ChannelMaps, Start, refine
 from pcwlad_geo.raster.gdal import ignoring, reading
 from pcwlad_geo.raster.opening import check_dataset
 from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, Grade
 from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust, predict
-from pcwlad_geo.rigs.captures import Capture, Frame, read_frame
+from pcwlad_geo.rigs.captures import Capture, Frame, panel_seen, read_frame
 from pcwlad_geo.rigs.learning import NEAR_SIGMA, look
-from pcwlad_geo.rigs.rig import Rig, RigLens, coefficients_of, map_places, measured_side, resampled
+from pcwlad_geo.rigs.rig import (
+    Rig,
+    RigLens,
+    Sharpness,
+    coefficients_of,
+    grade_of,
+    made_coarser,
+    map_places,
+    measured_side,
+    resampled,
+)
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 Status = Literal["corrected", "rejected", "unusable", "failed"]
@@ -53,6 +64,16 @@ FAR: Final = 6.0
 CHANCE: Final = 0.55
 """Median distance of the agreeing places of a lens, over that within which they agree, from which they do so
 by chance: of places that lie anywhere it is 0.7."""
+NEAR: Final = 1.5
+"""How many times nearer than the nearest capture learned from a panel is looked for."""
+TEST_SHARE: Final = 0.6
+"""Side of a window by which a capture is tested, as a share of that of a place: what is
+nearer or farther than the ground may be small."""
+REACH_PX: Final = 12
+"""How far a displaced place is looked for, px of the measured frame."""
+DISTINCT: Final = 0.1
+"""By how much the correlation elsewhere is better than near the prediction, if a place counts as displaced:
+rows and other repetition are not."""
 MOVED_PX: Final = 1.5
 """Where places moved further from the prediction, px of the measured frame, all are measured again."""
 
@@ -92,6 +113,11 @@ class CaptureOutcome:
     """Distance of the ground, where the rig knows metres."""
     sigma_px: float | None = None
     """Largest standard deviation of a lens's position in the middle of the frame."""
+    quality: Grade | None = None
+    """As that of a registration: `good` where 90 % of the frame is expected to lie within 0.5 px, of the
+    coarser lens; `fair` within 1 px; `poor` otherwise. The `reason` says why it is not good."""
+    expected_ce90_px: float | None = None
+    """That error, by places that were not used to find the ground."""
     seconds: float | None = None
     done_before: bool = False
 
@@ -107,6 +133,18 @@ class Placed:
     points: int
     residual_px: float
     sigma_px: float
+    expected_ce90_px: float = math.nan
+    """See `CaptureOutcome`; NaN before `tested`."""
+
+
+def doubt_of(expected_ce90_px: float) -> str | None:
+    """Return why a capture, or a rig, is not good; None if it is."""
+    if expected_ce90_px <= GOOD_PX:
+        return None
+    return (
+        f"a tenth of the frame is expected to lie more than {expected_ce90_px:.1f} px off: ground of several "
+        "depths, or lenses that moved"
+    )
 
 
 class BadCaptureError(Exception):
@@ -118,10 +156,7 @@ def correct_capture(task: CaptureTask) -> CaptureOutcome:
     begun = time.perf_counter()
     name = task.capture.name
     try:
-        frames = [task.capture.frames[each] for each in task.rig.names]
-        values = [read_frame(each.path, each.shape) for each in frames]
-        check_looks(task.rig, values)
-        placed = place(task.rig, values, _expected_nearness(task.rig, task.capture))
+        placed, frames, values = placed_capture(task.rig, task.capture)
         write_capture(task, placed, frames, values)
     except BadCaptureError as error:
         return CaptureOutcome(name, "rejected", str(error))
@@ -131,14 +166,83 @@ def correct_capture(task: CaptureTask) -> CaptureOutcome:
     return CaptureOutcome(
         name,
         "corrected",
+        doubt_of(placed.expected_ce90_px),
         file=f"{name}.tif",
         points=placed.points,
         residual_px=placed.residual_px,
         nearness=near,
         distance_m=None if task.rig.distance_m is None else task.rig.distance_m / near,
         sigma_px=placed.sigma_px,
+        quality=grade_of(placed.expected_ce90_px),
+        expected_ce90_px=placed.expected_ce90_px,
         seconds=time.perf_counter() - begun,
     )
+
+
+def placed_capture(rig: Rig, capture: Capture) -> tuple[Placed, list[Frame], list[Float32]]:
+    """Return where the ground of a capture was, and its frames with their (rows, cols) values.
+
+    Raises `BadCaptureError` if it cannot be corrected.
+    """
+    frames = [capture.frames[each] for each in rig.names]
+    values = [read_frame(each.path, each.shape) for each in frames]
+    try:
+        looks = {name: look(plane) for name, plane in zip(rig.names, values, strict=True)}
+        check_looks({each.name: each.sharpness for each in rig.lenses}, looks)
+        placed = tested(place(rig, values, _expected_nearness(rig, capture)), values)
+    except BadCaptureError as error:
+        raise BadCaptureError(panel_seen(frames, values) or str(error)) from error
+    near = placed.plane[0] > NEAR * rig.nearness[1]
+    panel = panel_seen(frames, values) if near or any(each.panel for each in frames) else None
+    if panel is not None:
+        raise BadCaptureError(panel)
+    return placed, frames, values
+
+
+def tested(placed: Placed, values: Sequence[Float32]) -> Placed:
+    """Return a capture with the error that is expected of it, by places that its fit has not used.
+
+    The (rows, cols) `values` are its frames. A place may lie farther away than the fit would look: where its
+    window is found there distinctly better, it counts as displaced. Raises `BadCaptureError` if hardly any
+    place holds.
+    """
+    off, places = [], 0
+    for number, each in enumerate(placed.rig.lenses[1:], 1):
+        views = _views(placed.rig, number, values, placed.plane)
+        window = max(21, round(TEST_SHARE * _window_px(views[0][0].shape))) // 2 * 2 + 1
+        corners = textured(views[0][0], views[0][1] & views[1][1], window, between=True)
+        maps = _channels(*views[0]), _channels(*views[1])
+        one, other = (np.dstack(list(some.maps[::2])) for some in maps)
+        start = np.array([_displaced(one, other, row, col, window // 2) for row, col in corners.tolist()])
+        found = refine(
+            *maps, corners, Start(start.reshape(-1, 2), np.zeros((len(corners), 2, 2))), window_px=window
+        )
+        own_px = _factor(placed.rig, each) * min(1.0, each.lens.focal_px / placed.rig.reference.lens.focal_px)
+        off.append(own_px * np.hypot(*found.shift_xy_px[found.converged].T))
+        places += len(corners)
+    every = np.concatenate(off)
+    held = int((every < FAIR_PX).sum())
+    expected = max([np.percentile(every, 90), *map(np.median, off)]) if all(map(len, off)) else math.inf
+    if expected > FAIR_PX and held <= FEW_KEPT * places:
+        raise BadCaptureError(
+            f"only {held} of {places} places lie within {FAIR_PX:g} px of one ground: it has several depths, "
+            "as near scenes do, or the rig was not learned from this camera as it is now"
+        )
+    return replace(placed, expected_ce90_px=float(expected))
+
+
+def _displaced(one: Float32, other: Float32, row: int, col: int, half: int) -> tuple[float, float]:
+    """Return the whole (col, row) shift of a window: none, unless another one is distinctly better."""
+    top, left = max(row - half - REACH_PX, 0), max(col - half - REACH_PX, 0)
+    template = one[row - half : row + half + 1, col - half : col + half + 1]
+    area = other[top : row + half + 1 + REACH_PX, left : col + half + 1 + REACH_PX]
+    score = np.nan_to_num(cv2.matchTemplate(area, template, cv2.TM_CCOEFF_NORMED), posinf=-1.0)
+    zero = row - half - top, col - half - left
+    near = score[max(zero[0] - 2, 0) : zero[0] + 3, max(zero[1] - 2, 0) : zero[1] + 3]
+    if score.max() <= near.max() + DISTINCT:
+        return 0.0, 0.0
+    down, right = np.array(np.unravel_index(score.argmax(), score.shape)) - zero
+    return float(right), float(down)
 
 
 def _expected_nearness(rig: Rig, capture: Capture) -> float | None:
@@ -146,18 +250,10 @@ def _expected_nearness(rig: Rig, capture: Capture) -> float | None:
     return None if height is None or rig.distance_m is None else rig.distance_m / height
 
 
-def check_looks(rig: Rig, values: Sequence[Float32]) -> None:
-    """Raise `BadCaptureError` where a frame is blurred, or shows nothing, against what was learned.
-
-    The `values` are the (rows, cols) frames in the order of the lenses of the `rig`.
-    """
-    covered, blurred = [], []
-    for each, frame in zip(rig.lenses, values, strict=True):
-        seen = look(frame)
-        if not seen.contrast > COVERED * each.sharpness.contrast:
-            covered.append(each.name)
-        elif seen.detail < BLURRED * each.sharpness.detail:
-            blurred.append(each.name)
+def check_looks(expected: Mapping[str, Sharpness], seen: Mapping[str, Sharpness]) -> None:
+    """Raise `BadCaptureError` where the frame of a lens is blurred, or shows nothing, against usual ones."""
+    covered = [name for name, usual in expected.items() if not seen[name].contrast > COVERED * usual.contrast]
+    blurred = [name for name, usual in expected.items() if seen[name].detail < BLURRED * usual.detail]
     if covered:
         raise BadCaptureError(
             f"lens {', '.join(covered)} shows hardly anything: it was covered, or it failed"
@@ -166,21 +262,19 @@ def check_looks(rig: Rig, values: Sequence[Float32]) -> None:
         raise BadCaptureError(f"lens {', '.join(blurred)} is blurred")
 
 
+def try_capture(rig: Rig, capture: Capture) -> float | str:
+    """Return the error expected of a capture, px, or why it cannot be corrected."""
+    try:
+        return placed_capture(rig, capture)[0].expected_ce90_px
+    except BadCaptureError as error:
+        return str(error)
+
+
 def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed:
     """Find the ground of a capture and the small turns of its lenses.
 
-    Parameters
-    ----------
-    rig : Rig
-    values : sequence of (rows, cols) float32 arrays
-        The frames, in the order of the rig's lenses.
-    expected : float, optional
-        Nearness as the frames tell it.
-
-    Raises
-    ------
-    BadCaptureError
-        If the lenses do not show one ground as the rig sees it.
+    The (rows, cols) `values` are its frames in the order of the lenses, and `expected` is the nearness, where
+    they tell it. Raises `BadCaptureError` if the lenses do not show one ground as the rig sees it.
     """
     middle = math.sqrt(rig.nearness[0] * rig.nearness[1])
     near = expected if expected is not None else middle
@@ -227,8 +321,7 @@ def _measured(rig: Rig, values: Sequence[Float32], plane: Float64) -> Observatio
     parts = []
     for number, each in enumerate(rig.lenses[1:], 1):
         factor = _factor(rig, each)
-        first, first_valid = _in_view(rig, rig.reference, values[0], plane, factor)
-        second, second_valid = _in_view(rig, each, values[number], plane, factor)
+        (first, first_valid), (second, second_valid) = _views(rig, number, values, plane)
         window = _window_px(first.shape)
         corners = textured(first, first_valid & second_valid, window)
         if len(corners) < LEAST_PLACES:
@@ -243,6 +336,15 @@ def _measured(rig: Rig, values: Sequence[Float32], plane: Float64) -> Observatio
         target_px = origin_px + found.shift_xy_px[good] * factor
         parts.append(_as_observations(rig, number, plane, origin_px, target_px, sigma))
     return Observations.joined(parts)
+
+
+def _views(
+    rig: Rig, number: int, values: Sequence[Float32], plane: Float64
+) -> tuple[tuple[Float32, Bool], tuple[Float32, Bool]]:
+    """Return the reference and a lens in the common frame at the size in which the lens is measured."""
+    factor = _factor(rig, rig.lenses[number])
+    first = _in_view(rig, rig.reference, values[0], plane, factor)
+    return first, _in_view(rig, rig.lenses[number], values[number], plane, factor)
 
 
 def _window_px(shape: Sequence[int]) -> int:
@@ -266,14 +368,8 @@ def _as_observations(
     good = np.isfinite(seen).all(axis=1) & np.isfinite(raw).all(axis=1)
     count = int(good.sum())
     per_px = lens.lens.focal_px / rig.reference.lens.focal_px
-    return Observations(
-        np.zeros(count, np.intp),
-        np.full(count, number),
-        np.full(count, number),
-        raw[good],
-        seen[good],
-        sigma_px[good] * per_px,
-    )
+    capture, of_lens = np.zeros(count, np.intp), np.full(count, number)
+    return Observations(capture, of_lens, of_lens, raw[good], seen[good], sigma_px[good] * per_px)
 
 
 def _in_view(rig: Rig, each: RigLens, values: Float32, plane: Float64, factor: float) -> tuple[Float32, Bool]:
@@ -282,13 +378,7 @@ def _in_view(rig: Rig, each: RigLens, values: Float32, plane: Float64, factor: f
     places, counts = map_places((rows, cols), (0.0, 0.0), factor)
     rays = rig.common_rays(places)
     at = each.seen(rays, plane[0] + rays @ plane[1:])
-    shrink = max(1.0, factor * each.lens.focal_px / rig.reference.lens.focal_px)
-    if shrink > 1.2:
-        small = [max(16, round(n / shrink)) for n in values.shape]
-        at = at * (np.array(small[::-1]) / np.array(values.shape[::-1]))
-        values = np.asarray(
-            cv2.resize(values, (small[1], small[0]), interpolation=cv2.INTER_AREA), np.float32
-        )
+    values, at = made_coarser(values, at, factor * each.lens.focal_px / rig.reference.lens.focal_px)
     warped = resampled(coefficients_of(values), at, counts, (rows, cols))
     valid = np.isfinite(warped)
     fill = float(warped[valid].mean()) if valid.any() else 0.0
@@ -301,25 +391,22 @@ def _channels(values: Float32, valid: Bool) -> ChannelMaps:
     return ChannelMaps.of(maps, np.asarray(inside, bool))
 
 
-def textured(values: Float32, valid: Bool, window_px: int) -> Index:
+def textured(values: Float32, valid: Bool, window_px: int, *, between: bool = False) -> Index:
     """Return (n, 2) row, column of the best corner of each cell of a frame, away from its edges.
 
-    Parameters
-    ----------
-    values, valid : (rows, cols) float32 and bool array
-        The frame, and its pixels that count.
-    window_px : int
-        Side of the window that must be valid.
+    Of the (rows, cols) `values` a window about it must be `valid`, of the same shape. With `between` the
+    cells lie between the usual ones.
     """
     rows, cols = values.shape
     side = max(8.0, math.sqrt(rows * cols / CELLS))
+    begin = side / 2 * between
     response = cv2.cornerMinEigenVal(cv2.GaussianBlur(values, (0, 0), 1.0), 9)
     kernel = np.ones((window_px, window_px), np.uint8)
     inside = cv2.erode(valid.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     response = np.where(inside > 0, response, -1.0)
     found = []
-    for top in np.arange(0, rows, side).astype(int):
-        for left in np.arange(0, cols, side).astype(int):
+    for top in np.arange(begin, rows, side).astype(int):
+        for left in np.arange(begin, cols, side).astype(int):
             cell = response[top : top + round(side), left : left + round(side)]
             row, col = np.unravel_index(int(cell.argmax()), cell.shape)
             if cell[row, col] > 0:
@@ -383,13 +470,10 @@ def _check_agreement(rig: Rig, seen: Observations, length: Float64, result: Adju
             lost.append(f"{each.name} ({agreeing} of {len(own)} places)")
     near = float(result.state.planes[0, 0])
     if lost:
-        where = (
-            "too near, of a panel, or of a lens that was covered"
-            if len(lost) > 1
-            else "or one lens was covered"
-        )
+        where = "it is too near, or the rig was learned from other captures than of flight, or lenses moved"
         raise BadCaptureError(
-            f"lens {', '.join(lost)} does not see what {rig.names[0]} sees: a capture {where}"
+            f"lens {', '.join(lost)} does not see what {rig.names[0]} sees: "
+            f"{where if len(lost) > 1 else 'it was covered, or it moved'}"
         )
     if not rig.nearness[0] / FAR < near < rig.nearness[1] * FAR:
         away = "" if rig.distance_m is None else f" ({rig.distance_m / max(near, 1e-9):.1f} m)"

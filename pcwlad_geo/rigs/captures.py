@@ -10,6 +10,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Final
 
+import cv2
 import numpy as np
 
 from pcwlad_geo.errors import InputError, SettingsError
@@ -30,6 +31,10 @@ MAX_LENSES: Final = 16
 """Largest number of lenses of a rig."""
 MAX_FRAMES: Final = 100_000
 """Largest number of frames of one call."""
+CODE_SIDE_PX: Final = 1300
+"""Longer side of the largest frames in which the code of a panel is looked for."""
+CODE_SHARE: Final = 0.04
+"""Least side of a panel's code, as a share of the frame's longer side: in flight that is metres."""
 _OF_THE_LENS: Final = re.compile(
     "Distortion|PrincipalPoint|FocalLength|Vignetting|Dewarp|OpticalCenter|ModelType|Fisheye"
     "|CaptureId|CaptureUUID|BandName|CentralWavelength|WavelengthFWHM"
@@ -59,6 +64,8 @@ class Frame:
     """Number of the lens in the rig, where that is told; otherwise large."""
     capture_id: str
     """Identity of the capture, empty where it is not told."""
+    panel: bool
+    """Whether the camera says that the frame is of a calibration panel."""
     wavelength_nm: tuple[float, float] | None
     """Central wavelength, and the width of the band at half of its height."""
     exif: Mapping[str, str]
@@ -146,7 +153,12 @@ def group(files: Sequence[Path], pattern: str | None = None) -> tuple[list[Captu
 def _captures(read: Sequence[tuple[str, str, Frame]], unread: list[tuple[str, str]]) -> list[Capture]:
     groups: dict[str, dict[str, Frame]] = {}
     names: dict[str, str] = {}
+    # a colour picture beside the frames of the lenses (Sequoia): of another shutter, and of no capture
+    told = {f"{Path(frame.path).parent}/{name}" for key, name, frame in read if key == frame.capture_id}
     for identity, name, frame in read:
+        if identity in told:
+            unread.append((frame.path, f"left aside: it names no capture, as the other frames of {name} do"))
+            continue
         frames = groups.setdefault(identity, {})
         names.setdefault(identity, name)
         if frame.lens in frames:
@@ -201,6 +213,7 @@ def read_frame_facts(path: PathLike, lens: str = "") -> Frame:
         height_m=camera.height_m if camera else None,
         order=order[0] if order else 1e9,
         capture_id=next((plain[name][0] for name in CAPTURE_IDS if plain.get(name)), ""),
+        panel=any(each > 0 for each in _floats(plain.get("CalibrationPicture", ()))),
         wavelength_nm=(wavelength[0][0], (wavelength[1] or (0.0,))[0]) if wavelength[0] else None,
         exif={name: value[:200] for name, value in exif.items() if "MakerNote" not in name},
         xmp={
@@ -226,20 +239,52 @@ def read_frame(path: str, shape: tuple[int, int]) -> Float32:
     return np.ascontiguousarray(finite, np.float32)
 
 
+def panel_seen(frames: Sequence[Frame], values: Sequence[Float32]) -> str | None:
+    """Return what shows that a capture is of a calibration panel; None where nothing does.
+
+    The camera says so, or lenses show a QR code that is large in the frame: such a code is printed on panels,
+    and in flight it would be metres wide. One lens must read it, or half of them (and two) show one. The
+    (rows, cols) `values` are those of the frames.
+    """
+    if any(each.panel for each in frames):
+        return "a calibration panel, as its frames say"
+    seen = 0
+    for number, (frame, plane) in enumerate(zip(frames, values, strict=True)):
+        shown, text = _code_in(plane)
+        if text:
+            return f"a calibration panel: lens {frame.lens} shows its code {text[:40]}"
+        seen += shown
+        if number == 1 and not seen:
+            break
+    return f"a calibration panel: {seen} lenses show its code" if seen >= max(2, len(frames) / 2) else None
+
+
+def _code_in(values: Float32) -> tuple[bool, str]:
+    """Return whether a frame shows a large QR code, and what that says, if it is sharp enough."""
+    low, high = np.percentile(values, (1, 99.5))
+    grey = np.clip((values - low) / max(high - low, 1e-9) * 255, 0, 255).astype(np.uint8)
+    factor = min(1.0, CODE_SIDE_PX / max(grey.shape))
+    grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    detector = cv2.QRCodeDetector()
+    try:
+        found, corners = detector.detect(grey)
+        sides = np.abs(np.diff(corners.reshape(-1, 2) @ [1, 1j])) if found else np.zeros(1)
+        # three sides: structure that is taken for a code by chance is no square
+        if sides.min() < max(CODE_SHARE * max(grey.shape), 0.8 * sides.max()):
+            return False, ""
+        return True, detector.decode(grey, corners)[0]
+    except cv2.error:  # its geometry is none that OpenCV can rectify
+        return False, ""
+
+
 def told_lens(
     xmp: Mapping[str, tuple[str, ...]], exif: Mapping[str, str], shape: tuple[int, int]
 ) -> Lens | None:
     """Return the calibration of a lens in its frame's XMP; None where there is none that can be believed.
 
     MicaSense and Parrot write ``Camera:Perspective…`` or ``Camera:Fisheye…`` (Pix4D's model), DJI
-    ``DewarpData`` and ``CalibratedFocalLength``.
-
-    Parameters
-    ----------
-    xmp, exif : mapping
-        By names without namespace, as `read_frame_facts` has them.
-    shape : (int, int)
-        Rows and columns of the frame.
+    ``DewarpData`` and ``CalibratedFocalLength``. `xmp` and `exif` are by names without namespace; `shape` is
+    rows and columns of the frame.
     """
     values = {name: _floats(each) for name, each in xmp.items()}
     vector = _dji(values, xmp, shape) or _perspective(values, exif, shape) or _pix4d_fisheye(values, shape)
@@ -315,16 +360,9 @@ def _floats(texts: Iterable[str]) -> tuple[float, ...]:
 
 
 def first_lens(frame: Frame, fisheye: bool, focal_px: float) -> Lens:
-    """Return the lens that learning starts from: as told, or without distortion.
+    """Return the lens that learning starts from: as its frame tells it, or without distortion.
 
-    Parameters
-    ----------
-    frame : Frame
-        Of the lens.
-    fisheye : bool
-        Whether a lens of which nothing is told is a fisheye.
-    focal_px : float
-        Its focal length where the frame does not tell that either.
+    Of a lens of which nothing is told, `fisheye` and `focal_px` say whether it is one, and its focal length.
     """
     if frame.told is not None:
         return frame.told

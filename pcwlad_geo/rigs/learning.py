@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -18,11 +18,22 @@ from pcwlad_geo.matching.matcher import match_arrays
 from pcwlad_geo.matching.pose import search_pose
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust
-from pcwlad_geo.rigs.captures import Capture, Frame, first_lens, read_frame
+from pcwlad_geo.rigs.captures import Capture, Frame, first_lens, panel_seen, read_frame
 from pcwlad_geo.rigs.lenses import Lens, lattice
-from pcwlad_geo.rigs.rig import Rig, RigLens, Sharpness, coefficients_of, map_places, measured_side, resampled
+from pcwlad_geo.rigs.rig import (
+    Rig,
+    RigLens,
+    Sharpness,
+    coefficients_of,
+    made_coarser,
+    map_places,
+    measured_side,
+    resampled,
+)
 from pcwlad_geo.types import Bool, Float32, Float64
 
+FEATURES: Final = 400
+"""Number of candidates of tie points of a lens in a capture."""
 MOST_CAPTURES: Final = 30
 """Largest number of captures that are learned from; of more, these are taken evenly."""
 START_SIDE_PX: Final = 360
@@ -34,13 +45,17 @@ COARSE_CAPTURES: Final = 5
 ROUND_RADII_PX: Final = (7, 4, 3)
 """Radius of the search in each of the rounds after it: near the edges of a frame windows see to one side, and
 are led by where the round before has put them."""
+WINDOW_SHARE: Final = (0.2, 0.1)
+"""Side of the windows as a share of the frame's shorter side: usually, and in the last round where captures
+overlap. Smaller ones reach nearer to the corners, where distortion is largest, and are noisier: one capture
+does not do for them."""
 TRIES: Final = 4
 """Captures in which a start is looked for."""
 SCALE_SPREAD: Final = (1.3, 2.2)
 """Factor within which the ratio of two focal lengths is searched: where both are told, and elsewhere."""
 RIM: Final = 0.5
-"""Points between captures are not nearer to an edge of a frame than this share of their window: what is seen
-from aside deforms windows, and those that are cut are drawn inwards."""
+"""Points between captures, and in the last round all, are not nearer to an edge of a frame than this share of
+their window: what is seen from aside deforms windows, and those that are cut are drawn inwards."""
 SCALES: Final = tuple(float(1.08**step) for step in sorted(range(-9, 10), key=abs))
 """Factors on a focal length that nothing tells, the likely ones first."""
 MIN_START: Final = 16
@@ -57,6 +72,8 @@ CENTRE_SIGMA: Final = (0.004, 0.02)
 """Of the principal point, as a share of the frame's longer side."""
 BEND_SIGMA_PX: Final = (1.0, 40.0)
 """Of the distortion at the corners, px, by each radial term."""
+TOLD_BEND: Final = np.array([1.0, 1.0, 1.0, 3.0, 3.0, 3.0, 1.0, 1.0])
+"""(8,) factor on the sigmas of a lens where captures overlap: they tell the distortion that all share."""
 SHEAR_SIGMA_PX: Final = (0.5, 6.0)
 """Of the tangential terms."""
 TURN_SIGMA: Final = 0.15
@@ -67,15 +84,6 @@ TILT_SIGMA: Final = 0.2
 """Of the slopes of nearness per direction."""
 NEAR_SIGMA: Final = (0.15, 0.6)
 """Of the nearness of a capture: where the frames tell their height, and elsewhere."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LearnSettings:
-    """What a rig is learned with."""
-
-    features: int = 400
-    overlaps: bool = True
-    """Whether captures that overlap are matched too."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +100,8 @@ class _Task:
     plane: Float64
     side_px: int
     radius_px: int
-    features: int
+    share: float
+    """Of a window, see `WINDOW_SHARE`."""
 
     def seen_px(self, reference_px: Float64) -> Float64:
         """Return the (n, 2) px at which the lens should see (n, 2) px of the reference's raw frame."""
@@ -102,7 +111,7 @@ class _Task:
 
 def learn(
     captures: Sequence[Capture],
-    settings: LearnSettings,
+    looks: Sequence[Mapping[str, Sharpness]],
     fisheye: bool,
     runner: Runner,
     on_event: EventCallback,
@@ -113,7 +122,8 @@ def learn(
     ----------
     captures : sequence of Capture
         All with the same lenses, of the same sizes.
-    settings : LearnSettings
+    looks : sequence of mapping
+        What the frames of each look like, see `inspect`.
     fisheye : bool
         Whether lenses that tell no calibration are fisheyes.
     runner : Runner
@@ -130,26 +140,26 @@ def learn(
     names = [each.lens for each in order]
     lenses = [first_lens(each, fisheye, _focal_default(each)) for each in order]
     told = list(lenses)
-    chosen = _evenly(captures, MOST_CAPTURES)
-    some = _evenly(chosen, COARSE_CAPTURES)
+    some = evenly(captures, COARSE_CAPTURES)
     state = _started(_first_state(some, names, lenses), some, names, lenses, runner, on_event)
     sigma = _sigmas(state, order, _all_heights(some))
-    seen = _matched(state, some, names, lenses, COARSE_SIDE_PX, 10, settings.features, runner, on_event)
+    seen = _matched(state, some, names, lenses, COARSE_SIDE_PX, 10, WINDOW_SHARE[0], runner, on_event)
     state = adjust(state, _first_state(some, names, told), sigma, seen, 1.0).state
-    expected = _first_state(chosen, names, told)
+    expected = _first_state(captures, names, told)
     state = replace(expected, lenses=state.lenses, poses=state.poses)
-    sigma = _sigmas(state, order, _all_heights(chosen))
-    if settings.overlaps and len(chosen) > 1:
-        extra = _overlapping(state, chosen, names[0], lenses[0], runner, on_event)
+    sigma = _sigmas(state, order, _all_heights(captures))
+    if len(captures) > 1:
+        extra = _overlapping(state, captures, names[0], lenses[0], runner, on_event)
         state, sigma = _with_poses(state, sigma, extra)
         expected = replace(expected, poses=state.poses * _between_captures(state), overlaps=state.overlaps)
     for radius in ROUND_RADII_PX:
         lenses = [replace(lens, vector=v) for lens, v in zip(lenses, state.lenses, strict=True)]
-        side = measured_side(order[0].shape)
-        seen = _matched(state, chosen, names, lenses, side, radius, settings.features, runner, on_event)
-        found = adjust(state, expected, sigma, seen, _overlap(seen, order), by_lens=True)
+        last = radius == ROUND_RADII_PX[-1] and len(state.overlaps) > 0
+        side, share = measured_side(order[0].shape), WINDOW_SHARE[last]
+        seen = _matched(state, captures, names, lenses, side, radius, share, runner, on_event)
+        found = adjust(state, expected, sigma, seen, _overlap(seen, order, share), by_lens=True)
         state = found.state
-    return _rig_of(found, seen, chosen, order, names)
+    return _rig_of(found, seen, captures, looks, order)
 
 
 def _pixels(frame: Frame) -> int:
@@ -170,7 +180,8 @@ def _first_state(chosen: Sequence[Capture], names: Sequence[str], lenses: Sequen
     return State(models, np.stack([each.vector for each in lenses]), np.zeros((len(names), 6)), planes)
 
 
-def _evenly(captures: Sequence[Capture], most: int) -> list[Capture]:
+def evenly(captures: Sequence[Capture], most: int) -> list[Capture]:
+    """Return at most so many captures, evenly chosen."""
     return [captures[k] for k in np.unique(np.linspace(0, len(captures) - 1, most).astype(int))]
 
 
@@ -251,14 +262,8 @@ def _focal_is_told(frame: Frame) -> bool:
 def find_start(reference: Frame, seen: Frame, first: Lens, second: Lens, focal_told: bool) -> Float64 | None:
     """Return (4,) rotation vector and focal length of a lens from one capture; None where none is found.
 
-    Parameters
-    ----------
-    reference, seen : Frame
-        Frames of the reference and of the lens.
-    first, second : Lens
-        Their lenses as far as they are known.
-    focal_told : bool
-        Whether the focal length of the lens is known beside that of the reference.
+    Given are the frames of the reference and of the lens, their lenses as far as they are known, and whether
+    the focal length of the lens is known beside that of the reference.
     """
     images = [read_frame(each.path, each.shape) for each in (reference, seen)]
     for scale in [1.0] if focal_told else SCALES:
@@ -282,7 +287,7 @@ def _agreed_similarity(
     """
     side = round(np.clip(max(reference.shape) * second.focal_px / first.focal_px, 160, START_SIDE_PX))
     level = np.array([1.0, 0.0, 0.0])
-    task = _Task(0, 1, 1, reference, seen, (first, second), np.zeros(6), level, side, 16, 250)
+    task = _Task(0, 1, 1, reference, seen, (first, second), np.zeros(6), level, side, 16, WINDOW_SHARE[0])
     points = _matched_here(task, images[0], images[1])
     if points is None or len(points[0]) < MIN_START:
         return None
@@ -297,12 +302,8 @@ def _agreed_similarity(
 def similarity_of(reference: Float32, target: Float32, scales: tuple[float, float]) -> Float64 | None:
     """Return the (2, 3) similarity from px of a frame to px of another, corner-based; None without one.
 
-    Parameters
-    ----------
-    reference, target : (rows, cols) float32 array
-        The frames, of any sizes.
-    scales : (float, float)
-        Smallest and largest scale, target px per reference px.
+    The frames, (rows, cols) `reference` and `target`, are of any sizes; `scales` are the smallest and largest
+    scale, target px per reference px.
     """
     small, steps = [], []
     for values in (reference, target):
@@ -352,7 +353,7 @@ def _matched(
     lenses: Sequence[Lens],
     side_px: int,
     radius_px: int,
-    features: int,
+    share: float,
     runner: Runner,
     on_event: EventCallback,
 ) -> Observations:
@@ -362,39 +363,14 @@ def _matched(
     for number, capture in enumerate(chosen):
         frames = [capture.frames[name] for name in names]
         plane = state.planes[number]
-        tasks += [
-            _Task(
-                number,
-                k,
-                k,
-                frames[0],
-                frames[k],
-                (now[0], now[k]),
-                state.poses[k],
-                plane,
-                _side(side_px, now[0], now[k]),
-                radius_px,
-                features,
-            )
-            for k in range(1, len(names))
-        ]
+        for k in range(1, len(names)):
+            side, pair = _side(side_px, now[0], now[k]), (now[0], now[k])
+            facts = number, k, k, frames[0], frames[k], pair, state.poses[k], plane
+            tasks.append(_Task(*facts, side, radius_px, share))
     for pose, (one, other) in enumerate(state.overlaps, len(names)):
-        frames = [chosen[k].frames[names[0]] for k in (one, other)]
-        tasks.append(
-            _Task(
-                one,
-                pose,
-                0,
-                frames[0],
-                frames[1],
-                (now[0], now[0]),
-                state.poses[pose],
-                state.planes[one],
-                side_px,
-                3 * radius_px,
-                features,
-            )
-        )
+        ends = (chosen[k].frames[names[0]] for k in (one, other))
+        facts = one, pose, 0, *ends, (now[0], now[0]), state.poses[pose], state.planes[one]
+        tasks.append(_Task(*facts, side_px, 3 * radius_px, share))
     found = runner.run(match_task, [(task,) for task in tasks], "matching", on_event).results
     good = [each for each in found if each is not None]
     _check_all_matched(good, names, len(chosen))
@@ -425,15 +401,8 @@ def match_task(task: _Task) -> Observations | None:
     if found is None or len(found[0]) < MIN_POINTS:
         return None
     reference_px, seen_px, sigma_px = found
-    count = len(reference_px)
-    return Observations(
-        np.full(count, task.capture),
-        np.full(count, task.pose),
-        np.full(count, task.lens),
-        reference_px,
-        seen_px,
-        sigma_px,
-    )
+    capture, pose, lens = (np.full(len(reference_px), k) for k in (task.capture, task.pose, task.lens))
+    return Observations(capture, pose, lens, reference_px, seen_px, sigma_px)
 
 
 def _matched_here(task: _Task, reference: Float32, seen: Float32) -> tuple[Float64, Float64, Float64] | None:
@@ -443,16 +412,16 @@ def _matched_here(task: _Task, reference: Float32, seen: Float32) -> tuple[Float
     rows, cols = (max(16, round(n / factor)) for n in whole)
     factor_xy = np.array([whole[1] / cols, whole[0] / rows])  # whole px make them differ a little
     images, valid = _pair_in_view(task, reference, seen, (rows, cols), factor_xy)
-    settings = match_settings(images[0].shape, task.radius_px, task.features)
+    settings = match_settings(images[0].shape, task.radius_px, task.share)
     try:
         points = match_arrays(*images, target_valid=valid, settings=settings)
     except InputError:  # too small, or nothing to compare
         return None
     points = points[np.asarray((points.sigma_px < 1.0).all(axis=1))]
     found = _in_frames(task, points, factor_xy)
-    if task.lens != 0:
+    if task.lens != 0 and task.share != WINDOW_SHARE[1]:
         return found
-    rim_px = RIM * settings.window * factor  # another capture of the reference
+    rim_px = RIM * settings.window * factor  # another capture of the reference, or the last round
     inside = _inside(found[0], whole, rim_px) & _inside(found[1], whole, rim_px)
     return found[0][inside], found[1][inside], found[2][inside]
 
@@ -483,39 +452,30 @@ def _pair_in_view(
     places, counts = map_places(shape, (0.0, 0.0), 1.0)
     at = task.seen_px(places * factor_xy)
     steps = np.nanmedian(np.abs(np.diff(at.reshape(*counts, 2)[:, :, 0], axis=1))) / 8
-    shrink = max(1.0, float(steps)) if np.isfinite(steps) else 1.0
-    small = [max(16, round(n / shrink)) for n in task.seen.shape]
-    if shrink > 1.2:  # averaged before it is resampled more coarsely
-        seen = np.asarray(cv2.resize(seen, (small[1], small[0]), interpolation=cv2.INTER_AREA), np.float32)
-        at = at * (np.array(small[::-1]) / np.array(task.seen.shape[::-1]))
+    seen, at = made_coarser(seen, at, float(steps) if np.isfinite(steps) else 1.0)
     warped = resampled(coefficients_of(np.ascontiguousarray(seen, np.float32)), at, counts, (rows, cols))
     valid = np.isfinite(warped)
     return (np.asarray(view, np.float32), np.nan_to_num(warped)), valid
 
 
-def match_settings(shape: tuple[int, ...], radius_px: int, features: int) -> MatchSettings:
+def match_settings(shape: tuple[int, ...], radius_px: int, share: float) -> MatchSettings:
     """Return settings for frames of a `shape`: windows that are small enough for it."""
-    side = int(np.clip(0.2 * min(shape), 31, 81)) // 2 * 2 + 1
+    side = int(np.clip(share * min(shape), 31, 81)) // 2 * 2 + 1
     template = min(101, side + 20)
     return MatchSettings(
-        features=features, search_radius=radius_px, window=side, template=template, ssim_min=0.0
+        features=FEATURES, search_radius=radius_px, window=side, template=template, ssim_min=0.0
     )
 
 
-def _overlap(seen: Observations, order: Sequence[Frame]) -> float:
+def _overlap(seen: Observations, order: Sequence[Frame], share: float) -> float:
     """Return how many points share a window, on average."""
     views = len(np.unique(np.column_stack([seen.capture, seen.pose]), axis=0))
-    side = match_settings(order[0].shape, 5, 1).window
+    side = match_settings(order[0].shape, 5, share).window
     return len(seen) / max(views, 1) * side**2 / _pixels(order[0])
 
 
 def _overlapping(
-    state: State,
-    chosen: Sequence[Capture],
-    name: str,
-    lens: Lens,
-    runner: Runner,
-    on_event: EventCallback,
+    state: State, chosen: Sequence[Capture], name: str, lens: Lens, runner: Runner, on_event: EventCallback
 ) -> list[tuple[int, int, Float64]]:
     """Return captures whose reference frames overlap with the next two's, and the poses between them."""
     lens = replace(lens, vector=state.lenses[0])
@@ -528,14 +488,7 @@ def _overlapping(
 def find_overlap(one: Frame, other: Frame, lens: Lens, plane: Float64) -> Float64 | None:
     """Return the (6,) rotation and base between two captures; None where they do not overlap clearly.
 
-    Parameters
-    ----------
-    one, other : Frame
-        Of the reference lens in both captures.
-    lens : Lens
-        Of the reference.
-    plane : (3,) array
-        Nearness of the first capture.
+    The frames are those of the reference lens, and the (3,) `plane` is the nearness of the first capture.
     """
     images = [read_frame(each.path, each.shape) for each in (one, other)]
     found = overlap_of(images[0], images[1])
@@ -552,12 +505,8 @@ def overlap_of(reference: Float32, target: Float32) -> tuple[Float64, Float64, F
     """Return what two frames of one lens have in common: None where they do not overlap clearly.
 
     Frames of one band look alike: features are enough, and much faster than a search for the pose. Returned
-    are (n, 2) px of both, corner-based, and the (2, 3) similarity between them.
-
-    Parameters
-    ----------
-    reference, target : (rows, cols) float32 array
-        The frames, of the same size.
+    are (n, 2) px of both, corner-based, and the (2, 3) similarity between them; `reference` and `target` are
+    (rows, cols) frames of the same size.
     """
     factor = min(1.0, COARSE_SIDE_PX / max(reference.shape))
     found = []
@@ -610,7 +559,9 @@ def _with_poses(state: State, sigma: State, extra: Sequence[tuple[int, int, Floa
     pairs = tuple((one, other) for one, other, _ in extra)
     return (
         replace(state, poses=poses, overlaps=pairs),
-        replace(sigma, poses=np.vstack([sigma.poses, loose]), overlaps=pairs),
+        replace(
+            sigma, lenses=sigma.lenses * TOLD_BEND, poses=np.vstack([sigma.poses, loose]), overlaps=pairs
+        ),
     )
 
 
@@ -618,21 +569,21 @@ def _rig_of(
     found: Adjusted,
     seen: Observations,
     chosen: Sequence[Capture],
+    looks: Sequence[Mapping[str, Sharpness]],
     order: Sequence[Frame],
-    names: Sequence[str],
 ) -> Rig:
     """Return the rig of an adjustment, with the precision of what it maps."""
     state = found.state
     deviation = np.sqrt(np.maximum(np.diag(found.covariance), 0))
-    looks = [_look([each.frames[name] for each in chosen]) for name in names]
     lenses = []
     for number, frame in enumerate(order):
         lens = Lens(state.models[number], frame.shape, state.lenses[number])
         first, pose = number * 8, state.lenses.size + number * 6
         mapping, distortion = _precision(found, number, frame.shape)
+        own = [each[frame.lens] for each in looks]
         lenses.append(
             RigLens(
-                name=names[number],
+                name=frame.lens,
                 lens=lens,
                 rotation=state.poses[number, :3],
                 baseline=state.poses[number, 3:],
@@ -640,14 +591,14 @@ def _rig_of(
                 mapping_sigma_px=mapping,
                 distortion_sigma_px=distortion,
                 told=frame.told,
-                sharpness=looks[number],
+                sharpness=replace(usual_of(own), detail=min(each.detail for each in own)),
                 wavelength_nm=frame.wavelength_nm,
             )
         )
     heights = [each.height_m for each in chosen]
     known = [each for each in heights if each]
     distance = len(known) / sum(1 / each for each in known) if len(known) == len(heights) else None
-    between = seen.pose < len(names)
+    between = seen.pose < len(order)
     length = np.hypot(*found.residual_px.T)[found.kept & between]
     return Rig(
         lenses=tuple(lenses),
@@ -655,7 +606,7 @@ def _rig_of(
         distance_m=distance,
         nearness=(float(state.planes[:, 0].min()), float(state.planes[:, 0].max())),
         tilt=float(np.clip(np.sqrt((state.planes[:, 1:] ** 2).mean()), 0.05, 0.5)),
-        wander_px=_wander(found, seen, len(names)),
+        wander_px=_wander(found, seen, len(order)),
         captures=len(chosen),
         points=int((found.kept & between).sum()),
         residual_px=float(np.median(length)),
@@ -702,11 +653,18 @@ def _precision(found: Adjusted, number: int, shape: tuple[int, int]) -> tuple[tu
     return (float(np.nanmedian(sigma)), float(np.nanmax(sigma))), float(bend.max())
 
 
-def _look(frames: Sequence[Frame]) -> Sharpness:
-    """Return what the frames of a lens look like: the least detail, and the median contrast, of some."""
-    some = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, 8).astype(int))]
-    looks = [look(read_frame(each.path, each.shape)) for each in some]
-    return Sharpness(min(each.detail for each in looks), float(np.median([each.contrast for each in looks])))
+def usual_of(looks: Sequence[Sharpness]) -> Sharpness:
+    """Return the median (the higher one of two) of what frames of a lens look like."""
+    looks_of = np.array([(each.detail, each.contrast) for each in looks])
+    return Sharpness(*(float(each) for each in np.percentile(looks_of, 50, axis=0, method="higher")))
+
+
+def inspect(capture: Capture) -> tuple[str | None, dict[str, Sharpness]]:
+    """Return whether a capture shows a panel, and how, and what the frames of its lenses look like."""
+    frames = list(capture.frames.values())
+    values = [read_frame(each.path, each.shape) for each in frames]
+    looks = {each.lens: look(plane) for each, plane in zip(frames, values, strict=True)}
+    return panel_seen(frames, values), looks
 
 
 def look(values: Float32) -> Sharpness:

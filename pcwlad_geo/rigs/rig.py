@@ -15,6 +15,7 @@ import numpy as np
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.kernels.compiled import compiled
 from pcwlad_geo.matching.refinement import spline_coefficients
+from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, Grade
 from pcwlad_geo.rigs.lenses import Lens, lattice
 from pcwlad_geo.text import read_json
 from pcwlad_geo.types import Float32, Float64, PathLike
@@ -114,12 +115,19 @@ class Rig:
     points: int
     residual_px: float
     """Median distance of the tie points from the model."""
+    expected_ce90_px: float | None = None
+    """Median of the errors expected of the captures learned from; None of a rig of an earlier version."""
     seconds: float = 0.0
 
     @property
     def reference(self) -> RigLens:
         """The lens whose frame the others are brought onto."""
         return self.lenses[0]
+
+    @property
+    def quality(self) -> Grade | None:
+        """Grade of what it makes of the captures learned from, as that of a registration."""
+        return None if self.expected_ce90_px is None else grade_of(self.expected_ce90_px)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -180,6 +188,8 @@ class Rig:
             "captures": self.captures,
             "points": self.points,
             "residual_px": self.residual_px,
+            "quality": self.quality,
+            "expected_ce90_px": self.expected_ce90_px,
             "seconds": self.seconds,
             "lenses": [_lens_json(each) for each in self.lenses],
         }
@@ -200,7 +210,7 @@ class Rig:
         numbers = [float(values[name]) for name in ("tilt", "wander_px", "residual_px", "seconds")]
         if not 0 < low <= high < 1e6 or not all(math.isfinite(each) for each in numbers):
             raise ValueError("no distances")
-        metres = values["distance_m"]
+        metres, expected = values["distance_m"], values.get("expected_ce90_px")
         return Rig(
             lenses=lenses,
             camera=str(values["camera"]),
@@ -211,6 +221,7 @@ class Rig:
             captures=int(values["captures"]),
             points=int(values["points"]),
             residual_px=numbers[2],
+            expected_ce90_px=None if expected is None else float(expected),
             seconds=numbers[3],
         )
 
@@ -223,6 +234,11 @@ class Rig:
             raise InputError(f"cannot read {path}: {error.strerror or error}") from error
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
             raise InputError(f"{path} is no rig of pcwlad-geo: make one with pcwlad-geo rig learn") from error
+
+
+def grade_of(expected_ce90_px: float) -> Grade:
+    """Return the grade of a capture, or of a rig, by its expected error."""
+    return "good" if expected_ce90_px <= GOOD_PX else "fair" if expected_ce90_px <= FAIR_PX else "poor"
 
 
 def _lens_json(each: RigLens) -> dict[str, Any]:
@@ -289,19 +305,25 @@ def measured_side(shape: tuple[int, int]) -> int:
     return round(min(side, LARGEST_SIDE_PX, max(LEAST_SIDE_PX, side / 2)))
 
 
+def made_coarser(values: Float32, at_px: Float64, times: float) -> tuple[Float32, Float64]:
+    """Return the (rows, cols) `values` averaged before they are resampled so many times more coarsely.
+
+    The second is the (n, 2) `at_px`, in the px of what is returned.
+    """
+    if times <= 1.2:
+        return values, at_px
+    rows, cols = (max(16, round(n / times)) for n in values.shape)
+    small = np.asarray(cv2.resize(values, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
+    return small, at_px * (np.array([cols, rows]) / np.array(values.shape[::-1]))
+
+
 def map_places(
     shape: tuple[int, int], origin: tuple[float, float], step_px: float
 ) -> tuple[Float64, tuple[int, int]]:
     """Return the (n, 2) places (col, row) where a warp is computed exactly, and their rows and columns.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns of the output.
-    origin : (float, float)
-        Column and row of its top-left corner, in the plane of the places.
-    step_px : float
-        Px of that plane to a px of the output.
+    `shape` is that of the output, `origin` the column and row of its top-left corner in the plane of the
+    places, and `step_px` how many px of that plane a px of the output is.
     """
     counts = [math.ceil(size / MAP_STEP_PX) + 1 for size in shape]
     row, col = (np.arange(count) * MAP_STEP_PX + 0.5 for count in counts)
@@ -314,14 +336,8 @@ def resampled(
 ) -> Float32:
     """Return a frame resampled once to (rows, cols), by a cubic B-spline; NaN where it does not reach.
 
-    Parameters
-    ----------
-    coefficients : (rows, cols) float32 array
-        Of the frame, see `coefficients_of`.
-    seen_px : (n, 2) array
-        Px of the frame (col, row), corner-based, at the places of `map_places`, which also gives `counts`.
-    counts, shape : (int, int)
-        Rows and columns of these places, and of the output.
+    Given are its (rows, cols) `coefficients`, and the (n, 2) px, `seen_px`, at the places of `map_places`,
+    with the rows and columns of these, `counts`, and of the output.
     """
     out = np.empty(shape, np.float32)
     grid = np.nan_to_num(seen_px, nan=-1e9).reshape(*counts, 2)

@@ -6,6 +6,7 @@ import csv
 import hashlib
 import io
 import json
+import statistics
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,7 +15,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
-from pcwlad_geo.errors import InputError, OutputError
+from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.processes import available_cores, open_runner
 from pcwlad_geo.execution.runner import Runner
@@ -23,10 +24,19 @@ from pcwlad_geo.outputs.folder import lock_folder, place_file, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.raster.source import open_raster, plain_name
 from pcwlad_geo.raster.trust import Trust, trusting
-from pcwlad_geo.rigs.applying import CAPTURE_TAG, CaptureOutcome, CaptureTask, correct_capture
+from pcwlad_geo.rigs.applying import (
+    CAPTURE_TAG,
+    BadCaptureError,
+    CaptureOutcome,
+    CaptureTask,
+    check_looks,
+    correct_capture,
+    doubt_of,
+    try_capture,
+)
 from pcwlad_geo.rigs.captures import MAX_LENSES, Capture, find_frames, group
-from pcwlad_geo.rigs.learning import LearnSettings, learn
-from pcwlad_geo.rigs.rig import Rig
+from pcwlad_geo.rigs.learning import MOST_CAPTURES, evenly, inspect, learn, usual_of
+from pcwlad_geo.rigs.rig import Rig, Sharpness
 from pcwlad_geo.text import cell, joined, read_json
 from pcwlad_geo.types import PathLike
 
@@ -57,8 +67,8 @@ class RigApplied:
         return self.out_dir / SUMMARY
 
     def count(self, status: str) -> int:
-        """Return the number of captures with a status: corrected, rejected, unusable or failed."""
-        return sum(each.status == status for each in self.captures)
+        """Return the number of captures of a status (corrected, rejected, unusable, failed) or quality."""
+        return sum(status in (each.status, each.quality) for each in self.captures)
 
 
 def rig_learn(
@@ -121,7 +131,7 @@ def rig_learn(
         _check_one_camera(whole)
         runner = open_runner(executor, on_event, jobs=_processes(jobs), scheduler=scheduler, preload=_PRELOAD)
         with runner as opened:
-            rig = learn(whole, LearnSettings(), fisheye, opened, on_event)
+            rig = _learned(evenly(whole, MOST_CAPTURES), fisheye, opened, on_event)
     rig = replace(rig, seconds=time.perf_counter() - begun)
     for each in rig.lenses:
         off = each.off_by_px()
@@ -132,11 +142,70 @@ def rig_learn(
                     f"{off[1]:.2f} px, by the tie points (± {each.distortion_sigma_px:.2f}): it was refined"
                 )
             )
+    if rig.expected_ce90_px is not None and rig.quality != "good":
+        on_event(Warned(f"the rig is {rig.quality}: {doubt_of(rig.expected_ce90_px)}"))
     if out is not None:
         with stage_inside(Path(out).parent) as stage:
             rig.write(stage / "rig.json")
             place_file(stage / "rig.json", out, overwrite=overwrite)
     return rig
+
+
+def _learned(captures: Sequence[Capture], fisheye: bool, runner: Runner, on_event: EventCallback) -> Rig:
+    """Learn a rig from captures of flight, and again without those that it does not hold for."""
+    found = runner.run(inspect, [(each,) for each in captures], "inspecting", on_event).results
+    flown = _in_flight(captures, found, on_event)
+    for _ in range(2):
+        rig = learn(list(flown), [*flown.values()], fisheye, runner, on_event)
+        tried = runner.run(try_capture, [(rig, each) for each in flown], "testing", on_event).results
+        refused = {each: why for each, why in zip(flown, tried, strict=True) if isinstance(why, str)}
+        flown = {each: flown[each] for each in _agreeing(list(flown), refused, on_event)}
+        if not refused:
+            break
+    if refused.keys() & flown:
+        raise RegistrationRejectedError("the captures contradict each other: give captures of one flight")
+    expected = [each for each in tried if isinstance(each, float)]
+    return replace(rig, expected_ce90_px=statistics.median(expected))
+
+
+def _in_flight(
+    captures: Sequence[Capture],
+    found: Sequence[tuple[str | None, dict[str, Sharpness]]],
+    on_event: EventCallback,
+) -> dict[Capture, dict[str, Sharpness]]:
+    """Return the captures that show ground, sharply, with what they look like; name the others."""
+    seen = [looks for panel, looks in found if not panel]
+    usual = {name: usual_of([each[name] for each in seen]) for name in captures[0].frames if seen}
+    flown, left = {}, []
+    for each, (panel, looks) in zip(captures, found, strict=True):
+        try:
+            if panel:
+                raise BadCaptureError(panel)
+            check_looks(usual, looks)
+            flown[each] = looks
+        except BadCaptureError as error:
+            left.append(f"{each.name}: left out: {error}")
+    if not flown:
+        raise RegistrationRejectedError(f"{'; '.join(left)[:300]}. Give captures of ground in flight")
+    for reason in left:
+        on_event(Warned(reason))
+    return flown
+
+
+def _agreeing(
+    captures: Sequence[Capture], refused: Mapping[Capture, str], on_event: EventCallback
+) -> list[Capture]:
+    """Return most of the captures: those that a rig of all holds for, or else the others; name the rest."""
+    held = [each for each in captures if each not in refused]
+    kept, left = (held, list(refused)) if len(held) > len(refused) else (list(refused), held)
+    if refused and (not held or len(held) == len(refused)):
+        name, why = next((each.name, reason) for each, reason in refused.items())
+        other = f" It and {held[0].name} contradict each other." if held else ""
+        raise RegistrationRejectedError(f"{name}: {why}.{other} Give captures of level ground in flight")
+    for each in left:
+        reason = refused.get(each, f"it contradicts {len(kept)} others: a near scene, or a panel")
+        on_event(Warned(f"{each.name}: left out: {reason}"))
+    return kept
 
 
 def rig_apply(
@@ -211,7 +280,7 @@ def rig_apply(
         ordered = tuple(sorted(outcomes, key=lambda each: each.name))
         for each in ordered:
             if each.reason is not None:
-                on_event(Warned(f"{each.name}: {each.status}: {each.reason}"))
+                on_event(Warned(f"{each.name}: {each.quality or each.status}: {each.reason}"))
         for file, reason in unread:
             on_event(Warned(reason if file in reason else f"{file}: {reason}"))
     return RigApplied(ordered, folder, tuple(unread))

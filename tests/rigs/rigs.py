@@ -49,6 +49,11 @@ def flown(height_m: float, east_m: float = 38.0, **values: object) -> Flown:
     return replace(Flown(np.array([east_m, 38.0, height_m]), turn), **values)
 
 
+def with_longer_base(rig: Sequence[TrueLens], times: float) -> tuple[TrueLens, ...]:
+    """Return the rig with its lenses farther apart: its parallax is that of ground so many times nearer."""
+    return tuple(replace(each, place_m=each.place_m * times) for each in rig)
+
+
 def write(folder: Path, name: str, rig: Sequence[TrueLens], capture: Flown, seed: int = 1) -> None:
     """Write the frames of a capture."""
     write_capture(folder, name, rig, capture, ground(), seed=seed, height=True)
@@ -78,9 +83,9 @@ def true_rig(rig: Sequence[TrueLens], frames: Path, name: str) -> Rig:
 
 
 def applied_errors(
-    known: Rig, rig: Sequence[TrueLens], capture: Flown, land: Ground, raster: Path
+    known: Rig, rig: Sequence[TrueLens], capture: Flown, land: Ground, raster: Path, percent: float = 50.0
 ) -> list[float]:
-    """Return for each lens but the first the median distance, px, from where it should have been read."""
+    """Return for each lens but the first a percentile of the distances, px, from where it should be read."""
     with ignoring(NotGeoreferencedWarning), rasterio.open(raster) as dataset:
         tags = dataset.tags()
     plane = np.array([float(each) for each in tags["RIG_NEARNESS"].split()])
@@ -96,5 +101,5 @@ def applied_errors(
     for number, (each, true) in enumerate(zip(known.lenses, rig, strict=True)):
         read: Float64 = replace(each, rotation=turns[number]).seen(rays[good], near[good])
         wrong = np.hypot(*(read - seen_by(true, capture, points)).T)
-        found.append(float(np.nanmedian(wrong)))
+        found.append(float(np.nanpercentile(wrong, percent)))
     return found[1:]
