@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,17 @@ from benchmarks.displacing import Field
 from benchmarks.pairs import Image, as_uint8, write
 from benchmarks.quality_scenes import CONDITIONS, HARDER, grounds
 from benchmarks.runs import Array, Job, Outcome, Runner
+from benchmarks.studies.quality_sets import (
+    CRS,
+    FINE_PX,
+    FINE_SHARE,
+    GRID,
+    OFF_PX,
+    TIMES,
+    blocks,
+    rigs,
+    stacks,
+)
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
@@ -27,13 +38,9 @@ from pcwlad_geo.registration.result import Registration
 Truth = Callable[[Array, Outcome | None], Array]
 """(n, 2) reference px, and what the undisplaced pair gave, to the target px where the ground is."""
 
-GRID: Final = Affine(10.0, 0.0, 500000.0, 0.0, -10.0, 5000000.0)
-CRS: Final = "EPSG:32633"
 SETTINGS: Final = Settings(jobs=1)
 STEP_PX: Final = 6
 """Of the dense grid on which corrections are compared with the truth."""
-FINE_PX, OFF_PX, TIMES = 0.5, 1.0, 3.0
-FINE_SHARE: Final = 95.0
 HEIGHT_M: Final = 29.0
 """From the elevation model up to the ellipsoid, for the QuickBird image."""
 MIN_PAIRS: Final = 60
@@ -87,7 +94,13 @@ class Finding:
         return found.name if found else "-"
 
 
-def quality(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
+def quality(data: Path, scratch: Path, runner: Runner, parts: Collection[str] = ()) -> Iterator[Table]:
+    """Yield a table for each of the `QUALITY_PARTS` asked for, all by default."""
+    for name in parts or QUALITY_PARTS:
+        yield from QUALITY_PARTS[name](data, scratch, runner)
+
+
+def _pairs(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     """Yield a table of all pairs: grade, expected and true accuracy."""
     made = [*_displaced(data, scratch), *_wrong_heights(data, scratch)]
     runner([job for case in made for job in (case.base, case.job) if job is not None])
@@ -128,6 +141,15 @@ def quality(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
         for grade in ("good", "fair", "poor", "refused")
     )
     yield Table(f"Grades of {len(findings)} pairs ({counts}; {len(fine)} truly fine)", header, rows, checks)
+
+
+QUALITY_PARTS: Final[dict[str, Callable[[Path, Path, Runner], Iterator[Table]]]] = {
+    "pairs": _pairs,
+    "stacks": stacks,
+    "rigs": rigs,
+    "blocks": blocks,
+}
+"""What is graded."""
 
 
 def _finding(case: Case, runner: Runner) -> Finding:

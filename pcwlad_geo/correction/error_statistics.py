@@ -254,14 +254,8 @@ class Residuals:
     """(n, 2) observed minus corrected position (col, row), px."""
     kept: Bool
     """(n,) False for matches that disagree with their neighbours."""
-    sigma_px: Float64
-    """(n, 2) standard deviation of the matching noise in each, px."""
-
-    @property
-    def are_noise(self) -> bool:
-        """Whether the sigmas explain those of the kept matches, as far as 90 % of them tell."""
-        times = np.linalg.norm(self.residual_px[self.kept] / self.sigma_px[self.kept], axis=1)
-        return len(times) > 0 and bool(np.percentile(times, 90) <= UNSURPRISING * SIGMA_90)
+    sigma_px: Float64 | None = None
+    """(n, 2) standard deviation of the matching noise in each, px, where it is known."""
 
 
 def expected_ce90(
@@ -294,21 +288,20 @@ def expected_ce90(
 def _mean_error(residuals: Residuals, median_px: Float64, places_px: Float64, footprint_px: float) -> Float64:
     """Return the (m, 2) mean error of the correction at places that matches tell of, px.
 
-    Where their sigmas explain the residuals, it is the median residual of the nearest witnesses without the
-    noise, which is no error of a correction that does not follow it. Otherwise the ground is displaced within
-    short distances, and a match that its neighbours contradict may be right: the nearest witness counts,
-    rejected or not, as one is wrong as often as another.
+    Where sigmas explain the residuals, it is the median of the nearest witnesses without the noise, which is
+    no error of the correction. Otherwise the ground is displaced within short distances, and a match that its
+    neighbours contradict may be the right one: the nearest witness counts, rejected or not.
     """
-    if len(places_px) == 0:
+    kept, sigma_px = np.flatnonzero(residuals.kept), residuals.sigma_px
+    if len(places_px) == 0 or len(kept) == 0 or sigma_px is None:
         return median_px
-    if not residuals.are_noise:
-        place, value = _witnesses(
-            residuals.predicted_px, residuals.residual_px, footprint_px / CELLS_PER_WINDOW
-        )
+    times = np.linalg.norm(residuals.residual_px[kept] / np.maximum(sigma_px[kept], 1e-9), axis=1)
+    if not np.percentile(times, 90) <= UNSURPRISING * SIGMA_90:
+        side_px = footprint_px / CELLS_PER_WINDOW
+        place, value = _witnesses(residuals.predicted_px, residuals.residual_px, side_px)
         return np.asarray(value[cKDTree(place).query(places_px)[1]])
-    kept = np.flatnonzero(residuals.kept)
     nearest = kept[cKDTree(residuals.predicted_px[kept]).query(places_px)[1]]
-    return without_noise(median_px, residuals.sigma_px[nearest])
+    return without_noise(median_px, sigma_px[nearest])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,14 +10,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from pcwlad_geo.correction.error_statistics import (
-    SIGMA_90,
-    UNSURPRISING,
-    Accuracy,
-    Residuals,
-    expected_ce90,
-    without_noise,
-)
+from pcwlad_geo.correction.error_statistics import SIGMA_90, UNSURPRISING, Accuracy, Residuals, expected_ce90
 from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.points import agreement, hold_out
@@ -343,11 +336,9 @@ def _check_points_off(table: TiePointTable, model: str, footprint_px: float) -> 
     if len(checked) == 0:
         return
     ce90_px = float(np.percentile(np.linalg.norm(checked.residual_px, axis=1), 90))
-    times = ce90_px / max(SIGMA_90 * _typical_sigma_px(checked), 1e-9)
-    net_px = ce90_px
-    if times < SHARED_SIGMAS:
-        net = without_noise(checked.residual_px, checked.sigma_px)
-        net_px = float(np.percentile(np.linalg.norm(net, axis=1), 90))
+    noise_px = max(SIGMA_90 * _typical_sigma_px(checked), 1e-9)
+    times = ce90_px / noise_px
+    net_px = ce90_px if times >= SHARED_SIGMAS else max(ce90_px**2 - noise_px**2, 0.0) ** 0.5
     if net_px <= GOOD_PX and (ce90_px <= NOTICEABLE_PX or times <= MANY_SIGMAS):
         return
     yield Reason(

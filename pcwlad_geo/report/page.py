@@ -37,8 +37,7 @@ from pcwlad_geo.report.views import PairView, checkered, pair_views, read_backdr
 ENOUGH_CHECK_POINTS: Final = 30
 """Least number of check points of the ASPRS Positional Accuracy Standards (2023)."""
 UNEVEN: Final = 1.5
-"""Ratio of check-point errors, without the noise of the matching, to fit-point errors from which the model is
-doubtful between the fit points: the fit follows some of the noise, which makes the ratio larger."""
+"""Ratio of net check-point to fit-point errors from which the model is doubtful between the fit points."""
 NOISY: Final = 0.3
 """Ratio of net CE90 to CE90 below which the matching noise explains most of the error."""
 MUCH: Final = 0.2

@@ -27,14 +27,10 @@ SHOWN_PX: Final = (40.0, 400.0)
 """Least and largest number of target pixels along a side of a view."""
 SIDES_PER_DISPLACEMENT: Final = 30.0
 """Width of a view in displacements, within the limits, so that displacements are visible."""
-EDGES: Final = 24
+EDGES: Final = 36
 """Number of places at which an edge is looked for that shows the displacement."""
-NEARLY_LARGEST: Final = 0.75
-"""Least displacement there, as a share of the 90th percentile of all."""
 LOOKED_AT: Final = 90
 """Number of samples along a side of a view when edges are looked for."""
-APART: Final = 0.25
-"""Least distance of the middles of two views, as a share of their side: nearer ones show the same."""
 BACKDROP_PX: Final = 350
 """Longer side of the image behind maps."""
 NODES: Final = 25
@@ -67,7 +63,7 @@ class PairView:
     after: Image | None
     """The target corrected; None without a correction."""
     moved: Float64 | None = None
-    """(2,) displacement (col, row) in the middle, pixels of the images; None without a correction."""
+    """(2,) displacement (col, row) in the middle, target px; None without a correction."""
 
 
 def read_backdrop(info: RasterInfo) -> Image | None:
@@ -90,21 +86,14 @@ def read_backdrop(info: RasterInfo) -> Image | None:
 
 
 def pair_views(registration: Registration) -> list[PairView]:
-    """Return views of an edge that shows the displacement and of the largest residual, or of the middle.
-
-    Without an edge that crosses the middle of a view the first is around the most distinct match. The list
-    is empty if the files cannot be read.
-    """
+    """Return views of a clear edge and of the largest residual; none if the files cannot be read."""
     try:
         views = [_view(registration, title, centre) for title, centre in _places(registration)]
     except (InputError, RasterioError):
         return []
     shown = [view for view in views if view is not None]
-    if len(shown) == 2:
-        side_px = _side(registration, np.array(shown[0].centre_px))[0]
-        if np.abs(np.subtract(shown[0].centre_px, shown[1].centre_px)).max() < APART * side_px:
-            return shown[:1]
-    return shown
+    same = len(shown) == 2 and np.allclose(shown[0].centre_px, shown[1].centre_px, atol=shown[0].shown_px / 4)
+    return shown[:1] if same else shown
 
 
 def stretched(values: Float64, valid: Bool) -> Image:
@@ -132,11 +121,7 @@ def _places(registration: Registration) -> list[tuple[str, Float64]]:
         return [("the middle", np.array([cols / 2, rows / 2]))]
     best = kept.reference_px[int(np.nanargmax(np.nan_to_num(kept.score)))]
     edge = _telling_edge(registration, kept)
-    places = [
-        ("the most distinct match", best)
-        if edge is None
-        else ("the edge that shows the displacement best", edge)
-    ]
+    places = [("the most distinct match", best) if edge is None else ("the clearest edge", edge)]
     residual = np.nan_to_num(np.hypot(*kept.residual_px.T))
     if residual.any():
         places.append(("the largest residual", kept.reference_px[int(residual.argmax())]))
@@ -144,37 +129,29 @@ def _places(registration: Registration) -> list[tuple[str, Float64]]:
 
 
 def _telling_edge(registration: Registration, kept: TiePointTable) -> Float64 | None:
-    """Return where an edge makes the largest step at the line between the images, reference px.
-
-    The places are tie points (there is at least one), evenly spread, of those that are displaced most.
-    """
-    length = np.nan_to_num(np.hypot(*kept.displacement_px.T))
-    far = kept[length >= NEARLY_LARGEST * np.percentile(length, 90)]
-    far = far[thin(far.reference_px, np.hypot(*far.sigma_px.T), EDGES)]
-    steps = [_step(_view(registration, "", at_px, LOOKED_AT)) for at_px in far.reference_px]
-    return far.reference_px[int(np.argmax(steps))] if max(steps) > 0 else None
+    """Return where, of the tie points, an edge makes the largest step; None if none does."""
+    at_px = kept.reference_px[thin(kept.reference_px, np.hypot(*kept.sigma_px.T), EDGES)]
+    steps = np.nan_to_num([_step(_view(registration, "", each, LOOKED_AT)) for each in at_px])
+    return at_px[int(steps.argmax())] if steps.max() > 0 else None
 
 
 def _step(view: PairView | None) -> float:
-    """Return how much of a step an edge makes at the middle of a view before the correction; 0 if none does.
+    """Return the step of an edge at the line between the images before the correction; 0 without an edge.
 
-    It is what the displacement moves the edge across itself, times its contrast in that of the two images
-    where that is less. An edge along the line between the images shows no step, and one that only one image
-    has is none. The mean of squared gradients as complex numbers (Bigün and Granlund 1987, the structure
-    tensor) is long where they are large and have one direction, as along a straight edge.
+    It is how far the displacement moves the edge across itself, times its lower contrast of the two images:
+    the mean squared complex gradient, long along straight edges (structure tensor, Bigün and Granlund 1987).
     """
     if view is None or view.after is None or view.moved is None:
         return 0.0
     one, other = (_edge(image) for image in (view.reference, view.after))
-    contrast = float(np.sqrt(min(abs(one), abs(other))))
     alike = max(0.0, float(np.cos(np.angle(one * np.conj(other)))))
     across = np.angle(one + other) / 2
-    normal = np.array([np.cos(across), np.sin(across)])
-    return contrast * alike * abs(float(normal @ view.moved)) * abs(float(normal[1]))
+    step = abs(np.array([np.cos(across), np.sin(across)]) @ view.moved)
+    return float(np.sqrt(min(abs(one), abs(other))) * alike * step * abs(np.sin(across)))
 
 
 def _edge(image: Image) -> complex:
-    """Return the mean squared gradient (complex) of an image around its middle; 0 beside missing data."""
+    """Return the mean squared gradient of an image around its middle; 0 where it has no data."""
     if not image.all():
         return 0j
     soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
@@ -183,10 +160,8 @@ def _edge(image: Image) -> complex:
     return complex((window * window.T * gradient**2).sum())
 
 
-def _view(
-    registration: Registration, title: str, centre_px: Float64, count: int = SIDE_PX
-) -> PairView | None:
-    """Return a view of `count` samples a side; None where the target cannot be seen."""
+def _view(registration: Registration, title: str, centre_px: Float64, n: int = SIDE_PX) -> PairView | None:
+    """Return a view of `n` x `n` samples; None where the target cannot be seen."""
     reference, target = registration.reference, registration.target
     predict = _prediction(registration)
     side_px, shown_px = _side(registration, centre_px)
@@ -197,28 +172,18 @@ def _view(
     if not np.isfinite(predicted).all():
         return None
     correction = registration.correction
-    grey = stretched(*_sampled(reference, _dense(nodes, count)))
-    before = _sampled(target, _dense(predicted, count))
+    grey = stretched(*_sampled(reference, _dense(nodes, n)))
+    before = _sampled(target, _dense(predicted, n))
     after = moved = None
     if correction is not None:
         observed = correction.forward(predicted.reshape(-1, 2)).reshape(nodes.shape)
-        after = _sampled(target, _dense(observed, count))
-        moved = _in_samples(predicted, observed, count)
+        after = _sampled(target, _dense(observed, n))
+        moved = (observed - predicted)[NODES // 2, NODES // 2]
     if not before[1].any() and (after is None or not after[1].any()):
         return None
     col, row = centre_px.tolist()
     seen = None if after is None else stretched(*after)
     return PairView(title, (col, row), shown_px, grey, stretched(*before), seen, moved)
-
-
-def _in_samples(predicted: Float64, observed: Float64, count: int) -> Float64 | None:
-    """Return the (2,) displacement in the middle of nodes, px of the target, in samples, or None."""
-    middle = NODES // 2
-    here, moved = predicted[middle, middle], (observed - predicted)[middle, middle]
-    beside = np.column_stack([predicted[middle, middle + 1] - here, predicted[middle + 1, middle] - here])
-    if not np.isfinite(moved).all() or not np.linalg.det(beside):
-        return None
-    return np.asarray(np.linalg.solve(beside, moved) * count / (NODES - 1))
 
 
 def _prediction(registration: Registration) -> Callable[[Float64], Float64]:

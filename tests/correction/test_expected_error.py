@@ -83,12 +83,12 @@ def test_rejected_matches_count_where_they_agree_among_themselves(agree: bool, e
 
 @pytest.mark.parametrize("known", [True, False])
 def test_noise_that_the_sigmas_tell_is_no_error_of_the_correction(known: bool) -> None:
-    """A shift of many points is right, however they scatter; what the sigmas do not tell may be the ground."""
+    """A shift of many points is right, however they scatter; what sigmas do not tell may be the ground."""
     xy = points()
     moved = 4 * noise(len(xy))
     selection = fitted(xy, moved, "shift")
     found = residuals_of(selection, xy, moved)
-    found = replace(found, sigma_px=found.sigma_px * (4 if known else 1))
+    found = replace(found, sigma_px=np.full_like(xy, SIGMA_PX * (4 if known else 1)))
     expected = expected_ce90(selection, found, grid(), WINDOW_PX)
     true = np.linalg.norm(selection.fit.correction.forward(np.zeros((1, 2))))
     assert true < 0.1

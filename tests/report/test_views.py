@@ -19,7 +19,7 @@ from tests.scenes import write
 Make = Callable[..., Registration]
 
 
-EDGE = "the edge that shows the displacement best"
+EDGE = "the clearest edge"
 
 
 def smooth(at_px: np.ndarray) -> np.ndarray:
