@@ -138,26 +138,24 @@ def _telling_edge(registration: Registration, kept: TiePointTable) -> Float64 | 
 def _step(view: PairView | None) -> float:
     """Return the step of an edge at the line between the images before the correction; 0 without an edge.
 
-    It is how far the displacement moves the edge across itself, times its lower contrast of the two images:
-    the mean squared complex gradient, long along straight edges (structure tensor, Bigün and Granlund 1987).
+    It is how far the displacement moves an edge of both images across itself, times its contrast: the mean
+    squared complex gradient is long along straight edges (structure tensor, Bigün and Granlund 1987).
     """
     if view is None or view.after is None or view.moved is None:
         return 0.0
-    one, other = (_edge(image) for image in (view.reference, view.after))
-    alike = max(0.0, float(np.cos(np.angle(one * np.conj(other)))))
-    across = np.angle(one + other) / 2
+    one, other = (_squared_gradient(image) for image in (view.reference, view.after))
+    window = cv2.getGaussianKernel(len(one), len(one) / 10)
+    shared = complex((window * window.T * (one * np.abs(other) + other * np.abs(one))).sum())
+    across = np.angle(shared) / 2
     step = abs(np.array([np.cos(across), np.sin(across)]) @ view.moved)
-    return float(np.sqrt(min(abs(one), abs(other))) * alike * step * abs(np.sin(across)))
+    return float(abs(shared) ** 0.25 * step * abs(np.sin(across)))
 
 
-def _edge(image: Image) -> complex:
-    """Return the mean squared gradient of an image around its middle; 0 where it has no data."""
-    if not image.all():
-        return 0j
+def _squared_gradient(image: Image) -> NDArray[np.complex64]:
+    """Return the squared gradient of an image as complex numbers; 0 where it lacks data."""
     soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
     gradient = cv2.Sobel(soft, cv2.CV_32F, 1, 0) + 1j * cv2.Sobel(soft, cv2.CV_32F, 0, 1)
-    window = cv2.getGaussianKernel(len(image), len(image) / 10)
-    return complex((window * window.T * gradient**2).sum())
+    return np.asarray(image.all() * gradient**2)
 
 
 def _view(registration: Registration, title: str, centre_px: Float64, n: int = SIDE_PX) -> PairView | None:
