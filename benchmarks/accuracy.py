@@ -30,7 +30,7 @@ from benchmarks.studies.metrology import metrology
 from benchmarks.studies.models import models
 from benchmarks.studies.paper import paper
 from benchmarks.studies.pose import PARTS, pose
-from benchmarks.studies.quality import quality
+from benchmarks.studies.quality import QUALITY_PARTS, quality
 from benchmarks.studies.refusal import refusal
 from benchmarks.studies.rig import rig
 from benchmarks.studies.robustness import robustness
@@ -73,7 +73,11 @@ def main() -> int:
     """Run the studies asked for and print their tables."""
     arguments = _parse()
     names = list(STUDIES) if arguments.study == "all" else [arguments.study]
-    studies = STUDIES | {"pose": partial(pose, share=arguments.share, parts=arguments.part or ())}
+    asked = arguments.part or ()
+    studies = STUDIES | {
+        "pose": partial(pose, share=arguments.share, parts=[part for part in asked if part in PARTS]),
+        "quality": partial(quality, parts=[part for part in asked if part in QUALITY_PARTS]),
+    }
     runner = Runner(arguments.jobs)
     checks: list[Check] = []
     for name in names:
@@ -104,7 +108,10 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="pairs at a time")
     parser.add_argument("--share", type=_share, default=1.0, help="of the cases of the study pose, 0 to 1")
     parser.add_argument(
-        "--part", choices=PARTS, action="append", help="of the study pose (may be repeated; default: all)"
+        "--part",
+        choices=[*PARTS, *QUALITY_PARTS],
+        action="append",
+        help="of the studies pose and quality (may be repeated; default: all)",
     )
     arguments = parser.parse_args()
     if not arguments.data.is_dir():

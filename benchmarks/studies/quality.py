@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -10,13 +10,23 @@ from typing import Final
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 from rasterio.transform import Affine
-from scipy import ndimage
 
-from benchmarks.displacing import Field, displace
-from benchmarks.pairs import Image, as_uint8, landsat, read, rgbnir, uav, with_gamma, with_noise, write
+from benchmarks.displacing import Field
+from benchmarks.pairs import Image, as_uint8, write
+from benchmarks.quality_scenes import CONDITIONS, HARDER, grounds
 from benchmarks.runs import Array, Job, Outcome, Runner
+from benchmarks.studies.quality_sets import (
+    CRS,
+    FINE_PX,
+    FINE_SHARE,
+    GRID,
+    OFF_PX,
+    TIMES,
+    blocks,
+    rigs,
+    stacks,
+)
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
@@ -25,34 +35,15 @@ from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.registration.fitting import fit_correction
 from pcwlad_geo.registration.result import Registration
 
-Index = NDArray[np.intp]
 Truth = Callable[[Array, Outcome | None], Array]
 """(n, 2) reference px, and what the undisplaced pair gave, to the target px where the ground is."""
 
-GRID: Final = Affine(10.0, 0.0, 500000.0, 0.0, -10.0, 5000000.0)
-CRS: Final = "EPSG:32633"
 SETTINGS: Final = Settings(jobs=1)
 STEP_PX: Final = 6
 """Of the dense grid on which corrections are compared with the truth."""
-FINE_PX, OFF_PX, TIMES = 0.5, 1.0, 3.0
-FINE_SHARE: Final = 95.0
-TENTH, HALF = 0.1, 0.5
-CLOUDS_PX: Final = (8.0, 5.0)
-"""How far clouds moved (col, row)."""
 HEIGHT_M: Final = 29.0
 """From the elevation model up to the ellipsoid, for the QuickBird image."""
 MIN_PAIRS: Final = 60
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Ground:
-    """A pair of images of one ground, of the same size, that lie nearly in place."""
-
-    name: str
-    reference: Image
-    target: Image
-    exact: bool
-    """Whether they lie exactly in place: the reference is made from the target."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +94,13 @@ class Finding:
         return found.name if found else "-"
 
 
-def quality(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
+def quality(data: Path, scratch: Path, runner: Runner, parts: Collection[str] = ()) -> Iterator[Table]:
+    """Yield a table for each of the `QUALITY_PARTS` asked for, all by default."""
+    for name in parts or QUALITY_PARTS:
+        yield from QUALITY_PARTS[name](data, scratch, runner)
+
+
+def _pairs(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     """Yield a table of all pairs: grade, expected and true accuracy."""
     made = [*_displaced(data, scratch), *_wrong_heights(data, scratch)]
     runner([job for case in made for job in (case.base, case.job) if job is not None])
@@ -144,6 +141,15 @@ def quality(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
         for grade in ("good", "fair", "poor", "refused")
     )
     yield Table(f"Grades of {len(findings)} pairs ({counts}; {len(fine)} truly fine)", header, rows, checks)
+
+
+QUALITY_PARTS: Final[dict[str, Callable[[Path, Path, Runner], Iterator[Table]]]] = {
+    "pairs": _pairs,
+    "stacks": stacks,
+    "rigs": rigs,
+    "blocks": blocks,
+}
+"""What is graded."""
 
 
 def _finding(case: Case, runner: Runner) -> Finding:
@@ -197,251 +203,10 @@ def _remark(each: Finding) -> str:
     return ""
 
 
-def grounds(data: Path) -> list[Ground]:
-    """Return the images that the cases are made from, at most 512 px a side."""
-    close, visible = rgbnir(data), landsat(data)
-    sensors = data / "cross_sensor"
-    s2, aerial, land = (
-        sensors / name for name in ("sentinel2_b432_byte.tif", "ngi_rgb_byte_1.tif", "landsat8_byte.tif")
-    )
-    flight = read(uav(data).reference)[2:514, 60:572]
-    thermal = read(visible.undisplaced)
-    near = np.s_[84:596, 256:768]
-    place = np.s_[500:1012, 150:662]
-    return [
-        Ground("Landsat blue - thermal", read(visible.reference), thermal, False),
-        Ground("red - near infrared", read(close.reference)[near], read(close.undisplaced)[near], False),
-        Ground("Sentinel-2 red - blue", read(s2, 1)[place], read(s2, 3)[place], False),
-        Ground("Landsat red - near infrared", read(land, 4), read(land, 5), False),
-        Ground("aerial red - blue", read(aerial, 1)[place], read(aerial, 3)[place], False),
-        Ground("UAV - its negative", _negative(flight), flight, True),
-        Ground("thermal - its negative", _negative(thermal), thermal, True),
-    ]
-
-
-def _negative(image: Image) -> Image:
-    """Return the image as another band might show it: dark for bright, bent, with noise."""
-    return with_noise(with_gamma(255 - as_uint8(image), 0.7), 3.0, seed=5)
-
-
-# --- displacement fields
-
-
-def shifted(at_px: Array, by_px: tuple[float, float] = (2.37, -1.61)) -> Array:
-    """Return the same displacement everywhere."""
-    return np.broadcast_to(np.array(by_px), at_px.shape)
-
-
-def turned(at_px: Array, angle_deg: float = 0.3, scale: float = 1.002) -> Array:
-    """Return what a small rotation and scale about (256, 256) and a shift do."""
-    angle = np.deg2rad(angle_deg)
-    matrix = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) - np.eye(2)
-    return np.asarray((at_px - 256.0) @ matrix.T + [1.2, -0.8])
-
-
-def waves(at_px: Array, wavelength_px: float, amplitude_px: float, turn: float = 0.64) -> Array:
-    """Return a smooth displacement of up to the amplitude on either axis."""
-    x, y = np.moveaxis(at_px, -1, 0)
-    k, c, s = 2 * np.pi / wavelength_px, np.cos(turn), np.sin(turn)
-    sines = (np.sin(k * (c * x + s * y) + 0.4 + turn), np.sin(k * (s * x - c * y) + 2.1 - turn))
-    return np.asarray(amplitude_px * np.stack(sines, axis=-1))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Layers:
-    """Ground in layers that move by a constant each: at a place, the layer of the highest number."""
-
-    layer: Index
-    """(rows, cols) number of the layer seen."""
-    moves_px: Array
-    """(layers, 2) displacement (col, row) of each, px."""
-
-    def __call__(self, at_px: Array) -> Array:
-        """Return the displacement of what is seen at positions (..., 2), px."""
-        rows, cols = self.layer.shape
-        col, row = np.floor(at_px).astype(np.intp).reshape(-1, 2).T
-        seen = self.layer[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
-        return np.asarray(self.moves_px[seen].reshape(at_px.shape))
-
-    def displace(self, image: Image) -> Image:
-        """Return the image with its layers moved, each painted over those below."""
-        moved = np.zeros(image.shape)
-        for number, (col, row) in enumerate(self.moves_px.tolist()):
-            cover = ndimage.shift(
-                (self.layer >= number).astype(np.float32), (row, col), order=1, mode="nearest"
-            )
-            layer = ndimage.shift(image.astype(np.float64), (row, col), order=5, mode="mirror")
-            moved = np.where(cover > 0.5, layer, moved)
-        return moved
-
-
-def blobs(shape: tuple[int, int], share: float, seed: int, size_px: float = 40.0) -> Array:
-    """Return a mask of soft-edged patches that cover a share of the image."""
-    noise = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), size_px, mode="wrap")
-    return np.asarray(noise > np.quantile(noise, 1 - share))
-
-
-def relief(shape: tuple[int, int], most_px: float, seed: int, size_px: float, steps: int = 12) -> Layers:
-    """Return hills as another viewpoint sees them: displaced along the columns by up to so many px."""
-    noise = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), size_px, mode="wrap")
-    height = (noise - noise.min()) / np.ptp(noise)
-    level = np.minimum((height * steps).astype(np.intp), steps - 1)
-    return Layers(level, np.stack([np.linspace(0, most_px, steps), np.full(steps, 0.6)], axis=1))
-
-
-def clouded(
-    image: Image, share: float, seed: int, moved_px: tuple[float, float] = (0.0, 0.0)
-) -> tuple[Image, Image]:
-    """Cover a share of an image with soft bright clouds, all of them moved, and return what they hide."""
-    noise = np.random.default_rng(seed).standard_normal(image.shape)
-    texture = ndimage.gaussian_filter(noise, 3.0, mode="wrap")
-    thickness = ndimage.gaussian_filter(noise, 25.0, mode="wrap")
-    thickness = (thickness - np.quantile(thickness, 1 - share)) / thickness.std()
-    opacity = np.clip(thickness / 0.4, 0.0, 1.0)
-    cloud = 205 + 40 * texture / texture.std() * np.clip(thickness, 0, 1)
-    moved = moved_px[::-1]
-    opacity, cloud = (ndimage.shift(part, moved, order=3, mode="nearest") for part in (opacity, cloud))
-    return as_uint8(image * (1 - opacity) + cloud * opacity), opacity > 0.5
-
-
-# --- pairs
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Images:
-    """A pair of images of the same size, and the displacement between them."""
-
-    reference: Image
-    target: Image
-    field: Field
-    hidden: Image | None = None
-    """(rows, cols) where clouds hide the ground of the reference."""
-    open_question: str = ""
-
-
-Make = Callable[[Ground, int], Images]
-"""Ground and seed to a pair."""
-
-
-def _by(field: Field) -> Make:
-    return lambda ground, seed: Images(ground.reference, displace(ground.target, field), field)
-
-
-def _layered(layers: Callable[[tuple[int, ...], int], Layers]) -> Make:
-    def make(ground: Ground, seed: int) -> Images:
-        field = layers(ground.target.shape, seed)
-        return Images(ground.reference, field.displace(ground.target), field)
-
-    return make
-
-
-def _blurred(image: Image) -> Image:
-    return as_uint8(ndimage.gaussian_filter(image.astype(np.float64), 1.5))
-
-
-def _inverted(image: Image) -> Image:
-    return with_gamma(255 - image, 0.5)
-
-
-def _otherwise(seen: Callable[[Image], Image]) -> Make:
-    """Let the target be seen by another sensor."""
-    return lambda ground, seed: Images(
-        ground.reference, seen(as_uint8(displace(ground.target, shifted))), shifted
-    )
-
-
-def _noisy(sigma: float) -> Make:
-    def make(ground: Ground, seed: int) -> Images:
-        target = displace(ground.target, shifted)
-        return Images(with_noise(ground.reference, sigma, seed), with_noise(target, sigma, seed + 1), shifted)
-
-    return make
-
-
-def _cloudy(share: float, both: bool = True) -> Make:
-    def make(ground: Ground, seed: int) -> Images:
-        target, cover = clouded(displace(ground.target, shifted), share, seed, CLOUDS_PX)
-        reference, hidden = clouded(ground.reference, share, seed) if both else (ground.reference, cover)
-        question = "clouds or ground" if both and hidden.mean() > TENTH else ""
-        return Images(reference, target, shifted, hidden, question)
-
-    return make
-
-
-def _patched(share: float, by_px: tuple[float, float], size_px: float = 40.0) -> Make:
-    """Let patches of the ground move on their own."""
-    moves = np.array([[1.3, -0.7], by_px])
-    return _layered(lambda shape, seed: Layers(blobs(shape, share, seed, size_px).astype(np.intp), moves))
-
-
-def _relief(most_px: float, size_px: float) -> Make:
-    return _layered(lambda shape, seed: relief(shape, most_px, seed, size_px))
-
-
-def _partly_flat(share: float, field: Field) -> Make:
-    """Leave structure in the top left corner only, this share of the sides."""
-
-    def make(ground: Ground, seed: int) -> Images:
-        rows, cols = np.indices(ground.target.shape)
-        flat = (rows > share * rows.max()) | (cols > share * cols.max())
-        soft = ndimage.gaussian_filter(flat.astype(np.float64), 6.0)
-        noise = np.random.default_rng(seed).normal(0, 1.0, (2, *flat.shape))
-        images = (
-            as_uint8(image * (1 - soft) + 90 * soft + noise[which])
-            for which, image in enumerate((ground.reference, displace(ground.target, field)))
-        )
-        return Images(*images, field, None, "mostly flat" if flat.mean() > HALF else "")
-
-    return make
-
-
-@dataclass(frozen=True, slots=True)
-class Condition:
-    """How pairs are made, and of which grounds."""
-
-    make: Make
-    grounds: tuple[int, ...]
-    overlap: float = 1.0
-    """Share of the width that the two files have in common."""
-
-
-LONG: Final = partial(waves, wavelength_px=1500.0, amplitude_px=2.0)
-MIDDLE: Final = partial(waves, wavelength_px=400.0, amplitude_px=1.5)
-CONDITIONS: Final[dict[str, Condition]] = {
-    "shift": Condition(_by(shifted), (0, 1, 2, 3, 4, 5, 6)),
-    "rotation 0.3 deg, scale 1.002": Condition(_by(turned), (0, 1, 2, 4, 5, 6)),
-    "waves of 1500 px": Condition(_by(LONG), (0, 1, 2, 5)),
-    "waves of 400 px": Condition(_by(MIDDLE), (0, 1, 2, 5, 6)),
-    "waves of 150 px": Condition(_by(partial(waves, wavelength_px=150.0, amplitude_px=2.5)), (0, 2, 6)),
-    "waves of 80 px": Condition(_by(partial(waves, wavelength_px=80.0, amplitude_px=2.0)), (1, 4, 6)),
-    "target blurred by 1.5 px": Condition(_otherwise(_blurred), (0, 1, 2, 4)),
-    "target inverted, gamma 0.5": Condition(_otherwise(_inverted), (0, 1, 2, 4)),
-    "noise of 15": Condition(_noisy(15.0), (0, 1, 2, 4, 6)),
-    "noise of 35": Condition(_noisy(35.0), (0, 5)),
-    "clouds on the target, 30 %": Condition(_cloudy(0.3, both=False), (0, 2, 5)),
-    "moved clouds, 20 %": Condition(_cloudy(0.2), (0, 1, 2, 4)),
-    "moved clouds, 50 %": Condition(_cloudy(0.5), (0, 2, 5, 6)),
-    "moved clouds, 80 %": Condition(_cloudy(0.8), (0, 2, 4)),
-    "5 % moves by (7, -5) px": Condition(_patched(0.05, (7.0, -5.0)), (0, 1, 5)),
-    "25 % moves by (7, -5) px": Condition(_patched(0.25, (7.0, -5.0)), (0, 1, 2, 5)),
-    "50 % moves by (5, 3) px": Condition(_patched(0.5, (5.0, 3.0), 70.0), (0, 1, 2, 5)),
-    "30 % moves by (2.5, -1.5) px": Condition(_patched(0.3, (2.5, -1.5)), (0, 2, 4, 6)),
-    "relief, 2 px": Condition(_relief(2.0, 60.0), (0, 2, 5, 6)),
-    "relief, 6 px": Condition(_relief(6.0, 40.0), (0, 1, 2, 5)),
-    "relief, 20 px": Condition(_relief(20.0, 40.0), (0, 1, 2, 4)),
-    "half overlap, waves of 1500 px": Condition(_by(LONG), (0, 1, 2, 4), overlap=0.5),
-    "overlap of 15 %": Condition(_by(shifted), (0, 1, 2, 4), overlap=0.15),
-    "overlap of 15 %, rotated": Condition(_by(turned), (0, 1, 2, 5), overlap=0.15),
-    "structure in 35 % of the sides, waves of 400 px": Condition(_partly_flat(0.35, MIDDLE), (0, 2, 5)),
-    "structure in 35 % of the sides, shift": Condition(_partly_flat(0.35, shifted), (0, 4)),
-    "structure in 75 % of the sides, rotated": Condition(_partly_flat(0.75, turned), (0, 2, 4, 6)),
-}
-
-
 def _displaced(data: Path, scratch: Path) -> Iterator[Case]:
     """Yield pairs of bands, or of an image and its negative, the target displaced by a known field."""
     images = grounds(data)
-    for number, (name, condition) in enumerate(CONDITIONS.items()):
+    for number, (name, condition) in enumerate((CONDITIONS | HARDER).items()):
         for index in condition.grounds:
             ground = images[index]
             made = condition.make(ground, 100 * number + index)
@@ -503,6 +268,8 @@ def _wrong_models(dem: Path, scratch: Path) -> dict[str, Path]:
         "DEM moved by 240 m": (heights, 10),
         "DEM without relief": (np.where(np.isfinite(heights), middle, np.nan), 0),
         "DEM upside down": (2 * middle - heights, 0),
+        "DEM 15 m too high": (heights + 15, 0),
+        "DEM moved by 60 m": (heights, 2.5),
     }
     paths = {}
     for number, (name, (values, moved)) in enumerate(made.items()):

@@ -230,6 +230,10 @@ SHARED: Final = 0.5
 CLOSELY_PX: Final = 0.5
 """Largest scatter of rejected matches that count beyond the tie points: matches of ground without structure
 err in any direction, and some of them agree by chance."""
+SIGMA_90: Final = 2.146
+"""Radius that holds 90 % of a circular normal distribution, in sigmas of an axis."""
+UNSURPRISING: Final = 1.25
+"""Largest ratio of residuals to their sigmas that is expected of correct sigmas."""
 LAGS: Final = 8
 """Number of distances at which the roughness of the displacements is measured."""
 SAMPLE: Final = 400
@@ -250,6 +254,8 @@ class Residuals:
     """(n, 2) observed minus corrected position (col, row), px."""
     kept: Bool
     """(n,) False for matches that disagree with their neighbours."""
+    sigma_px: Float64 | None = None
+    """(n, 2) standard deviation of the matching noise in each, px, where it is known."""
 
 
 def expected_ce90(
@@ -257,18 +263,18 @@ def expected_ce90(
 ) -> float:
     """Return the radial error within which 90 % of the places are expected to lie, px.
 
-    The error at a place is taken to be normally distributed. Its mean is the median residual of the nearest
-    five witnesses. Rejected matches count where they agree among themselves, as the points of a second layer
-    of the ground do and isolated wrong ones do not. Its covariance is that of the correction; beyond the tie
-    points it grows by the semivariogram of the displacements. The (m, 2) `places_px` are predicted target
-    positions (col, row), px, spread evenly over the ground; there is at least one of them, and one match. The
-    matching window is `footprint_px` wide.
+    The error at a place is taken to be normally distributed. Its mean is what the matches around say, see
+    `_mean_error`, and its covariance that of the correction; beyond the tie points it grows by the
+    semivariogram of the displacements. The (m, 2) `places_px` are predicted target positions (col, row), px,
+    spread evenly over the ground; there is at least one of them, and one match. The matching window is
+    `footprint_px` wide.
     """
     left = left_by_correction(residuals, places_px, footprint_px)
     reach_px = selection.fit.support.reach_px
     known = left.by_all & (left.distance_px <= reach_px) & (left.spread_px <= CLOSELY_PX)
     unseen = selection.extrapolated(places_px) & ~known
-    mean_px = np.where(unseen[:, None], 0.0, left.median_px)
+    mean_px = np.zeros_like(places_px)
+    mean_px[~unseen] = _mean_error(residuals, left.median_px[~unseen], places_px[~unseen], footprint_px)
     # The misfit of the model is in the mean, so not in the covariance.
     covariance = selection.fit.covariance(places_px) + np.diag(selection.common_px2)
     growth = _variance_beyond(selection, residuals, places_px[unseen])
@@ -277,6 +283,25 @@ def expected_ce90(
     root = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     errors = mean_px[:, None, :] + np.einsum("nij,kj->nki", root, _normal_draws())
     return float(np.percentile(np.linalg.norm(errors, axis=2), 90))
+
+
+def _mean_error(residuals: Residuals, median_px: Float64, places_px: Float64, footprint_px: float) -> Float64:
+    """Return the (m, 2) mean error of the correction at places that matches tell of, px.
+
+    Where sigmas explain the residuals, it is the median of the nearest witnesses without the noise, which is
+    no error of the correction. Otherwise the ground is displaced within short distances, and a match that its
+    neighbours contradict may be the right one: the nearest witness counts, rejected or not.
+    """
+    kept, sigma_px = np.flatnonzero(residuals.kept), residuals.sigma_px
+    if len(places_px) == 0 or len(kept) == 0 or sigma_px is None:
+        return median_px
+    times = np.linalg.norm(residuals.residual_px[kept] / np.maximum(sigma_px[kept], 1e-9), axis=1)
+    if not np.percentile(times, 90) <= UNSURPRISING * SIGMA_90:
+        side_px = footprint_px / CELLS_PER_WINDOW
+        place, value = _witnesses(residuals.predicted_px, residuals.residual_px, side_px)
+        return np.asarray(value[cKDTree(place).query(places_px)[1]])
+    nearest = kept[cKDTree(residuals.predicted_px[kept]).query(places_px)[1]]
+    return without_noise(median_px, sigma_px[nearest])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from pcwlad_geo.correction.error_statistics import Accuracy, Residuals, expected_ce90
+from pcwlad_geo.correction.error_statistics import SIGMA_90, UNSURPRISING, Accuracy, Residuals, expected_ce90
 from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.points import agreement, hold_out
@@ -179,8 +179,6 @@ NOTICEABLE_PX: Final = 0.25
 """CE90 at the check points up to which a registration is good whatever their sigmas, target px."""
 MANY_SIGMAS: Final = 3.0
 """Largest ratio of residuals to their sigmas at which the sigmas still explain them."""
-UNSURPRISING: Final = 1.25
-"""Largest ratio of residuals to their sigmas that is expected of correct sigmas."""
 SHARED_SIGMAS: Final = 2.0
 """Least ratio of residuals to their sigmas with which they may be local displacements."""
 MOSTLY: Final = 0.5
@@ -199,8 +197,6 @@ SAMPLE: Final = 500
 """Largest number of points that are compared with their neighbours."""
 SIGMA_68: Final = 1.51
 """Radius that holds 68 % of a circular normal distribution, in sigmas of an axis."""
-SIGMA_90: Final = 2.146
-"""Radius that holds 90 % of a circular normal distribution, in sigmas of an axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,7 +280,7 @@ def assess(
         places_px = matches.predicted_px
     left_px = matches.target_px - selection.fit.correction.forward(matches.predicted_px)
     kept = matches.status != "rejected"
-    residuals = Residuals(matches.predicted_px, left_px, kept)
+    residuals = Residuals(matches.predicted_px, left_px, kept, matches.sigma_px)
     expected_px = expected_ce90(selection, residuals, places_px, footprint_px)
     beyond = float(selection.extrapolated(places_px).mean())
     reasons = (
@@ -345,8 +341,10 @@ def _check_points_off(table: TiePointTable, model: str, footprint_px: float) -> 
     if len(checked) == 0:
         return
     ce90_px = float(np.percentile(np.linalg.norm(checked.residual_px, axis=1), 90))
-    times = ce90_px / max(SIGMA_90 * _typical_sigma_px(checked), 1e-9)
-    if ce90_px <= GOOD_PX and (ce90_px <= NOTICEABLE_PX or times <= MANY_SIGMAS):
+    noise_px = max(SIGMA_90 * _typical_sigma_px(checked), 1e-9)
+    times = ce90_px / noise_px
+    net_px = ce90_px if times >= SHARED_SIGMAS else max(ce90_px**2 - noise_px**2, 0.0) ** 0.5
+    if net_px <= GOOD_PX and (ce90_px <= NOTICEABLE_PX or times <= MANY_SIGMAS):
         return
     yield Reason(
         "fair" if ce90_px <= FAIR_PX else "poor",

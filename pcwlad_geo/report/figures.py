@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcwlad_geo.report.statistics import COMPILED_ONCE, PrecisionMap
+from pcwlad_geo.report.statistics import KEPT, PrecisionMap
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64
 
@@ -144,7 +144,7 @@ def displacement_figure(
     backdrop : (m, n) array of uint8, optional
         Grey values of the reference image, of any size.
     """
-    kept = thin(table.select(*COMPILED_ONCE), MAX_ARROWS)
+    kept = thin(table.select(*KEPT), MAX_ARROWS)
     corrected = bool(np.isfinite(kept.residual_px).any())
     drawn = [("before: displacement", kept.displacement_px)]
     drawn += [("after: residual, same scale", kept.residual_px)] if corrected else []
@@ -233,7 +233,7 @@ def residual_figure(
     """
     figure, (axes,) = frame_figure(reference_shape, backdrop, bar=True)
     kept, rejected = (
-        thin(table.select(*COMPILED_ONCE), MAX_RESIDUALS),
+        thin(table.select(*KEPT), MAX_RESIDUALS),
         thin(table.select("rejected"), MAX_RESIDUALS),
     )
     check = table.select("check")

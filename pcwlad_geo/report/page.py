@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pcwlad_geo.raster.source import file_name
-from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, Grade
+from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, NOTICEABLE_PX, Grade
 from pcwlad_geo.registration.result import Registration, Status
 from pcwlad_geo.report.charts import (
     Kind,
@@ -37,7 +37,7 @@ from pcwlad_geo.report.views import PairView, checkered, pair_views, read_backdr
 ENOUGH_CHECK_POINTS: Final = 30
 """Least number of check points of the ASPRS Positional Accuracy Standards (2023)."""
 UNEVEN: Final = 1.5
-"""Ratio of check-point to fit-point errors from which the model is doubtful between the fit points."""
+"""Ratio of net check-point to fit-point errors from which the model is doubtful between the fit points."""
 NOISY: Final = 0.3
 """Ratio of net CE90 to CE90 below which the matching noise explains most of the error."""
 MUCH: Final = 0.2
@@ -142,7 +142,7 @@ def _trust(report: Report) -> Answer:
     doubts = []
     if check.n < ENOUGH_CHECK_POINTS:
         doubts.append(f"only {check.n} check points, {ENOUGH_CHECK_POINTS} are asked for (ASPRS 2023)")
-    if fit and check.px.radial.ce90 > UNEVEN * fit.px.radial.ce90:
+    if fit and check.px.net.ce90 > max(UNEVEN * fit.px.radial.ce90, NOTICEABLE_PX):
         doubts.append(
             "check points are much worse than fit points: the model does not hold between its points"
         )

@@ -26,10 +26,10 @@ from pcwlad_geo.requirements import Requirement, RequirementResult, value_of
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
 
-COMPILED_ONCE: Final = ("fit", "check", "unused", "matched")
+KEPT: Final = ("fit", "check", "unused", "matched")
 """Statuses of the tie points that are included in displacement statistics."""
 Group = Literal["all", "fit", "check"]
-GROUPS: Final[Mapping[Group, tuple[str, ...]]] = {"all": COMPILED_ONCE, "fit": ("fit",), "check": ("check",)}
+GROUPS: Final[Mapping[Group, tuple[str, ...]]] = {"all": KEPT, "fit": ("fit",), "check": ("check",)}
 """Statuses of the tie points of a group, by its name."""
 DIGITS: Final = 5
 """Number of decimal places of statistics."""
@@ -159,7 +159,7 @@ def coverage_of(table: TiePointTable, shape_px: tuple[int, int], record: MatchRe
     """
     step = max(max(shape_px) / SQUARES, _spacing_px(record))
     frame = _Frame(shape_px, (max(1, round(shape_px[0] / step)), max(1, round(shape_px[1] / step))))
-    points = frame.count(table.select(*COMPILED_ONCE).reference_px)
+    points = frame.count(table.select(*KEPT).reference_px)
     reason = np.full(frame.squares, "unknown", dtype="<U24")
     if record is not None:
         # from the weakest reason to the strongest
@@ -290,7 +290,7 @@ def _figure(registration: Registration, name: str) -> float | str | None:
     """Return a dimensionless figure, or the reason why it is not known."""
     table = registration.tie_points
     if name == "points":
-        return len(table.select(*COMPILED_ONCE))
+        return len(table.select(*KEPT))
     if name == "coverage":
         empty = coverage_of(table, registration.reference.grid.shape, registration.record).empty_share
         return round(1.0 - empty, SHARE_DIGITS)

@@ -25,8 +25,8 @@ from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.rpc import RpcRegistration
 from pcwlad_geo.report import content as c
 from pcwlad_geo.report.statistics import (
-    COMPILED_ONCE,
     GROUPS,
+    KEPT,
     SHARE_DIGITS,
     Group,
     PrecisionMap,
@@ -66,7 +66,7 @@ def summarise(
         Grid of the registered raster.
     """
     table = registration.tie_points
-    kept = table.select(*COMPILED_ONCE)
+    kept = table.select(*KEPT)
     rpc = registration.rpc
     return c.Report(
         schema_version=SCHEMA_VERSION,

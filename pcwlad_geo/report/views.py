@@ -11,21 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 
+from pcwlad_geo.correction.points import thin
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Window, jacobian, map_px
 from pcwlad_geo.raster.source import RasterInfo, has_quick_overview, open_raster
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.statistics import COMPILED_ONCE
+from pcwlad_geo.report.statistics import KEPT
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
 
 SIDE_PX: Final = 360
 """Side of a view on the page."""
-SHOWN_PX: Final = (48.0, 400.0)
+SHOWN_PX: Final = (40.0, 400.0)
 """Least and largest number of target pixels along a side of a view."""
-SIDES_PER_DISPLACEMENT: Final = 60.0
+SIDES_PER_DISPLACEMENT: Final = 30.0
 """Width of a view in displacements, within the limits, so that displacements are visible."""
+EDGES: Final = 36
+"""Number of places at which an edge is looked for that shows the displacement."""
+LOOKED_AT: Final = 90
+"""Number of samples along a side of a view when edges are looked for."""
 BACKDROP_PX: Final = 350
 """Longer side of the image behind maps."""
 NODES: Final = 25
@@ -36,8 +41,6 @@ MAX_SOURCE_PX: Final = 3000
 """Largest side of the part of a file that is read for a view."""
 SQUARES: Final = 8
 """Number of squares along a side of a checkerboard."""
-SAME_PART: Final = 0.25
-"""Views whose middles are less apart than this share of a side show the same part."""
 MOSTLY_VALID: Final = 0.99
 """Least share of valid pixels around a sample for it to be valid."""
 
@@ -59,6 +62,8 @@ class PairView:
     """The target placed by its georeferencing."""
     after: Image | None
     """The target corrected; None without a correction."""
+    moved: Float64 | None = None
+    """(2,) displacement (col, row) in the middle, target px; None without a correction."""
 
 
 def read_backdrop(info: RasterInfo) -> Image | None:
@@ -81,24 +86,14 @@ def read_backdrop(info: RasterInfo) -> Image | None:
 
 
 def pair_views(registration: Registration) -> list[PairView]:
-    """Return views around the best match and the largest residual, or of the middle without matches.
-
-    The list is empty if the files cannot be read.
-    """
-    views: list[PairView] = []
-    rows, cols = registration.reference.grid.shape
-    places = _places(registration.tie_points) or [("the middle", np.array([cols / 2, rows / 2]))]
-    for title, centre in places:
-        try:
-            view = _view(registration, title, centre)
-        except (InputError, RasterioError):
-            return []
-        if view is None:
-            continue
-        near_px = SAME_PART * _side(registration, centre)[0]
-        if all(np.ptp([view.centre_px, other.centre_px], axis=0).max() >= near_px for other in views):
-            views.append(view)
-    return views
+    """Return views of a clear edge and of the largest residual; none if the files cannot be read."""
+    try:
+        views = [_view(registration, title, centre) for title, centre in _places(registration)]
+    except (InputError, RasterioError):
+        return []
+    shown = [view for view in views if view is not None]
+    same = len(shown) == 2 and np.allclose(shown[0].centre_px, shown[1].centre_px, atol=shown[0].shown_px / 4)
+    return shown[:1] if same else shown
 
 
 def stretched(values: Float64, valid: Bool) -> Image:
@@ -119,19 +114,52 @@ def checkered(one: Image, other: Image) -> Image:
     return np.where((rows[:, None] + cols) % 2 == 0, one, other)
 
 
-def _places(table: TiePointTable) -> list[tuple[str, Float64]]:
-    kept = table.select(*COMPILED_ONCE)
+def _places(registration: Registration) -> list[tuple[str, Float64]]:
+    kept = registration.tie_points.select(*KEPT)
     if len(kept) == 0:
-        return []
-    best = int(np.nanargmax(np.nan_to_num(kept.score)))
-    places = [("the most distinct match", kept.reference_px[best])]
+        rows, cols = registration.reference.grid.shape
+        return [("the middle", np.array([cols / 2, rows / 2]))]
+    best = kept.reference_px[int(np.nanargmax(np.nan_to_num(kept.score)))]
+    edge = _telling_edge(registration, kept)
+    places = [("the most distinct match", best) if edge is None else ("the clearest edge", edge)]
     residual = np.nan_to_num(np.hypot(*kept.residual_px.T))
     if residual.any():
         places.append(("the largest residual", kept.reference_px[int(residual.argmax())]))
     return places
 
 
-def _view(registration: Registration, title: str, centre_px: Float64) -> PairView | None:
+def _telling_edge(registration: Registration, kept: TiePointTable) -> Float64 | None:
+    """Return where, of the tie points, an edge makes the largest step; None if none does."""
+    at_px = kept.reference_px[thin(kept.reference_px, np.hypot(*kept.sigma_px.T), EDGES)]
+    steps = np.nan_to_num([_step(_view(registration, "", each, LOOKED_AT)) for each in at_px])
+    return at_px[int(steps.argmax())] if steps.max() > 0 else None
+
+
+def _step(view: PairView | None) -> float:
+    """Return the step of an edge at the line between the images before the correction; 0 without an edge.
+
+    It is how far the displacement moves an edge of both images across itself, times its contrast: the mean
+    squared complex gradient is long along straight edges (structure tensor, Bigün and Granlund 1987).
+    """
+    if view is None or view.after is None or view.moved is None:
+        return 0.0
+    one, other = (_squared_gradient(image) for image in (view.reference, view.after))
+    window = cv2.getGaussianKernel(len(one), len(one) / 10)
+    shared = complex((window * window.T * (one * np.abs(other) + other * np.abs(one))).sum())
+    across = np.angle(shared) / 2
+    step = abs(np.array([np.cos(across), np.sin(across)]) @ view.moved)
+    return float(abs(shared) ** 0.25 * step * abs(np.sin(across)))
+
+
+def _squared_gradient(image: Image) -> NDArray[np.complex64]:
+    """Return the squared gradient of an image as complex numbers; 0 where it lacks data."""
+    soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
+    gradient = cv2.Sobel(soft, cv2.CV_32F, 1, 0) + 1j * cv2.Sobel(soft, cv2.CV_32F, 0, 1)
+    return np.asarray(image.all() * gradient**2)
+
+
+def _view(registration: Registration, title: str, centre_px: Float64, n: int = SIDE_PX) -> PairView | None:
+    """Return a view of `n` x `n` samples; None where the target cannot be seen."""
     reference, target = registration.reference, registration.target
     predict = _prediction(registration)
     side_px, shown_px = _side(registration, centre_px)
@@ -142,18 +170,18 @@ def _view(registration: Registration, title: str, centre_px: Float64) -> PairVie
     if not np.isfinite(predicted).all():
         return None
     correction = registration.correction
-    grey = stretched(*_sampled(reference, _dense(nodes)))
-    before = _sampled(target, _dense(predicted))
-    after = None
+    grey = stretched(*_sampled(reference, _dense(nodes, n)))
+    before = _sampled(target, _dense(predicted, n))
+    after = moved = None
     if correction is not None:
         observed = correction.forward(predicted.reshape(-1, 2)).reshape(nodes.shape)
-        after = _sampled(target, _dense(observed))
+        after = _sampled(target, _dense(observed, n))
+        moved = (observed - predicted)[NODES // 2, NODES // 2]
     if not before[1].any() and (after is None or not after[1].any()):
         return None
     col, row = centre_px.tolist()
-    return PairView(
-        title, (col, row), shown_px, grey, stretched(*before), None if after is None else stretched(*after)
-    )
+    seen = None if after is None else stretched(*after)
+    return PairView(title, (col, row), shown_px, grey, stretched(*before), seen, moved)
 
 
 def _prediction(registration: Registration) -> Callable[[Float64], Float64]:
@@ -171,15 +199,15 @@ def _side(registration: Registration, centre_px: Float64) -> tuple[float, float]
     if reference.georeferenced and target.georeferenced:
         found = abs(np.linalg.det(jacobian(centre_px[None], reference.grid, target.grid)[0])) ** 0.5
         target_px_per_px = float(found) if np.isfinite(found) and found > 0 else 1.0
-    lengths = np.hypot(*registration.tie_points.select(*COMPILED_ONCE).displacement_px.T)
+    lengths = np.hypot(*registration.tie_points.select(*KEPT).displacement_px.T)
     wanted = SIDES_PER_DISPLACEMENT * float(np.median(lengths)) if len(lengths) else sum(SHOWN_PX) / 2
     shown = float(np.clip(wanted, *SHOWN_PX))
     return shown / target_px_per_px, shown
 
 
-def _dense(nodes: Float64) -> Float64:
-    """Interpolate (n, n, 2) nodes linearly at the pixel centres of a view."""
-    at = (np.arange(SIDE_PX) + 0.5) / SIDE_PX * (NODES - 1)
+def _dense(nodes: Float64, count: int) -> Float64:
+    """Interpolate (n, n, 2) nodes linearly at `count` x `count` pixel centres."""
+    at = (np.arange(count) + 0.5) / count * (NODES - 1)
     weights = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(NODES)))
     return np.asarray(np.einsum("ra,abk,cb->rck", weights, nodes, weights, optimize=True))
 

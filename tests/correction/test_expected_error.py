@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -33,7 +35,8 @@ def fitted(xy: Float64, moved: Float64, model: str) -> Selection:
 
 def residuals_of(selection: Selection, xy: Float64, moved: Float64, kept: Float64 | None = None) -> Residuals:
     left = xy + moved - selection.fit.correction.forward(xy)
-    return Residuals(xy, left, np.ones(len(xy), bool) if kept is None else kept.astype(bool))
+    every = np.ones(len(xy), bool) if kept is None else kept.astype(bool)
+    return Residuals(xy, left, every, np.full_like(left, SIGMA_PX))
 
 
 def grid(side_px: float = 500.0) -> Float64:
@@ -78,6 +81,35 @@ def test_rejected_matches_count_where_they_agree_among_themselves(agree: bool, e
     assert expected == pytest.approx(expected_px, abs=0.5 if agree else 0.2)
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_noise_that_the_sigmas_tell_is_no_error_of_the_correction(known: bool) -> None:
+    """A shift of many points is right, however they scatter; what sigmas do not tell may be the ground."""
+    xy = points()
+    moved = 4 * noise(len(xy))
+    selection = fitted(xy, moved, "shift")
+    found = residuals_of(selection, xy, moved)
+    found = replace(found, sigma_px=np.full_like(xy, SIGMA_PX * (4 if known else 1)))
+    expected = expected_ce90(selection, found, grid(), WINDOW_PX)
+    true = np.linalg.norm(selection.fit.correction.forward(np.zeros((1, 2))))
+    assert true < 0.1
+    assert true < expected < 0.45 if known else expected > 0.5
+
+
+def test_where_the_ground_is_displaced_rejected_matches_count() -> None:
+    """Patches at another depth; a spline follows some of their points, and the others are rejected."""
+    xy = points(1500)
+    patch = np.floor(xy / 60).sum(axis=1) % 2 == 0
+    moved = np.where(patch[:, None], [2.0, 0.0], 0.0) + noise(len(xy)) / 4
+    kept = ~patch | (np.random.default_rng(5).uniform(size=len(xy)) < 0.4)
+    selection = fitted(xy[kept], moved[kept] * 0.5, "shift")
+    found = replace(residuals_of(selection, xy, moved, kept), sigma_px=np.full((len(xy), 2), SIGMA_PX / 4))
+    places = grid()
+    ground = np.where((np.floor(places / 60).sum(axis=1) % 2 == 0)[:, None], [2.0, 0.0], 0.0)
+    error = selection.fit.correction.forward(places) - places - ground
+    true = np.percentile(np.linalg.norm(error, axis=1), 90)
+    assert expected_ce90(selection, found, places, WINDOW_PX) == pytest.approx(true, rel=0.15)
+
+
 def test_many_points_of_one_place_are_one_witness() -> None:
     """One wrong peak that many overlapping windows see says nothing of the ground around it."""
     xy = points(200)
@@ -85,7 +117,7 @@ def test_many_points_of_one_place_are_one_witness() -> None:
     cluster = middle + np.random.default_rng(4).uniform(-4, 4, (100, 2))
     every = np.concatenate([xy, cluster])
     left = np.concatenate([noise(200), np.full((100, 2), 6.0)])
-    found = Residuals(every, left, np.arange(300) < 200)
+    found = Residuals(every, left, np.arange(300) < 200, np.full_like(left, SIGMA_PX))
     left = left_by_correction(found, grid(), WINDOW_PX).median_px
     assert np.linalg.norm(left, axis=1).max() < 0.5
 

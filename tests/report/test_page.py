@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pcwlad_geo.correction.selection import choose
@@ -63,6 +64,27 @@ def read(made: Registration, gcps_vrt: str | None = "b10_gcps.vrt") -> Reader:
     assert reader.open == []
     reader.text = re.sub(r"\s+", " ", reader.text)
     return reader
+
+
+@pytest.mark.parametrize(
+    ("check_px", "fit_px", "sigma_px", "said"),
+    [(0.1, 0.05, 0.1, False), (0.1, 0.05, 0.01, False), (0.9, 0.1, 0.05, True), (0.9, 0.1, 1.2, False)],
+)
+def test_a_model_is_doubted_for_more_than_noise(
+    registration: Make, check_px: float, fit_px: float, sigma_px: float, said: bool
+) -> None:
+    """Errors of check points that are noticeable, larger than those of fit points, and not matching noise."""
+    made = registration()
+    table = made.tie_points
+    rng = np.random.default_rng(3)
+    size = np.where(table.status == "check", check_px, fit_px)[:, None]
+    table = replace(
+        table,
+        residual_px=size * rng.normal(size=(len(table), 2)),
+        covariance_px2=np.tile(sigma_px**2 * np.eye(2), (len(table), 1, 1)),
+    )
+    page = read(replace(made, tie_points=table))
+    assert ("the model does not hold between its points" in page.text) == said
 
 
 def test_says_verdict_accuracy_and_points(registration: Make) -> None:
