@@ -11,7 +11,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from pcwlad_geo.correction.error_statistics import Residuals, left_by_correction
+from pcwlad_geo.correction.error_statistics import SIGMA_90, Residuals, left_by_correction
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.registration.fitting import (
     FAIR_PX,
@@ -19,7 +19,6 @@ from pcwlad_geo.registration.fitting import (
     GRADES,
     MANY_SIGMAS,
     MOSTLY,
-    SIGMA_90,
     Reason,
 )
 from pcwlad_geo.stacks.adjustment import MIN_REDUNDANCY
