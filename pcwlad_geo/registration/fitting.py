@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pcwlad_geo.correction.error_statistics import SIGMA_90, UNSURPRISING, Accuracy, Residuals, expected_ce90
 from pcwlad_geo.correction.fit import CANDIDATES
@@ -253,6 +254,13 @@ class Quality:
         )
 
 
+OTHERWISE: Final = 0.05
+"""Share of the matches that agree on another displacement from which a tenth of the ground may have it: in
+parts smaller than a window at most half of the places are matched."""
+ALIKE_PX: Final = 1.0
+"""Matches within this distance agree on a displacement, target px."""
+
+
 def assess(
     table: TiePointTable,
     matches: TiePointTable,
@@ -286,6 +294,7 @@ def assess(
     reasons = (
         *_inaccurate(expected_px, selection.name),
         *_check_points_off(table, selection.name, footprint_px),
+        *_displaced_otherwise(left_px[~kept], len(matches)),
         *_beyond_the_points(beyond),
     )
     worst_first = tuple(sorted(reasons, key=lambda reason: GRADES.index(reason.grade)))
@@ -324,6 +333,37 @@ def _plane_beside(points: TiePointTable, at_px: Float64, footprint_px: float) ->
 
 def _typical_sigma_px(points: TiePointTable) -> float:
     return float(np.sqrt((points.sigma_px**2).mean()))
+
+
+def _displaced_otherwise(left_px: Float64, matches: int) -> Iterator[Reason]:
+    """Yield a reason where many rejected matches agree on one other displacement.
+
+    It may be that of a tenth of the ground, in parts smaller than a window, in which some matches find it.
+
+    Parameters
+    ----------
+    left_px : (n, 2) array
+        What the correction leaves of the rejected matches, target px.
+    matches : int
+        Number of all matches.
+    """
+    far_px = left_px[np.hypot(*left_px.T) > 2 * ALIKE_PX]
+    if len(far_px) < OTHERWISE * matches:
+        return
+    tree = cKDTree(far_px)
+    near = tree.query_ball_point(far_px, ALIKE_PX, return_length=True)
+    most = far_px[int(near.argmax())]
+    around = tree.query_ball_point(most, 3 * ALIKE_PX, return_length=True)
+    # wrong matches lie anywhere: as dense around the others as among them
+    agree = float(near.max()) - (around - near.max()) / 8
+    if agree >= OTHERWISE * matches:
+        col, row = np.median(far_px[tree.query_ball_point(most, ALIKE_PX)], axis=0)
+        yield Reason(
+            "fair",
+            f"{100 * agree / matches:.0f} % of the matches agree on another displacement, ({col:+.1f}, "
+            f"{row:+.1f}) px beside the correction: what has moved, or ground at another depth, where it "
+            "does not hold",
+        )
 
 
 def _inaccurate(expected_px: float, model: str) -> Iterator[Reason]:

@@ -120,6 +120,27 @@ def test_a_part_that_moves_on_its_own_is_told_from_noise() -> None:
     assert "noise" not in reason.text
 
 
+@pytest.mark.parametrize(("share", "grade"), [(0.02, "good"), (0.08, "fair")])
+def test_parts_at_another_depth_are_told_by_the_matches_that_find_it(share: float, grade: str) -> None:
+    """Parts smaller than a window, all over the scene: their neighbours reject these matches."""
+    n = 400
+    elsewhere = np.random.default_rng(5).random(n) < share
+    quality = graded(table_of(np.where(elsewhere[:, None], [4.0, 0.0], 0.0), n=n, rejected=elsewhere))
+    assert quality.grade == grade
+    assert any("another displacement, (+4.0, +0.0) px" in each.text for each in quality.reasons) == (
+        share > 0.05
+    )
+
+
+def test_wrong_matches_agree_on_nothing() -> None:
+    n = 400
+    random = np.random.default_rng(6)
+    wrong = random.random(n) < 0.3
+    moved = np.where(wrong[:, None], random.uniform(-12, 12, (n, 2)), 0.0)
+    quality = graded(table_of(moved, n=n, rejected=wrong))
+    assert not any("another displacement" in each.text for each in quality.reasons)
+
+
 def near_field() -> TiePointTable:
     """Return what two depths 20 px apart leave: 27 of 223 matches kept, in one corner, and not alike."""
     n = 223
