@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from pcwlad_geo.rigs.rig import Rig, RigLens
     from pcwlad_geo.rigs.run import RigApplied, rig_apply, rig_learn
     from pcwlad_geo.stacks.pairs import StackPair
+    from pcwlad_geo.stacks.cycles import StackQuality
     from pcwlad_geo.stacks.result import Stack, StackImage
     from pcwlad_geo.stacks.run import stack, stack_add
     from pcwlad_geo.tiepoints.table import TiePointTable
@@ -100,6 +101,7 @@ __all__ = [
     "Stack",
     "StackImage",
     "StackPair",
+    "StackQuality",
     "TiePointTable",
     "TiePoints",
     "Trust",
@@ -149,6 +151,7 @@ _NAMES = {
     "rigs.applying": ("CaptureOutcome",),
     "rigs.rig": ("Rig", "RigLens"),
     "rigs.run": ("RigApplied", "rig_apply", "rig_learn"),
+    "stacks.cycles": ("StackQuality",),
     "stacks.pairs": ("StackPair",),
     "stacks.result": ("Stack", "StackImage"),
     "stacks.run": ("stack", "stack_add"),

@@ -180,7 +180,7 @@ def changed_grid(side: str, **changes: object) -> Callable[[dict[str, Any]], obj
         (lambda report: report | {"model": None}, "no correction model"),
         (changed_grid("target", transform=[1, 1, 0, 1, 1, 0]), "without an inverse"),
         (changed_grid("target", transform=[0] * 6), "without an inverse"),
-        (changed_grid("reference", transform=[float("nan")] * 6), "without an inverse"),
+        (changed_grid("reference", transform=[float("nan")] * 6), "no finite number"),
         (changed_grid("reference", transform=[1e300, 0, 0, 0, -1e300, 0]), "at most 1e\\+10 are read"),
         (changed_grid("reference", shape=[10**9, 10**9]), "declares 1000000000 x 1000000000 pixels"),
         (changed_grid("target", shape=[0, 5]), "5 x 0 pixels"),
@@ -206,7 +206,7 @@ def test_rasters_that_cannot_be_warped_are_told_before_anything_is_written(make:
     for rasters, said in (
         (["b10.tif", "other.tif"], "EPSG:32634"),
         (["b10.tif", "absent.tif"], "absent.tif does not exist"),
-        (["b10.tif", "./b10.tif"], "two of the rasters"),
+        (["b10.tif", "./b10.tif"], "two outputs would be written"),
         ([], "at least one"),
     ):
         with pytest.raises(InputError, match=said):

@@ -26,7 +26,7 @@ RESULTS = {
     "Accuracy", "BatchResult", "Correction", "FittedCorrection", "Grid", "Matches", "Pair", "PairResult",
     "Pose", "Prealignment", "QaResult", "Quality", "RasterInfo", "Registration", "RequirementResult",
     "CaptureOutcome", "Rig", "RigApplied", "RigLens",
-    "Stack", "StackImage", "StackPair", "TiePointTable", "TiePoints", "Verdict",
+    "Stack", "StackImage", "StackPair", "StackQuality", "TiePointTable", "TiePoints", "Verdict",
 }  # fmt: skip
 ARGUMENTS = {
     "DataArrayLike", "MatchSettings", "Options", "PairOptions", "Raster", "Runner", "Settings", "Trust",

@@ -574,9 +574,11 @@ def _readable(
     found: dict[str, StackInput] = {}
     infos: list[RasterInfo] = []
     unreadable: dict[str, str] = {}
+    rasters = set[tuple[str, int | str]]()
     for number, each in enumerate(inputs):
-        if each.name in found and each.path == found[each.name].path:
+        if (each.path, each.band) in rasters:
             raise InputError(f"{each.path} is named twice, or is in the stack already: leave it out")
+        rasters.add((each.path, each.band))
         if each.name in found:
             raise InputError(
                 f"two images are called {each.name} ({found[each.name].path} and {each.path}): rename one, "

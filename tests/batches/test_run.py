@@ -159,7 +159,7 @@ def test_every_kind_of_trouble_stays_with_its_pair(calls: list[str], work: Path)
 def test_a_name_that_no_file_can_have_stays_with_its_pair(work: Path) -> None:
     result = pcwlad_geo.batch(table(work, 400 * "1", "gone"), jobs=1)
     assert statuses(result) == [("unusable", False)] * 2
-    assert "at most 255 are possible: give the target a shorter name" in str(result.pairs[0].reason)
+    assert "at most 255 are possible: give the input a shorter name" in str(result.pairs[0].reason)
     assert "gone.tif does not exist" in str(result.pairs[1].reason)
 
 
