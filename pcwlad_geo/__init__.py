@@ -51,8 +51,8 @@ if TYPE_CHECKING:
     from pcwlad_geo.rigs.applying import CaptureOutcome
     from pcwlad_geo.rigs.rig import Rig, RigLens
     from pcwlad_geo.rigs.run import RigApplied, rig_apply, rig_learn
-    from pcwlad_geo.stacks.pairs import StackPair
     from pcwlad_geo.stacks.cycles import StackQuality
+    from pcwlad_geo.stacks.pairs import StackPair
     from pcwlad_geo.stacks.result import Stack, StackImage
     from pcwlad_geo.stacks.run import stack, stack_add
     from pcwlad_geo.tiepoints.table import TiePointTable
