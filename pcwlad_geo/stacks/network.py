@@ -284,7 +284,8 @@ def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> Part:
     weights = points.weights
     total = weights.sum(axis=0)
     each = np.trace(weights, axis1=1, axis2=2) / np.trace(total)
-    scatter = max(float(1.4826 * np.median(np.abs(points.left))), LEAST_SCATTER * _typical_sigma(edge))
+    typical_sigma = float(np.median(np.sqrt(np.trace(edge.covariance, axis1=1, axis2=2) / 2)))
+    scatter = max(float(1.4826 * np.median(np.abs(points.left))), LEAST_SCATTER * typical_sigma)
     sums = _sums(points, slice(None))
     return Part(
         edge.first,
@@ -338,10 +339,6 @@ def _sums(points: _Weighted, chosen: Bool | slice) -> tuple[Float64, Float64, Fl
         right[:, one].ravel(),
         right[:, other].ravel(),
     )
-
-
-def _typical_sigma(edge: Edge) -> float:
-    return float(np.median(np.sqrt(np.trace(edge.covariance, axis1=1, axis2=2) / 2)))
 
 
 def components(edges: Sequence[Edge] | Sequence[Part], images: int, used: Bool) -> tuple[int, Index]:

@@ -116,6 +116,8 @@ def page(found: Stack, frame: Frame | None = None) -> str:
     seen = None if frame is None else _worst_seen(found, frame, images)
     environment = page_environment("pcwlad_geo.stacks")
     return environment.get_template("stack.html.j2").render(
+        found=found,
+        block=found.block,
         images=images,
         headline=_headline(found),
         answers=[_how_well(found), _which_not(images), _trust(found)],
@@ -125,10 +127,8 @@ def page(found: Stack, frame: Frame | None = None) -> str:
         field=seen
         and displacement_figure(seen.tie_points, seen.reference.grid.shape, read_backdrop(seen.reference)),
         paper=False,
-        closure=found.closure,
         series=_series(found),
         wide=SERIES_PX,
-        requirements=found.requirements,
         groups=max(image.group for image in found.images) + 1,
         pairs=[(pair, pair.off_px) for pair in pairs],
         nodes=nodes,
@@ -139,9 +139,6 @@ def page(found: Stack, frame: Frame | None = None) -> str:
         classes=_class_names(),
         model=MODEL_NAMES.get(found.images[-1].correction.name, found.images[-1].correction.name),
         added=[name for names in found.added for name in names],
-        shared=found.shared,
-        unreadable=found.unreadable,
-        block=found.block,
     )
 
 

@@ -366,7 +366,9 @@ def judge(found: Stack, requirements: Sequence[Requirement]) -> tuple[Requiremen
         if image.sigma_m and min(image.sigma_px) > 0
     ]
     used = [pair.points for pair in found.pairs if pair.status == "used"]
-    values_px = {
+    values: dict[str, float | str | None] = {
+        "quality": found.quality.grade,
+        "points": float(min(used, default=0)),
         "sigma": max(max(image.sigma_px) for image in found.images),
         "displacement": max(float(np.hypot(*image.shift_px)) for image in found.images),
         "closure": found.closure.after_px,
@@ -374,17 +376,11 @@ def judge(found: Stack, requirements: Sequence[Requirement]) -> tuple[Requiremen
     px_m = float(max(sizes_m)) if sizes_m else None
     results = []
     for each in requirements:
-        if each.statistic == "quality":
-            results.append(RequirementResult(each, found.quality.grade))
-            continue
-        if each.statistic == "points":
-            results.append(RequirementResult(each, float(min(used, default=0))))
-            continue
-        value = values_px[each.statistic]
-        scale = px_m if each.unit == "m" else 1.0
-        known = value is not None and scale is not None
-        reason = None if known else "not known: no cycle, or no size of a pixel in metres"
-        results.append(RequirementResult(each, (value or 0.0) * (scale or 1.0) if known else None, reason))
+        value = values[each.statistic]
+        if each.unit == "m" and isinstance(value, float):
+            value = None if px_m is None else value * px_m
+        reason = "not known: no cycle, or no size of a pixel in metres" if value is None else None
+        results.append(RequirementResult(each, value, reason))
     return tuple(results)
 
 
@@ -447,7 +443,8 @@ def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correctio
         spacing = float((high - low).min()) / (2 * SPLINE_CELLS)  # finer: it lies elsewhere than the ground
         across, down = np.ceil((high - low) / spacing - 1e-9).astype(int).tolist()
         grid = SplineGrid(_pair(low), spacing, (across, down))
-        return SplineCorrection("tps", grid, _fitted(grid.design(at_px).toarray(), observed_px - at_px, grid))
+        fitted = np.linalg.lstsq(grid.design(at_px).toarray(), observed_px - at_px, rcond=None)[0]
+        return SplineCorrection("tps", grid, np.asarray(fitted.reshape(*grid.shape, 2)))
     if basis.order == 0:
         shift = np.mean(observed_px - at_px, axis=0)
         return AffineCorrection("shift", np.column_stack([np.eye(2), shift]))
@@ -457,12 +454,6 @@ def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correctio
     return PolynomialCorrection(
         own, np.linalg.lstsq(own.values(at_px), observed_px - at_px, rcond=None)[0].astype(np.float64)
     )
-
-
-def _fitted(values: Float64, displacement_px: Float64, grid: SplineGrid) -> Float64:
-    """Return the (rows, columns, 2) coefficients of a spline with (n, terms) values at the places."""
-    found = np.linalg.lstsq(values, displacement_px, rcond=None)[0]
-    return np.asarray(found.reshape(*grid.shape, 2))
 
 
 def raster_paths(frame: Frame, folder: Path, settings: Settings) -> list[Path]:

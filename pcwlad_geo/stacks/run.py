@@ -272,11 +272,8 @@ def _stacked_rpcs(
         job.tell(Warned(message))
     told = job.folder, job.settings, job.warnings, unreadable, chosen
     result = block_stack(placed, measured, points, adjustment, check, *told)
-
-    def write_corrected(done: Stack) -> None:
-        write_images(done, placed, job.folder, job.settings, job.on_event)
-
-    return _written(job, out, result, frame, write_corrected)
+    where = placed, job.folder, job.settings, job.on_event
+    return _written(job, out, result, frame, lambda done: write_images(done, *where))
 
 
 @products_found_once()
