@@ -32,6 +32,12 @@ def ignore(event: Event) -> None:
     """Ignore an event; this is the default callback."""
 
 
+def only_warnings(on_event: EventCallback, event: Event) -> None:
+    """Pass an event on if it is a warning: the progress of a part is not that of the whole."""
+    if isinstance(event, Warned):
+        on_event(event)
+
+
 @dataclass(slots=True)
 class JobLog:
     """Warnings and stage times of a run."""

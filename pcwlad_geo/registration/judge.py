@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.registration.prealign import Prealignment
-from pcwlad_geo.types import Bool, Float64
+from pcwlad_geo.types import Bool, Float64, Index
 
 MIN_POINTS: Final = 12
 """Least number of consistent tie points of an accepted pair."""
@@ -125,7 +125,8 @@ def judge(
         f"only {int(kept.sum())} of {counts['candidates']} candidates agree with their neighbours, in "
         f"{agreeing} of {cells} separate places, no better than chance"
     )
-    return Verdict(False, by_chance, cells, agreeing, significance, _beyond(counts))
+    beyond = counts.get("at_search_border", 0) > AT_BORDER * counts["candidates"]
+    return Verdict(False, by_chance, cells, agreeing, significance, beyond)
 
 
 def _best_witnesses(matches: TiePoints, kept: Bool, cell_px: float, share: float) -> tuple[int, int, float]:
@@ -150,12 +151,17 @@ def _best_witnesses(matches: TiePoints, kept: Bool, cell_px: float, share: float
 
 def _witnesses(matches: TiePoints, common_px: Float64, cell_px: float) -> tuple[int, int]:
     """Count cells with matches, and those whose typical match agrees with a (2,) or (n, 2) displacement."""
-    cells = np.floor(matches.reference_xy_px / cell_px).astype(np.intp)
-    cell_of = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    cell_of = _cells(matches, cell_px)
     agrees = np.linalg.norm(matches.displacement_px - common_px, axis=1) < AGREE_PX
     total = np.bincount(cell_of)
     share = np.bincount(cell_of, weights=agrees) / total
     return len(total), int((share >= 0.5).sum())
+
+
+def _cells(matches: TiePoints, cell_px: float) -> Index:
+    """Return the (n,) number of the cell of each match, counted without gaps."""
+    cells = np.floor(matches.reference_xy_px / cell_px).astype(np.intp)
+    return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel())
 
 
 def _common_plane(matches: TiePoints, kept: Bool) -> tuple[Float64, float]:
@@ -185,13 +191,12 @@ def motions_of(
     """
     if kept.sum() < MIN_POINTS:
         return []
-    xy, moved = matches.reference_xy_px, matches.displacement_px - offset_px
+    moved = matches.displacement_px - offset_px
     plane_px = _common_plane(matches, kept)[0]
     flat = moved - plane_px + plane_px[kept].mean(axis=0)
     if _most_frequent(flat)[1] > TILTED * _most_frequent(moved)[1]:
         moved = flat
-    cells = np.floor(xy / (CELL_PER_WINDOW * window_px)).astype(np.intp)
-    cell_of = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    cell_of = _cells(matches, CELL_PER_WINDOW * window_px)
     total = np.bincount(cell_of)
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
     found: list[tuple[Motion, Bool]] = []
@@ -295,10 +300,6 @@ def _too_few(points: int, agreeing: int, cells: int) -> str | None:
         f"{points} tie points agree, in {agreeing} of {cells} separate places, and so few say too little "
         f"({needed}): use rasters that share more ground, masks that exclude less, or a smaller --window"
     )
-
-
-def _beyond(counts: dict[str, int]) -> bool:
-    return counts.get("at_search_border", 0) > AT_BORDER * counts["candidates"]
 
 
 ELSE = "clouds may hide the ground, or the two may not show the same place"

@@ -11,7 +11,7 @@ import numpy as np
 
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.events import Event, EventCallback, JobLog, Progress, Warned
+from pcwlad_geo.events import EventCallback, JobLog, Progress, only_warnings
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.matching.epipolar import MIN_POINTS, epipolar_evidence, on_their_lines, parallax_evidence
 from pcwlad_geo.matching.field import Prediction, Surface, predict
@@ -438,7 +438,7 @@ def _scales(
     inside = [np.flatnonzero(tile_of == tile) for tile in tiles[chosen]]
     sample = [these[:: max(1, int(1 / share))] for these in inside]
     workers = [first.workers[tile] for tile in tiles[chosen]]
-    on_event = partial(_only_warnings, log.on_event)  # the progress is no stage's own
+    on_event = partial(only_warnings, log.on_event)  # the progress is no stage's own
 
     def seen(windows_px: Sequence[int], coarser: bool) -> Float64:
         calls = [
@@ -451,16 +451,11 @@ def _scales(
     return choose_scales(seen, settings)
 
 
-def _only_warnings(on_event: EventCallback, event: Event) -> None:
-    if isinstance(event, Warned):
-        on_event(event)
-
-
 def _predict_on(
     runner: Runner, on_event: EventCallback, xy: Float64, moved: Float64, at: Float64, surface: Surface
 ) -> Prediction:
     """Do what `field.predict` does, shared out where there are many places."""
-    warn = partial(_only_warnings, on_event)  # of lost workers; the progress is no stage's own
+    warn = partial(only_warnings, on_event)  # of lost workers; the progress is no stage's own
     size = max(PLACES_PER_CALL, -(-len(at) // MAX_CALLS))
     if len(at) <= size:
         return predict(xy, moved, at, surface)

@@ -27,11 +27,11 @@ from pcwlad_geo.stacks.network import (
     Network,
     Part,
     Solution,
-    blocks_of,
     check_determined,
     components,
     errors_of,
     factorised,
+    folds_of,
     linked,
     part_of,
     side_of_blocks,
@@ -52,9 +52,6 @@ ALPHA: Final = 0.01
 """Probability that of all pairs of a stack, all right, one is left out."""
 TYPICAL: Final = (FREEDOM * (2.0 ** (2 / FREEDOM) - 1)) ** 0.5
 """Median of an offset of such a pair, in sigmas."""
-CONTESTED: Final = 2.0
-"""An image is contested where what holds it in place has not so many times the evidence of what was left
-out and agrees on another place."""
 FAR_BEYOND: Final = 5.0
 """What is known beforehand counts half where an image is found so many of its sigmas beyond."""
 MIN_REDUNDANCY: Final = 0.1
@@ -83,8 +80,6 @@ class Adjustment:
     spread: Float64
     """(blocks, images, terms, 2): changes of the coefficients without a block of the ground, scaled so that
     the sum of their products is the covariance (jackknife: Tukey 1958, doi:10.1214/aoms/1177706647)."""
-    contested: tuple[int, ...] = ()
-    """Numbers of the images that pairs left out place elsewhere, with about as much evidence."""
 
     def displacement(self, image: int, xy: Float64) -> Float64:
         """Return by how much an image places the ground at (n, 2) positions `xy` beside itself, (n, 2)."""
@@ -206,7 +201,7 @@ def adjust(
         for turn in range(SETTLING):
             # two answers that replace each other: that of more evidence is the last
             settled = _settled(network, parts, used, shared, kept=turn == SETTLING - 1)
-            used, contested = _outvoted(network, parts, settled, evidence)
+            used = _outvoted(network, parts, settled, evidence)
             shared = settled.shared
             if (used == settled.used).all():
                 break
@@ -217,7 +212,7 @@ def adjust(
     if datum is None:
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
     normal = settled.solution.normal
-    return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread, contested)
+    return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread)
 
 
 def _known(edges: Sequence[Edge], basis: Basis, coefficients: Float64, sigma: Float64) -> Float64:
@@ -238,19 +233,9 @@ def extend(
 ) -> Adjustment:
     """Place images after those of an adjustment, which stay where they are.
 
-    Parameters
-    ----------
-    before : Adjustment
-        Of the first images.
-    edges : sequence of Edge
-        Those of `before`.
-    more : sequence of Edge
-        Those of the new images, the first of each an old image or an earlier new one.
-    images : int
-        Number of all images, with the ground.
-    ground : bool
-        Whether the last image of `before` is the ground itself, on which control points lie: it becomes the
-        last of all, and its pairs the last.
+    The `edges` are those of the adjustment `before`, of the first images, and `more` those of the new images,
+    the first of each an old image or an earlier new one. The last image of `before` may be the `ground`
+    itself, on which control points lie: it becomes the last of all `images`, and its pairs the last.
     """
     old = len(before.coefficients) - ground
     placed = _on_frame(before, more, old, images - ground)
@@ -278,7 +263,6 @@ def extend(
         fixed=network.fixed,
         datum=images - 1 if ground and before.datum == old else before.datum,
         spread=_about_mean(spread, group) if before.datum is None else spread,
-        contested=(*before.contested, *(each + old - 1 for each in placed.contested)),
     )
 
 
@@ -319,14 +303,13 @@ def _spread(
     if not network.free.size:
         return np.zeros((1, network.images, network.terms, 2))
     blocks = [
-        dict(blocks_of(edge, basis, coefficients, side, part)) if good else {}
+        {fold.number: fold.kept for fold in folds_of(edge, basis, coefficients, side, part)} if good else {}
         for edge, part, good in zip(edges, parts, used, strict=True)
     ]
     found = []
     for number in range(BLOCKS**2):
         kept = [of_edge.get(number, part) for part, of_edge in zip(parts, blocks, strict=True)]
-        normal, right = network.equations(kept, used, sigma)
-        found.append(network.unpacked(factorised(normal).solve(right)))
+        found.append(network.coefficients(kept, used, sigma))
     changes = np.array(found) - np.mean(found, axis=0)
     return np.asarray(changes * ALIKE * np.sqrt((BLOCKS**2 - 1) / BLOCKS**2))
 
@@ -412,16 +395,14 @@ def _shared_error(solution: Solution, used: Bool, before: float) -> float:
     return before * float(np.median(checked)) / TYPICAL if checked else before
 
 
-def _outvoted(
-    network: Network, parts: Sequence[Part], settled: _Settled, evidence: Float64
-) -> tuple[Bool, tuple[int, ...]]:
-    """Return the pairs in use, and the images that are contested.
+def _outvoted(network: Network, parts: Sequence[Part], settled: _Settled, evidence: Float64) -> Bool:
+    """Return the pairs in use.
 
     The pairs of an image give way to others that agree on another place and have more evidence together, as
-    many may err by one cause. Where those left out have nearly as much, the image is contested.
+    many may err by one cause.
     """
     used, solution, limit = settled.used, settled.solution, critical(len(parts))
-    found, contested = used.copy(), []
+    found = used.copy()
     for image in range(network.images):
         at = [k for k, part in enumerate(parts) if image in (part.first, part.second)]
         away = [k for k in at if not used[k]]
@@ -435,14 +416,11 @@ def _outvoted(
             for k in away
         ]
         most = max(groups, key=lambda group: float(evidence[group].sum()), default=[])
-        held = float(evidence[[k for k in at if used[k]]].sum())
-        if evidence[most].sum() > held:
+        if evidence[most].sum() > evidence[[k for k in at if used[k]]].sum():
             found[at] = False
             found[most] = True
             break
-        if most and image not in network.fixed and evidence[most].sum() * CONTESTED >= held:
-            contested.append(image)
-    return found, tuple(contested)
+    return found
 
 
 def _still_connected(edges: Sequence[Part], images: int, used: Bool, wanted: Bool, ratio: Float64) -> Bool:

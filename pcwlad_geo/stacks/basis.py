@@ -124,16 +124,9 @@ def penalty_of(basis: Basis) -> Float64:
 
 
 def basis_over(places: Sequence[Float64], model: str, roughness: float = ROUGHNESS[1]) -> Basis:
-    """Return the functions of a model over the ground of (n, 2) places (x, y), map units.
+    """Return the functions of a model, one of `MODELS`, over the ground of tie points.
 
-    Parameters
-    ----------
-    places : sequence of (n, 2) array
-        Positions of tie points.
-    model : str
-        One of `MODELS`.
-    roughness : float
-        Of a spline, see `SplineBasis`.
+    The `places` of these are (n, 2) positions (x, y), map units; for the `roughness` see `SplineBasis`.
     """
     low = np.min([place.min(axis=0) for place in places], axis=0)
     high = np.max([place.max(axis=0) for place in places], axis=0)

@@ -28,7 +28,6 @@ from pcwlad_geo.stacks.network import (
     Network,
     Part,
     errors_of,
-    factorised,
     folds_of,
     linked,
     part_of,
@@ -59,17 +58,7 @@ def choose_basis(
 
     Cells of the ground are left out in turn, in all pairs at once; the tie points in them are held against
     the adjustment of the others. A simpler model stays unless a more flexible one is better by more than
-    chance, cell by cell.
-
-    Parameters
-    ----------
-    edges : sequence of Edge
-    images : int
-        Number of images.
-    model : str
-        A key of `TRIED`.
-    datum, apart
-        As `adjust` takes them.
+    chance, cell by cell. The `model` is a key of `TRIED`; the rest is as `adjust` takes it.
     """
     places = [edge.first_xy for edge in edges]
     tried = [
@@ -162,7 +151,7 @@ def _trial(edges: Sequence[Edge], start: Adjustment, basis: Basis) -> _Trial:
     for _ in range(2):  # at the ground that the displacements so far tell
         parts = [part_of(edge, basis, coefficients, side) for edge in edges]
         shared = errors_of(parts)
-        coefficients = _solved(network, parts, shared)
+        coefficients = network.coefficients(parts, np.ones(len(parts), bool), shared)
     folds = [
         folds_of(edge, basis, coefficients, side / 2, part) for edge, part in zip(edges, parts, strict=True)
     ]
@@ -182,7 +171,7 @@ def _errors(trial: _Trial, start: Adjustment, scatter: Float64, shared: Float64)
     for number in range(BLOCKS**2):
         left_out = [next((fold for fold in folds if fold.number == number), None) for folds in trial.folds]
         kept = [fold.kept if fold else part for part, fold in zip(trial.parts, left_out, strict=True)]
-        without = _solved(network, kept, shared)
+        without = network.coefficients(kept, np.ones(len(kept), bool), shared)
         total = count = 0.0
         for part, fold, unit in zip(trial.parts, left_out, scatter, strict=True):
             if fold is None or fold.kept is part:  # nothing of it was left out
@@ -193,8 +182,3 @@ def _errors(trial: _Trial, start: Adjustment, scatter: Float64, shared: Float64)
         if count:
             found.append(total / count)
     return np.array(found)
-
-
-def _solved(network: Network, parts: Sequence[Part], shared: Float64) -> Float64:
-    normal, right = network.equations(parts, np.ones(len(parts), bool), shared)
-    return network.unpacked(factorised(normal).solve(right))

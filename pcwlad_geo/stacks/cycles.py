@@ -13,14 +13,7 @@ import numpy as np
 
 from pcwlad_geo.correction.error_statistics import SIGMA_90, Residuals, left_by_correction
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
-from pcwlad_geo.registration.fitting import (
-    FAIR_PX,
-    GOOD_PX,
-    GRADES,
-    MANY_SIGMAS,
-    MOSTLY,
-    Reason,
-)
+from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, GRADES, MANY_SIGMAS, MOSTLY, Reason
 from pcwlad_geo.stacks.adjustment import MIN_REDUNDANCY
 from pcwlad_geo.stacks.pairs import StackPair
 from pcwlad_geo.types import Float64
@@ -71,7 +64,9 @@ def closure_of(pairs: Sequence[StackPair]) -> Closure:
     every, good, found = [], [], []
     for images in _cycles(measured):
         steps = [_step(measured, *ends) for ends in zip(images, (*images[1:], images[0]), strict=True)]
-        col, row = (sum(sign * _offset(pair)[axis] for pair, sign in steps) for axis in (0, 1))
+        col, row = (
+            sum(sign * (pair.offset_px or (0.0, 0.0))[axis] for pair, sign in steps) for axis in (0, 1)
+        )
         length = math.hypot(col, row)
         every.append(length)
         if all(pair.status == "used" for pair, _ in steps):
@@ -88,18 +83,12 @@ def closure_of(pairs: Sequence[StackPair]) -> Closure:
 
 def suspicion(pair: StackPair) -> float:
     """Return by how many sigmas a pair disagrees with all others; 0 for one that was refused."""
-    if pair.offset_px is None or not pair.sigma_px:
-        return 0.0
-    return math.hypot(*pair.offset_px) / pair.sigma_px
+    return pair.off_px / pair.sigma_px if pair.sigma_px else 0.0
 
 
 def root_mean_square(values: Sequence[float]) -> float | None:
     """Return the root mean square of values; None of none."""
     return math.sqrt(sum(value**2 for value in values) / len(values)) if values else None
-
-
-def _offset(pair: StackPair) -> tuple[float, float]:
-    return pair.offset_px or (0.0, 0.0)
 
 
 def _step(measured: dict[tuple[str, str], StackPair], one: str, other: str) -> tuple[StackPair, float]:
@@ -198,17 +187,10 @@ def image_qualities(
     """Grade the images of a stack by what their pairs say for and against their places.
 
     A pair that was left out is evidence that the adjustment has not used; of one in use the part that the
-    others check is (its offset by the root of its redundancy: Pope 1976).
-
-    Parameters
-    ----------
-    pairs : sequence of StackPair
-    sigma_px : mapping
-        Standard deviation of the position of each image along an axis, its own px.
-    unit_px : mapping
-        Side of the pixels of each image, px of the frame.
-    anchors : collection of str
-        Names of the images that stay, one a group; none where the mean or control points do.
+    others check is (its offset by the root of its redundancy: Pope 1976). By the names of images, `sigma_px`
+    is the standard deviation of the position of each along an axis, its own px, and `unit_px` the side of its
+    pixels, px of the frame. The `anchors` are the images that stay, one a group; none where the mean or
+    control points do.
     """
     measured = [pair for pair in pairs if pair.offset_px is not None]
     own = [
@@ -253,7 +235,7 @@ def image_qualities(
 
 def _discrepancy(pair: StackPair) -> float:
     """Return by how much a pair lies off what the others tell, px of the frame, less what it tells itself."""
-    return math.hypot(*_offset(pair)) / math.sqrt(max(pair.redundancy or 0.0, MIN_REDUNDANCY))
+    return pair.off_px / math.sqrt(max(pair.redundancy or 0.0, MIN_REDUNDANCY))
 
 
 def _cut_off(

@@ -159,18 +159,10 @@ def _sampled(frame: Frame, image: int, look: Float64 | None, at: Float64) -> Flo
 def choose_pairs(
     found: Sequence[Candidate], images: int, most: int | None = None, before: Sequence[tuple[int, int]] = ()
 ) -> list[tuple[int, int]]:
-    """Return the pairs to measure, those without which the rest is worth less first.
+    """Return the pairs to measure, at `most` so many, those without which the rest is worth less first.
 
-    Parameters
-    ----------
-    found : sequence of Candidate
-        The most promising first.
-    images : int
-        Number of images.
-    most : int, optional
-        Largest number of pairs.
-    before : sequence of pairs
-        Measured by an earlier run: they stay, and only images that have none get others.
+    The candidates are `found` the most promising first, for so many `images`. Pairs measured `before`, by an
+    earlier run, stay, and only images that have none get others.
     """
     known = {image for pair in before for image in pair}
     chosen = dict.fromkeys(before)
@@ -248,18 +240,9 @@ def asked_by_sigma(
     """Return further pairs, two an image, for images of an unusually large sigma.
 
     What one kind of image sees otherwise than another is the same in all pairs of the two kinds, and only
-    pairs with a third kind average it: kinds with which an image has the fewest pairs come first.
-
-    Parameters
-    ----------
-    found : sequence of Candidate
-        The most promising first.
-    chosen : sequence of pairs
-        Those that there are.
-    sigma : (images,) array
-        Standard deviation of the position of each.
-    kinds : sequence, optional
-        The kind of each image; all of one by default.
+    pairs with a third kind average it: kinds with which an image has the fewest pairs come first. The
+    candidates are `found` the most promising first, and those `chosen` are there already. The (images,) array
+    `sigma` has the standard deviation of the position of each; all are of one of the `kinds` by default.
     """
     limit = UNSURE * float(np.median(sigma[sigma > 0])) if (sigma > 0).any() else np.inf
     kinds = kinds if kinds is not None else [None] * len(sigma)

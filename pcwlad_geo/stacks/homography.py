@@ -89,10 +89,7 @@ def on_epipolar_lines(edge: Edge) -> Edge | None:
     if good.mean() < 0.5:
         return None
     return replace(
-        edge,
-        first_xy=edge.first_xy[good],
-        second_xy=edge.second_xy[good],
-        covariance=edge.covariance[good],
+        edge, first_xy=edge.first_xy[good], second_xy=edge.second_xy[good], covariance=edge.covariance[good]
     )
 
 
@@ -123,19 +120,9 @@ def homographies(
 ) -> FrameAdjustment:
     """Estimate the homographies of all frames from the tie points of their pairs.
 
-    Points that leave their epipolar lines have no part. Raises `InputError` as `adjust` does, or if no
-    homography fits the points of the pairs of a frame.
-
-    Parameters
-    ----------
-    edges : sequence of Edge
-        Tie points in the pixels of the frames.
-    images : int
-        Number of frames.
-    datum : int, optional
-        Number of the frame that stays; None: the mean of all does.
-    apart : bool
-        Whether there may be groups of frames that no pair connects.
+    The tie points are in the pixels of the frames; those that leave their epipolar lines have no part. Other
+    parameters are those of `adjust`. Raises `InputError` as that does, or if no homography fits the points of
+    the pairs of a frame.
     """
     edges = [on_epipolar_lines(edge) or edge for edge in edges]
     matrices = _chained(edges, images, datum or 0)

@@ -74,19 +74,9 @@ class StackInput:
 def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
     """Yield the images of rasters, folders, products, tables and STAC items, in their order.
 
-    A product that is the only one, without a name of a band, is all its bands that show the ground.
-
-    Parameters
-    ----------
-    images : sequence of path
-        What the user names.
-    band : int or str
-        Number of the band, or its name in products and STAC items.
-
-    Raises
-    ------
-    InputError
-        If a folder, a table or an item cannot be used.
+    The `band` is a number, or a name in products and STAC items. A product that is the only one, without a
+    name of a band, is all its bands that show the ground. Raises `InputError` if a folder, a table or an item
+    cannot be used.
     """
     names = [os.fspath(each) for each in images]
     products = {name: found for name in names if (found := find_product(name)) is not None}

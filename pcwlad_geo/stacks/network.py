@@ -128,10 +128,8 @@ class Part:
     def without(self, block: Sequence[Float64]) -> Part:
         """Return what is left without a block; the whole where that is more than half of it.
 
-        Parameters
-        ----------
-        block : sequence of (2 terms, 2 terms), (2 terms, 6), (6, 6), (2 terms,) and (6,) arrays
-            What its points add to `own`, `across`, `inner`, `seen` and `beside`.
+        The points of the `block` add (2 terms, 2 terms), (2 terms, 6), (6, 6), (2 terms,) and (6,) arrays to
+        `own`, `across`, `inner`, `seen` and `beside`.
         """
         own, across, inner, seen, beside = block
         if np.trace(own) > np.trace(self.own) / 2:
@@ -224,20 +222,6 @@ def side_of_blocks(edges: Sequence[Edge]) -> float:
     return max(float(np.median(sizes)), 1e-9) / BLOCKS
 
 
-def blocks_of(
-    edge: Edge, basis: Basis, coefficients: Float64, side: float, whole: Part
-) -> list[tuple[int, Part]]:
-    """Return what is left of an edge without each block of its points, a square of a side in map units.
-
-    A block that holds more than half of the edge stays. Blocks are numbered 0 to BLOCKS² - 1, and the numbers
-    repeat beyond: a square of BLOCKS x BLOCKS blocks holds each once, wherever it lies. The
-    `coefficients`, (images, terms, 2), tell the ground so far.
-    """
-    points = _weighted(edge, basis, coefficients)
-    number = _numbers(points, basis, side)
-    return [(int(each), whole.without(_sums(points, number == each))) for each in np.unique(number)]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Fold:
     """A block of the points of an edge, left out."""
@@ -252,9 +236,11 @@ class Fold:
 
 
 def folds_of(edge: Edge, basis: Basis, coefficients: Float64, side: float, whole: Part) -> list[Fold]:
-    """Return each block of the points of an edge, left out; see `blocks_of`.
+    """Return each block of the points of an edge, a square of a side in map units, left out.
 
-    The (images, terms, 2) `coefficients` tell the ground so far; `whole` are all points of the edge.
+    A block that holds more than half of the edge stays. Blocks are numbered 0 to BLOCKS² - 1, and the numbers
+    repeat beyond: a square of BLOCKS x BLOCKS blocks holds each once, wherever it lies. The (images, terms,
+    2) `coefficients` tell the ground so far; `whole` are all points of the edge.
     """
     points = _weighted(edge, basis, coefficients)
     number = _numbers(points, basis, side)
@@ -298,7 +284,8 @@ def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> Part:
     weights = points.weights
     total = weights.sum(axis=0)
     each = np.trace(weights, axis1=1, axis2=2) / np.trace(total)
-    scatter = max(float(1.4826 * np.median(np.abs(points.left))), LEAST_SCATTER * _typical_sigma(edge))
+    typical_sigma = float(np.median(np.sqrt(np.trace(edge.covariance, axis1=1, axis2=2) / 2)))
+    scatter = max(float(1.4826 * np.median(np.abs(points.left))), LEAST_SCATTER * typical_sigma)
     sums = _sums(points, slice(None))
     return Part(
         edge.first,
@@ -352,10 +339,6 @@ def _sums(points: _Weighted, chosen: Bool | slice) -> tuple[Float64, Float64, Fl
         right[:, one].ravel(),
         right[:, other].ravel(),
     )
-
-
-def _typical_sigma(edge: Edge) -> float:
-    return float(np.median(np.sqrt(np.trace(edge.covariance, axis1=1, axis2=2) / 2)))
 
 
 def components(edges: Sequence[Edge] | Sequence[Part], images: int, used: Bool) -> tuple[int, Index]:
@@ -431,13 +414,8 @@ class Network:
     def solve(self, parts: Sequence[Part], used: Bool, shared: Float64) -> Solution:
         """Solve the normal equations of the edges in use, each with a sigma of its shared error.
 
-        Parameters
-        ----------
-        parts : sequence of Part
-        used : (edges,) bool array
-            Edges that count.
-        shared : (edges,) array
-            Standard deviation of the shared error of each, map units.
+        The (edges,) bool array `used` says which count, and the (edges,) array `shared` the standard
+        deviation of the shared error of each, map units.
         """
         normal, right = self.equations(parts, used, shared)
         factor = factorised(normal)
@@ -484,6 +462,11 @@ class Network:
             whole = whole + block_diag([np.kron(np.eye(2), each) for each in self.known], format="csc")
         free = self.free
         return csc_array(whole[free][:, free]), right.ravel()[free]
+
+    def coefficients(self, parts: Sequence[Part], used: Bool, shared: Float64) -> Float64:
+        """Return the (images, terms, 2) coefficients alone; (edges,) `used` and `shared` as in `solve`."""
+        normal, right = self.equations(parts, used, shared)
+        return self.unpacked(factorised(normal).solve(right))
 
     def unpacked(self, free: Float64) -> Float64:
         """Return the (images, terms, 2) coefficients of the (free,) `free`; zeros of images that stay."""

@@ -111,27 +111,26 @@ def page(found: Stack, frame: Frame | None = None) -> str:
     nodes = _ring([image.name for image in found.images])
     at = {node.name: node for node in nodes}
     order = {"left out": 0, "refused": 1, "used": 2}
-    pairs = sorted(found.pairs, key=lambda pair: (order[pair.status], -_offset_px(pair)))
+    pairs = sorted(found.pairs, key=lambda pair: (order[pair.status], -pair.off_px))
     images = sorted(found.images, key=lambda image: (ORDER.index(image.quality.grade), -image.suspicion))
     seen = None if frame is None else _worst_seen(found, frame, images)
     environment = page_environment("pcwlad_geo.stacks")
     return environment.get_template("stack.html.j2").render(
+        found=found,
+        block=found.block,
         images=images,
         headline=_headline(found),
         answers=[_how_well(found), _which_not(images), _trust(found)],
         states=STATES,
         seen=seen and (file_name(seen.target.uri), file_name(seen.reference.uri)),
         views=[] if seen is None else pair_views(seen),
-        field=None
-        if seen is None
-        else displacement_figure(seen.tie_points, seen.reference.grid.shape, read_backdrop(seen.reference)),
+        field=seen
+        and displacement_figure(seen.tie_points, seen.reference.grid.shape, read_backdrop(seen.reference)),
         paper=False,
-        closure=found.closure,
         series=_series(found),
         wide=SERIES_PX,
-        requirements=found.requirements,
         groups=max(image.group for image in found.images) + 1,
-        pairs=[(pair, _offset_px(pair)) for pair in pairs],
+        pairs=[(pair, pair.off_px) for pair in pairs],
         nodes=nodes,
         links=[_link(pair, at) for pair in reversed(pairs)],
         side=SIDE_PX,
@@ -140,9 +139,6 @@ def page(found: Stack, frame: Frame | None = None) -> str:
         classes=_class_names(),
         model=MODEL_NAMES.get(found.images[-1].correction.name, found.images[-1].correction.name),
         added=[name for names in found.added for name in names],
-        shared=found.shared,
-        unreadable=found.unreadable,
-        block=found.block,
     )
 
 
@@ -182,7 +178,7 @@ def _trust(found: Stack) -> Answer:
     """Tell how far the pairs of the images that are not refused agree."""
     placed = {image.name for image in found.written.images}
     pairs = [each for each in found.pairs if each.offset_px and {each.reference, each.target} <= placed]
-    used = [_offset_px(pair) for pair in pairs if pair.status == "used"]
+    used = [pair.off_px for pair in pairs if pair.status == "used"]
     away, closure = len(pairs) - len(used), found.closure
     text = f"{len(used)} of {len(pairs)} pairs agree to {root_mean_square(used) or 0.0:.3f} px (RMS)"
     if away:
@@ -301,10 +297,8 @@ def _link(pair: StackPair, at: dict[str, Node]) -> Link:
     one, other = at[pair.reference], at[pair.target]
     title = f"{pair.reference} – {pair.target}: {pair.status}"
     if pair.offset_px is not None:
-        title += f", {_offset_px(pair):.3f} px off, {pair.points} points"
-    kind = (
-        f"c{sum(_offset_px(pair) > limit for limit in CLASSES_PX)}" if pair.status == "used" else pair.status
-    )
+        title += f", {pair.off_px:.3f} px off, {pair.points} points"
+    kind = f"c{sum(pair.off_px > limit for limit in CLASSES_PX)}" if pair.status == "used" else pair.status
     return Link(one.x, one.y, other.x, other.y, kind.replace(" ", "-"), title)
 
 
@@ -312,7 +306,3 @@ def _class_names() -> list[str]:
     limits = [f"{limit:g}" for limit in CLASSES_PX]
     between = [f"{low} to {high} px" for low, high in pairwise(limits)]
     return [f"up to {limits[0]} px", *between, f"over {limits[-1]} px"]
-
-
-def _offset_px(pair: StackPair) -> float:
-    return 0.0 if pair.offset_px is None else math.hypot(*pair.offset_px)

@@ -91,6 +91,11 @@ class StackPair:
     empty_share: float | None = None
     """Of the squares of its reference in which both images have data, the part without a tie point."""
 
+    @property
+    def off_px(self) -> float:
+        """Length of its offset, px of the frame; 0 of one that was refused."""
+        return math.hypot(*self.offset_px or (0.0, 0.0))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
@@ -172,9 +177,21 @@ def measured_pair(
     if edge is None:
         reason = reason or f"fewer than {MIN_POINTS} tie points"
         on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
-    motions = tuple(Motion(**each) for each in report.get("motions", ()))
-    found = StackPair(*names, "refused" if edge is None else "used", reason, place, motions=motions)
+    status: PairStatus = "refused" if edge is None else "used"
+    found = StackPair(*names, status, reason, place, motions=_motions_of(report, place))
     return edge, found if edge is None else graded(found, edge, report)
+
+
+def _motions_of(report: Mapping[str, Any], place: Path) -> tuple[Motion, ...]:
+    """Return the motions in the report of a pair; raises `OutputError` if they are damaged."""
+    try:
+        motions = tuple(Motion(**each) for each in report.get("motions", ()))
+        told_of(motions, taken=True)  # fails where a value is of a wrong type
+    except (TypeError, ValueError) as error:
+        raise OutputError(
+            f"{place} has a damaged report ({error}): remove the folder, and run again"
+        ) from error
+    return motions
 
 
 def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
@@ -343,9 +360,8 @@ def control_points(table: PathLike) -> tuple[ControlPoint, ...]:
     """
     found = []
     for row in read_table(Path(table), ("image", "col", "row", "x", "y")):
-        values = [number_of(row, column) for column in ("col", "row", "x", "y")]
+        col_px, row_px, x, y = (number_of(row, column) for column in ("col", "row", "x", "y"))
         sigma = number_of(row, "sigma") if row.get("sigma") else None
-        col_px, row_px, x, y = values
         found.append(ControlPoint(row["image"], col_px, row_px, x, y, sigma))
         check_control(found[-1], str(table))
     return tuple(found)
@@ -364,17 +380,8 @@ def check_control(point: ControlPoint, origin: str) -> None:
 def control_edges(points: Sequence[ControlPoint], frame: Frame, ground: int | None = None) -> list[Edge]:
     """Return control points, image by image, as pairs with the ground itself.
 
-    Parameters
-    ----------
-    points : sequence of ControlPoint
-    frame : Frame
-    ground : int, optional
-        Number of the ground among the images; that after the last image by default.
-
-    Raises
-    ------
-    InputError
-        If they name no image of the frame or are too few, or the images are not georeferenced.
+    The number of the `ground` among the images is that after the last image by default. Raises `InputError`
+    if they name no image of the frame or are too few, or the images are not georeferenced.
     """
     if points and not frame.placed:
         raise InputError("images without georeferencing have no place for control points")

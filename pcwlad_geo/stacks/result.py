@@ -6,9 +6,9 @@ import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from pcwlad_geo.correction.models import (
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.raster.rpc.grid import at_mean_height
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.registration.rpc import RpcRegistration
 from pcwlad_geo.report.finished import read_report
@@ -42,7 +43,6 @@ from pcwlad_geo.stacks.cycles import (
 )
 from pcwlad_geo.stacks.homography import FrameAdjustment
 from pcwlad_geo.stacks.inputs import StackInput
-from pcwlad_geo.stacks.network import Edge
 from pcwlad_geo.stacks.pairs import ControlPoint, Frame, Measured, StackPair
 from pcwlad_geo.stacks.rpc_block import BlockAdjustment, LeftAside
 from pcwlad_geo.stacks.rpc_heights import DemCheck
@@ -64,8 +64,8 @@ NODES: Final = 15
 """Places along each axis of an image at which its correction is fitted and its sigma averaged."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ImageRpc:
+@dataclass(frozen=True, slots=True)
+class RpcFiles:
     """The corrected RPC of an image."""
 
     origin: str
@@ -76,6 +76,13 @@ class ImageRpc:
     """File name of the original pixels with the corrected RPC."""
     text: str
     """File name of the corrected RPC as text."""
+    corrected: RpcModel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageRpc(RpcFiles):
+    """The corrected RPC of an image, and the original one."""
+
     registration: RpcRegistration
     """Both RPCs, and the heights used."""
 
@@ -118,8 +125,8 @@ UNGRADED: Final = StackQuality("good", (), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StackImage:
-    """An image, and where the adjustment says that it lies."""
+class PlacedImage:
+    """Where the adjustment says that an image lies."""
 
     name: str
     path: str
@@ -128,18 +135,24 @@ class StackImage:
     sigma_px: tuple[float, float]
     """Root mean square, over the image, of the standard deviation of its position (col, row), target px."""
     sigma_m: tuple[float, float] | None
-    """The same in metres; None without a CRS."""
+    """The same in metres; null without a CRS."""
     pairs: int
     """Number of its pairs in use."""
-    correction: Correction
-    registered: Path
-    """The corrected raster, on the grid of the frame."""
     suspicion: float
     """Root mean square, over its pairs, of by how many sigmas each disagrees with all others."""
     group: int
     """Number of the group of images that pairs connect; those of another have another datum."""
     given: StackInput
     """As the user named it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StackImage(PlacedImage):
+    """An image, and where the adjustment says that it lies."""
+
+    correction: Correction
+    registered: Path
+    """The corrected raster, on the grid of the frame."""
     rpc: ImageRpc | None = None
     """Of an image with RPCs."""
     frame_px: float = 1.0
@@ -214,25 +227,9 @@ class Stack:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ImageEntry:
+class ImageEntry(PlacedImage):
     """An image of the stack."""
 
-    name: str
-    path: str
-    shift_px: tuple[float, float]
-    """Mean displacement (col, row) over the image, target px."""
-    sigma_px: tuple[float, float]
-    """Root mean square, over the image, of the standard deviation of its position (col, row), target px."""
-    sigma_m: tuple[float, float] | None
-    """The same in metres; null without a CRS."""
-    pairs: int
-    """Number of its pairs in use."""
-    suspicion: float
-    """Root mean square, over its pairs, of by how many sigmas each disagrees with all others."""
-    group: int
-    """Number of the group of images that pairs connect; those of another have another datum."""
-    given: StackInput
-    """As the user named it."""
     model: Mapping[str, object]
     """The correction, as `model` in report.json."""
     registered: str | None
@@ -241,21 +238,6 @@ class ImageEntry:
     """How far its place can be relied on."""
     rpc: RpcFiles | None = None
     """Of an image with RPCs; else null."""
-
-
-@dataclass(frozen=True, slots=True)
-class RpcFiles:
-    """The corrected RPC of an image."""
-
-    origin: str
-    """File or tag in which the original was found."""
-    fold_error_px: float | None
-    """Largest distance between the corrected RPC and the correction of the original one, px."""
-    vrt: str
-    """File name of the original pixels with the corrected RPC."""
-    text: str
-    """File name of the corrected RPC as text."""
-    corrected: RpcModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,55 +303,36 @@ def stack_of(
     pairs = []
     for edge, pair in measured:
         if edge is not None:
+            ground = adjustment.to_ground(edge.first, edge.first_xy)
+            left_px = edge.second_xy - adjustment.displacement(edge.second, ground) - ground
             fit = next(fits)
-            reason = None
-            if not fit.used:
-                reason = f"its points lie {np.hypot(*fit.offset):.2f} px off what the other pairs tell"
-                warnings.append(f"{pair.reference} – {pair.target}: left out: {reason}")
             pair = replace(
-                pair,
-                status="used" if fit.used else "left out",
-                reason=reason,
+                compared(pair, fit.used, fit.offset, warnings),
                 points=len(edge),
-                offset_px=fit.offset,
                 sigma_px=fit.sigma,
                 redundancy=fit.redundancy,
                 scatter_px=fit.scatter,
-                ce90_px=_left_ce90(edge, adjustment),
-                empty_share=empty_share(pair),
+                ce90_px=left_ce90(edge.second_xy, left_px),
             )
         pairs.append(pair)
     used = [pair for pair in pairs if pair.status == "used"]
-    extension = OutputFormat.of(settings.of, settings.co).extension
-    images = tuple(
-        _image(frame, number, adjustment, folder / raster_name(frame.names[number], extension), used)
-        for number in range(len(frame.names))
-    )
+    rasters = raster_paths(frame, folder, settings)
+    images = tuple(_image(frame, number, adjustment, each, used) for number, each in enumerate(rasters))
     return Stack(
-        images,
-        tuple(pairs),
-        adjustment.shared,
-        _datum(frame, adjustment),
-        folder,
-        tuple(warnings),
-        adjustment,
-        unreadable,
-        frame.names[frame.reference],
-        chosen,
-        closure_of(pairs),
+        *(images, tuple(pairs), adjustment.shared, _datum(frame, adjustment), folder, tuple(warnings)),
+        *(adjustment, unreadable, frame.names[frame.reference], chosen, closure_of(pairs)),
     )
 
 
-def _left_ce90(edge: Edge, adjustment: Adjustment) -> float:
-    ground = adjustment.to_ground(edge.first, edge.first_xy)
-    left = edge.second_xy - adjustment.displacement(edge.second, ground) - ground
-    return left_ce90(edge.second_xy, left)
-
-
-def empty_share(pair: StackPair) -> float | None:
-    """Return `StackPair.empty_share` of a pair, from its report."""
+def compared(pair: StackPair, used: bool, offset_px: tuple[float, float], warnings: list[str]) -> StackPair:
+    """Return a pair that lies so far off the adjustment, px of the frame; one left out adds a warning."""
     share = read_report(pair.folder).get("coverage", {}).get("empty_share")
-    return None if share is None else float(share)
+    share = None if share is None else float(share)
+    if used:
+        return replace(pair, status="used", reason=None, offset_px=offset_px, empty_share=share)
+    reason = f"its points lie {np.hypot(*offset_px):.2f} px off what the other pairs tell"
+    warnings.append(f"{pair.reference} – {pair.target}: left out: {reason}")
+    return replace(pair, status="left out", reason=reason, offset_px=offset_px, empty_share=share)
 
 
 def graded(found: Stack) -> Stack:
@@ -403,7 +366,9 @@ def judge(found: Stack, requirements: Sequence[Requirement]) -> tuple[Requiremen
         if image.sigma_m and min(image.sigma_px) > 0
     ]
     used = [pair.points for pair in found.pairs if pair.status == "used"]
-    values_px = {
+    values: dict[str, float | str | None] = {
+        "quality": found.quality.grade,
+        "points": float(min(used, default=0)),
         "sigma": max(max(image.sigma_px) for image in found.images),
         "displacement": max(float(np.hypot(*image.shift_px)) for image in found.images),
         "closure": found.closure.after_px,
@@ -411,48 +376,59 @@ def judge(found: Stack, requirements: Sequence[Requirement]) -> tuple[Requiremen
     px_m = float(max(sizes_m)) if sizes_m else None
     results = []
     for each in requirements:
-        if each.statistic == "quality":
-            results.append(RequirementResult(each, found.quality.grade))
-            continue
-        if each.statistic == "points":
-            results.append(RequirementResult(each, float(min(used, default=0))))
-            continue
-        value = values_px[each.statistic]
-        scale = px_m if each.unit == "m" else 1.0
-        known = value is not None and scale is not None
-        reason = None if known else "not known: no cycle, or no size of a pixel in metres"
-        results.append(RequirementResult(each, (value or 0.0) * (scale or 1.0) if known else None, reason))
+        value = values[each.statistic]
+        if each.unit == "m" and isinstance(value, float):
+            value = None if px_m is None else value * px_m
+        reason = "not known: no cycle, or no size of a pixel in metres" if value is None else None
+        results.append(RequirementResult(each, value, reason))
     return tuple(results)
 
 
 def _image(
     frame: Frame, number: int, adjustment: Adjustment, registered: Path, used: Sequence[StackPair]
 ) -> StackImage:
-    info, name = frame.infos[number], frame.names[number]
-    at_px = info.grid.lattice_px(NODES)
+    at_px = frame.infos[number].grid.lattice_px(NODES)
     ground = frame.from_image(number, at_px)
     observed_px = frame.to_image(number, ground + adjustment.displacement(number, ground))
     scale = np.linalg.inv(frame.scale(number, at_px))
     covariance = scale @ adjustment.covariance(number, ground) @ scale.transpose(0, 2, 1)
-    sigma_px = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0).clip(0.0))
-    sizes_m = pixel_sizes_m(info.grid, info.grid.middle_px)
-    own = [pair for pair in used if name in (pair.reference, pair.target)]
-    return StackImage(
-        name=name,
-        path=info.uri,
-        shift_px=_pair(np.mean(observed_px - at_px, axis=0)),
-        sigma_px=_pair(sigma_px),
-        sigma_m=None if sizes_m is None else _pair(sigma_px * sizes_m[0]),
-        pairs=len(own),
-        correction=adjustment.correction(number)
+    correction = (
+        adjustment.correction(number)
         if isinstance(adjustment, FrameAdjustment)
-        else _correction(at_px, observed_px, adjustment.basis),
-        registered=registered,
-        suspicion=root_mean_square([suspicion(pair) for pair in own]) or 0.0,
-        group=int(adjustment.group[number]),
-        given=frame.given(number),
-        frame_px=float(abs(np.linalg.det(scale)).mean() ** -0.5),
+        else _correction(at_px, observed_px, adjustment.basis)
     )
+    frame_px, group = float(abs(np.linalg.det(scale)).mean() ** -0.5), int(adjustment.group[number])
+    return StackImage(
+        **placed_values(frame, number, observed_px - at_px, covariance, used, group),
+        correction=correction,
+        registered=registered,
+        frame_px=frame_px,
+    )
+
+
+def placed_values(
+    frame: Frame, number: int, moved_px: Float64, covariance: Float64, used: Sequence[StackPair], group: int
+) -> dict[str, Any]:
+    """Return the fields of `PlacedImage` by their names.
+
+    Over the image, the (n, 2) displacements `moved_px` and their (n, 2, 2) `covariance`, px² of the image,
+    are averaged; `used` are all pairs in use.
+    """
+    info, name = frame.infos[number], frame.names[number]
+    sigma_px = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0).clip(0.0))
+    sizes_m = pixel_sizes_m(at_mean_height(info.grid), info.grid.middle_px)
+    own = [pair for pair in used if name in (pair.reference, pair.target)]
+    return {
+        "name": name,
+        "path": info.uri,
+        "shift_px": _pair(np.mean(moved_px, axis=0)),
+        "sigma_px": _pair(sigma_px),
+        "sigma_m": None if sizes_m is None else _pair(sigma_px * sizes_m[0]),
+        "pairs": len(own),
+        "suspicion": root_mean_square([suspicion(pair) for pair in own]) or 0.0,
+        "group": group,
+        "given": frame.given(number),
+    }
 
 
 def _pair(values: Float64) -> tuple[float, float]:
@@ -467,7 +443,8 @@ def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correctio
         spacing = float((high - low).min()) / (2 * SPLINE_CELLS)  # finer: it lies elsewhere than the ground
         across, down = np.ceil((high - low) / spacing - 1e-9).astype(int).tolist()
         grid = SplineGrid(_pair(low), spacing, (across, down))
-        return SplineCorrection("tps", grid, _fitted(grid.design(at_px).toarray(), observed_px - at_px, grid))
+        fitted = np.linalg.lstsq(grid.design(at_px).toarray(), observed_px - at_px, rcond=None)[0]
+        return SplineCorrection("tps", grid, np.asarray(fitted.reshape(*grid.shape, 2)))
     if basis.order == 0:
         shift = np.mean(observed_px - at_px, axis=0)
         return AffineCorrection("shift", np.column_stack([np.eye(2), shift]))
@@ -479,15 +456,10 @@ def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correctio
     )
 
 
-def _fitted(values: Float64, displacement_px: Float64, grid: SplineGrid) -> Float64:
-    """Return the (rows, columns, 2) coefficients of a spline with (n, terms) values at the places."""
-    found = np.linalg.lstsq(values, displacement_px, rcond=None)[0]
-    return np.asarray(found.reshape(*grid.shape, 2))
-
-
-def raster_name(image: str, extension: str) -> str:
-    """Return the file name of a corrected image."""
-    return f"{image}_registered.{extension}"
+def raster_paths(frame: Frame, folder: Path, settings: Settings) -> list[Path]:
+    """Return the paths of the corrected images in a folder."""
+    extension = OutputFormat.of(settings.of, settings.co).extension
+    return [folder / f"{name}_registered.{extension}" for name in frame.names]
 
 
 def write_numbers(found: Stack, settings: Settings, page: str, folder: Path) -> None:
@@ -495,57 +467,43 @@ def write_numbers(found: Stack, settings: Settings, page: str, folder: Path) -> 
     (folder / TABLE).write_text(_table(found), encoding="utf-8", newline="")
     (folder / PAGE).write_text(page, encoding="utf-8", newline="")
     written = (*sorted(file.name for file in folder.iterdir() if file.is_file()), NUMBERS)
-    content = asdict(replace(_numbers(found, settings), outputs=written))
+    content = asdict(_numbers(found, settings, written))
     text = json.dumps(content, indent=1, default=Path.as_posix) + "\n"
     (folder / NUMBERS).write_text(text, encoding="utf-8", newline="")
 
 
-def _numbers(found: Stack, settings: Settings) -> StackNumbers:
-    images = tuple(
-        ImageEntry(
-            image.name,
-            image.path,
-            image.shift_px,
-            image.sigma_px,
-            image.sigma_m,
-            image.pairs,
-            image.suspicion,
-            image.group,
-            image.given,
-            image.correction.to_dict(),
-            None if image.refused else image.registered.name,
-            image.quality,
-            _rpc_files(image),
-        )
-        for image in found.images
-    )
-    pairs = tuple(replace(pair, folder=pair.folder.relative_to(found.out_dir)) for pair in found.pairs)
+def _numbers(found: Stack, settings: Settings, outputs: tuple[str, ...]) -> StackNumbers:
+    same = {each.name for each in fields(Stack)} & {each.name for each in fields(StackNumbers)}
+    values = {name: getattr(found, name) for name in same} | {
+        "images": tuple(map(_entry, found.images)),
+        "pairs": tuple(replace(pair, folder=pair.folder.relative_to(found.out_dir)) for pair in found.pairs),
+        "requirements": tuple(
+            RequirementEntry(each.requirement.text, each.met, each.text) for each in found.requirements
+        ),
+    }
     return StackNumbers(
-        SCHEMA_VERSION,
-        found.datum,
-        settings.model,
-        found.quality,
-        found.shared,
-        found.reference,
-        found.chosen,
-        images,
-        pairs,
-        found.closure,
-        found.control,
-        found.added,
-        tuple(RequirementEntry(each.requirement.text, each.met, each.text) for each in found.requirements),
-        found.passed,
-        found.unreadable,
-        found.warnings,
-        found.block,
+        schema_version=SCHEMA_VERSION,
+        model=settings.model,
+        quality=found.quality,
+        passed=found.passed,
+        outputs=outputs,
+        **values,
     )
 
 
-def _rpc_files(image: StackImage) -> RpcFiles | None:
-    rpc = image.rpc
-    if rpc is None:
-        return None
-    return RpcFiles(rpc.origin, rpc.fold_error_px, rpc.vrt, rpc.text, rpc.registration.corrected_grid.rpc)
+def _entry(image: StackImage) -> ImageEntry:
+    return ImageEntry(
+        **_part(PlacedImage, image),
+        model=image.correction.to_dict(),
+        registered=None if image.refused else image.registered.name,
+        quality=image.quality,
+        rpc=None if image.rpc is None else RpcFiles(**_part(RpcFiles, image.rpc)),
+    )
+
+
+def _part(base: type[PlacedImage | RpcFiles], found: PlacedImage | RpcFiles) -> dict[str, Any]:
+    """Return the fields that something has of its base class, by their names."""
+    return {each.name: getattr(found, each.name) for each in fields(base)}
 
 
 def _table(found: Stack) -> str:

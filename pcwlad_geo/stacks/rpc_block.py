@@ -293,17 +293,8 @@ def adjust_block(
     The simplest model is taken that no other beats in predicting cells of the ground that were left out, by
     more than a standard error and 0.05 px. Where neither reference nor control points fix them, the biases
     are those of the smallest sum of squares on the ground (inner constraints). The DEM stays in its place
-    unless its relief clearly tells another.
-
-    Parameters
-    ----------
-    block : Block
-    pairs : sequence of BlockPair
-        They connect all images.
-    models : sequence of str
-        Models to choose from, the simplest first.
-    simpler : BlockAdjustment, optional
-        One with the place of the DEM, where that was estimated before.
+    unless its relief clearly tells another; that place is that of the `simpler` adjustment, where it was
+    estimated before. The pairs connect all images, and of the `models` to choose from the simplest is first.
     """
     rates = tuple(_sight(block, pair) for pair in pairs)
     if simpler is None:
@@ -627,12 +618,8 @@ def _equations(
 ) -> tuple[Float64, Float64]:
     """Return the normal matrix and the right-hand side of the parameters, the shared errors, the DEM's shift.
 
-    Parameters
-    ----------
-    datum : (unknowns, d) array
-        Combinations of the parameters that are zero.
-    keep : sequence of (n,) arrays, optional
-        Factors of the points of each pair.
+    The (unknowns, d) combinations of the parameters that are the `datum` are zero. The points of each pair
+    may have (n,) factors `keep`.
     """
     unknowns, size = problem.unknowns, problem.unknowns + 2 * len(problem.pairs) + 2
     whole, right = np.zeros((size, size)), np.zeros(size)
@@ -725,9 +712,8 @@ def _without_the_worst(problem: _Problem, state: _State, datum: Float64) -> _Sta
     if not found:
         return None
     best = min(found, key=lambda each: each[0])[1]
-    whole, _ = _equations(
-        problem, best, datum
-    )  # do the pairs in use form cycles, which tell that they agree?
+    whole, _ = _equations(problem, best, datum)
+    # do the pairs in use form cycles, which tell that they agree?
     return best if _redundancy(problem, best, whole)[best.used].sum() >= MIN_REDUNDANCY else None
 
 

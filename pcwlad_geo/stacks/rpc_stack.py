@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from pcwlad_geo.band_warping import WarpOutput, apply
-from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.correction.points import thin
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
-from pcwlad_geo.events import Event, EventCallback, Progress, Warned
+from pcwlad_geo.events import EventCallback, Progress, Warned, only_warnings
 from pcwlad_geo.limits import check_grid
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band
@@ -31,20 +32,22 @@ from pcwlad_geo.raster.rpc.view import LATTICE, RpcPlacement, ground_grid, place
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from pcwlad_geo.registration.inputs import requested_grid
-from pcwlad_geo.registration.rpc import MODELS, RpcRegistration, check_model, corrected_rpc, ground_crs
+from pcwlad_geo.registration.rpc import MODELS, check_model, corrected_rpc, ground_crs
 from pcwlad_geo.report.finished import FinishedRegistration, read_report
-from pcwlad_geo.stacks.cycles import closure_of, left_ce90, root_mean_square, suspicion
+from pcwlad_geo.stacks.cycles import closure_of, left_ce90
 from pcwlad_geo.stacks.inputs import StackInput, check_reference, number_of, read_table
 from pcwlad_geo.stacks.pairs import CONTROL_SIGMA_PX, Frame, Measured, StackPair
 from pcwlad_geo.stacks.result import (
     NODES,
     BlockNumbers,
+    Chosen,
     ImageRpc,
     Misfit,
     Stack,
     StackImage,
-    empty_share,
-    raster_name,
+    compared,
+    placed_values,
+    raster_paths,
 )
 from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockFit, BlockPair, adjust_block
 from pcwlad_geo.stacks.rpc_heights import DemCheck, check_dem
@@ -96,12 +99,8 @@ def place_images(
 ) -> PlacedImages:
     """Place the images of a block over the DEM; those that cannot be are named and left out.
 
-    An image on the map is the reference, the one of that name or the first.
-
-    Raises
-    ------
-    InputError
-        If there is no DEM, no image with an RPC, or fewer than two images are left.
+    An image on the map is the reference, the one of that name or the first. Raises `InputError` if there is
+    no DEM, no image with an RPC, or fewer than two images are left.
     """
     if settings.dem is None:
         given = [each.name for each, info in zip(inputs, infos, strict=True) if _rpc_of(info) is not None]
@@ -253,12 +252,7 @@ def control_points_of(table: PathLike, placed: PlacedImages) -> list[BlockPair]:
 
     It has the columns image, col, row (px of the file, corner-based), x, y (CRS of the reference; without
     one, of the DEM) and, if known, z (metres above the ellipsoid; else the DEM's height) and sigma (metres
-    along an axis).
-
-    Raises
-    ------
-    InputError
-        If the table cannot be used.
+    along an axis). Raises `InputError` if it cannot be used.
     """
     frame, block = placed.frame, placed.block
     rows = read_table(Path(table), ("image", "col", "row", "x", "y"))
@@ -323,28 +317,23 @@ def block_stack(
     pairs: Sequence[BlockPair],
     adjustment: BlockAdjustment,
     check: DemCheck | None,
-    told: Mapping[str, Any],
+    folder: Path,
+    settings: Settings,
+    warnings: list[str],
+    unreadable: Mapping[str, str],
+    chosen: Chosen,
 ) -> Stack:
-    """Return what the adjustment of a block says of each pair and each image.
-
-    Parameters
-    ----------
-    told : mapping
-        `folder`, `settings`, `unreadable`, `chosen` and `warnings` of the job.
-    """
-    frame, folder = placed.frame, Path(told["folder"])
+    """Return what the adjustment of a block says of each pair and each image."""
+    frame = placed.frame
     fits = dict(zip((id(pair) for pair in pairs), adjustment.edges, strict=True))
     tied = iter([pair for pair in pairs if pair.height_m is None])
-    warnings, stacked = list(told["warnings"]), []
+    warnings, stacked = list(warnings), []
     for edge, pair in measured:
         own = None if edge is None else next(tied)
         stacked.append(pair if own is None else _pair(placed, pair, own, fits[id(own)], warnings))
     used = [pair for pair in stacked if pair.status == "used"]
-    extension = OutputFormat.of(told["settings"].of, told["settings"].co).extension
-    images = tuple(
-        _image(placed, number, adjustment, folder / raster_name(name, extension), used)
-        for number, name in enumerate(frame.names)
-    )
+    rasters = raster_paths(frame, folder, settings)
+    images = tuple(_image(placed, number, adjustment, each, used) for number, each in enumerate(rasters))
     control = any(pair.height_m is not None for pair in pairs)
     own_datum = "mean" if placed.stays is None else frame.names[placed.stays]
     numbers = BlockNumbers(
@@ -355,18 +344,10 @@ def block_stack(
         adjustment.left_aside,
         ((check and check.wrong) or ()) + tuple(control_warnings(placed, pairs, adjustment)),
     )
+    datum = "control points" if control else own_datum
     return Stack(
-        images,
-        tuple(stacked),
-        adjustment.shared_px,
-        "control points" if control else own_datum,
-        folder,
-        tuple(warnings),
-        adjustment,
-        told["unreadable"],
-        frame.names[frame.reference],
-        told["chosen"],
-        closure_of(stacked),
+        *(images, tuple(stacked), adjustment.shared_px, datum, folder, tuple(warnings), adjustment),
+        *(unreadable, frame.names[frame.reference], chosen, closure_of(stacked)),
         block=numbers,
     )
 
@@ -378,21 +359,13 @@ def _pair(
     frame = placed.frame
     scale = _to_frame(frame, frame.infos[points.second].grid)
     offset, size = scale @ np.array(fit.offset_px), float(np.sqrt(abs(np.linalg.det(scale))))
-    reason = None
-    if not fit.used:
-        reason = f"its points lie {np.hypot(*offset):.2f} px off what the other pairs tell"
-        warnings.append(f"{pair.reference} – {pair.target}: left out: {reason}")
     return replace(
-        pair,
-        status="used" if fit.used else "left out",
-        reason=reason,
+        compared(pair, fit.used, (float(offset[0]), float(offset[1])), warnings),
         points=len(points),
-        offset_px=(float(offset[0]), float(offset[1])),
         sigma_px=fit.sigma_px * size,
         redundancy=fit.redundancy,
         scatter_px=fit.scatter_px * size,
         ce90_px=left_ce90(points.second_px, fit.left_px) * size,
-        empty_share=empty_share(pair),
     )
 
 
@@ -410,38 +383,21 @@ def _image(
     used: Sequence[StackPair],
 ) -> StackImage:
     frame, placement = placed.frame, placed.placements[number]
-    info, name, correction = frame.infos[number], frame.names[number], adjustment.corrections[number]
+    info, correction = frame.infos[number], adjustment.corrections[number]
     at_px = info.grid.lattice_px(NODES)
     covariance = adjustment.covariance(number, at_px)
-    sigma_px = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0).clip(0.0))
-    sizes_m = pixel_sizes_m(at_mean_height(info.grid), info.grid.middle_px)
-    own = [pair for pair in used if name in (pair.reference, pair.target)]
     rpc = None
     if placement is not None:
-        corrected = corrected_rpc(placement, correction)
-        rpc = ImageRpc(corrected.origin, corrected.bias_error_px, *_rpc_names(name), corrected)
-    shift_px = (correction.forward(at_px) - at_px).mean(axis=0)
-    sigma_m = None if sizes_m is None else sigma_px * sizes_m[0]
+        made = corrected_rpc(placement, correction)
+        vrt, text = rpc_names([frame.names[number]])
+        rpc = ImageRpc(made.origin, made.bias_error_px, vrt, text, made.corrected_grid.rpc, made)
     return StackImage(
-        name=name,
-        path=info.uri,
-        shift_px=(float(shift_px[0]), float(shift_px[1])),
-        sigma_px=(float(sigma_px[0]), float(sigma_px[1])),
-        sigma_m=None if sigma_m is None else (float(sigma_m[0]), float(sigma_m[1])),
-        pairs=len(own),
+        **placed_values(frame, number, correction.forward(at_px) - at_px, covariance, used, 0),
         correction=correction,
         registered=registered,
-        suspicion=root_mean_square([suspicion(pair) for pair in own]) or 0.0,
-        group=0,
-        given=frame.given(number),
         rpc=rpc,
         frame_px=float(abs(np.linalg.det(_to_frame(frame, info.grid)))) ** 0.5,
     )
-
-
-def _rpc_names(name: str) -> tuple[str, str]:
-    vrt, text = (NAMES[kind].format(stem=name) for kind in RPC_FILES)
-    return vrt, text
 
 
 def _misfits(placed: PlacedImages, pairs: Sequence[BlockPair], adjustment: BlockAdjustment) -> list[Misfit]:
@@ -511,20 +467,12 @@ def write_images(
     The files will lie in `folder`, wherever `found` says that they are made.
     """
     grid, made = output_grid_of(placed, settings), OutputFormat.of(settings.of, settings.co)
-
-    def quiet(event: Event) -> None:
-        if isinstance(event, Warned):
-            on_event(event)
-
+    wanted = WarpOutput(grid, GridRequest(like=grid), made, settings.resampling)
+    still, quiet = AffineCorrection("shift", np.eye(2, 3)), partial(only_warnings, on_event)
     for number, image in enumerate(found.images):
         on_event(Progress("images", number, len(found.images)))
-        if image.rpc is None:
-            _warp_reference(
-                placed.frame,
-                image,
-                WarpOutput(grid, GridRequest(like=grid), made, settings.resampling),
-                quiet,
-            )
+        if image.rpc is None:  # the reference
+            warp_image(placed.frame, image, still, wanted, quiet)
             continue
         how = BandOutput(grid, settings.resampling, made, folder / image.registered.name)
         _write_image(folder, image, image.rpc, how, quiet)
@@ -534,19 +482,20 @@ def write_images(
 def _write_image(
     folder: Path, image: StackImage, rpc: ImageRpc, how: BandOutput, on_event: EventCallback
 ) -> None:
-    corrected: RpcRegistration = rpc.registration
-    model = corrected.corrected_grid.rpc
-    orthorectify_band(image.path, image.registered, corrected.corrected_grid, how, on_event)
+    grid = rpc.registration.corrected_grid
+    orthorectify_band(image.path, image.registered, grid, how, on_event)
     made_in = image.registered.parent
-    write_rpc_vrt(made_in / rpc.vrt, image.path, to_gdal(model), final_path=folder / rpc.vrt)
-    write_rpc_text(model, made_in / rpc.text)
+    write_rpc_vrt(made_in / rpc.vrt, image.path, to_gdal(grid.rpc), final_path=folder / rpc.vrt)
+    write_rpc_text(grid.rpc, made_in / rpc.text)
 
 
-def _warp_reference(frame: Frame, image: StackImage, wanted: WarpOutput, on_event: EventCallback) -> None:
-    """Resample the reference, which stays where it is, onto the common grid."""
+def warp_image(
+    frame: Frame, image: StackImage, correction: Correction, wanted: WarpOutput, on_event: EventCallback
+) -> None:
+    """Resample an image with a geotransform by a correction."""
     info = frame.infos[frame.names.index(image.name)]
     done = FinishedRegistration(
-        AffineCorrection("shift", np.eye(2, 3)),
+        correction,
         wanted.reference_grid,
         info.grid,
         wanted.request,
@@ -559,4 +508,4 @@ def _warp_reference(frame: Frame, image: StackImage, wanted: WarpOutput, on_even
 
 def rpc_names(images: Sequence[str]) -> list[str]:
     """Return the names of the files of corrected RPCs that images of these names would have."""
-    return [file for name in images for file in _rpc_names(name)]
+    return [NAMES[kind].format(stem=name) for name in images for kind in RPC_FILES]

@@ -6,16 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from shapely import Polygon, box
 
-from pcwlad_geo.band_warping import WarpOutput, apply
+from pcwlad_geo.band_warping import WarpOutput
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
-from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
+from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore, only_warnings
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Settings
@@ -23,14 +24,12 @@ from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.products.detect import products_found_once
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.raster.source import RasterInfo, plain_name
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.raster.vrt import write_corrected_vrt
 from pcwlad_geo.registration.inputs import requested_grid
-from pcwlad_geo.report.finished import FinishedRegistration
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.stacks.adjustment import Adjustment, adjust, extend
 from pcwlad_geo.stacks.choice import TRIED, choose_basis
@@ -86,6 +85,7 @@ from pcwlad_geo.stacks.rpc_stack import (
     place_images,
     rpc_names,
     tie_points_of,
+    warp_image,
     without_ground,
     write_images,
 )
@@ -236,14 +236,7 @@ def stack(
         adjustment = _adjusted(job, frame, edges, stays, allow_components)
         measured = job.measured(frame, plan)
         result = stack_of(
-            frame,
-            measured,
-            adjustment,
-            job.folder,
-            job.settings,
-            job.warnings,
-            unreadable,
-            chosen,
+            frame, measured, adjustment, job.folder, job.settings, job.warnings, unreadable, chosen
         )
         result = replace(result, control=points)
         return _written(job, out, result, frame, lambda done: _warp(job, done, frame, done.images))
@@ -277,19 +270,10 @@ def _stacked_rpcs(
     adjustment, check = adjusted(placed, points, job.settings)
     for message in [*(check.wrong if check else ()), *control_warnings(placed, points, adjustment)]:
         job.tell(Warned(message))
-    told = {
-        "folder": job.folder,
-        "settings": job.settings,
-        "unreadable": unreadable,
-        "chosen": chosen,
-        "warnings": job.warnings,
-    }
-    result = block_stack(placed, measured, points, adjustment, check, told)
-
-    def write_corrected(done: Stack) -> None:
-        write_images(done, placed, job.folder, job.settings, job.on_event)
-
-    return _written(job, out, result, frame, write_corrected)
+    told = job.folder, job.settings, job.warnings, unreadable, chosen
+    result = block_stack(placed, measured, points, adjustment, check, *told)
+    where = placed, job.folder, job.settings, job.on_event
+    return _written(job, out, result, frame, lambda done: write_images(done, *where))
 
 
 @products_found_once()
@@ -700,11 +684,6 @@ def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -
     made = OutputFormat.of(settings.of, settings.co)
     exact = settings if settings.like is not None else replace(settings, grid="reference-exact")
     shown = box(0.0, 0.0, *frame.grid.shape[::-1])
-
-    def quiet(event: Event) -> None:
-        if isinstance(event, Warned):
-            job.on_event(event)
-
     for done_before, image in enumerate(images):
         job.on_event(Progress("images", done_before, len(images)))
         number = frame.names.index(image.name)
@@ -717,16 +696,7 @@ def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -
             rows, cols = frame.grid.shape
             request = GridRequest(like=frame.grid.scaled((finer * rows, finer * cols)))
         wanted = WarpOutput(frame.grid, request, made, settings.resampling)
-        done = FinishedRegistration(
-            image.correction,
-            frame.grid,
-            info.grid,
-            request,
-            made,
-            settings.resampling,
-            inputs=tuple(identify(info.uri)),
-        )
-        apply(done, [info.uri], [image.registered], wanted, False, True, quiet)
+        warp_image(frame, image, image.correction, wanted, partial(only_warnings, job.on_event))
         if isinstance(image.correction, AffineCorrection):
             name = VRT.format(image.name)
             place = job.folder / name

@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.cli.app import run as run_command
+from pcwlad_geo.errors import OutputError
+from pcwlad_geo.events import ignore
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.stacks.adjustment import adjust
 from pcwlad_geo.stacks.cycles import StackQuality, image_qualities, left_ce90
 from pcwlad_geo.stacks.page import page
-from pcwlad_geo.stacks.pairs import Frame, StackPair
+from pcwlad_geo.stacks.pairs import Frame, StackPair, measured_pair
 from pcwlad_geo.stacks.result import Stack, graded, judge, stack_of
 from tests.scenes import make_grid
 from tests.stacks.test_adjustment import GRID, make
@@ -44,6 +46,23 @@ def grades(pairs: list[StackPair], sigma: float = 0.05, anchors: str = "a") -> d
 
 def letters(found: dict[str, StackQuality]) -> str:
     return " ".join(each.grade for each in found.values())
+
+
+MOTION = {"displacement_px": [1.0, 2.0], "points": 20, "share": 0.5, "places": 9, "significance": 8.0}
+
+
+@pytest.mark.parametrize(
+    "motions", [5, ["far"], [{"displacement_px": [1.0, 2.0]}], [{**MOTION, "displacement_px": ["a", "b"]}]]
+)
+def test_damaged_motions_of_a_pair_are_told_of(tmp_path: Path, motions: object) -> None:
+    frame = Frame(["a", "b"], [], make_grid(), True)
+    report = {"schema_version": 1, "settings": {}, "status": "rejected", "reason": "clouds"}
+    (tmp_path / "report.json").write_text(json.dumps({**report, "motions": [MOTION]}))
+    _, found = measured_pair(frame, (0, 1), tmp_path, None, ignore)
+    assert (found.status, found.reason, len(found.motions)) == ("refused", "clouds", 1)
+    (tmp_path / "report.json").write_text(json.dumps({**report, "motions": motions}))
+    with pytest.raises(OutputError, match=r"has a damaged report \(.*remove the folder, and run again"):
+        measured_pair(frame, (0, 1), tmp_path, None, ignore)
 
 
 def test_images_whose_pairs_agree_are_good() -> None:
