@@ -172,11 +172,6 @@ def qa(
     native_px: NativePx = None,
     mask: Mask = None,
     trend: TrendOption = None,
-    progress: o.ProgressOption = "auto",
-    watch_stdin: o.WatchStdin = False,
-    config: o.Config = None,
-    overwrite: o.Overwrite = False,
-    debug: o.Debug = False,
 ) -> None:
     """Measure how well bands lie on each other: all pairs, or each against one. Corrects nothing."""
     params = context.params
