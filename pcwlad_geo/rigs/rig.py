@@ -187,6 +187,7 @@ class Rig:
             "camera": self.camera,
             "reference": self.reference.name,
             **{name: getattr(self, name) for name in FIGURES},
+            "nearness": list(self.nearness),
             "lenses": [_lens_json(each) for each in self.lenses],
         }
 
