@@ -202,7 +202,6 @@ def _stack(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
 
 
 def _ending(result: QaResult) -> Ending:
-
     status = 0
     if result.passed is False:
         status = RequirementError.exit_status
@@ -227,7 +226,6 @@ def _trend(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
 
 
 def _trend_ending(found: Trend) -> Ending:
-
     paths = {kind: str(path) for kind, path in found.paths.items()}
     figures: dict[str, object] = {
         "reports": found.reports,
