@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import html
+import io
 import json
 import math
 import os
 import stat
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -105,6 +107,18 @@ def read_json(path: Path) -> Any:  # noqa: ANN401  # of any structure
         If it is no JSON in UTF-8, or not as `parse_json` takes it.
     """
     return parse_json(read_text(path))
+
+
+def csv_of(rows: Sequence[Mapping[str, object]]) -> str:
+    """Return the CSV text of one or more `rows`, their names as header; True and False are yes and no."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        words = {name: {True: "yes", False: "no"}[value] if isinstance(value, bool) else value
+                 for name, value in row.items()}  # fmt: skip
+        writer.writerow({name: cell(value) for name, value in words.items()})
+    return text.getvalue()
 
 
 def parse_json(text: str) -> Any:  # noqa: ANN401  # of any structure

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -20,7 +18,7 @@ from pcwlad_geo.raster.identity import FileIdentity
 from pcwlad_geo.report.content import plain, rounded
 from pcwlad_geo.report.summary import versions
 from pcwlad_geo.requirements import Requirement, Unit, parse_requirement, value_of
-from pcwlad_geo.text import cell
+from pcwlad_geo.text import csv_of
 
 Scope = Literal["all", "no thermal", "one thermal", "both thermal"]
 Preset = Literal["sentinel2", "landsat-oli", "landsat-tirs"]
@@ -235,12 +233,7 @@ def summarise(result: QaResult, outputs: Sequence[str]) -> Summary:
 
 def to_csv(summary: Mapping[str, Any]) -> str:
     """Return the text of `qa.csv`: one line per pair; cells without a value are empty."""
-    rows = [{name: cell(value) for name, value in _row(pair).items()} for pair in summary["pairs"]]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_of([_row(pair) for pair in summary["pairs"]])
 
 
 def _verdict(judged: Judged) -> Summary:
@@ -312,10 +305,8 @@ def _triangle(triangle: Triangle) -> Summary:
 
 
 def _row(pair: Mapping[str, Any]) -> dict[str, object]:
-    passed = pair["passed"]
-    row: dict[str, object] = {name: pair[name] for name in ("reference", "target", "status")}
-    row["passed"] = "" if passed is None else "yes" if passed else "no"
-    row |= {name: pair[name] for name in ("n", "rejected")}
+    names = ("reference", "target", "status", "passed", "n", "rejected")
+    row: dict[str, object] = {name: pair[name] for name in names}
     for unit, statistics in pair["displacement"].items():
         row |= {f"{name}_{unit}": value for name, value in _flat(statistics).items()}
     return {**row, "reason": pair["reason"]}

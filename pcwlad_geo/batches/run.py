@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -29,7 +27,7 @@ from pcwlad_geo.outputs.stages import of_dead_processes
 from pcwlad_geo.products.detect import products_found_once
 from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.report.finished import read_report, report_of_same_job
-from pcwlad_geo.text import cell, check_regular, joined
+from pcwlad_geo.text import check_regular, csv_of, joined
 from pcwlad_geo.types import PathLike
 
 if TYPE_CHECKING:
@@ -121,23 +119,11 @@ def check_summary(path: Path) -> None:
 
 
 def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
-    """Write the summary of finished pairs atomically: the file is complete or unchanged.
+    """Write the summary of finished pairs, `outcomes`, to `path`: the file is complete or unchanged.
 
     Raises `OutputError` if the file cannot be written.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file to write.
-    outcomes : sequence of PairOutcome
-        Outcomes of the finished pairs.
     """
-    text = io.StringIO()
-    rows = [outcome.row() for outcome in outcomes]
-    rows = [{name: cell(_word(value)) for name, value in row.items()} for row in rows]
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
+    text = csv_of([outcome.row() for outcome in outcomes])
     start = f".{path.name}.{HOST}-"
     beside = path.with_name(f"{start}{os.getpid()}")
     with disk_errors(path):
@@ -145,7 +131,7 @@ def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
         for left in of_dead_processes(path.parent, start):
             left.unlink(missing_ok=True)
         try:
-            beside.write_text(text.getvalue(), encoding="utf-8", errors="backslashreplace", newline="")
+            beside.write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
             seal(beside)
             beside.replace(path)
         finally:
@@ -173,10 +159,6 @@ def kept_summary(path: Path, outcomes: Sequence[PairOutcome]) -> Iterator[Callab
         yield keep
     finally:
         keep(least=1)
-
-
-def _word(value: object) -> object:
-    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else value
 
 
 def _accuracy(report: Mapping[str, Any]) -> tuple[str | None, Mapping[str, Any]]:

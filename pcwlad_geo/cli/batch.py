@@ -46,11 +46,6 @@ def batch(
     context: typer.Context,
     pairs: Pairs,
     out_dir: o.OutDir = None,
-    progress: o.ProgressOption = "auto",
-    watch_stdin: o.WatchStdin = False,
-    config: o.Config = None,
-    overwrite: o.Overwrite = False,
-    debug: o.Debug = False,
 ) -> None:
     """Register the pairs of a table one after another; pairs that an earlier run has finished are kept."""
     params = context.params

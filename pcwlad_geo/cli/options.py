@@ -89,7 +89,8 @@ Target = Annotated[
 def takes_settings(command: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a decorator that gives a command all options of `Settings` that are meant for it.
 
-    The decorated function declares its own options only; it finds all values in ``context.params``.
+    The decorated function declares its own options only; it finds all values in ``context.params``. One that
+    declares no `progress` is given that and the other options of `RUN_OPTIONS`, as the last ones.
 
     Parameters
     ----------
@@ -104,18 +105,19 @@ def takes_settings(command: str) -> Callable[[Callable[..., None]], Callable[...
             for each in inspect.signature(function).parameters.values()
         ]
         names = [each.name for each in own]
+        run = [] if _BEFORE in names else RUN_OPTIONS
         given = [
             inspect.Parameter(name, _KIND, default=None, annotation=_annotation(name, option))
             for name, option in OPTIONS.items()
             if command in option.commands and name not in names
         ]
-        place = names.index(_BEFORE)
+        place = len(own) if run else names.index(_BEFORE)
 
         @functools.wraps(function)
         def decorated(**values: object) -> None:
             function(**{name: values[name] for name in names})
 
-        parameters = [*own[:place], *given, *own[place:]]
+        parameters = [*own[:place], *given, *own[place:], *run]
         decorated.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         decorated.__annotations__ = {each.name: each.annotation for each in parameters}
         return decorated
@@ -183,3 +185,14 @@ Config = Annotated[
 Debug = Annotated[
     bool, typer.Option("--debug", help="Show the traceback of an error, and what libraries write meanwhile.")
 ]
+RUN_OPTIONS = [
+    inspect.Parameter(name, _KIND, default=default, annotation=annotation)
+    for name, default, annotation in (
+        ("progress", "auto", ProgressOption),
+        ("watch_stdin", False, WatchStdin),
+        ("config", None, Config),
+        ("overwrite", False, Overwrite),
+        ("debug", False, Debug),
+    )
+]
+"""Options of the commands that do many images: how a run is followed, and what it may replace."""

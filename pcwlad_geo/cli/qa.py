@@ -172,11 +172,6 @@ def qa(
     native_px: NativePx = None,
     mask: Mask = None,
     trend: TrendOption = None,
-    progress: o.ProgressOption = "auto",
-    watch_stdin: o.WatchStdin = False,
-    config: o.Config = None,
-    overwrite: o.Overwrite = False,
-    debug: o.Debug = False,
 ) -> None:
     """Measure how well bands lie on each other: all pairs, or each against one. Corrects nothing."""
     params = context.params
@@ -207,7 +202,6 @@ def _stack(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
 
 
 def _ending(result: QaResult) -> Ending:
-
     status = 0
     if result.passed is False:
         status = RequirementError.exit_status
@@ -232,7 +226,6 @@ def _trend(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
 
 
 def _trend_ending(found: Trend) -> Ending:
-
     paths = {kind: str(path) for kind, path in found.paths.items()}
     figures: dict[str, object] = {
         "reports": found.reports,

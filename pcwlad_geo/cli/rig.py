@@ -67,15 +67,9 @@ def learn(
     out: Out = None,
     pattern: Pattern = None,
     fisheye: Fisheye = False,
-    progress: o.ProgressOption = "auto",
-    watch_stdin: o.WatchStdin = False,
-    config: o.Config = None,
-    overwrite: o.Overwrite = False,
-    debug: o.Debug = False,
 ) -> None:
     """Learn distortion, orientation and parallax of all lenses from a few CAPTURES in flight."""
-    params = context.params
-    run_guarded(params, lambda on_event: _learn(params, on_event), lambda: None)
+    run_guarded(context.params, lambda on_event: _learn(context.params, on_event), lambda: None)
 
 
 @rig.command("apply")
@@ -86,15 +80,9 @@ def apply(
     captures: Captures,
     out_dir: o.OutDir = None,
     pattern: Pattern = None,
-    progress: o.ProgressOption = "auto",
-    watch_stdin: o.WatchStdin = False,
-    config: o.Config = None,
-    overwrite: o.Overwrite = False,
-    debug: o.Debug = False,
 ) -> None:
     """Bring the lenses of all CAPTURES onto each other: one raster each; bad captures are named."""
-    params = context.params
-    run_guarded(params, lambda on_event: _apply(params, on_event), lambda: None)
+    run_guarded(context.params, lambda on_event: _apply(context.params, on_event), lambda: None)
 
 
 def _running(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -142,14 +130,11 @@ def _learned(found: Rig, out: Path) -> Ending:
         "",
         f"{found.captures} captures, {found.points} tie points, residual {found.residual_px:.3f} px",
         f"quality: {found.quality}, 90 % of the frame within {found.expected_ce90_px or math.nan:.2f} px",
+        f"rig: {out}",
     ]
-    lines.append(f"rig: {out}")
+    names = ("captures", "points", "residual_px", "quality", "expected_ce90_px")
     figures: dict[str, object] = {
-        "captures": found.captures,
-        "points": found.points,
-        "residual_px": found.residual_px,
-        "quality": found.quality,
-        "expected_ce90_px": found.expected_ce90_px,
+        **{name: getattr(found, name) for name in names},
         "lenses": lenses,
         "exit_status": 0,
         "paths": {"rig": str(out.absolute())},

@@ -99,11 +99,6 @@ def stack(
     max_pairs: MaxPairs = None,
     gcps: Gcps = None,
     allow_components: AllowComponents = False,
-    progress: o.ProgressOption = "auto",
-    watch_stdin: o.WatchStdin = False,
-    config: o.Config = None,
-    overwrite: o.Overwrite = False,
-    debug: o.Debug = False,
 ) -> None:
     """Bring many images of one ground into one frame, all together; pairs matched before are kept."""
     params = context.params

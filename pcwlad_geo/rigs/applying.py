@@ -226,7 +226,7 @@ def tested(placed: Placed, values: Sequence[Float32]) -> Placed:
     if expected > FAIR_PX and held <= FEW_KEPT * places:
         raise BadCaptureError(
             f"only {held} of {places} places lie within {FAIR_PX:g} px of one ground: it has several depths, "
-            "as near scenes do, or the rig was not learned from this camera as it is now"
+            "as near scenes do, its lenses show different ground, or the rig is not of this camera as it is"
         )
     return replace(placed, expected_ce90_px=float(expected))
 
@@ -278,13 +278,12 @@ def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed
     """
     middle = math.sqrt(rig.nearness[0] * rig.nearness[1])
     near = expected if expected is not None else middle
-    plane = np.array([near, 0.0, 0.0])
     starts = [near] if expected is not None else _starts(rig, middle)
-    best: tuple[float, Placed, float] | None = None
+    best: Placed | None = None
     reasons: list[str] = []
     for start in starts:
         plane = np.array([start, 0.0, 0.0])
-        now, moved = rig, math.inf
+        now = rig
         try:
             for _ in range(3):
                 seen = _measured(now, values, plane)
@@ -295,13 +294,13 @@ def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed
         except BadCaptureError as error:
             reasons.append(str(error))
             continue
-        if best is None or placed.points > best[1].points:
-            best = (start, placed, moved)
+        if best is None or placed.points > best.points:
+            best = placed
         if placed.points > 0.6 * CELLS * (len(values) - 1):
             break
     if best is None:
         raise BadCaptureError(reasons[0])
-    return best[1]
+    return best
 
 
 def _starts(rig: Rig, middle: float) -> list[float]:

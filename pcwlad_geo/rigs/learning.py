@@ -116,29 +116,17 @@ def learn(
     runner: Runner,
     on_event: EventCallback,
 ) -> Rig:
-    """Return the rig of captures that have all lenses.
+    """Return the rig of `captures` that all have the same lenses, of the same sizes.
 
-    Parameters
-    ----------
-    captures : sequence of Capture
-        All with the same lenses, of the same sizes.
-    looks : sequence of mapping
-        What the frames of each look like, see `inspect`.
-    fisheye : bool
-        Whether lenses that tell no calibration are fisheyes.
-    runner : Runner
-        Runs the matching.
-    on_event : callable
-        Receives `Progress` and `Warned` events.
-
-    Raises
-    ------
-    RegistrationRejectedError
-        If a lens cannot be matched.
+    `looks` is what the frames of each look like, see `inspect`; `fisheye` says whether lenses that tell no
+    calibration are fisheyes. `runner` runs the matching, and `on_event` receives its `Progress`. Raises
+    `RegistrationRejectedError` if a lens cannot be matched.
     """
-    order = sorted(captures[0].frames.values(), key=lambda each: (each.order, -_pixels(each), each.lens))
+    order = sorted(
+        captures[0].frames.values(), key=lambda each: (each.order, -math.prod(each.shape), each.lens)
+    )
     names = [each.lens for each in order]
-    lenses = [first_lens(each, fisheye, _focal_default(each)) for each in order]
+    lenses = [first_lens(each, fisheye, 1.1 * max(each.shape)) for each in order]
     told = list(lenses)
     some = evenly(captures, COARSE_CAPTURES)
     state = _started(_first_state(some, names, lenses), some, names, lenses, runner, on_event)
@@ -160,14 +148,6 @@ def learn(
         found = adjust(state, expected, sigma, seen, _overlap(seen, order, share), by_lens=True)
         state = found.state
     return _rig_of(found, seen, captures, looks, order)
-
-
-def _pixels(frame: Frame) -> int:
-    return frame.shape[0] * frame.shape[1]
-
-
-def _focal_default(frame: Frame) -> float:
-    return 1.1 * max(frame.shape)
 
 
 def _first_state(chosen: Sequence[Capture], names: Sequence[str], lenses: Sequence[Lens]) -> State:
@@ -378,10 +358,8 @@ def _matched(
 
 
 def _check_all_matched(found: Sequence[Observations], names: Sequence[str], captures: int) -> None:
-    counts = np.bincount(
-        np.concatenate([each.lens[:1] for each in found] or [np.zeros(0, int)]), minlength=len(names)
-    )
-    lost = [names[k] for k in range(1, len(names)) if counts[k] == 0]
+    matched = {int(each.lens[0]) for each in found}
+    lost = [names[k] for k in range(1, len(names)) if k not in matched]
     if lost:
         raise RegistrationRejectedError(
             f"lens {', '.join(lost)} cannot be matched with {names[0]} in any of {captures} captures"
@@ -471,7 +449,7 @@ def _overlap(seen: Observations, order: Sequence[Frame], share: float) -> float:
     """Return how many points share a window, on average."""
     views = len(np.unique(np.column_stack([seen.capture, seen.pose]), axis=0))
     side = match_settings(order[0].shape, 5, share).window
-    return len(seen) / max(views, 1) * side**2 / _pixels(order[0])
+    return len(seen) / max(views, 1) * side**2 / math.prod(order[0].shape)
 
 
 def _overlapping(

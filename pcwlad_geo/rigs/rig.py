@@ -24,6 +24,11 @@ SCHEMA_VERSION: Final = 1
 """Of RIG.json."""
 POSE: Final = ("rotation_x", "rotation_y", "rotation_z", "baseline_x", "baseline_y", "baseline_z")
 """How a lens stands to the reference: rotation vector, rad, and origin of its rays over the mean distance."""
+FIGURES: Final = (
+    "distance_m", "nearness", "tilt", "wander_px", "captures", "points", "residual_px", "quality",
+    "expected_ce90_px", "seconds",
+)  # fmt: skip
+"""What RIG.json says of the whole rig under the names of `Rig`."""
 MAP_STEP_PX: Final = 8
 """Spacing of the exact positions of a warp; between them it is linear, to about 0.002 px."""
 LEAST_SIDE_PX: Final = 640
@@ -181,16 +186,8 @@ class Rig:
             "kind": "pcwlad-geo rig",
             "camera": self.camera,
             "reference": self.reference.name,
-            "distance_m": self.distance_m,
+            **{name: getattr(self, name) for name in FIGURES},
             "nearness": list(self.nearness),
-            "tilt": self.tilt,
-            "wander_px": self.wander_px,
-            "captures": self.captures,
-            "points": self.points,
-            "residual_px": self.residual_px,
-            "quality": self.quality,
-            "expected_ce90_px": self.expected_ce90_px,
-            "seconds": self.seconds,
             "lenses": [_lens_json(each) for each in self.lenses],
         }
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import statistics
 import time
@@ -37,7 +35,7 @@ from pcwlad_geo.rigs.applying import (
 from pcwlad_geo.rigs.captures import MAX_LENSES, Capture, find_frames, group
 from pcwlad_geo.rigs.learning import MOST_CAPTURES, evenly, inspect, learn, usual_of
 from pcwlad_geo.rigs.rig import Rig, Sharpness
-from pcwlad_geo.text import cell, joined, read_json
+from pcwlad_geo.text import csv_of, joined, read_json
 from pcwlad_geo.types import PathLike
 
 SUMMARY: Final = "summary.csv"
@@ -257,7 +255,9 @@ def rig_apply(
         usable, outcomes = _sorted_out(known, found)
         read = [frame.path for capture in found for frame in capture.frames.values()]
         rasters = [folder / f"{capture.name}.tif" for capture in usable]
-        check_outputs([*rasters, folder / SUMMARY, folder / NUMBERS], [*read, *_file_of(rig)])
+        check_outputs(
+            [*rasters, folder / SUMMARY, folder / NUMBERS], [*read, None if isinstance(rig, Rig) else rig]
+        )
         runner = open_runner(executor, on_event, jobs=_processes(jobs), scheduler=scheduler, preload=_PRELOAD)
         with lock_folder(folder), runner as opened, stage_inside(folder) as stage:
             before = _finished_before(folder)
@@ -270,7 +270,8 @@ def rig_apply(
                     continue
                 path = str(stage / f"{capture.name}.tif")
                 tasks.append(CaptureTask(known, capture, crop, path, digest))
-            digests = _digests(before) | {task.capture.name: task.digest for task in tasks}
+            digests = {name: digest for name, (digest, _) in before.items()}
+            digests |= {task.capture.name: task.digest for task in tasks}
 
             def write_summary() -> None:
                 _write_summary(stage, folder, sorted(outcomes, key=lambda each: each.name), digests)
@@ -343,10 +344,6 @@ def _is_own(place: Path) -> bool:
             return CAPTURE_TAG in dataset.tags()
     except InputError:
         return False
-
-
-def _file_of(rig: Rig | PathLike) -> list[PathLike]:
-    return [] if isinstance(rig, Rig) else [rig]
 
 
 def _processes(jobs: int | None) -> int | None:
@@ -461,10 +458,6 @@ def _finished_before(folder: Path) -> dict[str, tuple[str, CaptureOutcome]]:
         return {}
 
 
-def _digests(before: Mapping[str, tuple[str, CaptureOutcome]]) -> dict[str, str]:
-    return {name: digest for name, (digest, _) in before.items()}
-
-
 def _is_there(folder: Path, outcome: CaptureOutcome) -> bool:
     return outcome.file is not None and (folder / plain_name(outcome.file)).is_file()
 
@@ -474,19 +467,11 @@ def _write_summary(
 ) -> None:
     """Write the table and the numbers, each complete or unchanged."""
     rows = [asdict(each) for each in outcomes]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(
-        {name: cell({True: "yes", False: "no"}[value] if isinstance(value, bool) else value)
-         for name, value in row.items()}
-        for row in rows
-    )  # fmt: skip
     numbers = {
         "schema_version": 1,
         "captures": [{**row, "inputs": digests.get(row["name"], "")} for row in rows],
     }
-    (stage / SUMMARY).write_text(text.getvalue(), encoding="utf-8", errors="backslashreplace", newline="")
+    (stage / SUMMARY).write_text(csv_of(rows), encoding="utf-8", errors="backslashreplace", newline="")
     (stage / NUMBERS).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     for name in (SUMMARY, NUMBERS):
         place_file(stage / name, folder / name, overwrite=True)
