@@ -85,7 +85,9 @@ def test_a_name_that_no_file_can_have(
     monkeypatch.chdir(tmp_path)
     assert run([each.format(400 * "1") for each in arguments]) == 2
     *_, error = capsys.readouterr().err.splitlines()  # a stack names the images that it leaves out before
-    assert any(words in error for words in ("so long a name", "a shorter name", "does not exist")), error
+    assert any(
+        words in error for words in ("so long a name", "a shorter name", "does not exist", "named twice")
+    ), error
     assert not list(tmp_path.iterdir())
 
 
