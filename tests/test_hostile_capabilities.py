@@ -66,17 +66,17 @@ def _lay_out(case: dict[str, Any], kept: Path, folder: Path) -> None:
 
 def _start(argv: list[str], case: dict[str, Any], folder: Path, peak: Path) -> subprocess.Popen[str]:
     path = os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
-    stdin = (folder / case["stdin"]).open("rb") if "stdin" in case else subprocess.DEVNULL
-    return subprocess.Popen(
-        [sys.executable, "-c", MEASURED, str(peak), *argv],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": path} if "env" in case else None,
-        stdin=stdin,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-    )
+    with (folder / case["stdin"] if "stdin" in case else Path(os.devnull)).open("rb") as stdin:
+        return subprocess.Popen(
+            [sys.executable, "-c", MEASURED, str(peak), *argv],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": path} if "env" in case else None,
+            stdin=stdin,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+        )
 
 
 def _content(folder: Path) -> dict[str, bytes]:

@@ -247,7 +247,7 @@ def test_a_refused_image_has_no_raster_and_the_run_says_so(
     assert not (out / "item_date3.json").exists()
     assert (out / "date2_registered.tif").is_file()
     item = json.loads((out / "item_date2.json").read_text())
-    assert item["properties"]["pcwlad_geo:quality"] == "good"
+    assert item["assets"]["data"]["pcwlad_geo:quality"] == "good"
     with (out / "stack.csv").open(newline="") as file:
         assert [row["quality"] for row in csv.DictReader(file)] == ["good", "good", "good", "refused"]
     assert run_command([*command, "--require", "quality>=fair"]) == 4
