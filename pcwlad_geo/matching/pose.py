@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Final
 
 import cv2
@@ -108,16 +109,39 @@ class PoseProposal:
         return _scale_of(self.matrix)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Trial:
     """One rotation and ratio of sizes, and the best shift with them."""
 
-    matrix: Float64
-    """(3, 3) target px = matrix · reference px, array indices."""
     score: float
     angle_rad: float
     ratio: float
     scan: _Scan
+    moving: _Cells
+    fixed: _Cells
+    opposite: bool
+    """Whether the fixed image is turned by half."""
+    shift_rc: tuple[int, int]
+    """Shift (row, col) of the moving image, cells."""
+    cycle: int | None
+    """Size of the cycle that the shift is known in, cells; None where it is known."""
+
+    @cached_property
+    def matrix(self) -> Float64:
+        """(3, 3) target px = matrix · reference px, array indices."""
+        row, col = self.shift_rc if self.cycle is None else map(self._nearest_cycle, (0, 1))
+        from_px = np.diag([-1.0, -1.0, 1.0]) @ self.fixed.from_px if self.opposite else self.fixed.from_px
+        shift = _affine(np.eye(2), np.array([col, row], np.float64))
+        found = np.linalg.inv(from_px) @ shift @ self.moving.from_px
+        return np.asarray(np.linalg.inv(found) if self.scan.from_target else found, np.float64)
+
+    def _nearest_cycle(self, axis: int) -> int:
+        """Return the shift along an axis, of those that are one in the cycle, with the largest overlap."""
+        at, size = self.shift_rc[axis], self.cycle or 0
+        moving, fixed = self.moving.shape[axis], self.fixed.shape[axis]
+        first = 1 - fixed if self.opposite else 0
+        shifts = (at - 2 * size, at - size, at)
+        return max(shifts, key=lambda shift: min(shift + moving, first + fixed) - max(shift, first))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,21 +263,22 @@ class _Scan:
         side = self.fixed.canvas_side(self.cells)
         coarse = math.ceil(max(side, 1.6 * self.cells) / MASK_STEP)
         size = MASK_STEP * scipy.fft.next_fast_len(coarse, real=True)
-        rotated = list(zip(angles, self.fixed.in_cells(self.cells, size, angles), strict=True))
-        fixed_area = max(cells.area for _, cells in rotated)
+        rotated = list(self.fixed.in_cells(self.cells, size, angles))
+        spectra = np.stack([cells.spectra for cells in rotated], axis=1)
+        masks = np.stack([cells.mask for cells in rotated])[None]
+        fixed_area = max(cells.area for cells in rotated)
         for ratio in ratios:
             (moving,) = self.moving.in_cells(self.cells * ratio, size)
             least = max(MIN_OVERLAP * min(fixed_area, moving.area), MIN_CELLS)
-            for angle, cells in rotated:
-                for opposite in (False, True) if both_halves else (False,):
-                    found = _best_shift(
-                        moving, cells, opposite, size, least, self._expected(moving, cells, near)
-                    )
-                    if found is not None:
-                        matrix = np.asarray(
-                            np.linalg.inv(found[0]) if self.from_target else found[0], np.float64
-                        )
-                        yield _Trial(matrix, found[1], angle + np.pi * opposite, ratio, self)
+            for opposite in (False, True) if both_halves else (False,):
+                scores = _scores(moving, spectra, masks, opposite, size, least)
+                for angle, cells, score in zip(angles, rotated, scores, strict=True):
+                    shift_rc = _highest(score, self._expected(moving, cells, near))
+                    best = float(score[shift_rc[0] % size, shift_rc[1] % size])
+                    turned = angle + np.pi * opposite
+                    cycle = size if near is None else None
+                    if best > 0:
+                        yield _Trial(best, turned, ratio, self, moving, cells, opposite, shift_rc, cycle)
 
     def _expected(self, moving: _Cells, fixed: _Cells, near: Float64 | None) -> tuple[int, int] | None:
         """Return the shift (col, row), cells, at which a pose places the middle of the moving image."""
@@ -336,49 +361,48 @@ def _distinct(trials: Iterable[_Trial], shape: tuple[int, ...]) -> list[_Trial]:
     return chosen
 
 
-def _best_shift(
-    moving: _Cells, fixed: _Cells, opposite: bool, size: int, least: float, expected: tuple[int, int] | None
-) -> tuple[Float64, float] | None:
-    """Return the (3, 3) matrix from moving to fixed px at the best shift, and its score."""
+def _scores(
+    moving: _Cells, spectra: Complex64, masks: Complex64, opposite: bool, size: int, least: float
+) -> Float32:
+    """Return the (rotations, size, size) scores of all shifts against every rotation of the fixed image.
+
+    Parameters
+    ----------
+    spectra : (harmonics, rotations, size, half the size) complex64 array
+        Of the fixed image; turned by half, it has the conjugate.
+    masks : (1, rotations, rows, half the cols) complex64 array
+        The same of its mask.
+    least : float
+        Least overlap, cells.
+    """
     blocks = (size // MASK_STEP, MASK_STEP) * 2
-    correlation = scipy.fft.irfft2(_cross_spectrum(moving.spectra, fixed.spectra, opposite), (size, size))
-    overlap = scipy.fft.irfft2(_cross_spectrum(moving.mask[None], fixed.mask[None], opposite), blocks[::2])
+    scores = scipy.fft.irfft2(_cross_spectra(moving.spectra, spectra, opposite), (size, size))
+    overlap = scipy.fft.irfft2(_cross_spectra(moving.mask[None], masks, opposite), blocks[::2])
     overlap /= MASK_STEP**2
     weight = (overlap >= least) / np.sqrt(np.maximum(overlap, 1.0))
-    score = (correlation.reshape(blocks) * weight[:, None, :, None]).reshape(size, size)
-    from_px = np.diag([-1.0, -1.0, 1.0]) @ fixed.from_px if opposite else fixed.from_px
+    by_block = scores.reshape(-1, *blocks)
+    by_block *= weight[:, :, None, :, None]
+    return np.asarray(scores)
+
+
+def _highest(score: Float32, expected: tuple[int, int] | None) -> tuple[int, int]:
+    """Return the shift (row, col) of the highest score, near the (col, row) that is expected."""
     if expected is None:
-        row, col = (int(at) for at in np.unravel_index(int(score.argmax()), score.shape))
-        best = float(score[row, col])
-        first = [1 - side if opposite else 0 for side in fixed.shape]
-        row, col = (
-            _nearest_cycle(at, size, moving.shape[axis], first[axis], fixed.shape[axis])
-            for axis, at in enumerate((row, col))
-        )
-    else:
-        reach = np.arange(-REACH_CELLS, REACH_CELLS + 1)
-        part = score[np.ix_((expected[1] + reach) % size, (expected[0] + reach) % size)]
-        down, right = np.unravel_index(int(part.argmax()), part.shape)
-        best = float(part[down, right])
-        row, col = expected[1] + int(reach[down]), expected[0] + int(reach[right])
-    if not best > 0:
-        return None
-    return np.linalg.inv(from_px) @ _affine(
-        np.eye(2), np.array([col, row], np.float64)
-    ) @ moving.from_px, best
+        row, col = divmod(int(score.argmax()), score.shape[1])
+        return row, col
+    reach = np.arange(-REACH_CELLS, REACH_CELLS + 1)
+    part = score[np.ix_((expected[1] + reach) % len(score), (expected[0] + reach) % len(score))]
+    down, right = divmod(int(part.argmax()), part.shape[1])
+    return expected[1] + int(reach[down]), expected[0] + int(reach[right])
 
 
-def _cross_spectrum(moving: Complex64, fixed: Complex64, opposite: bool) -> Complex64:
-    """Sum the cross spectra of (harmonics, rows, cols); the fixed image turned by half has the conjugate."""
-    if opposite:
-        return np.asarray((moving * fixed).sum(axis=0).conj())
-    return np.asarray((moving.conj() * fixed).sum(axis=0))
-
-
-def _nearest_cycle(at: int, size: int, moving: int, first: int, fixed: int) -> int:
-    """Return the shift, among those that a cyclic correlation cannot tell apart, of the largest overlap."""
-    shifts = (at - 2 * size, at - size, at)
-    return max(shifts, key=lambda shift: min(shift + moving, first + fixed) - max(shift, first))
+def _cross_spectra(moving: Complex64, fixed: Complex64, opposite: bool) -> Complex64:
+    """Sum the cross spectra over the harmonics; the fixed image turned by half has the conjugate."""
+    moving = moving if opposite else moving.conj()
+    total, product = moving[0] * fixed[0], np.empty_like(fixed[0])
+    for first, second in zip(moving[1:], fixed[1:], strict=True):
+        total += np.multiply(first, second, out=product)
+    return np.asarray(total.conj() if opposite else total)
 
 
 def _mask_spectrum(known: Float32, size: int) -> Complex64:
