@@ -269,6 +269,11 @@ class OwnProcesses:
         self._workers.stop()
 
     @property
+    def threads(self) -> int:
+        """Number of threads that a call may use which runs alone."""
+        return self._jobs
+
+    @property
     def process_ids(self) -> list[int]:
         """Identifiers of the worker processes, which are started if they are expected."""
         return [worker.process_id for worker in self._workers.at_least(self._wanted)]

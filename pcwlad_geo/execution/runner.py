@@ -99,6 +99,10 @@ class Runner(Protocol):
     def honours_affinity(self) -> bool:
         """Whether a call is sent to the worker that is requested for it."""
 
+    @property
+    def threads(self) -> int:
+        """Number of threads that a call may use which runs alone."""
+
     def expect(self, calls: int) -> None:
         """Prepare for about `calls` calls, without waiting."""
 
@@ -141,6 +145,7 @@ class InThisProcess:
 
     shares_kernels = True
     honours_affinity = True
+    threads = 1
 
     def expect(self, calls: int) -> None:
         """Do nothing, as this process is ready."""
@@ -246,6 +251,7 @@ class OnExecutor:
     check: Callable[[EventCallback], None] | None = None
     """Called every `CHECK_S` while calls are awaited, with the receiver of warnings; it may raise."""
     honours_affinity = False
+    threads = 1
 
     def expect(self, calls: int) -> None:
         """Do nothing, as an executor manages its own workers."""

@@ -33,7 +33,7 @@ from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.mutual_structure import passes_paper, shared_structure
 from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, measure_noise, prepare, rounding_of
-from pcwlad_geo.matching.refinement import Refined, Start, refine
+from pcwlad_geo.matching.refinement import STEP_PX, Refined, Start, refine
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, MethodTraits, TiePoints
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -44,9 +44,9 @@ COARSE_SIGMA_PX: Final = 0.35
 SAMPLED: Final = 5
 """One of this many points is in the sample that is also matched backward. The points are ordered by cell and
 rank, so that a divisor of the points of a cell would sample one rank only."""
-COARSER_ABOVE_PX: Final = 160
-"""Wider windows are tried on every second pixel: a tenth of the time, at the cost of some hundredths of a
-pixel, by which aliases draw the match towards whole pixels."""
+SPARSE_FROM_PX: Final = 101
+"""Windows of the second pass that are as wide as this or wider take every second pixel of rows and columns: a
+quarter of the time, and the same error, as the maps hold no detail that the others would add."""
 MEASURED_UP_TO_PX: Final = 181
 """Side of the largest window that points are measured with: one of 257 px takes twice as long, for no more
 than a hundredth of a pixel."""
@@ -234,13 +234,17 @@ def _match_in_turns(
     return TiePoints.concatenate([points, more]), candidates[~first & ~second]
 
 
+def step_of(window_px: int) -> int:
+    """Return the distance of the pixels of a window of the second pass."""
+    return STEP_PX if window_px >= SPARSE_FROM_PX else 1
+
+
 def rematch(
     pair: ChannelPair,
     points: TiePoints,
     guide: FieldGuide,
     settings: MatchSettings,
     window_px: int | None = None,
-    coarser: bool = False,
 ) -> TiePoints:
     """Run the second pass: match points again, with the deformation and structure given by the field.
 
@@ -252,8 +256,6 @@ def rematch(
         Guidance of these points.
     window_px : int, optional
         Window that matches all points; None: that of the settings, for those with something new to say.
-    coarser : bool
-        Whether every second pixel is enough.
 
     Returns
     -------
@@ -269,15 +271,15 @@ def rematch(
     given: Back = "sample" if settings.backward == "sample" and not guide.one_way else own
     for some, structure, back in ((again & ~led, None, own), (again & led, guide.structure_xy_px, given)):
         index = np.flatnonzero(some)
+        # the field is nearer to what a larger window sees, and the structure is needed there in any case
         start = Start(
-            target[index] - points.reference_xy_px[index],
+            (target[index] - points.reference_xy_px[index]) if structure is None else structure[index],
             guide.linear[index],
             None if structure is None else structure[index],
             is_match=structure is not None,
         )
         corners = to_index(points[index])
-        refine_them = _refine_coarser if coarser else _refine_both
-        refined, agree, _ = refine_them(pair, corners, start, settings, back)
+        refined, agree, _ = _refine_both(pair, corners, start, settings, back, step_of(settings.window))
         good = refined.converged & agree
         target[index[good]] = points.reference_xy_px[index[good]] + refined.shift_xy_px[good]
         covariance[index[good]] = refined.covariance_px2[good]
@@ -353,15 +355,14 @@ def try_again(
     widest = max(settings.template, *settings.windows)  # the arrays reach as far
     largest = max(scales.windows_px)
     window_px = widest if largest >= MEASURED_UP_TO_PX else max(min(AGAIN_PX, widest), largest)
-    coarser = window_px > COARSER_ABOVE_PX
     corners = np.floor(lost.reference_xy_px[:, ::-1]).astype(np.intp)
-    refine_them = _refine_coarser if coarser else _refine_both
-    refined, _, apart_px = refine_them(
+    refined, _, apart_px = _refine_both(
         pair,
         corners,
         Start(lost.guide.structure_xy_px, lost.guide.linear),
         replace(settings, window=window_px),
         "always",
+        step_of(window_px),
     )
     off_px = np.linalg.norm(refined.shift_xy_px - lost.guide.structure_xy_px, axis=1)
     good = refined.converged & (apart_px < RETURNS_PX) & (off_px < lost.limit_px)
@@ -398,20 +399,19 @@ def seen_by_windows(
     guide: FieldGuide,
     settings: MatchSettings,
     windows_px: Sequence[int],
-    coarser: bool = False,
 ) -> Float64:
     """Return (k, n, 2) displacements (col, row) of the n points by each of k windows, NaN for failures.
 
     Parameters
     ----------
-    pair, points, guide, settings, coarser
+    pair, points, guide, settings
         Those of `rematch`.
     windows_px : sequence of k int
         Sides of the windows.
     """
     moved = []
     for window_px in windows_px:
-        again = rematch(pair, points, guide, settings, window_px, coarser)
+        again = rematch(pair, points, guide, settings, window_px)
         moved.append(np.where(_unmoved(again, points)[:, None], np.nan, again.displacement_px))
     return np.stack(moved)
 
@@ -450,7 +450,7 @@ def second_pass(pair: ChannelPair, points: TiePoints, settings: MatchSettings) -
 
 
 def choose_scales(
-    seen: Callable[[Sequence[int], bool], Float64], settings: MatchSettings
+    seen: Callable[[Sequence[int]], Float64], settings: MatchSettings
 ) -> tuple[Scales, WindowErrors | None]:
     """Choose the windows of the second pass, where they are open, and tell the errors of all that were tried.
 
@@ -459,27 +459,20 @@ def choose_scales(
     Parameters
     ----------
     seen : callable
-        Gives the (k, n, 2) displacements of n points by k windows, on all or every second pixel, as
-        `seen_by_windows` does.
+        Gives the (k, n, 2) displacements of n points by k windows, as `seen_by_windows` does.
     """
-    first = Scales.of(settings.window)
     tried = settings.windows[:TRIED_FIRST]
-    moved, coarser = seen(tried, False), None
+    moved = seen(tried)
     open_to = [window for window in settings.windows[TRIED_FIRST:] if window <= MEASURED_UP_TO_PX]
-    for larger in (*open_to, None):
+    while True:
         errors = window_errors(moved, tried)
         if errors is None or not settings.open_window:
-            return first, errors
+            return Scales.of(settings.window), errors
         scales = errors.best(tried, settings.window)
-        if larger is None or not tries_larger(scales, tried):
-            break
-        # windows are compared with others on the same pixels
-        if coarser is None:
-            coarser = seen(tried[-1:], True)
-        at_larger = seen([larger], True)
-        moved, coarser = np.concatenate([moved, moved[-1:] + at_larger - coarser]), at_larger
-        tried = (*tried, larger)
-    return scales, errors
+        if not open_to or not tries_larger(scales, tried):
+            return scales, errors
+        tried = (*tried, open_to.pop(0))
+        moved = np.concatenate([moved, seen(tried[-1:])])
 
 
 def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
@@ -489,7 +482,7 @@ def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
 
 
 def _refine_both(
-    pair: ChannelPair, corners: Index, start: Start, settings: MatchSettings, back: Back
+    pair: ChannelPair, corners: Index, start: Start, settings: MatchSettings, back: Back, step_px: int = 1
 ) -> tuple[Refined, Bool, Float64]:
     """Refine forward and, where the method asks for it, backward.
 
@@ -502,7 +495,7 @@ def _refine_both(
     forward_backward_px : (n,) array
         Their difference; infinite where the backward match failed, NaN where it was not made.
     """
-    forward = _refine_one_way(pair, corners, start, settings)
+    forward = _refine_one_way(pair, corners, start, settings, step_px)
     forward_backward = np.full(len(corners), np.nan)
     if not _traits(settings).backward:
         ok = np.ones(len(corners), bool)
@@ -514,7 +507,7 @@ def _refine_both(
     def match_backward(some: Index) -> None:
         there, moved = forward.shift_xy_px[some], forward.linear[some]
         structure = None if start.structure_xy_px is None else start.structure_xy_px[some]
-        returned, backward = _refine_back(pair, corners[some], there, moved, structure, settings)
+        returned, backward = _refine_back(pair, corners[some], there, moved, structure, settings, step_px)
         mean[some] = (there + returned) / 2
         covariance[some] = (covariance[some] + backward.covariance_px2) / 2
         forward_backward[some] = np.where(
@@ -536,31 +529,6 @@ def _refine_both(
     )
 
 
-def _refine_coarser(
-    pair: ChannelPair, corners: Index, start: Start, settings: MatchSettings, back: Back
-) -> tuple[Refined, Bool, Float64]:
-    """Do what `_refine_both` does, on every second pixel.
-
-    The middle of a window is then up to a pixel beside the corner, which matters where it deforms.
-    """
-    middle = corners // 2
-    beside = np.einsum("nij,nj->ni", start.linear, (corners - 2 * middle)[:, ::-1].astype(np.float64))
-    halved = Start(
-        (start.shift_xy_px - beside) / 2,
-        start.linear,
-        None if start.structure_xy_px is None else (start.structure_xy_px - beside) / 2,
-        is_match=start.is_match,
-    )
-    smaller = replace(settings, window=settings.window // 4 * 2 + 1)
-    refined, _, apart_px = _refine_both(pair.half, middle, halved, smaller, back)
-    refined = replace(
-        refined,
-        shift_xy_px=2 * refined.shift_xy_px + beside,
-        covariance_px2=4 * refined.covariance_px2,
-    )
-    return refined, ~(2 * apart_px >= DISAGREEMENT_PX), 2 * apart_px
-
-
 def _refine_back(
     pair: ChannelPair,
     corners: Index,
@@ -568,6 +536,7 @@ def _refine_back(
     linear: Float64,
     structure_xy: Float64 | None,
     settings: MatchSettings,
+    step_px: int,
 ) -> tuple[Float64, Refined]:
     """Refine from target to reference; return the shifts, as seen forward, and the whole result."""
     landed = corners + np.round(shift_xy[:, ::-1]).astype(np.intp)
@@ -581,11 +550,13 @@ def _refine_back(
         None if structure_xy is None else -(structure_xy + deformation),
         is_match=structure_xy is not None,
     )
-    backward = _refine_one_way(pair.turned, landed, start, settings)
+    backward = _refine_one_way(pair.turned, landed, start, settings, step_px)
     return -backward.shift_xy_px - deformation, backward
 
 
-def _refine_one_way(pair: ChannelPair, corners: Index, start: Start, settings: MatchSettings) -> Refined:
+def _refine_one_way(
+    pair: ChannelPair, corners: Index, start: Start, settings: MatchSettings, step_px: int
+) -> Refined:
     traits = _traits(settings)
     if traits.structure == "filter":
         start = replace(start, structure=shared_structure(pair, corners, start, settings.window))
@@ -595,9 +566,11 @@ def _refine_one_way(pair: ChannelPair, corners: Index, start: Start, settings: M
         pair.target,
         corners,
         window_px=settings.window,
+        step_px=step_px,
         affine=traits.affine,
         iterations=settings.iterations,
         least_valid=settings.least_valid,
+        threads=pair.threads,
     )
     result = refined(start, use_structure=traits.structure == "local", robust=traits.robust)
     if traits.structure == "filter":

@@ -11,7 +11,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import partial
 from typing import Any, Final, TypeVar
 
 import cv2
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.matching.coarse import MaskedMap
 from pcwlad_geo.matching.keypoints import FULL_SCALE, contrast_weight
 from pcwlad_geo.matching.maps import maximum_moment, oriented_gradients, oriented_phase_congruency
-from pcwlad_geo.matching.refinement import ChannelMaps
+from pcwlad_geo.matching.refinement import ChannelMaps, in_threads
 from pcwlad_geo.matching.types import Channels
 from pcwlad_geo.types import Bool, Float32, Float64
 
@@ -164,6 +164,8 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 NO_NOISE: Final = Noise()
 """The noise of an image without noise."""
+FILTERS_REACH_PX: Final = 64
+"""Beyond this distance a pixel changes the maps of phase congruency by less than 4e-4."""
 EDGE_PX: Final = 4
 """Maps count as invalid this near to nodata and image edges, as the filled values influence them."""
 
@@ -182,22 +184,19 @@ class Image:
     """The scene's noise."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class ChannelPair:
     """The channels of two images of the same shape, on which matches are refined."""
 
     reference: ChannelMaps
     target: ChannelMaps
-
-    @cached_property
-    def half(self) -> ChannelPair:
-        """The same pair on every second pixel, the first included."""
-        return ChannelPair(self.reference.half(), self.target.half())
+    threads: int = 1
+    """Number of threads that may refine points of this pair."""
 
     @property
     def turned(self) -> ChannelPair:
         """The same pair with the images exchanged."""
-        return ChannelPair(self.target, self.reference)
+        return ChannelPair(self.target, self.reference, self.threads)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,7 +215,9 @@ class PreparedPair:
         return self.reference_map.values
 
 
-def prepare(reference: Image, target: Image, *, channels: Channels, halo_px: int = 0) -> PreparedPair:
+def prepare(
+    reference: Image, target: Image, *, channels: Channels, halo_px: int = 0, threads: int = 1
+) -> PreparedPair:
     """Compute the maps of both images.
 
     Parameters
@@ -228,15 +229,23 @@ def prepare(reference: Image, target: Image, *, channels: Channels, halo_px: int
         map M of the paper.
     halo_px : int
         Number of rows and columns along all four edges that the filters need and the result leaves out.
+    threads : int
+        Number of threads that may compute the maps, and refine points on them.
     """
     smooth = 0.0 if channels == "moment" else smoothing_px(reference.noise, target.noise)
-    filled = fill_smoothly(reference.values, reference.valid)
+
+    def fill(image: Image) -> tuple[Floating, ChannelMaps, MaskedMap]:
+        filled = fill_smoothly(image.values, image.valid)
+        return filled, *_maps(filled, image, channels, smooth, halo_px)
+
+    both = in_threads([partial(fill, reference), partial(fill, target)], threads)
+    (filled, reference_channels, ref_map), (_, target_channels, tgt_map) = both
     contrast = contrast_weight(filled, reference.epsilon, reference.noise.sigma, reference.noise.rounding)
-    reference_channels, ref_map = _maps(filled, reference, channels, smooth, halo_px)
-    filled = fill_smoothly(target.values, target.valid)
-    target_channels, tgt_map = _maps(filled, target, channels, smooth, halo_px)
     return PreparedPair(
-        ChannelPair(reference_channels, target_channels), ref_map, tgt_map, _inside(contrast, halo_px)
+        ChannelPair(reference_channels, target_channels, threads),
+        ref_map,
+        tgt_map,
+        _inside(contrast, halo_px),
     )
 
 
@@ -246,13 +255,26 @@ def _maps(
     if channels == "gradients":
         maps, whole = oriented_gradients(filled, image.epsilon, smooth_px)
     else:
-        maps = _phase_congruency(filled, image.epsilon, smooth_px)
+        rows, cols = _used(image.valid)
+        maps = _phase_congruency(filled[rows, cols], image.epsilon, smooth_px)
+        if maps.shape[1:] != filled.shape:
+            used, maps = maps, np.zeros((len(maps), *filled.shape), np.float32)
+            maps[:, rows, cols] = used
         whole = maximum_moment(maps)
     maps, whole = _inside(maps, halo_px), _inside(whole, halo_px)
     valid = _inside(_eroded(image.valid), halo_px)
-    stack = ChannelMaps.of(whole[None] if channels == "moment" else maps, valid)
+    stack = ChannelMaps(whole[None] if channels == "moment" else maps, valid)
     weight = valid.astype(np.float32)
     return stack, MaskedMap(whole * weight, weight, np.float32(FULL_SCALE))
+
+
+def _used(valid: Bool) -> tuple[slice, slice]:
+    """Return the rows and columns that hold valid pixels, and around them what the filters reach."""
+    rows, cols = (np.flatnonzero(valid.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return slice(None), slice(None)
+    top, left = max(0, rows[0] - FILTERS_REACH_PX), max(0, cols[0] - FILTERS_REACH_PX)
+    return slice(top, rows[-1] + 1 + FILTERS_REACH_PX), slice(left, cols[-1] + 1 + FILTERS_REACH_PX)
 
 
 def _inside(plane: NDArray[Scalar], halo_px: int) -> NDArray[Scalar]:

@@ -7,8 +7,11 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Final, TypeVar
 
 import cv2
 import numpy as np
@@ -16,6 +19,8 @@ import numpy as np
 from pcwlad_geo.matching.kernels import steps as state
 from pcwlad_geo.matching.kernels.refinement import refine_points
 from pcwlad_geo.types import Bool, Float32, Float64, Index
+
+Value = TypeVar("Value")
 
 POLE: Final = float(np.sqrt(3.0)) - 2.0
 """Pole of the prefilter of the cubic B-spline [1]_."""
@@ -55,35 +60,50 @@ LARGEST_MOVE_PX: Final = 3.0
 """Points that move further than this from their start are dropped."""
 WINDOW_PER_CORRELATION_SIDE: Final = 12
 """Side of the refinement window over the side of the window of the local correlation."""
-HALVING: Final = np.array([-1.0, 4.0, 10.0, 4.0, -1.0]) / 16
-"""Filter along rows and columns before every second pixel is left out; symmetric, so that nothing moves."""
+STEP_PX: Final = 2
+"""Distance of the pixels of windows that every second pixel of the rows and columns is enough for."""
 BLOCK_PX: Final = 16
 """Side of the blocks whose scores are taken as independent in the covariance."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ChannelMaps:
-    """Maps of one image, with the spline coefficients that interpolate them."""
+    """Maps of one image; what interpolates them is computed when it is first needed, and kept."""
 
     maps: Float32
     """(channels, rows, cols)."""
-    coefficients: Float32
-    """(channels, rows, cols) cubic B-spline coefficients of the maps."""
     valid: Bool
     """(rows, cols) pixels that count."""
 
-    @staticmethod
-    def of(maps: Float32, valid: Bool) -> ChannelMaps:
-        """Prefilter the (channels, rows, cols) `maps` with their (rows, cols) mask `valid`."""
-        coefficients = np.empty_like(maps)
-        for plane, out in zip(maps, coefficients, strict=True):
+    @cached_property
+    def coefficients(self) -> Float32:
+        """(channels, rows, cols) cubic B-spline coefficients of the maps."""
+        coefficients = np.empty_like(self.maps)
+        for plane, out in zip(self.maps, coefficients, strict=True):
             spline_coefficients(plane, out)
-        return ChannelMaps(maps, coefficients, valid)
+        return coefficients
 
-    def half(self) -> ChannelMaps:
-        """Return every second pixel of the maps, smoothed before, the first included."""
-        smooth = [cv2.sepFilter2D(plane, -1, HALVING, HALVING)[::2, ::2] for plane in self.maps]
-        return ChannelMaps.of(np.stack(smooth), np.ascontiguousarray(self.valid[::2, ::2]))
+    @cached_property
+    def maps_by_phase(self) -> Float32:
+        """(channels, rows, cols) the maps with their columns sorted by phase, as `sampling` reads them."""
+        return np.stack([_by_phase(plane) for plane in self.maps])
+
+    @cached_property
+    def coefficients_by_phase(self) -> Float32:
+        """(channels, rows, cols) the coefficients in the same order."""
+        if "coefficients" in self.__dict__:
+            return np.stack([_by_phase(plane) for plane in self.coefficients])
+        sorted_planes, plane = np.empty_like(self.maps_by_phase), np.empty_like(self.maps[0])
+        for values, out in zip(self.maps, sorted_planes, strict=True):
+            spline_coefficients(values, plane)
+            out[:] = _by_phase(plane)
+        return sorted_planes
+
+
+def _by_phase(plane: Float32) -> Float32:
+    """Return a plane with its even columns before its odd ones; an odd last column is left out."""
+    cols = plane.shape[1] // STEP_PX * STEP_PX
+    return np.concatenate([plane[:, phase:cols:STEP_PX] for phase in range(STEP_PX)], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +138,16 @@ class Start:
     This does not hold where the structure follows the position: there many short moves may follow.
     """
 
+    def part(self, some: slice) -> Start:
+        """Return the start of some of the points."""
+        return replace(
+            self,
+            shift_xy_px=self.shift_xy_px[some],
+            linear=self.linear[some],
+            structure_xy_px=None if self.structure_xy_px is None else self.structure_xy_px[some],
+            structure=None if self.structure is None else self.structure[some],
+        )
+
     @property
     def reached_by_px(self) -> float:
         """Length of the move that led to the start."""
@@ -131,11 +161,13 @@ def refine(
     start: Start,
     *,
     window_px: int,
+    step_px: int = 1,
     use_structure: bool = True,
     robust: bool = True,
     affine: bool = False,
     iterations: int = 20,
     least_valid: float = 0.6,
+    threads: int = 1,
 ) -> Refined:
     """Refine the match of every corner.
 
@@ -149,6 +181,8 @@ def refine(
         Initial shifts and deformations.
     window_px : int
         Side of the window, odd.
+    step_px : int
+        Distance of the pixels of the window: 1, or `STEP_PX` for every second one of its rows and columns.
     use_structure : bool
         Whether to weight by mutual structure.
     robust : bool
@@ -159,14 +193,18 @@ def refine(
         Largest number of Gauss-Newton steps.
     least_valid : float
         Least share of the window that must be valid in both images.
+    threads : int
+        Number of threads that share the points; the result does not depend on it.
     """
     n = len(corners_rc)
-    results = state.Results(np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)), np.zeros(n, np.int64))
     structure_mode = _structure_mode(start, use_structure)
+    half = window_px // 2 // step_px
+    correlation_half = correlation_half_px(2 * half + 1)
     options = state.Options(
-        half=window_px // 2,
-        correlation_half=correlation_half_px(window_px),
-        width=state.flat_width(2 * (window_px // 2 + correlation_half_px(window_px)) + 1),
+        half=half,
+        step=step_px,
+        correlation_half=correlation_half,
+        width=state.flat_width(2 * (half + correlation_half) + 1),
         structure_mode=structure_mode,
         robust=robust,
         affine=affine,
@@ -178,16 +216,44 @@ def refine(
         largest_move_px=LARGEST_MOVE_PX,
         blocks=max(4, round(window_px / BLOCK_PX)),
     )
-    # one array type, so that the loop is compiled once: a read-only array is another type
-    images = state.Images(
-        np.require(reference.maps, np.float32, ("C", "W")),
-        np.require(target.coefficients, np.float32, ("C", "W")),
+    images = _images(reference, target, step_px)
+
+    def refine_some(some: slice) -> state.Results:
+        count = len(range(n)[some])
+        results = state.Results(
+            np.zeros((count, 2)), np.zeros((count, 2, 2)), np.zeros((count, 2, 2)), np.zeros(count, np.int64)
+        )
+        work = state.make_workspace(len(reference.maps), options)
+        refine_points(images, _starts(corners_rc[some], start.part(some)), options, work, results)
+        return results
+
+    share = -(-n // threads) or 1
+    shares = [slice(begin, begin + share) for begin in range(0, max(n, 1), share)]
+    done = in_threads([partial(refine_some, some) for some in shares], threads)
+    shift, linear, covariance, status = map(np.concatenate, zip(*done, strict=True))
+    return Refined(shift, linear, covariance, status == state.CONVERGED)
+
+
+def in_threads(calls: Sequence[Callable[[], Value]], threads: int) -> list[Value]:
+    """Return the results of `calls`, of which at most `threads` run at a time, in their order."""
+    if threads == 1 or len(calls) == 1:
+        return [call() for call in calls]
+    with ThreadPoolExecutor(threads) as pool:
+        return [future.result() for future in [pool.submit(call) for call in calls]]
+
+
+def _images(reference: ChannelMaps, target: ChannelMaps, step_px: int) -> state.Images:
+    """Return the arrays of both images in one type, so that the loop is compiled once.
+
+    A read-only array is another type.
+    """
+    by_phase = step_px == STEP_PX
+    return state.Images(
+        np.require(reference.maps_by_phase if by_phase else reference.maps, np.float32, ("C", "W")),
+        np.require(target.coefficients_by_phase if by_phase else target.coefficients, np.float32, ("C", "W")),
         np.require(reference.valid, np.bool_, ("C", "W")),
         np.require(target.valid, np.bool_, ("C", "W")),
     )
-    work = state.make_workspace(len(reference.maps), options)
-    refine_points(images, _starts(corners_rc, start), options, work, results)
-    return Refined(results.shift_xy, results.linear, results.covariance, results.status == state.CONVERGED)
 
 
 def _starts(corners_rc: Index, start: Start) -> state.Starts:

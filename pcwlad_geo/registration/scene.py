@@ -259,8 +259,8 @@ def _first_pass(planned: Plan, log: JobLog, runner: Runner) -> _FirstPass:
     first = _FirstPass([], [], [])
     upcoming = planned.first
     for _ in range(MAX_WAVES):
-        if runner.honours_affinity:
-            upcoming = [replace(job, returns=True) for job in upcoming]
+        threads = runner.threads if len(upcoming) == 1 else 1
+        upcoming = [replace(job, returns=runner.honours_affinity, threads=threads) for job in upcoming]
         call_results = runner.run(match_tile, [(job,) for job in upcoming], "matching", log.on_event)
         first = _FirstPass(
             first.jobs + upcoming, first.results + call_results.results, first.workers + call_results.workers
@@ -440,9 +440,9 @@ def _scales(
     workers = [first.workers[tile] for tile in tiles[chosen]]
     on_event = partial(only_warnings, log.on_event)  # the progress is no stage's own
 
-    def seen(windows_px: Sequence[int], coarser: bool) -> Float64:
+    def seen(windows_px: Sequence[int]) -> Float64:
         calls = [
-            (first.jobs[tile], points[some], guide.part(some), windows_px, coarser)
+            (first.jobs[tile], points[some], guide.part(some), windows_px)
             for tile, some in zip(tiles[chosen], sample, strict=True)
         ]
         moved = runner.run(compare_windows, calls, "refining", on_event, workers).results

@@ -33,22 +33,12 @@ from pcwlad_geo.matching.refinement import ChannelMaps
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, Method, TiePoints
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.types import Bool, Float32, Float64, Index
+from pcwlad_geo.types import Float64, Index
 
 MAX_BYTES: Final = 240 << 20
 """Largest size of the maps that a worker's tile cache holds."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Maps:
-    """The maps of an image without their spline coefficients, which are quickly computed again."""
-
-    maps: Float32
-    valid: Bool
-
-    @property
-    def nbytes(self) -> int:
-        return self.maps.nbytes + self.valid.nbytes
+INTERPOLATED: Final = 4
+"""Size of a pair with all that interpolates its maps, in sizes of the maps."""
 
 
 @dataclass(slots=True)
@@ -57,27 +47,33 @@ class TileCache:
 
     most_bytes: int = MAX_BYTES
     _scene: Hashable = None
-    _pairs: dict[int, tuple[_Maps, _Maps]] = field(default_factory=dict)
+    _pairs: dict[int, tuple[int, ChannelPair]] = field(default_factory=dict)
+    """Size in bytes and pair of each tile."""
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def keep(self, scene: Hashable, tile: int, pair: ChannelPair) -> None:
-        """Store the `pair` of `tile` if there is room, and remove those of any other `scene`."""
-        reference, target = (_Maps(stack.maps, stack.valid) for stack in (pair.reference, pair.target))
+        """Store the `pair` of `tile` if there is room, and remove those of any other `scene`.
+
+        What interpolates its maps is kept too where there is room for it; else it is computed again.
+        """
+        images = pair.reference, pair.target
+        size = sum(image.maps.nbytes + image.valid.nbytes for image in images)
         with self._lock:
             if scene != self._scene:
                 self._scene = scene
                 self._pairs.clear()
-            so_far = sum(maps.nbytes for kept in self._pairs.values() for maps in kept)
-            if so_far + reference.nbytes + target.nbytes <= self.most_bytes:
-                self._pairs[tile] = reference, target
+            room = self.most_bytes - sum(kept for kept, _ in self._pairs.values())
+            if INTERPOLATED * size <= room:
+                self._pairs[tile] = INTERPOLATED * size, pair
+            elif size <= room:
+                reference, target = (ChannelMaps(image.maps, image.valid) for image in images)
+                self._pairs[tile] = size, ChannelPair(reference, target, pair.threads)
 
     def take(self, scene: Hashable, tile: int) -> ChannelPair | None:
         """Return the pair of `tile` of `scene` and remove it; None if it is not stored."""
         with self._lock:
-            kept = self._pairs.pop(tile, None) if scene == self._scene else None
-        return (
-            None if kept is None else ChannelPair(*(ChannelMaps.of(each.maps, each.valid) for each in kept))
-        )
+            _, pair = self._pairs.pop(tile, (0, None)) if scene == self._scene else (0, None)
+        return pair
 
 
 _CACHE = TileCache()
@@ -109,6 +105,8 @@ class TileJob:
     reference_scene: Scene
     target_scene: Scene
     settings: MatchSettings
+    threads: int = 1
+    """Number of threads that the tile may use."""
     returns: bool = False
     """Whether the second pass goes to the same worker, which caches the maps if it can."""
     cell_margin_px: int = 0
@@ -202,13 +200,10 @@ def rematch_tile(
     return replace(result, saved=saved.shifted(reference_origin, target_origin), saved_from=index)
 
 
-def compare_windows(
-    job: TileJob, points: TiePoints, guide: FieldGuide, windows_px: Sequence[int], coarser: bool
-) -> Float64:
+def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide, windows_px: Sequence[int]) -> Float64:
     """Return (k, n, 2) the displacements (col, row) of `points` of the tile `job` by each of k windows.
 
-    They see every second pixel if `coarser`. The other parameters are those of `rematch_tile`, which may
-    follow. NaN where a window gives no match.
+    The other parameters are those of `rematch_tile`, which may follow. NaN where a window gives no match.
     """
     nothing = np.full((len(windows_px), len(points), 2), np.nan)
     try:
@@ -222,7 +217,7 @@ def compare_windows(
     reference_origin, target_origin = _origins(job)
     between = target_origin - reference_origin
     inside = points.shifted(-reference_origin, -target_origin)
-    moved = seen_by_windows(channels, inside, guide.moved(-between), job.settings, windows_px, coarser)
+    moved = seen_by_windows(channels, inside, guide.moved(-between), job.settings, windows_px)
     return np.asarray(moved + between)
 
 
@@ -238,6 +233,7 @@ def _prepare(job: TileJob) -> PreparedPair | None:
         Image(target.values, target.valid, job.target_scene.epsilon, job.target_scene.noise),
         channels=traits.channels,
         halo_px=traits.halo_px,
+        threads=job.threads,
     )
 
 

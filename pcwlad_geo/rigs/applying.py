@@ -387,7 +387,7 @@ def _in_view(rig: Rig, each: RigLens, values: Float32, plane: Float64, factor: f
 def _channels(values: Float32, valid: Bool) -> ChannelMaps:
     maps, _ = oriented_gradients(values, scene_epsilon(values, valid), SMOOTH_PX)
     inside = cv2.erode(valid.astype(np.uint8), np.ones((7, 7), np.uint8), borderValue=1)
-    return ChannelMaps.of(maps, np.asarray(inside, bool))
+    return ChannelMaps(maps, np.asarray(inside, bool))
 
 
 def textured(values: Float32, valid: Bool, window_px: int, *, between: bool = False) -> Index:

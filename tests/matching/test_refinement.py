@@ -108,6 +108,34 @@ def test_one_short_move_confirms_a_match_and_nothing_else() -> None:
     assert not refine(pair.reference, pair.target, CORNERS, far, **options).converged.any()
 
 
+@pytest.mark.parametrize("structure", ["follows", "fixed", "fixed where it starts", "deformed"])
+@pytest.mark.parametrize(("window_px", "width"), [(61, SIDE), (101, SIDE - 1)])
+def test_every_second_pixel_equals_the_plain_twin(structure: str, window_px: int, width: int) -> None:
+    pair = cross_modal(True, True)
+    images = [
+        ChannelMaps(
+            np.ascontiguousarray(each.maps[:, :, :width]), np.ascontiguousarray(each.valid[:, :width])
+        )
+        for each in (pair.reference, pair.target)
+    ]
+    corners, linear = np.array([[88, 95], [112, 90], [101, 118], [40, 101]]), np.zeros((4, 2, 2))
+    if structure == "deformed":
+        linear[:] = [[0.03, 0.004], [-0.006, -0.02]]
+    place = {"fixed": [0.7, -0.6], "fixed where it starts": [1.0, -1.0]}.get(structure)
+    start = Start(np.tile([1.0, -1.0], (4, 1)), linear, None if place is None else np.tile(place, (4, 1)))
+    fast = refine(*images, corners, start, window_px=window_px, step_px=2)
+    plain = refine_plain(*images, corners, start, window_px=window_px, step_px=2)
+    assert plain.converged.any()
+    np.testing.assert_array_equal(fast.converged, plain.converged)
+    ok = plain.converged
+    np.testing.assert_allclose(fast.shift_xy_px[ok], plain.shift_xy_px[ok], atol=1e-4)
+    scale = np.trace(plain.covariance_px2[ok], axis1=1, axis2=2)[:, None, None]
+    np.testing.assert_allclose(fast.covariance_px2[ok] / scale, plain.covariance_px2[ok] / scale, atol=1e-3)
+    shared = refine(*images, corners, start, window_px=window_px, step_px=2, threads=3)
+    np.testing.assert_array_equal(shared.shift_xy_px, fast.shift_xy_px)
+    np.testing.assert_array_equal(shared.covariance_px2, fast.covariance_px2)
+
+
 @pytest.mark.parametrize("window_px", [41, 81, 101, 129])
 def test_every_size_of_the_correlation_window_equals_the_plain_twin(window_px: int) -> None:
     pair, corners = cross_modal(True, False), np.array([[88, 95], [112, 90]])
@@ -229,13 +257,13 @@ def test_invalid_pixels_have_no_say() -> None:
     channels = []
     for image in (reference, target):
         maps = prepared(image, image).reference.maps.copy()
-        channels.append(ChannelMaps.of(maps, valid))
+        channels.append(ChannelMaps(maps, valid))
     corners = np.array([[95, 100]])
     clean = refine(*channels, corners, start_at((0, 0), 1), window_px=61, use_structure=False)
     spoilt = channels[0].maps.copy()
     spoilt[:, ~valid] = garbage[~valid]
     again = refine(
-        ChannelMaps.of(spoilt, valid),
+        ChannelMaps(spoilt, valid),
         channels[1],
         corners,
         start_at((0, 0), 1),
@@ -258,7 +286,7 @@ def test_windows_with_too_little_valid_are_not_refined() -> None:
 
 def test_a_window_without_structure_does_not_converge() -> None:
     flat = np.zeros((1, 160, 160), np.float32)
-    stack = ChannelMaps.of(flat, np.ones((160, 160), bool))
+    stack = ChannelMaps(flat, np.ones((160, 160), bool))
     found = refine(stack, stack, np.array([[80, 80]]), start_at((0, 0), 1), window_px=61)
     assert not found.converged.any()
     assert np.isfinite(found.shift_xy_px).all()

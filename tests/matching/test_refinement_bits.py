@@ -26,7 +26,7 @@ rng = np.random.default_rng(1)
 noise = rng.normal(size=(3, 150, 150)).astype(np.float32)
 noise = np.stack([np.abs(cv2.GaussianBlur(plane, (0, 0), 2)) for plane in noise])
 valid = rng.random((150, 150)) > 0.1
-stacks = [ChannelMaps.of(noise[:, i : 140 + i, i : 140 + i], valid[:140, :140]) for i in (0, 1)]
+stacks = [ChannelMaps(noise[:, i : 140 + i, i : 140 + i], valid[:140, :140]) for i in (0, 1)]
 corners = rng.integers(45, 95, (40, 2))
 digest = hashlib.sha256()
 for window, linear, affine, fixed in (

@@ -41,6 +41,7 @@ def refine_plain(
     start: Start,
     *,
     window_px: int,
+    step_px: int = 1,
     use_structure: bool = True,
     robust: bool = True,
     affine: bool = False,
@@ -51,7 +52,7 @@ def refine_plain(
     n = len(corners_rc)
     result = Refined(np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)), np.zeros(n, bool))
     for p, (row, col) in enumerate(corners_rc):
-        window = _Window(reference, target, int(row), int(col), window_px, affine)
+        window = _Window(reference, target, int(row), int(col), window_px, step_px, affine)
         shift, linear = start.shift_xy_px[p].copy(), start.linear[p].copy()
         valid = window.validity(shift)
         if valid is None or valid.mean() < least_valid:
@@ -130,18 +131,27 @@ class _Window:
     """One point's window in both images."""
 
     def __init__(
-        self, reference: ChannelMaps, target: ChannelMaps, row: int, col: int, window_px: int, affine: bool
+        self,
+        reference: ChannelMaps,
+        target: ChannelMaps,
+        row: int,
+        col: int,
+        window_px: int,
+        step_px: int,
+        affine: bool,
     ) -> None:
         self.reference, self.target, self.affine = reference, target, affine
-        self.half, self.pad = window_px // 2, correlation_half_px(window_px)
+        self.half = window_px // 2 // step_px
+        self.pad = correlation_half_px(2 * self.half + 1)
         reach = self.half + self.pad
-        step = np.arange(-reach, reach + 1)
+        step = np.arange(-reach, reach + 1) * step_px
         self.y, self.x = np.meshgrid(step, step, indexing="ij")
         self.rows, self.cols = row + self.y, col + self.x
         self.inside = _inside(reference.valid.shape, self.rows, self.cols, 0, 0)
         self.maps = reference.maps[:, self.rows, self.cols].astype(float) if self.inside else reference.maps
         self.core = np.s_[self.pad : -self.pad, self.pad : -self.pad]
-        in_blocks = np.arange(window_px) * max(4, round(window_px / BLOCK_PX)) // window_px
+        side = 2 * self.half + 1
+        in_blocks = np.arange(side) * max(4, round(window_px / BLOCK_PX)) // side
         self.block = in_blocks[:, None] * (in_blocks[-1] + 1) + in_blocks
 
     def validity(self, shift: Float64) -> Float64 | None:

@@ -65,7 +65,7 @@ def refine_points(
 
     Points whose window is not usable keep zeros and the status `INVALID`. `options` are the settings.
     """
-    reach = options.half + options.correlation_half
+    reach = options.step * (options.half + options.correlation_half)
     for p in range(starts.corners_rc.shape[0]):
         row, col = starts.corners_rc[p]
         results.status[p] = INVALID
@@ -85,16 +85,18 @@ def _valid_share(
     images: Images, shift_xy: Float64, row: int, col: int, options: Options, valid: Float32
 ) -> float:
     """Fill the flat window of validity in both images and return the share of valid pixels."""
-    side = 2 * options.half + 1
+    side, step = 2 * options.half + 1, options.step
     rows, cols = images.target_valid.shape
-    top, left = row - options.half, col - options.half
+    top, left = row - step * options.half, col - step * options.half
     down, right = int(np.round(shift_xy[1])), int(np.round(shift_xy[0]))
     valid[:] = np.float32(0.0)
     good = 0
-    for r in range(max(0, -top - down), min(side, rows - top - down)):
-        for c in range(max(0, -left - right), min(side, cols - left - right)):
-            here = images.reference_valid[np.uintp(top + r), np.uintp(left + c)]
-            both = here & images.target_valid[np.uintp(top + down + r), np.uintp(left + right + c)]
+    for r in range(max(0, -((top + down) // step)), min(side, (rows - 1 - top - down) // step + 1)):
+        y = top + step * r
+        for c in range(max(0, -((left + right) // step)), min(side, (cols - 1 - left - right) // step + 1)):
+            x = left + step * c
+            here = images.reference_valid[np.uintp(y), np.uintp(x)]
+            both = here & images.target_valid[np.uintp(y + down), np.uintp(x + right)]
             valid[np.uintp(r * options.width + c)] = np.float32(both)
             good += both
     return float(good / (side * side))
@@ -119,12 +121,12 @@ def _load(
     The gradient is sampled too unless `looks`, that is, unless only the mutual structure is computed. The
     window of the reference, which stays the same, is copied at the first call.
     """
-    reach = options.half + options.correlation_half
-    side = 2 * reach + 1
+    side, step = 2 * (options.half + options.correlation_half) + 1, options.step
+    reach = step * (side // 2)
     plane = images.coefficients[channel]
     if first:
         reference = images.reference[channel]
-        load_window(reference, row - reach, col - reach, side, side, options.width, work.reference[channel])
+        load_window(reference, row - reach, col - reach, side, step, options.width, work.reference[channel])
     if deformed:
         return bool(
             sample_deformed(
@@ -133,6 +135,7 @@ def _load(
                 col + shift[0],
                 linear,
                 side,
+                step,
                 options.width,
                 work.steps,
                 work.value,
@@ -143,9 +146,11 @@ def _load(
     top, left = row - reach + shift[1], col - reach + shift[0]
     coefficients, along = work.coefficients, work.along
     if looks:
-        return bool(sample_values(plane, top, left, side, options.width, coefficients, along, work.value))
+        return bool(
+            sample_values(plane, top, left, side, step, options.width, coefficients, along, work.value)
+        )
     sampled = (work.along_slope, work.value, work.slope_x, work.slope_y)
-    return bool(sample_shift(plane, top, left, side, options.width, coefficients, along, *sampled))
+    return bool(sample_shift(plane, top, left, side, step, options.width, coefficients, along, *sampled))
 
 
 @compiled_part(inline=True)
@@ -199,13 +204,14 @@ def _refine_point(
     slopes[0, 0] = slopes[1, 1] = 1.0 / options.relaxation
     slopes[0, 1] = slopes[1, 0] = 0.0
     length = options.reached_by_px
-    # structure that is fixed is computed at its own position first
-    begin = -1 if options.structure_mode == STRUCTURE_FIXED else 0
+    # structure that is fixed is computed at its own position first, unless that is where the shift starts
+    fixed, wanted = options.structure_mode == STRUCTURE_FIXED, starts.structure_xy[p]
+    begin = -1 if fixed and (wanted[0] != shift[0] or wanted[1] != shift[1]) else 0
     for iteration in range(begin, options.iterations):
         first, looks, before_px = iteration == begin, iteration < 0, length
         near = before_px < NEAR_PX
-        place = starts.structure_xy[p] if looks else shift
-        correlates = looks or options.structure_mode == STRUCTURE_FOLLOWS
+        place = wanted if looks else shift
+        correlates = options.structure_mode == STRUCTURE_FOLLOWS or (fixed and first)
         work.total[:] = 0.0
         work.total_right[:] = 0.0
         work.scores[:] = 0.0

@@ -4,6 +4,10 @@ Windows are flat: their rows, padded to `width` numbers, follow one another, so 
 loop without a remainder, which the compiler turns into vector code. A flat window of s rows is an array of
 at least s * width numbers. The padding is finite and has weight 0 later. Indices are unsigned: signed ones
 are tested for counting from the end.
+
+A window of `step` 2 consists of every second pixel of its rows and columns, each sampled as sharply as all
+of them are. The columns of its planes are sorted by phase, the even ones first (`refinement.ChannelMaps`), so
+that what a loop reads lies side by side there, too.
 """
 
 from __future__ import annotations
@@ -21,8 +25,8 @@ TAPS_BEYOND: Final = 3
 """Number of spline coefficients that a window needs beyond its side, per axis."""
 
 Taps = tuple[np.float32, np.float32, np.float32, np.float32]
+Columns = tuple[np.uintp, np.uintp, np.uintp, np.uintp]
 
-_NEXT: Final = np.uintp(1)
 _ONE: Final = np.float32(1.0)
 _TWO: Final = np.float32(2.0)
 _THREE: Final = np.float32(3.0)
@@ -56,15 +60,22 @@ def _spline_slope(t: np.float32) -> Taps:
     )
 
 
-@compiled_part(fastmath=True)
-def load_window(plane: Float32, row: int, col: int, rows: int, cols: int, width: int, out: Float32) -> None:
-    """Copy `rows` × `cols` pixels of the (n, m) `plane` into the flat (rows * width,) window `out`.
+@compiled_part()
+def _column(plane: Float32, col: int, step: int) -> int:
+    """Return where a column lies in a plane whose columns are sorted by their phase."""
+    return int(col // step + col % step * (plane.shape[1] // step))
 
-    The first pixel is at `row`, `col`; the padding to `width` is left unchanged.
+
+@compiled_part(fastmath=True)
+def load_window(plane: Float32, row: int, col: int, side: int, step: int, width: int, out: Float32) -> None:
+    """Copy `side` × `side` pixels of the (n, m) `plane` into the flat (side * width,) window `out`.
+
+    The first pixel is at `row`, `col`, the others `step` apart; the padding to `width` is left unchanged.
     """
-    for r in range(rows):
-        for c in range(cols):
-            out[np.uintp(r * width + c)] = plane[np.uintp(row + r), np.uintp(col + c)]
+    begin = _column(plane, col, step)
+    for r in range(side):
+        for c in range(side):
+            out[np.uintp(r * width + c)] = plane[np.uintp(row + r * step), np.uintp(begin + c)]
 
 
 @compiled_part(fastmath=True, inline=True)
@@ -74,15 +85,34 @@ def _fraction(position: float) -> np.float32:
 
 @compiled_part(fastmath=True)
 def _load_coefficients(
-    plane: Float32, row: float, col: float, side: int, width: int, coefficients: Float32
+    plane: Float32, row: float, col: float, side: int, step: int, width: int, coefficients: Float32
 ) -> bool:
-    """Copy the coefficients for a window whose first pixel is at row, col; False if it leaves the plane."""
+    """Copy the coefficients for a window whose first pixel is at row, col; False if it leaves the plane.
+
+    Those of columns, and within them of rows, of one phase make one flat window.
+    """
     top, left = int(np.floor(row)) - 1, int(np.floor(col)) - 1
-    taps = side + TAPS_BEYOND
-    if top < 0 or left < 0 or top + taps > plane.shape[0] or left + taps > plane.shape[1]:
+    taps = _taps(side, step)
+    span = step * taps
+    if top < 0 or left < 0 or top + span > plane.shape[0] or left + span > plane.shape[1]:
         return False
-    load_window(plane, top, left, taps, taps, width, coefficients)
+    for k in range(step):
+        for m in range(step):
+            phase = coefficients[(k * step + m) * taps * width :]
+            load_window(plane, top + m, left + k, taps, step, width, phase)
     return True
+
+
+@compiled_part()
+def _taps(side: int, step: int) -> int:
+    """Return how many coefficients of one phase a window needs per axis."""
+    return side + TAPS_BEYOND // step
+
+
+@compiled_part()
+def _tap(flat: Float32, tap: int, step: int, phase: int, next_one: int) -> Float32:
+    """Return what begins with a tap of the first pixel; `flat` holds `phase` numbers of each phase."""
+    return flat[tap % step * phase + tap // step * next_one :]
 
 
 @compiled_part(fastmath=True)
@@ -91,6 +121,7 @@ def sample_shift(
     row: float,
     col: float,
     side: int,
+    step: int,
     width: int,
     coefficients: Float32,
     along: Float32,
@@ -104,21 +135,23 @@ def sample_shift(
     Parameters
     ----------
     plane : (n, m) float32 array
-        Spline coefficients.
+        Spline coefficients, the columns sorted by phase.
     row, col : float
         Array index of the first pixel of the window.
-    side, width : int
-        Side of the window; numbers in a row of a flat window.
-    coefficients, along, along_slope : ((side + 3) * width,) float32 arrays
+    side, step, width : int
+        Pixels along a side of the window; their distance, px; numbers in a row of a flat window.
+    coefficients : (step² * (side + 3) * width,) float32 array
+        Scratch memory.
+    along, along_slope : (step * (side + 3) * width,) float32 arrays
         Scratch memory.
     value, slope_x, slope_y : (side * width,) float32 arrays
         Filled with the values and their derivatives by column and row, per px.
     """
-    if not _load_coefficients(plane, row, col, side, width, coefficients):
+    if not _load_coefficients(plane, row, col, side, step, width, coefficients):
         return False
-    n = (side + TAPS_BEYOND) * width
-    _across(coefficients, _fraction(col), n, along, along_slope)
-    _down(along, along_slope, _fraction(row), width, side * width, value, slope_x, slope_y)
+    phase = _taps(side, step) * width
+    _across(coefficients, step, _fraction(col), step * phase, along, along_slope)
+    _down(along, along_slope, step, _fraction(row), phase, width, side * width, value, slope_x, slope_y)
     return True
 
 
@@ -128,6 +161,7 @@ def sample_values(
     row: float,
     col: float,
     side: int,
+    step: int,
     width: int,
     coefficients: Float32,
     along: Float32,
@@ -138,34 +172,43 @@ def sample_values(
     Parameters
     ----------
     plane : (n, m) float32 array
-        Spline coefficients.
-    row, col, side, width
+        Spline coefficients, the columns sorted by phase.
+    row, col, side, step, width, coefficients, along
         See `sample_shift`.
-    coefficients, along : ((side + 3) * width,) float32 arrays
-        Scratch memory.
     value : (side * width,) float32 array
         Filled with the values.
     """
-    if not _load_coefficients(plane, row, col, side, width, coefficients):
+    if not _load_coefficients(plane, row, col, side, step, width, coefficients):
         return False
-    w0, w1, w2, w3 = _spline(_fraction(col))
-    for i in range((side + TAPS_BEYOND) * width):
-        a0, a1, a2, a3 = coefficients[i], coefficients[i + 1], coefficients[i + 2], coefficients[i + 3]
-        along[i] = w0 * a0 + w1 * a1 + w2 * a2 + w3 * a3
-    w0, w1, w2, w3 = _spline(_fraction(row))
-    along_1, along_2, along_3 = along[width:], along[2 * width :], along[3 * width :]
-    for i in range(side * width):
-        value[i] = w0 * along[i] + w1 * along_1[i] + w2 * along_2[i] + w3 * along_3[i]
+    phase = _taps(side, step) * width
+    _combine(coefficients, step, step * phase, 1, _fraction(col), step * phase, along)
+    _combine(along, step, phase, width, _fraction(row), side * width, value)
     return True
 
 
 @compiled_part(fastmath=True)
-def _across(coefficients: Float32, t: np.float32, n: int, along: Float32, along_slope: Float32) -> None:
+def _combine(
+    flat: Float32, step: int, phase: int, next_one: int, t: np.float32, n: int, out: Float32
+) -> None:
+    """Interpolate along one axis: the values alone."""
+    w0, w1, w2, w3 = _spline(t)
+    first, second = _tap(flat, 0, step, phase, next_one), _tap(flat, 1, step, phase, next_one)
+    third, fourth = _tap(flat, 2, step, phase, next_one), _tap(flat, 3, step, phase, next_one)
+    for i in range(n):
+        out[i] = w0 * first[i] + w1 * second[i] + w2 * third[i] + w3 * fourth[i]
+
+
+@compiled_part(fastmath=True)
+def _across(
+    coefficients: Float32, step: int, t: np.float32, n: int, along: Float32, along_slope: Float32
+) -> None:
     """Interpolate along the rows: value and derivative."""
     w0, w1, w2, w3 = _spline(t)
     d0, d1, d2, d3 = _spline_slope(t)
+    first, second = _tap(coefficients, 0, step, n, 1), _tap(coefficients, 1, step, n, 1)
+    third, fourth = _tap(coefficients, 2, step, n, 1), _tap(coefficients, 3, step, n, 1)
     for i in range(n):
-        a0, a1, a2, a3 = coefficients[i], coefficients[i + 1], coefficients[i + 2], coefficients[i + 3]
+        a0, a1, a2, a3 = first[i], second[i], third[i], fourth[i]
         along[i] = w0 * a0 + w1 * a1 + w2 * a2 + w3 * a3
         along_slope[i] = d0 * a0 + d1 * a1 + d2 * a2 + d3 * a3
 
@@ -174,7 +217,9 @@ def _across(coefficients: Float32, t: np.float32, n: int, along: Float32, along_
 def _down(
     along: Float32,
     along_slope: Float32,
+    step: int,
     t: np.float32,
+    phase: int,
     width: int,
     n: int,
     value: Float32,
@@ -184,13 +229,15 @@ def _down(
     """Interpolate the results of `_across` along the columns."""
     w0, w1, w2, w3 = _spline(t)
     d0, d1, d2, d3 = _spline_slope(t)
-    along_1, along_2, along_3 = along[width:], along[2 * width :], along[3 * width :]
-    slope_1, slope_2, slope_3 = along_slope[width:], along_slope[2 * width :], along_slope[3 * width :]
+    first, second = _tap(along, 0, step, phase, width), _tap(along, 1, step, phase, width)
+    third, fourth = _tap(along, 2, step, phase, width), _tap(along, 3, step, phase, width)
+    slope_1, slope_2 = _tap(along_slope, 0, step, phase, width), _tap(along_slope, 1, step, phase, width)
+    slope_3, slope_4 = _tap(along_slope, 2, step, phase, width), _tap(along_slope, 3, step, phase, width)
     for i in range(n):
-        a0, a1, a2, a3 = along[i], along_1[i], along_2[i], along_3[i]
+        a0, a1, a2, a3 = first[i], second[i], third[i], fourth[i]
         value[i] = w0 * a0 + w1 * a1 + w2 * a2 + w3 * a3
         slope_y[i] = d0 * a0 + d1 * a1 + d2 * a2 + d3 * a3
-        slope_x[i] = w0 * along_slope[i] + w1 * slope_1[i] + w2 * slope_2[i] + w3 * slope_3[i]
+        slope_x[i] = w0 * slope_1[i] + w1 * slope_2[i] + w2 * slope_3[i] + w3 * slope_4[i]
 
 
 @compiled_part(fastmath=True)
@@ -200,6 +247,7 @@ def sample_deformed(
     col: float,
     linear: Float64,
     side: int,
+    step: int,
     width: int,
     steps: Float32,
     value: Float32,
@@ -208,46 +256,50 @@ def sample_deformed(
 ) -> bool:
     """Sample a spline and its gradient on a deformed window; return False if the window leaves the plane.
 
-    Along a row of the window the four by four coefficients advance by one column per pixel, except in a few
-    places: each run between two of them is one loop.
+    Along a row of the window the four by four coefficients advance by `step` columns per pixel, except in a
+    few places: each run between two of them is one loop.
 
     Parameters
     ----------
     plane : (n, m) float32 array
-        Spline coefficients.
+        Spline coefficients, the columns sorted by phase.
     row, col : float
         Array index of the centre of the window.
     linear : (2, 2) array
         Deformation (component, by x and y), px per px.
-    side, width : int
-        Side of the window; numbers in a row of a flat window.
+    side, step, width : int
+        See `sample_shift`.
     steps : (width,) float32 array
         0, 1, 2, …
     value, slope_x, slope_y : (side * width,) float32 arrays
         Filled with the values and their derivatives by column and row, per px.
     """
     half = side // 2
+    x_by_x, y_by_x = step * linear[0, 0], step * linear[1, 0]
     for r in range(side):
-        x0 = col - half * (1.0 + linear[0, 0]) + (r - half) * linear[0, 1]
-        y0 = row - half * linear[1, 0] + (r - half) * (1.0 + linear[1, 1])
+        x0 = col - half * (step + x_by_x) + (r - half) * step * linear[0, 1]
+        y0 = row - half * y_by_x + (r - half) * step * (1.0 + linear[1, 1])
         c = 0
         while c < side:
-            x, y = x0 + c * (1.0 + linear[0, 0]), y0 + c * linear[1, 0]
+            x, y = x0 + c * (step + x_by_x), y0 + c * y_by_x
             row0, col0 = int(np.floor(y)), int(np.floor(x))
-            run = min(side - c, _run(x - col0, linear[0, 0]), _run(y - row0, linear[1, 0]))
-            if row0 < 1 or col0 < 1 or row0 + 3 > plane.shape[0] or col0 + run + 2 > plane.shape[1]:
+            run = min(side - c, _run(x - col0, x_by_x), _run(y - row0, y_by_x))
+            last = col0 + step * (run - 1)
+            if row0 < 1 or col0 < 1 or row0 + 3 > plane.shape[0] or last + 3 > plane.shape[1]:
                 return False
+            first, second = _column(plane, col0 - 1, step), _column(plane, col0, step)
+            third, fourth = _column(plane, col0 + 1, step), _column(plane, col0 + 2, step)
             # whole vectors where the plane is wide enough: the excess is overwritten by the next run
-            vectors = min(-(-run // LANES) * LANES, plane.shape[1] - 2 - col0)
+            vectors = min(-(-run // LANES) * LANES, plane.shape[1] - max(third, fourth))
             begin = r * width + c
             _sample_run(
                 plane,
                 row0 - 1,
-                col0 - 1,
+                (np.uintp(first), np.uintp(second), np.uintp(third), np.uintp(fourth)),
                 np.float32(x - col0),
                 np.float32(y - row0),
-                np.float32(linear[0, 0]),
-                np.float32(linear[1, 0]),
+                np.float32(x_by_x),
+                np.float32(y_by_x),
                 max(run, vectors),
                 steps,
                 begin,
@@ -273,7 +325,7 @@ def _run(t: float, step: float) -> int:
 def _sample_run(
     plane: Float32,
     row: int,
-    col: int,
+    columns: Columns,
     tx: np.float32,
     ty: np.float32,
     step_x: np.float32,
@@ -285,15 +337,15 @@ def _sample_run(
     slope_x: Float32,
     slope_y: Float32,
 ) -> None:
-    """Sample pixels whose coefficients begin at row, col and advance by one column per pixel."""
+    """Sample pixels whose coefficients begin at a row and four columns, and advance by one number a pixel."""
     first, second, third, fourth = np.uintp(row), np.uintp(row + 1), np.uintp(row + 2), np.uintp(row + 3)
     for i in range(run):
         x, y = tx + steps[i] * step_x, ty + steps[i] * step_y
         w, d = _spline(x), _spline_slope(x)
-        v0, s0 = _interpolate(plane, first, np.uintp(col + i), w, d)
-        v1, s1 = _interpolate(plane, second, np.uintp(col + i), w, d)
-        v2, s2 = _interpolate(plane, third, np.uintp(col + i), w, d)
-        v3, s3 = _interpolate(plane, fourth, np.uintp(col + i), w, d)
+        v0, s0 = _interpolate(plane, first, columns, np.uintp(i), w, d)
+        v1, s1 = _interpolate(plane, second, columns, np.uintp(i), w, d)
+        v2, s2 = _interpolate(plane, third, columns, np.uintp(i), w, d)
+        v3, s3 = _interpolate(plane, fourth, columns, np.uintp(i), w, d)
         w, d = _spline(y), _spline_slope(y)
         out = np.uintp(begin + i)
         value[out] = w[0] * v0 + w[1] * v1 + w[2] * v2 + w[3] * v3
@@ -303,11 +355,11 @@ def _sample_run(
 
 @compiled_part(fastmath=True, inline=True)
 def _interpolate(
-    plane: Float32, row: np.uintp, col: np.uintp, weights: Taps, slopes: Taps
+    plane: Float32, row: np.uintp, columns: Columns, i: np.uintp, weights: Taps, slopes: Taps
 ) -> tuple[np.float32, np.float32]:
     """Return value and derivative along a row of coefficients."""
-    a0, a1 = plane[row, col], plane[row, col + _NEXT]
-    a2, a3 = plane[row, col + _NEXT + _NEXT], plane[row, col + _NEXT + _NEXT + _NEXT]
+    a0, a1 = plane[row, columns[0] + i], plane[row, columns[1] + i]
+    a2, a3 = plane[row, columns[2] + i], plane[row, columns[3] + i]
     value = weights[0] * a0 + weights[1] * a1 + weights[2] * a2 + weights[3] * a3
     slope = slopes[0] * a0 + slopes[1] * a1 + slopes[2] * a2 + slopes[3] * a3
     return value, slope

@@ -67,6 +67,9 @@ class Options(NamedTuple):
     """Settings of the refinement; see `refinement.refine`."""
 
     half: int
+    """Half side of the window, in pixels that are `step` apart."""
+    step: int
+    """1 for all pixels of the window, 2 for every second one of its rows and columns."""
     correlation_half: int
     width: int
     """Number of values in a row of a flat window, padding included."""
@@ -152,10 +155,11 @@ def make_workspace(channels: int, options: Options) -> Workspace:
     def stack(many: int) -> Float32:
         return np.zeros((many, side * options.width), np.float32)
 
+    taps = extended + TAPS_BEYOND
     return Workspace(
-        coefficients=flat(extended + TAPS_BEYOND),
-        along=flat(extended + TAPS_BEYOND),
-        along_slope=flat(extended + TAPS_BEYOND),
+        coefficients=flat(taps * options.step**2),
+        along=flat(taps * options.step),
+        along_slope=flat(taps * options.step),
         value=flat(extended),
         slope_x=flat(extended),
         slope_y=flat(extended),
