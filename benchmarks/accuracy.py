@@ -29,6 +29,7 @@ from benchmarks.studies.jitter import jitter
 from benchmarks.studies.metrology import metrology
 from benchmarks.studies.models import models
 from benchmarks.studies.paper import paper
+from benchmarks.studies.pointwise import pointwise
 from benchmarks.studies.pose import PARTS, pose
 from benchmarks.studies.quality import QUALITY_PARTS, quality
 from benchmarks.studies.refusal import refusal
@@ -50,6 +51,7 @@ STUDIES: dict[str, Study] = {
     "paper": paper,
     "robustness": robustness,
     "difference": difference,
+    "pointwise": pointwise,
     "metrology": metrology,
     "field": displacement_field,
     "sigma": sigma,

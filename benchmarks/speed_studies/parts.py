@@ -45,7 +45,7 @@ def bare_scene_bank(pair: ScenePair) -> Cost:
     views = plan_views(describe(pair.reference), describe(pair.target))
     tiles = plan(views, read_overviews(views), (0, 0), ALL_POINTS, Settings(points="all")).first
     sizes = Counter(tuple(map(fast_even, tile.read_window.shape)) for tile in tiles)
-    costs = cheapest([partial(_inverse_transforms, size) for size in sizes], 2)
+    costs = cheapest([partial(inverse_transforms, size) for size in sizes], 2)
     counts = [2 * count for count in sizes.values()]
     return Cost(
         sum(cost.cpu_s * count for cost, count in zip(costs, counts, strict=True)),
@@ -53,7 +53,8 @@ def bare_scene_bank(pair: ScenePair) -> Cost:
     )
 
 
-def _inverse_transforms(shape: tuple[int, int]) -> None:
+def inverse_transforms(shape: tuple[int, int]) -> None:
+    """Do the inverse FFTs of a filter bank: complex64, one worker, in place."""
     spectrum = np.ones(shape, np.complex64)
     for _ in range(SCALES * ORIENTATIONS):
         scipy.fft.ifft2(spectrum, norm="ortho", workers=1, overwrite_x=True)
@@ -99,7 +100,7 @@ def _corners(pair: PreparedPair, count: int) -> NDArray[np.intp]:
 def small_pair(pair: ScenePair, side_px: int, features: int, repeats: int) -> Cost:
     """Return the cost of registering a small pair, files to files, without start-up."""
     with tempfile.TemporaryDirectory(prefix="pcwlad-geo-bench-") as folder:
-        crops = [_crop(path, Path(folder), side_px) for path in (pair.reference, pair.target)]
+        crops = [crop(path, Path(folder), side_px) for path in (pair.reference, pair.target)]
         out = Path(folder) / "out"
 
         def work() -> None:
@@ -114,10 +115,17 @@ def _read(path: Path, side_px: int) -> NDArray[np.float32]:
     return image
 
 
-def _crop(path: Path, folder: Path, side_px: int) -> Path:
+def crop(path: Path, folder: Path, side_px: int, begin_px: int = 0, *, placed: bool = True) -> Path:
+    """Write a square part of a raster, which begins so many rows and columns in, and return its path.
+
+    It keeps its georeferencing, which is that of the first pixel, unless it is not `placed`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
     out = folder / path.name
     with rasterio.open(path) as file:
         profile = file.profile | {"width": side_px, "height": side_px}
-        with rasterio.open(out, "w", **profile) as crop:
-            crop.write(file.read(1, window=Window(0, 0, side_px, side_px)), 1)
+        if not placed:
+            profile |= {"crs": None, "transform": None}
+        with rasterio.open(out, "w", **profile) as part:
+            part.write(file.read(1, window=Window(begin_px, begin_px, side_px, side_px)), 1)
     return out
