@@ -8,7 +8,6 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from scipy.optimize import nnls
 
 from pcwlad_geo.matching import field
 from pcwlad_geo.matching.outliers import MIN_NARROW_PX, NARROW_PX, SCATTERS
@@ -312,6 +311,8 @@ def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> Window
     variance = np.median((difference**2).sum(axis=2), axis=1) / MEDIAN_CHI_SQUARE_2
     design = np.stack([-np.diff(sides**-NOISE_POWER), np.diff(sides**2) ** 2], axis=1)
     scale = design.max(axis=0)
+    from scipy.optimize import nnls  # slow to load, and needed only by many tie points
+
     noise, bend = nnls(design / scale, variance)[0] / scale
     return WindowErrors(float(noise), float(bend), int(known.sum()))
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from pcwlad_geo.matching.kernels import steps as state
-from pcwlad_geo.matching.kernels.refinement import refine_points
+from pcwlad_geo.matching.kernels.refinement import PARTS, refine_points
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 POLE: Final = float(np.sqrt(3.0)) - 2.0
@@ -186,7 +186,7 @@ def refine(
         np.require(target.valid, np.bool_, ("C", "W")),
     )
     work = state.make_workspace(len(reference.maps), options)
-    refine_points(images, _starts(corners_rc, start), options, work, results)
+    refine_points(images, _starts(corners_rc, start), options, work, results, PARTS)
     return Refined(results.shift_xy, results.linear, results.covariance, results.status == state.CONVERGED)
 
 

@@ -5,11 +5,12 @@ One point at a time, all channels.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple, get_type_hints
 
 import numpy as np
+from numba import typeof, types
 
-from pcwlad_geo.matching.kernels.compiled import compiled, compiled_part
+from pcwlad_geo.matching.kernels.compiled import Apart, compiled, compiled_apart, compiled_part
 from pcwlad_geo.matching.kernels.equations import (
     SIGMA_PER_MEAN_DEVIATION,
     add_block_scores,
@@ -47,11 +48,21 @@ from pcwlad_geo.matching.kernels.steps import (
     invert,
     is_determined,
     learn_slopes,
+    make_workspace,
     move,
     plain_step,
     sandwich,
 )
 from pcwlad_geo.types import Float32, Float64
+
+
+class Parts(NamedTuple):
+    """What `refine_points` calls by address for every channel: fewer lines are compiled at a time."""
+
+    load: Apart
+    correlate: Apart
+    add_channel: Apart
+
 
 NEAR_PX: Final = 0.1
 """Length below which the last move but one must be, as a single short move may be chance."""
@@ -59,11 +70,12 @@ NEAR_PX: Final = 0.1
 
 @compiled()
 def refine_points(
-    images: Images, starts: Starts, options: Options, work: Workspace, results: Results
+    images: Images, starts: Starts, options: Options, work: Workspace, results: Results, parts: Parts
 ) -> None:
     """Refine every corner of `starts` on the maps of `images` and fill `results`; `work` is scratch memory.
 
-    Points whose window is not usable keep zeros and the status `INVALID`. `options` are the settings.
+    Points whose window is not usable keep zeros and the status `INVALID`. `options` are the settings;
+    `parts` are `PARTS`.
     """
     reach = options.half + options.correlation_half
     for p in range(starts.corners_rc.shape[0]):
@@ -77,7 +89,7 @@ def refine_points(
             continue
         if options.structure_mode == STRUCTURE_NONE or options.structure_mode == STRUCTURE_GIVEN:
             _set_structure(starts, p, options, work)
-        results.status[p] = _refine_point(images, starts, p, options, work, results)
+        results.status[p] = _refine_point(images, starts, p, options, work, results, parts)
 
 
 @compiled_part()
@@ -100,10 +112,21 @@ def _valid_share(
     return float(good / (side * side))
 
 
-@compiled_part(inline=True)
+_FLAT, _PLANE, _NUMBERS, _MATRIX = (
+    types.float32[::1],
+    types.float32[:, ::1],
+    types.float64[::1],
+    types.float64[:, ::1],
+)
+_FLAG, _INT = types.boolean, types.int64
+
+
+@compiled_apart(
+    _FLAG(_PLANE, _PLANE, _INT, _INT, _NUMBERS, _MATRIX, *3 * (_FLAG,), _INT, _INT, *8 * (_FLAT,))
+)
 def _load(
-    images: Images,
-    channel: int,
+    plane: Float32,
+    image: Float32,
     row: int,
     col: int,
     shift: Float64,
@@ -111,62 +134,67 @@ def _load(
     deformed: bool,
     first: bool,
     looks: bool,
-    options: Options,
-    work: Workspace,
+    reach: int,
+    width: int,
+    coefficients: Float32,
+    along: Float32,
+    along_slope: Float32,
+    steps: Float32,
+    reference: Float32,
+    value: Float32,
+    slope_x: Float32,
+    slope_y: Float32,
 ) -> bool:
     """Sample the target's extended window; return False if it leaves the image.
 
     The gradient is sampled too unless `looks`, that is, unless only the mutual structure is computed. The
     window of the reference, which stays the same, is copied at the first call.
     """
-    reach = options.half + options.correlation_half
     side = 2 * reach + 1
-    plane = images.coefficients[channel]
     if first:
-        reference = images.reference[channel]
-        load_window(reference, row - reach, col - reach, side, side, options.width, work.reference[channel])
+        load_window(image, row - reach, col - reach, side, side, width, reference)
     if deformed:
-        return bool(
-            sample_deformed(
-                plane,
-                row + shift[1],
-                col + shift[0],
-                linear,
-                side,
-                options.width,
-                work.steps,
-                work.value,
-                work.slope_x,
-                work.slope_y,
-            )
-        )
+        y, x = row + shift[1], col + shift[0]
+        return bool(sample_deformed(plane, y, x, linear, side, width, steps, value, slope_x, slope_y))
     top, left = row - reach + shift[1], col - reach + shift[0]
-    coefficients, along = work.coefficients, work.along
     if looks:
-        return bool(sample_values(plane, top, left, side, options.width, coefficients, along, work.value))
-    sampled = (work.along_slope, work.value, work.slope_x, work.slope_y)
-    return bool(sample_shift(plane, top, left, side, options.width, coefficients, along, *sampled))
+        return bool(sample_values(plane, top, left, side, width, coefficients, along, value))
+    sampled = along_slope, value, slope_x, slope_y
+    return bool(sample_shift(plane, top, left, side, width, coefficients, along, *sampled))
 
 
-@compiled_part(inline=True)
-def _correlate(channel: int, first: bool, options: Options, work: Workspace) -> None:
+@compiled_apart(types.void(_FLAG, _INT, _INT, _INT, *11 * (_FLAT,)))
+def _correlate(
+    first: bool,
+    half: int,
+    correlation_half: int,
+    width: int,
+    reference: Float32,
+    value: Float32,
+    columns: Float32,
+    sum_1: Float32,
+    sum_11: Float32,
+    sum_12: Float32,
+    means: Float32,
+    mean: Float32,
+    precision: Float32,
+    valid: Float32,
+    structure: Float32,
+) -> None:
     """Fill the mutual structure of a channel: the squared positive local correlation of both windows.
 
     The local mean and precision of the reference stay the same and are computed at the first call.
     """
-    size = 2 * options.correlation_half + 1
-    side = 2 * options.half + 1
-    n = side * options.width
-    reference = work.reference[channel]
-    how = side + size - 1, options.width, size, work.columns
-    sums = work.sum_1, work.sum_11, work.sum_12
+    size = 2 * correlation_half + 1
+    side = 2 * half + 1
+    n = side * width
+    how = side + size - 1, width, size, columns
+    sums = sum_1, sum_11, sum_12
     if first:
         column_sums(reference, reference, *how, *sums)
-        mean, precision = work.mean[channel], work.precision[channel]
-        local_moments(work.sum_1, work.sum_11, n, size, work.means, mean, precision)
-    column_sums(work.value, reference, *how, *sums)
-    known = work.mean[channel], work.precision[channel], work.valid
-    correlate(*sums, *known, work.structure[channel], n, size, work.means)
+        local_moments(sum_1, sum_11, n, size, means, mean, precision)
+    column_sums(value, reference, *how, *sums)
+    correlate(*sums, mean, precision, valid, structure, n, size, means)
 
 
 @compiled_part(inline=True)
@@ -185,10 +213,17 @@ def _set_structure(starts: Starts, p: int, options: Options, work: Workspace) ->
 
 @compiled_part(inline=True)
 def _refine_point(
-    images: Images, starts: Starts, p: int, options: Options, work: Workspace, results: Results
+    images: Images,
+    starts: Starts,
+    p: int,
+    options: Options,
+    work: Workspace,
+    results: Results,
+    parts: Parts,
 ) -> int:
     """Iterate until the shift converges; the last equations give the covariance. Return the status."""
     row, col = starts.corners_rc[p]
+    half, correlation_half, width = options.half, options.correlation_half, options.width
     deformed = options.affine or _any(starts.linear[p])
     shift, linear = results.shift_xy[p], results.linear[p]
     for axis in range(2):
@@ -210,12 +245,53 @@ def _refine_point(
         work.total_right[:] = 0.0
         work.scores[:] = 0.0
         for k in range(images.reference.shape[0]):
-            if not _load(images, k, row, col, place, linear, deformed, first, looks, options, work):
+            window = work.reference[k], work.value, work.slope_x, work.slope_y
+            structure = work.structure[k]
+            if not parts.load(
+                images.coefficients[k],
+                images.reference[k],
+                row,
+                col,
+                place,
+                linear,
+                deformed,
+                first,
+                looks,
+                half + correlation_half,
+                width,
+                work.coefficients,
+                work.along,
+                work.along_slope,
+                work.steps,
+                *window,
+            ):
                 return DIVERGED
             if correlates:
-                _correlate(k, first, options, work)
+                sums = work.columns, work.sum_1, work.sum_11, work.sum_12, work.means
+                known = work.mean[k], work.precision[k], work.valid
+                parts.correlate(first, half, correlation_half, width, *window[:2], *sums, *known, structure)
             if not looks:
-                _add_channel(k, near, options, work)
+                # a single map may be inverted as a whole; an inverted one of several shows other structure
+                inverted_too = work.structure.shape[0] == 1
+                parts.add_channel(
+                    near,
+                    inverted_too,
+                    options.robust,
+                    half,
+                    correlation_half,
+                    width,
+                    options.blocks,
+                    *window,
+                    structure,
+                    work.weight,
+                    work.columns,
+                    work.monomials,
+                    work.moments,
+                    work.fit,
+                    work.total,
+                    work.total_right,
+                    work.scores,
+                )
         if looks:
             continue
         if not invert(work.total):
@@ -239,37 +315,55 @@ def _refine_point(
     return NOT_CONVERGED
 
 
-@compiled_part(inline=True)
-def _add_channel(channel: int, scored: bool, options: Options, work: Workspace) -> None:
+@compiled_apart(
+    types.void(*3 * (_FLAG,), *4 * (_INT,), *7 * (_FLAT,), _PLANE, *3 * (_MATRIX,), _NUMBERS, _MATRIX)
+)
+def _add_channel(
+    scored: bool,
+    inverted_too: bool,
+    robust: bool,
+    half: int,
+    correlation_half: int,
+    width: int,
+    blocks: int,
+    reference: Float32,
+    value: Float32,
+    slope_x: Float32,
+    slope_y: Float32,
+    structure: Float32,
+    product: Float32,
+    columns: Float32,
+    monomials: Float32,
+    moments: Float64,
+    fit: Float64,
+    total: Float64,
+    total_right: Float64,
+    scores: Float64,
+) -> None:
     """Add the equations and the scores of a channel, unless its window is flat."""
-    structure = work.structure[channel]
-    # a single map may be inverted as a whole; an inverted channel of several shows other structure
-    inverted_too = work.structure.shape[0] == 1
-    side, width = 2 * options.half + 1, options.width
+    side = 2 * half + 1
     n = side * width
-    first = options.correlation_half * (width + 1)
-    value, reference = work.value[first:], work.reference[channel, first:]
-    slope_x, slope_y = work.slope_x[first:], work.slope_y[first:]
+    first = correlation_half * (width + 1)
+    value, reference = value[first:], reference[first:]
+    slope_x, slope_y = slope_x[first:], slope_y[first:]
     h0, h1, known = fit_gain(structure, value, reference, n)
     if known <= 0.0:
         return
     offset, gain, per_sigma = np.float32(h0), np.float32(h1), np.float32(0.0)
-    if options.robust:
+    if robust:
         deviation = sum_of_deviations(structure, value, reference, offset, gain, n) / known
         per_sigma = np.float32(1.0 / max(SIGMA_PER_MEAN_DEVIATION * deviation, 1e-9))
     window = value, reference, slope_x, slope_y, offset, gain, per_sigma
-    for k in range(work.moments.shape[0]):
+    for k in range(moments.shape[0]):
         weight = structure
         if k > 0:
-            weight = work.weight
-            _multiply(structure, work.monomials[k - 1], n, weight)
-        weighted_moments(weight, *window, n, work.moments[k])
-    refitted, variance = add_equations(
-        work.moments, float(gain), inverted_too, work.total, work.total_right, work.fit
-    )
+            weight = product
+            _multiply(structure, monomials[k - 1], n, weight)
+        weighted_moments(weight, *window, n, moments[k])
+    refitted, variance = add_equations(moments, float(gain), inverted_too, total, total_right, fit)
     if variance > 0.0 and scored:
-        lattice = side, width, options.blocks, work.columns
-        add_block_scores(structure, *window, work.fit, refitted / variance, *lattice, work.scores)
+        lattice = side, width, blocks, columns
+        add_block_scores(structure, *window, fit, refitted / variance, *lattice, scores)
 
 
 @compiled_part(fastmath=True)
@@ -281,3 +375,18 @@ def _multiply(first: Float32, second: Float32, n: int, out: Float32) -> None:
 @compiled_part()
 def _any(linear: Float64) -> bool:
     return bool(linear[0, 0] != 0.0 or linear[0, 1] != 0.0 or linear[1, 0] != 0.0 or linear[1, 1] != 0.0)
+
+
+PARTS: Final = Parts(_load, _correlate, _add_channel)
+"""The last argument of `refine_points`."""
+
+
+def compile_refinement() -> None:
+    """Compile `refine_points` or load it, without its `PARTS`."""
+    options = Options(*(kind() for kind in get_type_hints(Options).values()))
+    plane, valid, none = np.zeros((1, 1, 1), np.float32), np.zeros((1, 1), bool), np.zeros((0, 2))
+    linear, whole = np.zeros((0, 2, 2)), np.zeros(0, np.int64)
+    images, starts = Images(plane, plane, valid, valid), Starts(whole[:, None], none, linear, none, plane)
+    results = Results(none, linear, linear, whole)
+    arguments = images, starts, options, make_workspace(1, options), results, PARTS
+    refine_points.compile(tuple(map(typeof, arguments)))  # type: ignore[attr-defined]
