@@ -4,7 +4,8 @@ A kernel that Python calls is `compiled`: it is cached beside the package or in 
 that the next start does not compile it. A function that only kernels call is a `compiled_part`, which is
 never cached by itself: it is always inlined into its kernel. A call that was not inlined would run the part's
 own machine code where the process has compiled both, and the kernel's copy of it where the kernel was cached;
-with fastmath the two round differently.
+with fastmath the two round differently. A large part is `compiled_apart` instead: it is called by address, so
+that there is one machine code of it, compiled once, and cached by itself.
 
 Numba compiles a kernel again when its own file has changed, not when a part in another file has: who works on
 the parts removes `__pycache__`, as the tests do at their start. Nothing here fails where no folder can be

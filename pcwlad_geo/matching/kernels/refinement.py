@@ -5,7 +5,7 @@ One point at a time, all channels.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple, get_type_hints
+from typing import Any, Final, NamedTuple, get_type_hints
 
 import numpy as np
 from numba import typeof, types
@@ -112,18 +112,18 @@ def _valid_share(
     return float(good / (side * side))
 
 
-_FLAT, _PLANE, _NUMBERS, _MATRIX = (
-    types.float32[::1],
-    types.float32[:, ::1],
-    types.float64[::1],
-    types.float64[:, ::1],
-)
-_FLAG, _INT = types.boolean, types.int64
+NO_OPTIONS: Final = Options(*(kind() for kind in get_type_hints(Options).values()))
+"""All 0: their types are what counts."""
+_FLAG, _INT, _OPTIONS = types.boolean, types.int64, typeof(NO_OPTIONS)  # type: ignore[no-untyped-call]
+_FLAT, _PLANE = types.float32[::1], types.float32[:, ::1]
+_NUMBERS, _MATRIX = types.float64[::1], types.float64[:, ::1]
+_several: Any = types.Tuple
+_FLATS_3, _FLATS_4, _MATRICES = _several(3 * (_FLAT,)), _several(4 * (_FLAT,)), _several(4 * (_MATRIX,))
+_PLACE = _PLANE, _PLANE, _INT, _INT, _NUMBERS, _MATRIX, _FLAG, _FLAG, _FLAG
+Flats = tuple[Float32, ...]
 
 
-@compiled_apart(
-    _FLAG(_PLANE, _PLANE, _INT, _INT, _NUMBERS, _MATRIX, *3 * (_FLAG,), _INT, _INT, *8 * (_FLAT,))
-)
+@compiled_apart(_FLAG(*_PLACE, _OPTIONS, _FLATS_4, _FLATS_4))
 def _load(
     plane: Float32,
     image: Float32,
@@ -134,67 +134,54 @@ def _load(
     deformed: bool,
     first: bool,
     looks: bool,
-    reach: int,
-    width: int,
-    coefficients: Float32,
-    along: Float32,
-    along_slope: Float32,
-    steps: Float32,
-    reference: Float32,
-    value: Float32,
-    slope_x: Float32,
-    slope_y: Float32,
+    options: Options,
+    scratch: Flats,
+    window: Flats,
 ) -> bool:
     """Sample the target's extended window; return False if it leaves the image.
 
     The gradient is sampled too unless `looks`, that is, unless only the mutual structure is computed. The
     window of the reference, which stays the same, is copied at the first call.
     """
+    coefficients, along, along_slope, steps = scratch
+    width, reach = options.width, options.half + options.correlation_half
     side = 2 * reach + 1
     if first:
-        load_window(image, row - reach, col - reach, side, side, width, reference)
+        load_window(image, row - reach, col - reach, side, side, width, window[0])
     if deformed:
         y, x = row + shift[1], col + shift[0]
-        return bool(sample_deformed(plane, y, x, linear, side, width, steps, value, slope_x, slope_y))
+        return bool(sample_deformed(plane, y, x, linear, side, width, steps, *window[1:]))
     top, left = row - reach + shift[1], col - reach + shift[0]
     if looks:
-        return bool(sample_values(plane, top, left, side, width, coefficients, along, value))
-    sampled = along_slope, value, slope_x, slope_y
-    return bool(sample_shift(plane, top, left, side, width, coefficients, along, *sampled))
+        return bool(sample_values(plane, top, left, side, width, coefficients, along, window[1]))
+    return bool(sample_shift(plane, top, left, side, width, coefficients, along, along_slope, *window[1:]))
 
 
-@compiled_apart(types.void(_FLAG, _INT, _INT, _INT, *11 * (_FLAT,)))
+@compiled_apart(types.void(_FLAG, _OPTIONS, _FLAT, _FLAT, _FLAT, _FLATS_4, _FLATS_4))
 def _correlate(
     first: bool,
-    half: int,
-    correlation_half: int,
-    width: int,
-    reference: Float32,
+    options: Options,
     value: Float32,
+    reference: Float32,
     columns: Float32,
-    sum_1: Float32,
-    sum_11: Float32,
-    sum_12: Float32,
-    means: Float32,
-    mean: Float32,
-    precision: Float32,
-    valid: Float32,
-    structure: Float32,
+    sums: Flats,
+    known: Flats,
 ) -> None:
     """Fill the mutual structure of a channel: the squared positive local correlation of both windows.
 
     The local mean and precision of the reference stay the same and are computed at the first call.
     """
-    size = 2 * correlation_half + 1
-    side = 2 * half + 1
-    n = side * width
-    how = side + size - 1, width, size, columns
-    sums = sum_1, sum_11, sum_12
+    sum_1, sum_11, sum_12, means = sums
+    mean, precision, valid, structure = known
+    size = 2 * options.correlation_half + 1
+    side = 2 * options.half + 1
+    n = side * options.width
+    how = side + size - 1, options.width, size, columns
     if first:
-        column_sums(reference, reference, *how, *sums)
+        column_sums(reference, reference, *how, sum_1, sum_11, sum_12)
         local_moments(sum_1, sum_11, n, size, means, mean, precision)
-    column_sums(value, reference, *how, *sums)
-    correlate(*sums, mean, precision, valid, structure, n, size, means)
+    column_sums(value, reference, *how, sum_1, sum_11, sum_12)
+    correlate(sum_1, sum_11, sum_12, mean, precision, valid, structure, n, size, means)
 
 
 @compiled_part(inline=True)
@@ -223,7 +210,6 @@ def _refine_point(
 ) -> int:
     """Iterate until the shift converges; the last equations give the covariance. Return the status."""
     row, col = starts.corners_rc[p]
-    half, correlation_half, width = options.half, options.correlation_half, options.width
     deformed = options.affine or _any(starts.linear[p])
     shift, linear = results.shift_xy[p], results.linear[p]
     for axis in range(2):
@@ -240,58 +226,14 @@ def _refine_point(
         first, looks, before_px = iteration == begin, iteration < 0, length
         near = before_px < NEAR_PX
         place = starts.structure_xy[p] if looks else shift
-        correlates = looks or options.structure_mode == STRUCTURE_FOLLOWS
         work.total[:] = 0.0
         work.total_right[:] = 0.0
         work.scores[:] = 0.0
         for k in range(images.reference.shape[0]):
-            window = work.reference[k], work.value, work.slope_x, work.slope_y
-            structure = work.structure[k]
-            if not parts.load(
-                images.coefficients[k],
-                images.reference[k],
-                row,
-                col,
-                place,
-                linear,
-                deformed,
-                first,
-                looks,
-                half + correlation_half,
-                width,
-                work.coefficients,
-                work.along,
-                work.along_slope,
-                work.steps,
-                *window,
+            if not _measure(
+                images, k, row, col, place, linear, deformed, first, looks, near, options, work, parts
             ):
                 return DIVERGED
-            if correlates:
-                sums = work.columns, work.sum_1, work.sum_11, work.sum_12, work.means
-                known = work.mean[k], work.precision[k], work.valid
-                parts.correlate(first, half, correlation_half, width, *window[:2], *sums, *known, structure)
-            if not looks:
-                # a single map may be inverted as a whole; an inverted one of several shows other structure
-                inverted_too = work.structure.shape[0] == 1
-                parts.add_channel(
-                    near,
-                    inverted_too,
-                    options.robust,
-                    half,
-                    correlation_half,
-                    width,
-                    options.blocks,
-                    *window,
-                    structure,
-                    work.weight,
-                    work.columns,
-                    work.monomials,
-                    work.moments,
-                    work.fit,
-                    work.total,
-                    work.total_right,
-                    work.scores,
-                )
         if looks:
             continue
         if not invert(work.total):
@@ -315,55 +257,81 @@ def _refine_point(
     return NOT_CONVERGED
 
 
-@compiled_apart(
-    types.void(*3 * (_FLAG,), *4 * (_INT,), *7 * (_FLAT,), _PLANE, *3 * (_MATRIX,), _NUMBERS, _MATRIX)
-)
+@compiled_part(inline=True)
+def _measure(
+    images: Images,
+    k: int,
+    row: int,
+    col: int,
+    place: Float64,
+    linear: Float64,
+    deformed: bool,
+    first: bool,
+    looks: bool,
+    near: bool,
+    options: Options,
+    work: Workspace,
+    parts: Parts,
+) -> bool:
+    """Sample a channel and add its equations unless `looks`; return False if it leaves the image."""
+    scratch = work.coefficients, work.along, work.along_slope, work.steps
+    window = work.reference[k], work.value, work.slope_x, work.slope_y
+    planes = images.coefficients[k], images.reference[k]
+    if not parts.load(*planes, row, col, place, linear, deformed, first, looks, options, scratch, window):
+        return False
+    if looks or options.structure_mode == STRUCTURE_FOLLOWS:
+        sums = work.sum_1, work.sum_11, work.sum_12, work.means
+        known = work.mean[k], work.precision[k], work.valid, work.structure[k]
+        parts.correlate(first, options, work.value, work.reference[k], work.columns, sums, known)
+    if not looks:
+        weights = work.structure[k], work.weight, work.columns
+        equations = work.moments, work.fit, work.total, work.scores
+        # a single map may be inverted as a whole; an inverted channel of several shows other structure
+        inverted_too = work.structure.shape[0] == 1
+        parts.add_channel(
+            near, inverted_too, options, window, weights, work.monomials, equations, work.total_right
+        )
+    return True
+
+
+@compiled_apart(types.void(_FLAG, _FLAG, _OPTIONS, _FLATS_4, _FLATS_3, _PLANE, _MATRICES, _NUMBERS))
 def _add_channel(
     scored: bool,
     inverted_too: bool,
-    robust: bool,
-    half: int,
-    correlation_half: int,
-    width: int,
-    blocks: int,
-    reference: Float32,
-    value: Float32,
-    slope_x: Float32,
-    slope_y: Float32,
-    structure: Float32,
-    product: Float32,
-    columns: Float32,
+    options: Options,
+    window: Flats,
+    weights: Flats,
     monomials: Float32,
-    moments: Float64,
-    fit: Float64,
-    total: Float64,
+    equations: tuple[Float64, ...],
     total_right: Float64,
-    scores: Float64,
 ) -> None:
     """Add the equations and the scores of a channel, unless its window is flat."""
-    side = 2 * half + 1
+    structure, product, columns = weights
+    moments, fit, total, scores = equations
+    side, width = 2 * options.half + 1, options.width
     n = side * width
-    first = correlation_half * (width + 1)
+    first = options.correlation_half * (width + 1)
+    reference, value, slope_x, slope_y = window
     value, reference = value[first:], reference[first:]
     slope_x, slope_y = slope_x[first:], slope_y[first:]
     h0, h1, known = fit_gain(structure, value, reference, n)
     if known <= 0.0:
         return
     offset, gain, per_sigma = np.float32(h0), np.float32(h1), np.float32(0.0)
-    if robust:
+    if options.robust:
         deviation = sum_of_deviations(structure, value, reference, offset, gain, n) / known
         per_sigma = np.float32(1.0 / max(SIGMA_PER_MEAN_DEVIATION * deviation, 1e-9))
-    window = value, reference, slope_x, slope_y, offset, gain, per_sigma
+    sampled = value, reference, slope_x, slope_y, offset, gain, per_sigma
     for k in range(moments.shape[0]):
         weight = structure
         if k > 0:
             weight = product
             _multiply(structure, monomials[k - 1], n, weight)
-        weighted_moments(weight, *window, n, moments[k])
+        weighted_moments(weight, *sampled, n, moments[k])
     refitted, variance = add_equations(moments, float(gain), inverted_too, total, total_right, fit)
     if variance > 0.0 and scored:
-        lattice = side, width, blocks, columns
-        add_block_scores(structure, *window, fit, refitted / variance, *lattice, scores)
+        lattice = side, width, options.blocks, columns
+        add_block_scores(structure, *sampled, fit, refitted / variance, *lattice, scores)
 
 
 @compiled_part(fastmath=True)
@@ -383,10 +351,9 @@ PARTS: Final = Parts(_load, _correlate, _add_channel)
 
 def compile_refinement() -> None:
     """Compile `refine_points` or load it, without its `PARTS`."""
-    options = Options(*(kind() for kind in get_type_hints(Options).values()))
     plane, valid, none = np.zeros((1, 1, 1), np.float32), np.zeros((1, 1), bool), np.zeros((0, 2))
     linear, whole = np.zeros((0, 2, 2)), np.zeros(0, np.int64)
     images, starts = Images(plane, plane, valid, valid), Starts(whole[:, None], none, linear, none, plane)
     results = Results(none, linear, linear, whole)
-    arguments = images, starts, options, make_workspace(1, options), results, PARTS
+    arguments = images, starts, NO_OPTIONS, make_workspace(1, NO_OPTIONS), results, PARTS
     refine_points.compile(tuple(map(typeof, arguments)))  # type: ignore[attr-defined]
