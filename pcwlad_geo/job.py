@@ -16,7 +16,6 @@ from pcwlad_geo.errors import InputError, RegistrationRejectedError, Requirement
 from pcwlad_geo.events import Event, EventCallback, Progress, ignore
 from pcwlad_geo.execution.processes import open_runner
 from pcwlad_geo.execution.runner import InThisProcess, Runner
-from pcwlad_geo.matching.kernels.compiled import is_cached
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder, place_file, place_with_files
 from pcwlad_geo.outputs.places import check_outputs
@@ -409,6 +408,7 @@ def _run(job: _Job, executor: Executor | Runner | None, on_event: EventCallback)
     # points of a file leave workers nothing to do
     with open_job_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
         runner.expect(estimate_tile_count(*job.inputs, settings))
+        from pcwlad_geo.matching.kernels.compiled import is_cached
         from pcwlad_geo.matching.kernels.refinement import refine_points
 
         if not is_cached(refine_points):
