@@ -8,7 +8,6 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from scipy.optimize import nnls
 
 from pcwlad_geo.matching import field
 from pcwlad_geo.matching.outliers import MIN_NARROW_PX, NARROW_PX, SCATTERS
@@ -312,8 +311,17 @@ def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> Window
     variance = np.median((difference**2).sum(axis=2), axis=1) / MEDIAN_CHI_SQUARE_2
     design = np.stack([-np.diff(sides**-NOISE_POWER), np.diff(sides**2) ** 2], axis=1)
     scale = design.max(axis=0)
-    noise, bend = nnls(design / scale, variance)[0] / scale
+    noise, bend = _not_negative(design / scale, variance) / scale
     return WindowErrors(float(noise), float(bend), int(known.sum()))
+
+
+def _not_negative(design: Float64, wanted: Float64) -> Float64:
+    """Return the two factors, not negative, of the columns of `design` whose sum is nearest to `wanted`."""
+    both = np.asarray(np.linalg.lstsq(design, wanted)[0], np.float64)
+    if both.min() >= 0.0:
+        return both
+    alone = np.diag(np.maximum(design.T @ wanted, 0.0) / (design**2).sum(axis=0))
+    return np.asarray(alone[((alone @ design.T - wanted) ** 2).sum(axis=1).argmin()])
 
 
 def forward_is_enough(forward_backward_px: Float64, settings: MatchSettings) -> bool:

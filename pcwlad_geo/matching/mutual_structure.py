@@ -21,7 +21,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from pcwlad_geo.matching.coarse import ssim
 from pcwlad_geo.matching.kernels.compiled import compiled, compiled_part
@@ -305,6 +304,8 @@ def _windows(
     reference = pair.reference.maps[0][rows, cols].astype(np.float64)
     dx = linear[:, 0, 0, None, None] * x + linear[:, 0, 1, None, None] * y + shift_xy[:, 0, None, None]
     dy = linear[:, 1, 0, None, None] * x + linear[:, 1, 1, None, None] * y + shift_xy[:, 1, None, None]
+    from scipy.ndimage import map_coordinates  # slow to load, and seldom needed
+
     target = map_coordinates(
         pair.target.coefficients[0], np.stack([rows + dy, cols + dx]), order=3, prefilter=False, mode="mirror"
     )

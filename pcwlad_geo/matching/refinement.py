@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from pcwlad_geo.matching.kernels import steps as state
-from pcwlad_geo.matching.kernels.refinement import refine_points
+from pcwlad_geo.matching.kernels.refinement import PARTS, refine_points
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 Value = TypeVar("Value")
@@ -224,7 +224,7 @@ def refine(
             np.zeros((count, 2)), np.zeros((count, 2, 2)), np.zeros((count, 2, 2)), np.zeros(count, np.int64)
         )
         work = state.make_workspace(len(reference.maps), options)
-        refine_points(images, _starts(corners_rc[some], start.part(some)), options, work, results)
+        refine_points(images, _starts(corners_rc[some], start.part(some)), options, work, results, PARTS)
         return results
 
     share = -(-n // threads) or 1

@@ -10,7 +10,6 @@ from rasterio.enums import ColorInterp, MaskFlags, Resampling
 from rasterio.io import DatasetReader
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window as FileWindow
-from scipy.ndimage import distance_transform_edt, map_coordinates
 from scipy.sparse import csr_array
 
 from pcwlad_geo.correction.dense import positions
@@ -151,6 +150,8 @@ def spline_samples(values: Float64, fraction: Float64, positions_rc: Float64) ->
     arrays at the (2, m, n) corner-based rows and columns `positions_rc`, px, the share interpolated linearly
     and 0 outside; NaN counts as far outside.
     """
+    from scipy.ndimage import distance_transform_edt, map_coordinates  # slow to load, and seldom needed
+
     known = fraction > 0
     if not known.any():
         nothing = np.zeros(positions_rc.shape[1:])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from rasterio.crs import CRS
@@ -29,8 +29,10 @@ from pcwlad_geo.raster.rpc.model import (
 )
 from pcwlad_geo.raster.rpc.view import RpcPlacement, place_by_rpc
 from pcwlad_geo.raster.source import RasterInfo, describe
-from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.types import Float64
+
+if TYPE_CHECKING:  # slow to load; workers are started before
+    from pcwlad_geo.registration.prealign import Prealignment
 
 MODELS: Final = ("shift", "drift", "affine")
 """Corrections in image space that an RPC can absorb, the simplest first."""

@@ -17,8 +17,9 @@ from pcwlad_geo.matching.guidance import FieldGuide, Lost, Scales
 from pcwlad_geo.matching.kernels.compiled import can_be_cached, is_cached
 from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
 from pcwlad_geo.matching.kernels.phase_congruency import combine_orientations, combine_scales, filter_rows
-from pcwlad_geo.matching.kernels.refinement import refine_points
+from pcwlad_geo.matching.kernels.refinement import PARTS, compile_refinement, refine_points
 from pcwlad_geo.matching.keypoints import Candidates
+from pcwlad_geo.matching.maps import maximum_moment, oriented_phase_congruency
 from pcwlad_geo.matching.matcher import (
     Core,
     margin_px,
@@ -247,31 +248,51 @@ def _origins(job: TileJob) -> tuple[Float64, Float64]:
     return reference, reference + job.target_offset_px
 
 
-COMPILED_ONCE: Final = "first start: the inner loops are compiled now, which takes about half a minute, once"
+COMPILED_ONCE: Final = "first start: the inner loops are compiled now, which takes some seconds, once"
 """Warning before kernels are compiled and cached on disk."""
 COMPILED_ALWAYS: Final = (
-    "the inner loops are compiled at every start, which takes about half a minute, as there is no folder "
+    "the inner loops are compiled at every start, which takes some ten seconds, as there is no folder "
     "to keep them in: set NUMBA_CACHE_DIR to one that can be written"
 )
 """Warning before kernels are compiled that cannot be cached on disk."""
 
 
 def load_kernels(method: Method, runner: Runner, on_event: EventCallback) -> None:
-    """Have the workers load the kernels of a method; kernels not on disk are compiled here before.
+    """Have the workers load the kernels of a method, after they have compiled those not on disk.
 
     Parameters
     ----------
     method : str
         Matching method.
     runner : Runner
-        Has the workers.
+        Has the workers. They share the kernels to compile, as threads of one process cannot.
     on_event : callable
-        Receives a warning before anything is compiled.
+        Receives a warning before anything is compiled, and the progress of that.
     """
     if not kernels_are_cached(method):
-        on_event(Warned(COMPILED_ONCE if kernels_can_be_cached(method) else COMPILED_ALWAYS))
+        kept = kernels_can_be_cached(method)
+        on_event(Warned(COMPILED_ONCE if kept else COMPILED_ALWAYS))
+        if kept:
+            calls = [(method, number) for number in range(len(_compilations(method)))]
+            runner.run(compile_some, calls, "compiling", on_event)
         compile_kernels(method)
     runner.prepare(compile_kernels, (method,))
+
+
+def compile_some(method: Method, number: int) -> None:
+    """Compile one share of the kernels of a method, or load it."""
+    _compilations(method)[number]()
+
+
+def _compilations(method: Method) -> list[Callable[[], object]]:
+    """Return what compiles the kernels of a method, the longest first."""
+    apart = [part.__wrapper_address__ for part in PARTS]
+    phase = [] if TRAITS[method].channels == "gradients" else [_compile_phase_congruency]
+    return [compile_refinement, *apart, load_own_kernel, *phase]
+
+
+def _compile_phase_congruency() -> None:
+    maximum_moment(oriented_phase_congruency(_blobs(0.0).astype(np.float32), 1.0))
 
 
 def load_own_kernel() -> None:
@@ -300,7 +321,7 @@ def kernels_can_be_cached(method: Method) -> bool:
 
 def kernels_of(method: Method) -> tuple[Callable[..., Any], ...]:
     """Return the kernels that a method may call."""
-    always = (refine_points, fit_surfaces)
+    always = (refine_points, *(part.kernel for part in PARTS), fit_surfaces)
     phase = (filter_rows, combine_scales, combine_orientations)
     return always if TRAITS[method].channels == "gradients" else always + phase
 

@@ -216,6 +216,7 @@ OPTIONS = {
 }
 """What the dialogs call the options that they have a widget for."""
 STAGES = {
+    "compiling": mark("Compiling for this computer"),
     "reading": mark("Reading"),
     "prealignment": mark("Rough alignment"),
     "matching": mark("Matching"),

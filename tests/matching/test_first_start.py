@@ -13,9 +13,10 @@ from pcwlad_geo.registration.tiles import COMPILED_ONCE
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 TELL = """
+from pcwlad_geo.events import Warned
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.registration.tiles import load_kernels
-load_kernels("coarse", InThisProcess(), lambda event: print(event.message))
+load_kernels("coarse", InThisProcess(), lambda event: isinstance(event, Warned) and print(event.message))
 """
 
 COMPLETE = """

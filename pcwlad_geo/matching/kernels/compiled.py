@@ -4,7 +4,8 @@ A kernel that Python calls is `compiled`: it is cached beside the package or in 
 that the next start does not compile it. A function that only kernels call is a `compiled_part`, which is
 never cached by itself: it is always inlined into its kernel. A call that was not inlined would run the part's
 own machine code where the process has compiled both, and the kernel's copy of it where the kernel was cached;
-with fastmath the two round differently.
+with fastmath the two round differently. A large part is `compiled_apart` instead: it is called by address, so
+that there is one machine code of it, compiled once, and cached by itself.
 
 Numba compiles a kernel again when its own file has changed, not when a part in another file has: who works on
 the parts removes `__pycache__`, as the tests do at their start. Nothing here fails where no folder can be
@@ -20,12 +21,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
-from numba import njit
+import numba.experimental.function_type  # noqa: F401  # kernels take functions as arguments
+from numba import njit, types
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _ALWAYS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
 # numba's own error model raises on a division by zero: that test in a loop keeps it from the vector units
+_ONLY_FROM_KERNELS: Final[dict[str, Any]] = {"no_cfunc_wrapper": True, "no_cpython_wrapper": True}
+# a wrapper that nobody calls takes a tenth of the time to compile
 
 
 def compiled(*, fastmath: bool = False) -> Callable[[Function], Function]:
@@ -59,11 +63,44 @@ def compiled_part(*, fastmath: bool = False, inline: bool = False) -> Callable[[
     """
 
     def decorate(function: Function) -> Function:
-        how = {"inline": "always"} if inline else {"forceinline": True}
-        part: Any = njit(fastmath=fastmath, **how, **_ALWAYS)(function)
+        how: dict[str, Any] = {"inline": "always"} if inline else {"forceinline": True}
+        part: Any = njit(fastmath=fastmath, **how, **_ALWAYS, **_ONLY_FROM_KERNELS)(function)
         return cast(Function, part)
 
     return decorate
+
+
+class Apart(types.WrapperAddressProtocol):
+    """A function with machine code of its own, which a kernel takes as an argument and calls by address.
+
+    Parameters
+    ----------
+    function : callable
+        It must not raise.
+    signature : numba signature
+        Types of its result and arguments.
+    """
+
+    def __init__(self, function: Callable[..., Any], signature: Any) -> None:  # noqa: ANN401
+        self.kernel: Any = compiled()(function)
+        self._signature = signature
+
+    def __call__(self, *arguments: Any) -> Any:  # noqa: ANN401, D102  # where numba is switched off
+        return self.kernel(*arguments)
+
+    def signature(self) -> Any:  # noqa: ANN401
+        """Return the types of the result and the arguments."""
+        return self._signature
+
+    def __wrapper_address__(self) -> int:
+        """Return the address of the machine code, compiled or loaded at the first call."""
+        compiled_code = self.kernel.get_compile_result(self._signature)
+        return int(types.CompileResultWAP(compiled_code).__wrapper_address__())
+
+
+def compiled_apart(signature: Any) -> Callable[[Callable[..., Any]], Apart]:  # noqa: ANN401
+    """Return a decorator for an `Apart` of this signature."""
+    return lambda function: Apart(function, signature)
 
 
 def can_be_cached(kernel: Callable[..., Any]) -> bool:

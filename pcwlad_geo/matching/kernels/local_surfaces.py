@@ -60,7 +60,9 @@ def fit_surfaces(
     right = np.empty((terms, 2))
     solution = np.empty((terms, 2))
     for p in range(len(at_xy_px)):
-        count = 0
+        count = int(
+            neighbours.shape[0] * 0
+        )  # a literal 0 is a type of its own: parts would be compiled for it, too
         reach = 0.0
         for j in range(most):
             k = neighbours[p, j]

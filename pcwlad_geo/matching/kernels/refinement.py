@@ -5,11 +5,12 @@ One point at a time, all channels.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final, NamedTuple, get_type_hints
 
 import numpy as np
+from numba import typeof, types
 
-from pcwlad_geo.matching.kernels.compiled import compiled, compiled_part
+from pcwlad_geo.matching.kernels.compiled import Apart, compiled, compiled_apart, compiled_part
 from pcwlad_geo.matching.kernels.equations import (
     SIGMA_PER_MEAN_DEVIATION,
     add_block_scores,
@@ -47,11 +48,21 @@ from pcwlad_geo.matching.kernels.steps import (
     invert,
     is_determined,
     learn_slopes,
+    make_workspace,
     move,
     plain_step,
     sandwich,
 )
 from pcwlad_geo.types import Float32, Float64
+
+
+class Parts(NamedTuple):
+    """What `refine_points` calls by address for every channel: fewer lines are compiled at a time."""
+
+    load: Apart
+    correlate: Apart
+    add_channel: Apart
+
 
 NEAR_PX: Final = 0.1
 """Length below which the last move but one must be, as a single short move may be chance."""
@@ -59,11 +70,12 @@ NEAR_PX: Final = 0.1
 
 @compiled()
 def refine_points(
-    images: Images, starts: Starts, options: Options, work: Workspace, results: Results
+    images: Images, starts: Starts, options: Options, work: Workspace, results: Results, parts: Parts
 ) -> None:
     """Refine every corner of `starts` on the maps of `images` and fill `results`; `work` is scratch memory.
 
-    Points whose window is not usable keep zeros and the status `INVALID`. `options` are the settings.
+    Points whose window is not usable keep zeros and the status `INVALID`. `options` are the settings;
+    `parts` are `PARTS`.
     """
     reach = options.step * (options.half + options.correlation_half)
     for p in range(starts.corners_rc.shape[0]):
@@ -77,7 +89,7 @@ def refine_points(
             continue
         if options.structure_mode == STRUCTURE_NONE or options.structure_mode == STRUCTURE_GIVEN:
             _set_structure(starts, p, options, work)
-        results.status[p] = _refine_point(images, starts, p, options, work, results)
+        results.status[p] = _refine_point(images, starts, p, options, work, results, parts)
 
 
 @compiled_part()
@@ -102,10 +114,21 @@ def _valid_share(
     return float(good / (side * side))
 
 
-@compiled_part(inline=True)
+NO_OPTIONS: Final = Options(*(kind() for kind in get_type_hints(Options).values()))
+"""All 0: their types are what counts."""
+_FLAG, _INT, _OPTIONS = types.boolean, types.int64, typeof(NO_OPTIONS)  # type: ignore[no-untyped-call]
+_FLAT, _PLANE = types.float32[::1], types.float32[:, ::1]
+_NUMBERS, _MATRIX = types.float64[::1], types.float64[:, ::1]
+_several: Any = types.Tuple
+_FLATS_3, _FLATS_4, _MATRICES = _several(3 * (_FLAT,)), _several(4 * (_FLAT,)), _several(4 * (_MATRIX,))
+_PLACE = _PLANE, _PLANE, _INT, _INT, _NUMBERS, _MATRIX, _FLAG, _FLAG, _FLAG
+Flats = tuple[Float32, ...]
+
+
+@compiled_apart(_FLAG(*_PLACE, _OPTIONS, _FLATS_4, _FLATS_4))
 def _load(
-    images: Images,
-    channel: int,
+    plane: Float32,
+    image: Float32,
     row: int,
     col: int,
     shift: Float64,
@@ -114,64 +137,55 @@ def _load(
     first: bool,
     looks: bool,
     options: Options,
-    work: Workspace,
+    scratch: Flats,
+    window: Flats,
 ) -> bool:
     """Sample the target's extended window; return False if it leaves the image.
 
     The gradient is sampled too unless `looks`, that is, unless only the mutual structure is computed. The
     window of the reference, which stays the same, is copied at the first call.
     """
-    side, step = 2 * (options.half + options.correlation_half) + 1, options.step
+    coefficients, along, along_slope, steps = scratch
+    width, step = options.width, options.step
+    side = 2 * (options.half + options.correlation_half) + 1
     reach = step * (side // 2)
-    plane = images.coefficients[channel]
     if first:
-        reference = images.reference[channel]
-        load_window(reference, row - reach, col - reach, side, step, options.width, work.reference[channel])
+        load_window(image, row - reach, col - reach, side, step, width, window[0])
     if deformed:
-        return bool(
-            sample_deformed(
-                plane,
-                row + shift[1],
-                col + shift[0],
-                linear,
-                side,
-                step,
-                options.width,
-                work.steps,
-                work.value,
-                work.slope_x,
-                work.slope_y,
-            )
-        )
+        y, x = row + shift[1], col + shift[0]
+        return bool(sample_deformed(plane, y, x, linear, side, step, width, steps, *window[1:]))
     top, left = row - reach + shift[1], col - reach + shift[0]
-    coefficients, along = work.coefficients, work.along
     if looks:
-        return bool(
-            sample_values(plane, top, left, side, step, options.width, coefficients, along, work.value)
-        )
-    sampled = (work.along_slope, work.value, work.slope_x, work.slope_y)
-    return bool(sample_shift(plane, top, left, side, step, options.width, coefficients, along, *sampled))
+        return bool(sample_values(plane, top, left, side, step, width, coefficients, along, window[1]))
+    places = side, step, width, coefficients, along, along_slope
+    return bool(sample_shift(plane, top, left, *places, *window[1:]))
 
 
-@compiled_part(inline=True)
-def _correlate(channel: int, first: bool, options: Options, work: Workspace) -> None:
+@compiled_apart(types.void(_FLAG, _OPTIONS, _FLAT, _FLAT, _FLAT, _FLATS_4, _FLATS_4))
+def _correlate(
+    first: bool,
+    options: Options,
+    value: Float32,
+    reference: Float32,
+    columns: Float32,
+    sums: Flats,
+    known: Flats,
+) -> None:
     """Fill the mutual structure of a channel: the squared positive local correlation of both windows.
 
     The local mean and precision of the reference stay the same and are computed at the first call.
     """
+    sum_1, sum_11, sum_12, means = sums
+    mean, precision, valid, structure = known
     size = 2 * options.correlation_half + 1
     side = 2 * options.half + 1
     n = side * options.width
-    reference = work.reference[channel]
-    how = side + size - 1, options.width, size, work.columns
-    sums = work.sum_1, work.sum_11, work.sum_12
+    how = side + size - 1, options.width, size, columns
     if first:
-        column_sums(reference, reference, *how, *sums)
-        mean, precision = work.mean[channel], work.precision[channel]
-        local_moments(work.sum_1, work.sum_11, n, size, work.means, mean, precision)
-    column_sums(work.value, reference, *how, *sums)
-    known = work.mean[channel], work.precision[channel], work.valid
-    correlate(*sums, *known, work.structure[channel], n, size, work.means)
+        column_sums(reference, reference, *how, sum_1, sum_11, sum_12)
+        local_moments(sum_1, sum_11, n, size, means, mean, precision)
+    column_sums(value, reference, *how, sum_1, sum_11, sum_12)
+    correlate(sum_1, sum_11, sum_12, mean, precision, valid, structure, n, size, means)
 
 
 @compiled_part(inline=True)
@@ -190,7 +204,13 @@ def _set_structure(starts: Starts, p: int, options: Options, work: Workspace) ->
 
 @compiled_part(inline=True)
 def _refine_point(
-    images: Images, starts: Starts, p: int, options: Options, work: Workspace, results: Results
+    images: Images,
+    starts: Starts,
+    p: int,
+    options: Options,
+    work: Workspace,
+    results: Results,
+    parts: Parts,
 ) -> int:
     """Iterate until the shift converges; the last equations give the covariance. Return the status."""
     row, col = starts.corners_rc[p]
@@ -211,17 +231,14 @@ def _refine_point(
         first, looks, before_px = iteration == begin, iteration < 0, length
         near = before_px < NEAR_PX
         place = wanted if looks else shift
-        correlates = options.structure_mode == STRUCTURE_FOLLOWS or (fixed and first)
         work.total[:] = 0.0
         work.total_right[:] = 0.0
         work.scores[:] = 0.0
         for k in range(images.reference.shape[0]):
-            if not _load(images, k, row, col, place, linear, deformed, first, looks, options, work):
+            if not _measure(
+                images, k, row, col, place, linear, deformed, first, looks, near, options, work, parts
+            ):
                 return DIVERGED
-            if correlates:
-                _correlate(k, first, options, work)
-            if not looks:
-                _add_channel(k, near, options, work)
         if looks:
             continue
         if not invert(work.total):
@@ -246,16 +263,63 @@ def _refine_point(
 
 
 @compiled_part(inline=True)
-def _add_channel(channel: int, scored: bool, options: Options, work: Workspace) -> None:
+def _measure(
+    images: Images,
+    k: int,
+    row: int,
+    col: int,
+    place: Float64,
+    linear: Float64,
+    deformed: bool,
+    first: bool,
+    looks: bool,
+    near: bool,
+    options: Options,
+    work: Workspace,
+    parts: Parts,
+) -> bool:
+    """Sample a channel and add its equations unless `looks`; return False if it leaves the image."""
+    scratch = work.coefficients, work.along, work.along_slope, work.steps
+    window = work.reference[k], work.value, work.slope_x, work.slope_y
+    planes = images.coefficients[k], images.reference[k]
+    if not parts.load(*planes, row, col, place, linear, deformed, first, looks, options, scratch, window):
+        return False
+    fixed = options.structure_mode == STRUCTURE_FIXED
+    if options.structure_mode == STRUCTURE_FOLLOWS or (fixed and first):
+        sums = work.sum_1, work.sum_11, work.sum_12, work.means
+        known = work.mean[k], work.precision[k], work.valid, work.structure[k]
+        parts.correlate(first, options, work.value, work.reference[k], work.columns, sums, known)
+    if not looks:
+        weights = work.structure[k], work.weight, work.columns
+        equations = work.moments, work.fit, work.total, work.scores
+        # a single map may be inverted as a whole; an inverted channel of several shows other structure
+        inverted_too = work.structure.shape[0] == 1
+        parts.add_channel(
+            near, inverted_too, options, window, weights, work.monomials, equations, work.total_right
+        )
+    return True
+
+
+@compiled_apart(types.void(_FLAG, _FLAG, _OPTIONS, _FLATS_4, _FLATS_3, _PLANE, _MATRICES, _NUMBERS))
+def _add_channel(
+    scored: bool,
+    inverted_too: bool,
+    options: Options,
+    window: Flats,
+    weights: Flats,
+    monomials: Float32,
+    equations: tuple[Float64, ...],
+    total_right: Float64,
+) -> None:
     """Add the equations and the scores of a channel, unless its window is flat."""
-    structure = work.structure[channel]
-    # a single map may be inverted as a whole; an inverted channel of several shows other structure
-    inverted_too = work.structure.shape[0] == 1
+    structure, product, columns = weights
+    moments, fit, total, scores = equations
     side, width = 2 * options.half + 1, options.width
     n = side * width
     first = options.correlation_half * (width + 1)
-    value, reference = work.value[first:], work.reference[channel, first:]
-    slope_x, slope_y = work.slope_x[first:], work.slope_y[first:]
+    reference, value, slope_x, slope_y = window
+    value, reference = value[first:], reference[first:]
+    slope_x, slope_y = slope_x[first:], slope_y[first:]
     h0, h1, known = fit_gain(structure, value, reference, n)
     if known <= 0.0:
         return
@@ -263,19 +327,17 @@ def _add_channel(channel: int, scored: bool, options: Options, work: Workspace) 
     if options.robust:
         deviation = sum_of_deviations(structure, value, reference, offset, gain, n) / known
         per_sigma = np.float32(1.0 / max(SIGMA_PER_MEAN_DEVIATION * deviation, 1e-9))
-    window = value, reference, slope_x, slope_y, offset, gain, per_sigma
-    for k in range(work.moments.shape[0]):
+    sampled = value, reference, slope_x, slope_y, offset, gain, per_sigma
+    for k in range(moments.shape[0]):
         weight = structure
         if k > 0:
-            weight = work.weight
-            _multiply(structure, work.monomials[k - 1], n, weight)
-        weighted_moments(weight, *window, n, work.moments[k])
-    refitted, variance = add_equations(
-        work.moments, float(gain), inverted_too, work.total, work.total_right, work.fit
-    )
+            weight = product
+            _multiply(structure, monomials[k - 1], n, weight)
+        weighted_moments(weight, *sampled, n, moments[k])
+    refitted, variance = add_equations(moments, float(gain), inverted_too, total, total_right, fit)
     if variance > 0.0 and scored:
-        lattice = side, width, options.blocks, work.columns
-        add_block_scores(structure, *window, work.fit, refitted / variance, *lattice, work.scores)
+        lattice = side, width, options.blocks, columns
+        add_block_scores(structure, *sampled, fit, refitted / variance, *lattice, scores)
 
 
 @compiled_part(fastmath=True)
@@ -287,3 +349,17 @@ def _multiply(first: Float32, second: Float32, n: int, out: Float32) -> None:
 @compiled_part()
 def _any(linear: Float64) -> bool:
     return bool(linear[0, 0] != 0.0 or linear[0, 1] != 0.0 or linear[1, 0] != 0.0 or linear[1, 1] != 0.0)
+
+
+PARTS: Final = Parts(_load, _correlate, _add_channel)
+"""The last argument of `refine_points`."""
+
+
+def compile_refinement() -> None:
+    """Compile `refine_points` or load it, without its `PARTS`."""
+    plane, valid, none = np.zeros((1, 1, 1), np.float32), np.zeros((1, 1), bool), np.zeros((0, 2))
+    linear, whole = np.zeros((0, 2, 2)), np.zeros(0, np.int64)
+    images, starts = Images(plane, plane, valid, valid), Starts(whole[:, None], none, linear, none, plane)
+    results = Results(none, linear, linear, whole)
+    arguments = images, starts, NO_OPTIONS, make_workspace(1, NO_OPTIONS), results, PARTS
+    refine_points.compile(tuple(map(typeof, arguments)))  # type: ignore[attr-defined]

@@ -17,6 +17,8 @@ from .engine import Engine, EngineError, current_file, own_python, python_of
 NEEDED_PYTHON = (3, 10)
 PACKAGES = 40
 """About how many packages are installed, for the progress."""
+COMPILE = "from pcwlad_geo.registration.tiles import compile_kernels; compile_kernels('oriented')"
+"""What the engine's Python executes once, so that its first run need not compile."""
 DOWNLOAD_MB, DISK_MB = 280, 1000
 """About what the wheels weigh, and what the installed engine takes on the disk."""
 
@@ -149,6 +151,11 @@ def _fill(plan: Plan, python: str, place: Path, feedback: Feedback, folder: Path
     pip = [str(python_of(place)), "-m", "pip", "install", "--no-input", "--disable-pip-version-check"]
     offline = ["--no-index", "--find-links", plan.wheelhouse] if plan.wheelhouse else []
     _run([*pip, "--progress-bar", "off", *offline, plan.source], plan, feedback, folder)
+    feedback.setProgressText(tr("Compiling for this computer"))
+    # if it fails, the first run compiles, and says so
+    follow(
+        [str(python_of(place)), "-c", COMPILE], feedback, feedback.pushConsoleInfo, str, folder, grace_s=0.0
+    )
 
 
 def _run(command: Sequence[str], plan: Plan, feedback: Feedback, folder: Path) -> None:
