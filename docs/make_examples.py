@@ -35,7 +35,11 @@ SIDE_PX = 600
 PIXEL_M = 30.0
 SAMPLES = 2
 """Ground samples a pixel and axis; a pixel is their mean."""
-NAME = "LC08_L1TP_198030_20200809_20200918_02_T1_B{band}.TIF"
+NAMES = (
+    "LC08_L1TP_198030_20200809_20200918_02_T1_B4.TIF",
+    "LC08_L1TP_198030_20200825_20200905_02_T1_B10.TIF",
+)
+"""Of two dates: bands of one product do not lie so far apart."""
 CLOUD_SHARE = 0.62
 
 
@@ -80,11 +84,10 @@ def make(example: Example, scratch: Path, page: Path) -> None:
     thermal = band_of(1, example.target_seed, example.shift_px)
     if example.clouds:
         thermal = clouded(thermal, 21)
-    names = [NAME.format(band=band) for band in (4, 10)]
-    write(scratch / names[0], red)
-    write(scratch / names[1], thermal)
+    for name, values in zip(NAMES, (red, thermal), strict=True):
+        write(scratch / name, values)
     # in the folder of the pair: no path of this machine on the page
-    command = [sys.executable, "-m", "pcwlad_geo", "register", *names, "-o", "out", *example.options]
+    command = [sys.executable, "-m", "pcwlad_geo", "register", *NAMES, "-o", "out", *example.options]
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
     ended = subprocess.run([*command, "--progress", "none"], cwd=scratch, env=environment, check=False)
     if ended.returncode not in (DONE, REFUSED):

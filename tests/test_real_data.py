@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -178,3 +179,48 @@ def test_a_stack_of_clouded_bands_follows_the_ground(clouded_landsat: Path, tmp_
     found = pcwlad_geo.stack(bands, out_dir=tmp_path / "stack")
     for image in found.images:
         assert np.hypot(*image.shift_px) < 0.3, image.name
+
+
+def sift_places(path: Path, sift: Any) -> tuple[Array, Any]:
+    """Return the map coordinates (x, y) of SIFT's features in an orthoimage, and their descriptors."""
+    with rasterio.open(path) as file:
+        values, seen = file.read(1).astype(float), file.dataset_mask()
+        transform = file.transform
+    low, high = np.percentile(values[seen > 0], (1, 99))
+    grey = np.clip((values - low) / (high - low) * 255, 0, 255).astype(np.uint8)
+    features, described = sift.detectAndCompute(grey, cv2.erode(seen, np.ones((15, 15), np.uint8)))
+    px = np.array([each.pt for each in features]) + 0.5
+    return np.column_stack(transform @ px.T), described
+
+
+@pytest.mark.slow
+def test_orthoimages_of_a_block_over_a_coarse_dem_lie_on_each_other(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    """SIFT is the judge: before they lie (-4.0, -4.9) px apart. The DEM has pixels of 90 m, they of 0.5 m."""
+    images = shared_data / "real/ventoux"
+    if not images.is_dir():
+        pytest.skip(f"no real images with RPCs in {images}")
+    found = pcwlad_geo.stack(
+        [images / "left.tif", images / "right.tif"],
+        out_dir=tmp_path / "out",
+        dem=images / "N44E005.hgt",
+        dem_vertical=images / "egm96_15.gtx",
+        jobs=1,
+    )
+    sift = cv2.SIFT_create(contrastThreshold=0.01)
+    (left, of_left), (right, of_right) = (
+        sift_places(tmp_path / f"out/{name}_registered.tif", sift) for name in ("left", "right")
+    )
+    pairs = cv2.BFMatcher().knnMatch(of_left, of_right, k=2)
+    best = [one for one, second in pairs if one.distance < 0.8 * second.distance]
+    apart_m = right[[each.trainIdx for each in best]] - left[[each.queryIdx for each in best]]
+    near = apart_m[np.hypot(*apart_m.T) < 30]
+    assert len(near) > 200
+    assert np.hypot(*np.median(near, axis=0)) <= 0.5 * 0.5
+    # what the DEM does to them is told everywhere, and no image is called good
+    assert found.block is not None
+    assert found.block.dem is not None
+    assert set(found.block.dem.wrong) <= set(found.warnings)
+    assert any("scatter" in each for each in found.block.dem.wrong)
+    assert {each.quality.grade for each in found.images if each.quality} == {"poor"}

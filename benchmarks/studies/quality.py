@@ -164,10 +164,11 @@ def _finding(case: Case, runner: Runner) -> Finding:
 
 def _of_refused(outcome: Outcome) -> Correction | None:
     """Return the correction that was not made: refusing a pair that it would have served counts, too."""
-    if outcome.registration is None:
+    found = outcome.registration
+    if found is None:
         return None
     try:
-        return fit_correction(outcome.registration.tie_points, SETTINGS, SETTINGS.window, None).correction
+        return fit_correction(found.tie_points, SETTINGS, found.window_px or 0.0, None).correction
     except InputError:
         return None
 

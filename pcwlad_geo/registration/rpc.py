@@ -14,10 +14,10 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.crs import utm_zone_of
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.rpc.dem import Dem, Vertical
 from pcwlad_geo.raster.rpc.files import RpcSource, read_rpc
-from pcwlad_geo.raster.rpc.grid import RpcGrid
+from pcwlad_geo.raster.rpc.grid import RpcGrid, raised
 from pcwlad_geo.raster.rpc.model import (
     BIAS_TOLERANCE_PX,
     RpcModel,
@@ -29,6 +29,7 @@ from pcwlad_geo.raster.rpc.model import (
 )
 from pcwlad_geo.raster.rpc.view import RpcPlacement, place_by_rpc
 from pcwlad_geo.raster.source import RasterInfo, describe
+from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64
 
 if TYPE_CHECKING:  # slow to load; workers are started before
@@ -38,6 +39,8 @@ MODELS: Final = ("shift", "drift", "affine")
 """Corrections in image space that an RPC can absorb, the simplest first."""
 MAX_BIAS_M: Final = 500.0
 """Largest error of an RPC on the ground; no sensor errs by more, so beyond it the RPC is of another image."""
+ALONG: Final = 2.0
+"""Residuals so many times as large along the parallax as across it come from the DEM."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,6 +237,31 @@ def _folded(placed: RpcPlacement, correction: AffineCorrection, what: str, advic
     if not error_px <= BIAS_TOLERANCE_PX:
         raise InputError(f"{what} does not fit into its RPC: {error_px:.2g} px are left; {advice}")
     return RpcRegistration(source.origin, grid, replace(grid, rpc=corrected), error_px, heights_m)
+
+
+def wrong_heights(reference: Grid, target: Grid, points: TiePointTable) -> str | None:
+    """Return that residuals run along the parallax, as errors of the DEM make them; None where they do not.
+
+    The `points` are those that agree, with the residuals of a correction.
+    """
+    if not (isinstance(target, RpcGrid) and isinstance(target.heights, Dem)):
+        return None
+    grids = [(raised(reference, m), raised(target, m)) for m in (0.5, -0.5)]
+    up, down = (map_px(points.reference_px, *each) for each in grids)
+    rate_px = np.nanmedian(up - down, axis=0)  # by a metre of height
+    size_px = float(np.hypot(*rate_px))
+    left_px = points.residual_px - np.median(points.residual_px, axis=0)
+    if not size_px > MAX_PARALLAX / 10:
+        return None
+    turned = left_px @ np.array([rate_px, [-rate_px[1], rate_px[0]]]).T / size_px
+    along, across = np.percentile(np.abs(turned), 90, axis=0).tolist()
+    if along < ALONG * across:
+        return None
+    return (
+        f"the residuals run along the parallax of height: a tenth of them are over {along:.1f} px along it, "
+        f"{across:.1f} px across: the DEM {target.heights.uri} errs by {along / size_px:.0f} m and more "
+        "there, which no correction takes out; give a finer or better one"
+    )
 
 
 def _rpc_grid(target: RasterInfo) -> RpcGrid:

@@ -36,6 +36,7 @@ from pcwlad_geo.registration.fitting import (
     GOOD_PX,
     AssessedFit,
     Quality,
+    Reason,
     assess,
     fit_correction,
     footprint_px,
@@ -54,7 +55,14 @@ from pcwlad_geo.registration.result import (
     Status,
     record_ground,
 )
-from pcwlad_geo.registration.rpc import MODELS, check_start, corrected_rpc, place_reference, place_target
+from pcwlad_geo.registration.rpc import (
+    MODELS,
+    check_start,
+    corrected_rpc,
+    place_reference,
+    place_target,
+    wrong_heights,
+)
 from pcwlad_geo.registration.scene import located, match_again_from_shifted_rpc, match_from_best_start
 from pcwlad_geo.registration.tiles import load_kernels
 from pcwlad_geo.tiepoints.table import TiePointTable, overlap_middle_px, predict_target_px
@@ -227,6 +235,11 @@ def fit(
             quality = quality.at_most("fair", told_of(matches.motions, taken=True))
         if sizes_m is not None and of_one_product(matches.pair.reference.uri, target.uri):
             quality = _with_prior(quality, table[table.status == "matched"], float(sizes_m.max()))
+        heights = wrong_heights(
+            matches.pair.reference.grid, target.grid, fitted.table.select("fit", "check", "unused")
+        )
+        if heights and quality.grade != "good":
+            quality = replace(quality, reasons=(Reason(quality.grade, heights), *quality.reasons))
         log.on_event(Progress("fitting", 1, 1))
     refusal = None if settings.tie_points else quality.refusal
     for reason in () if refusal else quality.reasons:

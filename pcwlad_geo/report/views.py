@@ -31,6 +31,8 @@ EDGES: Final = 36
 """Number of places at which an edge is looked for that shows the displacement."""
 LOOKED_AT: Final = 90
 """Number of samples along a side of a view when edges are looked for."""
+EDGE_SHARE: Final = 8.0
+"""A side of the view, in standard deviations of the window in which an edge has to be straight."""
 BACKDROP_PX: Final = 350
 """Longer side of the image behind maps."""
 NODES: Final = 25
@@ -129,26 +131,38 @@ def _places(registration: Registration) -> list[tuple[str, Float64]]:
 
 
 def _telling_edge(registration: Registration, kept: TiePointTable) -> Float64 | None:
-    """Return where, of the tie points, an edge makes the largest step; None if none does."""
+    """Return where, near the tie points, an edge makes the largest step; None if none does."""
     at_px = kept.reference_px[thin(kept.reference_px, np.hypot(*kept.sigma_px.T), EDGES)]
-    steps = np.nan_to_num([_step(_view(registration, "", each, LOOKED_AT)) for each in at_px])
-    return at_px[int(steps.argmax())] if steps.max() > 0 else None
+    steps = [_step(_view(registration, "", each, LOOKED_AT)) for each in at_px]
+    best = int(np.argmax([step for step, _ in steps]))
+    if not steps[best][0] > 0:
+        return None
+    return np.asarray(at_px[best] + steps[best][1] * _side(registration, at_px[best])[0])
 
 
-def _step(view: PairView | None) -> float:
-    """Return the step of an edge at the line between the images before the correction; 0 without an edge.
+def _step(view: PairView | None) -> tuple[float, Float64]:
+    """Return the largest step of an edge at a line before the correction, and where, in sides of the view.
 
-    It is how far the displacement moves an edge of both images across itself, times its contrast: the mean
-    squared complex gradient is long along straight edges (structure tensor, Bigün and Granlund 1987).
+    It is how far the displacement moves a straight edge of both images across itself, times its contrast and
+    coherence: the mean squared complex gradient is long there (structure tensor, Bigün and Granlund 1987).
     """
     if view is None or view.after is None or view.moved is None:
-        return 0.0
+        return 0.0, np.zeros(2)
     one, other = (_squared_gradient(image) for image in (view.reference, view.after))
-    window = cv2.getGaussianKernel(len(one), len(one) / 10)
-    shared = complex((window * window.T * (one * np.abs(other) + other * np.abs(one))).sum())
+    both = one * np.abs(other) + other * np.abs(one)
+    size, real, imaginary = (
+        cv2.GaussianBlur(each, (0, 0), len(one) / EDGE_SHARE)
+        for each in (2 * np.abs(one * other), both.real, both.imag)
+    )
+    shared = real + 1j * imaginary
     across = np.angle(shared) / 2
-    step = abs(np.array([np.cos(across), np.sin(across)]) @ view.moved)
-    return float(abs(shared) ** 0.25 * step * abs(np.sin(across)))
+    moved = np.abs(np.cos(across) * view.moved[0] + np.sin(across) * view.moved[1])
+    coherence = np.abs(shared) / np.maximum(size, 1e-12)
+    steps = np.nan_to_num(np.abs(shared) ** 0.25 * coherence * moved * np.abs(np.sin(across)))
+    inner = len(one) // 4
+    steps[:inner], steps[-inner:], steps[:, :inner], steps[:, -inner:] = 0, 0, 0, 0
+    row, col = np.unravel_index(int(steps.argmax()), steps.shape)
+    return float(steps[row, col]), (np.array([col, row]) + 0.5) / len(one) - 0.5
 
 
 def _squared_gradient(image: Image) -> NDArray[np.complex64]:

@@ -21,8 +21,8 @@ from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
-from pcwlad_geo.raster.rpc.dem import WGS84, ConstantHeight, Dem
-from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
+from pcwlad_geo.raster.rpc.dem import WGS84, Dem
+from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, raised
 from pcwlad_geo.stacks.adjustment import larger
 from pcwlad_geo.stacks.network import ALIKE, POINT_LIMIT, RAYLEIGH_MEDIAN
 from pcwlad_geo.types import Bool, Float64, Index
@@ -269,17 +269,6 @@ def pixel_in_frame(block: Block, image: int) -> float:
     """Return the size of a pixel in the middle of an image, px of the frame."""
     grid = at_mean_height(block.grids[image])
     return float(np.sqrt(abs(np.linalg.det(jacobian(grid.middle_px, grid, block.frame)[0]))))
-
-
-def raised(grid: Grid, by_m: float) -> Grid:
-    """Return a grid with ground higher by so many metres; a grid without heights is unchanged."""
-    if not isinstance(grid, RpcGrid):
-        return grid
-    if isinstance(grid.heights, ConstantHeight):
-        return replace(grid, heights=ConstantHeight(grid.heights.height_m + by_m))
-    heights: Dem = grid.heights
-    values = tuple(value + by_m for value in heights.undulation.values_m)
-    return replace(grid, heights=replace(heights, undulation=replace(heights.undulation, values_m=values)))
 
 
 def adjust_block(

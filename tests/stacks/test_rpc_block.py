@@ -15,9 +15,10 @@ from pcwlad_geo.errors import RegistrationRejectedError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.rpc.dem import Dem, Undulation
-from pcwlad_geo.raster.rpc.grid import RpcGrid
+from pcwlad_geo.raster.rpc.grid import RpcGrid, raised
 from pcwlad_geo.raster.rpc.view import ground_grid
-from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockPair, adjust_block, raised
+from pcwlad_geo.registration.rpc import wrong_heights
+from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockPair, adjust_block
 from pcwlad_geo.stacks.rpc_heights import check_dem
 from pcwlad_geo.stacks.rpc_stack import adjusted
 from tests.rpc_scene import (
@@ -292,6 +293,20 @@ def test_a_rough_dem_is_told_and_no_reason_for_a_drift(tmp_path: Path) -> None:
     assert check is not None
     assert len(check.wrong) == 1
     assert "scatter" in check.wrong[0]
+
+
+def test_residuals_along_the_parallax_of_a_pair_are_laid_to_the_dem(tmp_path: Path) -> None:
+    true, given = small_views(tmp_path, 90.0, 12.0, 1)
+    pair = seen_small(true, SMALL_BIASES)
+
+    def told(grids: list[RpcGrid]) -> str | None:
+        points = SimpleNamespace(reference_px=pair.first_px, residual_px=left_over(grids, pair))
+        return wrong_heights(*grids, points)  # type: ignore[arg-type]
+
+    assert told(true) is None
+    found = told(given) or ""
+    # 1.6 times the noise of the DEM, less what is averaged between its nodes
+    assert 8.0 < float(found.split("errs by ")[1].split(" m")[0]) < 20.0
 
 
 def test_corrections_that_do_harm_are_refused(tmp_path: Path) -> None:

@@ -120,6 +120,17 @@ def at_mean_height(grid: Grid) -> Grid:
     return replace(grid, heights=ConstantHeight(grid.level_m))
 
 
+def raised(grid: Grid, by_m: float) -> Grid:
+    """Return a grid with ground higher by so many metres; a grid without heights is unchanged."""
+    if not isinstance(grid, RpcGrid):
+        return grid
+    if isinstance(grid.heights, ConstantHeight):
+        return replace(grid, heights=ConstantHeight(grid.heights.height_m + by_m))
+    heights: Dem = grid.heights
+    values = tuple(value + by_m for value in heights.undulation.values_m)
+    return replace(grid, heights=replace(heights, undulation=replace(heights.undulation, values_m=values)))
+
+
 def footprint_px(grid: Grid, onto: Grid) -> shapely.Geometry:
     """Return the footprint of a raster on the ground, as far as heights are known.
 
