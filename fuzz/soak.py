@@ -53,7 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{calls} calls in one process: {time.monotonic() - since:.0f} s")
     for number in np.unique(np.linspace(1, calls, ROWS).astype(int)):
         print(f"  call {number:4}: {held[number - 1].memory_mb:7.1f} MB, {held[number - 1].files} open files")
-    memory, files = (_per_100_calls([getattr(each, name) for each in held]) for name in ("memory_mb", "files"))
+    memory, files = (
+        _per_100_calls([getattr(each, name) for each in held]) for name in ("memory_mb", "files")
+    )
     print(f"  after the first fifth: {memory:+.2f} MB and {files:+.2f} open files per 100 calls")
     return int(memory > GROWTH_MB or files > GROWTH_FILES)
 
@@ -62,7 +64,10 @@ def _calls(folder: Path, calls: int) -> list[Usage]:
     """Return what this process holds after each call."""
     grid = make_grid(SHAPE)
     images = [render(grid), np.asarray(255 - render(grid, displacement_px=(1.3, -0.7)))]
-    files = [write(folder / f"{name}.tif", image, grid, dtype="uint8") for name, image in zip("ab", images)]
+    files = [
+        write(folder / f"{name}.tif", image, grid, dtype="uint8")
+        for name, image in zip("ab", images, strict=True)
+    ]
     held = []
     for number in range(calls):
         if number % JOBS_EVERY == 0:
