@@ -77,7 +77,7 @@ def case(
     only : collection of int, optional
         Apply these of its edits alone, counted from 0; to find the one that matters.
     recipe_part : str, optional
-        Of all recipes only those that have this in their name, and no kept inputs.
+        Of all recipes only those that have this regular expression in their name, and no kept inputs.
     """
     random = Random(f"{seed_number}/{number}")
     kept = reproducers()

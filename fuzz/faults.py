@@ -47,6 +47,7 @@ LOADED: Final = (
     "pcwlad_geo.batches.run",
     "pcwlad_geo.cli.app",
     "pcwlad_geo.registration.run",
+    "pcwlad_geo.stacks.run",
     "pcwlad_geo.report.page",
     "pcwlad_geo.job",
     "pcwlad_geo.outputs.write",
@@ -55,7 +56,7 @@ LOADED: Final = (
     "sqlite3",
 )
 """What each run needs, imported once before the forks; nothing of it starts a thread."""
-COMMANDS: Final = ("register", "match", "warp", "batch")
+COMMANDS: Final = ("register", "match", "warp", "batch", "stack")
 UNUSABLE: Final = ": unusable: "
 """What ``batch`` writes between a pair and why it cannot be used."""
 
@@ -346,6 +347,7 @@ def make_job(command: str, folder: Path) -> Job:
         "match": ["match", *pair, *OPTIONS[:6], *RUNNING, *over],
         "warp": ["warp", str(folder / "registration"), str(target), *RUNNING[2:], *over],
         "batch": ["batch", str(table), *RUNNING, *over],
+        "stack": ["stack", *pair, *OPTIONS, *RUNNING, *over],
     }
     if command == "warp":
         run_command(["register", *once, "-o", str(folder / "registration")], old)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -198,8 +199,8 @@ def _rigs() -> Iterator[Recipe]:
 
 
 def named(part: str | None) -> tuple[Recipe, ...]:
-    """Return the recipes whose name holds a part; all without one."""
-    found = tuple(each for each in RECIPES if part is None or part in each.name)
+    """Return the recipes in whose name a regular expression is found; all without one."""
+    found = tuple(each for each in RECIPES if part is None or re.search(part, each.name))
     if not found:
         raise ValueError(f"no recipe has {part!r} in its name: {', '.join(each.name for each in RECIPES)}")
     return found

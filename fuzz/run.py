@@ -2,7 +2,7 @@
 
 Usage::
 
-    python fuzz/run.py [--count N | --minutes N] [--seed S] [--jobs J] [--recipe TEXT] [--save FOLDER]
+    python fuzz/run.py [--count N | --minutes N] [--seed S] [--jobs J] [--recipe REGEX] [--save FOLDER]
     python fuzz/run.py --replay FOLDER…
 
 The kept inputs of `fuzz/corpus/hostile` are run first, as they are, then N mutants. The same seed gives the
@@ -83,7 +83,7 @@ def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--memory", type=int, default=Limits().memory_mb, metavar="MB", help="limit of memory (3072)"
     )
-    parser.add_argument("--recipe", metavar="TEXT", help="mutants of the recipes with this in their name")
+    parser.add_argument("--recipe", metavar="REGEX", help="mutants of the recipes with this in their name")
     parser.add_argument("--save", type=Path, metavar="FOLDER", help="where inputs that fail are kept")
     parser.add_argument("--replay", type=Path, nargs="+", metavar="FOLDER", help="run saved inputs again")
     parser.add_argument("--no-kept", action="store_true", help="leave out the kept inputs")

@@ -19,6 +19,7 @@ from affine import Affine
 
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.outputs.folder import OutputFolder, check_output_folder, place_file
+from pcwlad_geo.outputs.stages import discard
 from pcwlad_geo.raster.output_format import verify_output
 
 
@@ -487,3 +488,14 @@ def test_a_results_file_of_another_name(tmp_path: Path) -> None:
     (out_dir / "qa.json").write_text("{}")
     with pytest.raises(OutputError, match=r"qa\.json was not written by pcwlad-geo"):
         check_output_folder(out_dir, True, "qa.json")
+
+
+def test_the_journal_of_another_user_is_not_obeyed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    stage = tmp_path / ".stage-x-1"
+    stage.mkdir()
+    (stage / ".journal").write_text(json.dumps({"old": [], "new": ["mine.txt"]}))
+    user = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: user + 1)
+    discard(stage, tmp_path)
+    assert (tmp_path / "mine.txt").read_text() == "mine"

@@ -368,10 +368,12 @@ def _draw(
     registration: Registration, report: Report, gcps: str | None, precision: PrecisionMap | None
 ) -> tuple[Drawings, float]:
     """Return the drawings of the page, and the seconds they took, including the loading of libraries."""
+    from pcwlad_geo.report.figures import close_fonts
     from pcwlad_geo.report.page import compose
 
     since = time.perf_counter()
     drawings = compose(registration, report, gcps, precision)
+    close_fonts()  # those of this thread, which ends here
     return drawings, time.perf_counter() - since
 
 

@@ -7,6 +7,7 @@ import math
 from typing import Any, Final
 
 import numpy as np
+from matplotlib import font_manager
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -41,6 +42,12 @@ def new_figure(height_in: float) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI)
     FigureCanvasAgg(figure)
     return figure
+
+
+def close_fonts() -> None:
+    """Close the fonts that matplotlib keeps open, two files and 9 MB, for each thread that has drawn."""
+    kept = getattr(font_manager, "_get_font", None)  # private, as there is no public way
+    getattr(kept, "cache_clear", lambda: None)()
 
 
 def frame_figure(

@@ -230,7 +230,9 @@ class Rig:
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror or error}") from error
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-            raise InputError(f"{path} is no rig of pcwlad-geo: make one with pcwlad-geo rig learn") from error
+            raise InputError(
+                f"{path} is no rig of pcwlad-geo ({str(error)[:80]}): make one with pcwlad-geo rig learn"
+            ) from error
 
 
 def grade_of(expected_ce90_px: float) -> Grade:

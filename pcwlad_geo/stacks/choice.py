@@ -86,7 +86,8 @@ def choose_basis(
     typical, chosen = float(np.median(scatter)), 0
     for number in range(1, len(tried)):
         gain = errors[chosen] - errors[number]
-        if _is_better(gain, lossless(tried[chosen]), lossless(tried[number]), typical):
+        gain = gain[np.isfinite(gain)]
+        if len(gain) > 1 and _is_better(gain, lossless(tried[chosen]), lossless(tried[number]), typical):
             chosen = number
     return tried[chosen]
 
@@ -165,9 +166,10 @@ def _network(start: Adjustment, basis: Basis) -> Network:
 def _errors(trial: _Trial, start: Adjustment, scatter: Float64, shared: Float64) -> Float64:
     """Return, for each turn, the mean square of what left-out points lie off, in scatters of their pairs.
 
+    NaN for turns in which none are left out.
     `scatter` and `shared`, (edges,) standard deviations, are of the points and of what those of a pair share.
     """
-    network, found = _network(start, trial.basis), []
+    network, found = _network(start, trial.basis), np.full(BLOCKS**2, np.nan)
     for number in range(BLOCKS**2):
         left_out = [next((fold for fold in folds if fold.number == number), None) for folds in trial.folds]
         kept = [fold.kept if fold else part for part, fold in zip(trial.parts, left_out, strict=True)]
@@ -180,5 +182,5 @@ def _errors(trial: _Trial, start: Adjustment, scatter: Float64, shared: Float64)
             total += float(np.minimum((off / unit) ** 2, CAP**2).sum())
             count += off.size
         if count:
-            found.append(total / count)
-    return np.array(found)
+            found[number] = total / count
+    return found

@@ -142,6 +142,8 @@ def read_table(table: Path, columns: Iterable[str]) -> list[dict[str, str]]:
         raise InputError(f"cannot read {table}: {error.strerror}") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{table} is no CSV table in UTF-8: {error}") from error
+    if "\0" in text.getvalue():
+        raise InputError(f"{table} holds a NUL character, which no CSV table has: write it again as text")
     check_count(str(table), len(rows), BATCH_ROWS, "lines")
     for column in columns:
         if not rows or not all(row.get(column) for row in rows):

@@ -179,3 +179,11 @@ def test_further_pairs_go_to_kinds_with_few_pairs() -> None:
     assert asked_by_sigma(found, [(0, 4)], sigma) == [(1, 4), (2, 4)]
     kinds = ["red", "red", "red", "coarse", "thermal"]
     assert asked_by_sigma(found, [(0, 4)], sigma, kinds) == [(3, 4), (1, 4)]
+
+
+def test_turns_that_leave_nothing_out_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing = np.full(9, np.nan)
+    errors = iter([nothing, np.array([1.0, 2.0, *nothing[2:]])])
+    monkeypatch.setattr("pcwlad_geo.stacks.choice._errors", lambda *_: next(errors, nothing))
+    pair = edge(np.random.default_rng(5), 0, 1, affine)
+    assert terms_of(choose_basis([pair], 2, "auto", datum=0)) == 1
