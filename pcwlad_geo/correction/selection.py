@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import chdtri
 
 from pcwlad_geo.correction.fit import CANDIDATES, FITS
-from pcwlad_geo.correction.fitted import Fit, predicted_sigma
+from pcwlad_geo.correction.fitted import Fit
 from pcwlad_geo.correction.models import has_foldover
 from pcwlad_geo.correction.points import SharedNoise, cross_validation_blocks, left_out_errors
 from pcwlad_geo.errors import InputError
@@ -114,10 +114,21 @@ class _Points:
     observed_px: Float64
     covariance_px2: Float64
     footprint_px: float
+    sample_px: Float64
+    """(m, 2) some of the predicted positions, at which fits are compared."""
+    known_px2: dict[str, Float64] = field(default_factory=dict)
+    """Covariances there of the fits asked for, by model."""
 
     def fit(self, name: str) -> Fit:
         given = self.predicted_px, self.observed_px, self.covariance_px2
         return FITS[name](*given, footprint_px=self.footprint_px)
+
+    def covariance(self, fit: Fit) -> Float64:
+        """Return the (m, 2, 2) covariance of a fit at the sample, which takes long the first time."""
+        name = fit.correction.name
+        if name not in self.known_px2:
+            self.known_px2[name] = fit.covariance(self.sample_px)
+        return self.known_px2[name]
 
 
 def choose(
@@ -165,7 +176,8 @@ def choose(
         Whether both are frames of a camera: a projective is the image of flat ground then, and is left only
         for a model of less than half its squared error.
     """
-    points = _Points(predicted_px, observed_px, covariance_px2, footprint_px)
+    given = (predicted_px, observed_px, covariance_px2, footprint_px)
+    points = _Points(*given, _sample(predicted_px))
     notes: dict[str, str] = {}
     # The field is the costliest by far: it is tried only where a model that resamples has been chosen.
     first = (
@@ -335,10 +347,10 @@ def _misfit(points: _Points, fits: dict[str, Fit], name: str) -> tuple[float, fl
             flexible = points.fit("tps")
         except InputError:
             return 0.0, 0.0
-    at_px = _sample(points.predicted_px)
-    change = chosen.correction.forward(at_px) - flexible.correction.forward(at_px)
-    variance = predicted_sigma(flexible, at_px) ** 2 - predicted_sigma(chosen, at_px) ** 2
-    col, row = np.maximum((change**2).mean(axis=0) - np.maximum(variance.mean(axis=0), 0.0), 0.0).tolist()
+    change = chosen.correction.forward(points.sample_px) - flexible.correction.forward(points.sample_px)
+    beyond_px2 = (points.covariance(flexible) - points.covariance(chosen)).mean(axis=0)
+    by_chance = np.maximum(np.diagonal(beyond_px2), 0.0)
+    col, row = np.maximum((change**2).mean(axis=0) - by_chance, 0.0).tolist()
     return col, row
 
 
@@ -356,12 +368,11 @@ def _sample(predicted_px: Float64) -> Float64:
 
 def _differs(simple: Fit, other: Fit, points: _Points) -> bool:
     """Return whether two corrections differ by more than the precision of the fits explains."""
-    at_px = _sample(points.predicted_px)
-    change = simple.correction.forward(at_px) - other.correction.forward(at_px)
+    change = simple.correction.forward(points.sample_px) - other.correction.forward(points.sample_px)
     # For nested models the variance of the difference is the difference of the variances. Not all are nested:
     # at least half of the other's own.
     ours, theirs = (
-        float(np.trace(fit.covariance(at_px), axis1=1, axis2=2).mean()) for fit in (simple, other)
+        float(np.trace(points.covariance(fit), axis1=1, axis2=2).mean()) for fit in (simple, other)
     )
     by_chance = max(theirs - ours, theirs / 2)
     freedom = max(other.freedom - simple.freedom, other.freedom / 2)

@@ -241,20 +241,21 @@ def _validated_stiffness(task: _Task, start_px: Float64, footprint_px: float, xy
     signs = random_signs(xy_px, PROBES)
     shared = [sigma * task.overlaps.times(signs * sigma * test[:, None]) for test in tests]
     errors = trials.at(trials.smoothing(tried[stiffest])).errors
-    scores = []
-    for stiffness in tried[stiffest : stiffest + FINER_STEPS]:
-        smoothing, score = trials.smoothing(stiffness), 0.0
-        for test, noise in zip(tests, shared, strict=True):
-            kept = np.where(test, 0.0, precision)
-            factor = system.factor(system.normal(kept), smoothing)
-            values = np.column_stack([task.rest_px, noise])
-            made = system.design[test] @ factor.solve(system.design.T @ (kept[:, None] * values))
+    finer = tried[stiffest : stiffest + FINER_STEPS]
+    scores = np.zeros(len(finer))
+    for test, noise in zip(tests, shared, strict=True):
+        kept = np.where(test, 0.0, precision)
+        normal, values = system.normal(kept), np.column_stack([task.rest_px, noise])
+        right = system.design.T @ (kept[:, None] * values)
+        for step, stiffness in enumerate(finer):
+            factor = system.factor(normal, trials.smoothing(stiffness))
+            made = system.design[test] @ factor.solve(right)
             missed = ((task.rest_px[test] - made[:, :2]) ** 2).sum(axis=1)
             # 2 of the covariance, of 2 axes
             flattery = 4 * (signs[test] * made[:, 2:]).mean(axis=1)
-            score += float((precision[test] * (missed + errors.alpha * errors.scale * flattery)).sum())
-        scores.append(score)
-    return tried[stiffest + int(np.argmin(scores))]
+            missed += errors.alpha * errors.scale * flattery
+            scores[step] += float((precision[test] * missed).sum())
+    return finer[int(np.argmin(scores))]
 
 
 def _stiffness(task: _Task, start_px: Float64) -> float:

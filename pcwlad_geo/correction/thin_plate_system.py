@@ -280,14 +280,20 @@ class Trials:
 
     system: ThinPlateSystem
     overlaps: Overlaps
-    values_px: Float64
-    """(n, 2) values (col, row), px."""
-    precision: Float64
-    """(n,) 1/px², 0 for outliers."""
+    normal: Sparse
+    """The normal matrix, the same for every smoothing."""
+    root: Float64
+    """(n, 1) square root of the precision, 1/px, 0 for outliers."""
     inlier: Float64
-    """(n,) 1, or 0 for outliers."""
+    """(n, 1) 1, or 0 for outliers."""
     probes: Float64
     """(n, m) random signs."""
+    shared: Float64
+    """(n, m) these signs, times the errors that windows of inliers share."""
+    planes: Float64
+    """(n, 3) orthonormal vectors that span the planes, see `ThinPlateSystem.planes`."""
+    values: Float64
+    """(n, 2) whitened values (col, row)."""
 
     @classmethod
     def of(
@@ -306,7 +312,16 @@ class Trials:
         which splines are fitted. The (n, 2, 2) `whitener` and (n,) `weight` are as in `estimation.Estimate`.
         """
         inlier = (weight > 0).astype(np.float64)
-        return cls(system, overlaps, values_px, mean_precision(whitener, inlier), inlier, probes)
+        precision = mean_precision(whitener, inlier)
+        root, of_inliers = np.sqrt(precision)[:, None], inlier[:, None]
+        shared = of_inliers * overlaps.times(of_inliers * probes)
+        given = (system.normal(precision), root, of_inliers, probes, shared)
+        return cls(system, overlaps, *given, system.planes(root[:, 0]), root * values_px)
+
+    @property
+    def precision(self) -> Float64:
+        """(n,) 1/px², 0 for outliers."""
+        return np.asarray(self.root[:, 0] ** 2)
 
     def smoothing(self, stiffness: float) -> float:
         """Return the λ of a stiffness."""
@@ -314,18 +329,16 @@ class Trials:
 
     def at(self, smoothing: float) -> Trial:
         """Fit the spline, and estimate how it follows independent and shared errors."""
-        factor = self.system.factor(self.system.normal(self.precision), smoothing)
-        root = np.sqrt(self.precision)[:, None]
-
-        def remaining(whitened: Float64) -> Float64:
-            found = factor.solve(self.system.design.T @ (root * whitened))
-            return np.asarray(whitened - root * (self.system.design @ found))
-
-        own, shared = self.inlier[:, None] * self.probes, self._shared(self.probes)
-        left, own_error, shared_error = remaining(self.probes), remaining(own), remaining(shared)
+        factor = self.system.factor(self.normal, smoothing)
+        whitened = np.column_stack([self.probes, self.shared, self.planes, self.values])
+        found = factor.solve(self.system.design.T @ (self.root * whitened))
+        remaining = whitened - self.root * (self.system.design @ found)
         count = self.probes.shape[1]
+        left, shared_error, bent, residual = np.split(remaining, [count, 2 * count, 2 * count + 3], axis=1)
+        followed = self.probes - left
+        own = self.inlier * self.probes
+        own_error = own - followed  # a spline follows inliers alone
         products = [[(a * b).sum() for b in (own_error, shared_error)] for a in (left, self._shared(left))]
-        residual = remaining(root * self.values_px)
         squares = float((residual**2).sum()) / 2
         errors = SharedErrors.of(
             np.array(products) / count,
@@ -334,19 +347,16 @@ class Trials:
             self.overlaps.patches(),
         )
         # Planes are reproduced, and counted exactly; random signs estimate the rest of the traces.
-        planes = self.system.planes(root[:, 0])
-        bent = self.probes - planes @ (planes.T @ self.probes)
-        smoothed = bent - remaining(bent)
-        straight = (planes**2).sum(), (planes * self._shared(planes)).sum()
+        smoothed = followed - (self.planes - bent) @ (self.planes.T @ self.probes)
+        straight = (self.planes**2).sum(), (self.planes * self._shared(self.planes)).sum()
         used = [
             float(part + (smoothed * noise).sum() / count) / float(self.inlier.sum())
-            for part, noise in zip(straight, (own, shared), strict=True)
+            for part, noise in zip(straight, (own, self.shared), strict=True)
         ]
         return Trial(smoothing, squares, (used[0], used[1]), errors)
 
     def _shared(self, vectors: Float64) -> Float64:
-        inlier = self.inlier[:, None]
-        return np.asarray(inlier * self.overlaps.times(inlier * vectors))
+        return np.asarray(self.inlier * self.overlaps.times(self.inlier * vectors))
 
 
 def best(trials: list[Trial], alpha: float) -> tuple[int, float]:
