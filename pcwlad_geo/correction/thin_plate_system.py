@@ -280,6 +280,8 @@ class Trials:
 
     system: ThinPlateSystem
     overlaps: Overlaps
+    values_px: Float64
+    """(n, 2) values (col, row), px."""
     normal: Sparse
     """The normal matrix, the same for every smoothing."""
     root: Float64
@@ -292,8 +294,6 @@ class Trials:
     """(n, m) these signs, times the errors that windows of inliers share."""
     planes: Float64
     """(n, 3) orthonormal vectors that span the planes, see `ThinPlateSystem.planes`."""
-    values: Float64
-    """(n, 2) whitened values (col, row)."""
 
     @classmethod
     def of(
@@ -316,7 +316,7 @@ class Trials:
         root, of_inliers = np.sqrt(precision)[:, None], inlier[:, None]
         shared = of_inliers * overlaps.times(of_inliers * probes)
         given = (system.normal(precision), root, of_inliers, probes, shared)
-        return cls(system, overlaps, *given, system.planes(root[:, 0]), root * values_px)
+        return cls(system, overlaps, values_px, *given, system.planes(root[:, 0]))
 
     @property
     def precision(self) -> Float64:
@@ -330,7 +330,7 @@ class Trials:
     def at(self, smoothing: float) -> Trial:
         """Fit the spline, and estimate how it follows independent and shared errors."""
         factor = self.system.factor(self.normal, smoothing)
-        whitened = np.column_stack([self.probes, self.shared, self.planes, self.values])
+        whitened = np.column_stack([self.probes, self.shared, self.planes, self.root * self.values_px])
         found = factor.solve(self.system.design.T @ (self.root * whitened))
         remaining = whitened - self.root * (self.system.design @ found)
         count = self.probes.shape[1]
