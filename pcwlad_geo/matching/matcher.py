@@ -271,13 +271,11 @@ def rematch(
     given: Back = "sample" if settings.backward == "sample" and not guide.one_way else own
     for some, structure, back in ((again & ~led, None, own), (again & led, guide.structure_xy_px, given)):
         index = np.flatnonzero(some)
-        # the field is nearer to what a larger window sees, and the structure is needed there in any case
-        start = Start(
-            (target[index] - points.reference_xy_px[index]) if structure is None else structure[index],
-            guide.linear[index],
-            None if structure is None else structure[index],
-            is_match=structure is not None,
-        )
+        begin = target[index] - points.reference_xy_px[index]
+        structure = None if structure is None else structure[index]
+        if structure is not None and settings.window >= SPARSE_FROM_PX:
+            begin = structure  # nearer to what a large window sees, and its structure is needed there anyway
+        start = Start(begin, guide.linear[index], structure, is_match=structure is not None)
         corners = to_index(points[index])
         refined, agree, _ = _refine_both(pair, corners, start, settings, back, step_of(settings.window))
         good = refined.converged & agree
