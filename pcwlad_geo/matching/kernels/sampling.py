@@ -173,8 +173,10 @@ def sample_values(
     ----------
     plane : (n, m) float32 array
         Spline coefficients, the columns sorted by phase.
-    row, col, side, step, width, coefficients, along
+    row, col, side, step, width
         See `sample_shift`.
+    coefficients, along : (step² * (side + 3) * width,) and (step * (side + 3) * width,) float32 arrays
+        Scratch memory.
     value : (side * width,) float32 array
         Filled with the values.
     """

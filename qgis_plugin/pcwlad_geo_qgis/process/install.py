@@ -153,9 +153,7 @@ def _fill(plan: Plan, python: str, place: Path, feedback: Feedback, folder: Path
     _run([*pip, "--progress-bar", "off", *offline, plan.source], plan, feedback, folder)
     feedback.setProgressText(tr("Compiling for this computer"))
     # if it fails, the first run compiles, and says so
-    follow(
-        [str(python_of(place)), "-c", COMPILE], feedback, feedback.pushConsoleInfo, str, folder, grace_s=0.0
-    )
+    follow([pip[0], "-c", COMPILE], feedback, feedback.pushConsoleInfo, str, folder, grace_s=0.0)
 
 
 def _run(command: Sequence[str], plan: Plan, feedback: Feedback, folder: Path) -> None:
