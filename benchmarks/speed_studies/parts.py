@@ -7,6 +7,7 @@ machine does only adds to it.
 from __future__ import annotations
 
 import tempfile
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
@@ -17,6 +18,7 @@ import numpy as np
 import rasterio
 import scipy.fft
 from numpy.typing import NDArray
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
 from benchmarks.speed_studies.scene_files import ScenePair
@@ -126,6 +128,8 @@ def crop(path: Path, folder: Path, side_px: int, begin_px: int = 0, *, placed: b
         profile = file.profile | {"width": side_px, "height": side_px}
         if not placed:
             profile |= {"crs": None, "transform": None}
-        with rasterio.open(out, "w", **profile) as part:
-            part.write(file.read(1, window=Window(begin_px, begin_px, side_px, side_px)), 1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # as it is meant to be
+            with rasterio.open(out, "w", **profile) as part:
+                part.write(file.read(1, window=Window(begin_px, begin_px, side_px, side_px)), 1)
     return out
