@@ -317,7 +317,7 @@ def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> Window
 
 def _not_negative(design: Float64, wanted: Float64) -> Float64:
     """Return the two factors, not negative, of the columns of `design` whose sum is nearest to `wanted`."""
-    both = np.asarray(np.linalg.lstsq(design, wanted)[0], np.float64)
+    both = np.asarray(np.linalg.lstsq(design, wanted, rcond=None)[0], np.float64)
     if both.min() >= 0.0:
         return both
     alone = np.diag(np.maximum(design.T @ wanted, 0.0) / (design**2).sum(axis=0))
