@@ -30,6 +30,7 @@ from rasterio.enums import Resampling
 from rasterio.vrt import WarpedVRT
 
 import pcwlad_geo
+from fuzz.answers import ANSWER, seed_answer
 from fuzz.kept import SEEDS
 from fuzz.mutators import archives
 from fuzz.recipes import REQUESTS
@@ -61,7 +62,7 @@ def main() -> int:
     out.mkdir(parents=True)
     warnings.simplefilter("ignore")
     os.chdir(out)  # what names files names them without a folder
-    for make in (rasters, described, rpc, virtual, side_files, products, finished, tables, stacked):
+    for make in (rasters, described, rpc, virtual, side_files, products, finished, tables, stacked, answers):
         make(out)
     print(f"{sum(file.stat().st_size for file in out.rglob('*'))} bytes in {out}")
     return 0
@@ -324,6 +325,12 @@ def stacked(out: Path) -> None:
     text = json.dumps(_named(numbers, str(out)), indent=1)
     (out / "series/stack.json").write_text(text + "\n")
     (out / "series/pairs/ref__strip/tiepoints.csv").write_bytes(points)
+
+
+def answers(out: Path) -> None:
+    """Write what a start matcher finds."""
+    places = np.random.default_rng(0).uniform(10.0, SIDE_PX - 10.0, (20, 2))
+    (out / ANSWER).write_bytes(seed_answer(places, places + SHIFT_PX))
 
 
 Make = Callable[[Path], None]

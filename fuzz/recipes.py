@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from fuzz.answers import ANSWER
+
 MATCHING: Final = (
     "--features",
     "40",
@@ -178,6 +180,13 @@ def _stacks() -> Iterator[Recipe]:
     yield Recipe("arguments of stack", 0.6, ("stack", *STACK[:2]), (), STACK[:2])
 
 
+def _matchers() -> Iterator[Recipe]:
+    pair = ("ref.tif", "strip.tif")
+    command = ("match", *pair, "--prealign", "search", "--start-matcher", "fuzz.answers:matcher")
+    yield Recipe("start matcher", 1.0, command, (ANSWER,), pair)
+    yield Recipe("arguments of a start matcher", 0.2, command, (), (ANSWER, *pair))
+
+
 def _edits() -> Iterator[Recipe]:
     pair, done = ("ref.tif", "strip.tif"), ("done/report.json", "done/tiepoints.csv")
     yield Recipe("edit", 1.5, ("edit", "done"), done, (*pair, REQUESTS))
@@ -209,6 +218,7 @@ def named(part: str | None) -> tuple[Recipe, ...]:
 RECIPES: Final = (
     *_rigs(),
     *_stacks(),
+    *_matchers(),
     *_edits(),
     *_images(),
     *_virtual(),

@@ -43,6 +43,7 @@ from pcwlad_geo.registration.fitting import Quality
 from pcwlad_geo.registration.result import Matches, Pair, Registration
 from pcwlad_geo.registration.rpc import check_model
 from pcwlad_geo.report.finished import finished
+from pcwlad_geo.solving import inverse
 from pcwlad_geo.text import html_table, one_line_of
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64, PathLike
@@ -292,9 +293,9 @@ class FittedCorrection:
         to_corner = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
         if isinstance(model, AffineCorrection):
             matrix = np.vstack([model.matrix, [0.0, 0.0, 1.0]])
-            return transform.AffineTransform(matrix=np.linalg.inv(to_corner) @ matrix @ to_corner)
+            return transform.AffineTransform(matrix=inverse(to_corner) @ matrix @ to_corner)
         if isinstance(model, ProjectiveCorrection):
-            return transform.ProjectiveTransform(matrix=np.linalg.inv(to_corner) @ model.matrix @ to_corner)
+            return transform.ProjectiveTransform(matrix=inverse(to_corner) @ model.matrix @ to_corner)
         return PixelCentreTransform(model)
 
     @overload

@@ -59,8 +59,10 @@ def invert(
         far = ~(np.abs(miss).max(axis=1) <= tolerance[index])
         index, miss = index[far], miss[far]
         if len(index) == 0:
-            return predicted
+            break
         predicted[index] += solve_2x2(slopes(predicted[index]), miss)
+        index = index[np.isfinite(predicted[index]).all(axis=1)]
+    predicted[~np.isfinite(predicted).all(axis=1)] = np.nan
     predicted[index] = np.nan
     return predicted
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.solving import check_rank, inverse, pseudo_inverse, solve
 from pcwlad_geo.types import Float64
 
 CELLS = 6
@@ -124,7 +124,8 @@ def parameter_covariance(
     u, e, w, xy_px = design[inlier], residual[inlier], weight[inlier], xy_px[inlier]
     n, _, p = u.shape
     normal = np.einsum("i,iap,iaq->pq", w, u, u)
-    g = w[:, None, None] * u @ np.linalg.inv(normal)  # parameters = Σ gᵀ · whitened observations
+    # parameters = Σ gᵀ · whitened observations
+    g = w[:, None, None] * u @ inverse(normal, "the precision of a model needs tie points apart")
     independent = _inner(g, g)
     gram = _inner(u, u)
     kept = 2 * n - 2 * p + float(np.trace(independent @ gram))
@@ -181,7 +182,7 @@ def _shared_part(moments: Float64, observed: Float64) -> float:
     """Return b / (a + b), 0 to 1, of moments · (a, b) = observed; 1 where the moments do not determine it."""
     if np.linalg.cond(moments) > 1e8:
         return 1.0
-    a, b = np.linalg.solve(moments, observed)
+    a, b = solve(moments, observed)
     if b <= 0:
         return 0.0
     return float(min(b / (a + b), 1.0)) if a > 0 else 1.0
@@ -345,7 +346,7 @@ def _least_median(basis: Float64, displacement_px: Float64) -> Float64:
     # A fixed seed: the same points give the same fit. Of 200 samples of 3 points one is clean, also with half
     # of the points outliers, in all but 1 of 10¹¹ cases.
     samples = np.random.default_rng(0).integers(0, n, size=(STARTS, k))
-    candidates = np.linalg.pinv(basis[samples]) @ displacement_px[samples]
+    candidates = pseudo_inverse(basis[samples]) @ displacement_px[samples]
     judges = np.linspace(0, n - 1, min(n, START_POINTS)).astype(np.intp)
     residual = displacement_px[judges] - basis[judges] @ candidates
     return np.asarray(candidates[np.argmin(np.median((residual**2).sum(axis=2), axis=1))])
@@ -359,17 +360,16 @@ def weighted_least_squares(
     Raises `InputError` if the points with weight do not determine the parameters. The (n, k) `basis` and (n,
     2) `displacement_px` are as for `estimate`, the (n, 2, 2) `whitener` and (n,) `weight` as in `Estimate`.
     """
-    singular = np.linalg.svd(basis[weight > 0], compute_uv=False)
-    if len(singular) < basis.shape[1] or singular[-1] < COLLINEAR * singular[0]:
-        raise InputError(
-            f"the {np.count_nonzero(weight > 0)} consistent tie points lie on a line or in one place and do "
-            "not determine the model; use a simpler model, or more tie points"
-        )
+    needs = (
+        f"the {np.count_nonzero(weight > 0)} consistent tie points lie on a line or in one place and do not "
+        "determine the model; use a simpler model, or more tie points"
+    )
+    check_rank(basis[weight > 0], COLLINEAR, needs)
     root = np.sqrt(weight)[:, None]
     rows = (root[:, :, None] * design(basis, whitener)).reshape(-1, 2 * basis.shape[1])
     values = (root * _rotate(whitener, displacement_px)).ravel()
     # Normal equations: two to some tens of parameters on a centred, scaled basis.
-    return np.asarray(np.linalg.solve(rows.T @ rows, rows.T @ values)).reshape(-1, 2)
+    return solve(rows.T @ rows, rows.T @ values, needs).reshape(-1, 2)
 
 
 def _variance_floor(principal_px: Float64, variance_px2: Float64, expected: float, *, median: bool) -> float:
@@ -384,6 +384,8 @@ def _variance_floor(principal_px: Float64, variance_px2: Float64, expected: floa
     from scipy.optimize import brentq  # slow to load, and needed only where points scatter too much
 
     most = float(typical((principal_px**2).sum(axis=1))) / expected
+    if excess(most) >= 0:  # by rounding: the variances are nothing beside it
+        return most
     return float(brentq(excess, 0.0, most, xtol=1e-10, rtol=1e-6))
 
 

@@ -29,6 +29,7 @@ from pcwlad_geo.correction.models import (
 )
 from pcwlad_geo.correction.thin_plate import fit_field, fit_tps
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.solving import solve
 from pcwlad_geo.types import Float64
 
 MIN_POINTS = 6
@@ -93,14 +94,11 @@ def _gauss_newton(
                 "no projective transformation fits the tie points: its horizon would lie among them; use "
                 "another model"
             )
-        normal = rows.T @ rows
-        eigenvalues = np.linalg.eigvalsh(normal)
-        if eigenvalues[0] < COLLINEAR**2 * eigenvalues[-1]:
-            raise InputError(
-                f"the {np.count_nonzero(root.any(axis=(1, 2)))} consistent tie points lie too nearly on a "
-                "line to determine the projective model; use a simpler model, or more tie points"
-            )
-        step = np.linalg.solve(normal, rows.T @ values)
+        needs = (
+            f"the {np.count_nonzero(root.any(axis=(1, 2)))} consistent tie points lie too nearly on a line "
+            "to determine the projective model; use a simpler model, or more tie points"
+        )
+        step = solve(rows.T @ rows, rows.T @ values, needs, least=COLLINEAR**2)
         parameters = parameters + step
         if np.abs(step).max() < STEP_TOLERANCE_PX:
             break

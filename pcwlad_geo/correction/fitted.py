@@ -14,6 +14,7 @@ from pcwlad_geo.correction.dense import in_chunks
 from pcwlad_geo.correction.estimation import Estimate, SharedErrors, parameter_covariance
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.solving import check_observations, solve
 from pcwlad_geo.types import Bool, Float64
 
 SPACINGS = 3.0
@@ -173,24 +174,10 @@ class ParametricFit(Fit):
         """
         root = np.sqrt(self.estimate.weight[training])[:, None, None] * self.estimate.whitener[training]
         rows = (root @ self.jacobian(self.predicted_px[training])).reshape(-1, len(self.parameter_covariance))
-        normal = rows.T @ rows
-        eigenvalues = np.linalg.eigvalsh(normal)
-        if eigenvalues[0] <= DETERMINED * eigenvalues[-1]:
-            raise InputError(
-                "without those of one part of the image the tie points do not determine the "
-                f"{self.correction.name} model"
-            )
         values = (root @ values_px[training]).reshape(len(rows), -1)
-        return np.asarray(self.jacobian(self.predicted_px[test]) @ np.linalg.solve(normal, rows.T @ values))
-
-
-def predicted_sigma(fit: Fit, at_px: Float64) -> Float64:
-    """Return the (n, 2) standard deviation (col, row), px, of the correction of `fit` at the (n, 2) `at_px`.
-
-    It says how well the model is determined, not how far a single pixel may deviate from it: real
-    displacements about the model add `fit.variance_floor_px2`.
-    """
-    return np.sqrt(np.diagonal(fit.covariance(at_px), axis1=1, axis2=2))
+        needs = f"the {self.correction.name} model needs tie points in other parts of the image as well"
+        found = solve(rows.T @ rows, rows.T @ values, needs, least=DETERMINED)
+        return np.asarray(self.jacobian(self.predicted_px[test]) @ found)
 
 
 def checked(
@@ -224,6 +211,5 @@ def checked(
             f"{n} tie point{'' if n == 1 else 's'} for the {name} model, which needs at least {least}; "
             "use a simpler model, or more tie points"
         )
-    if not all(np.isfinite(a).all() for a in arrays):
-        raise InputError(f"some of the {n} tie points are not finite; leave them out")
+    check_observations(f"the {n} tie points", *arrays)
     return arrays[0], arrays[1], arrays[2]

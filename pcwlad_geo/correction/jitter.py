@@ -12,6 +12,7 @@ import numpy as np
 from pcwlad_geo.correction.estimation import Solution, design, estimate, reweighted, weighted_least_squares
 from pcwlad_geo.correction.fitted import ParametricFit, checked
 from pcwlad_geo.correction.models import AffineCorrection, JitterCorrection, JitterWave
+from pcwlad_geo.solving import least_squares
 from pcwlad_geo.types import Float64, Index
 
 ALONG: Final = ("column", "row")
@@ -70,7 +71,7 @@ def smooth_rest(at_px: Float64, displacement_px: Float64) -> Float64:
     rest = displacement_px
     for _ in range(5):
         root = np.sqrt(weight)[:, None]
-        rest = displacement_px - terms @ np.linalg.lstsq(terms * root, displacement_px * root, rcond=None)[0]
+        rest = displacement_px - terms @ least_squares(terms * root, displacement_px * root)
         size = np.linalg.norm(rest, axis=1)
         limit = 4.0 * float(np.median(size)) or 1.0
         weight = np.maximum(1.0 - (size / limit) ** 2, 0.0) ** 2
@@ -174,7 +175,7 @@ def fit_jitter(
         strongest = min(more, key=lambda each: (each.chance, -each.amplitude_px))
         waves = (*waves, (ALONG.index(strongest.along), strongest.period_px))
         terms = _terms(predicted, centre, waves, footprint_px)[:, 3:]
-        rest = rest - terms @ np.linalg.lstsq(terms, rest, rcond=None)[0]
+        rest = rest - terms @ least_squares(terms, rest)
     values = _terms(predicted, centre, waves, footprint_px)
     found = estimate(values[:, :3], displacement, covariance)
     if waves:

@@ -11,6 +11,7 @@ import scipy.sparse
 
 from pcwlad_geo.correction.dense import Lattice, in_chunks, invert, positions
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.solving import inverse, least_squares
 from pcwlad_geo.types import Float64, Index
 
 MAX_ORDER: Final = 3
@@ -278,7 +279,7 @@ class AffineCorrection:
     def inverse(self, observed_px: Float64) -> Float64:
         """Map the (n, 2) `observed_px` to predicted target pixels (col, row)."""
         moved = np.asarray(observed_px, dtype=np.float64) - self.matrix[:, 2]
-        return moved @ np.linalg.inv(self.matrix[:, :2]).T
+        return moved @ inverse(self.matrix[:, :2]).T
 
     def to_dict(self) -> dict[str, object]:
         """Return the model as report.json holds it, which alone is enough to warp."""
@@ -289,7 +290,7 @@ def affine_between(from_xy: Float64, to_xy: Float64) -> Float64:
     """Return the (2, 3) affine matrix of least squares between the (n, 2) points `from_xy` and `to_xy`."""
     # Relative to the means: eastings and northings have more digits than normal equations keep.
     centre, moved = from_xy.mean(axis=0), to_xy.mean(axis=0)
-    linear = np.linalg.lstsq(from_xy - centre, to_xy - moved, rcond=None)[0].T
+    linear = least_squares(from_xy - centre, to_xy - moved).T
     return np.column_stack([linear, moved - linear @ centre])
 
 
@@ -308,7 +309,7 @@ class ProjectiveCorrection:
 
     def inverse(self, observed_px: Float64) -> Float64:
         """Map the (n, 2) `observed_px` to predicted target pixels; NaN beyond the horizon."""
-        return _homogeneous(np.asarray(np.linalg.inv(self.matrix), dtype=np.float64), observed_px)
+        return _homogeneous(inverse(self.matrix), observed_px)
 
     def to_dict(self) -> dict[str, object]:
         """Return the model as report.json holds it, which alone is enough to warp."""

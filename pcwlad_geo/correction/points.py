@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from pcwlad_geo.correction.estimation import Overlaps, random_signs
 from pcwlad_geo.correction.fitted import Fit
+from pcwlad_geo.solving import check_observations, least_squares, solve
 from pcwlad_geo.types import Bool, Float64, Index
 
 SURFACE_NEIGHBOURS = 40
@@ -43,7 +44,7 @@ def local_surface(xy_px: Float64, values_px: Float64) -> Float64:
         weighted = design / (1 + (size / (2 * scale)) ** 2)[..., None]
         normal = np.einsum("nki,nkj->nij", weighted, design)
         normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(design.shape[2])
-        found = np.linalg.solve(normal, np.einsum("nki,nkj->nij", weighted, around))
+        found = solve(normal, np.einsum("nki,nkj->nij", weighted, around))
         scatter = around - design @ found
         value = found[:, 0]
     return value
@@ -91,6 +92,7 @@ def agreement(predicted_px: Float64, observed_px: Float64, sigma_px: Float64 | N
     georeferencing and as found. The (n,) `sigma_px` is the radial standard deviation of the latter, NaN where
     unknown.
     """
+    check_observations("tie points", predicted_px, observed_px)
     n = len(predicted_px)
     if n < MIN_POINTS:
         return Agreement(np.ones(n, bool), np.eye(2), float("nan"), 0.0)
@@ -122,7 +124,7 @@ def _about_the_trend(predicted_px: Float64, observed_px: Float64) -> tuple[Float
     weight = np.ones(len(basis))
     for _ in range(_STEPS):
         root = np.sqrt(weight)[:, None]
-        found = np.linalg.lstsq(basis * root, observed_px * root, rcond=None)[0]
+        found = least_squares(basis * root, observed_px * root)
         distance_px = np.linalg.norm(observed_px - basis @ found, axis=1)
         weight = 1 / np.maximum(distance_px, MIN_PX)
     return observed_px - basis @ found, found[1:].T / scale_px

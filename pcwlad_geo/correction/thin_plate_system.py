@@ -7,11 +7,12 @@ from typing import TypeAlias
 
 import numpy as np
 import scipy.sparse
-from scipy.sparse.linalg import LinearOperator, cg, splu
+from scipy.sparse.linalg import LinearOperator, cg
 
 from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.correction.estimation import Overlaps, SharedErrors
 from pcwlad_geo.correction.models import SplineGrid, cubic_b_splines
+from pcwlad_geo.solving import factorised
 from pcwlad_geo.types import Float64
 
 Sparse: TypeAlias = scipy.sparse.csc_array
@@ -162,8 +163,9 @@ class ThinPlateSystem:
         """Factorise the matrix `normal` plus `smoothing` times the bending energy."""
         energy = self.energy if normal.shape == self.energy.shape else self.energy_of_both
         return Factor(
-            splu(
+            factorised(
                 scipy.sparse.csc_array(normal + smoothing * energy),
+                "the thin-plate spline needs tie points of finite sigma",
                 permc_spec="MMD_AT_PLUS_A",
                 diag_pivot_thresh=0.0,
                 options={"SymmetricMode": True},

@@ -17,6 +17,7 @@ from scipy.special import gammaln
 from pcwlad_geo.matching.outliers import ALIKE, NARROW_PX, NEIGHBOURS
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Bool, Float64, Index
 
 TOLERANCE_PX: Final = 1.0
@@ -218,7 +219,7 @@ def plane_of(reference_xy_px: Float64, target_xy_px: Float64) -> Float64 | None:
     if matrix is None or not np.isfinite(matrix).all():
         return None
     to_middle = np.array([[1.0, 0.0, -middle[0]], [0.0, 1.0, -middle[1]], [0.0, 0.0, 1.0]])
-    found = np.linalg.inv(to_middle) @ np.asarray(matrix, np.float64) @ to_middle
+    found = inverse(to_middle) @ np.asarray(matrix, np.float64) @ to_middle
     return np.asarray(found / found[2, 2])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
+from pcwlad_geo.solving import least_squares, pseudo_inverse
 from pcwlad_geo.types import Float64, Index
 
 SIMPLER_WITHIN_PX: Final = 0.02
@@ -227,13 +228,13 @@ def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Fl
     weight = np.ones(len(xy_px))
     solution = np.zeros((3, 2))
     for _ in range(20):
-        solution = np.linalg.lstsq(design * weight[:, None], displacement_px * weight[:, None], rcond=None)[0]
+        solution = least_squares(design * weight[:, None], displacement_px * weight[:, None])
         residual = displacement_px - design @ solution
         radial = np.hypot(residual[:, 0], residual[:, 1])
         scale = max(float(np.median(radial)), 1e-6)
         weight = 1 / np.sqrt(1 + (radial / scale) ** 2)
-    # points on one line leave the slope across it undetermined: lstsq gives 0 there, pinv does too
-    inverse = np.linalg.pinv((design * weight[:, None] ** 2).T @ design, rcond=1e-10)
+    # points on one line leave the slope across it undetermined: both give 0 there
+    inverse = pseudo_inverse((design * weight[:, None] ** 2).T @ design, least=1e-10)
     variance = (weight[:, None] ** 2 * residual**2).sum(axis=0) / (weight**2).sum()
     return solution[1:].T.copy(), np.sqrt(np.outer(variance, np.diagonal(inverse)[1:]))
 

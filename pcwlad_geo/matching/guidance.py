@@ -12,6 +12,7 @@ import numpy as np
 from pcwlad_geo.matching import field
 from pcwlad_geo.matching.outliers import MIN_NARROW_PX, NARROW_PX, SCATTERS
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
+from pcwlad_geo.solving import inverse, least_squares
 from pcwlad_geo.types import Bool, Float64, Index
 
 DEFAULT_SCALE: Final = 3.0
@@ -35,8 +36,8 @@ def sigma_scale(residual_px: Float64, covariance_px2: Float64) -> float:
     known = np.isfinite(residual_px).all(axis=1)
     if known.sum() < MIN_POINTS:
         return DEFAULT_SCALE
-    residual, covariance = residual_px[known], covariance_px2[known] + 1e-8 * np.eye(2)
-    squared = np.einsum("ni,nij,nj->n", residual, np.linalg.inv(covariance), residual)
+    residual, weight = residual_px[known], inverse(covariance_px2[known] + 1e-8 * np.eye(2))
+    squared = np.einsum("ni,nij,nj->n", residual, weight, residual)
     scale = float(np.sqrt(np.median(squared) / MEDIAN_CHI_SQUARE_2))
     return float(np.clip(scale, *SCALE_RANGE))
 
@@ -274,8 +275,8 @@ class WindowErrors:
         if size <= 0:
             return Scales.of(windows_px[-1])
         # without noise the two errors are proportional, and their covariance is singular
-        inverse = np.linalg.inv(covariance / size + 1e-6 * np.eye(len(windows_px)))
-        weights = inverse.sum(axis=0) / inverse.sum()
+        weight = inverse(covariance / size + 1e-6 * np.eye(len(windows_px)))
+        weights = weight.sum(axis=0) / weight.sum()
         return Scales(windows_px, tuple(float(weight) for weight in weights))
 
 
@@ -317,7 +318,7 @@ def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> Window
 
 def _not_negative(design: Float64, wanted: Float64) -> Float64:
     """Return the two factors, not negative, of the columns of `design` whose sum is nearest to `wanted`."""
-    both = np.asarray(np.linalg.lstsq(design, wanted, rcond=None)[0], np.float64)
+    both = least_squares(design, wanted)
     if both.min() >= 0.0:
         return both
     alone = np.diag(np.maximum(design.T @ wanted, 0.0) / (design**2).sum(axis=0))

@@ -35,6 +35,7 @@ from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, measure_noise, prepare, rounding_of
 from pcwlad_geo.matching.refinement import STEP_PX, Refined, Start, refine
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, MethodTraits, TiePoints
+from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Bool, Float64, Index
 
 DISAGREEMENT_PX: Final = 0.5
@@ -544,7 +545,7 @@ def _refine_back(
     deformation = np.einsum("nij,nj->ni", linear, remainder)
     start = Start(
         -(shift_xy + deformation),
-        np.linalg.inv(np.eye(2) + linear) - np.eye(2),
+        inverse(np.eye(2) + linear) - np.eye(2),
         None if structure_xy is None else -(structure_xy + deformation),
         is_match=structure_xy is not None,
     )

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from pcwlad_geo.matching.field import SIGMA_OF_MEDIAN_DISTANCE
+from pcwlad_geo.solving import least_squares
 from pcwlad_geo.types import Bool, Float64, Index
 
 NEIGHBOURS: Final = 12
@@ -311,7 +312,7 @@ def _trend(xy: Float64, displacement: Float64, used: Bool, order: int) -> Float6
     basis, weight = np.column_stack(terms), used.astype(np.float64)
     for _ in range(_REWEIGHTED):
         weighted = basis.T * weight
-        fitted = basis @ np.linalg.lstsq(weighted @ basis, weighted @ displacement, rcond=None)[0]
+        fitted = basis @ least_squares(weighted @ basis, weighted @ displacement)
         off = _length(displacement - fitted)
         weight = used / np.maximum(off, max(0.1 * float(np.median(off[used])), 1e-6))
     return np.asarray(fitted)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
 from pcwlad_geo.matching.shift_search import Patches, normalised_channels, patches_against_chance
+from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Bool, Float32, Float64
 
 CELLS: Final = 112
@@ -132,8 +133,8 @@ class _Trial:
         row, col = self.shift_rc if self.cycle is None else map(self._nearest_cycle, (0, 1))
         from_px = np.diag([-1.0, -1.0, 1.0]) @ self.fixed.from_px if self.opposite else self.fixed.from_px
         shift = _affine(np.eye(2), np.array([col, row], np.float64))
-        found = np.linalg.inv(from_px) @ shift @ self.moving.from_px
-        return np.asarray(np.linalg.inv(found) if self.scan.from_target else found, np.float64)
+        found = inverse(from_px) @ shift @ self.moving.from_px
+        return inverse(found) if self.scan.from_target else found
 
     def _nearest_cycle(self, axis: int) -> int:
         """Return the shift along an axis, of those that are one in the cycle, with the largest overlap."""
@@ -190,7 +191,7 @@ class _Image:
         for angle_rad in angles_rad or (0.0,):
             linear = per_px * _rotation(angle_rad)
             from_px = _affine(linear, (np.array([cols, rows]) - 1) / 2 - linear @ middle_px)
-            warp = from_px @ np.linalg.inv(to_map)
+            warp = from_px @ inverse(to_map)
             known = (_warped(usable, warp, (rows, cols)) > 0.5).astype(np.float32)
             values = np.stack([_warped(plane, warp, (rows, cols)) * known for plane in blurred])
             yield _Cells(
@@ -284,9 +285,9 @@ class _Scan:
         """Return the shift (col, row), cells, at which a pose places the middle of the moving image."""
         if near is None:
             return None
-        pose = np.linalg.inv(near) if self.from_target else near
+        pose = inverse(near) if self.from_target else near
         middle = np.array([(moving.shape[1] - 1) / 2, (moving.shape[0] - 1) / 2, 1.0])
-        col, row, _ = fixed.from_px @ pose @ np.linalg.inv(moving.from_px) @ middle - middle
+        col, row, _ = fixed.from_px @ pose @ inverse(moving.from_px) @ middle - middle
         return round(col), round(row)
 
 
@@ -422,7 +423,7 @@ def _voted(reference: _Image, target: _Image, proposal: PoseProposal) -> PosePro
     margin = np.array([FRAME_MARGIN_PX, FRAME_MARGIN_PX])
     best = proposal
     for _ in range(ROUNDS):
-        warp = to_small @ _square(best.matrix) @ np.linalg.inv(to_frame)
+        warp = to_small @ _square(best.matrix) @ inverse(to_frame)
         warped = _warped_image(
             small, known, warp @ _affine(np.eye(2), -margin.astype(np.float64)), valid.shape
         )
@@ -430,7 +431,7 @@ def _voted(reference: _Image, target: _Image, proposal: PoseProposal) -> PosePro
         if patches.agreeing <= best.agreeing:
             break
         step, left_px = patches.similarity()
-        matrix = np.linalg.inv(to_small) @ warp @ step @ to_frame
+        matrix = inverse(to_small) @ warp @ step @ to_frame
         best = PoseProposal(
             matrix[:2], proposal.score, proposal.evidence, patches.count, patches.agreeing, left_px / factor
         )

@@ -12,6 +12,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.raster.crs import to_pyproj, with_arrays
 from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.solving import solve
 from pcwlad_geo.types import Float64
 
 _PROBE_M = 50.0
@@ -86,7 +87,7 @@ def moved_xy(xy: Float64, along_m: Float64, crs: CRS) -> Float64:
     step = np.zeros_like(xy)
     for _ in range(_ROUNDS):
         missing_m = along_m - displacement_m(xy, xy + step, crs)
-        step = step + np.linalg.solve(ground.stretch(xy + step / 2), missing_m[..., None])[..., 0]
+        step = step + solve(ground.stretch(xy + step / 2), missing_m[..., None])[..., 0]
     return np.asarray(xy + step)
 
 

@@ -14,6 +14,7 @@ from rasterio.crs import CRS
 from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.solving import inverse, solve
 from pcwlad_geo.types import Float64
 
 
@@ -149,7 +150,7 @@ def geotransform_of(gcps: Sequence[GroundControlPoint]) -> tuple[Affine, float] 
     transform = Affine(a, b, c, d, e, f)
     if not is_invertible(linear_part(transform)):
         return transform, np.inf
-    residual_px = np.linalg.solve(linear_part(transform), (xy - apply(transform, px)).T)
+    residual_px = solve(linear_part(transform), (xy - apply(transform, px)).T)
     return transform, float(np.linalg.norm(residual_px, axis=0).max())
 
 
@@ -245,8 +246,8 @@ def apply_inverse(transform: Affine, points_xy: Float64) -> Float64:
     """Map (n, 2) points `points_xy`, usually map units, by the inverse of `transform` to (n, 2) points."""
     # Differences first: eastings and northings have more digits than the inverse geotransform keeps.
     origin = np.array([transform.c, transform.f])
-    inverse = np.linalg.inv(linear_part(transform))
-    return np.asarray((np.asarray(points_xy, dtype=np.float64) - origin) @ inverse.T)
+    back = inverse(linear_part(transform))
+    return np.asarray((np.asarray(points_xy, dtype=np.float64) - origin) @ back.T)
 
 
 def composed(

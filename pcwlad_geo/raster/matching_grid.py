@@ -15,6 +15,7 @@ from pcwlad_geo.raster.crs import name_of, transform_xy, transformation_warnings
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import Resampling, View
+from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Float64
 
 TURN: float = 360.0
@@ -282,7 +283,7 @@ def _axis_scale(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) -> Flo
     """Return (2,) signed px of a grid per px of another along columns and rows; None for other axes."""
     if not _same_coordinates(from_grid, to_grid, common):
         return None
-    matrix = np.linalg.inv(linear_part(to_grid.transform)) @ linear_part(from_grid.transform)
+    matrix = inverse(linear_part(to_grid.transform)) @ linear_part(from_grid.transform)
     left, top, right, bottom = common.bounds
     skew_px = max(abs(matrix[0, 1]) * (bottom - top), abs(matrix[1, 0]) * (right - left))
     return None if skew_px > _SAME_SIZE_PX else np.diagonal(matrix).copy()

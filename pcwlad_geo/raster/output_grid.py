@@ -16,6 +16,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import check_grid, check_output_pixel
 from pcwlad_geo.raster.crs import name_of, to_pyproj
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
+from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Float64
 
 _SAME: Final = 1e-6
@@ -73,7 +74,7 @@ def _own_size(lattice: Grid, raster: Grid, reference_size: Float64 | None) -> Fl
     """Return the (2,) size of a raster with the output's CRS and directions of axes; None for others."""
     if raster.crs != lattice.crs:
         return None
-    matrix = np.abs(np.linalg.inv(linear_part(lattice.transform)) @ linear_part(raster.transform))
+    matrix = np.abs(inverse(linear_part(lattice.transform)) @ linear_part(raster.transform))
     if matrix[0, 1] > matrix[0, 0]:
         matrix = matrix[:, ::-1]  # columns along y
     if max(matrix[0, 1], matrix[1, 0]) > _ALIGNED * matrix.max():
@@ -126,8 +127,7 @@ def _steps_across(lattice: Grid, target: Grid) -> tuple[Float64, bool]:
             f"the middle of the target cannot be transformed from {name_of(target.crs)} to "
             f"{name_of(lattice.crs)}: crop it to where that CRS is valid, or use --grid target"
         )
-    inverse = np.linalg.inv(forward)
-    return 1.0 / np.hypot(*inverse), bool(abs(forward[0, 0]) < abs(forward[0, 1]))
+    return 1.0 / np.hypot(*inverse(forward)), bool(abs(forward[0, 0]) < abs(forward[0, 1]))
 
 
 def _turned(lattice: Grid, target: Grid) -> bool:

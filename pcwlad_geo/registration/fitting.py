@@ -20,6 +20,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.registration.judge import Verdict
+from pcwlad_geo.solving import least_squares
 from pcwlad_geo.tiepoints.readers import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
@@ -328,7 +329,7 @@ def _plane_beside(points: TiePointTable, at_px: Float64, footprint_px: float) ->
     if len(nearest) < NEIGHBOURS:
         return np.zeros(2)
     design = np.column_stack([np.ones(NEIGHBOURS), points.predicted_px[nearest] - at_px])
-    return np.asarray(np.linalg.lstsq(design, points.residual_px[nearest], rcond=None)[0][0])
+    return np.asarray(least_squares(design, points.residual_px[nearest])[0])
 
 
 def _typical_sigma_px(points: TiePointTable) -> float:

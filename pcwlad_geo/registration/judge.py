@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.registration.prealign import Prealignment
+from pcwlad_geo.solving import least_squares
 from pcwlad_geo.types import Bool, Float64, Index
 
 MIN_POINTS: Final = 12
@@ -173,7 +174,7 @@ def _common_plane(matches: TiePoints, kept: Bool) -> tuple[Float64, float]:
     """
     xy = matches.reference_xy_px - matches.reference_xy_px[kept].mean(axis=0)
     design = np.c_[np.ones(len(xy)), xy]
-    solution = np.linalg.lstsq(design[kept], matches.displacement_px[kept], rcond=None)[0]
+    solution = least_squares(design[kept], matches.displacement_px[kept])
     rise_px = np.abs(solution[1:]) * (np.ptp(xy, axis=0) / 2)[:, None]  # from the middle to the border
     return design @ solution, float(np.prod(1 + rise_px / AGREE_PX))
 

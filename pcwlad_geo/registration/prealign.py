@@ -23,6 +23,7 @@ from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import Patch, View, file_px_per_px
 from pcwlad_geo.registration.tiles import Scene
+from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Float64
 
 OVERVIEW_SIDE_PX: Final = 1024
@@ -234,7 +235,7 @@ def by_pose_search(pair: ViewPair, overviews: Overviews, search_radius: int | No
         return None
     # from array indices of the overviews to corner-based px of the views
     to_views = [np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1 / factor]]) for factor in factors]
-    matrix = to_views[1] @ np.vstack([found.matrix, [0.0, 0.0, 1.0]]) @ np.linalg.inv(to_views[0])
+    matrix = to_views[1] @ np.vstack([found.matrix, [0.0, 0.0, 1.0]]) @ inverse(to_views[0])
     matrix /= matrix[2, 2]
     if expected is None:
         coarse_px = overviews.factor * max(1.0, found.scale) * (found.spread_px + POSE_ERROR_PX)
@@ -297,8 +298,8 @@ def _posed_grid(grid: Grid, pair: ViewPair, matrix: Float64) -> Grid:
     """Return a grid of the target moved by a pose, in the CRS of the reference."""
     places = grid.lattice_px(POSE_NODES)
     target_px = map_px(places, grid, pair.target.grid)
-    inverse = np.linalg.inv(matrix)
-    reference_px = pair.reference.to_file_px(target_px @ inverse[:2, :2].T + inverse[:2, 2])
+    back = inverse(matrix)
+    reference_px = pair.reference.to_file_px(target_px @ back[:2, :2].T + back[:2, 2])
     if not np.isfinite(reference_px).all():
         raise InputError("the pose places the target where the CRS of the reference is not defined")
     affine = affine_between(places, pair.reference.info.grid.to_xy(reference_px))

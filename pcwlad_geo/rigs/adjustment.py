@@ -23,6 +23,7 @@ import numpy as np
 from scipy import sparse
 
 from pcwlad_geo.rigs.lenses import LensModel, project, rays
+from pcwlad_geo.solving import inverse, solve
 from pcwlad_geo.types import Bool, Float64, Index
 
 OF_LENS: Final = 8
@@ -53,6 +54,8 @@ RELIEF_PX: Final = 0.1
 """Standard deviation of a point from its capture's plane, as parallax of the lens of the longest baseline."""
 RELIEF: Final = (0.02, 0.3)
 """Smallest and largest of it, in nearness."""
+NEEDS: Final = "the adjustment of a rig needs tie points of all lenses, with sigmas above 0"
+"""What its equations ask for."""
 MEAN_SIGMA: Final = 1e-3
 """With this standard deviation the mean nearness of all captures is 1: the unit of the baselines."""
 
@@ -207,7 +210,7 @@ def adjust(
     factor = _spread(residual, seen, kept)
     covariance = np.zeros((len(scale), len(scale)))
     covariance[np.ix_(free, free)] = (
-        np.linalg.inv(normal) * np.outer(scale[free], scale[free]) * max(factor, 1.0) ** 2
+        inverse(normal, NEEDS) * np.outer(scale[free], scale[free]) * max(factor, 1.0) ** 2
     )
     return Adjusted(state, covariance, residual, kept, factor)
 
@@ -386,5 +389,5 @@ def _step(
     pull = np.asarray(gather.T @ residual.ravel())
     inner = sparse.diags(1 / own)
     reduced = normal - (cross @ inner @ cross.T).toarray()
-    step = np.linalg.solve(reduced + damping * np.diag(np.diag(reduced)), right - cross @ (pull / own))
+    step = solve(reduced + damping * np.diag(np.diag(reduced)), right - cross @ (pull / own), NEEDS)
     return step, (pull - cross.T @ step) / own, reduced

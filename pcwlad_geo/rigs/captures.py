@@ -19,6 +19,7 @@ from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.opening import check_dataset
 from pcwlad_geo.raster.source import open_raster, plain_name
 from pcwlad_geo.rigs.lenses import Lens
+from pcwlad_geo.solving import least_squares
 from pcwlad_geo.types import Float32, Float64, PathLike
 
 ENDINGS: Final = (".tif", ".tiff", ".jpg", ".jpeg", ".png")
@@ -330,7 +331,7 @@ def _pix4d_fisheye(
         return None
     angle = np.linspace(0.01, min(1.4, np.pi / 2 * max(*shape) / max(matrix[0], 1.0)), 60)
     radius = np.polynomial.polynomial.polyval(angle * 2 / np.pi, np.array(powers))
-    odd = np.linalg.lstsq(angle[:, None] ** np.array([1, 3, 5, 7]), radius, rcond=None)[0]
+    odd = least_squares(angle[:, None] ** np.array([1, 3, 5, 7]), radius)
     if not odd[0] > 0:
         return None
     rows, cols = shape

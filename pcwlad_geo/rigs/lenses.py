@@ -18,6 +18,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from pcwlad_geo.solving import least_squares
 from pcwlad_geo.types import Bool, Float64
 
 LensModel = Literal["brown", "fisheye"]
@@ -137,7 +138,7 @@ def homography_residual(source: Float64, target: Float64) -> Float64:
                 np.column_stack([zero, zero, zero, x, y, one, -v * x, -v * y]) / weight[:, None],
             ]
         )
-        h = np.linalg.lstsq(rows, np.concatenate([u / weight, v / weight]), rcond=None)[0]
+        h = least_squares(rows, np.concatenate([u / weight, v / weight]))
         weight = 1 + h[6] * x + h[7] * y
     fitted = np.column_stack([h[0] * x + h[1] * y + h[2], h[3] * x + h[4] * y + h[5]]) / weight[:, None]
     return np.asarray((np.column_stack([u, v]) - fitted) * size)

@@ -18,21 +18,23 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.solving import check_observations, inverse, triangular
 from pcwlad_geo.stacks.basis import Basis, basis_over, mixing_of, penalty_of, terms_of
 from pcwlad_geo.stacks.network import (
     ALIKE,
     BLOCKS,
+    POINTS,
     Edge,
     EdgeFit,
     Network,
     Part,
     Solution,
-    check_determined,
     components,
     errors_of,
-    factorised,
+    factor_of,
     folds_of,
     linked,
+    named,
     part_of,
     side_of_blocks,
 )
@@ -122,18 +124,16 @@ class Adjustment:
 
     @cached_property
     def _factor(self) -> SuperLU:
-        factor = factorised(self.normal)
-        check_determined(factor, self.normal)
-        return factor
+        return factor_of(self.normal, len(self.coefficients), self.fixed, check=True)
 
 
 def larger(one: Float64, other: Float64) -> Float64:
     """Return in each direction the larger of two covariances, `one` and `other`, all (n, 2, 2)."""
     size = np.trace(one, axis1=1, axis2=2) + np.trace(other, axis1=1, axis2=2)
     least = (1e-9 * size + 1e-30)[:, None, None] * np.eye(2)
-    root = np.linalg.cholesky(one + least)
-    inverse = np.linalg.inv(root)
-    ratio, axes = np.linalg.eigh(inverse @ (other + least) @ inverse.transpose(0, 2, 1))
+    root = triangular(one + least, POINTS)
+    back = inverse(root, POINTS)
+    ratio, axes = np.linalg.eigh(back @ (other + least) @ back.transpose(0, 2, 1))
     turned = root @ axes
     found = turned @ (np.maximum(ratio, 1.0)[:, :, None] * turned.transpose(0, 2, 1))
     return np.asarray(np.where(size[:, None, None] > 0, found, 0.0))
@@ -181,6 +181,8 @@ def adjust(
     InputError
         If the edges do not connect all images, unless they may be apart, or there are none.
     """
+    for edge in edges:
+        check_observations("the tie points of a pair", edge.first_xy, edge.second_xy, edge.covariance)
     count, group = components(edges, images, np.ones(len(edges), bool))
     if not edges or (count > 1 and not apart):
         away = np.flatnonzero(group != group[0]).tolist()
@@ -277,7 +279,8 @@ def _on_frame(before: Adjustment, more: Sequence[Edge], old: int, images: int) -
         )
         for edge in more
     ]
-    return adjust(frame, images - old + 1, basis=before.basis)
+    with named([0, *range(old, images)]):
+        return adjust(frame, images - old + 1, basis=before.basis)
 
 
 def _about_mean(coefficients: Float64, group: Index) -> Float64:

@@ -30,6 +30,7 @@ from pcwlad_geo.stacks.network import (
     errors_of,
     folds_of,
     linked,
+    named,
     part_of,
     side_of_blocks,
 )
@@ -72,17 +73,18 @@ def choose_basis(
     ]
     if len(tried) == 1:
         return tried[0]
-    edges, images, datum = _nearest(edges, images, datum)
-    start = adjust(edges, images, datum=datum, apart=apart)
-    edges = [edge for edge, fit in zip(linked(edges), start.edges, strict=True) if fit.used]
-    trials: list[_Trial] = []
-    for basis in tried:
-        same = bool(trials) and isinstance(basis, SplineBasis) and isinstance(trials[-1].basis, SplineBasis)
-        trials.append(replace(trials[-1], basis=basis) if same else _trial(edges, start, basis))
-    # what points scatter, and pairs share, is held against all models alike: as by the one that leaves least
-    scatter = np.min([[part.scatter for part in trial.parts] for trial in trials], axis=0)
-    shared = np.min([trial.shared for trial in trials], axis=0)
-    errors = [_errors(trial, start, scatter, shared) for trial in trials]
+    edges, known, datum = _nearest(edges, images, datum)
+    with named(known):
+        start = adjust(edges, len(known), datum=datum, apart=apart)
+        edges = [edge for edge, fit in zip(linked(edges), start.edges, strict=True) if fit.used]
+        trials: list[_Trial] = []
+        for basis in tried:
+            same = bool(trials) and all(isinstance(each, SplineBasis) for each in (basis, trials[-1].basis))
+            trials.append(replace(trials[-1], basis=basis) if same else _trial(edges, start, basis))
+        # what points scatter, and pairs share, is held against all models alike: as by the best of them
+        scatter = np.min([[part.scatter for part in trial.parts] for trial in trials], axis=0)
+        shared = np.min([trial.shared for trial in trials], axis=0)
+        errors = [_errors(trial, start, scatter, shared) for trial in trials]
     typical, chosen = float(np.median(scatter)), 0
     for number in range(1, len(tried)):
         gain = errors[chosen] - errors[number]
@@ -113,10 +115,12 @@ def _is_better(gain: Float64, before: bool, after: bool, scatter: float) -> bool
     return bool(enough and gain.mean() > RESAMPLING_SIGNIFICANCE * error)
 
 
-def _nearest(edges: Sequence[Edge], images: int, datum: int | None) -> tuple[Sequence[Edge], int, int | None]:
-    """Return the pairs of the images nearest to the datum, renumbered, if there are many images."""
+def _nearest(
+    edges: Sequence[Edge], images: int, datum: int | None
+) -> tuple[Sequence[Edge], Sequence[int], int | None]:
+    """Return the pairs of the images nearest to the datum, numbered anew if there are many, and these."""
     if images <= MANY:
-        return edges, images, datum
+        return edges, range(images), datum
     known = [datum or 0]
     for image in known:
         for edge in edges:
@@ -129,7 +133,7 @@ def _nearest(edges: Sequence[Edge], images: int, datum: int | None) -> tuple[Seq
         for edge in edges
         if edge.first in number and edge.second in number
     ]
-    return kept, len(known), None if datum is None else 0
+    return kept, known, None if datum is None else 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

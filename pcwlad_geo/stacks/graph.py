@@ -17,6 +17,7 @@ from scipy import ndimage
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.source import RasterInfo, has_quick_overview, open_raster
+from pcwlad_geo.solving import pseudo_inverse
 from pcwlad_geo.stacks.inputs import StackInput, read_table
 from pcwlad_geo.stacks.pairs import Frame
 from pcwlad_geo.types import Float64, PathLike
@@ -200,7 +201,7 @@ def _stiffening(
     for pair in chosen:
         _connect(laplace, pair, weight[pair] / usual)
     while len(taken) < MOST * images:
-        variance = np.diag(np.linalg.pinv(laplace[1:, 1:], hermitian=True))
+        variance = np.diag(pseudo_inverse(laplace[1:, 1:], hermitian=True))
         variance = np.concatenate([[0.0], variance])
         another = _another(found, taken, variance)
         if another is None:

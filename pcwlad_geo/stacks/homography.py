@@ -19,6 +19,7 @@ import numpy as np
 from pcwlad_geo.correction.models import PolynomialBasis, ProjectiveCorrection
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.epipolar import MIN_POINTS, EpipolarGeometry, plane_of
+from pcwlad_geo.solving import inverse
 from pcwlad_geo.stacks.adjustment import Adjustment, adjust
 from pcwlad_geo.stacks.basis import HomographyBasis, basis_over, terms_of
 from pcwlad_geo.stacks.network import Edge, components
@@ -151,7 +152,7 @@ def _homography(basis: PolynomialBasis, coefficients: Float64) -> Float64:
     inner = np.array([[1 + b, c, a], [e, 1 + f, d], [-g, -h, 1.0]])
     x, y = basis.centre_px
     unit = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, basis.radius_px]]) / basis.radius_px
-    found = np.linalg.inv(unit) @ inner @ unit
+    found = inverse(unit) @ inner @ unit
     return np.asarray(found / found[2, 2])
 
 
@@ -181,7 +182,7 @@ def _chained(edges: Sequence[Edge], images: int, first: int) -> Float64:
                 edge, step = edges[number], pairwise[number]
                 if step is None:
                     continue
-                ways = ((edge.first, edge.second, step), (edge.second, edge.first, np.linalg.inv(step)))
+                ways = ((edge.first, edge.second, step), (edge.second, edge.first, inverse(step)))
                 for one, other, way in ways:
                     if one == here and other not in known:
                         matrices[other] = way @ matrices[here]
@@ -202,7 +203,7 @@ def _rectified(edge: Edge, matrices: Float64) -> Edge:
     first_xy, second_xy = first.inverse(edge.first_xy), second.inverse(edge.second_xy)
     if not (np.isfinite(first_xy).all() and np.isfinite(second_xy).all()):
         raise InputError("no homography fits the tie points of all frames: choose another model")
-    rate = _rate(np.asarray(np.linalg.inv(second.matrix)), edge.second_xy)
+    rate = _rate(inverse(second.matrix), edge.second_xy)
     covariance = np.asarray(rate @ edge.covariance @ rate.transpose(0, 2, 1))
     return replace(edge, first_xy=first_xy, second_xy=second_xy, covariance=covariance)
 

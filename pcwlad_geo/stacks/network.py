@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -10,10 +11,11 @@ from typing import Final
 import numpy as np
 from scipy.sparse import block_diag, coo_array, csc_array, eye_array, kron
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import SuperLU
 from scipy.spatial import cKDTree
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.solving import RANK, factorised, inverse, least_squares, solve, undetermined
 from pcwlad_geo.stacks.basis import Basis
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -25,10 +27,6 @@ SAME_PX: Final = 0.5
 """Points that lie nearer to each other in an image are of one feature, map units (px of the frame)."""
 NEIGHBOURS: Final = 16
 """Points near a point that are looked for: enough to connect those of one feature."""
-INVERSE_STEPS: Final = 4
-"""Steps of the inverse iteration; a singular matrix shows after one or two."""
-RANK: Final = 1e-12
-"""Singular values below this share of the largest are zero."""
 MIN_BLOCKS: Final = 4
 """Fewer blocks tell nothing of what the points of a pair share."""
 POINT_LIMIT: Final = 3.0
@@ -37,16 +35,33 @@ LEAST_CHECKED: Final = 0.01
 """Of an offset that the other pairs check less, the rest is of the arithmetic: it is not called wrong."""
 BEYOND_REASON: Final = 1e4
 """Coefficients so many times as large as what is observed are those of a singular matrix."""
-UNDETERMINED: Final = (
-    "the points of an image do not determine its correction, as they are few or lie on a line: "
-    "give more, or a simpler --model"
-)
-"""What an error says of images whose points leave their corrections open."""
+POINTS: Final = "a pair of images needs tie points of ordinary size, with a sigma above 0"
+"""What its equations ask for."""
 BLOCKS: Final = 3
 """An image is divided into so many blocks along each axis, which are left out in turn."""
 ALIKE: Final = 1.4
 """Neighbouring blocks err alike, so that a jackknife tells too little by this factor: found on scenes of
 known truth (two sensors, 320 and 1,024 px)."""
+
+
+class UndeterminedImageError(InputError):
+    """The tie points of an image, which has a number or a name, leave its correction open."""
+
+    def __str__(self) -> str:
+        return (
+            f"the points of image {self.args[0]} do not determine its correction, as they are few or lie on "
+            "a line: give more, or a simpler --model"
+        )
+
+
+@contextmanager
+def named(images: Sequence[int | str]) -> Iterator[None]:
+    """Give the image of an `UndeterminedImageError` its number or its name among `images`."""
+    try:
+        yield
+    except UndeterminedImageError as error:
+        error.args = (images[error.args[0]],)
+        raise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,9 +284,9 @@ def _weighted(edge: Edge, basis: Basis, coefficients: Float64) -> _Weighted:
     observed = edge.second_xy - edge.first_xy
     left = observed - values @ (coefficients[edge.second] - coefficients[edge.first])
     near = np.column_stack([np.ones(len(edge)), (ground - basis.centre_px) / basis.radius_px])
-    left = left - near @ np.linalg.lstsq(near, left, rcond=None)[0]
+    left = left - near @ least_squares(near, left)
     left = left - np.median(left, axis=0)
-    weights: Float64 = np.linalg.inv(edge.covariance).astype(np.float64)
+    weights = inverse(edge.covariance, POINTS)
     off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", left, weights, left), 1e-12))
     unit = max(1.0, float(np.median(off)) / RAYLEIGH_MEDIAN)
     weights *= (np.minimum(1.0, POINT_LIMIT * unit / off) / unit**2)[:, None, None]
@@ -293,7 +308,7 @@ def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> Part:
         *sums,
         values=each @ points.values,
         observed=each @ points.observed,
-        formal=float(np.trace(np.linalg.inv(total))) / 2,
+        formal=float(np.trace(inverse(total, POINTS))) / 2,
         scatter=scatter,
         error=max(_error(points, sums, _numbers(points, basis, side)), scatter / np.sqrt(len(edge))),
     )
@@ -319,8 +334,8 @@ def _error(points: _Weighted, sums: Sequence[Float64], number: Index) -> float:
 def _solved(normal: Float64, right: Float64) -> Float64:
     """Solve (n, n) normal equations; what the points leave open, as slopes across a line of them, is 0."""
     if np.linalg.cond(normal) < 1 / RANK:
-        return np.linalg.solve(normal, right).astype(np.float64, copy=False)
-    return np.linalg.lstsq(normal, right, rcond=RANK)[0].astype(np.float64)
+        return solve(normal, right, POINTS)
+    return least_squares(normal, right, least=RANK)
 
 
 def _sums(points: _Weighted, chosen: Bool | slice) -> tuple[Float64, Float64, Float64, Float64, Float64]:
@@ -352,26 +367,19 @@ def components(edges: Sequence[Edge] | Sequence[Part], images: int, used: Bool) 
     return int(count), np.asarray(part, dtype=np.intp)
 
 
-def factorised(normal: csc_array) -> SuperLU:
-    """Factorise a normal matrix; raises `InputError` if the points do not determine all images."""
-    try:
-        return splu(normal)
-    except RuntimeError as error:
-        raise InputError(UNDETERMINED) from error
+def factor_of(normal: csc_array, images: int, fixed: Sequence[int], *, check: bool = False) -> SuperLU:
+    """Return the factors of the normal matrix of all `images` but the `fixed`, which must be determined.
 
-
-def check_determined(factor: SuperLU, normal: csc_array) -> None:
-    """Raise `InputError` if a normal matrix is singular but for the rounding of its arithmetic.
-
-    The smallest eigenvalue of the matrix scaled to a diagonal of ones is found by inverse iteration.
+    With `check` by more than rounding; raises `UndeterminedImageError`.
     """
-    scale = np.sqrt(np.maximum(np.abs(normal.diagonal()), np.finfo(np.float64).tiny))
-    vector = np.cos(np.arange(len(scale)))  # any vector that no structure of the matrix shares
-    for _ in range(INVERSE_STEPS):
-        vector = vector / np.linalg.norm(vector)
-        vector = scale * factor.solve(scale * vector)
-    if not np.linalg.norm(vector) < 1 / RANK:
-        raise InputError(UNDETERMINED)
+    factor = None
+    with suppress(InputError):
+        factor = factorised(normal, POINTS)
+    unknown = undetermined(normal, factor) if check or factor is None else None
+    if factor is None or unknown is not None:
+        free = np.delete(np.arange(images), fixed)
+        raise UndeterminedImageError(int(free[(unknown or 0) * len(free) // normal.shape[0]]))
+    return factor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -418,11 +426,12 @@ class Network:
         deviation of the shared error of each, map units.
         """
         normal, right = self.equations(parts, used, shared)
-        factor = factorised(normal)
+        factor = factor_of(normal, self.images, self.fixed)
         coefficients = self.unpacked(factor.solve(right))
         seen = max(float(np.abs(part.observed).max()) for part in parts)
-        if not np.abs(coefficients).max(initial=0.0) < BEYOND_REASON * (1.0 + seen):
-            raise InputError(UNDETERMINED)
+        size = np.abs(coefficients).max(axis=(1, 2))
+        if not size.max(initial=0.0) < BEYOND_REASON * (1.0 + seen):
+            raise UndeterminedImageError(int(size.argmax()))
         fits = tuple(
             self._fit(part, coefficients, bool(good), float(sigma), factor)
             for part, good, sigma in zip(parts, used, shared, strict=True)
@@ -441,7 +450,7 @@ class Network:
             for name in ("own", "across", "inner", "seen", "beside")
         )
         inner = inner + np.eye(inner.shape[1]) / (shared[used] ** 2)[:, None, None]
-        gain = np.linalg.solve(inner, across.transpose(0, 2, 1)).transpose(0, 2, 1)
+        gain = solve(inner, across.transpose(0, 2, 1), POINTS).transpose(0, 2, 1)
         block = own - gain @ across.transpose(0, 2, 1)
         seen = seen - (gain @ beside[:, :, None])[:, :, 0]
         if self.mixing is not None:
@@ -466,7 +475,7 @@ class Network:
     def coefficients(self, parts: Sequence[Part], used: Bool, shared: Float64) -> Float64:
         """Return the (images, terms, 2) coefficients alone; (edges,) `used` and `shared` as in `solve`."""
         normal, right = self.equations(parts, used, shared)
-        return self.unpacked(factorised(normal).solve(right))
+        return self.unpacked(factor_of(normal, self.images, self.fixed).solve(right))
 
     def unpacked(self, free: Float64) -> Float64:
         """Return the (images, terms, 2) coefficients of the (free,) `free`; zeros of images that stay."""

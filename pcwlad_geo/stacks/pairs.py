@@ -25,6 +25,7 @@ from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, GRADES, 
 from pcwlad_geo.registration.inputs import estimate_tile_count
 from pcwlad_geo.registration.judge import GEOREFERENCED_PX, Motion, told_of
 from pcwlad_geo.report.finished import read_report, report_of_same_job
+from pcwlad_geo.solving import least_squares
 from pcwlad_geo.stacks.basis import basis_over
 from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
 from pcwlad_geo.stacks.network import Edge, components
@@ -198,7 +199,7 @@ def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
     """Return a pair with the grade that its points and its report give it."""
     smooth = basis_over([edge.first_xy], "polynomial2").values(edge.first_xy)
     moved = edge.second_xy - edge.first_xy
-    left = moved - smooth @ np.linalg.lstsq(smooth, moved, rcond=None)[0]
+    left = moved - smooth @ least_squares(smooth, moved)
     off_px, counts = float(np.percentile(np.hypot(*left.T), 90)), report.get("tie_points", {})
     kept = 1 - counts.get("rejected", 0) / max(counts.get("total", 0), 1)
     reasons: list[tuple[Grade, str]] = [("fair", told_of(pair.motions, taken=True))] if pair.motions else []

@@ -30,6 +30,7 @@ from pcwlad_geo.registration.rpc import RpcRegistration
 from pcwlad_geo.report.finished import read_report
 from pcwlad_geo.report.summary import versions
 from pcwlad_geo.requirements import Requirement, RequirementResult
+from pcwlad_geo.solving import inverse, least_squares
 from pcwlad_geo.stacks.adjustment import Adjustment
 from pcwlad_geo.stacks.basis import SPLINE_CELLS, Basis
 from pcwlad_geo.stacks.cycles import (
@@ -390,7 +391,7 @@ def _image(
     at_px = frame.infos[number].grid.lattice_px(NODES)
     ground = frame.from_image(number, at_px)
     observed_px = frame.to_image(number, ground + adjustment.displacement(number, ground))
-    scale = np.linalg.inv(frame.scale(number, at_px))
+    scale = inverse(frame.scale(number, at_px))
     covariance = scale @ adjustment.covariance(number, ground) @ scale.transpose(0, 2, 1)
     correction = (
         adjustment.correction(number)
@@ -443,7 +444,7 @@ def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correctio
         spacing = float((high - low).min()) / (2 * SPLINE_CELLS)  # finer: it lies elsewhere than the ground
         across, down = np.ceil((high - low) / spacing - 1e-9).astype(int).tolist()
         grid = SplineGrid(_pair(low), spacing, (across, down))
-        fitted = np.linalg.lstsq(grid.design(at_px).toarray(), observed_px - at_px, rcond=None)[0]
+        fitted = least_squares(grid.design(at_px).toarray(), observed_px - at_px)
         return SplineCorrection("tps", grid, np.asarray(fitted.reshape(*grid.shape, 2)))
     if basis.order == 0:
         shift = np.mean(observed_px - at_px, axis=0)
@@ -451,9 +452,7 @@ def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correctio
     if basis.order == 1:
         return AffineCorrection("affine", affine_between(at_px, observed_px))
     own = PolynomialBasis(basis.order, _pair((low + high) / 2), radius, _pair(low), _pair(high))
-    return PolynomialCorrection(
-        own, np.linalg.lstsq(own.values(at_px), observed_px - at_px, rcond=None)[0].astype(np.float64)
-    )
+    return PolynomialCorrection(own, least_squares(own.values(at_px), observed_px - at_px))
 
 
 def raster_paths(frame: Frame, folder: Path, settings: Settings) -> list[Path]:

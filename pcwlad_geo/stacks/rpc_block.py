@@ -23,8 +23,9 @@ from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.rpc.dem import WGS84, Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, raised
+from pcwlad_geo.solving import inverse, solve
 from pcwlad_geo.stacks.adjustment import larger
-from pcwlad_geo.stacks.network import ALIKE, POINT_LIMIT, RAYLEIGH_MEDIAN
+from pcwlad_geo.stacks.network import ALIKE, POINT_LIMIT, POINTS, RAYLEIGH_MEDIAN
 from pcwlad_geo.types import Bool, Float64, Index
 
 MODELS: Final[Mapping[str, tuple[int, ...]]] = {"shift": (0,), "drift": (0, 2), "affine": (0, 1, 2)}
@@ -79,6 +80,8 @@ SLOPE_STEP_PX: Final = 1.0
 """Least step of the slope of the DEM, its px."""
 PARTS: Final = 5
 """Heights are compared at so many by so many places of a window."""
+NEEDS: Final = "the correction of an RPC needs tie points or control points of each image"
+"""What its equations ask for."""
 HEIGHT_STEP_M: Final = 1.0
 """Step of the derivatives by the height of the DEM."""
 
@@ -574,7 +577,7 @@ def _weights(pair: BlockPair, sight: Sight, variance_m2: Float64 | float = 0.0) 
     known = np.isfinite(sight.left_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
     known &= np.isfinite(sight.first_rate).all(axis=(1, 2))
     weight = np.zeros_like(covariance)
-    weight[known] = np.linalg.inv(covariance[known])
+    weight[known] = inverse(covariance[known], POINTS)
     return weight
 
 
@@ -583,7 +586,7 @@ def implied_heights(pair: BlockPair, sight: Sight, residual_px: Float64) -> tupl
 
     NaN where there is no parallax. The (n, 2) `residual_px` are distances from an adjustment.
     """
-    weight = np.linalg.inv(pair.covariance_px2)
+    weight = inverse(pair.covariance_px2, POINTS)
     told = np.einsum("na,nab,nb->n", sight.height_rate, weight, sight.height_rate)
     with np.errstate(divide="ignore", invalid="ignore"):
         height = np.einsum("na,nab,nb->n", sight.height_rate, weight, residual_px) / told
@@ -661,7 +664,7 @@ def _datum(problem: _Problem) -> Float64:
 def _step(problem: _Problem, state: _State, datum: Float64) -> _State:
     """Solve the equations, and estimate the error that the points of a pair share by the cycles."""
     whole, right = _equations(problem, state, datum)
-    solution = np.linalg.solve(whole, right)
+    solution = solve(whole, right, NEEDS)
     parameters = state.start.copy()
     free = list(problem.block.free)
     parameters[free] += solution[: problem.unknowns].reshape(len(free), len(problem.terms), 2)
@@ -677,7 +680,7 @@ def _step(problem: _Problem, state: _State, datum: Float64) -> _State:
 
 def _redundancy(problem: _Problem, state: _State, whole: Float64) -> Float64:
     """Return for each of the (pairs,) how much of its shared error the other pairs check, from 0 to 1."""
-    posterior = np.diagonal(np.linalg.inv(whole))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
+    posterior = np.diagonal(inverse(whole, NEEDS))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
     return np.asarray(np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0))
 
 
@@ -719,7 +722,7 @@ def _connected(problem: _Problem, used: Bool) -> bool:
 def _mean_left(problem: _Problem, state: _State, number: int) -> tuple[Float64, Float64, Float64]:
     """Return the (2,) weighted mean distance of a pair's points, its (2, 2) formal covariance, its design."""
     weight = state.weights[number]
-    total = np.linalg.inv(weight.sum(axis=0) + 1e-12 * np.eye(2))
+    total = inverse(weight.sum(axis=0) + 1e-12 * np.eye(2), POINTS)
     known = weight.any(axis=(1, 2))
     design, places = problem.design(problem.pairs[number], state.sights[number])
     mean = np.zeros((2, problem.unknowns))
@@ -735,7 +738,7 @@ def _cells(dem: Dem | None, frame: Grid, sights: Sequence[Sight]) -> list[Index]
     size = np.maximum(high - low, 1e-9)
     count = np.full(2, CELLS)
     if dem is not None:
-        rate = np.linalg.inv(jacobian(frame.middle_px, frame, dem.grid)[0])
+        rate = inverse(jacobian(frame.middle_px, frame, dem.grid)[0])
         count = np.clip(size / np.abs(rate).max(axis=1), 1, CELLS).astype(np.intp)
     found = []
     for sight in sights:
@@ -752,7 +755,7 @@ def _without_cells(problem: _Problem, state: _State, dem: Dem | None) -> Iterato
         if sum(int(each.sum()) for each in inside) * 2 > sum(len(each) for each in inside):
             continue  # what is left of it tells nothing
         whole, right = _equations(problem, state, datum, [(~each).astype(np.float64) for each in inside])
-        yield [np.asarray(each) for each in inside], np.asarray(np.linalg.solve(whole, right), np.float64)
+        yield [np.asarray(each) for each in inside], solve(whole, right, NEEDS)
 
 
 def _left_out_px2(problem: _Problem, state: _State, judge: Sequence[Float64]) -> Float64:
@@ -781,7 +784,7 @@ def _result(problem: _Problem, state: _State, scores: Mapping[str, float]) -> Bl
     """Return the adjustment with its covariance and what it says of each pair."""
     datum, unknowns = _datum(problem), problem.unknowns
     whole, _ = _equations(problem, state, datum)
-    covariance = np.asarray(np.linalg.inv(whole), np.float64)
+    covariance = inverse(whole, NEEDS)
     steps = np.array([step for _, step in _without_cells(problem, state, problem.block.dem)])
     spread = np.zeros((1, len(whole)))
     if len(steps) > 1:
@@ -840,7 +843,7 @@ def _response_to_height(problem: _Problem, state: _State, datum: Float64) -> Flo
     sights = tuple(replace(sight, left_px=-sight.height_rate) for sight in level)
     whole, right = _equations(problem, replace(state, sights=sights, start_dem_px=np.zeros(2)), datum)
     found = np.zeros((len(problem.block.grids), 2))
-    step = np.linalg.solve(whole, right)[: problem.unknowns].reshape(-1, len(problem.terms), 2)
+    step = solve(whole, right, NEEDS)[: problem.unknowns].reshape(-1, len(problem.terms), 2)
     found[list(problem.block.free)] = step[:, 0]
     return found
 

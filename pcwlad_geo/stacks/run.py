@@ -45,7 +45,7 @@ from pcwlad_geo.stacks.graph import (
 )
 from pcwlad_geo.stacks.homography import HOMOGRAPHY, homographies, or_homographies
 from pcwlad_geo.stacks.inputs import StackInput, check_reference, listed, with_reference
-from pcwlad_geo.stacks.network import Edge, components
+from pcwlad_geo.stacks.network import Edge, components, named
 from pcwlad_geo.stacks.page import page
 from pcwlad_geo.stacks.pairs import (
     PAIRS,
@@ -227,17 +227,18 @@ def stack(
         points = () if gcps is None else control_points(gcps)
         control = control_edges(points, frame)
         stays = None if datum == "mean" else len(infos) if control else frame.reference
-        if chosen == "auto" and len(infos) > ALL_PAIRS:
+        with named([*frame.names, "the control points"]):
+            if chosen == "auto" and len(infos) > ALL_PAIRS:
+                edges = _edges(job, frame, plan, control, allow_components)
+                count = len(infos) + bool(control)
+                first = adjust(edges, count, datum=stays, apart=allow_components)
+                plan += asked(frame, found, plan, edges, first)
             edges = _edges(job, frame, plan, control, allow_components)
-            count = len(infos) + bool(control)
-            first = adjust(edges, count, datum=stays, apart=allow_components)
-            plan += asked(frame, found, plan, edges, first)
-        edges = _edges(job, frame, plan, control, allow_components)
-        adjustment = _adjusted(job, frame, edges, stays, allow_components)
-        measured = job.measured(frame, plan)
-        result = stack_of(
-            frame, measured, adjustment, job.folder, job.settings, job.warnings, unreadable, chosen
-        )
+            adjustment = _adjusted(job, frame, edges, stays, allow_components)
+            measured = job.measured(frame, plan)
+            result = stack_of(
+                frame, measured, adjustment, job.folder, job.settings, job.warnings, unreadable, chosen
+            )
         result = replace(result, control=points)
         return _written(job, out, result, frame, lambda done: _warp(job, done, frame, done.images))
 
@@ -341,9 +342,10 @@ def _with_added(
         edges = [edge for edge, _ in measured if edge is not None]
         check_connected(frame, edges, frame.reference, job.folder, apart=False)
         added = (*map(tuple, before["added"]), tuple(new))
-        adjustment = _one_after_another(frame, edges, points, before, [len(each) for each in added])
         notes = [*before["warnings"], *job.warnings]
-        result = stack_of(frame, measured, adjustment, job.folder, job.settings, notes, unreadable)
+        with named(frame.names):
+            adjustment = _one_after_another(frame, edges, points, before, [len(each) for each in added])
+            result = stack_of(frame, measured, adjustment, job.folder, job.settings, notes, unreadable)
         result = replace(result, control=points, added=added)
         refused = [each["name"] for each in before["images"] if each.get("registered", "") is None]
         to_write = {*new, *refused}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pcwlad_geo.correction.fitted import Fit
 from pcwlad_geo.correction.models import (
     AffineCorrection,
     PolynomialBasis,
@@ -89,3 +90,8 @@ def inside(side_px: float = 512, step: int = 25, margin: float = 0.04) -> Array:
     """Return (n, 2) places on a lattice within a square image, a margin off its sides."""
     line = np.linspace(margin, 1 - margin, step) * side_px
     return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+
+
+def predicted_sigma(fit: Fit, at_px: Array) -> Array:
+    """Return the (n, 2) standard deviation (col, row), px, of a correction at the (n, 2) places."""
+    return np.sqrt(np.diagonal(fit.covariance(at_px), axis1=1, axis2=2))

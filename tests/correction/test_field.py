@@ -7,12 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fit import FITS
-from pcwlad_geo.correction.fitted import predicted_sigma
 from pcwlad_geo.correction.models import SplineGrid
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.correction.thin_plate_system import grid_of, windowed_design
 
-from .points import affine, inside, isotropic, scattered, window_noise
+from .points import affine, inside, isotropic, predicted_sigma, scattered, window_noise
 
 Array = NDArray[np.float64]
 SIDE = 900

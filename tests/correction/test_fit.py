@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcwlad_geo.correction.fit import FITS
-from pcwlad_geo.correction.fitted import predicted_sigma
 from pcwlad_geo.correction.models import Correction, ProjectiveCorrection
 from pcwlad_geo.errors import InputError
 
@@ -16,6 +15,7 @@ from .points import (
     isotropic,
     noise,
     polynomial,
+    predicted_sigma,
     projective,
     scattered,
     waves,

@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fit import FITS
-from pcwlad_geo.correction.fitted import predicted_sigma
 from pcwlad_geo.correction.selection import COMMON_SIGMA, choose
 from pcwlad_geo.correction.thin_plate import fit_tps
 
@@ -19,6 +18,7 @@ from .points import (
     isotropic,
     noise,
     polynomial,
+    predicted_sigma,
     projective,
     scattered,
     waves,

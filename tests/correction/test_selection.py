@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fit import FITS
-from pcwlad_geo.correction.fitted import predicted_sigma
 from pcwlad_geo.correction.selection import COMMON_SIGMA, choose
 from pcwlad_geo.errors import InputError
 
@@ -17,6 +16,7 @@ from .points import (
     isotropic,
     noise,
     polynomial,
+    predicted_sigma,
     projective,
     scattered,
     waves,

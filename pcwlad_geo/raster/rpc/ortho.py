@@ -33,6 +33,7 @@ from pcwlad_geo.raster.unread import Block, filled
 from pcwlad_geo.raster.vrt import has_alpha
 from pcwlad_geo.raster.warped_views import MAX_THREADS
 from pcwlad_geo.raster.warping import COG, BlockRequest, Blocks, ProgressCallback, kernel, write_warped
+from pcwlad_geo.solving import inverse
 
 LEVEL: Final = Grid((8, 8), Affine(100.0, 0.0, -400.0, 0.0, -25.0, 100.0), WGS84)
 """Grid of a DEM of constant height around the whole earth."""
@@ -66,7 +67,7 @@ def ortho_grid(reference: Grid, target: RpcGrid) -> Grid:
             "DEM and the reference's CRS"
         )
     # lengths in reference pixels of a step along each axis of the target
-    lengths = np.hypot(*np.linalg.inv(scales).transpose(1, 0, 2))
+    lengths = np.hypot(*inverse(scales).transpose(1, 0, 2))
     side = snapped_size(float(np.median(lengths.min(axis=1))))
     left, top, right, bottom = outline.bounds
     low = np.floor(np.array([left, top]) / side + SLIVER_PX).astype(int)

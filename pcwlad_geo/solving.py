@@ -1,0 +1,110 @@
+"""The one place where equations are solved, and where it shows that observations leave something open.
+
+What a solution `needs` is a sentence that names the observation: an error says it, with what was found. The
+routines are those of LAPACK as numpy calls them. What is unknown in the equations (NaN) is so in the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, Final
+
+import numpy as np
+from scipy.sparse import csc_array, eye_array
+from scipy.sparse.linalg import SuperLU, splu
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.limits import COORDINATE
+from pcwlad_geo.types import Float64
+
+INVERSE_STEPS: Final = 4
+"""Steps of the inverse iteration; a singular matrix shows after one or two."""
+RANK: Final = 1e-12
+"""Singular values below this share of the largest are zero."""
+SCALE: Final = "a transformation needs two directions that differ, and a scale above 0"
+"""What the inverse of a transformation needs."""
+SIZE: Final = "a trend needs points and displacements of ordinary size"
+"""What least squares need, which may leave something open."""
+
+
+def check_observations(name: str, *arrays: Float64) -> None:
+    """Raise `InputError` if a number of (...,) `arrays`, in the message called `name`, is beyond measure."""
+    if not all(np.abs(each).max(initial=0.0) <= COORDINATE for each in arrays):  # NaN is not
+        raise InputError(f"{name} have numbers not finite or beyond {COORDINATE:.0e}; leave them out")
+
+
+def check_rank(matrix: Float64, least: float, needs: str) -> None:
+    """Raise `InputError` if a singular value of an (n, k) `matrix` is at most `least` of the largest."""
+    singular = _checked(lambda values: np.linalg.svd(values, compute_uv=False), needs, matrix)
+    rank = np.count_nonzero(singular > least * singular.max(initial=0.0))
+    if rank < matrix.shape[1]:
+        raise InputError(f"{needs} (what is given determines {rank} of {matrix.shape[1]} unknowns)")
+
+
+def solve(matrix: Float64, right: Float64, needs: str = SCALE, least: float = 0.0) -> Float64:
+    """Return the (..., n, m) or (n,) x of (..., n, n) `matrix` · x = `right`, which has the shape (n,) of x.
+
+    `check_rank` comes first if `least` is given.
+    """
+    if least:
+        check_rank(matrix, least, needs)
+    return _checked(np.linalg.solve, needs, matrix, right)
+
+
+def inverse(matrix: Float64, needs: str = SCALE) -> Float64:
+    """Return the inverse of each (n, n) of a (..., n, n) `matrix`."""
+    return _checked(np.linalg.inv, needs, matrix)
+
+
+def triangular(matrix: Float64, needs: str) -> Float64:
+    """Return the lower triangular root (Cholesky) of a positive (..., n, n) `matrix`."""
+    return _checked(np.linalg.cholesky, needs, matrix)
+
+
+def pseudo_inverse(matrix: Float64, least: float = 1e-15, *, hermitian: bool = False) -> Float64:
+    """Return the pseudo-inverse of a (..., n, k) `matrix`, 0 for singular values below a share `least`."""
+    return _checked(lambda values: np.linalg.pinv(values, rcond=least, hermitian=hermitian), SIZE, matrix)
+
+
+def least_squares(design: Float64, values: Float64, least: float | None = None) -> Float64:
+    """Return the (k, m) x of the least squares of (n, k) `design` · x = (n, m) `values`.
+
+    It is 0 for singular values below a share `least` of the largest, by default that of rounding.
+    """
+    return _checked(lambda one, other: np.linalg.lstsq(one, other, rcond=least)[0], SIZE, design, values)
+
+
+def factorised(matrix: csc_array, needs: str, **options: object) -> SuperLU:
+    """Return the LU factors of a sparse matrix; the `options` are those of `scipy.sparse.linalg.splu`."""
+    try:
+        return splu(matrix, **options)
+    except RuntimeError as error:
+        raise InputError(f"{needs} (what is given is singular)") from error
+
+
+def undetermined(normal: csc_array, factor: SuperLU | None = None) -> int | None:
+    """Return the number of the unknown that a normal matrix, its `factor` if it has one, determines least.
+
+    None if it determines all. The smallest eigenvalue of the matrix scaled to a diagonal of ones is found by
+    inverse iteration.
+    """
+    scale = np.sqrt(np.abs(normal.diagonal()))
+    if not scale.all():
+        return int(scale.argmin())
+    ridge = RANK * scale.max() ** 2 * eye_array(len(scale))
+    factor = factor or factorised(csc_array(normal + ridge), "tie points need a sigma above 0")
+    vector = np.cos(np.arange(len(scale)))  # any vector that no structure of the matrix shares
+    for _ in range(INVERSE_STEPS):
+        vector = vector / np.linalg.norm(vector)
+        vector = scale * factor.solve(scale * vector)
+    return None if np.linalg.norm(vector) < 1 / RANK else int(np.nan_to_num(np.abs(vector)).argmax())
+
+
+def _checked(routine: Callable[..., Any], needs: str, *arrays: Float64) -> Float64:
+    """Return what a routine makes of arrays, if it is finite, or they hold what is unknown."""
+    with suppress(np.linalg.LinAlgError):
+        found = np.asarray(routine(*arrays), np.float64)
+        if np.isfinite(found).all() or any(np.isnan(each).any() for each in arrays):
+            return found
+    raise InputError(f"{needs} (what is given is singular, or beyond measure)")
