@@ -249,12 +249,15 @@ def fit(
 
 
 def _with_prior(quality: Quality, points: TiePointTable, size_m: float) -> Quality:
-    """Return the quality of bands of one product, which lie within metres of each other, at their points."""
+    """Return the quality of bands of one product, which lie within metres of each other, at their points.
+
+    It is poor where anything else speaks against them, and fair otherwise: a band may have been moved.
+    """
     off_px = float(np.percentile(np.hypot(*points.displacement_px.T), 90))
     if off_px <= max(GOOD_PX, PRODUCT_M / size_m):
         return quality
     return quality.at_most(
-        "fair" if off_px <= FAIR_PX else "poor",
+        "fair" if off_px <= FAIR_PX or quality.grade == "good" else "poor",
         f"a tenth of the tie points say that bands of one product lie more than {off_px * size_m:.0f} m "
         "apart, which its geometry hardly allows: they may be on clouds, which each band sees elsewhere",
     )
