@@ -347,10 +347,8 @@ def graded(found: Stack) -> Stack:
     heights_px: dict[str, float] = {}
     check = found.block.dem if found.block else None
     if check is not None and isinstance(found.adjustment, BlockAdjustment):
-        rates = np.hypot(*found.adjustment.by_height_px.T)
-        heights_px = {
-            image.name: check.off_m * float(rate) for image, rate in zip(found.images, rates, strict=True)
-        }
+        off_px = check.off_m * np.hypot(*found.adjustment.by_height_px.T)
+        heights_px = {image.name: float(off_px[number]) for number, image in enumerate(found.images)}
     qualities = image_qualities(found.pairs, sigma_px, unit_px, anchors, heights_px)
     wrong = check.wrong if check else ()
     for image in found.images if wrong else ():
