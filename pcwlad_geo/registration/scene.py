@@ -26,6 +26,7 @@ from pcwlad_geo.matching.guidance import (
     calibrate,
     expect_lost,
     guide_by_field,
+    jitter_px,
 )
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.matching.matcher import (
@@ -37,7 +38,6 @@ from pcwlad_geo.matching.matcher import (
 )
 from pcwlad_geo.matching.outliers import confirmed
 from pcwlad_geo.matching.pose import mean_distance_px
-from pcwlad_geo.matching.stripes import jitter_px
 from pcwlad_geo.matching.types import (
     FIRST_WINDOW_PX,
     LARGE_WINDOWS_PX,

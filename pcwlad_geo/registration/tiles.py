@@ -26,12 +26,12 @@ from pcwlad_geo.matching.matcher import (
     match_arrays,
     match_candidates,
     rematch_with,
+    seen_by_stripes,
     seen_by_windows,
     try_again,
 )
 from pcwlad_geo.matching.prepare import ChannelPair, Image, Noise, PreparedPair, prepare
 from pcwlad_geo.matching.refinement import ChannelMaps
-from pcwlad_geo.matching.stripes import seen_by_stripes
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, Method, TiePoints
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.view import View
@@ -205,7 +205,7 @@ def rematch_tile(
 def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide, windows_px: Sequence[int]) -> Float64:
     """Return (k, n, 2) the displacements (col, row) of `points` of the tile `job` by each of k windows.
 
-    Without windows these are the two of `stripes.seen_by_stripes`. The other parameters are those of
+    Without windows these are the two of `matcher.seen_by_stripes`. The other parameters are those of
     `rematch_tile`, which may follow. NaN where a window gives no match.
     """
     nothing = np.full((len(windows_px) or 2, len(points), 2), np.nan)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.stripes import jitter_px
+from pcwlad_geo.matching.guidance import jitter_px
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.run import run
 from tests.scenes import make_grid, render, write
