@@ -259,7 +259,11 @@ class Residuals:
 
 
 def expected_ce90(
-    selection: Selection, residuals: Residuals, places_px: Float64, footprint_px: float
+    selection: Selection,
+    residuals: Residuals,
+    places_px: Float64,
+    footprint_px: float,
+    jitter_px: float = 0.0,
 ) -> float:
     """Return the radial error within which 90 % of the places are expected to lie, px.
 
@@ -267,7 +271,7 @@ def expected_ce90(
     `_mean_error`, and its covariance that of the correction; beyond the tie points it grows by the
     semivariogram of the displacements. The (m, 2) `places_px` are predicted target positions (col, row), px,
     spread evenly over the ground; there is at least one of them, and one match. The matching window is
-    `footprint_px` wide.
+    `footprint_px` wide, and averages out a `jitter_px` (RMS of the length) that the correction leaves.
     """
     left = left_by_correction(residuals, places_px, footprint_px)
     reach_px = selection.fit.support.reach_px
@@ -276,7 +280,8 @@ def expected_ce90(
     mean_px = np.zeros_like(places_px)
     mean_px[~unseen] = _mean_error(residuals, left.median_px[~unseen], places_px[~unseen], footprint_px)
     # The misfit of the model is in the mean, so not in the covariance.
-    covariance = selection.fit.covariance(places_px) + np.diag(selection.common_px2)
+    common_px2 = np.asarray(selection.common_px2) + jitter_px**2 / 2
+    covariance = selection.fit.covariance(places_px) + np.diag(common_px2)
     growth = _variance_beyond(selection, residuals, places_px[unseen])
     covariance[unseen] += growth[:, None, None] * np.eye(2)
     values, axes = np.linalg.eigh(covariance)

@@ -364,6 +364,11 @@ class JitterCorrection:
         """The model's name."""
         return "jitter"
 
+    @property
+    def variance_px2(self) -> float:
+        """Variance of the waves, of both components, px²."""
+        return sum(float((wave.coefficients_px**2).sum()) / 2 for wave in self.waves)
+
     def forward(self, predicted_px: Float64) -> Float64:
         """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
         return in_chunks(self._forward, predicted_px)

@@ -410,3 +410,43 @@ def calibrate(
         scale = float(np.clip(np.sqrt(known * scale**2 + (1 - known) * by_windows), *SCALE_RANGE))
     covariance = calibrated(points.covariance_px2, scale, shared_variance_px2)
     return replace(points, covariance_px2=covariance)
+
+
+SAME_ROWS_PX: Final = 4.0
+"""Windows whose rows are less apart lie on the same rows."""
+APART_PX: Final = 90.0
+"""Windows of 61 px that are farther apart along the rows share no pixel."""
+LONGEST: Final = 4.0
+"""Longer residuals, in the median of all, are cut to that."""
+MIN_JITTER_PAIRS: Final = 50
+"""Least number of pairs of windows of the same rows that tell."""
+CLEAR_JITTER: Final = 5.0
+"""What they share is jitter beyond so many standard errors; without any it was 3 at most."""
+
+
+def jitter_px(xy_px: Float64, beside_px: Float64) -> float:
+    """Return by how much rows and columns move beside the field, RMS, px; 0 where that may be chance.
+
+    The n points have (n, 2) positions `xy_px` (col, row); the (2, n, 2) `beside_px` are their displacements
+    by windows of few rows, then of few columns, less what the field predicts; NaN for failures. Errors of
+    windows are their own, except for what those of the same rows, far along them, share.
+    """
+    return float(np.hypot(_shared(xy_px, beside_px[0], 1), _shared(xy_px, beside_px[1], 0)))
+
+
+def _shared(xy_px: Float64, beside_px: Float64, across: int) -> float:
+    known = np.isfinite(beside_px).all(axis=1)
+    if np.count_nonzero(known) < 2:
+        return 0.0
+    left = beside_px[known] - np.median(beside_px[known], axis=0)
+    size = np.linalg.norm(left, axis=1)
+    left *= np.minimum(1.0, LONGEST * np.median(size) / np.maximum(size, 1e-9))[:, None]
+    apart = np.abs(xy_px[known, None] - xy_px[known])
+    first, second = np.nonzero(
+        np.triu((apart[..., across] < SAME_ROWS_PX) & (apart[..., 1 - across] > APART_PX))
+    )
+    if len(first) < MIN_JITTER_PAIRS:
+        return 0.0
+    product = (left[first] * left[second]).sum(axis=1)
+    error = float(np.sqrt((product**2).mean() / len(product)))
+    return float(np.sqrt(product.mean())) if product.mean() > CLEAR_JITTER * error else 0.0

@@ -58,6 +58,11 @@ RETURNS_PX: Final = 0.25
 MIN_TO_SAMPLE: Final = 16
 """With fewer points than this all are matched backward, unless a sample was asked for."""
 
+STRIPE_PX: Final = 61
+"""Length of windows that see jitter, of few rows or of few columns."""
+STRIPE_WIDTH_PX: Final = 5
+"""Their width across."""
+
 Back = Literal["never", "sample", "as needed", "always"]
 
 
@@ -413,6 +418,23 @@ def seen_by_windows(
         again = rematch(pair, points, guide, settings, window_px)
         moved.append(np.where(_unmoved(again, points)[:, None], np.nan, again.displacement_px))
     return np.stack(moved)
+
+
+def seen_by_stripes(pair: ChannelPair, points: TiePoints, guide: FieldGuide) -> Float64:
+    """Return (2, n, 2) displacements (col, row) by windows of few rows, then of few columns, NaN if lost.
+
+    The n `points` and their `guide` are in pixel coordinates of the arrays of `pair`.
+    """
+    begin = np.where(guide.leads[:, None], guide.structure_xy_px, points.displacement_px)
+    corners = to_index(points)
+    rows = np.zeros((len(points), STRIPE_PX, STRIPE_PX), np.float32)
+    rows[:, STRIPE_PX // 2 - STRIPE_WIDTH_PX // 2 :][:, :STRIPE_WIDTH_PX] = 1.0
+    seen = []
+    for weight in (rows, np.ascontiguousarray(rows.transpose(0, 2, 1))):
+        start = Start(begin, guide.linear, structure=weight)
+        found = refine(pair.reference, pair.target, corners, start, window_px=STRIPE_PX, threads=pair.threads)
+        seen.append(np.where(found.converged[:, None], found.shift_xy_px, np.nan))
+    return np.stack(seen)
 
 
 def window_sample(guide: FieldGuide, settings: MatchSettings) -> Index:

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from pcwlad_geo.correction.error_statistics import SIGMA_90, UNSURPRISING, Accuracy, Residuals, expected_ce90
 from pcwlad_geo.correction.fit import CANDIDATES
-from pcwlad_geo.correction.models import Correction
+from pcwlad_geo.correction.models import Correction, JitterCorrection
 from pcwlad_geo.correction.points import agreement, hold_out
 from pcwlad_geo.correction.selection import Selection, choose
 from pcwlad_geo.errors import InputError
@@ -268,6 +268,7 @@ def assess(
     selection: Selection,
     places_px: Float64,
     footprint_px: float,
+    jitter_px: float = 0.0,
 ) -> Quality:
     """Grade a registration.
 
@@ -284,16 +285,21 @@ def assess(
         are used instead.
     footprint_px : float
         Side of the matching window, target px.
+    jitter_px : float
+        By how much rows and columns move within it, RMS, target px.
     """
     if len(places_px) == 0:
         places_px = matches.predicted_px
-    left_px = matches.target_px - selection.fit.correction.forward(matches.predicted_px)
+    correction = selection.fit.correction
+    left_px = matches.target_px - correction.forward(matches.predicted_px)
+    if isinstance(correction, JitterCorrection):
+        jitter_px = max(0.0, jitter_px**2 - correction.variance_px2) ** 0.5
     kept = matches.status != "rejected"
     residuals = Residuals(matches.predicted_px, left_px, kept, matches.sigma_px)
-    expected_px = expected_ce90(selection, residuals, places_px, footprint_px)
+    expected_px = expected_ce90(selection, residuals, places_px, footprint_px, jitter_px)
     beyond = float(selection.extrapolated(places_px).mean())
     reasons = (
-        *_inaccurate(expected_px, selection.name),
+        *_inaccurate(expected_px, selection.name, jitter_px),
         *_check_points_off(table, selection.name, footprint_px),
         *_displaced_otherwise(left_px[~kept], len(matches)),
         *_beyond_the_points(beyond),
@@ -367,12 +373,15 @@ def _displaced_otherwise(left_px: Float64, matches: int) -> Iterator[Reason]:
         )
 
 
-def _inaccurate(expected_px: float, model: str) -> Iterator[Reason]:
+def _inaccurate(expected_px: float, model: str, jitter_px: float) -> Iterator[Reason]:
     if expected_px > GOOD_PX:
+        cause = "clouds that moved, relief, parallax, or too few tie points"
+        if jitter_px > expected_px / SIGMA_90:
+            cause = f"rows or columns move by {jitter_px:.2f} px (RMS) within a matching window (jitter)"
         yield Reason(
             "fair" if expected_px <= FAIR_PX else "poor",
             f"a tenth of the common ground is expected to lie more than {expected_px:.1f} px off after the "
-            f"{model} correction: clouds that moved, relief, parallax, or too few tie points",
+            f"{model} correction: {cause}",
         )
 
 

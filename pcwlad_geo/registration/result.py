@@ -345,6 +345,8 @@ class Matches:
     """By what the tie points were told from wrong matches."""
     motions: tuple[Motion, ...] = ()
     """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
+    jitter_px: float = 0.0
+    """By how much rows and columns move within a window, RMS, target px; 0 where that is not seen."""
     warnings: tuple[str, ...] = ()
     """Of all steps up to this one."""
     seconds: dict[str, float] = field(default_factory=dict)
@@ -421,6 +423,8 @@ class Registration:
     """By what the tie points were told from wrong matches."""
     motions: tuple[Motion, ...] = ()
     """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
+    jitter_px: float = 0.0
+    """By how much rows and columns move within a window, RMS, target px; 0 where that is not seen."""
     rpc: RpcRegistration | None = None
     """The target's RPC, where that places it."""
     quality: Quality | None = None

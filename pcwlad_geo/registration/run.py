@@ -230,7 +230,7 @@ def fit(
         shape, frames = target.grid.shape, not matches.pair.georeferenced
         fitted = fit_correction(table, settings, footprint, sizes_m, shape, candidates, smooth, frames)
         places = _common_px(matches.record, matches.views, target)
-        quality = assess(fitted.table, matches.every, fitted.selection, places, footprint)
+        quality = assess(fitted.table, matches.every, fitted.selection, places, footprint, matches.jitter_px)
         if matches.motions:
             quality = quality.at_most("fair", told_of(matches.motions, taken=True))
         if sizes_m is not None and of_one_product(matches.pair.reference.uri, target.uri):
@@ -249,12 +249,15 @@ def fit(
 
 
 def _with_prior(quality: Quality, points: TiePointTable, size_m: float) -> Quality:
-    """Return the quality of bands of one product, which lie within metres of each other, at their points."""
+    """Return the quality of bands of one product, which lie within metres of each other, at their points.
+
+    It is poor where anything else speaks against them, and fair otherwise: a band may have been moved.
+    """
     off_px = float(np.percentile(np.hypot(*points.displacement_px.T), 90))
     if off_px <= max(GOOD_PX, PRODUCT_M / size_m):
         return quality
     return quality.at_most(
-        "fair" if off_px <= FAIR_PX else "poor",
+        "fair" if off_px <= FAIR_PX or quality.grade == "good" else "poor",
         f"a tenth of the tie points say that bands of one product lie more than {off_px * size_m:.0f} m "
         "apart, which its geometry hardly allows: they may be on clouds, which each band sees elsewhere",
     )
@@ -314,6 +317,7 @@ def conclude(matches: Matches, fit: AssessedFit | None = None) -> Registration:
         selection=fitted.selection if fitted else None,
         geometry=matches.geometry,
         motions=matches.motions,
+        jitter_px=matches.jitter_px,
         quality=fit.quality if fit else None,
         record=matches.record,
         rpc=corrected_rpc(pair.rpc, correction) if pair.rpc else None,
@@ -422,8 +426,16 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
     motions = tuple(motion for motion, _ in matched.motions) if len(matched.motions) > 1 else ()
     if motions and verdict.accepted:
         log.warn(told_of(motions, taken=True))
+    jitter_px = matched.jitter_px * float(file_px_per_px(views.target).max())
+    if jitter_px > 0:
+        log.warn(
+            f"rows or columns move against each other by {jitter_px:.2f} px (RMS) within a matching window, "
+            "as those of a line scanner that shakes (jitter): tie points are means over it; a smaller "
+            "--window with --model jitter may follow"
+        )
     return Matches(
-        pair, table, verdict, matched.counts, start, record, views, table, window_px, geometry, motions
+        *(pair, table, verdict, matched.counts, start, record, views, table, window_px, geometry, motions),
+        jitter_px,
     )
 
 

@@ -26,6 +26,7 @@ from pcwlad_geo.matching.guidance import (
     calibrate,
     expect_lost,
     guide_by_field,
+    jitter_px,
 )
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.matching.matcher import (
@@ -111,6 +112,8 @@ STILL_PX: Final = 0.1
 """Mean movement of the target by a new pose below which it is not matched again, px."""
 GOLDEN: Final = (5**0.5 - 1) / 2
 """Multiples of the golden ratio, modulo 1, are spread evenly, however many are taken."""
+STRIPES: Final = 2
+"""So many times as many points tell of jitter as tell of windows."""
 SMALLER_WINDOWS: Final = (0.56, 0.75)
 """Sides of the windows that tell the error of a given one, shares of its own."""
 NEAR_PX: Final = 0.5
@@ -135,6 +138,8 @@ class Matched:
     """Whether the matches were kept by their epipolar lines, which allow every depth."""
     motions: Sequence[tuple[Motion, Bool]] = ()
     """What parts of the matches agree on, see `judge.motions_of`; that which was taken comes first."""
+    jitter_px: float = 0.0
+    """By how much rows and columns move within a window, RMS, view px."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,12 +206,12 @@ def match_scene(
     radius_px, odds = prealignment.search_radius_px, prealignment.odds
     verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=odds)
     kept, verdict, epipolar = _by_geometry(matches, kept, verdict, pair, prealignment, settings, matching)
-    window_px = matching.window
+    window_px, jitter = matching.window, 0.0
     motions: Sequence[tuple[Motion, Bool]] = ()
     if verdict.accepted:
         with log.stage("refining"):
             again = _second_pass(first, matches, kept, matching, not planned.sites, log, runner)
-            window_px = again.scales.window_px
+            window_px, jitter = again.scales.window_px, again.jitter_px
             chosen = replace(matching, window=window_px)
             matches, kept, checked = _checked(again, matches, chosen, epipolar)
         first = first.without(checked.lost_of[checked.lost_of >= 0])
@@ -222,7 +227,7 @@ def match_scene(
     record = record_matching(
         pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results
     )
-    return Matched(matches, kept, counts, verdict, prealignment, record, window_px, epipolar, motions)
+    return Matched(matches, kept, counts, verdict, prealignment, record, window_px, epipolar, motions, jitter)
 
 
 def _by_geometry(
@@ -292,6 +297,8 @@ class _SecondPass:
     """The windows that the points were matched with."""
     window_variance_px2: float | None
     """Variance per axis that the differences of windows tell, where enough points do."""
+    jitter_px: float
+    """See `Matched`."""
 
     def part(self, some: Bool) -> _SecondPass:
         """Return those of the (n,) mask."""
@@ -356,7 +363,7 @@ def _second_pass(
     index, predict_there = np.flatnonzero(kept), partial(_predict_on, runner, log.on_event)
     points, tile_of = matches[index], first.tile_of[index]
     guide = guide_by_field(points, matching, predict_there)
-    scales, errors = _scales(first, points, tile_of, guide, log, runner)
+    scales, errors, jitter = _scales(first, points, tile_of, guide, log, runner)
     tries = _tries(first, matches, kept, guide, matching, predict_there) if saves else None
     # points of which nothing is new to say need no visit
     again = matched_again(guide, matching) | (scales != Scales.of(matching.window))
@@ -390,6 +397,7 @@ def _second_pass(
         bool(unread.any()),
         scales,
         None if errors is None else errors.variance_px2(scales),
+        jitter,
     )
     return joined.part(~np.concatenate([unread, np.zeros(len(saved), bool)]))
 
@@ -421,26 +429,26 @@ def _tries(
 
 def _scales(
     first: _FirstPass, points: TiePoints, tile_of: Index, guide: FieldGuide, log: JobLog, runner: Runner
-) -> tuple[Scales, WindowErrors | None]:
-    """Choose the windows of the second pass, and return their errors; None where too few points tell.
+) -> tuple[Scales, WindowErrors | None, float]:
+    """Choose the windows of the second pass; return them, their errors, and the jitter that they average.
 
-    The `points` are the consistent ones, each with its tile and its part of the guide. The tiles that are
-    asked are spread over the scene.
+    Errors are None and jitter is 0 where too few points tell. The `points` are the consistent ones, each with
+    its tile and its part of the guide. The tiles that are asked are spread over the scene.
     """
     settings = first.jobs[0].settings
     if not len(window_sample(guide, settings)):
-        return Scales.of(settings.window), None
+        return Scales.of(settings.window), None, 0.0
     tiles, counts = np.unique(tile_of, return_counts=True)
     spread = np.argsort(GOLDEN * np.arange(len(tiles)) % 1, kind="stable")
     enough = int(np.searchsorted(np.cumsum(counts[spread]), WINDOW_SAMPLE)) + 1
     chosen = np.sort(spread[:enough])
-    share = min(1.0, WINDOW_SAMPLE / counts[chosen].sum())
+    every = max(1, int(counts[chosen].sum() / WINDOW_SAMPLE))
     inside = [np.flatnonzero(tile_of == tile) for tile in tiles[chosen]]
-    sample = [these[:: max(1, int(1 / share))] for these in inside]
+    sample = [these[::every] for these in inside]
     workers = [first.workers[tile] for tile in tiles[chosen]]
     on_event = partial(only_warnings, log.on_event)  # the progress is no stage's own
 
-    def seen(windows_px: Sequence[int]) -> Float64:
+    def seen(windows_px: Sequence[int], sample: Sequence[Index] = sample) -> Float64:
         calls = [
             (first.jobs[tile], points[some], guide.part(some), windows_px)
             for tile, some in zip(tiles[chosen], sample, strict=True)
@@ -448,7 +456,11 @@ def _scales(
         moved = runner.run(compare_windows, calls, "refining", on_event, workers).results
         return np.concatenate(moved, axis=1)
 
-    return choose_scales(seen, settings)
+    scales, errors = choose_scales(seen, settings)
+    more = [these[:: max(1, every // STRIPES)] for these in inside]
+    told = np.concatenate(more)
+    field_px = np.where(guide.leads[:, None], guide.structure_xy_px, points.displacement_px)
+    return scales, errors, jitter_px(points.reference_xy_px[told], seen((), more) - field_px[told])
 
 
 def _predict_on(

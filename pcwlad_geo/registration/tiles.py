@@ -26,6 +26,7 @@ from pcwlad_geo.matching.matcher import (
     match_arrays,
     match_candidates,
     rematch_with,
+    seen_by_stripes,
     seen_by_windows,
     try_again,
 )
@@ -204,9 +205,10 @@ def rematch_tile(
 def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide, windows_px: Sequence[int]) -> Float64:
     """Return (k, n, 2) the displacements (col, row) of `points` of the tile `job` by each of k windows.
 
-    The other parameters are those of `rematch_tile`, which may follow. NaN where a window gives no match.
+    Without windows these are the two of `matcher.seen_by_stripes`. The other parameters are those of
+    `rematch_tile`, which may follow. NaN where a window gives no match.
     """
-    nothing = np.full((len(windows_px), len(points), 2), np.nan)
+    nothing = np.full((len(windows_px) or 2, len(points), 2), np.nan)
     try:
         channels = _CACHE.take(job.scene, job.id) or _stacks(job)
     except InputError:
@@ -217,8 +219,12 @@ def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide, windows_
         _CACHE.keep(job.scene, job.id, channels)
     reference_origin, target_origin = _origins(job)
     between = target_origin - reference_origin
-    inside = points.shifted(-reference_origin, -target_origin)
-    moved = seen_by_windows(channels, inside, guide.moved(-between), job.settings, windows_px)
+    inside, guide = points.shifted(-reference_origin, -target_origin), guide.moved(-between)
+    moved = (
+        seen_by_windows(channels, inside, guide, job.settings, windows_px)
+        if windows_px
+        else seen_by_stripes(channels, inside, guide)
+    )
     return np.asarray(moved + between)
 
 

@@ -267,6 +267,8 @@ class Report:
     """By what the tie points were told from wrong matches."""
     motions: tuple[Motion, ...]
     """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
+    jitter_px: Amount
+    """By how much rows and columns move within a window, RMS, target px; 0 where that is not seen."""
     window_px: int | None
     """Side of the window that the tie points were refined with, matching-grid px; null for those of a
     file."""

@@ -83,6 +83,7 @@ def summarise(
         prealignment=registration.prealignment,
         geometry=registration.geometry,
         motions=registration.motions,
+        jitter_px=registration.jitter_px,
         window_px=registration.window_px,
         tie_points=_tie_point_counts(registration),
         counts=registration.counts,

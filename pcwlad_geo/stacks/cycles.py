@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from statistics import median
 from typing import Final, Literal
@@ -138,6 +138,8 @@ ORDER: Final = ("refused", *GRADES)
 """What an image can be graded, the worst first."""
 NOISE_OF_MEDIAN: Final = 0.53
 """Standard deviation along an axis of the median of five normal errors, in their median distance from it."""
+TOLD_PX: Final = 0.05
+"""Least part of the expected error of an image that is told."""
 PLACES: Final = 500
 """Largest number of places at which the residuals of a pair are looked at."""
 
@@ -154,6 +156,10 @@ class StackQuality:
     """Why it is not good, the worst first."""
     expected_ce90_px: float
     """Error within which 90 % of the image is expected to lie, px of the image; of a stack the largest."""
+
+    def doubted(self, text: str) -> StackQuality:
+        """Return the quality, fair at most, with one more reason."""
+        return replace(self, grade=min(self.grade, "fair", key=ORDER.index), reasons=(*self.reasons, text))
 
     @staticmethod
     def of_all(found: Mapping[str, StackQuality]) -> StackQuality:
@@ -183,6 +189,7 @@ def image_qualities(
     sigma_px: Mapping[str, float],
     unit_px: Mapping[str, float],
     anchors: Collection[str],
+    heights_px: Mapping[str, float],
 ) -> dict[str, StackQuality]:
     """Grade the images of a stack by what their pairs say for and against their places.
 
@@ -190,7 +197,7 @@ def image_qualities(
     others check is (its offset by the root of its redundancy: Pope 1976). By the names of images, `sigma_px`
     is the standard deviation of the position of each along an axis, its own px, and `unit_px` the side of its
     pixels, px of the frame. The `anchors` are the images that stay, one a group; none where the mean or
-    control points do.
+    control points do. What wrong heights of a DEM do to an image is `heights_px`, its own px.
     """
     measured = [pair for pair in pairs if pair.offset_px is not None]
     own = [
@@ -225,7 +232,7 @@ def image_qualities(
             pair for pair in (measured if name in refused else among) if name in (pair.reference, pair.target)
         ]
         share = {limit: off(name, about, limit) for limit in (FAIR_PX, GOOD_PX)}
-        expected, reasons = _judged(about, sigma, unit_px[name], share)
+        expected, reasons = _judged(about, sigma, unit_px[name], share, heights_px.get(name, 0.0))
         reasons.sort(key=lambda each: GRADES.index(each.grade))
         grade = "refused" if name in refused else reasons[0].grade if reasons else "good"
         texts = [refused[name]] if name in refused else []
@@ -254,7 +261,11 @@ def _cut_off(
 
 
 def _judged(
-    pairs: Sequence[StackPair], sigma_px: float, unit_px: float, off: Mapping[float, float]
+    pairs: Sequence[StackPair],
+    sigma_px: float,
+    unit_px: float,
+    off: Mapping[float, float],
+    heights_px: float,
 ) -> tuple[float, list[Reason]]:
     """Return the expected CE90 of an image, its px, and what keeps it from being good.
 
@@ -262,12 +273,18 @@ def _judged(
     """
     used, reasons = [pair for pair in pairs if pair.status == "used"], []
     left_px = median([pair.ce90_px or 0.0 for pair in used] or [0.0]) / unit_px
-    expected = math.hypot(SIGMA_90 * sigma_px, left_px)
+    # jitter of an image is in all of its pairs, that of another in one
+    jitter_px = min((pair.jitter_px for pair in used), default=0.0) / unit_px
+    causes = {
+        f"the sigma of its position ({sigma_px:.2f} px)": SIGMA_90 * sigma_px,
+        "what its pairs leave": left_px,
+        "rows or columns that move within matching windows (jitter)": SIGMA_90 / 2**0.5 * jitter_px,
+        "heights of a DEM that lies beside its relief": heights_px,
+    }
+    expected = math.hypot(*causes.values())
     if expected > GOOD_PX:
-        text = (
-            f"a tenth of it is expected to lie more than {expected:.2f} px off: its position has a sigma of "
-            f"{sigma_px:.2f} px, and its pairs leave {left_px:.2f} px"
-        )
+        told = ", ".join(f"{size:.2f} px by {cause}" for cause, size in causes.items() if size >= TOLD_PX)
+        text = f"a tenth of it is expected to lie more than {expected:.2f} px off: {told}"
         reasons.append(Reason("fair" if expected <= FAIR_PX else "poor", text))
     far = FAIR_PX if off[FAIR_PX] > DOUBTED else GOOD_PX
     if off[far] >= DOUBTED:

@@ -91,6 +91,8 @@ class StackPair:
     frame."""
     empty_share: float | None = None
     """Of the squares of its reference in which both images have data, the part without a tie point."""
+    jitter_px: float = 0.0
+    """By how much rows and columns move within a window that matched it, RMS, target px; 0 where not seen."""
 
     @property
     def off_px(self) -> float:
@@ -201,6 +203,7 @@ def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
     moved = edge.second_xy - edge.first_xy
     left = moved - smooth @ least_squares(smooth, moved)
     off_px, counts = float(np.percentile(np.hypot(*left.T), 90)), report.get("tie_points", {})
+    jitter_px = float(report.get("jitter_px", 0.0))
     kept = 1 - counts.get("rejected", 0) / max(counts.get("total", 0), 1)
     reasons: list[tuple[Grade, str]] = [("fair", told_of(pair.motions, taken=True))] if pair.motions else []
     if off_px > GOOD_PX:
@@ -209,7 +212,8 @@ def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
     if kept < FEW_KEPT:
         reasons.append(("poor", f"only {100 * kept:.0f} % of the matches agree with their neighbours"))
     grade: Grade = min((grade for grade, _ in reasons), key=GRADES.index, default="good")
-    return replace(pair, quality=grade, quality_reasons=tuple(text for _, text in reasons))
+    texts = tuple(text for _, text in reasons)
+    return replace(pair, quality=grade, quality_reasons=texts, jitter_px=jitter_px)
 
 
 @dataclass(frozen=True, slots=True)

@@ -345,7 +345,16 @@ def graded(found: Stack) -> Stack:
         anchors = set((firsts | {groups[found.datum]: found.datum}).values())
     sigma_px = {image.name: float(np.hypot(*image.sigma_px)) / 2**0.5 for image in found.images}
     unit_px = {image.name: image.frame_px for image in found.images}
-    qualities = image_qualities(found.pairs, sigma_px, unit_px, anchors)
+    heights_px: dict[str, float] = {}
+    check = found.block.dem if found.block else None
+    if check is not None and isinstance(found.adjustment, BlockAdjustment):
+        off_px = check.off_m * np.hypot(*found.adjustment.by_height_px.T)
+        heights_px = {image.name: float(off_px[number]) for number, image in enumerate(found.images)}
+    qualities = image_qualities(found.pairs, sigma_px, unit_px, anchors, heights_px)
+    wrong = check.wrong if check else ()
+    for image in found.images if wrong else ():
+        if image.rpc is not None:
+            qualities[image.name] = qualities[image.name].doubted(wrong[0])
     images = tuple(replace(image, quality=qualities[image.name]) for image in found.images)
     return replace(found, images=images)
 

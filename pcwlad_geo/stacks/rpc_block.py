@@ -442,7 +442,7 @@ def _seen_again(problem: _Problem, number: int, state: _State) -> Sight:
     ground_px = map_px(predicted_px, grids[0], frame)
     at_px = _seen(grids[1], frame, ground_px, pair.height_m)
     rate = problem.rates[number].height_rate
-    higher_m, slope = _relief(problem.block, ground_px, pair.window_px, state.dem_px)
+    higher_m, slope = relief(problem.block, ground_px, pair.window_px, state.dem_px)
     return replace(
         problem.rates[number],
         left_px=pair.second_px - other.forward(at_px + rate * higher_m[:, None]),
@@ -490,7 +490,7 @@ def _crowding(block: Block, ground_px: Float64) -> float:
     return len(at_px) / max(1, len(np.unique(at_px, axis=0)))
 
 
-def _relief(block: Block, ground_px: Float64, window_px: float, dem_px: Float64) -> tuple[Float64, Float64]:
+def relief(block: Block, ground_px: Float64, window_px: float, dem_px: Float64) -> tuple[Float64, Float64]:
     """Return what moving the DEM does to the heights at the (n, 2) `ground_px` of the frame.
 
     Returned are the (n,) metres by which it is higher there once moved by the (2,) `dem_px` (col, row), its

@@ -24,6 +24,7 @@ from pcwlad_geo.stacks.rpc_block import (
     BlockPair,
     implied_heights,
     pixel_in_frame,
+    relief,
 )
 from pcwlad_geo.types import Float64
 
@@ -66,6 +67,8 @@ class DemCheck:
     scale_sigma: float | None
     scatter_m: float
     """Robust standard deviation of the DEM's heights at the tie points."""
+    off_m: float
+    """Error of 90 % of the heights, less their mean, where the relief clearly lies elsewhere; 0 otherwise."""
     wrong: tuple[str, ...]
     """Why it is taken for wrong; empty if nothing speaks against it."""
 
@@ -105,8 +108,17 @@ def check_dem(
         )
     return DemCheck(
         dem.uri, height_m, chance, apart_px, beside_m, sigma_m, scale, scale_sigma,
-        found.sigma_height_m, tuple(wrong),
+        found.sigma_height_m, _off_m(block, found), tuple(wrong),
     )  # fmt: skip
+
+
+def _off_m(block: Block, found: BlockAdjustment) -> float:
+    """Return `DemCheck.off_m`: what a DEM that stays beside its place does to the heights of points."""
+    if not found.dem_moved:
+        return 0.0
+    ground_px = np.concatenate([fit.sight.ground_px for fit in found.edges])
+    higher_m, _ = relief(block, ground_px, 0.0, found.dem_shift_px)
+    return float(np.percentile(np.abs(higher_m - np.mean(higher_m)), 90))
 
 
 def _height_message(dem: Dem, height_m: float, apart_px: float) -> str:

@@ -58,6 +58,23 @@ def test_bands_of_one_product_follow_the_ground_below_most_clouds(tmp_path: Path
     assert sum("different displacements" in warning for warning in found.warnings) == 1
 
 
+@pytest.mark.parametrize("moved_px", [(1.2, -0.7), (2.5, -1.6)])
+def test_clear_bands_of_one_product_that_lie_apart_are_fair_and_told_of(
+    tmp_path: Path, moved_px: tuple[float, float]
+) -> None:
+    (tmp_path / "scene_MTL.txt").write_text("GROUP = L1_METADATA_FILE\n")
+    grid = make_grid((SIDE, SIDE))
+    first = write(tmp_path / "scene_B4.tif", render(grid, "red", seed=2), grid)
+    moved = render(grid, "thermal", seed=2, displacement_px=moved_px)
+    found = run(first, write(tmp_path / "scene_B10.tif", moved, grid), Settings())
+    assert found.correction is not None
+    at = np.array([[SIDE / 2, SIDE / 2]])
+    assert np.abs(found.correction.forward(at) - at - moved_px).max() < 0.1
+    assert found.quality is not None
+    assert found.quality.grade == "fair"
+    assert "bands of one product lie more than" in found.quality.reasons[0].text
+
+
 def test_other_images_of_two_motions_are_refused_with_both_named(tmp_path: Path) -> None:
     found = run(*pair(tmp_path, ("first.tif", "second.tif"), 0.65), Settings())
     assert found.status == "rejected"

@@ -41,7 +41,7 @@ def away(one: str, other: str, off: tuple[float, float] = (9.0, 9.0)) -> StackPa
 
 def grades(pairs: list[StackPair], sigma: float = 0.05, anchors: str = "a") -> dict[str, StackQuality]:
     names = sorted({name for each in pairs for name in (each.reference, each.target)})
-    return image_qualities(pairs, dict.fromkeys(names, sigma), dict.fromkeys(names, 1.0), anchors)
+    return image_qualities(pairs, dict.fromkeys(names, sigma), dict.fromkeys(names, 1.0), anchors, {})
 
 
 def letters(found: dict[str, StackQuality]) -> str:
@@ -87,6 +87,25 @@ def test_the_limits_of_sigma_are_those_of_a_pair(sigma: float, grade: str) -> No
 def test_what_pairs_leave_over_the_ground_counts() -> None:
     pairs = [pair(*ends, ce90_px=0.8 if "e" in ends else 0.1) for ends in ALL]
     assert letters(grades(pairs)) == "good good good good fair"
+
+
+def test_jitter_is_of_the_image_all_of_whose_pairs_show_it() -> None:
+    pairs = [pair(*ends, jitter_px=0.7 if "e" in ends else 0.0) for ends in ALL]
+    found = grades(pairs)
+    assert letters(found) == "good good good good poor"
+    assert "1.06 px by rows or columns that move" in found["e"].reasons[0]
+
+
+def test_what_a_dem_beside_its_place_does_to_an_image_counts() -> None:
+    names = dict.fromkeys("abcde", 1.0)
+    found = image_qualities(
+        [pair(*ends) for ends in ALL], dict.fromkeys("abcde", 0.05), names, "a", {"d": 0.8}
+    )
+    assert letters(found) == "good good good fair good"
+    assert "0.80 px by heights of a DEM" in found["d"].reasons[0]
+    doubted = found["a"].doubted("wrong")
+    assert (doubted.grade, doubted.reasons) == ("fair", ("wrong",))
+    assert found["d"].doubted("wrong").reasons[1:] == ("wrong",)
 
 
 def test_the_grades_of_pairs_and_ground_without_points_count() -> None:
