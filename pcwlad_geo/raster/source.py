@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rasterio
@@ -23,7 +23,6 @@ from rasterio.windows import Window as FileWindow
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import check_coordinates, check_gcp_misfit, check_geotransform, check_latitudes
 from pcwlad_geo.raster.cameras import Camera, camera_of
-from pcwlad_geo.raster.compression import find_blocks
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
 from pcwlad_geo.raster.file_tree import name_of_uri
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, LIBRARY_ERRORS, ignoring, reading
@@ -31,10 +30,24 @@ from pcwlad_geo.raster.grid import Grid, Window, geotransform_of, is_invertible,
 from pcwlad_geo.raster.masks import Collar, MaskKind, find_collar, kind_of
 from pcwlad_geo.raster.opening import check_dataset, network_settings, open_for_reading, open_own
 from pcwlad_geo.text import check_beside, check_regular, joined
-from pcwlad_geo.types import Bool
+from pcwlad_geo.types import Bool, Float64
 
 MAX_READ_PX: Final = 2**25
 """Largest number of pixels of a file without overviews that is read for an overview of it."""
+BLOCK_PX: Final = 8
+"""Side of a block of JPEG (ITU-T T.81, Annex A): phase congruency sees the grid of blocks where a scene is
+flat, and two images of different places would agree on it."""
+MIN_RATIO: Final = 1.1
+"""Steps at the edges of blocks over those inside, from which a band counts as compressed. Bands
+without loss show 1.00 to 1.06 along both axes, JPEGs 1.05 to 2.1, those of low quality most."""
+MIN_LEAD: Final = 1.05
+"""Steps at the edges of blocks over the largest at any other position in a block."""
+COMMON: Final = 98
+"""Percentile of the steps of a sample to which larger ones, which are the scene's edges, are cut down."""
+SAMPLE_PX: Final = 256
+"""Side of the samples in which blocks are looked for."""
+SAMPLES_ACROSS: Final = 3
+"""Number of samples along rows and along columns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,3 +368,62 @@ def _check_mask(info: RasterInfo, mask: RasterInfo) -> None:
             f"{info.grid.shape[1]} x {info.grid.shape[0]}, and {lacking.uri} has no georeferencing "
             f"({name_of(lacking.grid.crs)}): give a mask of the same size, or georeference it"
         )
+
+
+def find_blocks(
+    read: Callable[[Window], tuple[NDArray[Any], Bool]], shape: tuple[int, int]
+) -> tuple[int, int] | None:
+    """Find the blocks of a band of `shape` (rows, cols) in nine samples; None if it shows none.
+
+    `read` returns the (rows, cols) values and validity of a window. The result is the row and the column,
+    modulo 8, at which blocks begin.
+    """
+    samples = [(read(window), window) for window in _samples(shape)]
+    if not samples:
+        return None
+    by_row = _mean_steps((values, valid, window.row) for (values, valid), window in samples)
+    by_col = _mean_steps((values.T, valid.T, window.col) for (values, valid), window in samples)
+    row, col = _first_px(by_row), _first_px(by_col)
+    return None if row is None or col is None else (row, col)
+
+
+def _samples(shape: tuple[int, int]) -> list[Window]:
+    side_r, side_c = min(shape[0], SAMPLE_PX), min(shape[1], SAMPLE_PX)
+    if min(side_r, side_c) < 4 * BLOCK_PX:
+        return []
+    rows = np.unique(np.linspace(0, shape[0] - side_r, SAMPLES_ACROSS).astype(int)).tolist()
+    cols = np.unique(np.linspace(0, shape[1] - side_c, SAMPLES_ACROSS).astype(int)).tolist()
+    return [Window(row, col, side_r, side_c) for row in rows for col in cols]
+
+
+def _steps(values: NDArray[Any]) -> NDArray[Any]:
+    """Return (rows - 3, cols) steps from row i + 1 to row i + 2, less the mean of the slopes beside them."""
+    slopes = np.diff(values, axis=0)
+    return np.asarray(slopes[1:-1] - (slopes[:-2] + slopes[2:]) / 2)
+
+
+def _all_valid(valid: Bool) -> Bool:
+    """Return (rows - 3, cols), whether the four pixels of each step are valid."""
+    return np.asarray(valid[:-3] & valid[1:-2] & valid[2:-1] & valid[3:])
+
+
+def _mean_steps(samples: Iterable[tuple[NDArray[Any], Bool, int]]) -> Float64:
+    """Return the (8,) mean absolute steps into rows of each number modulo 8; the scene's edges are capped."""
+    total, count = np.zeros(BLOCK_PX), np.zeros(BLOCK_PX)
+    for values, valid, first in samples:
+        size, good = np.abs(_steps(values.astype(np.float64))), _all_valid(valid)
+        if not good.any():
+            continue
+        size = np.minimum(size, np.percentile(size[good], COMMON)) * good
+        row = (first + 2 + np.arange(len(size))) % BLOCK_PX
+        total += np.bincount(row, size.sum(axis=1), BLOCK_PX)
+        count += np.bincount(row, good.sum(axis=1), BLOCK_PX)
+    return np.divide(total, count, out=np.zeros(BLOCK_PX), where=count > 0)
+
+
+def _first_px(steps: Float64) -> int | None:
+    """Return where blocks begin, from the (8,) mean steps; None if they do not show."""
+    first = int(np.argmax(steps))
+    others = np.delete(steps, first)
+    shown = steps[first] >= max(MIN_RATIO * others.mean(), MIN_LEAD * others.max())
+    return first if shown and steps[first] > 0 else None
