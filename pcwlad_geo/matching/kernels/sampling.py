@@ -65,7 +65,8 @@ def _column(plane: Float32, col: int, step: int) -> int:
     """Return where a column lies in a plane whose columns are sorted by their phase."""
     # `step` is 1 or 2: shifts, as a division brings branches for signs and 0, and versions of loops for them
     halvings = step - 1
-    return (col >> halvings) + (col & halvings) * (plane.shape[1] >> halvings)
+    of_a_phase: int = plane.shape[1] >> halvings
+    return (col >> halvings) + (col & halvings) * of_a_phase
 
 
 @compiled_part(fastmath=True)
