@@ -26,7 +26,6 @@ from pcwlad_geo.matching.kernels.sampling import (
     load_window,
     sample_deformed,
     sample_shift,
-    sample_values,
 )
 from pcwlad_geo.matching.kernels.steps import (
     CONVERGED,
@@ -100,7 +99,7 @@ def _valid_share(
     side, step = 2 * options.half + 1, options.step
     rows, cols = images.target_valid.shape
     top, left = row - step * options.half, col - step * options.half
-    down, right = int(np.round(shift_xy[1])), int(np.round(shift_xy[0]))
+    down, right = int(np.rint(shift_xy[1])), int(np.rint(shift_xy[0]))
     valid[:] = np.float32(0.0)
     good = 0
     for r in range(max(0, -((top + down) // step)), min(side, (rows - 1 - top - down) // step + 1)):
@@ -121,7 +120,7 @@ _FLAT, _PLANE = types.float32[::1], types.float32[:, ::1]
 _NUMBERS, _MATRIX = types.float64[::1], types.float64[:, ::1]
 _several: Any = types.Tuple
 _FLATS_3, _FLATS_4, _MATRICES = _several(3 * (_FLAT,)), _several(4 * (_FLAT,)), _several(4 * (_MATRIX,))
-_PLACE = _PLANE, _PLANE, _INT, _INT, _NUMBERS, _MATRIX, _FLAG, _FLAG, _FLAG
+_PLACE = _PLANE, _PLANE, _INT, _INT, _NUMBERS, _MATRIX, _FLAG, _FLAG
 Flats = tuple[Float32, ...]
 
 
@@ -135,15 +134,14 @@ def _load(
     linear: Float64,
     deformed: bool,
     first: bool,
-    looks: bool,
     options: Options,
     scratch: Flats,
     window: Flats,
 ) -> bool:
     """Sample the target's extended window; return False if it leaves the image.
 
-    The gradient is sampled too unless `looks`, that is, unless only the mutual structure is computed. The
-    window of the reference, which stays the same, is copied at the first call.
+    The window of the reference, which stays the same, is copied at the first call. The gradient is sampled
+    even where only the mutual structure is computed: a second way to sample took a second to compile.
     """
     coefficients, along, along_slope, steps = scratch
     width, step = options.width, options.step
@@ -155,8 +153,6 @@ def _load(
         y, x = row + shift[1], col + shift[0]
         return bool(sample_deformed(plane, y, x, linear, side, step, width, steps, *window[1:]))
     top, left = row - reach + shift[1], col - reach + shift[0]
-    if looks:
-        return bool(sample_values(plane, top, left, side, step, width, coefficients, along, window[1]))
     places = side, step, width, coefficients, along, along_slope
     return bool(sample_shift(plane, top, left, *places, *window[1:]))
 
@@ -282,7 +278,7 @@ def _measure(
     scratch = work.coefficients, work.along, work.along_slope, work.steps
     window = work.reference[k], work.value, work.slope_x, work.slope_y
     planes = images.coefficients[k], images.reference[k]
-    if not parts.load(*planes, row, col, place, linear, deformed, first, looks, options, scratch, window):
+    if not parts.load(*planes, row, col, place, linear, deformed, first, options, scratch, window):
         return False
     fixed = options.structure_mode == STRUCTURE_FIXED
     if options.structure_mode == STRUCTURE_FOLLOWS or (fixed and first):

@@ -63,7 +63,10 @@ def _spline_slope(t: np.float32) -> Taps:
 @compiled_part()
 def _column(plane: Float32, col: int, step: int) -> int:
     """Return where a column lies in a plane whose columns are sorted by their phase."""
-    return int(col // step + col % step * (plane.shape[1] // step))
+    # `step` is 1 or 2: shifts, as a division brings branches for signs and 0, and versions of loops for them
+    halvings = step - 1
+    of_a_phase: int = plane.shape[1] >> halvings
+    return (col >> halvings) + (col & halvings) * of_a_phase
 
 
 @compiled_part(fastmath=True)
@@ -106,13 +109,14 @@ def _load_coefficients(
 @compiled_part()
 def _taps(side: int, step: int) -> int:
     """Return how many coefficients of one phase a window needs per axis."""
-    return side + TAPS_BEYOND // step
+    return side + (TAPS_BEYOND >> (step - 1))
 
 
 @compiled_part()
 def _tap(flat: Float32, tap: int, step: int, phase: int, next_one: int) -> Float32:
     """Return what begins with a tap of the first pixel; `flat` holds `phase` numbers of each phase."""
-    return flat[tap % step * phase + tap // step * next_one :]
+    halvings = step - 1
+    return flat[(tap & halvings) * phase + (tap >> halvings) * next_one :]
 
 
 @compiled_part(fastmath=True)
@@ -153,51 +157,6 @@ def sample_shift(
     _across(coefficients, step, _fraction(col), step * phase, along, along_slope)
     _down(along, along_slope, step, _fraction(row), phase, width, side * width, value, slope_x, slope_y)
     return True
-
-
-@compiled_part(fastmath=True)
-def sample_values(
-    plane: Float32,
-    row: float,
-    col: float,
-    side: int,
-    step: int,
-    width: int,
-    coefficients: Float32,
-    along: Float32,
-    value: Float32,
-) -> bool:
-    """Sample a spline on a shifted window, as `sample_shift` does, without the gradient.
-
-    Parameters
-    ----------
-    plane : (n, m) float32 array
-        Spline coefficients, the columns sorted by phase.
-    row, col, side, step, width
-        See `sample_shift`.
-    coefficients, along : (step² * (side + 3) * width,) and (step * (side + 3) * width,) float32 arrays
-        Scratch memory.
-    value : (side * width,) float32 array
-        Filled with the values.
-    """
-    if not _load_coefficients(plane, row, col, side, step, width, coefficients):
-        return False
-    phase = _taps(side, step) * width
-    _combine(coefficients, step, step * phase, 1, _fraction(col), step * phase, along)
-    _combine(along, step, phase, width, _fraction(row), side * width, value)
-    return True
-
-
-@compiled_part(fastmath=True)
-def _combine(
-    flat: Float32, step: int, phase: int, next_one: int, t: np.float32, n: int, out: Float32
-) -> None:
-    """Interpolate along one axis: the values alone."""
-    w0, w1, w2, w3 = _spline(t)
-    first, second = _tap(flat, 0, step, phase, next_one), _tap(flat, 1, step, phase, next_one)
-    third, fourth = _tap(flat, 2, step, phase, next_one), _tap(flat, 3, step, phase, next_one)
-    for i in range(n):
-        out[i] = w0 * first[i] + w1 * second[i] + w2 * third[i] + w3 * fourth[i]
 
 
 @compiled_part(fastmath=True)
@@ -278,6 +237,7 @@ def sample_deformed(
     """
     half = side // 2
     x_by_x, y_by_x = step * linear[0, 0], step * linear[1, 0]
+    x_edge, x_pace, y_edge, y_pace = *_edge_and_pace(x_by_x), *_edge_and_pace(y_by_x)
     for r in range(side):
         x0 = col - half * (step + x_by_x) + (r - half) * step * linear[0, 1]
         y0 = row - half * y_by_x + (r - half) * step * (1.0 + linear[1, 1])
@@ -285,7 +245,7 @@ def sample_deformed(
         while c < side:
             x, y = x0 + c * (step + x_by_x), y0 + c * y_by_x
             row0, col0 = int(np.floor(y)), int(np.floor(x))
-            run = min(side - c, _run(x - col0, x_by_x), _run(y - row0, y_by_x))
+            run = min(side - c, _run(x - col0, x_edge, x_pace), _run(y - row0, y_edge, y_pace))
             last = col0 + step * (run - 1)
             if row0 < 1 or col0 < 1 or row0 + 3 > plane.shape[0] or last + 3 > plane.shape[1]:
                 return False
@@ -314,13 +274,18 @@ def sample_deformed(
 
 
 @compiled_part()
-def _run(t: float, step: float) -> int:
+def _edge_and_pace(step: float) -> tuple[float, float]:
+    """Return which end of 0 to 1 a fraction moves towards, and how fast; a step of 0 counts as a tiny one.
+
+    Told once for a window: a branch in its loops would have them compiled in a version for each sign.
+    """
+    return (0.0 if step < 0.0 else 1.0), (1e-300 if step == 0.0 else step)
+
+
+@compiled_part()
+def _run(t: float, edge: float, step: float) -> int:
     """Return how many fractions t, t + step, t + 2 · step, … lie within 0 to 1."""
-    if step > 0.0:
-        return int(min((1.0 - t) / step, 1e6)) + 1
-    if step < 0.0:
-        return int(min(-t / step, 1e6)) + 1
-    return 1000000
+    return int(min((edge - t) / step, 1e6)) + 1
 
 
 @compiled_part(fastmath=True)

@@ -227,7 +227,7 @@ def invert(matrix: Float64) -> bool:
     return True
 
 
-@compiled_part(inline=True)
+@compiled_part()
 def plain_step(inverse: Float64, right: Float64, half: int, step: Float64, linear: Float64) -> None:
     """Fill in the plain Gauss-Newton step of the shift, and add that of the deformation.
 
@@ -249,7 +249,7 @@ def plain_step(inverse: Float64, right: Float64, half: int, step: Float64, linea
             linear[axis, k - 1] += _dot(inverse[axis * count + k], right) / half
 
 
-@compiled_part(inline=True)
+@compiled_part()
 def learn_slopes(step: Float64, before: Float64, moved: Float64, first: bool, slopes: Float64) -> None:
     """Update the slopes of the plain step from the last move (Broyden's update).
 
@@ -274,7 +274,7 @@ def learn_slopes(step: Float64, before: Float64, moved: Float64, first: bool, sl
         slopes[axis, 1] += error * moved[1] / length2
 
 
-@compiled_part(inline=True)
+@compiled_part()
 def move(step: Float64, slopes: Float64, moved: Float64, shift: Float64) -> float:
     """Move the shift to where the plain step is expected to vanish.
 
