@@ -159,8 +159,9 @@ def _scenes(pairs: Sequence[ScenePair], scratch: Path, arguments: argparse.Names
 def _growth_of_peers(pair: ScenePair, scratch: Path, arguments: argparse.Namespace) -> None:
     """Print how the time grows with points and cores on the largest scene, and what is left out."""
     where = f" on {pair.side_px}²"
-    found = peers.growth_with_points(pair, scratch, arguments.arosics, arguments.counts)
-    print("\n" + as_text(peers.table("Growth with points" + where, found)), flush=True)
+    if arguments.counts:
+        found = peers.growth_with_points(pair, scratch, arguments.arosics, arguments.counts)
+        print("\n" + as_text(peers.table("Growth with points" + where, found)), flush=True)
     if w.jobs() > 1:
         found = peers.growth_with_cores(pair, scratch, arguments.arosics)
         print("\n" + as_text(peers.table("Growth with cores" + where, found)), flush=True)
