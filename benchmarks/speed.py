@@ -132,6 +132,8 @@ def _scenes(pairs: Sequence[ScenePair], scratch: Path, arguments: argparse.Names
             works[w.AROSICS] = partial(w.run_arosics, arguments.arosics, pair, scratch)
         repeats = arguments.repeats if pair.side_px <= AROSICS_SIDE_PX else 1
         runs += w.repeated(works, repeats)
+        if arguments.runs:
+            w.write_runs(arguments.runs, runs)
         results = w.Results(runs)
         bank = parts.bare_scene_bank(pair)
         if pair.side_px == limits.SIDE_PX:
@@ -145,8 +147,6 @@ def _scenes(pairs: Sequence[ScenePair], scratch: Path, arguments: argparse.Names
         }.values():
             print(f"left out: {run.mode}: {run.cost.reason}")
         sys.stdout.flush()
-    if arguments.runs:
-        w.write_runs(arguments.runs, runs)
     if arguments.peers:
         _growth_of_peers(pairs[-1], scratch, arguments)
     elif not arguments.arosics:
