@@ -21,17 +21,15 @@ from typing import Final
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.speed_studies.parts import crop, inverse_transforms
-from benchmarks.speed_studies.processes import measure
-from benchmarks.speed_studies.scene_files import ScenePair, make_pair
-from benchmarks.speed_studies.whole_scenes import REPOSITORY
+from benchmarks.speed_studies.parts import inverse_transforms
+from benchmarks.speed_studies.scene_files import make_pair
+from benchmarks.speed_studies.small_pairs import SIDE_PX, measured, strangers
 from benchmarks.tables import Table, as_text
 from benchmarks.timing import cheapest
 
 KEPT: Final = Path(__file__).with_suffix(".json")
 GROWTH: Final = 4 / 3
 ROUNDS: Final = 3
-SIDE_PX: Final = 512
 BANK: Final = (2048, 2048)
 
 
@@ -57,38 +55,22 @@ def main() -> int:
 
 def _ratios(folder: Path) -> dict[str, float]:
     """Return the ratio of each command."""
-    scene = make_pair(folder / "scenes", 2 * SIDE_PX)
-    pair = [str(crop(path, folder, SIDE_PX)) for path in (scene.reference, scene.target)]
+    pair = make_pair(folder / "scenes", SIDE_PX)
+    files = [str(pair.reference), str(pair.target)]
     commands = {
-        "match": ["match", *pair],
-        "register": ["register", *pair],
-        "match, refused": ["match", *_strangers(scene, folder)],
+        "match": ["match", *files],
+        "register": ["register", *files],
+        "match, refused": ["match", *strangers(folder)],
     }
     least = dict.fromkeys(commands, float("inf"))
     bank = float("inf")
     for number in range(ROUNDS + 1):
         for name, command in commands.items():
-            cpu_s = _cpu_s(command, folder / f"out {number} {name}")
+            cpu_s = measured(command, folder / f"out {number} {name}").cpu_s
             if number:  # the first round compiles what is not in the cache
                 least[name] = min(least[name], cpu_s)
         bank = min(bank, cheapest([partial(inverse_transforms, BANK)], 1)[0].cpu_s)
     return {name: cpu_s / bank for name, cpu_s in least.items()}
-
-
-def _strangers(scene: ScenePair, folder: Path) -> list[str]:
-    """Return two parts of the scene that show other ground, without georeferencing."""
-    parts = ((scene.reference, 0), (scene.target, SIDE_PX))
-    return [str(crop(path, folder / "strangers", SIDE_PX, begin, placed=False)) for path, begin in parts]
-
-
-def _cpu_s(command: list[str], out: Path) -> float:
-    run = measure(
-        [sys.executable, "-m", "pcwlad_geo", *command, "-o", str(out), "--progress", "none"],
-        environment={"PYTHONPATH": str(REPOSITORY)},
-    )
-    if run.status != (3 if "strangers" in command[1] else 0):
-        raise RuntimeError(f"{' '.join(command)}: exit status {run.status}: {run.reason}")
-    return run.cpu_s
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ Writes the tie points that it keeps, and prints what the library call cost as JS
 from __future__ import annotations
 
 import json
+import os
 import resource
 import sys
 import time
@@ -33,6 +34,7 @@ def main() -> None:
         grid_res=int(grid_res),
         window_size=(int(window), int(window)),
         max_shift=int(max_shift),
+        CPUs=len(os.sched_getaffinity(0)),  # its default counts those that it may not use, too
         q=True,
         progress=False,
     )

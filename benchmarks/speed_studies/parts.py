@@ -1,4 +1,4 @@
-"""What the parts cost in CPU time, inside this process: filter bank, refinement, a small pair.
+"""What the parts cost in CPU time, inside this process: filter bank and refinement.
 
 Compared figures are measured in turn in one run; each is the smallest of several, as anything else that the
 machine does only adds to it.
@@ -6,7 +6,6 @@ machine does only adds to it.
 
 from __future__ import annotations
 
-import tempfile
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -23,7 +22,6 @@ from rasterio.windows import Window
 
 from benchmarks.speed_studies.scene_files import ScenePair
 from benchmarks.timing import Cost, cheapest
-from pcwlad_geo.job import register
 from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.coarse import match_coarsely
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS, SCALES
@@ -97,18 +95,6 @@ def _corners(pair: PreparedPair, count: int) -> NDArray[np.intp]:
     per_cell = MatchSettings().per_cell
     cell_px = keypoints.cell_side_px(count, per_cell, float(usable.sum()))
     return keypoints.by_cell(corners, response, cell_px, (0, 0), per_cell)
-
-
-def small_pair(pair: ScenePair, side_px: int, features: int, repeats: int) -> Cost:
-    """Return the cost of registering a small pair, files to files, without start-up."""
-    with tempfile.TemporaryDirectory(prefix="pcwlad-geo-bench-") as folder:
-        crops = [crop(path, Path(folder), side_px) for path in (pair.reference, pair.target)]
-        out = Path(folder) / "out"
-
-        def work() -> None:
-            register(*crops, out_dir=out, overwrite=True, features=features, jobs=1)
-
-        return cheapest([work], repeats)[0]
 
 
 def _read(path: Path, side_px: int) -> NDArray[np.float32]:

@@ -85,6 +85,17 @@ def measure(
 
 
 @contextlib.contextmanager
+def on_cores(count: int) -> Iterator[None]:
+    """Let this process and all that it starts use so many of its cores."""
+    usable = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, sorted(usable)[:count])
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, usable)
+
+
+@contextlib.contextmanager
 def _adopting_orphans() -> Iterator[None]:
     """Be the parent of descendants whose own parent ends."""
     control = ctypes.CDLL(None, use_errno=True).prctl

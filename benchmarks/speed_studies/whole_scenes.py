@@ -1,14 +1,15 @@
-"""Whole scenes: the command line on each size and in each mode, and AROSICS on the same scene in between."""
+"""Whole scenes: the command line on each size and in each mode; other programs on the same scenes."""
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import statistics
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +18,6 @@ from benchmarks.speed_studies.processes import Measured, measure
 from benchmarks.speed_studies.scene_files import ScenePair
 
 REPOSITORY: Final = Path(__file__).resolve().parents[2]
-JOBS: Final = 2
 TIE_POINTS: Final = ("reading", "prealignment", "matching", "refining")
 """Stages of a job up to its tie points."""
 AROSICS_POINTS: Final = 1000
@@ -75,6 +75,11 @@ class Run:
         return self.cost.cpu_s * 1000 / self.score.correct if self.score else math.nan
 
 
+def jobs() -> int:
+    """Return the number of processes of a run: two, where it may use two cores."""
+    return min(2, len(os.sched_getaffinity(0)))
+
+
 def run_mode(mode: Mode, pair: ScenePair, scratch: Path, cache: Path | None = None) -> Run:
     """Run one command on a scene in a fresh process.
 
@@ -90,7 +95,7 @@ def run_mode(mode: Mode, pair: ScenePair, scratch: Path, cache: Path | None = No
     out = scratch / "out"
     shutil.rmtree(out, ignore_errors=True)
     command = [sys.executable, "-m", "pcwlad_geo", mode.command, str(pair.reference), str(pair.target)]
-    command += ["-o", str(out), "--progress", "none", "--jobs", str(JOBS), *mode.options]
+    command += ["-o", str(out), "--progress", "none", "--jobs", str(jobs()), *mode.options]
     environment = {"PYTHONPATH": str(REPOSITORY)} | ({"NUMBA_CACHE_DIR": str(cache)} if cache else {})
     cost = measure(command, environment=environment, folder=scratch)
     found, inner_s = None, math.nan
@@ -102,36 +107,55 @@ def run_mode(mode: Mode, pair: ScenePair, scratch: Path, cache: Path | None = No
     return Run(mode.name, pair.side_px, cost, found, inner_s)
 
 
-def run_arosics(python: Path, pair: ScenePair, scratch: Path) -> Run:
+def run_arosics(python: Path, pair: ScenePair, scratch: Path, points: int = AROSICS_POINTS) -> Run:
     """Run AROSICS' COREG_LOCAL on a scene in a fresh process of its own environment."""
     table = scratch / "arosics.csv"
-    grid_res = round(pair.side_px / math.sqrt(AROSICS_POINTS))
+    grid_res = round(pair.side_px / math.sqrt(points))
     script = Path(__file__).with_name("arosics_call.py")
     numbers = [str(number) for number in (grid_res, AROSICS_WINDOW, AROSICS_MAX_SHIFT)]
     command = [str(python), str(script), str(pair.reference), str(pair.target), *numbers, str(table)]
+    return run_peer(AROSICS, command, pair, scratch, lambda: truth.read_arosics(table))
+
+
+def run_peer(
+    name: str,
+    command: Sequence[str],
+    pair: ScenePair,
+    scratch: Path,
+    read: Callable[[], tuple[truth.Float64, truth.Float64]],
+) -> Run:
+    """Run another program, which prints the cost of its call as JSON, and judge the points that it wrote."""
     cost = measure(command, environment={"PYTHONPATH": ""}, folder=scratch)
     if cost.status != 0:
-        return Run(AROSICS, pair.side_px, cost, None, math.nan)
+        return Run(name, pair.side_px, cost, None, math.nan)
     figures = json.loads(cost.output.strip().splitlines()[-1])
-    found = truth.score(*truth.read_arosics(table), pair.side_px)
-    return Run(AROSICS, pair.side_px, cost, found, figures["wall_s"], figures["cpu_s"])
+    found = truth.score(*read(), pair.side_px)
+    return Run(name, pair.side_px, cost, found, figures["wall_s"], figures["cpu_s"])
 
 
-def repeated(
-    modes: Sequence[Mode], pair: ScenePair, scratch: Path, repeats: int, arosics: Path | None
-) -> Iterator[Run]:
-    """Run all modes in turn, several times; AROSICS among them. A mode that fails is not run again."""
+def repeated(works: Mapping[str, Callable[[], Run]], repeats: int) -> Iterator[Run]:
+    """Do all named runs in turn, several times. One that fails is not done again."""
     failed: set[str] = set()
     for _ in range(repeats):
-        for mode in modes:
-            if mode.name not in failed:
-                run = run_mode(mode, pair, scratch)
-                failed |= {mode.name} if run.score is None else set()
+        for name, work in works.items():
+            if name not in failed:
+                run = work()
+                failed |= {name} if run.score is None else set()
                 yield run
-        if arosics and AROSICS not in failed:
-            run = run_arosics(arosics, pair, scratch)
-            failed |= {AROSICS} if run.score is None else set()
-            yield run
+
+
+def read_runs(path: Path) -> list[Run]:
+    """Return the runs that `write_runs` has kept."""
+    rows = json.loads(path.read_text(encoding="utf-8"))
+    for row in rows:
+        row["cost"] = Measured(**row["cost"])
+        row["score"] = row["score"] and truth.PointScore(**row["score"])
+    return [Run(**row) for row in rows]
+
+
+def write_runs(path: Path, runs: Sequence[Run]) -> None:
+    """Keep runs for a later call of the benchmark on the same machine."""
+    path.write_text(json.dumps([asdict(run) for run in runs]), encoding="utf-8")
 
 
 class Results:
@@ -151,6 +175,10 @@ class Results:
     def inner_s(self, mode: str, side_px: int) -> float:
         """Wall time of the job inside the process."""
         return _median([run.inner_s for run in self.of(mode, side_px)])
+
+    def inner_cpu_s(self, mode: str, side_px: int) -> float:
+        """CPU time of the call of another program."""
+        return _median([run.inner_cpu_s for run in self.of(mode, side_px)])
 
     def cpu_s(self, mode: str, side_px: int) -> float:
         """CPU time of all processes."""

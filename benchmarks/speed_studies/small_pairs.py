@@ -1,0 +1,148 @@
+"""Small pairs: what one costs by the default call, how soon its pixels are read, many in one batch."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from os import environ
+from pathlib import Path
+from typing import Final
+
+import rasterio
+from affine import Affine
+from rasterio.windows import Window
+
+from benchmarks.speed_studies import whole_scenes as w
+from benchmarks.speed_studies.parts import crop
+from benchmarks.speed_studies.processes import Measured, measure, on_cores
+from benchmarks.speed_studies.scene_files import make_pair
+from benchmarks.tables import Cell, Table, at_most
+
+SIDE_PX: Final = 512
+BATCH_SIDE_PX: Final = 256
+BATCH_PAIRS: Final = 100
+SCENE_SIDES: Final = (1024, 2048, 4096, 8192)
+_PROGRAM: Final = (sys.executable, "-m", "pcwlad_geo")
+_ENVIRONMENT: Final = {"PYTHONPATH": str(w.REPOSITORY)}
+
+
+def small_pairs(scratch: Path, arosics: Path | None, pairs: int, repeats: int) -> Iterator[Table]:
+    """Yield what a pair costs, good and hopeless, beside AROSICS; then what a batch of so many costs."""
+    yield one_pair(scratch, arosics, repeats)
+    yield many_pairs(scratch, pairs)
+
+
+def one_pair(scratch: Path, arosics: Path | None, repeats: int) -> Table:
+    """Measure whole processes in turn, warm; of each the least of several."""
+    pair = make_pair(scratch / "scenes", SIDE_PX)
+    good = ["match", str(pair.reference), str(pair.target)]
+    hopeless = ["match", *strangers(scratch)]
+    costs: dict[str, list[Measured]] = {"match": [], "match, refused": [], w.AROSICS: []}
+    pixels_s = []
+    for number in range(repeats + 1):
+        found = {
+            name: measured(c, scratch / "small") for name, c in zip(costs, (good, hopeless), strict=False)
+        }
+        read_s = until_read(good, scratch / "small")
+        if arosics:
+            found[w.AROSICS] = w.run_arosics(arosics, pair, scratch).cost
+        if number:  # the first round compiles what is not in the cache
+            pixels_s.append(read_s)
+            for name, cost in found.items():
+                costs[name].append(cost)
+    wall = {name: min(cost.wall_s for cost in runs) for name, runs in costs.items() if runs}
+    cpu = {name: min(cost.cpu_s for cost in runs) for name, runs in costs.items() if runs}
+    rows: list[list[Cell]] = [[name, wall[name], cpu[name]] for name in wall]
+    rows.append(["match, until its pixels are read", min(pixels_s), "-"])
+    refused = cpu["match, refused"] / cpu["match"]
+    checks = [
+        at_most(f"match, {SIDE_PX}²: wall time", wall["match"], 2.5, "s"),
+        at_most(f"match, {SIDE_PX}²: CPU time", cpu["match"], 4.0, "s"),
+        at_most(f"match, {SIDE_PX}²: wall time until the pixels are read", min(pixels_s), 0.8, "s"),
+        at_most(f"match of a hopeless pair, {SIDE_PX}²: CPU time", cpu["match, refused"], 4.0, "s"),
+        at_most("match of a hopeless pair: CPU time / a good one's", refused, 0.5),
+    ]
+    if arosics:
+        ratio = wall["match"] / wall[w.AROSICS]
+        checks.append(at_most(f"match, {SIDE_PX}²: wall time / AROSICS' process", ratio, 0.3))
+        ratio = cpu["match"] / cpu[w.AROSICS]
+        checks.append(at_most(f"match, {SIDE_PX}²: CPU time / AROSICS' process", ratio, 0.3))
+    return Table(f"{SIDE_PX}², default call, whole processes", ("", "wall s", "CPU s"), rows, checks)
+
+
+def many_pairs(scratch: Path, count: int) -> Table:
+    """Register pairs of BATCH_SIDE_PX in one `batch`, on one core, so that its times can be summed."""
+    table, out = scratch / "pairs.csv", scratch / "batch"
+    table.write_text("reference,target\n" + "".join(f"{one},{other}\n" for one, other in cut(scratch, count)))
+    with on_cores(1):
+        command = [*_PROGRAM, "batch", str(table), "-o", str(out), "--progress", "none", "--overwrite"]
+        cost = measure(command, environment=_ENVIRONMENT)
+    reports = [json.loads(path.read_text(encoding="utf-8")) for path in out.glob("*/report.json")]
+    matching_s = sum(sum(report["seconds"].get(stage, 0.0) for stage in w.TIE_POINTS) for report in reports)
+    registered = sum(report["status"] == "registered" for report in reports)
+    rows: list[list[Cell]] = [
+        ["batch", cost.wall_s, cost.cpu_s, f"{cost.peak_mb:.0f}"],
+        ["of it matching", matching_s, "-", "-"],
+    ]
+    if len(reports) < count:
+        raise RuntimeError(f"{count - len(reports)} of {count} pairs have no report: {cost.reason}")
+    check = at_most(f"batch of {count} pairs: wall time / its matching", cost.wall_s / matching_s, 1.1)
+    title = f"{count} pairs of {BATCH_SIDE_PX}² on one core, {registered} of them registered"
+    return Table(title, ("", "wall s", "CPU s", "MB"), rows, [check])
+
+
+def strangers(scratch: Path) -> list[str]:
+    """Return two parts of a scene that show other ground, without georeferencing."""
+    scene = make_pair(scratch / "scenes", 2 * SIDE_PX)
+    parts = ((scene.reference, 0), (scene.target, SIDE_PX))
+    return [str(crop(path, scratch / "strangers", SIDE_PX, begin, placed=False)) for path, begin in parts]
+
+
+def measured(command: list[str], out: Path) -> Measured:
+    """Run a command of the program; pairs of `strangers` must be refused, all others must not."""
+    cost = measure(
+        [*_PROGRAM, *command, "-o", str(out), "--progress", "none", "--overwrite"], environment=_ENVIRONMENT
+    )
+    if cost.status != (3 if "strangers" in command[1] else 0):
+        raise RuntimeError(f"{' '.join(command)}: exit status {cost.status}: {cost.reason}")
+    return cost
+
+
+def until_read(command: list[str], out: Path) -> float:
+    """Return the wall time from the start of a command to the event that tells that the pixels are read."""
+    options = ["-o", str(out), "--progress", "json", "--overwrite"]
+    begun = time.perf_counter()
+    with subprocess.Popen(
+        [*_PROGRAM, *command, *options], stdout=subprocess.PIPE, text=True, env=environ | _ENVIRONMENT
+    ) as process:
+        for line in process.stdout or ():
+            event = json.loads(line)
+            if event.get("stage") == "reading" and event["done"] == event["total"]:
+                read_s = time.perf_counter() - begun
+                process.stdout.read()
+                return read_s
+    raise RuntimeError(f"{' '.join(command)}: no pixels were read")
+
+
+def cut(scratch: Path, count: int) -> Iterator[tuple[Path, Path]]:
+    """Cut pairs of BATCH_SIDE_PX, side by side, from a scene that is large enough."""
+    side = next(size for size in SCENE_SIDES if (size // BATCH_SIDE_PX) ** 2 >= count)
+    scene, folder = make_pair(scratch / "scenes", side), scratch / f"pairs of {BATCH_SIDE_PX}"
+    folder.mkdir(exist_ok=True)
+    with rasterio.open(scene.reference) as reference, rasterio.open(scene.target) as target:
+        for number in range(count):
+            row, col = divmod(number, side // BATCH_SIDE_PX)
+            window = Window(col * BATCH_SIDE_PX, row * BATCH_SIDE_PX, BATCH_SIDE_PX, BATCH_SIDE_PX)
+            paths = folder / f"red_{number}.tif", folder / f"thermal_{number}.tif"
+            for path, scene_file in zip(paths, (reference, target), strict=True):
+                profile = scene_file.profile | {"width": BATCH_SIDE_PX, "height": BATCH_SIDE_PX}
+                place = scene_file.transform
+                west, north = place.c + window.col_off * place.a, place.f + window.row_off * place.e
+                profile |= {"transform": Affine(place.a, 0.0, west, 0.0, place.e, north)}
+                profile |= {"blockxsize": BATCH_SIDE_PX, "blockysize": BATCH_SIDE_PX}
+                with rasterio.open(path, "w", **profile) as part:
+                    part.write(scene_file.read(1, window=window), 1)
+            yield paths
