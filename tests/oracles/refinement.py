@@ -13,7 +13,14 @@ from scipy.ndimage import map_coordinates, uniform_filter
 
 from pcwlad_geo.matching.kernels.equations import SIGMA_PER_MEAN_DEVIATION, VARIANCE_FLOOR
 from pcwlad_geo.matching.kernels.refinement import NEAR_PX
-from pcwlad_geo.matching.kernels.steps import LARGEST_RELAXATION, LONGEST_STEP_PX, MIN_SLOPE, PATIENCE
+from pcwlad_geo.matching.kernels.steps import (
+    LARGEST_RELAXATION,
+    LONGEST_STEP_PX,
+    MIN_SLOPE,
+    PATIENCE,
+    SETTLED_AFTER,
+    SETTLING_PX,
+)
 from pcwlad_geo.matching.refinement import (
     BLOCK_PX,
     LARGEST_MOVE_PX,
@@ -82,6 +89,8 @@ def refine_plain(
                     bread = np.linalg.inv(matrix)[::every, ::every]
                     result.covariance_px2[p] = bread @ (scores.T @ scores) @ bread
                     result.converged[p] = control.determined(MIN_SLOPE)
+                    break
+                if iteration >= SETTLED_AFTER and control.length > SETTLING_PX and not affine:
                     break
                 if iteration >= PATIENCE and not control.determined(MIN_SLOPE / 2):
                     break

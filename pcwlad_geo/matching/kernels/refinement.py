@@ -34,6 +34,8 @@ from pcwlad_geo.matching.kernels.steps import (
     MIN_SLOPE,
     NOT_CONVERGED,
     PATIENCE,
+    SETTLED_AFTER,
+    SETTLING_PX,
     STRUCTURE_FIXED,
     STRUCTURE_FOLLOWS,
     STRUCTURE_GIVEN,
@@ -253,6 +255,8 @@ def _refine_point(
         if near and length * min(length / before_px, 1.0) < options.tolerance_px:
             sandwich(work.total, work.scores, results.covariance[p])
             return CONVERGED if is_determined(slopes, MIN_SLOPE) else UNDETERMINED
+        if iteration >= SETTLED_AFTER and length > SETTLING_PX and not options.affine:
+            return NOT_CONVERGED
         if iteration >= PATIENCE and not is_determined(slopes, MIN_SLOPE / 2):
             return UNDETERMINED
     return NOT_CONVERGED

@@ -203,6 +203,11 @@ LARGEST_RELAXATION: Final = 20.0
 """Largest ratio of a move to the plain step."""
 MIN_SLOPE: Final = 0.08
 """Least slope of the plain step; below it the weights follow the window to any position."""
+SETTLED_AFTER: Final = 3
+"""Number of moves after which a window is given up whose next one is longer than `SETTLING_PX`."""
+SETTLING_PX: Final = 0.25
+"""Moves towards a match become shorter from one to the next; those of windows that show something else do
+not, and end somewhere by chance."""
 PATIENCE: Final = 6
 """Number of steps after which a window is given up whose slope is below half of `MIN_SLOPE`."""
 
