@@ -425,10 +425,10 @@ CLEAR_JITTER: Final = 5.0
 
 
 def jitter_px(xy_px: Float64, beside_px: Float64) -> float:
-    """Return by how much rows and columns move beside the field, RMS, px; 0 where that may be chance.
+    """Return by how much rows and columns move within a window, RMS, px; 0 where that may be chance.
 
     The n points have (n, 2) positions `xy_px` (col, row); the (2, n, 2) `beside_px` are their displacements
-    by windows of few rows, then of few columns, less what the field predicts; NaN for failures. Errors of
+    by windows of few rows, then of few columns, less those by whole windows; NaN for failures. Errors of
     windows are their own, except for what those of the same rows, far along them, share.
     """
     return float(np.hypot(_shared(xy_px, beside_px[0], 1), _shared(xy_px, beside_px[1], 0)))

@@ -124,7 +124,7 @@ def judge(
         return Verdict(False, missing, cells, agreeing, significance)
     by_chance = (
         f"only {int(kept.sum())} of {counts['candidates']} candidates agree with their neighbours, in "
-        f"{agreeing} of {cells} separate places, no better than chance"
+        f"{min(agreeing, int(kept.sum()))} of {cells} separate places, no better than chance"
     )
     beyond = counts.get("at_search_border", 0) > AT_BORDER * counts["candidates"]
     return Verdict(False, by_chance, cells, agreeing, significance, beyond)
@@ -292,7 +292,7 @@ def _nothing_to_match(counts: dict[str, int]) -> str | None:
 
 def _too_few(points: int, agreeing: int, cells: int) -> str | None:
     """Return why points that agree are too few; None if they do not agree."""
-    if agreeing < MOSTLY * cells or agreeing == 0:
+    if agreeing < MOSTLY * cells or min(agreeing, points) == 0:
         return None
     needed = f"at least {MIN_POINTS} are needed"
     if points >= MIN_POINTS:

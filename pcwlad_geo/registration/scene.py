@@ -459,8 +459,8 @@ def _scales(
     scales, errors = choose_scales(seen, settings)
     more = [these[:: max(1, every // STRIPES)] for these in inside]
     told = np.concatenate(more)
-    field_px = np.where(guide.leads[:, None], guide.structure_xy_px, points.displacement_px)
-    return scales, errors, jitter_px(points.reference_xy_px[told], seen((), more) - field_px[told])
+    beside_px = seen((), more) - points.displacement_px[told]
+    return scales, errors, jitter_px(points.reference_xy_px[told], beside_px)
 
 
 def _predict_on(

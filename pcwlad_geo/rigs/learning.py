@@ -362,7 +362,8 @@ def _check_all_matched(found: Sequence[Observations], names: Sequence[str], capt
     lost = [names[k] for k in range(1, len(names)) if k not in matched]
     if lost:
         raise RegistrationRejectedError(
-            f"lens {', '.join(lost)} cannot be matched with {names[0]} in any of {captures} captures"
+            f"lens {', '.join(lost)} cannot be matched with {names[0]} in any of {captures} captures: the "
+            "lenses show different ground, or ground without structure"
         )
 
 
