@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 import rasterio
 import scipy.fft
+from affine import Affine
 from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
@@ -103,19 +104,18 @@ def _read(path: Path, side_px: int) -> NDArray[np.float32]:
     return image
 
 
-def crop(path: Path, folder: Path, side_px: int, begin_px: int = 0, *, placed: bool = True) -> Path:
-    """Write a square part of a raster, which begins so many rows and columns in, and return its path.
-
-    It keeps its georeferencing, which is that of the first pixel, unless it is not `placed`.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    out = folder / path.name
+def crop(path: Path, out: Path, window: Window, *, placed: bool = True) -> Path:
+    """Write a part of a raster, with its georeferencing unless it is not `placed`, and return its path."""
+    out.parent.mkdir(parents=True, exist_ok=True)
     with rasterio.open(path) as file:
-        profile = file.profile | {"width": side_px, "height": side_px}
-        if not placed:
-            profile |= {"crs": None, "transform": None}
+        profile = file.profile | {"width": window.width, "height": window.height}
+        profile |= {"blockxsize": window.width, "blockysize": window.height}
+        place = file.transform
+        west, north = place.c + window.col_off * place.a, place.f + window.row_off * place.e
+        there = {"transform": Affine(place.a, 0.0, west, 0.0, place.e, north)}
+        profile |= there if placed else {"crs": None, "transform": None}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)  # as it is meant to be
             with rasterio.open(out, "w", **profile) as part:
-                part.write(file.read(1, window=Window(begin_px, begin_px, side_px, side_px)), 1)
+                part.write(file.read(1, window=window), 1)
     return out

@@ -11,8 +11,6 @@ from os import environ
 from pathlib import Path
 from typing import Final
 
-import rasterio
-from affine import Affine
 from rasterio.windows import Window
 
 from benchmarks.speed_studies import whole_scenes as w
@@ -97,8 +95,11 @@ def many_pairs(scratch: Path, count: int) -> Table:
 def strangers(scratch: Path) -> list[str]:
     """Return two parts of a scene that show other ground, without georeferencing."""
     scene = make_pair(scratch / "scenes", 2 * SIDE_PX)
-    parts = ((scene.reference, 0), (scene.target, SIDE_PX))
-    return [str(crop(path, scratch / "strangers", SIDE_PX, begin, placed=False)) for path, begin in parts]
+    folder, found = scratch / "strangers", []
+    for path, begin in ((scene.reference, 0), (scene.target, SIDE_PX)):
+        window = Window(begin, begin, SIDE_PX, SIDE_PX)
+        found.append(str(crop(path, folder / path.name, window, placed=False)))
+    return found
 
 
 def measured(command: list[str], out: Path) -> Measured:
@@ -131,18 +132,10 @@ def cut(scratch: Path, count: int) -> Iterator[tuple[Path, Path]]:
     """Cut pairs of BATCH_SIDE_PX, side by side, from a scene that is large enough."""
     side = next(size for size in SCENE_SIDES if (size // BATCH_SIDE_PX) ** 2 >= count)
     scene, folder = make_pair(scratch / "scenes", side), scratch / f"pairs of {BATCH_SIDE_PX}"
-    folder.mkdir(exist_ok=True)
-    with rasterio.open(scene.reference) as reference, rasterio.open(scene.target) as target:
-        for number in range(count):
-            row, col = divmod(number, side // BATCH_SIDE_PX)
-            window = Window(col * BATCH_SIDE_PX, row * BATCH_SIDE_PX, BATCH_SIDE_PX, BATCH_SIDE_PX)
-            paths = folder / f"red_{number}.tif", folder / f"thermal_{number}.tif"
-            for path, scene_file in zip(paths, (reference, target), strict=True):
-                profile = scene_file.profile | {"width": BATCH_SIDE_PX, "height": BATCH_SIDE_PX}
-                place = scene_file.transform
-                west, north = place.c + window.col_off * place.a, place.f + window.row_off * place.e
-                profile |= {"transform": Affine(place.a, 0.0, west, 0.0, place.e, north)}
-                profile |= {"blockxsize": BATCH_SIDE_PX, "blockysize": BATCH_SIDE_PX}
-                with rasterio.open(path, "w", **profile) as part:
-                    part.write(scene_file.read(1, window=window), 1)
-            yield paths
+    for number in range(count):
+        row, col = divmod(number, side // BATCH_SIDE_PX)
+        window = Window(col * BATCH_SIDE_PX, row * BATCH_SIDE_PX, BATCH_SIDE_PX, BATCH_SIDE_PX)
+        yield (
+            crop(scene.reference, folder / f"red_{number}.tif", window),
+            crop(scene.target, folder / f"thermal_{number}.tif", window),
+        )
