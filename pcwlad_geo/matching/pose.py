@@ -187,11 +187,11 @@ class _Image:
         rows, cols = (max(8, round(n * per_px)) for n in self.values.shape)
         if angles_rad:
             rows = cols = self.canvas_side(side_cells)
-        middle_px = (np.array(self.values.shape[::-1]) - 1) / 2
+        middle_px, from_map = (np.array(self.values.shape[::-1]) - 1) / 2, inverse(to_map)
         for angle_rad in angles_rad or (0.0,):
             linear = per_px * _rotation(angle_rad)
             from_px = _affine(linear, (np.array([cols, rows]) - 1) / 2 - linear @ middle_px)
-            warp = from_px @ inverse(to_map)
+            warp = from_px @ from_map
             known = (_warped(usable, warp, (rows, cols)) > 0.5).astype(np.float32)
             values = np.stack([_warped(plane, warp, (rows, cols)) * known for plane in blurred])
             yield _Cells(

@@ -434,7 +434,17 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
             "--window with --model jitter may follow"
         )
     return Matches(
-        *(pair, table, verdict, matched.counts, start, record, views, table, window_px, geometry, motions),
+        pair,
+        table,
+        verdict,
+        matched.counts,
+        start,
+        record,
+        views,
+        table,
+        window_px,
+        geometry,
+        motions,
         jitter_px,
     )
 

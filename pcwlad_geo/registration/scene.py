@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -84,6 +84,7 @@ from pcwlad_geo.registration.start_matcher import load_start_matcher, proposed_s
 from pcwlad_geo.registration.tiles import (
     TileJob,
     TileResult,
+    compare_stripes,
     compare_windows,
     match_tile,
     rematch_tile,
@@ -448,18 +449,18 @@ def _scales(
     workers = [first.workers[tile] for tile in tiles[chosen]]
     on_event = partial(only_warnings, log.on_event)  # the progress is no stage's own
 
-    def seen(windows_px: Sequence[int], sample: Sequence[Index] = sample) -> Float64:
+    def seen(compare: Callable[..., Float64], sample: Sequence[Index], *windows_px: Sequence[int]) -> Float64:
         calls = [
-            (first.jobs[tile], points[some], guide.part(some), windows_px)
+            (first.jobs[tile], points[some], guide.part(some), *windows_px)
             for tile, some in zip(tiles[chosen], sample, strict=True)
         ]
-        moved = runner.run(compare_windows, calls, "refining", on_event, workers).results
+        moved = runner.run(compare, calls, "refining", on_event, workers).results
         return np.concatenate(moved, axis=1)
 
-    scales, errors = choose_scales(seen, settings)
+    scales, errors = choose_scales(partial(seen, compare_windows, sample), settings)
     more = [these[:: max(1, every // STRIPES)] for these in inside]
     told = np.concatenate(more)
-    beside_px = seen((), more) - points.displacement_px[told]
+    beside_px = seen(compare_stripes, more) - points.displacement_px[told]
     return scales, errors, jitter_px(points.reference_xy_px[told], beside_px)
 
 

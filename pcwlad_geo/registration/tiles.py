@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -205,10 +206,21 @@ def rematch_tile(
 def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide, windows_px: Sequence[int]) -> Float64:
     """Return (k, n, 2) the displacements (col, row) of `points` of the tile `job` by each of k windows.
 
-    Without windows these are the two of `matcher.seen_by_stripes`. The other parameters are those of
-    `rematch_tile`, which may follow. NaN where a window gives no match.
+    The other parameters are those of `rematch_tile`, which may follow. NaN where a window gives no match.
     """
-    nothing = np.full((len(windows_px) or 2, len(points), 2), np.nan)
+    see = partial(seen_by_windows, settings=job.settings, windows_px=windows_px)
+    return _compared(job, points, guide, see, len(windows_px))
+
+
+def compare_stripes(job: TileJob, points: TiePoints, guide: FieldGuide) -> Float64:
+    """Return (2, n, 2) what `compare_windows` does, by windows of few rows, then of few columns."""
+    return _compared(job, points, guide, seen_by_stripes, 2)
+
+
+def _compared(
+    job: TileJob, points: TiePoints, guide: FieldGuide, see: Callable[..., Float64], windows: int
+) -> Float64:
+    nothing = np.full((windows, len(points), 2), np.nan)
     try:
         channels = _CACHE.take(job.scene, job.id) or _stacks(job)
     except InputError:
@@ -219,13 +231,8 @@ def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide, windows_
         _CACHE.keep(job.scene, job.id, channels)
     reference_origin, target_origin = _origins(job)
     between = target_origin - reference_origin
-    inside, guide = points.shifted(-reference_origin, -target_origin), guide.moved(-between)
-    moved = (
-        seen_by_windows(channels, inside, guide, job.settings, windows_px)
-        if windows_px
-        else seen_by_stripes(channels, inside, guide)
-    )
-    return np.asarray(moved + between)
+    inside = points.shifted(-reference_origin, -target_origin)
+    return np.asarray(see(channels, inside, guide.moved(-between)) + between)
 
 
 def _prepare(job: TileJob) -> PreparedPair | None:
