@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
 from pcwlad_geo.correction.selection import Selection
@@ -150,7 +150,7 @@ class Coverage:
         A square in which none was requested counts as covered if a neighbouring square has one.
         """
         with_data = ~np.isin(self.reason, NO_DATA)
-        near = binary_dilation(self.points > 0, np.ones((3, 3)))
+        near = cv2.dilate((self.points > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         missing = with_data & (self.points == 0) & ~(near & np.isin(self.reason, ("not_asked", "unknown")))
         return float(missing.sum() / max(int(with_data.sum()), 1))
 
