@@ -30,7 +30,7 @@ from pcwlad_geo.matching.guidance import (
 )
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.matching.maps import scene_epsilon
-from pcwlad_geo.matching.mutual_structure import passes_paper, share_structure, shared_structure
+from pcwlad_geo.matching.mutual_structure import correlations, passes_paper, share_structure, shared_structure
 from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, measure_noise, prepare, rounding_of
 from pcwlad_geo.matching.refinement import STEP_PX, Refined, Start, refine
@@ -245,6 +245,12 @@ def step_of(window_px: int) -> int:
     return STEP_PX if window_px >= SPARSE_FROM_PX else 1
 
 
+SURROUNDINGS_PX: Final = 20
+"""Half side of what tells the displacement of the ground right around a point."""
+CLEARLY_ALIKE: Final = 0.05
+"""By how much more another displacement than its own must correlate there."""
+
+
 def rematch(
     pair: ChannelPair,
     points: TiePoints,
@@ -437,6 +443,28 @@ def seen_by_stripes(pair: ChannelPair, points: TiePoints, guide: FieldGuide) -> 
         found = refine(pair.reference, pair.target, corners, start, window_px=STRIPE_PX, threads=pair.threads)
         seen.append(np.where(found.converged[:, None], found.shift_xy_px, np.nan))
     return np.stack(seen)
+
+
+def seen_by_surroundings(
+    pair: ChannelPair, points: TiePoints, guide: FieldGuide, other_px: Float64
+) -> Float64:
+    """Return (1, n, 2) the displacement (col, row) that fits best right around each of n points.
+
+    It is the point's own, or that and `other_px` (col, row), or one of two as far away in other directions,
+    which fit as often by chance. The `points` are in pixel coordinates of the arrays of `pair`.
+    """
+    corners = to_index(points)
+    there = corners + np.rint(points.displacement_px[:, ::-1]).astype(np.intp)
+    beside = np.array([np.zeros(2), other_px, -other_px, other_px[::-1] * (1, -1)])
+    alike = np.stack(
+        [
+            correlations(pair, corners, there + np.rint(each[::-1]).astype(np.intp), SURROUNDINGS_PX)
+            for each in beside
+        ]
+    )
+    alike[0] += CLEARLY_ALIKE
+    best: Float64 = points.displacement_px + beside[alike.argmax(axis=0)]
+    return best[None]
 
 
 def window_sample(guide: FieldGuide, settings: MatchSettings) -> Index:

@@ -307,15 +307,20 @@ def share_structure(pair: ChannelPair, corners_rc: Index, shift_xy_px: Float64) 
     """
     whole = np.rint(shift_xy_px[:, ::-1]).astype(np.intp)
     right, beside = (
-        _correlations(pair, corners_rc, corners_rc + whole + offset) for offset in (0, BESIDE_PX)
+        correlations(pair, corners_rc, corners_rc + whole + offset, AROUND_PX, 2) for offset in (0, BESIDE_PX)
     )
     by_chance = float(np.sqrt(np.mean(beside**2))) if len(beside) else 0.0
     return right > MORE_THAN_CHANCE * by_chance
 
 
-def _correlations(pair: ChannelPair, reference_rc: Index, target_rc: Index) -> Float64:
-    """Return the (n,) correlations of the maps around (n, 2) pixels of the reference and of the target."""
-    steps = np.arange(-AROUND_PX, AROUND_PX + 1, 2)
+def correlations(
+    pair: ChannelPair, reference_rc: Index, target_rc: Index, half_px: int, step_px: int = 1
+) -> Float64:
+    """Return the (n,) correlations of the maps around (n, 2) pixels of the reference and of the target.
+
+    The squares compared reach `half_px` from their pixels, and consist of the pixels `step_px` apart.
+    """
+    steps = np.arange(-half_px, half_px + 1, step_px)
     result = np.zeros(len(reference_rc))
     for begin in range(0, len(reference_rc), CHUNK):
         part = slice(begin, begin + CHUNK)

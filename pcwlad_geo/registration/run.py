@@ -423,7 +423,8 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
     geometry = PairGeometry.of(table, matched.epipolar and matched.verdict.accepted)
     verdict, record = matched.verdict, matched.record
     window_px = matched.window_px
-    motions = tuple(motion for motion, _ in matched.motions) if len(matched.motions) > 1 else ()
+    several = len(matched.motions) > 1
+    motions = tuple(motion for motion, _ in matched.motions) if several else tuple(matched.patches)
     if motions and verdict.accepted:
         log.warn(told_of(motions, taken=True))
     jitter_px = matched.jitter_px * float(file_px_per_px(views.target).max())

@@ -53,6 +53,7 @@ from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.view import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.judge import (
+    DISPLACED,
     GEOREFERENCED_PX,
     MIN_SIGNIFICANCE,
     PRODUCT_M,
@@ -61,7 +62,10 @@ from pcwlad_geo.registration.judge import (
     judge,
     motion_of_the_ground,
     motions_of,
+    other_displacement,
+    patches,
     refusal,
+    share_displaced,
 )
 from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, plan
 from pcwlad_geo.registration.prealign import (
@@ -85,6 +89,7 @@ from pcwlad_geo.registration.tiles import (
     TileJob,
     TileResult,
     compare_stripes,
+    compare_surroundings,
     compare_windows,
     match_tile,
     rematch_tile,
@@ -139,6 +144,8 @@ class Matched:
     """Whether the matches were kept by their epipolar lines, which allow every depth."""
     motions: Sequence[tuple[Motion, Bool]] = ()
     """What parts of the matches agree on, see `judge.motions_of`; that which was taken comes first."""
+    patches: Sequence[Motion] = ()
+    """The motion taken, and that of parts smaller than a window; none where there are none."""
     jitter_px: float = 0.0
     """By how much rows and columns move within a window, RMS, view px."""
 
@@ -207,12 +214,12 @@ def match_scene(
     radius_px, odds = prealignment.search_radius_px, prealignment.odds
     verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=odds)
     kept, verdict, epipolar = _by_geometry(matches, kept, verdict, pair, prealignment, settings, matching)
-    window_px, jitter = matching.window, 0.0
+    window_px, jitter, other = matching.window, 0.0, None
     motions: Sequence[tuple[Motion, Bool]] = ()
     if verdict.accepted:
         with log.stage("refining"):
             again = _second_pass(first, matches, kept, matching, not planned.sites, log, runner)
-            window_px, jitter = again.scales.window_px, again.jitter_px
+            window_px, jitter, other = again.scales.window_px, again.jitter_px, again.other
             chosen = replace(matching, window=window_px)
             matches, kept, checked = _checked(again, matches, chosen, epipolar)
         first = first.without(checked.lost_of[checked.lost_of >= 0])
@@ -220,15 +227,18 @@ def match_scene(
         if again.incomplete:  # do the others suffice?
             found = kept[: len(first.matches)]
             verdict = judge(first.matches, found, counts, matching.window, radius_px, evidence=odds)
+    offset_px = np.asarray(pair.offset_px, dtype=np.float64)
     if verdict.accepted and not epipolar:
-        offset_px = np.asarray(pair.offset_px, dtype=np.float64)
         motions = motions_of(matches, kept, offset_px, matching.window, radius_px)
+    moved = patches(matches, kept, other, offset_px, matching.window) if other and not epipolar else ()
     counts["inconsistent"] = int((~kept).sum())
     counts["tie_points"] = int(kept.sum())
     record = record_matching(
         pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results
     )
-    return Matched(matches, kept, counts, verdict, prealignment, record, window_px, epipolar, motions, jitter)
+    return Matched(
+        matches, kept, counts, verdict, prealignment, record, window_px, epipolar, motions, moved, jitter
+    )
 
 
 def _by_geometry(
@@ -300,6 +310,8 @@ class _SecondPass:
     """Variance per axis that the differences of windows tell, where enough points do."""
     jitter_px: float
     """See `Matched`."""
+    other: tuple[Float64, Bool] | None
+    """See `judge.other_displacement`; None where too few points lie at it."""
 
     def part(self, some: Bool) -> _SecondPass:
         """Return those of the (n,) mask."""
@@ -364,7 +376,9 @@ def _second_pass(
     index, predict_there = np.flatnonzero(kept), partial(_predict_on, runner, log.on_event)
     points, tile_of = matches[index], first.tile_of[index]
     guide = guide_by_field(points, matching, predict_there)
-    scales, errors, jitter = _scales(first, points, tile_of, guide, log, runner)
+    other = other_displacement(matches, kept)
+    other_px = None if other is None else other[0]
+    scales, errors, jitter, displaced = _scales(first, points, tile_of, guide, other_px, log, runner)
     tries = _tries(first, matches, kept, guide, matching, predict_there) if saves else None
     # points of which nothing is new to say need no visit
     again = matched_again(guide, matching) | (scales != Scales.of(matching.window))
@@ -399,6 +413,7 @@ def _second_pass(
         scales,
         None if errors is None else errors.variance_px2(scales),
         jitter,
+        other if displaced >= DISPLACED else None,
     )
     return joined.part(~np.concatenate([unread, np.zeros(len(saved), bool)]))
 
@@ -429,16 +444,23 @@ def _tries(
 
 
 def _scales(
-    first: _FirstPass, points: TiePoints, tile_of: Index, guide: FieldGuide, log: JobLog, runner: Runner
-) -> tuple[Scales, WindowErrors | None, float]:
-    """Choose the windows of the second pass; return them, their errors, and the jitter that they average.
+    first: _FirstPass,
+    points: TiePoints,
+    tile_of: Index,
+    guide: FieldGuide,
+    other_px: Float64 | None,
+    log: JobLog,
+    runner: Runner,
+) -> tuple[Scales, WindowErrors | None, float, float]:
+    """Choose the windows of the second pass; return them, their errors, and what they average out.
 
-    Errors are None and jitter is 0 where too few points tell. The `points` are the consistent ones, each with
-    its tile and its part of the guide. The tiles that are asked are spread over the scene.
+    That is the jitter, and the share of the points around which a displacement by `other_px` more fits
+    better. Errors are None and the rest is 0 where too few points tell. The `points` are the consistent ones,
+    each with its tile and its part of the guide. The tiles that are asked are spread over the scene.
     """
     settings = first.jobs[0].settings
     if not len(window_sample(guide, settings)):
-        return Scales.of(settings.window), None, 0.0
+        return Scales.of(settings.window), None, 0.0, 0.0
     tiles, counts = np.unique(tile_of, return_counts=True)
     spread = np.argsort(GOLDEN * np.arange(len(tiles)) % 1, kind="stable")
     enough = int(np.searchsorted(np.cumsum(counts[spread]), WINDOW_SAMPLE)) + 1
@@ -461,7 +483,13 @@ def _scales(
     more = [these[:: max(1, every // STRIPES)] for these in inside]
     told = np.concatenate(more)
     beside_px = seen(compare_stripes, more) - points.displacement_px[told]
-    return scales, errors, jitter_px(points.reference_xy_px[told], beside_px)
+    displaced = 0.0
+    if other_px is not None:
+        best_px = (
+            seen(partial(compare_surroundings, other_px=other_px), more)[0] - points.displacement_px[told]
+        )
+        displaced = share_displaced(best_px, other_px)
+    return scales, errors, jitter_px(points.reference_xy_px[told], beside_px), displaced
 
 
 def _predict_on(
@@ -651,7 +679,7 @@ def _of_the_ground(
     pair, before = start.pair, start.prealignment
     one_product = of_one_product(pair.reference.info.uri, pair.target.info.uri)
     if not can_be_posed(pair):  # by an RPC, which errs by more, and relief moves parts of the scene
-        return replace(matched, motions=())
+        return replace(matched, motions=(), patches=())
     believed = pair.georeferenced and before.pose is None and settings.prealign not in ("search", "none")
     sizes_m = middle_pixel_size_m(pair.reference.grid) if one_product else None
     error_px = None if not believed else PRODUCT_M / max(sizes_m) if sizes_m else GEOREFERENCED_PX

@@ -28,6 +28,7 @@ from pcwlad_geo.matching.matcher import (
     match_candidates,
     rematch_with,
     seen_by_stripes,
+    seen_by_surroundings,
     seen_by_windows,
     try_again,
 )
@@ -215,6 +216,11 @@ def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide, windows_
 def compare_stripes(job: TileJob, points: TiePoints, guide: FieldGuide) -> Float64:
     """Return (2, n, 2) what `compare_windows` does, by windows of few rows, then of few columns."""
     return _compared(job, points, guide, seen_by_stripes, 2)
+
+
+def compare_surroundings(job: TileJob, points: TiePoints, guide: FieldGuide, other_px: Float64) -> Float64:
+    """Return (1, n, 2) what `matcher.seen_by_surroundings` does for `points` of the tile `job`."""
+    return _compared(job, points, guide, partial(seen_by_surroundings, other_px=other_px), 1)
 
 
 def _compared(

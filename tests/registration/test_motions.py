@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.detect import of_one_product
-from pcwlad_geo.registration.judge import motions_of
+from pcwlad_geo.registration.judge import (
+    MIN_REJECTED,
+    motions_of,
+    other_displacement,
+    patches,
+    share_displaced,
+)
 from pcwlad_geo.registration.run import run
 from tests.scenes import make_grid, render, write
 
@@ -104,6 +112,54 @@ def test_a_ship_that_moves_is_no_second_motion(tmp_path: Path) -> None:
     assert found.motions == ()
     assert found.quality is not None
     assert found.quality.grade == "good"
+
+
+def test_patches_smaller_than_a_window_are_told_from_what_fits_around_the_points(tmp_path: Path) -> None:
+    """A sixth of the ground, in patches, lies 4 px off: large windows put most points with the rest."""
+    grid = make_grid((SIDE, SIDE))
+    rough = np.random.default_rng(7).normal(size=(SIDE, SIDE))
+    height = ndimage.gaussian_filter(rough, 14, mode="wrap")
+    patch = height > np.quantile(height, 0.84)
+    moved = [render(grid, "thermal", seed=2, displacement_px=by) for by in (GROUND_PX, (4.3, -0.2))]
+    first = write(tmp_path / "a.tif", render(grid, "red", seed=2), grid)
+    found = run(first, write(tmp_path / "b.tif", np.where(patch, moved[1], moved[0]), grid), Settings())
+    assert found.status == "registered"
+    assert found.quality is not None
+    assert found.quality.grade != "good"
+    ground, other = found.motions
+    assert np.hypot(*np.subtract(ground.displacement_px, GROUND_PX)) < 0.1
+    assert np.hypot(*np.subtract(other.displacement_px, (4.3, -0.2))) < 0.5
+    assert ground.points > other.points >= MIN_REJECTED
+
+
+def test_rejected_matches_that_agree_propose_where_else_the_ground_may_lie() -> None:
+    rng = np.random.default_rng(4)
+    xy = rng.uniform(0, 1000, (300, 2))
+    kept = np.arange(300) >= 40
+    moved = np.where(kept[:, None], 0.01 * xy, 0.01 * xy + rng.uniform(-9, 9, xy.shape))
+    points = TiePoints(xy, xy + moved, np.tile(np.eye(2), (300, 1, 1)), np.ones(300), np.zeros(300))
+    assert other_displacement(points, kept) is None
+    moved[:12] = 0.01 * xy[:12] + (4.0, -1.0)
+    points = replace(points, target_xy_px=xy + moved)
+    found = other_displacement(points, kept)
+    assert found is not None
+    assert np.hypot(*(found[0] - (4.0, -1.0))) < 1.0
+    assert found[1][:12].all()
+    assert not found[1][kept].any()
+    ground, other = patches(points, kept, found, np.zeros(2), 81)
+    assert (ground.points, other.points) == (260, found[1].sum())
+    assert 12 <= ground.places + other.places <= 2 * (1000 / 81 * 3 + 1) ** 2
+    assert other_displacement(points, np.ones(300, bool)) is None
+
+
+def test_what_fits_elsewhere_as_often_is_chance() -> None:
+    other_px = np.array([4.0, -1.0])
+    beside = np.zeros((200, 2))
+    beside[:20], beside[20:24], beside[24:30] = other_px, -other_px, np.nan
+    assert share_displaced(beside, other_px) == pytest.approx((20 - 2) / 194)
+    beside[30:60] = other_px[::-1] * (1, -1)
+    assert share_displaced(beside, other_px) < 0.02
+    assert share_displaced(beside[24:30], other_px) == 0.0
 
 
 @pytest.mark.parametrize("bend", ["rotation", "curve", "noise"])
