@@ -13,8 +13,7 @@ from rasterio.enums import ColorInterp
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import BAND_NAME
-from pcwlad_geo.products.detect import find_product, native_px_m, no_product, rasters_of, stem_of
-from pcwlad_geo.products.product import Product
+from pcwlad_geo.products import Product, find_product, native_px_m, no_product, rasters_of, stem_of
 from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.source import RasterInfo, describe, file_name, open_raster, plain_uri, without_collar

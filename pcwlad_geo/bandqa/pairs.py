@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from pcwlad_geo.bandqa.bands import Band
 from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
 from pcwlad_geo.matching.field import Surface, predict
-from pcwlad_geo.products.detect import native_per_px
+from pcwlad_geo.products import native_per_px
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import Registration

@@ -27,7 +27,7 @@ from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
-from pcwlad_geo.products.detect import stem_of
+from pcwlad_geo.products import stem_of
 from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
 from pcwlad_geo.raster.source import plain_name
 from pcwlad_geo.raster.trust import trusting

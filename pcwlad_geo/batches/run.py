@@ -24,7 +24,7 @@ from pcwlad_geo.job import open_job_runner, register
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.places import HOST, disk_errors, make_folders, seal
 from pcwlad_geo.outputs.stages import of_dead_processes
-from pcwlad_geo.products.detect import products_found_once
+from pcwlad_geo.products import products_found_once
 from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.report.finished import read_report, report_of_same_job
 from pcwlad_geo.text import check_regular, csv_of, joined

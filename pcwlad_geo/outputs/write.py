@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned
 from pcwlad_geo.outputs import maps
-from pcwlad_geo.products.product import ProductBand
+from pcwlad_geo.products import ProductBand
 from pcwlad_geo.raster import vrt, warping
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.matching_grid import grid_on_plane_of

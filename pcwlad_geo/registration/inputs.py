@@ -15,8 +15,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import FILE_OPTIONS, Settings
-from pcwlad_geo.products.detect import find_product, no_product
-from pcwlad_geo.products.product import Product, ProductBand
+from pcwlad_geo.products import Product, ProductBand, find_product, no_product
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import FileIdentity, identify

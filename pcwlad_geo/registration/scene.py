@@ -47,7 +47,7 @@ from pcwlad_geo.matching.types import (
     TiePoints,
 )
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products.detect import of_one_product
+from pcwlad_geo.products import of_one_product
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.view import plan_rpc_views

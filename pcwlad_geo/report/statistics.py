@@ -16,7 +16,7 @@ from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
-from pcwlad_geo.products.detect import native_per_px, native_px_m
+from pcwlad_geo.products import native_per_px, native_px_m
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import at_mean_height

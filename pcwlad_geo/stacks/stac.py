@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from rasterio.crs import CRS
 
-from pcwlad_geo.products.detect import BAND_OF
+from pcwlad_geo.products import BAND_OF
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import describe

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products.detect import of_one_product
+from pcwlad_geo.products import of_one_product
 from pcwlad_geo.registration.judge import motions_of
 from pcwlad_geo.registration.run import run
 from tests.scenes import make_grid, render, write
