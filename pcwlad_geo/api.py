@@ -21,6 +21,7 @@ from pcwlad_geo.band_warping import WarpOptions, WarpOutput, apply, requested_ou
 from pcwlad_geo.correction.error_statistics import Accuracy
 from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.events import EventCallback, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import PairOptions, open_job_runner
@@ -43,7 +44,6 @@ from pcwlad_geo.registration.fitting import Quality
 from pcwlad_geo.registration.result import Matches, Pair, Registration
 from pcwlad_geo.registration.rpc import check_model
 from pcwlad_geo.report.finished import finished
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.text import html_table, one_line_of
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64, PathLike

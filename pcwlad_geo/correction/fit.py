@@ -8,16 +8,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pcwlad_geo.correction.estimation import (
-    COARSE_STEPS,
-    COLLINEAR,
-    Estimate,
-    Solution,
-    design,
-    estimate,
-    reweighted,
-    weighted_least_squares,
-)
 from pcwlad_geo.correction.fitted import FitFunction, ParametricFit, checked
 from pcwlad_geo.correction.jitter import fit_jitter
 from pcwlad_geo.correction.models import (
@@ -29,7 +19,17 @@ from pcwlad_geo.correction.models import (
 )
 from pcwlad_geo.correction.thin_plate import fit_field, fit_tps
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.solving import solve
+from pcwlad_geo.estimation.robust import (
+    COARSE_STEPS,
+    COLLINEAR,
+    Estimate,
+    Solution,
+    design,
+    estimate,
+    reweighted,
+    weighted_least_squares,
+)
+from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.types import Float64
 
 MIN_POINTS = 6

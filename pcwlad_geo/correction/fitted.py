@@ -11,10 +11,11 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from pcwlad_geo.correction.dense import in_chunks
-from pcwlad_geo.correction.estimation import Estimate, SharedErrors, parameter_covariance
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.solving import check_observations, solve
+from pcwlad_geo.estimation.robust import Estimate
+from pcwlad_geo.estimation.shared_errors import SharedErrors, parameter_covariance
+from pcwlad_geo.estimation.solving import check_observations, solve
 from pcwlad_geo.types import Bool, Float64
 
 SPACINGS = 3.0

@@ -9,10 +9,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-from pcwlad_geo.correction.estimation import Solution, design, estimate, reweighted, weighted_least_squares
 from pcwlad_geo.correction.fitted import ParametricFit, checked
 from pcwlad_geo.correction.models import AffineCorrection, JitterCorrection, JitterWave
-from pcwlad_geo.solving import least_squares
+from pcwlad_geo.estimation.robust import Solution, design, estimate, reweighted, weighted_least_squares
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.types import Float64, Index
 
 ALONG: Final = ("column", "row")

@@ -11,7 +11,7 @@ import scipy.sparse
 
 from pcwlad_geo.correction.dense import Lattice, in_chunks, invert, positions
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.solving import inverse, least_squares
+from pcwlad_geo.estimation.solving import inverse, least_squares
 from pcwlad_geo.types import Float64, Index
 
 MAX_ORDER: Final = 3

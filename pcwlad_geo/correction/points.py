@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pcwlad_geo.correction.estimation import Overlaps, random_signs
 from pcwlad_geo.correction.fitted import Fit
-from pcwlad_geo.solving import check_observations, least_squares, solve
+from pcwlad_geo.estimation.robust import axis_sigma, sigma_of
+from pcwlad_geo.estimation.shared_errors import Overlaps, random_signs
+from pcwlad_geo.estimation.solving import check_observations, least_squares, solve
 from pcwlad_geo.types import Bool, Float64, Index
 
 SURFACE_NEIGHBOURS = 40
@@ -63,10 +64,6 @@ AGREEMENT_ROUNDS: Final = 4
 MIN_PX: Final = 1e-3
 """Least limit, and least sigma."""
 _STEPS: Final = 50
-_SIGMA_OF_MEDIAN_SIZE: Final = 1.4826
-"""Standard deviation of normal errors over the median of their absolute values."""
-_SIGMA_OF_MEDIAN_LENGTH: Final = 0.8493
-"""Standard deviation per axis over the median of their lengths, which are Rayleigh-distributed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,13 +101,13 @@ def agreement(predicted_px: Float64, observed_px: Float64, sigma_px: Float64 | N
     for _ in range(AGREEMENT_ROUNDS):
         apart_px = _apart(predicted_px, residual_px, kept)
         size_px = np.linalg.norm(apart_px, axis=1)
-        scatter_px = _SIGMA_OF_MEDIAN_LENGTH * float(np.median(size_px[kept]))
+        scatter_px = axis_sigma(size_px[kept])
         again = size_px <= np.maximum(np.maximum(SCATTERS * scatter_px, SIGMAS * own), MIN_PX)
         if (again == kept).all() or again.sum() < MIN_POINTS:
             break
         kept = again
     # The median of k neighbours has a variance of its own, π/2k of a point's.
-    per_axis_px = _SIGMA_OF_MEDIAN_SIZE * float(np.median(np.abs(apart_px[kept])))
+    per_axis_px = sigma_of(apart_px[kept])
     neighbours = min(AGREEMENT_NEIGHBOURS, int(kept.sum()) - 1)
     sigma = per_axis_px / np.sqrt(1 + np.pi / (2 * neighbours))
     return Agreement(kept, linear, max(float(sigma), MIN_PX), unexplained)

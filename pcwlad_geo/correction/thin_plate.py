@@ -7,15 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pcwlad_geo.correction.dense import Lattice
-from pcwlad_geo.correction.estimation import (
-    Estimate,
-    Overlaps,
-    Solution,
-    estimate,
-    probes_of,
-    random_signs,
-    reweighted,
-)
 from pcwlad_geo.correction.fitted import Fit, Support, checked
 from pcwlad_geo.correction.models import SplineCorrection
 from pcwlad_geo.correction.points import cross_validation_blocks, local_surface
@@ -27,6 +18,8 @@ from pcwlad_geo.correction.thin_plate_system import (
     best,
     mean_precision,
 )
+from pcwlad_geo.estimation.robust import Estimate, Solution, estimate, reweighted
+from pcwlad_geo.estimation.shared_errors import Overlaps, probes_of, random_signs
 from pcwlad_geo.types import Bool, Float64
 
 LATTICE_SIDE = 32

@@ -10,9 +10,9 @@ import scipy.sparse
 from scipy.sparse.linalg import LinearOperator, cg
 
 from pcwlad_geo.correction.dense import positions
-from pcwlad_geo.correction.estimation import Overlaps, SharedErrors
 from pcwlad_geo.correction.models import SplineGrid, cubic_b_splines
-from pcwlad_geo.solving import factorised
+from pcwlad_geo.estimation.shared_errors import Overlaps, SharedErrors
+from pcwlad_geo.estimation.solving import factorised
 from pcwlad_geo.types import Float64
 
 Sparse: TypeAlias = scipy.sparse.csc_array

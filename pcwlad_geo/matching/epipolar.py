@@ -14,10 +14,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
+from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.outliers import ALIKE, NARROW_PX, NEIGHBOURS
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Bool, Float64, Index
 
 TOLERANCE_PX: Final = 1.0
@@ -248,7 +249,7 @@ def _near(points: TiePoints, geometry: EpipolarGeometry) -> Bool:
     inner = distance[distance < TOLERANCE_PX]
     if len(inner) < MIN_POINTS:
         return np.zeros(len(points), bool)
-    limit = SCATTERS * 1.4826 * float(np.median(inner))
+    limit = SCATTERS * SIGMA_OF_MEDIAN * float(np.median(inner))
     return np.asarray(distance < np.clip(limit, MIN_TOLERANCE_PX, TOLERANCE_PX))
 
 

@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN_LENGTH
+from pcwlad_geo.estimation.solving import least_squares, pseudo_inverse
 from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
-from pcwlad_geo.solving import least_squares, pseudo_inverse
 from pcwlad_geo.types import Float64, Index
 
 SIMPLER_WITHIN_PX: Final = 0.02
@@ -34,8 +35,6 @@ SAMPLE: Final = 400
 """Largest number of points that are compared with the prediction of their neighbours."""
 CHUNK_VALUES: Final = 2_000_000
 """Largest number of (place, neighbour) pairs that are predicted at once, which limits the memory."""
-SIGMA_OF_MEDIAN_DISTANCE: Final = 0.8493
-"""Standard deviation per axis over the median distance of a circular normal distribution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,4 +283,4 @@ class _Search:
         moved = np.ascontiguousarray(displacement, np.float64)
         found = (out, slope, scatter, leverage)
         fit_surfaces(self.tree.data, moved, self.at, index, usable, surface.order, *found)
-        return Prediction(out, slope, SIGMA_OF_MEDIAN_DISTANCE * scatter, leverage)
+        return Prediction(out, slope, SIGMA_OF_MEDIAN_LENGTH * scatter, leverage)

@@ -9,10 +9,11 @@ from typing import Final
 
 import numpy as np
 
+from pcwlad_geo.estimation.robust import huber
+from pcwlad_geo.estimation.solving import inverse, least_squares
 from pcwlad_geo.matching import field
 from pcwlad_geo.matching.outliers import MIN_NARROW_PX, NARROW_PX, SCATTERS
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
-from pcwlad_geo.solving import inverse, least_squares
 from pcwlad_geo.types import Bool, Float64, Index
 
 DEFAULT_SCALE: Final = 3.0
@@ -440,7 +441,7 @@ def _shared(xy_px: Float64, beside_px: Float64, across: int) -> float:
         return 0.0
     left = beside_px[known] - np.median(beside_px[known], axis=0)
     size = np.linalg.norm(left, axis=1)
-    left *= np.minimum(1.0, LONGEST * np.median(size) / np.maximum(size, 1e-9))[:, None]
+    left *= huber(np.maximum(size, 1e-9), LONGEST * np.median(size))[:, None]
     apart = np.abs(xy_px[known, None] - xy_px[known])
     first, second = np.nonzero(
         np.triu((apart[..., across] < SAME_ROWS_PX) & (apart[..., 1 - across] > APART_PX))

@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from pcwlad_geo.matching.field import SIGMA_OF_MEDIAN_DISTANCE
-from pcwlad_geo.solving import least_squares
+from pcwlad_geo.estimation.robust import axis_sigma
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.types import Bool, Float64, Index
 
 NEIGHBOURS: Final = 12
@@ -131,20 +131,6 @@ def confirmed(
     return np.asarray(confirms | ((apart < THE_SAME * off[:, None]).sum(axis=1) >= CONFIRMING))
 
 
-def axis_sigma_px(distance_px: Float64) -> float:
-    """Return the robust standard deviation per axis of circular normal errors.
-
-    Lengths are Rayleigh-distributed: their median is √(2 ln 2) = 1.1774 standard deviations of an axis. (The
-    familiar 1.4826 times the median absolute deviation is for a single axis.)
-
-    Parameters
-    ----------
-    distance_px : (n,) array
-        Lengths of the errors.
-    """
-    return SIGMA_OF_MEDIAN_DISTANCE * float(np.median(distance_px))
-
-
 def _one_round(xy: Float64, displacement: Float64, sigma: Float64, kept: Bool, narrow: bool) -> Bool:
     index = np.flatnonzero(kept)
     if len(index) < 4:
@@ -156,7 +142,7 @@ def _one_round(xy: Float64, displacement: Float64, sigma: Float64, kept: Bool, n
     residual = np.linalg.norm(own - np.median(around, axis=1), axis=1)
     limit = np.full(len(index), WIDE_PX)
     if narrow:
-        width = np.maximum(SCATTERS * axis_sigma_px(residual), SIGMAS * sigma[index])
+        width = np.maximum(SCATTERS * axis_sigma(residual), SIGMAS * sigma[index])
         limit = np.clip(width, MIN_NARROW_PX, NARROW_PX)
     agreeing = (np.linalg.norm(around - own[:, None, :], axis=2) < np.maximum(limit, 1.0)[:, None]).mean(
         axis=1
@@ -188,7 +174,7 @@ def _with_their_surroundings(
     _, nearest = cKDTree(centres).query(centres, k=min(CELLS_AROUND + 1, len(cells)))
     around = np.median(medians[nearest[:, 1:]], axis=1)
     residual = np.linalg.norm(moved - around[cell_of], axis=1)
-    width = np.maximum(SCATTERS * axis_sigma_px(residual), SIGMAS * sigma[index])
+    width = np.maximum(SCATTERS * axis_sigma(residual), SIGMAS * sigma[index])
     result = np.zeros_like(kept)
     result[index] = residual < np.clip(width, MIN_NARROW_PX, WIDE_PX)
     return result
@@ -320,7 +306,7 @@ def _trend(xy: Float64, displacement: Float64, used: Bool, order: int) -> Float6
 
 def _limit_px(left: Float64, used: Bool, unit_px: float) -> float:
     """Return how far a match must lie off the trend to contradict it."""
-    return max(APART_PX * unit_px, APART_SCATTERS * axis_sigma_px(_length(left[used])))
+    return max(APART_PX * unit_px, APART_SCATTERS * axis_sigma(_length(left[used])))
 
 
 def _length(vectors: Float64) -> Float64:

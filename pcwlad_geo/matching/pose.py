@@ -17,9 +17,9 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
 from pcwlad_geo.matching.shift_search import Patches, normalised_channels, patches_against_chance
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Bool, Float32, Float64
 
 CELLS: Final = 112

@@ -10,9 +10,9 @@ import pyproj
 from pyproj.exceptions import ProjError
 from rasterio.crs import CRS
 
+from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.raster.crs import to_pyproj, with_arrays
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.solving import solve
 from pcwlad_geo.types import Float64
 
 _PROBE_M = 50.0

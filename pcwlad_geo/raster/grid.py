@@ -13,8 +13,8 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.correction.models import affine_between
+from pcwlad_geo.estimation.solving import inverse, solve
 from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.solving import inverse, solve
 from pcwlad_geo.types import Float64
 
 

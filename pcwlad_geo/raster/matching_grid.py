@@ -10,12 +10,12 @@ import shapely
 from affine import Affine
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.limits import check_pixel_ratio
 from pcwlad_geo.raster.crs import name_of, transform_xy, transformation_warnings
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import Resampling, View
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Float64
 
 TURN: float = 360.0

@@ -13,10 +13,10 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.limits import check_grid, check_output_pixel
 from pcwlad_geo.raster.crs import name_of, to_pyproj
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Float64
 
 _SAME: Final = 1e-6

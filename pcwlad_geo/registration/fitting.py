@@ -17,10 +17,10 @@ from pcwlad_geo.correction.models import Correction, JitterCorrection
 from pcwlad_geo.correction.points import agreement, hold_out
 from pcwlad_geo.correction.selection import Selection, choose
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.registration.judge import Verdict
-from pcwlad_geo.solving import least_squares
 from pcwlad_geo.tiepoints.readers import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64

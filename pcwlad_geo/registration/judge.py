@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.registration.prealign import Prealignment
-from pcwlad_geo.solving import least_squares
 from pcwlad_geo.types import Bool, Float64, Index
 
 MIN_POINTS: Final = 12

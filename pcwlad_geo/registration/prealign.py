@@ -12,6 +12,7 @@ from affine import Affine
 
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.pose import SCALES, search_pose
 from pcwlad_geo.matching.prepare import Noise, measure_noise, rounding_of
@@ -23,7 +24,6 @@ from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import Patch, View, file_px_per_px
 from pcwlad_geo.registration.tiles import Scene
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Float64
 
 OVERVIEW_SIDE_PX: Final = 1024

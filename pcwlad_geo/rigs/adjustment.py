@@ -22,8 +22,9 @@ import cv2
 import numpy as np
 from scipy import sparse
 
+from pcwlad_geo.estimation.robust import huber, sigma_of
+from pcwlad_geo.estimation.solving import inverse, solve
 from pcwlad_geo.rigs.lenses import LensModel, project, rays
-from pcwlad_geo.solving import inverse, solve
 from pcwlad_geo.types import Bool, Float64, Index
 
 OF_LENS: Final = 8
@@ -207,7 +208,8 @@ def adjust(
             break
     residual = seen.seen_px - predict(state, seen, np.clip(relief, -0.5, 0.5)[point])
     weight, kept = _weights(residual, seen, ROUNDS)
-    factor = _spread(residual, seen, kept)
+    # robust standard deviation of the residuals over that expected
+    factor = sigma_of(residual[kept] / seen.sigma_px[kept, None]) if kept.any() else 1.0
     covariance = np.zeros((len(scale), len(scale)))
     covariance[np.ix_(free, free)] = (
         inverse(normal, NEEDS) * np.outer(scale[free], scale[free]) * max(factor, 1.0) ** 2
@@ -277,15 +279,8 @@ def _weights(residual: Float64, seen: Observations, turn: int) -> tuple[Float64,
     ratio = length / (sigma * spread)
     far = TOO_FAR * (4 if turn < PATIENT else 1)
     kept = (ratio < far) | (length < LEAST_FAR_PX)
-    huber = np.minimum(1.0, HUBER * 1.41 / np.maximum(ratio, 1e-9))
-    return np.where(kept, huber / sigma**2, 0.0), np.asarray(kept)
-
-
-def _spread(residual: Float64, seen: Observations, kept: Bool) -> float:
-    """Return the robust standard deviation of the residuals over that expected."""
-    if not kept.any():
-        return 1.0
-    return float(np.median(np.abs(residual[kept]) / seen.sigma_px[kept, None]) * 1.4826)
+    weight = huber(np.maximum(ratio, 1e-9), HUBER * 1.41)
+    return np.where(kept, weight / sigma**2, 0.0), np.asarray(kept)
 
 
 def _share_by_lens(
@@ -301,7 +296,7 @@ def _share_by_lens(
     group = np.minimum(seen.pose, len(state.lenses))
     for each in np.unique(group):
         some = group == each
-        share[some] = max(LEAST_SHARE, 1.4826 * float(np.median(across[some])))
+        share[some] = max(LEAST_SHARE, sigma_of(across[some]))
     return share
 
 

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 
 from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.raster.cameras import MM_PER_UNIT, camera_of, exif_of, number_of, xmp_of
 from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.opening import check_dataset
 from pcwlad_geo.raster.source import open_raster, plain_name
 from pcwlad_geo.rigs.lenses import Lens
-from pcwlad_geo.solving import least_squares
 from pcwlad_geo.types import Float32, Float64, PathLike
 
 ENDINGS: Final = (".tif", ".tiff", ".jpg", ".jpeg", ".png")

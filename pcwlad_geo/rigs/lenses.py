@@ -18,7 +18,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from pcwlad_geo.solving import least_squares
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.types import Bool, Float64
 
 LensModel = Literal["brown", "fisheye"]

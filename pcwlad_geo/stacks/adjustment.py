@@ -18,7 +18,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.solving import check_observations, inverse, triangular
+from pcwlad_geo.estimation.solving import check_observations, inverse, triangular
 from pcwlad_geo.stacks.basis import Basis, basis_over, mixing_of, penalty_of, terms_of
 from pcwlad_geo.stacks.network import (
     ALIKE,

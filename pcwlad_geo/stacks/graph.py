@@ -16,8 +16,8 @@ from rasterio.enums import Resampling
 from scipy import ndimage
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import pseudo_inverse
 from pcwlad_geo.raster.source import RasterInfo, has_quick_overview, open_raster
-from pcwlad_geo.solving import pseudo_inverse
 from pcwlad_geo.stacks.inputs import StackInput, read_table
 from pcwlad_geo.stacks.pairs import Frame
 from pcwlad_geo.types import Float64, PathLike

@@ -18,8 +18,9 @@ import numpy as np
 
 from pcwlad_geo.correction.models import PolynomialBasis, ProjectiveCorrection
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.epipolar import MIN_POINTS, EpipolarGeometry, plane_of
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.stacks.adjustment import Adjustment, adjust
 from pcwlad_geo.stacks.basis import HomographyBasis, basis_over, terms_of
 from pcwlad_geo.stacks.network import Edge, components
@@ -85,7 +86,7 @@ def on_epipolar_lines(edge: Edge) -> Edge | None:
     if geometry is None:
         return None
     off = np.abs(geometry.distance_px(edge.first_xy, edge.second_xy))
-    limit = np.clip(SCATTERS * 1.4826 * float(np.median(off)), LEAST_TOLERANCE_PX, TOLERANCE_PX)
+    limit = np.clip(SCATTERS * SIGMA_OF_MEDIAN * float(np.median(off)), LEAST_TOLERANCE_PX, TOLERANCE_PX)
     good: Bool = off <= limit
     if good.mean() < 0.5:
         return None

@@ -15,14 +15,13 @@ from scipy.sparse.linalg import SuperLU
 from scipy.spatial import cKDTree
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.solving import RANK, factorised, inverse, least_squares, solve, undetermined
+from pcwlad_geo.estimation.robust import huber, sigma_of, unit_sigma
+from pcwlad_geo.estimation.solving import RANK, factorised, inverse, least_squares, solve, undetermined
 from pcwlad_geo.stacks.basis import Basis
 from pcwlad_geo.types import Bool, Float64, Index
 
 LEAST_SCATTER: Final = 0.1
 """Least scatter of the points of a pair, in medians of their own sigmas."""
-RAYLEIGH_MEDIAN: Final = 1.1774
-"""Median of a length of two normal components of unit variance."""
 SAME_PX: Final = 0.5
 """Points that lie nearer to each other in an image are of one feature, map units (px of the frame)."""
 NEIGHBOURS: Final = 16
@@ -30,7 +29,7 @@ NEIGHBOURS: Final = 16
 MIN_BLOCKS: Final = 4
 """Fewer blocks tell nothing of what the points of a pair share."""
 POINT_LIMIT: Final = 3.0
-"""Points that lie off their pair's by more sigmas lose weight (Huber 1964, doi:10.1214/aoms/1177703732)."""
+"""Points that lie off their pair's by more sigmas lose weight."""
 LEAST_CHECKED: Final = 0.01
 """Of an offset that the other pairs check less, the rest is of the arithmetic: it is not called wrong."""
 BEYOND_REASON: Final = 1e4
@@ -288,8 +287,8 @@ def _weighted(edge: Edge, basis: Basis, coefficients: Float64) -> _Weighted:
     left = left - np.median(left, axis=0)
     weights = inverse(edge.covariance, POINTS)
     off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", left, weights, left), 1e-12))
-    unit = max(1.0, float(np.median(off)) / RAYLEIGH_MEDIAN)
-    weights *= (np.minimum(1.0, POINT_LIMIT * unit / off) / unit**2)[:, None, None]
+    unit = unit_sigma(off)
+    weights *= (huber(off, POINT_LIMIT * unit) / unit**2)[:, None, None]
     if edge.images is not None:
         weights *= (2.0 / edge.images)[:, None, None]
     return _Weighted(ground, values, near, weights, observed, left)
@@ -300,7 +299,7 @@ def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> Part:
     total = weights.sum(axis=0)
     each = np.trace(weights, axis1=1, axis2=2) / np.trace(total)
     typical_sigma = float(np.median(np.sqrt(np.trace(edge.covariance, axis1=1, axis2=2) / 2)))
-    scatter = max(float(1.4826 * np.median(np.abs(points.left))), LEAST_SCATTER * typical_sigma)
+    scatter = max(sigma_of(points.left), LEAST_SCATTER * typical_sigma)
     sums = _sums(points, slice(None))
     return Part(
         edge.first,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import match_elsewhere, match_files, write_match
@@ -25,7 +26,6 @@ from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, GRADES, 
 from pcwlad_geo.registration.inputs import estimate_tile_count
 from pcwlad_geo.registration.judge import GEOREFERENCED_PX, Motion, told_of
 from pcwlad_geo.report.finished import read_report, report_of_same_job
-from pcwlad_geo.solving import least_squares
 from pcwlad_geo.stacks.basis import basis_over
 from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
 from pcwlad_geo.stacks.network import Edge, components

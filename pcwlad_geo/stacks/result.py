@@ -21,6 +21,7 @@ from pcwlad_geo.correction.models import (
     SplineGrid,
     affine_between,
 )
+from pcwlad_geo.estimation.solving import inverse, least_squares
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.output_format import OutputFormat
@@ -30,7 +31,6 @@ from pcwlad_geo.registration.rpc import RpcRegistration
 from pcwlad_geo.report.finished import read_report
 from pcwlad_geo.report.summary import versions
 from pcwlad_geo.requirements import Requirement, RequirementResult
-from pcwlad_geo.solving import inverse, least_squares
 from pcwlad_geo.stacks.adjustment import Adjustment
 from pcwlad_geo.stacks.basis import SPLINE_CELLS, Basis
 from pcwlad_geo.stacks.cycles import (

@@ -18,14 +18,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.estimation.robust import huber, sigma_of, unit_sigma
+from pcwlad_geo.estimation.solving import inverse, solve
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.rpc.dem import WGS84, Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, raised
-from pcwlad_geo.solving import inverse, solve
 from pcwlad_geo.stacks.adjustment import larger
-from pcwlad_geo.stacks.network import ALIKE, POINT_LIMIT, POINTS, RAYLEIGH_MEDIAN
+from pcwlad_geo.stacks.network import ALIKE, POINT_LIMIT, POINTS
 from pcwlad_geo.types import Bool, Float64, Index
 
 MODELS: Final[Mapping[str, tuple[int, ...]]] = {"shift": (0,), "drift": (0, 2), "affine": (0, 1, 2)}
@@ -553,13 +554,13 @@ def _weighted(problem: _Problem, state: _State) -> _State:
         known = np.asarray(weight.any(axis=(1, 2)))
         own = residual[known]
         off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", own, weight[known], own), 1e-12))
-        unit = max(1.0, float(np.median(off)) / RAYLEIGH_MEDIAN) if known.any() else 1.0
-        factor = np.minimum(1.0, POINT_LIMIT * unit / off)
+        unit = unit_sigma(off) if known.any() else 1.0
+        factor = huber(off, POINT_LIMIT * unit)
         if pair.height_m is not None:  # a few, set one by one: a wrong one must not pull at all
             factor = factor**3
         weight[known] *= (factor / unit**2)[:, None, None]
         weights.append(weight)
-        scatters.append(1.4826 * float(np.median(np.abs(residual[known]))) if known.any() else 0.0)
+        scatters.append(sigma_of(residual[known]) if known.any() else 0.0)
     return replace(state, weights=tuple(weights), scatters=tuple(scatters), sigma_height_m=sigma_m)
 
 
@@ -601,7 +602,7 @@ def _height_sigma(problem: _Problem, sights: Sequence[Sight], left: Sequence[Flo
     told = np.isfinite(height) & np.isfinite(variance)
     if not told.any():
         return 0.0
-    typical = 1.4826 * float(np.median(np.abs(height[told])))
+    typical = sigma_of(height[told])
     return float(np.sqrt(max(typical**2 - float(np.median(variance[told])), 0.0)))
 
 

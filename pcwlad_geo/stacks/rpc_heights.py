@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.special import betainc
 
+from pcwlad_geo.estimation.robust import sigma_of
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.rpc.dem import WGS84, Dem
@@ -186,7 +187,7 @@ def _scale(
     above, at_m, cell = (np.concatenate(each) for each in zip(*_points(block, pairs, found), strict=True))
     known = np.isfinite(above) & np.isfinite(at_m)
     above, at_m, cell = above[known], at_m[known], cell[known]
-    noise = 1.4826 * float(np.median(np.abs(above))) if len(above) else 0.0
+    noise = sigma_of(above) if len(above) else 0.0
     numbers = np.unique(cell)
     if len(numbers) < 6 or np.ptp(at_m) < MIN_RELIEF * max(noise, 1e-3):
         return None, None

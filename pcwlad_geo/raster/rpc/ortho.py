@@ -20,6 +20,7 @@ from rasterio.warp import reproject
 from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
@@ -33,7 +34,6 @@ from pcwlad_geo.raster.unread import Block, filled
 from pcwlad_geo.raster.vrt import has_alpha
 from pcwlad_geo.raster.warped_views import MAX_THREADS
 from pcwlad_geo.raster.warping import COG, BlockRequest, Blocks, ProgressCallback, kernel, write_warped
-from pcwlad_geo.solving import inverse
 
 LEVEL: Final = Grid((8, 8), Affine(100.0, 0.0, -400.0, 0.0, -25.0, 100.0), WGS84)
 """Grid of a DEM of constant height around the whole earth."""
