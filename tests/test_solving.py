@@ -25,9 +25,9 @@ from pcwlad_geo.estimation.solving import (
     triangular,
     undetermined,
 )
-from pcwlad_geo.rigs.lenses import homography_residual
+from pcwlad_geo.rigs.rig import homography_residual
 from pcwlad_geo.stacks.adjustment import adjust
-from pcwlad_geo.stacks.homography import homographies
+from pcwlad_geo.stacks.models import homographies
 from pcwlad_geo.stacks.network import Edge, UndeterminedImageError, named
 
 Array = NDArray[np.float64]

@@ -30,8 +30,7 @@ from benchmarks.rig_scenes import (
 from benchmarks.runs import Runner
 from benchmarks.tables import Cell, Table, at_least, at_most, within
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.rigs.lenses import lattice
-from pcwlad_geo.rigs.rig import Rig
+from pcwlad_geo.rigs.rig import Rig, lattice
 from pcwlad_geo.rigs.run import RigApplied, rig_apply, rig_learn
 
 WINDOW: Final = 128

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from jinja2 import Environment
 
-from pcwlad_geo.bandqa.pairs import SQUARES
+from pcwlad_geo.bandqa.bands import SQUARES
 from pcwlad_geo.bandqa.summary import Summary
 from pcwlad_geo.report.rendering import templates_of
 

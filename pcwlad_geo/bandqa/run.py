@@ -10,8 +10,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from pcwlad_geo.bandqa.bands import Band, find_band, list_bands, parse_bands, split_bands, with_native_px
-from pcwlad_geo.bandqa.pairs import PairResult, close_triangles, measured, plan_pairs
+from pcwlad_geo.bandqa.bands import (
+    Band,
+    PairResult,
+    close_triangles,
+    find_band,
+    list_bands,
+    measured,
+    parse_bands,
+    plan_pairs,
+    split_bands,
+    with_native_px,
+)
 from pcwlad_geo.bandqa.summary import (
     BandRequirement,
     QaResult,

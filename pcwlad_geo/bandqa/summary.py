@@ -9,8 +9,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from pcwlad_geo.bandqa.bands import Band
-from pcwlad_geo.bandqa.pairs import PairResult, Triangle, local_means
+from pcwlad_geo.bandqa.bands import Band, PairResult, Triangle, local_means
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products import TIRS_M

@@ -27,7 +27,7 @@ from pcwlad_geo.raster.rpc.view import ground_grid
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.inputs import requested_grid
 from pcwlad_geo.report.rendering import to_pdf
-from pcwlad_geo.tiepoints import geopackage, text_files
+from pcwlad_geo.tiepoints import writers
 
 if TYPE_CHECKING:  # slow to load; workers are started before
     from pcwlad_geo.registration.result import Registration
@@ -156,28 +156,28 @@ class Output(NamedTuple):
 
 
 def _tiepoints(job: Writing, path: Path) -> None:
-    text_files.write_csv(job.registration.tie_points, path)
+    writers.write_csv(job.registration.tie_points, path)
 
 
 def _geopackage(job: Writing, path: Path) -> None:
-    geopackage.write(job.registration.tie_points, path, job.registration.target.grid)
+    writers.write_geopackage(job.registration.tie_points, path, job.registration.target.grid)
 
 
 def _points(job: Writing, path: Path) -> None:
     target = job.registration.target
     on_ground = target.georeferenced and job.registration.rpc is None
-    text_files.write_points(job.registration.tie_points, path, on_ground, target.grid)
+    writers.write_points(job.registration.tie_points, path, on_ground, target.grid)
 
 
 def _gcps(job: Writing, path: Path) -> None:
     table = job.registration.tie_points
     uri = job.registration.target.uri
-    text_files.write_gcps_vrt(path, uri, table, table.crs, final_path=job.places["gcps"])
+    writers.write_gcps_vrt(path, uri, table, table.crs, final_path=job.places["gcps"])
 
 
 def _envi(job: Writing, path: Path) -> None:
     registration = job.registration
-    text_files.write_envi(registration.tie_points, path, registration.reference.uri, registration.target.uri)
+    writers.write_envi(registration.tie_points, path, registration.reference.uri, registration.target.uri)
 
 
 def _corrected(job: Writing, path: Path) -> None:

@@ -23,22 +23,20 @@ from rasterio.io import DatasetReader
 from pcwlad_geo.errors import InputError, TrustError
 from pcwlad_geo.limits import CHECKED_PX, MIN_STORED, check_block, check_shape, check_stored
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.raster.named_files import (
-    NETWORK_DRIVERS,
-    PLAIN_DRIVERS,
-    check_file,
-    check_named_by,
-    check_source,
-    drivers_for,
-)
 from pcwlad_geo.raster.trust import (
     BESIDE,
+    NETWORK_DRIVERS,
+    PLAIN_DRIVERS,
     Destination,
     Place,
     Trust,
     UntrustedFileError,
+    check_file,
+    check_named_by,
+    check_source,
     current_trust,
     destination,
+    drivers_for,
     gdal_name,
     place_of,
 )

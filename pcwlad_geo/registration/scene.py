@@ -73,14 +73,15 @@ from pcwlad_geo.registration.prealign import (
     by_search,
     can_be_posed,
     direct_start,
+    load_start_matcher,
     posed_start,
+    proposed_start,
     read_overviews,
     searches_first,
     target_offset_px,
 )
 from pcwlad_geo.registration.result import MatchRecord, record_matching
 from pcwlad_geo.registration.rpc import shifted
-from pcwlad_geo.registration.start_matcher import load_start_matcher, proposed_start
 from pcwlad_geo.registration.tiles import (
     TileJob,
     TileResult,

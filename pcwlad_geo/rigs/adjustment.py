@@ -24,7 +24,7 @@ from scipy import sparse
 
 from pcwlad_geo.estimation.robust import huber, sigma_of
 from pcwlad_geo.estimation.solving import inverse, solve
-from pcwlad_geo.rigs.lenses import LensModel, project, rays
+from pcwlad_geo.rigs.rig import LensModel, project, rays
 from pcwlad_geo.types import Bool, Float64, Index
 
 OF_LENS: Final = 8

@@ -19,7 +19,7 @@ from pcwlad_geo.raster.cameras import MM_PER_UNIT, camera_of, exif_of, number_of
 from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.opening import check_dataset
 from pcwlad_geo.raster.source import open_raster, plain_name
-from pcwlad_geo.rigs.lenses import Lens
+from pcwlad_geo.rigs.rig import Lens
 from pcwlad_geo.types import Float32, Float64, PathLike
 
 ENDINGS: Final = (".tif", ".tiff", ".jpg", ".jpeg", ".png")

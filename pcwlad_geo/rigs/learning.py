@@ -19,12 +19,13 @@ from pcwlad_geo.matching.pose import search_pose
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust
 from pcwlad_geo.rigs.captures import Capture, Frame, first_lens, panel_seen, read_frame
-from pcwlad_geo.rigs.lenses import Lens, lattice
 from pcwlad_geo.rigs.rig import (
+    Lens,
     Rig,
     RigLens,
     Sharpness,
     coefficients_of,
+    lattice,
     made_coarser,
     map_places,
     measured_side,

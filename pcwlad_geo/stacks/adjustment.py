@@ -19,24 +19,28 @@ from scipy.sparse.linalg import SuperLU
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import check_observations, inverse, triangular
-from pcwlad_geo.stacks.basis import Basis, basis_over, mixing_of, penalty_of, terms_of
 from pcwlad_geo.stacks.network import (
     ALIKE,
     BLOCKS,
     POINTS,
+    Basis,
     Edge,
     EdgeFit,
     Network,
     Part,
     Solution,
+    basis_over,
     components,
     errors_of,
     factor_of,
     folds_of,
     linked,
+    mixing_of,
     named,
     part_of,
+    penalty_of,
     side_of_blocks,
+    terms_of,
 )
 from pcwlad_geo.types import Bool, Float64, Index
 

@@ -26,9 +26,8 @@ from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, GRADES, 
 from pcwlad_geo.registration.inputs import estimate_tile_count
 from pcwlad_geo.registration.judge import GEOREFERENCED_PX, Motion, told_of
 from pcwlad_geo.report.finished import read_report, report_of_same_job
-from pcwlad_geo.stacks.basis import basis_over
 from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
-from pcwlad_geo.stacks.network import Edge, components
+from pcwlad_geo.stacks.network import Edge, basis_over, components
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.types import Float64, PathLike

@@ -32,7 +32,6 @@ from pcwlad_geo.raster.vrt import write_corrected_vrt
 from pcwlad_geo.registration.inputs import requested_grid
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.stacks.adjustment import Adjustment, adjust, extend
-from pcwlad_geo.stacks.choice import TRIED, choose_basis
 from pcwlad_geo.stacks.graph import (
     ALL_PAIRS,
     UNSURE,
@@ -43,8 +42,8 @@ from pcwlad_geo.stacks.graph import (
     listed_pairs,
     quick_look,
 )
-from pcwlad_geo.stacks.homography import HOMOGRAPHY, homographies, or_homographies
 from pcwlad_geo.stacks.inputs import StackInput, check_reference, listed, with_reference
+from pcwlad_geo.stacks.models import HOMOGRAPHY, TRIED, choose_basis, homographies, or_homographies
 from pcwlad_geo.stacks.network import Edge, components, named
 from pcwlad_geo.stacks.page import page
 from pcwlad_geo.stacks.pairs import (
@@ -68,9 +67,11 @@ from pcwlad_geo.stacks.result import (
     Chosen,
     Stack,
     StackImage,
+    catalogue_names,
     graded,
     judge,
     stack_of,
+    write_catalogue,
     write_numbers,
 )
 from pcwlad_geo.stacks.rpc_stack import (
@@ -89,7 +90,6 @@ from pcwlad_geo.stacks.rpc_stack import (
     without_ground,
     write_images,
 )
-from pcwlad_geo.stacks.stac import catalogue_names, write_catalogue
 from pcwlad_geo.text import read_json
 from pcwlad_geo.types import Float64, PathLike
 

@@ -18,9 +18,9 @@ from pcwlad_geo.limits import POINTS, SIGMA_PX, check_coordinates, check_count
 from pcwlad_geo.raster.crs import name_of, transform_xy
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
 from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.named_files import gcps_alone
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo, open_raster, open_written_raster
+from pcwlad_geo.raster.trust import gcps_alone
 from pcwlad_geo.text import check_regular, read_bytes
 from pcwlad_geo.tiepoints.table import TiePointTable, ground_xy, place, predict_target_px
 from pcwlad_geo.types import Bool, Float64

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.models import SplineCorrection, SplineGrid
-from pcwlad_geo.correction.thin_plate_system import (
+from pcwlad_geo.correction.thin_plate import (
     MAX_CELLS,
     Successive,
     ThinPlateSystem,

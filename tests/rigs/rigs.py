@@ -24,8 +24,7 @@ from benchmarks.rig_scenes import (
 )
 from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.rigs.learning import look
-from pcwlad_geo.rigs.lenses import lattice
-from pcwlad_geo.rigs.rig import Rig, RigLens
+from pcwlad_geo.rigs.rig import Rig, RigLens, lattice
 from pcwlad_geo.types import Float64
 
 SHAPE = (240, 320)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.rigs.adjustment import Observations, State, adjust, predict
-from pcwlad_geo.rigs.lenses import Lens, lattice
+from pcwlad_geo.rigs.rig import Lens, lattice
 
 SHAPE = (480, 640)
 SIGMA_PX = 0.1
