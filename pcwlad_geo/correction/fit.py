@@ -102,13 +102,13 @@ def _gauss_newton(
         parameters = parameters + step
         if np.abs(step).max() < STEP_TOLERANCE_PX:
             break
-    return np.asarray(parameters)
+    return parameters
 
 
 def _moved(parameters: Float64, place: Float64, radius_px: float) -> Float64:
     """Return the (n, 2) observed px about the centre; NaN beyond the horizon."""
     numerator = parameters[:2] + place @ parameters[2:6].reshape(2, 2)
-    return np.asarray(numerator / _denominator(parameters, place, radius_px)[:, None])
+    return numerator / _denominator(parameters, place, radius_px)[:, None]
 
 
 def _denominator(parameters: Float64, place: Float64, radius_px: float) -> Float64:
@@ -123,7 +123,7 @@ def _projective_jacobian(parameters: Float64, place: Float64, radius_px: float) 
     numerator = np.einsum("it,ab->iatb", terms, np.eye(2)).reshape(n, 2, 6)
     horizon = -_moved(parameters, place, radius_px)[:, :, None] * place[:, None, :] / radius_px
     both = np.concatenate([numerator, horizon], axis=2)
-    return np.asarray(both / _denominator(parameters, place, radius_px)[:, None, None])
+    return both / _denominator(parameters, place, radius_px)[:, None, None]
 
 
 def _jacobian_px(at_px: Float64, *, parameters: Float64, centre_px: Float64, radius_px: float) -> Float64:

@@ -164,7 +164,7 @@ class ParametricFit(Fit):
 
         def propagated(part_px: Float64) -> Float64:
             jacobian = self.jacobian(part_px)
-            return np.asarray(jacobian @ self.parameter_covariance @ jacobian.transpose(0, 2, 1))
+            return jacobian @ self.parameter_covariance @ jacobian.transpose(0, 2, 1)
 
         return in_chunks(propagated, at_px)
 
@@ -178,7 +178,7 @@ class ParametricFit(Fit):
         values = (root @ values_px[training]).reshape(len(rows), -1)
         needs = f"the {self.correction.name} model needs tie points in other parts of the image as well"
         found = solve(rows.T @ rows, rows.T @ values, needs, least=DETERMINED)
-        return np.asarray(self.jacobian(self.predicted_px[test]) @ found)
+        return self.jacobian(self.predicted_px[test]) @ found
 
 
 def checked(

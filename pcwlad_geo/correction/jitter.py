@@ -147,7 +147,7 @@ def _smoothed(values: Float64, reach: int) -> Float64:
     """Return running means over 2 · `reach` + 1 values, fewer at the ends."""
     kernel = np.ones(2 * reach + 1)
     total = np.convolve(values, kernel)[reach : reach + len(values)]
-    return np.asarray(total / np.convolve(np.ones_like(values), kernel)[reach : reach + len(values)])
+    return total / np.convolve(np.ones_like(values), kernel)[reach : reach + len(values)]
 
 
 def fit_jitter(

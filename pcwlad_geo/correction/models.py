@@ -160,7 +160,7 @@ class SplineGrid:
         The coefficients of a plane are its values there.
         """
         place = positions(*(np.arange(count + 3.0) - 1 for count in self.cells))
-        return np.asarray(self.origin_px + self.spacing_px * place)
+        return self.origin_px + self.spacing_px * place
 
     def design(self, at_px: Float64) -> scipy.sparse.csr_array:
         """Return the (n, k) values of all B-splines, row by row of the grid, at the (n, 2) `at_px`."""
@@ -399,7 +399,7 @@ class JitterCorrection:
 def _homogeneous(matrix: Float64, at_px: Float64) -> Float64:
     moved = np.asarray(at_px, dtype=np.float64) @ matrix[:, :2].T + matrix[:, 2]
     w = np.where(moved[:, 2:] > 0, moved[:, 2:], np.nan)
-    return np.asarray(moved[:, :2] / w)
+    return moved[:, :2] / w
 
 
 def from_json(model: Mapping[str, Any]) -> Correction:

@@ -212,7 +212,7 @@ def best_of_cells(cell: Index, badness: Float64) -> Index:
     _, start, size = np.unique(cell[by_cell], return_index=True, return_counts=True)
     rank = np.empty(len(cell), dtype=np.intp)
     rank[by_cell] = np.arange(len(cell)) - np.repeat(start, size)
-    return np.asarray(np.lexsort((badness, rank)))
+    return np.lexsort((badness, rank))
 
 
 def _cell_of(xy_px: Float64, low: Float64, extent: Float64, side: float) -> tuple[Index, Float64]:

@@ -143,7 +143,7 @@ class ThinPlateSystem:
         nodes = self.grid.nodes_px()
         nodes = (nodes - nodes.mean(axis=0)) / self.grid.spacing_px
         planes = self.design @ np.column_stack([np.ones(len(nodes)), nodes])
-        return np.asarray(np.linalg.qr(root[:, None] * planes)[0])
+        return np.linalg.qr(root[:, None] * planes)[0]
 
     def freedom(self, stiffness: float, probes: Float64) -> float:
         """Return the effective number of parameters of an axis at a `stiffness`, all precisions equal.
@@ -192,7 +192,7 @@ class Factor:
 
     def solve_one(self, right: Float64) -> Float64:
         """Return the (k,) solution for the (k,) right side `right`."""
-        return np.asarray(self.solve(right.reshape(-1, 1))[:, 0])
+        return self.solve(right.reshape(-1, 1))[:, 0]
 
 
 class Successive:
@@ -326,7 +326,7 @@ class Trials:
     @property
     def precision(self) -> Float64:
         """(n,) 1/px², 0 for outliers."""
-        return np.asarray(self.root[:, 0] ** 2)
+        return self.root[:, 0] ** 2
 
     def smoothing(self, stiffness: float) -> float:
         """Return the λ of a stiffness."""
@@ -361,7 +361,7 @@ class Trials:
         return Trial(smoothing, squares, (used[0], used[1]), errors)
 
     def _shared(self, vectors: Float64) -> Float64:
-        return np.asarray(self.inlier * self.overlaps.times(self.inlier * vectors))
+        return self.inlier * self.overlaps.times(self.inlier * vectors)
 
 
 def best(trials: list[Trial], alpha: float) -> tuple[int, float]:
@@ -451,7 +451,7 @@ class SplineFit(Fit):
             noise = (1 - alpha) * noise + alpha * _pairs(
                 influence.reshape(-1, m, 2), shared.reshape(-1, m, 2)
             )
-        return np.asarray(self.errors.scale * (noise + missed))
+        return self.errors.scale * (noise + missed)
 
 
 def _factor(system: ThinPlateSystem, estimate: Estimate, smoothing: float) -> Factor:

@@ -207,7 +207,7 @@ def plane_residual_px(reference_xy_px: Float64, target_xy_px: Float64, kept: Boo
     if matrix is None:
         return None
     moved = np.column_stack([reference_xy_px, np.ones(len(reference_xy_px))]) @ matrix.T
-    return np.asarray(target_xy_px - moved[:, :2] / moved[:, 2:])
+    return target_xy_px - moved[:, :2] / moved[:, 2:]
 
 
 def plane_of(reference_xy_px: Float64, target_xy_px: Float64) -> Float64 | None:

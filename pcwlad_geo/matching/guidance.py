@@ -247,7 +247,7 @@ class WindowErrors:
         """
         sides = np.asarray(windows_px, np.float64)
         shared = np.maximum.outer(sides, sides) ** -NOISE_POWER
-        return np.asarray(self.noise * shared + self.bend * np.outer(sides**2, sides**2))
+        return self.noise * shared + self.bend * np.outer(sides**2, sides**2)
 
     def variance_px2(self, scales: Scales) -> float:
         """Return the variance per axis of the error that the windows leave together."""

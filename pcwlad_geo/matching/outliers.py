@@ -287,7 +287,7 @@ def _neighbour_pairs(xy: Float64, reach_px: float) -> Index:
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     sides = np.unique(np.sort(sides, axis=1), axis=0).astype(np.intp)
     length = _length(xy[sides[:, 0]] - xy[sides[:, 1]])
-    return np.asarray(sides[length <= max(reach_px, TYPICAL_SIDES * float(np.median(length)))])
+    return sides[length <= max(reach_px, TYPICAL_SIDES * float(np.median(length)))]
 
 
 def _trend(xy: Float64, displacement: Float64, used: Bool, order: int) -> Float64:
@@ -301,7 +301,7 @@ def _trend(xy: Float64, displacement: Float64, used: Bool, order: int) -> Float6
         fitted = basis @ least_squares(weighted @ basis, weighted @ displacement)
         off = _length(displacement - fitted)
         weight = used / np.maximum(off, max(0.1 * float(np.median(off[used])), 1e-6))
-    return np.asarray(fitted)
+    return fitted
 
 
 def _limit_px(left: Float64, used: Bool, unit_px: float) -> float:
@@ -310,4 +310,4 @@ def _limit_px(left: Float64, used: Bool, unit_px: float) -> float:
 
 
 def _length(vectors: Float64) -> Float64:
-    return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
+    return np.hypot(vectors[:, 0], vectors[:, 1])

@@ -403,7 +403,7 @@ def _filled(made: Raster) -> NDArray[Any]:
     """Return the pixels with nodata where not valid; whole numbers without a nodata value become float."""
     values, mask = np.ma.getdata(made.array), np.ma.getmaskarray(made.array)
     if made.nodata is not None:
-        return np.asarray(np.where(mask, values.dtype.type(made.nodata), values))
+        return np.where(mask, values.dtype.type(made.nodata), values)
     if values.dtype.kind != "f":
         values = values.astype("float32" if values.dtype.name in _WIDER else "float64")
-    return np.asarray(np.where(mask, values.dtype.type(np.nan), values))
+    return np.where(mask, values.dtype.type(np.nan), values)

@@ -91,7 +91,7 @@ def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
         old, later = (_without(bits, values[0]) for bits in (OLD_BQA_BITS, BQA_BITS))
         return np.where(values[0] >= OLD_BQA, old, later)
     if kind == "SCL":
-        return np.asarray(~np.isin(values[0], SCL_CLASSES))
+        return ~np.isin(values[0], SCL_CLASSES)
     if kind == "MSK_CLASSI":
         return np.asarray((values == 0).all(axis=0))
     return np.asarray((values[0] != 0) & np.isfinite(values[0]))
@@ -256,7 +256,7 @@ def _from_memory(values: NDArray[np.generic]) -> Read:
 
 def _differs(values: NDArray[np.generic], value: float) -> Bool:
     """Return where values are data, not the collar's; NaN is not data."""
-    return np.asarray(np.abs(values.astype(np.float64) - value) > _tolerance(values, JPEG_NOISE))
+    return np.abs(values.astype(np.float64) - value) > _tolerance(values, JPEG_NOISE)
 
 
 def _solid(differs: Bool) -> Bool:
@@ -351,4 +351,4 @@ def _between(data: Bool, axis: int) -> Bool:
     """Return the pixels that have data, or are data, on both sides along an axis."""
     before = np.logical_or.accumulate(data, axis)
     after = np.flip(np.logical_or.accumulate(np.flip(data, axis), axis), axis)
-    return np.asarray(before & after)
+    return before & after

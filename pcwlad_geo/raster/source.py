@@ -399,12 +399,12 @@ def _samples(shape: tuple[int, int]) -> list[Window]:
 def _steps(values: NDArray[Any]) -> NDArray[Any]:
     """Return (rows - 3, cols) steps from row i + 1 to row i + 2, less the mean of the slopes beside them."""
     slopes = np.diff(values, axis=0)
-    return np.asarray(slopes[1:-1] - (slopes[:-2] + slopes[2:]) / 2)
+    return slopes[1:-1] - (slopes[:-2] + slopes[2:]) / 2
 
 
 def _all_valid(valid: Bool) -> Bool:
     """Return (rows - 3, cols), whether the four pixels of each step are valid."""
-    return np.asarray(valid[:-3] & valid[1:-2] & valid[2:-1] & valid[3:])
+    return valid[:-3] & valid[1:-2] & valid[2:-1] & valid[3:]
 
 
 def _mean_steps(samples: Iterable[tuple[NDArray[Any], Bool, int]]) -> Float64:

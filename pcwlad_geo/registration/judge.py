@@ -162,7 +162,7 @@ def _witnesses(matches: TiePoints, common_px: Float64, cell_px: float) -> tuple[
 def _cells(matches: TiePoints, cell_px: float) -> Index:
     """Return the (n,) number of the cell of each match, counted without gaps."""
     cells = np.floor(matches.reference_xy_px / cell_px).astype(np.intp)
-    return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel())
+    return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
 
 
 def _common_plane(matches: TiePoints, kept: Bool) -> tuple[Float64, float]:

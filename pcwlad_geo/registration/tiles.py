@@ -232,7 +232,7 @@ def _compared(
     reference_origin, target_origin = _origins(job)
     between = target_origin - reference_origin
     inside = points.shifted(-reference_origin, -target_origin)
-    return np.asarray(see(channels, inside, guide.moved(-between)) + between)
+    return see(channels, inside, guide.moved(-between)) + between
 
 
 def _prepare(job: TileJob) -> PreparedPair | None:

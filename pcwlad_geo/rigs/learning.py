@@ -522,7 +522,7 @@ def _fitted_pose(
         pose = first.copy()
         pose[list(free)] = x
         at = _between(lens, lens, pose, plane, reference_px)
-        return np.asarray(np.nan_to_num(at - seen_px, nan=1e3).ravel())
+        return np.nan_to_num(at - seen_px, nan=1e3).ravel()
 
     found = least_squares(wrong, first[list(free)], loss="soft_l1", f_scale=2.0, x_scale=0.01)
     pose = first.copy()

@@ -348,7 +348,7 @@ class Rig:
     def common_px(self, rays: Float64) -> Float64:
         """Return the (n, 2) px of the common frame of the (n, 2) directions `rays`."""
         lens = self.reference.lens
-        return np.asarray(rays * lens.focal_px + lens.vector[1:3])
+        return rays * lens.focal_px + lens.vector[1:3]
 
     def offset_px(self, lens: RigLens) -> tuple[float, float]:
         """Return how far (col, row) a lens sees the middle of the reference's view from its own middle."""

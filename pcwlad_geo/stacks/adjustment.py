@@ -140,7 +140,7 @@ def larger(one: Float64, other: Float64) -> Float64:
     ratio, axes = np.linalg.eigh(back @ (other + least) @ back.transpose(0, 2, 1))
     turned = root @ axes
     found = turned @ (np.maximum(ratio, 1.0)[:, :, None] * turned.transpose(0, 2, 1))
-    return np.asarray(np.where(size[:, None, None] > 0, found, 0.0))
+    return np.where(size[:, None, None] > 0, found, 0.0)
 
 
 def adjust(

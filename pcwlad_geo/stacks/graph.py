@@ -139,7 +139,7 @@ def _likeness(frame: Frame, looks: Sequence[Float64 | None]) -> Float64:
         square = ((values**2) @ weight.T) / count - mean**2
         found = ((values @ values.T) / count - mean * mean.T) / np.sqrt(square * square.T)
     known = (count >= MIN_CELLS) & np.isfinite(found)
-    return np.asarray(np.where(known, np.clip(found, 0.0, 1.0), 0.5))
+    return np.where(known, np.clip(found, 0.0, 1.0), 0.5)
 
 
 def _sampled(frame: Frame, image: int, look: Float64 | None, at: Float64) -> Float64:

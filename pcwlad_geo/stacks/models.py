@@ -74,7 +74,7 @@ class FrameAdjustment(Adjustment):
 
     def displacement(self, image: int, xy: Float64) -> Float64:
         """Return by how much a frame sees the (n, 2) px `xy` of the reference beside these, (n, 2)."""
-        return np.asarray(self.correction(image).forward(xy) - xy)
+        return self.correction(image).forward(xy) - xy
 
     def to_ground(self, image: int, xy: Float64) -> Float64:
         """Return the (n, 2) px of the reference that are seen at the (n, 2) px `xy` of a frame."""
@@ -89,7 +89,7 @@ class FrameAdjustment(Adjustment):
         if other is not None:
             return told
         rate = _rate(self.matrices[image], xy)
-        return np.asarray(rate @ told @ rate.transpose(0, 2, 1))
+        return rate @ told @ rate.transpose(0, 2, 1)
 
     def correction(self, image: int) -> ProjectiveCorrection:
         """Return the correction of a frame."""
@@ -208,7 +208,7 @@ def _chained(edges: Sequence[Edge], images: int, first: int) -> Float64:
     lost = {image for edge in edges for image in (edge.first, edge.second)} - known
     if lost:
         raise InputError(f"no homography fits the tie points of {len(lost)} frames: choose another model")
-    return np.asarray(matrices / matrices[:, 2:, 2:])
+    return matrices / matrices[:, 2:, 2:]
 
 
 def _rectified(edge: Edge, matrices: Float64) -> Edge:
@@ -230,7 +230,7 @@ def _rate(matrix: Float64, xy: Float64) -> Float64:
     moved = np.column_stack([xy, np.ones(len(xy))]) @ matrix.T
     place = moved[:, :2] / moved[:, 2:]
     rate = matrix[None, :2, :2] - place[:, :, None] * matrix[None, 2:, :2]
-    return np.asarray(rate / moved[:, 2:, None])
+    return rate / moved[:, 2:, None]
 
 
 TRIED: Final[Mapping[str, tuple[str, ...]]] = {

@@ -549,7 +549,7 @@ class Network:
         """The (free,) numbers of the unknowns of images that are not fixed."""
         size = self.size
         every = np.arange(self.images * size).reshape(self.images, size)
-        return np.asarray(np.delete(every, self.fixed, axis=0).ravel())
+        return np.delete(every, self.fixed, axis=0).ravel()
 
     def solve(self, parts: Sequence[Part], used: Bool, shared: Float64) -> Solution:
         """Solve the normal equations of the edges in use, each with a sigma of its shared error.
@@ -615,7 +615,7 @@ class Network:
         found[self.free] = free
         if self.mixing is not None:
             found = (found.reshape(self.images, -1) @ self.mixing.T).ravel()
-        return np.asarray(found.reshape(self.images, 2, self.terms).transpose(0, 2, 1))
+        return found.reshape(self.images, 2, self.terms).transpose(0, 2, 1)
 
     def _fit(self, part: Part, coefficients: Float64, used: bool, shared: float, factor: SuperLU) -> EdgeFit:
         """Return how an edge agrees with a solution, in which one not in use had no part."""

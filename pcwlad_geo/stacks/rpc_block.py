@@ -370,7 +370,7 @@ class _Problem:
 
     def flat(self, parameters: Float64) -> Float64:
         """Return the (unknowns,) of the (images, terms, 2) `parameters`."""
-        return np.asarray(parameters[list(self.block.free)].reshape(-1))
+        return parameters[list(self.block.free)].reshape(-1)
 
     def design(self, pair: BlockPair, sight: Sight) -> tuple[Float64, Index]:
         """Return the (n, 2, q) design of a pair and the (q,) numbers of its unknowns."""
@@ -390,9 +390,7 @@ class _Problem:
         sight = state.sights[number]
         design, places = self.design(self.pairs[number], sight)
         step = self.flat(state.parameters - state.start)[places]
-        return np.asarray(
-            sight.left_px - design @ step - sight.dem_rate @ (state.dem_px - state.start_dem_px)
-        )
+        return sight.left_px - design @ step - sight.dem_rate @ (state.dem_px - state.start_dem_px)
 
 
 def _design(terms: Float64) -> Float64:
@@ -568,7 +566,7 @@ def _height_variance(pair: BlockPair, sight: Sight, residual_px: Float64, sigma_
     """Return the (n,) variances of the DEM's heights, m²: all points of one of its pixels count as one."""
     height, _ = implied_heights(pair, sight, residual_px)
     off = np.abs(np.nan_to_num(height)) / (HEIGHT_LIMIT * max(sigma_m, NEVER_PX))
-    return np.asarray(sigma_m**2 * sight.crowding * np.maximum(1.0, off))
+    return sigma_m**2 * sight.crowding * np.maximum(1.0, off)
 
 
 def _weights(pair: BlockPair, sight: Sight, variance_m2: Float64 | float = 0.0) -> Float64:
