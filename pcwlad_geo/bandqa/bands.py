@@ -350,7 +350,7 @@ def _short_stems(stems: Sequence[str]) -> list[str]:
     return short if all(short) else list(stems)
 
 
-MIN_POINTS: Final = 3
+MIN_CELL_POINTS: Final = 3
 """Least number of points of a cell for its mean."""
 
 
@@ -379,7 +379,7 @@ def cell_means(at_px: Float64, values_px: Float64, side_px: float) -> dict[tuple
     return {
         (int(col), int(row)): CellMean(int(count[index]), (float(col_mean[index]), float(row_mean[index])))
         for index, (col, row) in enumerate(cells)
-        if count[index] >= MIN_POINTS
+        if count[index] >= MIN_CELL_POINTS
     }
 
 

@@ -32,7 +32,7 @@ from pcwlad_geo.estimation.robust import (
 from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.types import Float64
 
-MIN_POINTS = 6
+MIN_PROJECTIVE_POINTS = 6
 """Least number of tie points of a projective transformation."""
 STEPS = 30
 """Largest number of Gauss-Newton steps of a projective transformation."""
@@ -54,7 +54,7 @@ def fit_projective(
         See `fit_polynomial`, also for `footprint_px`; n ≥ 6, spread in both directions.
     """
     predicted, observed, covariance = checked(
-        "projective", MIN_POINTS, predicted_px, observed_px, covariance_px2
+        "projective", MIN_PROJECTIVE_POINTS, predicted_px, observed_px, covariance_px2
     )
     centre = predicted.mean(axis=0)
     radius = float(np.sqrt(((predicted - centre) ** 2).sum(axis=1).mean())) or 1.0

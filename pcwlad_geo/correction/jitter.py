@@ -17,7 +17,7 @@ from pcwlad_geo.types import Float64, Index
 
 ALONG: Final = ("column", "row")
 """What a profile runs along, by the index of the coordinate."""
-MIN_POINTS: Final = 60
+MIN_WAVE_POINTS: Final = 60
 """Least number of tie points in which waves are looked for."""
 SHORTEST: Final = 1.5
 """Shortest period that is looked for, in windows: of shorter ones a window leaves a third at most."""
@@ -96,7 +96,7 @@ def peaks(at_px: Float64, rest_px: Float64, footprint_px: float) -> tuple[Peak, 
     """
     every = max(1, -(-len(at_px) // MAX_SEARCHED))
     at_px, rest_px = at_px[::every], rest_px[::every]
-    if len(at_px) < MIN_POINTS:
+    if len(at_px) < MIN_WAVE_POINTS:
         return ()
     extent = np.ptp(at_px, axis=0)
     spacing = float(np.sqrt(np.prod(extent) / len(at_px)))
@@ -262,7 +262,7 @@ def profile(along: Float64, across: Float64, rest_px: Float64, least_step: float
     """
     known = np.isfinite(along)
     along, across, rest_px = along[known], across[known], rest_px[known]
-    if len(along) < MIN_POINTS or np.ptp(along) <= 0:
+    if len(along) < MIN_WAVE_POINTS or np.ptp(along) <= 0:
         return Profile((), (), ())
     count = int(np.clip(np.ptp(along) / max(least_step, 1e-9), 1, BINS))
     edges = np.linspace(along.min(), along.max(), count + 1)

@@ -500,7 +500,7 @@ _READERS = {
 }
 
 
-CELLS = 320
+ORIENTATION_CELLS = 320
 """Number of cells along the longer side whose orientation is tested, four per cell of the finest spline."""
 
 
@@ -512,7 +512,7 @@ def has_foldover(correction: Correction, low_px: Float64, high_px: Float64) -> b
     low_px, high_px : (2,) array of float
         Corners of the box (col, row), px.
     """
-    lattice = Lattice.over(low_px, high_px, float((high_px - low_px).max()) / CELLS)
+    lattice = Lattice.over(low_px, high_px, float((high_px - low_px).max()) / ORIENTATION_CELLS)
     moved = correction.forward(lattice.nodes_px()).reshape(*lattice.shape, 2)
     along_cols, along_rows = np.diff(moved, axis=1), np.diff(moved, axis=0)
     for cols in (along_cols[:-1], along_cols[1:]):

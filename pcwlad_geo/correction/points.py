@@ -53,7 +53,7 @@ def local_surface(xy_px: Float64, values_px: Float64) -> Float64:
 
 AGREEMENT_NEIGHBOURS: Final = 8
 """Number of nearest neighbours that a tie point is compared with."""
-MIN_POINTS: Final = 6
+MIN_COMPARED_POINTS: Final = 6
 """Least number of points among which outliers can be found."""
 SCATTERS: Final = 6.11
 """The limit is this many times the robust scatter, per axis, of all points about their neighbours."""
@@ -91,7 +91,7 @@ def agreement(predicted_px: Float64, observed_px: Float64, sigma_px: Float64 | N
     """
     check_observations("tie points", predicted_px, observed_px)
     n = len(predicted_px)
-    if n < MIN_POINTS:
+    if n < MIN_COMPARED_POINTS:
         return Agreement(np.ones(n, bool), np.eye(2), float("nan"), 0.0)
     residual_px, linear = _about_the_trend(predicted_px, observed_px)
     spread_px = float(np.sqrt(observed_px.var(axis=0).sum()))
@@ -103,7 +103,7 @@ def agreement(predicted_px: Float64, observed_px: Float64, sigma_px: Float64 | N
         size_px = np.linalg.norm(apart_px, axis=1)
         scatter_px = axis_sigma(size_px[kept])
         again = size_px <= np.maximum(np.maximum(SCATTERS * scatter_px, SIGMAS * own), MIN_PX)
-        if (again == kept).all() or again.sum() < MIN_POINTS:
+        if (again == kept).all() or again.sum() < MIN_COMPARED_POINTS:
             break
         kept = again
     # The median of k neighbours has a variance of its own, π/2k of a point's.

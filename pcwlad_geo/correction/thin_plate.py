@@ -471,7 +471,7 @@ def _pairs(left: Float64, right: Float64) -> Float64:
     return np.asarray(np.einsum("kma,kmb->mab", left, right))
 
 
-MIN_POINTS = 12
+MIN_SPLINE_POINTS = 12
 """Least number of tie points of a thin-plate spline."""
 STIFF = 0.02
 """Stiffness over side⁴ at which the softest mode of a square plate is reduced to a tenth."""
@@ -509,7 +509,7 @@ def fit_tps(
     predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays of float
         See `fit.fit_polynomial`, also for `footprint_px`; n ≥ 12, not on one line.
     """
-    points = checked("tps", MIN_POINTS, predicted_px, observed_px, covariance_px2)
+    points = checked("tps", MIN_SPLINE_POINTS, predicted_px, observed_px, covariance_px2)
     return _fit_spline("tps", ThinPlateSystem.of(points[0], footprint_px), points, footprint_px)
 
 
@@ -530,7 +530,7 @@ def fit_field(
     predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays of float
         See `fit.fit_polynomial`, also for `footprint_px`; n ≥ 12, not on one line.
     """
-    points = checked("field", MIN_POINTS, predicted_px, observed_px, covariance_px2)
+    points = checked("field", MIN_SPLINE_POINTS, predicted_px, observed_px, covariance_px2)
     reach_px = HOLE * (Support.of(points[0], footprint_px).reach_px or 1.0)
     system = ThinPlateSystem.of_field(points[0], footprint_px, reach_px)
     return _fit_spline("field", system, points, footprint_px)

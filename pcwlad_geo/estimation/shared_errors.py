@@ -10,7 +10,7 @@ import scipy.sparse
 from pcwlad_geo.estimation.solving import inverse, solve
 from pcwlad_geo.types import Float64
 
-CELLS = 6
+CELLS_PER_WINDOW = 6
 """Number of ground cells along the side of a window; windows that cover a cell share its errors."""
 PROBE_NUMBERS = 32_000
 """Wanted total of random signs, points times vectors, that estimate a trace."""
@@ -39,16 +39,16 @@ class Overlaps:
         if side_px <= 0:
             return cls(None, n)
         # Border cells in part make the correlation reach a little too far, which smaller cells compensate.
-        corner = (xy_px - xy_px.min(axis=0)) / side_px * CELLS**2 / (CELLS - 1 / 3)
+        corner = (xy_px - xy_px.min(axis=0)) / side_px * CELLS_PER_WINDOW**2 / (CELLS_PER_WINDOW - 1 / 3)
         first = np.floor(corner).astype(np.int64)
         part = (corner - first)[:, :, None]
-        covered = np.concatenate([1 - part, np.ones((n, 2, CELLS - 1)), part], axis=2)
+        covered = np.concatenate([1 - part, np.ones((n, 2, CELLS_PER_WINDOW - 1)), part], axis=2)
         covered /= np.linalg.norm(covered, axis=2, keepdims=True)
-        index = first[:, :, None] + np.arange(CELLS + 1)
+        index = first[:, :, None] + np.arange(CELLS_PER_WINDOW + 1)
         columns = index[:, 1, :, None] * (index[:, 0].max(initial=0) + 1) + index[:, 0, None, :]
         cells, column = np.unique(columns, return_inverse=True)
         values = covered[:, 1, :, None] * covered[:, 0, None, :]
-        pointer = np.arange(0, values.size + 1, (CELLS + 1) ** 2)
+        pointer = np.arange(0, values.size + 1, (CELLS_PER_WINDOW + 1) ** 2)
         shape = (n, len(cells))
         return cls(scipy.sparse.csr_array((values.ravel(), column.ravel(), pointer), shape=shape), n)
 

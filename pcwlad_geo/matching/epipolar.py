@@ -35,7 +35,7 @@ CONFIDENCE: Final = 0.9999
 """Probability of a sample without outliers at which the sampling ends."""
 SAMPLE: Final = 7
 """Number of matches that determine a fundamental matrix."""
-MIN_POINTS: Final = 24
+MIN_EPIPOLAR_MATCHES: Final = 24
 """Least number of matches of an epipolar geometry."""
 OFF_PLANE_PX: Final = 2.0
 """Distance from the position that one plane gives, from which a match tells something of its depth."""
@@ -70,7 +70,7 @@ class EpipolarGeometry:
         ----------
         .. [1] Barath, D., Noskova, J., Ivashechkin, M., Matas, J. (2020), doi:10.1109/CVPR42600.2020.00138.
         """
-        if len(reference_xy_px) < MIN_POINTS:
+        if len(reference_xy_px) < MIN_EPIPOLAR_MATCHES:
             return None
         # about the middle: products of pixel coordinates lose digits
         middle = reference_xy_px.mean(axis=0)
@@ -201,7 +201,7 @@ def plane_residual_px(reference_xy_px: Float64, target_xy_px: Float64, kept: Boo
     kept : (n,) bool array
         The matches that it is fitted to.
     """
-    if np.count_nonzero(kept) < MIN_POINTS:
+    if np.count_nonzero(kept) < MIN_EPIPOLAR_MATCHES:
         return None
     matrix = plane_of(reference_xy_px[kept], target_xy_px[kept])
     if matrix is None:
@@ -247,10 +247,15 @@ def _geometry_of(points: TiePoints) -> EpipolarGeometry | None:
 def _near(points: TiePoints, geometry: EpipolarGeometry) -> Bool:
     distance = np.abs(geometry.distance_px(points.reference_xy_px, points.target_xy_px))
     inner = distance[distance < TOLERANCE_PX]
-    if len(inner) < MIN_POINTS:
+    if len(inner) < MIN_EPIPOLAR_MATCHES:
         return np.zeros(len(points), bool)
-    limit = SCATTERS * SIGMA_OF_MEDIAN * float(np.median(inner))
-    return np.asarray(distance < np.clip(limit, MIN_TOLERANCE_PX, TOLERANCE_PX))
+    return np.asarray(distance < largest_distance_px(inner))
+
+
+def largest_distance_px(distance_px: Float64) -> float:
+    """Return how far a match may lie off its epipolar line, by (n,) `distance_px` of those in question."""
+    limit = SCATTERS * SIGMA_OF_MEDIAN * float(np.median(distance_px))
+    return float(np.clip(limit, MIN_TOLERANCE_PX, TOLERANCE_PX))
 
 
 def _supported(points: TiePoints, on_line: Bool) -> Bool:

@@ -20,7 +20,7 @@ DEFAULT_SCALE: Final = 3.0
 """Factor from formal to calibrated sigmas where a scene has too few points to estimate it."""
 SCALE_RANGE: Final = (1.5, 12.0)
 """Range to which an estimated factor from formal to calibrated sigmas is clipped."""
-MIN_POINTS: Final = 30
+MIN_RESIDUALS: Final = 30
 """Least number of points with a known residual from which that factor is estimated."""
 MEDIAN_CHI_SQUARE_2: Final = 1.3863
 """Median of the χ² distribution with two degrees of freedom, 2 ln 2."""
@@ -35,7 +35,7 @@ def sigma_scale(residual_px: Float64, covariance_px2: Float64) -> float:
     where not known. The (n, 2, 2) `covariance_px2` are formal covariances, px².
     """
     known = np.isfinite(residual_px).all(axis=1)
-    if known.sum() < MIN_POINTS:
+    if known.sum() < MIN_RESIDUALS:
         return DEFAULT_SCALE
     residual, weight = residual_px[known], inverse(covariance_px2[known] + 1e-8 * np.eye(2))
     squared = np.einsum("ni,nij,nj->n", residual, weight, residual)
@@ -54,7 +54,7 @@ def shared_variance(xy_px: Float64, residual_px: Float64, window_px: int, neighb
     """
     radial = np.hypot(residual_px[:, 0], residual_px[:, 1])
     known = radial[np.isfinite(radial)]
-    if len(known) < MIN_POINTS:
+    if len(known) < MIN_RESIDUALS:
         return 0.0
     windows = len(np.unique(np.floor(xy_px / window_px).astype(np.intp), axis=0))
     independent = max(1.0, windows * min(1.0, neighbours / len(xy_px)))
@@ -407,7 +407,7 @@ def calibrate(
     if window_variance_px2 is not None and len(points):
         formal_px2 = float(np.median(np.trace(points.covariance_px2, axis1=1, axis2=2))) / 2
         by_windows = window_variance_px2 / max(formal_px2, 1e-8)
-        known = own if np.isfinite(residual).all(axis=1).sum() >= MIN_POINTS else 0.0
+        known = own if np.isfinite(residual).all(axis=1).sum() >= MIN_RESIDUALS else 0.0
         scale = float(np.clip(np.sqrt(known * scale**2 + (1 - known) * by_windows), *SCALE_RANGE))
     covariance = calibrated(points.covariance_px2, scale, shared_variance_px2)
     return replace(points, covariance_px2=covariance)

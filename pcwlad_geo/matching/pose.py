@@ -22,7 +22,7 @@ from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
 from pcwlad_geo.matching.shift_search import Patches, normalised_channels, patches_against_chance
 from pcwlad_geo.types import Bool, Float32, Float64
 
-CELLS: Final = 112
+CORRELATION_CELLS: Final = 112
 """Longer side of the larger image, in cells of the correlation."""
 PIXELS_PER_CELL: Final = 3.0
 """Channels are computed at so many pixels a cell and averaged: they tolerate the steps of the search."""
@@ -204,9 +204,9 @@ class _Image:
 
     def _level(self, side_cells: float) -> tuple[Float32, Float32, Float64]:
         """Return channels, usable px and the (3, 3) matrix from px, at the nearest half octave."""
-        step = round(2 * math.log2(side_cells / CELLS))
+        step = round(2 * math.log2(side_cells / CORRELATION_CELLS))
         if step not in self._levels:
-            factor = min(1.0, PIXELS_PER_CELL * CELLS * 2 ** (step / 2) / self.side_px)
+            factor = min(1.0, PIXELS_PER_CELL * CORRELATION_CELLS * 2 ** (step / 2) / self.side_px)
             values, valid, to_map = _shrunk(self.values, self.valid, factor)
             channels, usable = normalised_channels(values, valid)
             maps = np.einsum("rco,ho->hrc", channels, _HARMONICS / ORIENTATIONS)
@@ -222,7 +222,7 @@ class _Scan:
     fixed: _Image
     from_target: bool
     """Whether the target is the moving image."""
-    cells: int = CELLS
+    cells: int = CORRELATION_CELLS
     """Longer side of the fixed image, cells."""
 
     def everywhere(self, scales: tuple[float, float]) -> Iterator[_Trial]:

@@ -13,7 +13,12 @@ from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, JobLog, Progress, only_warnings
 from pcwlad_geo.execution.runner import Runner
-from pcwlad_geo.matching.epipolar import MIN_POINTS, epipolar_evidence, on_their_lines, parallax_evidence
+from pcwlad_geo.matching.epipolar import (
+    MIN_EPIPOLAR_MATCHES,
+    epipolar_evidence,
+    on_their_lines,
+    parallax_evidence,
+)
 from pcwlad_geo.matching.field import Prediction, Surface, predict
 from pcwlad_geo.matching.guidance import (
     MIN_FOR_FIELD,
@@ -256,7 +261,7 @@ def _by_geometry(
         return kept, verdict, False
     found = on_their_lines(matches)
     significance = epipolar_evidence(matches, window_px, prealignment.search_radius_px) + prealignment.odds
-    if not verdict.accepted and found.sum() >= MIN_POINTS and significance >= MIN_SIGNIFICANCE:
+    if not verdict.accepted and found.sum() >= MIN_EPIPOLAR_MATCHES and significance >= MIN_SIGNIFICANCE:
         verdict = replace(verdict, accepted=True, reason=None, significance=significance, beyond=None)
     return found, verdict, True
 

@@ -41,7 +41,7 @@ Status = Literal["corrected", "rejected", "unusable", "failed"]
 
 CAPTURE_TAG: Final = "PCWLAD_GEO_CAPTURE"
 """Tag of a raster with the name of its capture."""
-CELLS: Final = 160
+MEASURED_PLACES: Final = 160
 """Number of places that are measured in every lens."""
 WINDOW_PX: Final = 61
 """Side of the window of a place."""
@@ -296,7 +296,7 @@ def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed
             continue
         if best is None or placed.points > best.points:
             best = placed
-        if placed.points > 0.6 * CELLS * (len(values) - 1):
+        if placed.points > 0.6 * MEASURED_PLACES * (len(values) - 1):
             break
     if best is None:
         raise BadCaptureError(reasons[0])
@@ -397,7 +397,7 @@ def textured(values: Float32, valid: Bool, window_px: int, *, between: bool = Fa
     cells lie between the usual ones.
     """
     rows, cols = values.shape
-    side = max(8.0, math.sqrt(rows * cols / CELLS))
+    side = max(8.0, math.sqrt(rows * cols / MEASURED_PLACES))
     begin = side / 2 * between
     response = cv2.cornerMinEigenVal(cv2.GaussianBlur(values, (0, 0), 1.0), 9)
     kernel = np.ones((window_px, window_px), np.uint8)

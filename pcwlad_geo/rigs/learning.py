@@ -65,7 +65,7 @@ AGREE_PX: Final = 2.5
 """Distance within which they agree, px of the small frames."""
 MIN_OVERLAPPING: Final = 25
 """Least number of features that agree on how two captures overlap."""
-MIN_POINTS: Final = 20
+MIN_LENS_POINTS: Final = 20
 """Least number of tie points of a lens in a capture."""
 FOCAL_SIGMA: Final = (0.01, 0.15)
 """Expected relative deviation of the focal length: where the frame tells it, and elsewhere."""
@@ -378,7 +378,7 @@ def match_task(task: _Task) -> Observations | None:
     """Return what a lens sees of its reference; None where too few points are found."""
     images = [read_frame(each.path, each.shape) for each in (task.reference, task.seen)]
     found = _matched_here(task, *images)
-    if found is None or len(found[0]) < MIN_POINTS:
+    if found is None or len(found[0]) < MIN_LENS_POINTS:
         return None
     reference_px, seen_px, sigma_px = found
     capture, pose, lens = (np.full(len(reference_px), k) for k in (task.capture, task.pose, task.lens))
@@ -599,7 +599,7 @@ def _wander(found: Adjusted, seen: Observations, lenses: int) -> float:
     for capture in np.unique(seen.capture):
         for lens in range(1, lenses):
             some = found.kept & (seen.capture == capture) & (seen.pose == lens)
-            if some.sum() >= MIN_POINTS:
+            if some.sum() >= MIN_LENS_POINTS:
                 offs.append(np.median(found.residual_px[some], axis=0))
     return float(np.clip(np.sqrt(np.mean(np.square(offs))) if offs else 0.05, 0.02, 1.0))
 

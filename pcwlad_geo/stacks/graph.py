@@ -31,7 +31,7 @@ MIN_OVERLAP: Final = 0.1
 """Least common ground of a pair, as a share of the smaller image."""
 LOOK_PX: Final = 128
 """Side of a quick look, px."""
-CELLS: Final = 64
+OVERLAP_CELLS: Final = 64
 """The common ground of all images is compared at so many places along each axis."""
 MIN_CELLS: Final = 64
 """Least number of common places at which quick looks are compared."""
@@ -127,7 +127,7 @@ def _likeness(frame: Frame, looks: Sequence[Float64 | None]) -> Float64:
     """Return the (images, images) correlation of the quick looks on common ground; 0.5 where unknown."""
     corners = [frame.from_image(number, info.grid.boundary_px()) for number, info in enumerate(frame.infos)]
     low, high = np.min(np.vstack(corners), axis=0), np.max(np.vstack(corners), axis=0)
-    step = (np.arange(CELLS) + 0.5) / CELLS
+    step = (np.arange(OVERLAP_CELLS) + 0.5) / OVERLAP_CELLS
     at = low + np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2) * (high - low)
     seen = np.stack([_sampled(frame, number, look, at) for number, look in enumerate(looks)])
     valid = np.isfinite(seen)

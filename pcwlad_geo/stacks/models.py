@@ -13,9 +13,8 @@ import numpy as np
 from pcwlad_geo.correction.models import PolynomialBasis, ProjectiveCorrection
 from pcwlad_geo.correction.selection import MIN_GAIN_PX, RESAMPLING_SIGNIFICANCE
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN
 from pcwlad_geo.estimation.solving import inverse
-from pcwlad_geo.matching.epipolar import MIN_POINTS, EpipolarGeometry, plane_of
+from pcwlad_geo.matching.epipolar import MIN_EPIPOLAR_MATCHES, EpipolarGeometry, largest_distance_px, plane_of
 from pcwlad_geo.stacks.adjustment import Adjustment, adjust
 from pcwlad_geo.stacks.network import (
     BLOCKS,
@@ -46,12 +45,6 @@ ROUNDS: Final = 8
 """Largest number of Gauss-Newton steps."""
 STILL_PX: Final = 1e-4
 """They end where no corner of a frame moves by more."""
-TOLERANCE_PX: Final = 1.0
-"""Largest distance of a tie point from its epipolar line."""
-LEAST_TOLERANCE_PX: Final = 0.25
-"""Least limit of that distance."""
-SCATTERS: Final = 5.0
-"""That limit, in robust scatters of the points about their lines."""
 LEAST: Final = 6
 """Least number of tie points of a homography."""
 HOMOGRAPHY: Final = "projective"
@@ -102,8 +95,7 @@ def on_epipolar_lines(edge: Edge) -> Edge | None:
     if geometry is None:
         return None
     off = np.abs(geometry.distance_px(edge.first_xy, edge.second_xy))
-    limit = np.clip(SCATTERS * SIGMA_OF_MEDIAN * float(np.median(off)), LEAST_TOLERANCE_PX, TOLERANCE_PX)
-    good: Bool = off <= limit
+    good: Bool = off <= largest_distance_px(off)
     if good.mean() < 0.5:
         return None
     return replace(
@@ -119,7 +111,7 @@ def or_homographies(
     Beside a model that is more flexible they are the image of flat ground, and are taken unless they leave
     more than twice its squares. Parameters and errors are those of `homographies`.
     """
-    if min(len(edge) for edge in edges) < MIN_POINTS:
+    if min(len(edge) for edge in edges) < MIN_EPIPOLAR_MATCHES:
         return found
     try:
         projective = homographies(edges, images, datum=datum, apart=apart)

@@ -39,7 +39,7 @@ PAIRS: Final = "pairs"
 """Folder of the pairs that were measured."""
 SMALL_TILES: Final = 4
 """Pairs of so many tiles or fewer are matched as a whole, several at a time."""
-MIN_POINTS: Final = 12
+MIN_PAIR_POINTS: Final = 12
 """Least number of tie points of a pair."""
 MIN_CONTROL: Final = 4
 """Least number of control points of an image."""
@@ -177,7 +177,7 @@ def measured_pair(
         reason = str(report.get("reason")) if report.get("status") == "rejected" else None
         edge = edge_of(frame, *pair, place) if reason is None else None
     if edge is None:
-        reason = reason or f"fewer than {MIN_POINTS} tie points"
+        reason = reason or f"fewer than {MIN_PAIR_POINTS} tie points"
         on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
     status: PairStatus = "refused" if edge is None else "used"
     found = StackPair(*names, status, reason, place, motions=_motions_of(report, place))
@@ -322,7 +322,7 @@ def edge_of(frame: Frame, one: int, other: int, place: Path) -> Edge | None:
     covariance = np.einsum("nab,nb,ncb->nac", scale, sigma_px**2, scale)
     first, second = frame.from_image(one, reference_px), frame.from_image(other, target_px)
     known = np.isfinite(np.column_stack([first, second])).all(axis=1)
-    if known.sum() < MIN_POINTS:
+    if known.sum() < MIN_PAIR_POINTS:
         return None
     first, second = first[known], second[known]
     places = len(np.unique(np.floor(first / PLACE_PX), axis=0))

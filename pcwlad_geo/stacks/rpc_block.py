@@ -37,7 +37,7 @@ STILL_PX: Final = 0.1
 """They are not, once the DEM moves by less, its px."""
 REWEIGHTED: Final = 5
 """Number of times that the points are weighted anew by how far they lie off."""
-CELLS: Final = 5
+GROUND_CELLS: Final = 5
 """The ground is divided into so many cells along each axis, which are left out in turn: fewer where they
 would be smaller than a pixel of the DEM, whose error neighbours would share."""
 MIN_CELLS: Final = 6
@@ -735,14 +735,14 @@ def _cells(dem: Dem | None, frame: Grid, sights: Sequence[Sight]) -> list[Index]
     every = np.concatenate([sight.ground_px for sight in sights])
     low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
     size = np.maximum(high - low, 1e-9)
-    count = np.full(2, CELLS)
+    count = np.full(2, GROUND_CELLS)
     if dem is not None:
         rate = inverse(jacobian(frame.middle_px, frame, dem.grid)[0])
-        count = np.clip(size / np.abs(rate).max(axis=1), 1, CELLS).astype(np.intp)
+        count = np.clip(size / np.abs(rate).max(axis=1), 1, GROUND_CELLS).astype(np.intp)
     found = []
     for sight in sights:
         place = np.clip(np.nan_to_num((sight.ground_px - low) / size) * count, 0, count - 1).astype(np.intp)
-        found.append(place[:, 1] * CELLS + place[:, 0])
+        found.append(place[:, 1] * GROUND_CELLS + place[:, 0])
     return found
 
 
