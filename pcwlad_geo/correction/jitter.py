@@ -58,7 +58,7 @@ class Peak:
     """Whether it is jitter: chance is below one in a thousand."""
 
 
-def seen_share(period_px: float, footprint_px: float) -> float:
+def visible_share(period_px: float, footprint_px: float) -> float:
     """Return the share of the amplitude of a wave that is left of it in means over windows."""
     return float(np.sinc(footprint_px / period_px))
 
@@ -129,7 +129,7 @@ def _peak(
     best = frequency[index] + np.linspace(-1, 1, 41) / (OVERSAMPLED * extent)
     sharp = _power(at_px[:, along], values, best)
     period = float(1.0 / best[np.argmax(sharp)])
-    share = seen_share(period, footprint_px)
+    share = visible_share(period, footprint_px)
     count = len(values)
     amplitude = 2.0 * np.sqrt(max(float(sharp.max()) - noise[index], 0.0)) / count
     sigma = np.sqrt(2.0 * noise[index]) / count
@@ -206,7 +206,7 @@ def _terms(
     place = at_px - centre_px
     columns = [np.ones(len(at_px)), *(place / RADIUS_PX).T]
     for along, period in waves:
-        phase, share = 2 * np.pi * place[:, along] / period, seen_share(period, footprint_px)
+        phase, share = 2 * np.pi * place[:, along] / period, visible_share(period, footprint_px)
         columns += [share * np.cos(phase), share * np.sin(phase)]
     return np.stack(columns, axis=1)
 
@@ -221,11 +221,11 @@ def _correction(
 ) -> JitterCorrection:
     slopes = parameters_px[1:3].T / RADIUS_PX
     matrix = np.column_stack([np.eye(2) + slopes, parameters_px[0] - slopes @ centre_px])
-    made = tuple(
+    fitted = tuple(
         JitterWave(ALONG[along], period, float(centre_px[along]), parameters_px[3 + 2 * k : 5 + 2 * k])
         for k, (along, period) in enumerate(waves)
     )
-    return JitterCorrection(AffineCorrection("affine", matrix), made)
+    return JitterCorrection(AffineCorrection("affine", matrix), fitted)
 
 
 BINS: Final = 48

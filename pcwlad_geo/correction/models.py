@@ -415,13 +415,13 @@ def from_json(model: Mapping[str, Any]) -> Correction:
     try:
         name, forward = str(model["name"]), model["forward"]
         kind = forward["type"]
-        made = _READERS[kind](name, forward)
+        correction = _READERS[kind](name, forward)
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(
             f"this is no correction model ({type(error).__name__}: {error}): give the entry 'model' of the "
             "report.json of a finished registration"
         ) from error
-    return made
+    return correction
 
 
 def _affine(name: str, forward: Mapping[str, Any]) -> Correction:

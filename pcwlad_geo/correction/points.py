@@ -99,15 +99,15 @@ def agreement(predicted_px: Float64, observed_px: Float64, sigma_px: Float64 | N
     own = np.zeros(n) if sigma_px is None else np.nan_to_num(sigma_px)
     kept = np.ones(n, bool)
     for _ in range(AGREEMENT_ROUNDS):
-        apart_px = _apart(predicted_px, residual_px, kept)
-        size_px = np.linalg.norm(apart_px, axis=1)
+        difference_px = _from_neighbours(predicted_px, residual_px, kept)
+        size_px = np.linalg.norm(difference_px, axis=1)
         scatter_px = axis_sigma(size_px[kept])
         again = size_px <= np.maximum(np.maximum(SCATTERS * scatter_px, SIGMAS * own), MIN_PX)
         if (again == kept).all() or again.sum() < MIN_COMPARED_POINTS:
             break
         kept = again
     # The median of k neighbours has a variance of its own, π/2k of a point's.
-    per_axis_px = sigma_of(apart_px[kept])
+    per_axis_px = sigma_of(difference_px[kept])
     neighbours = min(AGREEMENT_NEIGHBOURS, int(kept.sum()) - 1)
     sigma = per_axis_px / np.sqrt(1 + np.pi / (2 * neighbours))
     return Agreement(kept, linear, max(float(sigma), MIN_PX), unexplained)
@@ -127,7 +127,7 @@ def _about_the_trend(predicted_px: Float64, observed_px: Float64) -> tuple[Float
     return observed_px - basis @ found, found[1:].T / scale_px
 
 
-def _apart(xy_px: Float64, residual_px: Float64, kept: Bool) -> Float64:
+def _from_neighbours(xy_px: Float64, residual_px: Float64, kept: Bool) -> Float64:
     """Return (n, 2) residuals less the median of those of the nearest kept neighbours."""
     index = np.flatnonzero(kept)
     k = min(AGREEMENT_NEIGHBOURS, len(index) - 1)

@@ -600,10 +600,10 @@ def _validated_stiffness(task: _Task, start_px: Float64, footprint_px: float, xy
         right = system.design.T @ (kept[:, None] * values)
         for step, stiffness in enumerate(finer):
             factor = system.factor(normal, trials.smoothing(stiffness))
-            made = system.design[test] @ factor.solve(right)
-            missed = ((task.rest_px[test] - made[:, :2]) ** 2).sum(axis=1)
+            predicted = system.design[test] @ factor.solve(right)
+            missed = ((task.rest_px[test] - predicted[:, :2]) ** 2).sum(axis=1)
             # 2 of the covariance, of 2 axes
-            flattery = 4 * (signs[test] * made[:, 2:]).mean(axis=1)
+            flattery = 4 * (signs[test] * predicted[:, 2:]).mean(axis=1)
             missed += errors.alpha * errors.scale * flattery
             scores[step] += float((precision[test] * missed).sum())
     return finer[int(np.argmin(scores))]

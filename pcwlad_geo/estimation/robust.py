@@ -29,9 +29,9 @@ TOLERANCE_PX: Final = 1e-7
 """The reweighting ends where the fit changes by less than this at every point."""
 ITERATIONS: Final = 50
 """Largest number of reweighted fits."""
-LIVELY_STEPS: Final = 10
+UNDAMPED_STEPS: Final = 10
 """Number of steps after which weights are averaged with the old ones, so that all of them converge."""
-CALM_SHARE: Final = 0.5
+DAMPING: Final = 0.5
 """Share of the new weights in that average."""
 COARSE_STEPS: Final = 10
 """Number of steps, after a start from a simpler model, in which τ² comes from the median of the residuals."""
@@ -177,7 +177,7 @@ def reweighted(
             floor = _variance_floor(principal, variance, MEDIAN_CHI2 * left, median=True)
         else:
             floor = _variance_floor(principal[inlier], variance[inlier], 2 * left, median=False)
-        share = 1.0 if step < LIVELY_STEPS else CALM_SHARE
+        share = 1.0 if step < UNDAMPED_STEPS else DAMPING
         weight = (1 - share) * weight + share * biweight(
             _squared(principal, variance + floor), REJECTION_SIGMA
         )

@@ -44,7 +44,7 @@ LARGE_SHARE: Final = 0.05
 SEVERAL_DEPTHS: Final = 0.25
 """Least share of these with another parallax than the median one: clouds that moved have one and the same."""
 CELL_PER_WINDOW: Final = 0.75
-"""Side of the cells that count as independent witnesses, in window sides."""
+"""Side of the cells that count as independent, in window sides."""
 CHANCE_FACTOR: Final = 2.0
 """Factor on the chance of agreement, as matches of unrelated images are not uniform over the search."""
 _SEED: Final = 1
@@ -266,8 +266,8 @@ def _supported(points: TiePoints, on_line: Bool) -> Bool:
         return result
     xy, moved = points.reference_xy_px[index], points.displacement_px[index]
     _, neighbours = cKDTree(xy).query(xy, k=min(NEIGHBOURS + 1, len(index)))
-    apart = np.linalg.norm(moved[neighbours[:, 1:]] - moved[:, None], axis=2)
-    result[index] = (apart < NARROW_PX).sum(axis=1) >= SUPPORT
+    distance = np.linalg.norm(moved[neighbours[:, 1:]] - moved[:, None], axis=2)
+    result[index] = (distance < NARROW_PX).sum(axis=1) >= SUPPORT
     return result
 
 

@@ -250,19 +250,19 @@ class _Search:
     """(n, k) distances of the points found, px."""
     index: Index
     """(n, k) indices of the points found."""
-    apart_px: float
+    excluded_px: float
     """Points nearer than this do not count."""
     nearer: int
     """Largest number of such points at a place."""
 
     @staticmethod
-    def of(tree: cKDTree, at: Float64, count: int, apart_px: float = 0.0) -> _Search:
+    def of(tree: cKDTree, at: Float64, count: int, excluded_px: float = 0.0) -> _Search:
         """Search the nearest `count` points that count."""
         at, nearer = np.ascontiguousarray(at, np.float64), 0
-        if apart_px and tree.n > 1 and len(at):
-            nearer = int(tree.query_ball_point(at, apart_px, return_length=True).max())
+        if excluded_px and tree.n > 1 and len(at):
+            nearer = int(tree.query_ball_point(at, excluded_px, return_length=True).max())
         distance, index = tree.query(at, k=np.arange(1, min(tree.n, count + nearer) + 1))
-        return _Search(tree, at, distance, index.astype(np.intp), apart_px, nearer)
+        return _Search(tree, at, distance, index.astype(np.intp), excluded_px, nearer)
 
     def typical_count(self, radius_px: float) -> float:
         """Return the median number of points within a radius of the places; 1 if there is no place."""
@@ -274,8 +274,8 @@ class _Search:
         reach = min(self.tree.n, surface.count + self.nearer)
         index = np.ascontiguousarray(self.index[:, :reach])
         usable = np.ones(index.shape, bool)
-        if self.apart_px:
-            usable = self.distance[:, :reach] >= self.apart_px
+        if self.excluded_px:
+            usable = self.distance[:, :reach] >= self.excluded_px
             usable &= np.cumsum(usable, axis=1) <= surface.count
         n = len(self.at)
         out, slope = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)

@@ -181,8 +181,8 @@ def guide_by_field(
         return FieldGuide(everywhere, nowhere, surface, 0.0, one_way)
     predicted = predict(xy, moved, xy, surface)
     rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
-    apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
-    structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
+    pulled = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
+    structure = np.where((rough | pulled)[:, None], np.nan, predicted.displacement_px)
     shared = shared_variance(xy, choice.residual_px, settings.window, surface.count)
     return FieldGuide(_local(everywhere, predicted, reach), structure, surface, shared, one_way)
 
@@ -415,7 +415,7 @@ def calibrate(
 
 SAME_ROWS_PX: Final = 4.0
 """Windows whose rows are less apart lie on the same rows."""
-APART_PX: Final = 90.0
+DISJOINT_PX: Final = 90.0
 """Windows of 61 px that are farther apart along the rows share no pixel."""
 LONGEST: Final = 4.0
 """Longer residuals, in the median of all, are cut to that."""
@@ -425,26 +425,26 @@ CLEAR_JITTER: Final = 5.0
 """What they share is jitter beyond so many standard errors; without any it was 3 at most."""
 
 
-def jitter_px(xy_px: Float64, beside_px: Float64) -> float:
+def jitter_px(xy_px: Float64, difference_px: Float64) -> float:
     """Return by how much rows and columns move within a window, RMS, px; 0 where that may be chance.
 
-    The n points have (n, 2) positions `xy_px` (col, row); the (2, n, 2) `beside_px` are their displacements
-    by windows of few rows, then of few columns, less those by whole windows; NaN for failures. Errors of
-    windows are their own, except for what those of the same rows, far along them, share.
+    The n points have (n, 2) positions `xy_px` (col, row); the (2, n, 2) `difference_px` are their
+    displacements by windows of few rows, then of few columns, less those by whole windows; NaN for failures.
+    Errors of windows are their own, except for what those of the same rows, far along them, share.
     """
-    return float(np.hypot(_shared(xy_px, beside_px[0], 1), _shared(xy_px, beside_px[1], 0)))
+    return float(np.hypot(_shared(xy_px, difference_px[0], 1), _shared(xy_px, difference_px[1], 0)))
 
 
-def _shared(xy_px: Float64, beside_px: Float64, across: int) -> float:
-    known = np.isfinite(beside_px).all(axis=1)
+def _shared(xy_px: Float64, difference_px: Float64, across: int) -> float:
+    known = np.isfinite(difference_px).all(axis=1)
     if np.count_nonzero(known) < 2:
         return 0.0
-    left = beside_px[known] - np.median(beside_px[known], axis=0)
+    left = difference_px[known] - np.median(difference_px[known], axis=0)
     size = np.linalg.norm(left, axis=1)
     left *= huber(np.maximum(size, 1e-9), LONGEST * np.median(size))[:, None]
-    apart = np.abs(xy_px[known, None] - xy_px[known])
+    distance = np.abs(xy_px[known, None] - xy_px[known])
     first, second = np.nonzero(
-        np.triu((apart[..., across] < SAME_ROWS_PX) & (apart[..., 1 - across] > APART_PX))
+        np.triu((distance[..., across] < SAME_ROWS_PX) & (distance[..., 1 - across] > DISJOINT_PX))
     )
     if len(first) < MIN_JITTER_PAIRS:
         return 0.0

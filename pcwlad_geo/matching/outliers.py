@@ -39,16 +39,16 @@ ROUNDS: Final = 6
 """Largest number of repetitions of each test, which ends when no further match is removed."""
 CONFIRMING: Final = 3
 """Number of neighbours that confirm an inconsistent match."""
-AS_NEAR: Final = 0.2
+CONFIRMING_SHARE: Final = 0.2
 """They differ from it by less than this share of its distance from the prediction."""
-THE_SAME: Final = 0.05
+EQUAL_SHARE: Final = 0.05
 """Neighbours however near confirm it if they differ by less than this share."""
 CELLS_AROUND: Final = 8
 """Number of nearest cells, other than its own, that a match is compared with."""
 
-APART_PX: Final = 3.0
+CONTRADICTION_PX: Final = 3.0
 """Least distance of a cluster from what the others predict."""
-APART_SCATTERS: Final = 6.0
+CONTRADICTION_SCATTERS: Final = 6.0
 """The same, in scatters per axis of the others about their own prediction: the parts of a rough displacement
 field all differ, and none of them is a contradiction."""
 MIN_CLUSTER: Final = 6
@@ -124,11 +124,11 @@ def confirmed(
         return np.zeros(len(index), bool)
     distance, near = cKDTree(xy_px).query(xy_px[index], k=min(NEIGHBOURS + 1, len(xy_px)))
     own = displacement_px[index]
-    apart = np.linalg.norm(displacement_px[near[:, 1:]] - own[:, None], axis=2)
+    difference = np.linalg.norm(displacement_px[near[:, 1:]] - own[:, None], axis=2)
     off = np.linalg.norm(own - predicted_px, axis=1)
-    nearer = apart < AS_NEAR * off[:, None]
+    nearer = difference < CONFIRMING_SHARE * off[:, None]
     confirms = (nearer & (distance[:, 1:] >= window_px / 4)).sum(axis=1) >= CONFIRMING
-    return np.asarray(confirms | ((apart < THE_SAME * off[:, None]).sum(axis=1) >= CONFIRMING))
+    return np.asarray(confirms | ((difference < EQUAL_SHARE * off[:, None]).sum(axis=1) >= CONFIRMING))
 
 
 def _one_round(xy: Float64, displacement: Float64, sigma: Float64, kept: Bool, narrow: bool) -> Bool:
@@ -246,14 +246,14 @@ def _against_all_others(
         left = displacement - _trend(xy, displacement, ~inside, order)
         offset = np.median(left[inside], axis=0)
         size = float(np.hypot(*offset))
-        if size <= _limit_px(left, ~inside, unit_px) or not _stands_alone(left, inside, edges, offset, size):
+        if size <= _limit_px(left, ~inside, unit_px) or not _is_isolated(left, inside, edges, offset, size):
             return None
         if found is None or size < np.hypot(*found.offset_px):
             found = Cluster(np.flatnonzero(inside), offset)
     return found
 
 
-def _stands_alone(left: Float64, inside: Bool, edges: Index, offset: Float64, size: float) -> bool:
+def _is_isolated(left: Float64, inside: Bool, edges: Index, offset: Float64, size: float) -> bool:
     """Whether the matches inside are off by one and the same amount, and those next to them are not."""
     if np.median(_length(left[inside] - offset)) > ALIKE * size:
         return False
@@ -306,7 +306,7 @@ def _trend(xy: Float64, displacement: Float64, used: Bool, order: int) -> Float6
 
 def _limit_px(left: Float64, used: Bool, unit_px: float) -> float:
     """Return how far a match must lie off the trend to contradict it."""
-    return max(APART_PX * unit_px, APART_SCATTERS * axis_sigma(_length(left[used])))
+    return max(CONTRADICTION_PX * unit_px, CONTRADICTION_SCATTERS * axis_sigma(_length(left[used])))
 
 
 def _length(vectors: Float64) -> Float64:

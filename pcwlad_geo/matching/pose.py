@@ -332,7 +332,9 @@ def search_pose(
         return None
     best, rival = ranked[0], ranked[1].score if len(ranked) > 1 else 0.0
     stands_out = EVIDENCE_PER_RATIO * (best.score / rival - 1) if rival > 0 else MAX_EVIDENCE
-    return _voted(first, second, PoseProposal(best.matrix[:2], best.score, min(stands_out, MAX_EVIDENCE)))
+    return _moved_to_consensus(
+        first, second, PoseProposal(best.matrix[:2], best.score, min(stands_out, MAX_EVIDENCE))
+    )
 
 
 def mean_distance_px(first: Float64, second: Float64, shape: tuple[int, ...]) -> float:
@@ -354,8 +356,8 @@ def _distinct(trials: Iterable[_Trial], shape: tuple[int, ...]) -> list[_Trial]:
     """Return the best trials that differ, the best first."""
     chosen: list[_Trial] = []
     for trial in sorted(trials, key=lambda each: -each.score):
-        apart = DISTINCT * max(shape) * _scale_of(trial.matrix)
-        if all(mean_distance_px(trial.matrix, other.matrix, shape) > apart for other in chosen):
+        distinct_px = DISTINCT * max(shape) * _scale_of(trial.matrix)
+        if all(mean_distance_px(trial.matrix, other.matrix, shape) > distinct_px for other in chosen):
             chosen.append(trial)
         if len(chosen) == REFINED:
             break
@@ -414,7 +416,7 @@ def _mask_spectrum(known: Float32, size: int) -> Complex64:
     return np.asarray(scipy.fft.rfft2(blocks.sum(axis=(1, 3))), np.complex64)
 
 
-def _voted(reference: _Image, target: _Image, proposal: PoseProposal) -> PoseProposal:
+def _moved_to_consensus(reference: _Image, target: _Image, proposal: PoseProposal) -> PoseProposal:
     """Compare patches of both images, the target warped by a proposal, and move that to where they agree."""
     factor = min(1.0, proposal.scale, FRAME_PX / reference.side_px)
     values, valid, to_frame = _shrunk(reference.values, reference.valid, factor)

@@ -222,11 +222,11 @@ def by_pose_search(pair: ViewPair, overviews: Overviews, search_radius: int | No
     """
     expected, _ = expected_scale(pair.reference.info.camera, pair.target.info.camera)
     if expected is None or pair.georeferenced:
-        expected, glances = None, (overviews.reference, overviews.target)
+        expected, patches = None, (overviews.reference, overviews.target)
         factors = overviews.factor, overviews.factor
     else:  # each at its own resolution: the two may differ much
-        glances, factors = _glances(pair)
-    reference, target = glances
+        patches, factors = _overviews_of_each(pair)
+    reference, target = patches
     by_px = (expected or 1.0) * factors[0] / factors[1]
     found = search_pose(
         reference.values,
@@ -255,7 +255,7 @@ def by_pose_search(pair: ViewPair, overviews: Overviews, search_radius: int | No
         return None
 
 
-def _glances(pair: ViewPair) -> tuple[tuple[Patch, Patch], tuple[float, float]]:
+def _overviews_of_each(pair: ViewPair) -> tuple[tuple[Patch, Patch], tuple[float, float]]:
     """Return both views made small, each by itself, and the view px per px of each."""
     sides = [max(view.grid.shape) for view in (pair.reference, pair.target)]
     factors = [max(1.0, side / OVERVIEW_SIDE_PX) for side in sides]
@@ -431,12 +431,12 @@ def proposed_start(
     InputError
         If the matcher fails or returns something else, or a raster cannot be read.
     """
-    seen = [view.read_decimated(SIDE_PX) for view in (pair.reference, pair.target)]
-    reference_xy, target_xy = _found(matcher, name, [_grey(patch) for patch, _ in seen])
+    decimated = [view.read_decimated(SIDE_PX) for view in (pair.reference, pair.target)]
+    reference_xy, target_xy = _found(matcher, name, [_grey(patch) for patch, _ in decimated])
     if len(reference_xy) < MIN_INLIERS:
         return None
     # from array indices of the images to corner-based px of the views
-    (_, factor_reference), (_, factor_target) = seen
+    (_, factor_reference), (_, factor_target) = decimated
     points = [
         (xy + 0.5) * factor for xy, factor in ((reference_xy, factor_reference), (target_xy, factor_target))
     ]

@@ -180,11 +180,11 @@ class _FirstPass:
 
     def without(self, found: Index) -> _FirstPass:
         """Return the pass with those lost candidates struck off that were `found` later."""
-        struck = np.zeros(len(self.lost), bool)
-        struck[found] = True
+        is_found = np.zeros(len(self.lost), bool)
+        is_found[found] = True
         results = []
         for tile, result in enumerate(self.results):
-            gone = struck[self.lost_tile_of == tile]
+            gone = is_found[self.lost_tile_of == tile]
             fewer = np.bincount(result.lost.outcome[gone], minlength=len(OUTCOMES)).tolist()
             counts = {
                 name: count - (fewer[OUTCOMES.index(name)] if name in OUTCOMES else 0)
@@ -455,7 +455,9 @@ def _scales(
     workers = [first.workers[tile] for tile in tiles[chosen]]
     on_event = partial(only_warnings, log.on_event)  # the progress is no stage's own
 
-    def seen(compare: Callable[..., Float64], sample: Sequence[Index], *windows_px: Sequence[int]) -> Float64:
+    def measured(
+        compare: Callable[..., Float64], sample: Sequence[Index], *windows_px: Sequence[int]
+    ) -> Float64:
         calls = [
             (first.jobs[tile], points[some], guide.part(some), *windows_px)
             for tile, some in zip(tiles[chosen], sample, strict=True)
@@ -463,11 +465,11 @@ def _scales(
         moved = runner.run(compare, calls, "refining", on_event, workers).results
         return np.concatenate(moved, axis=1)
 
-    scales, errors = choose_scales(partial(seen, compare_windows, sample), settings)
+    scales, errors = choose_scales(partial(measured, compare_windows, sample), settings)
     more = [these[:: max(1, every // STRIPES)] for these in inside]
-    told = np.concatenate(more)
-    beside_px = seen(compare_stripes, more) - points.displacement_px[told]
-    return scales, errors, jitter_px(points.reference_xy_px[told], beside_px)
+    sampled = np.concatenate(more)
+    difference_px = measured(compare_stripes, more) - points.displacement_px[sampled]
+    return scales, errors, jitter_px(points.reference_xy_px[sampled], difference_px)
 
 
 def _predict_on(
@@ -669,8 +671,8 @@ def _of_the_ground(
         return matched
     if motions[0] is not usual:  # again, beyond the reach of the others
         best = motions[0][0]
-        apart_px = np.subtract([other.displacement_px for other, _ in motions[1:]], best.displacement_px)
-        radius_px = min(before.search_radius_px, max(2, int(np.hypot(*apart_px.T).min() / 3)))
+        separation_px = np.subtract([other.displacement_px for other, _ in motions[1:]], best.displacement_px)
+        radius_px = min(before.search_radius_px, max(2, int(np.hypot(*separation_px.T).min() / 3)))
         shift_px, evidence = best.displacement_px, best.significance
         around = replace(before, shift_px=shift_px, search_radius_px=radius_px, evidence=evidence)
         return replace(match_scene(pair, start.overviews, around, settings, log, runner), motions=motions)
