@@ -394,15 +394,15 @@ class FittedCorrection:
             )
         scratch = Scratch()
         place = scratch.folder / "warped.tif" if dst is None else Path(dst)
-        wishes: WarpOptions = {**output}
+        requested: WarpOptions = {**output}
         if dst is None:
-            wishes |= {"of": "GTiff", "co": ()}
-            if all(output.get(name) is None for name in GRID_OPTIONS):
-                wishes["grid"] = "reference-exact"
+            requested |= {"of": "GTiff", "co": ()}
+            if all(requested.get(name) is None for name in GRID_OPTIONS):
+                requested["grid"] = "reference-exact"
         with trusting(self.registration.settings.trust):
             done = finished(self.registration)
-            request, made = requested_output(done, wishes)
-            wanted = WarpOutput(done.reference_grid, request, made, resampling or done.resampling)
+            request, fmt = requested_output(done, requested)
+            wanted = WarpOutput(done.reference_grid, request, fmt, resampling or done.resampling)
             uri = scratch.file_of(self._placed(src), "array")
             apply(done, [uri], [place], wanted, False, overwrite, on_event)
         return place if dst is not None else like_the_source(read_raster(place), src)

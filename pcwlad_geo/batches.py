@@ -25,7 +25,7 @@ from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner, output_folder, register
 from pcwlad_geo.limits import BATCH_ROWS, check_count
-from pcwlad_geo.options import OF_THE_USER_ALONE, OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings, to_setting
+from pcwlad_geo.options import NOT_IN_TABLES, OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings, to_setting
 from pcwlad_geo.outputs.places import HOST, disk_errors, make_folders, seal
 from pcwlad_geo.outputs.stages import of_dead_processes
 from pcwlad_geo.products import products_found_once
@@ -45,7 +45,7 @@ COLUMNS: Final = (
     "target",
     "out_dir",
     *OUTPUT_OPTIONS,
-    *(name for name in SETTINGS if name not in OF_THE_USER_ALONE),
+    *(name for name in SETTINGS if name not in NOT_IN_TABLES),
 )
 """All columns that a table may have."""
 
@@ -140,7 +140,7 @@ def _columns(path: Path, header: list[str]) -> list[str]:
     if len(columns) == 1 and ";" in columns[0]:
         raise InputError(f"{path} is separated by semicolons: save it with commas")
     for name in columns:
-        if name in OF_THE_USER_ALONE and name not in RUNNING:
+        if name in NOT_IN_TABLES and name not in RUNNING:
             raise InputError(
                 f"{path}: '{name}' runs code, which no table may name: register such pairs alone"
             )
@@ -318,18 +318,18 @@ def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
     """
     text = csv_of([outcome.row() for outcome in outcomes])
     start = f".{path.name}.{HOST}-"
-    beside = path.with_name(f"{start}{os.getpid()}")
+    staged = path.with_name(f"{start}{os.getpid()}")
     with disk_errors(path):
         make_folders(path.parent)
         for left in of_dead_processes(path.parent, start):
             left.unlink(missing_ok=True)
         try:
-            beside.write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
-            seal(beside)
-            beside.replace(path)
+            staged.write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
+            seal(staged)
+            staged.replace(path)
         finally:
             with suppress(OSError):
-                beside.unlink(missing_ok=True)
+                staged.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -424,21 +424,21 @@ def batch(
     folder = batch_folder(pairs, out_dir)
     todo = read_pairs(pairs, folder, options)
     check_summary(folder / SUMMARY)
-    relay = _Relay(on_event)
+    events = _PairEvents(on_event)
     outcomes: list[PairOutcome] = []
     with (
         kept_summary(folder / SUMMARY, outcomes) as keep,
         open_job_runner(shared, executor, on_event) as runner,
     ):
         for number, pair in enumerate(todo):
-            relay(Progress("pairs", number, len(todo)))
+            events(Progress("pairs", number, len(todo)))
             with products_found_once():
-                outcome = (None if overwrite else _done_before(pair)) or _do(pair, overwrite, relay, runner)
+                outcome = (None if overwrite else _done_before(pair)) or _do(pair, overwrite, events, runner)
             outcomes.append(outcome)
             keep()
             if outcome.reason is not None:
-                relay(Warned(f"{pair.name}: {outcome.status}: {outcome.reason}"))
-    relay(Progress("pairs", len(todo), len(todo)))
+                events(Warned(f"{pair.name}: {outcome.status}: {outcome.reason}"))
+    events(Progress("pairs", len(todo), len(todo)))
     return BatchResult(tuple(outcomes), folder / SUMMARY)
 
 
@@ -447,7 +447,7 @@ def batch_folder(pairs: PathLike, out_dir: PathLike | None) -> Path:
     return Path(out_dir) if out_dir else Path(f"{Path(pairs).stem}_registered")
 
 
-class _Relay:
+class _PairEvents:
     """Forwards events, and distinguishes exceptions of the receiver from those of a pair."""
 
     def __init__(self, on_event: EventCallback) -> None:
@@ -468,7 +468,7 @@ class _Relay:
         )
 
 
-def _do(pair: Pair, overwrite: bool, relay: _Relay, runner: Runner) -> PairOutcome:
+def _do(pair: Pair, overwrite: bool, events: _PairEvents, runner: Runner) -> PairOutcome:
     options: dict[str, Any] = {field.name: getattr(pair.settings, field.name) for field in fields(Settings)}
     options |= pair.places
     try:
@@ -477,14 +477,14 @@ def _do(pair: Pair, overwrite: bool, relay: _Relay, runner: Runner) -> PairOutco
             pair.target,
             out_dir=pair.out_dir,
             overwrite=overwrite,
-            on_event=relay.of(pair),
+            on_event=events.of(pair),
             executor=runner,
             **options,
         )
     except RequirementError:
         return _registered(pair, read_report(pair.out_dir))
     except Exception as error:  # of any kind: the other pairs are processed nevertheless
-        if error is relay.raised:
+        if error is events.raised:
             raise
         return _not_done(pair, error)
     return _registered(pair, read_report(pair.out_dir))

@@ -188,18 +188,18 @@ def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:
             "where there are clouds"
         )
     bands = {match["name"]: (match, files[part]) for part in files if (match := _BAND_PART.fullmatch(part))}
-    made = {name: ProductBand(name, tree.uri(file)) for name, (_, file) in bands.items()}
-    order = sorted(made, key=lambda name: (int(bands[name][0]["number"][1:]), name))
+    found = {name: ProductBand(name, tree.uri(file)) for name, (_, file) in bands.items()}
+    order = sorted(found, key=lambda name: (int(bands[name][0]["number"][1:]), name))
     quality = files.get(_QUALITY[collection])
     level = f" {kind['level']}" if kind else ""
     return Product(
         path=str(tree.path),
         kind=f"Landsat Collection {int(collection)}{level}" if collection else "pre-Collection Landsat",
-        bands=tuple(made[name] for name in order),
+        bands=tuple(found[name] for name in order),
         mask=tree.uri(quality) if quality else None,
         missing=_missing(text, identifier, files),
         cirrus=() if kind and identifier[3] not in "89" else ("B9",),
-        aliases=_aliases(made, {name: match["number"] for name, (match, _) in bands.items()}),
+        aliases=_aliases(found, {name: match["number"] for name, (match, _) in bands.items()}),
     )
 
 
@@ -221,12 +221,12 @@ def _scenes(tree: FileTree) -> dict[str, dict[str, str]]:
     }
 
 
-def _aliases(made: dict[str, ProductBand], numbers: dict[str, str]) -> dict[str, ProductBand]:
+def _aliases(found: dict[str, ProductBand], numbers: dict[str, str]) -> dict[str, ProductBand]:
     """Return bands by number alone, B4 and B04 for SR_B4, except where two gains share a number."""
     aliases: dict[str, ProductBand] = {}
     for name, number in numbers.items():
         if list(numbers.values()).count(number) == 1:
-            aliases |= {number: made[name], f"B{int(number[1:]):02d}": made[name]}
+            aliases |= {number: found[name], f"B{int(number[1:]):02d}": found[name]}
     return aliases
 
 
@@ -597,6 +597,6 @@ def of_one_product(first: str, second: str) -> bool:
         return False
     if any(native_px_m(stem, None) for stem in stems):  # a name that is the scene's alone
         return True
-    folder, beside = (Path(plain_uri(uri)).parent for uri in (first, second))
+    folder, other_folder = (Path(plain_uri(uri)).parent for uri in (first, second))
     ends = ("txt", "json", "xml")
-    return folder == beside and any((folder / f"{one['scene']}_MTL.{end}").is_file() for end in ends)
+    return folder == other_folder and any((folder / f"{one['scene']}_MTL.{end}").is_file() for end in ends)

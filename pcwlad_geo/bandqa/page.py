@@ -168,11 +168,11 @@ def render(summary: Summary) -> str:
 
 def environment() -> Environment:
     """Return the templates of this package, everything escaped, with the filters for figures."""
-    made = templates_of("pcwlad_geo.bandqa")
-    made.filters["figure"] = figure
-    made.filters["signed"] = signed
-    made.filters["file_name"] = lambda path: Path(path).name
-    return made
+    environment = templates_of("pcwlad_geo.bandqa")
+    environment.filters["figure"] = figure
+    environment.filters["signed"] = signed
+    environment.filters["file_name"] = lambda path: Path(path).name
+    return environment
 
 
 def verdict(summary: Summary) -> str:

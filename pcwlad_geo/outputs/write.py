@@ -69,7 +69,7 @@ class BandOutput:
 
     grid: Grid
     resampling: str
-    made: OutputFormat
+    fmt: OutputFormat
     final_path: Path
     """Final path of the file."""
 
@@ -90,7 +90,7 @@ def warp_band(
         how.grid,
         how.resampling,
         target_grid=target_grid,
-        made=how.made,
+        fmt=how.fmt,
         final_path=how.final_path,
         progress=lambda done, total: on_event(Progress("warping", done, total)),
     )
@@ -108,7 +108,7 @@ def orthorectify_band(
         corrected,
         how.grid,
         how.resampling,
-        made=how.made,
+        fmt=how.fmt,
         progress=lambda done, total: on_event(Progress("warping", done, total)),
     )
     if warning is not None:
@@ -198,8 +198,8 @@ def _raster(job: Writing, path: Path) -> None:
     if grid is None:
         raise TypeError(f"a pair that is {registration.status} has no registered raster")
     target, settings = registration.target, registration.settings
-    made = OutputFormat.of(settings.of, settings.co)
-    how = BandOutput(grid, settings.resampling, made, job.places["raster"])
+    fmt = OutputFormat.of(settings.of, settings.co)
+    how = BandOutput(grid, settings.resampling, fmt, job.places["raster"])
     if registration.rpc is not None:
         orthorectify_band(target.uri, path, registration.rpc.corrected_grid, how, job.on_event)
     else:
@@ -338,9 +338,9 @@ def _write_files(
         if output.write is not None and output.is_of(registration):
             output.write(job, staged[output.kind])
             yield staged[output.kind]
-    made = OutputFormat.of(settings.of, settings.co)
+    fmt = OutputFormat.of(settings.of, settings.co)
     for (band, path), grid in zip(bands.items(), grids[1:], strict=True):
-        how = BandOutput(grid, settings.resampling, made, job.places["numbers"].with_name(path.name))
+        how = BandOutput(grid, settings.resampling, fmt, job.places["numbers"].with_name(path.name))
         correction, target = _correction(registration), registration.target.grid
         warp_band(band.opened_as(), path, correction, target, how, job.on_event)
         yield path

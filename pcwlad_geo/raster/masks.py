@@ -143,7 +143,7 @@ MIN_SUPPORT: Final = 0.6
 PROTRUSION_PX: Final = 6.0
 """Largest distance by which noise beside an edge may lie beyond a side, px beside one of the overview."""
 BLENDED_PX: Final = 1.5
-"""Width of the rim in which resampling has mixed data and collar, which counts as collar."""
+"""Width of the edge in which resampling has mixed data and collar, which counts as collar."""
 RARE: Final = 0.02
 """Share of the pixels among the data up to which a value is hardly ever data: one straight side will do."""
 MAX_COMMON: Final = 1 / 3
@@ -280,9 +280,9 @@ def _outline(solid: Bool) -> Float64:
 def _inner_sides(outline_px: Float64, shape: tuple[int, int]) -> Iterator[tuple[Float64, Float64]]:
     """Yield the ends of the longer sides of an outline that are not sides of the raster."""
     size = np.array(shape[::-1])
-    rim = max(1.0, max(shape) / COLLAR_OVERVIEW_PX)
+    edge_px = max(1.0, max(shape) / COLLAR_OVERVIEW_PX)
     for begin, end in pairwise(outline_px):
-        at_edge = (np.maximum(begin, end) <= rim) | (np.minimum(begin, end) >= size - rim)
+        at_edge = (np.maximum(begin, end) <= edge_px) | (np.minimum(begin, end) >= size - edge_px)
         if not at_edge.any() and np.hypot(*(end - begin)) >= MIN_SIDE * size.max():
             yield begin, end
 

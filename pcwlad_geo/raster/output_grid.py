@@ -170,7 +170,7 @@ class GridRequest:
     @property
     def needs_ground(self) -> bool:
         """Whether the request needs map coordinates."""
-        return any(wish is not None for wish in (self.like, self.pixel_size, self.extent, self.crs))
+        return any(option is not None for option in (self.like, self.pixel_size, self.extent, self.crs))
 
     def fixed(self, reference: Grid) -> Grid | None:
         """Return the grid if it does not depend on the raster, else None."""

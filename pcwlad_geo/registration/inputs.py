@@ -198,17 +198,17 @@ def check_output(reference: PathLike, target: PathLike, settings: Settings) -> N
     be read, lacks georeferencing that the grid needs, or lies far from that grid.
     """
     request = requested_grid(settings)
-    made = OutputFormat.of(settings.of, settings.co)
-    if request == GridRequest(settings.grid) and made == OutputFormat():
+    fmt = OutputFormat.of(settings.of, settings.co)
+    if request == GridRequest(settings.grid) and fmt == OutputFormat():
         return
     inputs = resolve(reference, target, settings)
     ref, tgt = _as_placed(describe(inputs.reference), describe(inputs.target), inputs.settings)
     ground = ground_grid(ref.grid)
     check_placed(request, {ref.uri: ref.georeferenced, tgt.uri: tgt.georeferenced}, ground)
-    if made.is_vrt and isinstance(tgt.grid, RpcGrid):
+    if fmt.is_vrt and isinstance(tgt.grid, RpcGrid):
         raise SettingsError("of = 'VRT': a VRT cannot hold the correction of an RPC; give --of COG or GTiff")
     check_near(request, ground, tgt.grid)
-    check_format(made, tgt.uri, request.fixed(ground) or (tgt.grid if request.mode == "target" else ground))
+    check_format(fmt, tgt.uri, request.fixed(ground) or (tgt.grid if request.mode == "target" else ground))
 
 
 def _as_placed(

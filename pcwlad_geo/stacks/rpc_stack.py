@@ -388,9 +388,11 @@ def _image(
     covariance = adjustment.covariance(number, at_px)
     rpc = None
     if placement is not None:
-        made = corrected_rpc(placement, correction)
+        corrected = corrected_rpc(placement, correction)
         vrt, text = rpc_names([frame.names[number]])
-        rpc = ImageRpc(made.origin, made.bias_error_px, vrt, text, made.corrected_grid.rpc, made)
+        rpc = ImageRpc(
+            corrected.origin, corrected.bias_error_px, vrt, text, corrected.corrected_grid.rpc, corrected
+        )
     return StackImage(
         **placed_values(frame, number, correction.forward(at_px) - at_px, covariance, used, 0),
         correction=correction,
@@ -451,8 +453,8 @@ def control_warnings(placed: PlacedImages, pairs: Sequence[BlockPair], found: Bl
 
 def output_grid_of(placed: PlacedImages, settings: Settings) -> Grid:
     """Return the grid on which all images are written."""
-    made = OutputFormat.of(settings.of, settings.co)
-    if made.is_vrt:
+    fmt = OutputFormat.of(settings.of, settings.co)
+    if fmt.is_vrt:
         raise SettingsError("of = 'VRT': a VRT cannot hold an orthorectified image; give --of COG or GTiff")
     if settings.grid == "target":
         raise SettingsError("grid = 'target': the pixels of an image with RPC are no grid on the ground")
@@ -466,15 +468,15 @@ def write_images(
 
     The files will lie in `folder`, wherever `found` says that they are made.
     """
-    grid, made = output_grid_of(placed, settings), OutputFormat.of(settings.of, settings.co)
-    wanted = WarpOutput(grid, GridRequest(like=grid), made, settings.resampling)
+    grid, fmt = output_grid_of(placed, settings), OutputFormat.of(settings.of, settings.co)
+    wanted = WarpOutput(grid, GridRequest(like=grid), fmt, settings.resampling)
     still, quiet = AffineCorrection("shift", np.eye(2, 3)), partial(only_warnings, on_event)
     for number, image in enumerate(found.images):
         on_event(Progress("images", number, len(found.images)))
         if image.rpc is None:  # the reference
             warp_image(placed.frame, image, still, wanted, quiet)
             continue
-        how = BandOutput(grid, settings.resampling, made, folder / image.registered.name)
+        how = BandOutput(grid, settings.resampling, fmt, folder / image.registered.name)
         _write_image(folder, image, image.rpc, how, quiet)
     on_event(Progress("images", len(found.images), len(found.images)))
 

@@ -683,7 +683,7 @@ def _written(
 def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -> None:
     """Warp images once onto the grid of the frame, and refer to their original pixels."""
     settings = job.settings
-    made = OutputFormat.of(settings.of, settings.co)
+    fmt = OutputFormat.of(settings.of, settings.co)
     exact = settings if settings.like is not None else replace(settings, grid="reference-exact")
     shown = box(0.0, 0.0, *frame.grid.shape[::-1])
     for done_before, image in enumerate(images):
@@ -697,7 +697,7 @@ def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -
         if finer > 1 and not beside:
             rows, cols = frame.grid.shape
             request = GridRequest(like=frame.grid.scaled((finer * rows, finer * cols)))
-        wanted = WarpOutput(frame.grid, request, made, settings.resampling)
+        wanted = WarpOutput(frame.grid, request, fmt, settings.resampling)
         warp_image(frame, image, image.correction, wanted, partial(only_warnings, job.on_event))
         if isinstance(image.correction, AffineCorrection):
             name = VRT.format(image.name)

@@ -249,8 +249,8 @@ def _marker(shape: str, colour: str) -> ET.Element:
 
 
 def _point(shape: str, fill: str, outline: str, width: str, size: str) -> ET.Element:
-    look = {"name": shape, "color": fill, "outline_color": outline, "outline_width": width}
-    return _layer("SimpleMarker", **look, size=size, size_unit="MM")
+    marker = {"name": shape, "color": fill, "outline_color": outline, "outline_width": width}
+    return _layer("SimpleMarker", **marker, size=size, size_unit="MM")
 
 
 def _arrow(colour: str, factor: float) -> ET.Element:
@@ -336,14 +336,14 @@ def write_geopackage(table: TiePointTable, path: Path, target_grid: Grid | None 
     import pyogrio.raw
     from pyogrio.errors import DataLayerError, DataSourceError
 
-    seen_xy = observed_xy(table, target_grid)
-    lines_xy = np.stack([table.xy, seen_xy], axis=1)
+    shown_xy = observed_xy(table, target_grid)
+    lines_xy = np.stack([table.xy, shown_xy], axis=1)
     layers = {
         "tie_points": ("Point", _geometry(shapely.points, table.xy)),
         "displacements": ("LineString", _geometry(shapely.linestrings, lines_xy)),
     }
     kept = (table.status != "rejected") & np.isfinite(lines_xy).all(axis=(1, 2))
-    arrows = arrows_style(enlargement(table.xy[kept], seen_xy[kept]))
+    arrows = arrows_style(enlargement(table.xy[kept], shown_xy[kept]))
     styles = {"tie_points": points_style(), "displacements": arrows}
     columns = columns_of(table)
     ordered = path.with_name(f"{path.name}.ordered")
