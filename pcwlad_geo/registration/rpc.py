@@ -17,7 +17,7 @@ from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.rpc.dem import Dem, Vertical
 from pcwlad_geo.raster.rpc.files import RpcSource, read_rpc
-from pcwlad_geo.raster.rpc.grid import RpcGrid, raised
+from pcwlad_geo.raster.rpc.grid import RpcGrid, with_ground_raised
 from pcwlad_geo.raster.rpc.model import (
     BIAS_TOLERANCE_PX,
     RpcModel,
@@ -246,7 +246,7 @@ def wrong_heights(reference: Grid, target: Grid, points: TiePointTable) -> str |
     """
     if not (isinstance(target, RpcGrid) and isinstance(target.heights, Dem)):
         return None
-    grids = [(raised(reference, m), raised(target, m)) for m in (0.5, -0.5)]
+    grids = [(with_ground_raised(reference, m), with_ground_raised(target, m)) for m in (0.5, -0.5)]
     up, down = (map_px(points.reference_px, *each) for each in grids)
     rate_px = np.nanmedian(up - down, axis=0)  # by a metre of height
     size_px = float(np.hypot(*rate_px))

@@ -78,11 +78,11 @@ class FrameAdjustment(Adjustment):
 
         With `other`, that of the difference of the two frames' places in the reference.
         """
-        told = super().covariance(image, xy, other)
+        covariance = super().covariance(image, xy, other)
         if other is not None:
-            return told
+            return covariance
         rate = _rate(self.matrices[image], xy)
-        return rate @ told @ rate.transpose(0, 2, 1)
+        return rate @ covariance @ rate.transpose(0, 2, 1)
 
     def correction(self, image: int) -> ProjectiveCorrection:
         """Return the correction of a frame."""
@@ -104,7 +104,7 @@ def on_epipolar_lines(edge: Edge) -> Edge | None:
 
 
 def or_homographies(
-    found: Adjustment, edges: Sequence[Edge], images: int, *, datum: int | None = 0, apart: bool = False
+    found: Adjustment, edges: Sequence[Edge], images: int, *, datum: int | None = 0, split: bool = False
 ) -> Adjustment:
     """Return homographies of all frames where another adjustment leaves more, else that.
 
@@ -114,7 +114,7 @@ def or_homographies(
     if min(len(edge) for edge in edges) < MIN_EPIPOLAR_MATCHES:
         return found
     try:
-        projective = homographies(edges, images, datum=datum, apart=apart)
+        projective = homographies(edges, images, datum=datum, split=split)
     except InputError:
         return found
     flexible = terms_of(found.basis) > terms_of(basis_over([edge.first_xy for edge in edges], "affine"))
@@ -126,7 +126,7 @@ def or_homographies(
 
 
 def homographies(
-    edges: Sequence[Edge], images: int, *, datum: int | None = 0, apart: bool = False
+    edges: Sequence[Edge], images: int, *, datum: int | None = 0, split: bool = False
 ) -> FrameAdjustment:
     """Estimate the homographies of all frames from the tie points of their pairs.
 
@@ -139,7 +139,7 @@ def homographies(
     for _ in range(ROUNDS):
         rectified = [_rectified(edge, matrices) for edge in edges]
         basis = _basis(rectified)
-        found = adjust(rectified, images, datum=datum, apart=apart, basis=HomographyBasis(basis))
+        found = adjust(rectified, images, datum=datum, split=split, basis=HomographyBasis(basis))
         corners = np.array([basis.centre_px, basis.low_px, basis.high_px])
         steps = [found.displacement(image, corners) for image in range(images)]
         matrices = np.stack(
@@ -242,7 +242,7 @@ BELIEVED: Final = 2.0
 
 
 def choose_basis(
-    edges: Sequence[Edge], images: int, model: str, *, datum: int | None = 0, apart: bool = False
+    edges: Sequence[Edge], images: int, model: str, *, datum: int | None = 0, split: bool = False
 ) -> Basis:
     """Return the functions of place of the model that predicts left-out ground best.
 
@@ -264,7 +264,7 @@ def choose_basis(
         return tried[0]
     edges, known, datum = _nearest(edges, images, datum)
     with named(known):
-        start = adjust(edges, len(known), datum=datum, apart=apart)
+        start = adjust(edges, len(known), datum=datum, split=split)
         edges = [edge for edge, fit in zip(linked(edges), start.edges, strict=True) if fit.used]
         trials: list[_Trial] = []
         for basis in tried:

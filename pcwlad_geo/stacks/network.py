@@ -165,7 +165,7 @@ POINT_LIMIT: Final = 3.0
 """Points that lie off their pair's by more sigmas lose weight."""
 LEAST_CHECKED: Final = 0.01
 """Of an offset that the other pairs check less, the rest is of the arithmetic: it is not called wrong."""
-BEYOND_REASON: Final = 1e4
+LARGEST_GROWTH: Final = 1e4
 """Coefficients so many times as large as what is observed are those of a singular matrix."""
 POINTS: Final = "a pair of images needs tie points of ordinary size, with a sigma above 0"
 """What its equations ask for."""
@@ -256,9 +256,9 @@ class Part:
     """(2 terms, 6) products with the shared error's terms."""
     inner: Float64
     """(6, 6) normal matrix of those."""
-    seen: Float64
+    rhs: Float64
     """(2 terms,) right-hand side."""
-    beside: Float64
+    shared_rhs: Float64
     """(6,) that of the shared error."""
     values: Float64
     """(terms,) weighted mean of the terms."""
@@ -276,9 +276,9 @@ class Part:
         """Return what is left without a block; the whole where that is more than half of it.
 
         The points of the `block` add (2 terms, 2 terms), (2 terms, 6), (6, 6), (2 terms,) and (6,) arrays to
-        `own`, `across`, `inner`, `seen` and `beside`.
+        `own`, `across`, `inner`, `rhs` and `shared_rhs`.
         """
-        own, across, inner, seen, beside = block
+        own, across, inner, rhs, shared_rhs = block
         if np.trace(own) > np.trace(self.own) / 2:
             return self
         return replace(
@@ -286,8 +286,8 @@ class Part:
             own=self.own - own,
             across=self.across - across,
             inner=self.inner - inner,
-            seen=self.seen - seen,
-            beside=self.beside - beside,
+            rhs=self.rhs - rhs,
+            shared_rhs=self.shared_rhs - shared_rhs,
         )
 
 
@@ -341,8 +341,8 @@ def linked(edges: Sequence[Edge]) -> list[Edge]:
     one, other = np.concatenate(links).T
     graph = coo_array((np.ones(len(one)), (one, other)), shape=(count[-1], count[-1]))
     track = connected_components(graph, directed=False)[1]
-    seen = np.unique(np.column_stack([track[of_point], image]), axis=0)[:, 0]
-    images = np.bincount(seen, minlength=len(track)).astype(np.float64)[track]
+    tracked = np.unique(np.column_stack([track[of_point], image]), axis=0)[:, 0]
+    images = np.bincount(tracked, minlength=len(track)).astype(np.float64)[track]
     return [replace(edge, images=images[a:b]) for edge, (a, b) in zip(edges, pairwise(count), strict=True)]
 
 
@@ -448,12 +448,12 @@ def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> Part:
 
 def _error(points: _Weighted, sums: Sequence[Float64], number: Index) -> float:
     """Return `Part.error`: the jackknife of the affine of an edge."""
-    inner, beside = sums[2], sums[4]
+    inner, shared_rhs = sums[2], sums[4]
     found = []
     for each in np.unique(number):
         block = _sums(points, number == each)
         if np.trace(block[2]) <= np.trace(inner) / 2:
-            found.append(_solved(inner - block[2], beside - block[4]))
+            found.append(_solved(inner - block[2], shared_rhs - block[4]))
     if len(found) < MIN_BLOCKS:
         return 0.0
     terms = points.near.shape[1]
@@ -560,9 +560,9 @@ class Network:
         normal, right = self.equations(parts, used, shared)
         factor = factor_of(normal, self.images, self.fixed)
         coefficients = self.unpacked(factor.solve(right))
-        seen = max(float(np.abs(part.observed).max()) for part in parts)
+        largest = max(float(np.abs(part.observed).max()) for part in parts)
         size = np.abs(coefficients).max(axis=(1, 2))
-        if not size.max(initial=0.0) < BEYOND_REASON * (1.0 + seen):
+        if not size.max(initial=0.0) < LARGEST_GROWTH * (1.0 + largest):
             raise UndeterminedImageError(int(size.argmax()))
         fits = tuple(
             self._fit(part, coefficients, bool(good), float(sigma), factor)
@@ -577,20 +577,20 @@ class Network:
         """
         size = self.size
         chosen = [part for part, good in zip(parts, used, strict=True) if good]
-        own, across, inner, seen, beside = (
+        own, across, inner, rhs, shared_rhs = (
             np.array([getattr(part, name) for part in chosen])
-            for name in ("own", "across", "inner", "seen", "beside")
+            for name in ("own", "across", "inner", "rhs", "shared_rhs")
         )
         inner = inner + np.eye(inner.shape[1]) / (shared[used] ** 2)[:, None, None]
         gain = solve(inner, across.transpose(0, 2, 1), POINTS).transpose(0, 2, 1)
         block = own - gain @ across.transpose(0, 2, 1)
-        seen = seen - (gain @ beside[:, :, None])[:, :, 0]
+        rhs = rhs - (gain @ shared_rhs[:, :, None])[:, :, 0]
         if self.mixing is not None:
-            block, seen = self.mixing.T @ block @ self.mixing, seen @ self.mixing
+            block, rhs = self.mixing.T @ block @ self.mixing, rhs @ self.mixing
         ends = np.array([(part.first, part.second) for part in chosen])
         right = np.zeros((self.images, size))
-        np.add.at(right, ends[:, 0], -seen)
-        np.add.at(right, ends[:, 1], seen)
+        np.add.at(right, ends[:, 0], -rhs)
+        np.add.at(right, ends[:, 1], rhs)
         index = ends[:, :, None] * size + np.arange(size)
         place = [np.broadcast_to(index[:, e, :, None], block.shape).ravel() for e in (0, 0, 1, 1)]
         across_place = [np.broadcast_to(index[:, e, None, :], block.shape).ravel() for e in (0, 1, 0, 1)]

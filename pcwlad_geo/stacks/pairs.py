@@ -336,9 +336,9 @@ def sigma_known(frame: Frame, datum: int | None, count: int) -> Float64 | None:
     if datum is None or datum >= len(frame.infos) or sizes_m is None or not frame.placed:
         return None
     found = np.full(count, np.inf)
-    beside = [of_one_product(frame.infos[datum].uri, info.uri) for info in frame.infos[:count]]
-    found[: len(beside)][beside] = PRODUCT_SIGMA_M / max(sizes_m)
-    return found if any(beside) else None
+    same_product = [of_one_product(frame.infos[datum].uri, info.uri) for info in frame.infos[:count]]
+    found[: len(same_product)][same_product] = PRODUCT_SIGMA_M / max(sizes_m)
+    return found if any(same_product) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,10 +419,11 @@ def control_edges(points: Sequence[ControlPoint], frame: Frame, ground: int | No
     return found
 
 
-def check_connected(frame: Frame, edges: Sequence[Edge], reference: int, folder: Path, apart: bool) -> str:
+def check_connected(frame: Frame, edges: Sequence[Edge], reference: int, folder: Path, split: bool) -> str:
     """Return a warning where the pairs that were matched do not connect all images; empty where they do.
 
-    Raises `RegistrationRejectedError` unless groups may be `apart`, or where no pair could be matched.
+    Raises `RegistrationRejectedError` unless it may be `split` into groups, or where no pair could be
+    matched.
     """
     _, group = components(edges, len(frame.names) + 1, np.ones(len(edges), bool))
     groups = [
@@ -437,7 +438,7 @@ def check_connected(frame: Frame, edges: Sequence[Edge], reference: int, folder:
         else ""
     )
     message = f"{len(groups)} groups of images are not connected by any pair: {'; '.join(groups)}{alone}"
-    if apart and edges:
+    if split and edges:
         return f"{message}: each group has a datum of its own, the first of its images"
     raise RegistrationRejectedError(
         f"{message}; give images that share ground with both, stack each group for itself, or give "

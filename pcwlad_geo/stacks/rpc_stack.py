@@ -301,11 +301,11 @@ def adjusted(
     left_open = settings.model in ("auto", "rpc")
     if settings.model != "shift" and not (left_open and check is not None and check.wrong):
         found = adjust_block(block, pairs, MODELS if left_open else (settings.model,), found)
-    aside = found.left_aside
-    if aside is not None and aside.worse:
+    unused = found.left_aside
+    if unused is not None and unused.worse:
         raise RegistrationRejectedError(
-            f"tie points left aside lie {aside.after_px:.2f} px apart with the corrected RPCs and "
-            f"{aside.before_px:.2f} px with those of the files, over the DEM as it is: nothing is written; "
+            f"tie points left aside lie {unused.after_px:.2f} px apart with the corrected RPCs and "
+            f"{unused.before_px:.2f} px with those of the files, over the DEM as it is: nothing is written; "
             + "; ".join((check and check.wrong) or ["check the DEM and the pairs"])
         )
     return found, check
@@ -437,18 +437,18 @@ def _off(pair: BlockPair, fit: BlockFit) -> Bool:
 
 def control_warnings(placed: PlacedImages, pairs: Sequence[BlockPair], found: BlockAdjustment) -> list[str]:
     """Name the control points that contradict the others."""
-    told = []
+    warnings = []
     for pair, fit in zip(pairs, found.edges, strict=True):
         if pair.height_m is None:
             continue
         for index in np.flatnonzero(_off(pair, fit)).tolist():
             (col, row), length = pair.second_px[index], float(np.hypot(*fit.left_px[index]))
             name = placed.frame.names[pair.second]
-            told.append(
+            warnings.append(
                 f"the control point at ({col:.1f}, {row:.1f}) px (col, row) of {name} lies {length:.1f} "
                 "px off what all others tell: check its coordinates"
             )
-    return told
+    return warnings
 
 
 def output_grid_of(placed: PlacedImages, settings: Settings) -> Grid:
@@ -486,9 +486,9 @@ def _write_image(
 ) -> None:
     grid = rpc.registration.corrected_grid
     orthorectify_band(image.path, image.registered, grid, how, on_event)
-    made_in = image.registered.parent
-    write_rpc_vrt(made_in / rpc.vrt, image.path, to_gdal(grid.rpc), final_path=folder / rpc.vrt)
-    write_rpc_text(grid.rpc, made_in / rpc.text)
+    staged = image.registered.parent
+    write_rpc_vrt(staged / rpc.vrt, image.path, to_gdal(grid.rpc), final_path=folder / rpc.vrt)
+    write_rpc_text(grid.rpc, staged / rpc.text)
 
 
 def warp_image(
