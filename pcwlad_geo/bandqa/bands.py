@@ -64,7 +64,7 @@ def expand(
     Parameters
     ----------
     raster : path
-        A raster, a product (see `detect.find_product`) or a folder of rasters; ``FILE:2,4-6`` and
+        A raster, a product (see `products.find_product`) or a folder of rasters; ``FILE:2,4-6`` and
         ``PRODUCT:B4,B10`` select these bands of it.
     bands : sequence of int or str, optional
         Bands if the argument names none; None = all that show the ground.

@@ -243,7 +243,7 @@ def mean_precision(whitener: Float64, weight: Float64) -> Float64:
     Parameters
     ----------
     whitener, weight : (n, 2, 2) and (n,) arrays of float
-        See `estimation.Estimate`.
+        See `Estimate`.
     """
     return np.asarray(weight * (whitener**2).sum(axis=(1, 2)) / 2)
 
@@ -313,8 +313,8 @@ class Trials:
         """Return trials of a spline with given weights.
 
         Inliers have weight 1: weights that follow the residuals would make these look small. The (n, m)
-        `probes` are random signs (see `estimation.probes_of`), the (n, 2) `values_px` those (col, row) to
-        which splines are fitted. The (n, 2, 2) `whitener` and (n,) `weight` are as in `estimation.Estimate`.
+        `probes` are random signs (see `probes_of`), the (n, 2) `values_px` those (col, row) to
+        which splines are fitted. The (n, 2, 2) `whitener` and (n,) `weight` are as in `Estimate`.
         """
         inlier = (weight > 0).astype(np.float64)
         precision = mean_precision(whitener, inlier)

@@ -26,9 +26,9 @@ PARAMETERS: Final = ("focal_px", "centre_col", "centre_row", "k1", "k2", "k3", "
 """The parameters of a lens, in the order of its vector."""
 STEPS: Final = 12
 """Number of Newton steps of the inverse; fewer are enough within any sensible frame."""
-FAN: Final = 400
+RADII: Final = 400
 """Number of radii at which the largest one is looked for."""
-BEYOND: Final = 1.6
+FOLLOWED: Final = 1.6
 """How far beyond the corners of the frame, times its half diagonal, a ray is still followed."""
 
 FRAME_SIDE_PX: Final = 20_000
@@ -61,8 +61,8 @@ class Lens:
     def project(self, rays: Float64) -> Float64:
         """Return the (n, 2) px of the (n, 2) directions `rays`; NaN where the distortion folds back."""
         limit = self._largest_radius()
-        seen = project(rays, self.vector, self.model)
-        return np.where((np.hypot(*rays.T) < limit)[:, None], seen, np.nan)
+        projected = project(rays, self.vector, self.model)
+        return np.where((np.hypot(*rays.T) < limit)[:, None], projected, np.nan)
 
     def rays(self, xy_px: Float64) -> Float64:
         """Return the (n, 2) directions of the (n, 2) px `xy_px`."""
@@ -78,12 +78,12 @@ class Lens:
 
     def _largest_radius(self) -> float:
         """Return the radius of a direction up to which the image grows with it."""
-        fan = np.linspace(0.0, BEYOND * self.corner, FAN)
+        radii = np.linspace(0.0, FOLLOWED * self.corner, RADII)
         if self.model == "fisheye":  # whose angles, not their tangents, grow with the image
-            fan = np.tan(np.minimum(fan, WIDEST_RAD))
-        slope = np.diff(fan * _radial(fan, self.vector[3:6], self.model))
+            radii = np.tan(np.minimum(radii, WIDEST_RAD))
+        slope = np.diff(radii * _radial(radii, self.vector[3:6], self.model))
         folded = np.flatnonzero(slope <= 0)
-        return float(fan[folded[0]] if len(folded) else fan[-1])
+        return float(radii[folded[0]] if len(folded) else radii[-1])
 
     def distortion_px(self, other: Lens, step: int = 24) -> Float64:
         """Return the (n, 2) differences to another lens over the frame, apart from their orientation.
@@ -92,11 +92,11 @@ class Lens:
         plane.
         """
         places = lattice(self.shape, step)
-        seen = other.project(self.rays(places))
-        good = np.isfinite(seen).all(axis=1)
+        projected = other.project(self.rays(places))
+        good = np.isfinite(projected).all(axis=1)
         if good.sum() < 4:  # which a homography fits exactly
             return np.empty((0, 2))
-        return homography_residual(places[good], seen[good])
+        return homography_residual(places[good], projected[good])
 
     def to_json(self) -> dict[str, Any]:
         """Return the lens as JSON values."""
@@ -175,15 +175,18 @@ def rays(xy_px: Float64, vector: Float64, model: LensModel) -> Float64:
     vector, model : (8,) array and {"brown", "fisheye"}
         Of the lens.
     """
-    seen_x = (xy_px[:, 0] - vector[1]) / vector[0]
-    seen_y = (xy_px[:, 1] - vector[2]) / vector[0]
-    direction = _undo_radial(seen_x, seen_y, vector[3:6], model)
+    distorted_x = (xy_px[:, 0] - vector[1]) / vector[0]
+    distorted_y = (xy_px[:, 1] - vector[2]) / vector[0]
+    direction = _undo_radial(distorted_x, distorted_y, vector[3:6], model)
     for _ in range(STEPS):
-        wrong = project(direction, vector, model) - xy_px
-        if not np.nanmax(np.abs(wrong), initial=0.0) > 1e-9:
+        error = project(direction, vector, model) - xy_px
+        if not np.nanmax(np.abs(error), initial=0.0) > 1e-9:
             break
-        seen_x, seen_y = seen_x - wrong[:, 0] / vector[0], seen_y - wrong[:, 1] / vector[0]
-        direction = _undo_radial(seen_x, seen_y, vector[3:6], model)
+        distorted_x, distorted_y = (
+            distorted_x - error[:, 0] / vector[0],
+            distorted_y - error[:, 1] / vector[0],
+        )
+        direction = _undo_radial(distorted_x, distorted_y, vector[3:6], model)
     return direction
 
 
@@ -208,8 +211,8 @@ def _tangential(x: Float64, y: Float64, p: Float64) -> tuple[Float64, Float64]:
 
 def _undo_radial(x: Float64, y: Float64, k: Float64, model: LensModel) -> Float64:
     """Return the directions whose radial image is (x, y), by Newton's method on the radius."""
-    seen = np.hypot(x, y)
-    bent = seen if model == "brown" else np.minimum(seen, WIDEST_RAD)
+    length = np.hypot(x, y)
+    bent = length if model == "brown" else np.minimum(length, WIDEST_RAD)
     at = bent.copy()
     for _ in range(STEPS):
         square = at**2
@@ -217,7 +220,7 @@ def _undo_radial(x: Float64, y: Float64, k: Float64, model: LensModel) -> Float6
         slope = 1 + square * (3 * k[0] + square * (5 * k[1] + square * 7 * k[2]))
         at = np.clip(at - value / np.maximum(slope, 0.2), 0.0, WIDEST_RAD if model == "fisheye" else 10.0)
     radius = at if model == "brown" else np.tan(at)
-    ratio = np.divide(radius, seen, out=np.ones_like(radius), where=seen > 1e-12)
+    ratio = np.divide(radius, length, out=np.ones_like(radius), where=length > 1e-12)
     return np.column_stack([x * ratio, y * ratio])
 
 
@@ -290,7 +293,7 @@ class RigLens:
             return None
         return float(np.sqrt((length**2).mean())), float(length.max())
 
-    def seen(self, rays: Float64, nearness: Float64) -> Float64:
+    def project(self, rays: Float64, nearness: Float64) -> Float64:
         """Return the (n, 2) px at which the lens sees points.
 
         The (n, 2) `rays` are their directions from the reference, and the (n,) `nearness` is the mean
@@ -354,7 +357,7 @@ class Rig:
         """Return how far (col, row) a lens sees the middle of the reference's view from its own middle."""
         first, second = self.reference.lens, lens.lens
         ray = first.rays(np.array([[first.shape[1] / 2, first.shape[0] / 2]]))
-        seen = lens.seen(ray, np.ones(1))[0] - np.array([second.shape[1] / 2, second.shape[0] / 2])
+        seen = lens.project(ray, np.ones(1))[0] - np.array([second.shape[1] / 2, second.shape[0] / 2])
         return float(seen[0]), float(seen[1])
 
     def crop(self) -> tuple[int, int, int, int]:
@@ -365,14 +368,14 @@ class Rig:
         """
         rows, cols = self.reference.lens.shape
         places = lattice((rows, cols), max(CROP_STEP_PX, max(rows, cols) // CROP_STEPS))
-        seen = np.ones(len(places), bool)
+        visible = np.ones(len(places), bool)
         rays = self.common_rays(places)
         for near in self.nearness:
             for lens in self.lenses:
-                at = lens.seen(rays, np.full(len(rays), near))
-                seen &= lens.lens.inside(np.nan_to_num(at, nan=-1e9), 1.0)
-        if seen.any():
-            low, high = np.ceil(places[seen].min(axis=0)), np.floor(places[seen].max(axis=0))
+                at = lens.project(rays, np.full(len(rays), near))
+                visible &= lens.lens.inside(np.nan_to_num(at, nan=-1e9), 1.0)
+        if visible.any():
+            low, high = np.ceil(places[visible].min(axis=0)), np.floor(places[visible].max(axis=0))
             size = (high - low).astype(int)
             if (size >= np.array([64, 64])).all() or (size >= MIN_CROP * np.array([cols, rows])).all():
                 return int(low[0]), int(low[1]), int(size[0]), int(size[1])
@@ -505,7 +508,7 @@ def measured_side(shape: tuple[int, int]) -> int:
     return round(min(side, LARGEST_SIDE_PX, max(LEAST_SIDE_PX, side / 2)))
 
 
-def made_coarser(values: Float32, at_px: Float64, times: float) -> tuple[Float32, Float64]:
+def coarsened(values: Float32, at_px: Float64, times: float) -> tuple[Float32, Float64]:
     """Return the (rows, cols) `values` averaged before they are resampled so many times more coarsely.
 
     The second is the (n, 2) `at_px`, in the px of what is returned.
@@ -532,15 +535,15 @@ def map_places(
 
 
 def resampled(
-    coefficients: Float32, seen_px: Float64, counts: tuple[int, int], shape: tuple[int, int]
+    coefficients: Float32, lens_px: Float64, counts: tuple[int, int], shape: tuple[int, int]
 ) -> Float32:
     """Return a frame resampled once to (rows, cols), by a cubic B-spline; NaN where it does not reach.
 
-    Given are its (rows, cols) `coefficients`, and the (n, 2) px, `seen_px`, at the places of `map_places`,
+    Given are its (rows, cols) `coefficients`, and the (n, 2) px, `lens_px`, at the places of `map_places`,
     with the rows and columns of these, `counts`, and of the output.
     """
     out = np.empty(shape, np.float32)
-    grid = np.nan_to_num(seen_px, nan=-1e9).reshape(*counts, 2)
+    grid = np.nan_to_num(lens_px, nan=-1e9).reshape(*counts, 2)
     _resample(coefficients, np.ascontiguousarray(grid), MAP_STEP_PX, out)
     return out
 
