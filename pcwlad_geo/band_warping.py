@@ -188,7 +188,7 @@ def apply(
     sources: Sequence[str],
     places: Sequence[Path],
     wanted: WarpOutput,
-    rpc_beside: bool,
+    rpc_sidecar: bool,
     overwrite: bool,
     on_event: EventCallback,
 ) -> tuple[Path, ...]:
@@ -202,7 +202,7 @@ def apply(
         Where each goes.
     wanted : WarpOutput
         Grid, format and resampling.
-    rpc_beside : bool
+    rpc_sidecar : bool
         Where the target has an RPC, write those of the rasters beside them.
     overwrite : bool
         Replace files that exist.
@@ -223,7 +223,7 @@ def apply(
         raise InputError("no raster to warp: give at least one")
     inputs = [identify(source) for source in sources]
     _warn_of_changes(inputs, finished, on_event)
-    files = _rpc_paths(sources, places, beside=rpc_beside and finished.rpc is not None)
+    files = _rpc_paths(sources, places, with_rpc=rpc_sidecar and finished.rpc is not None)
     every = [place for each in files for place in each.values()]
     check_outputs(every, sources, overwrite=overwrite)
     if finished.rpc is None:
@@ -326,9 +326,9 @@ def _warped_paths(
     return (Path(output_raster),)
 
 
-def _rpc_paths(sources: Sequence[str], rasters: Sequence[Path], *, beside: bool) -> list[dict[str, Path]]:
+def _rpc_paths(sources: Sequence[str], rasters: Sequence[Path], *, with_rpc: bool) -> list[dict[str, Path]]:
     """Return the output paths by kind of each source, with those of its corrected RPC beside the raster."""
-    kinds = ("rpc", "rpc_text") if beside else ()
+    kinds = ("rpc", "rpc_text") if with_rpc else ()
     return [
         {"raster": raster}
         | {kind: raster.with_name(NAMES[kind].format(stem=Path(source).stem)) for kind in kinds}

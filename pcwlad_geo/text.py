@@ -43,7 +43,7 @@ def check_regular(path: str | os.PathLike[str]) -> None:
             raise InputError(f"{os.fspath(path)} is {name}, not a file: copy what it gives into a file")
 
 
-def check_beside(path: str | os.PathLike[str]) -> None:
+def check_sidecars(path: str | os.PathLike[str]) -> None:
     """Raise `InputError` where a pipe, a socket or a device lies beside a raster, and GDAL would open it.
 
     GDAL looks for georeferencing, RPCs, overviews and metadata beside a raster, by its name or by their own.

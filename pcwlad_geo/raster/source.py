@@ -29,7 +29,7 @@ from pcwlad_geo.raster.gdal import GDAL_ERRORS, LIBRARY_ERRORS, ignoring, readin
 from pcwlad_geo.raster.grid import Grid, Window, geotransform_of, is_invertible, linear_part
 from pcwlad_geo.raster.masks import Collar, MaskKind, find_collar, kind_of
 from pcwlad_geo.raster.opening import check_dataset, network_settings, open_for_reading, open_own
-from pcwlad_geo.text import check_beside, check_regular, joined
+from pcwlad_geo.text import check_regular, check_sidecars, joined
 from pcwlad_geo.types import Bool, Float64
 
 MAX_READ_PX: Final = 2**25
@@ -268,7 +268,7 @@ def _check_files(uri: str) -> None:
     if "\0" in uri:  # where GDAL would end the name
         raise InputError(f"the name {uri!r} holds a NUL character: no file has such a name")
     check_regular(uri)
-    check_beside(uri)
+    check_sidecars(uri)
 
 
 def _why_not_opened(uri: str, error: Exception) -> str:

@@ -145,7 +145,7 @@ def split_archive(uri: str) -> tuple[Path, str] | None:
     return next(((archive, name) for archive, name in found if archive.is_file()), None)
 
 
-BESIDE: Final = (".ovr", ".msk")
+SIDECARS: Final = (".ovr", ".msk")
 """Endings of the names of overviews and masks beside a raster."""
 _SUBFILE: Final = re.compile(r"/vsisubfile/(\d+)_(\d+)[^,]*,(/vsigzip/)?(.*)", re.DOTALL)
 _UNREADABLE: Final = (OSError, KeyError, EOFError, ValueError, zipfile.BadZipFile, tarfile.TarError)
@@ -188,10 +188,10 @@ class OnDisk:
         except _UNREADABLE:
             return b""
 
-    def beside(self) -> list[OnDisk]:
+    def sidecars(self) -> list[OnDisk]:
         """Return the overviews and masks that GDAL finds by the file's name."""
         folder = self.path.parent
-        found = _beside_in_folder(folder, _stamp(folder), self.path.name.lower())
+        found = _sidecars_in_folder(folder, _stamp(folder), self.path.name.lower())
         return [OnDisk(folder / name) for name in found]
 
     def named(self, name: str, *, relative: bool) -> OnDisk:
@@ -237,10 +237,10 @@ class InArchive:
         except _UNREADABLE:
             return b""
 
-    def beside(self) -> list[InArchive]:
+    def sidecars(self) -> list[InArchive]:
         """Return the overviews and masks that GDAL finds by the file's name."""
         own = self.name.lower()
-        return [self._other(name) for name in self._names() if _is_beside(name.lower(), own)]
+        return [self._other(name) for name in self._names() if _is_sidecar(name.lower(), own)]
 
     def named(self, name: str, *, relative: bool) -> InArchive:
         """Return the file that this one refers to by `name`, `relative` to its folder or not.
@@ -301,15 +301,15 @@ def _stamp(path: Path) -> Stamp:
     return status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino, status.st_dev
 
 
-def _is_beside(name: str, own: str) -> bool:
-    return name.endswith(BESIDE) and name.startswith(own) and name != own
+def _is_sidecar(name: str, own: str) -> bool:
+    return name.endswith(SIDECARS) and name.startswith(own) and name != own
 
 
 # A job opens a file for every tile; folders of thousands of files are common.
 @lru_cache(maxsize=1024)
-def _beside_in_folder(folder: Path, _: Stamp, own: str) -> tuple[str, ...]:
+def _sidecars_in_folder(folder: Path, _: Stamp, own: str) -> tuple[str, ...]:
     try:
-        return tuple(sorted(file.name for file in folder.iterdir() if _is_beside(file.name.lower(), own)))
+        return tuple(sorted(file.name for file in folder.iterdir() if _is_sidecar(file.name.lower(), own)))
     except OSError:
         return ()
 
@@ -599,27 +599,27 @@ def check_named_by(dataset: DatasetReader, file: Place | None) -> None:
         _check_named(file, name, set())
 
 
-def _checked(file: Place, seen: set[Place], *, any_driver: bool) -> Kind:
+def _checked(file: Place, visited: set[Place], *, any_driver: bool) -> Kind:
     stamp = file.stamp()
     if any_driver and file.is_other():  # a folder may be a raster as well
         raise UntrustedFileError(f"it needs {file.uri}, which is no regular file")
-    if file in seen or not stamp:
+    if file in visited or not stamp:
         return "other"  # checked already, a folder that the user has named, or nothing
-    seen.add(file)
+    visited.add(file)
     kind = _kind(file, stamp)
     if any_driver and kind not in ("signed", "vrt", "classic netCDF"):
         raise UntrustedFileError(f"it needs {file.uri}, which is no raster of a common format")
     if kind == "vrt":
-        _check_vrt(file, seen)
+        _check_vrt(file, visited)
     elif any_driver:
         for name in _tags_of(file, stamp):
-            _check_named(file, name, seen)
-    for beside in file.beside():
-        _checked(beside, seen, any_driver=True)
+            _check_named(file, name, visited)
+    for sidecar in file.sidecars():
+        _checked(sidecar, visited, any_driver=True)
     return kind
 
 
-def _check_vrt(file: Place, seen: set[Place]) -> None:
+def _check_vrt(file: Place, visited: set[Place]) -> None:
     text = file.read(VRT_BYTES + 1)
     if len(text) > VRT_BYTES:
         raise UntrustedFileError(f"{file.uri} is a VRT of more than {VRT_BYTES} bytes")
@@ -628,10 +628,10 @@ def _check_vrt(file: Place, seen: set[Place]) -> None:
     except UntrustedVrtError as error:
         raise UntrustedFileError(f"{file.uri} is a VRT, and {error}") from error
     for each in names:
-        _checked(file.named(each.name, relative=each.relative), seen, any_driver=True)
+        _checked(file.named(each.name, relative=each.relative), visited, any_driver=True)
 
 
-def _check_named(file: Place, name: str, seen: set[Place]) -> None:
+def _check_named(file: Place, name: str, visited: set[Place]) -> None:
     """Check a name in metadata, which GDAL resolves in the file's folder or in the working folder."""
     found = destination(name.removeprefix(_BASE).lstrip("/") if name.startswith(_BASE) else name)
     if found.where != "file":
@@ -639,7 +639,7 @@ def _check_named(file: Place, name: str, seen: set[Place]) -> None:
     for relative in (True, False):
         other = file.named(found.path, relative=relative)
         if other != file:
-            _checked(other, seen, any_driver=True)
+            _checked(other, visited, any_driver=True)
         if name.startswith(_BASE):
             return
 
