@@ -107,7 +107,7 @@ def judge(
     All n matches were found independently, consistent or not; the (n,) bool array `kept` is the mask of the
     consistent ones. The `counts` are of candidates and of those that each stage rejected. The window is
     `window_px` wide, and the coarse match searched `radius_px` around. The `evidence` of the
-    start, see `Prealignment.odds`, counts if the points say something themselves.
+    start, see `Prealignment.net_evidence`, counts if the points say something themselves.
     """
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
     cells, agreeing, found = _best_witnesses(matches, kept, CELL_PER_WINDOW * window_px, share)

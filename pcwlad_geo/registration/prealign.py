@@ -116,7 +116,7 @@ class Prealignment:
     """Number of starts that the matching tried, this one included."""
 
     @property
-    def odds(self) -> float:
+    def net_evidence(self) -> float:
         """The evidence, less what the number of starts takes from it: of many, one agrees by chance."""
         return self.evidence - math.log10(self.tried)
 

@@ -210,8 +210,8 @@ def match_scene(
         first = _first_pass(planned, log, runner)
     matches, counts = first.matches, _sum_counts(first.results)
     kept = consistent_points(matches, matching) if len(matches) else np.zeros(0, bool)
-    radius_px, odds = prealignment.search_radius_px, prealignment.odds
-    verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=odds)
+    radius_px, evidence = prealignment.search_radius_px, prealignment.net_evidence
+    verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=evidence)
     kept, verdict, epipolar = _by_geometry(matches, kept, verdict, pair, prealignment, settings, matching)
     window_px, jitter = matching.window, 0.0
     motions: Sequence[tuple[Motion, Bool]] = ()
@@ -225,7 +225,7 @@ def match_scene(
         counts = {**_sum_counts(first.results), "second_try": int(checked.again.sum())}
         if again.incomplete:  # do the others suffice?
             found = kept[: len(first.matches)]
-            verdict = judge(first.matches, found, counts, matching.window, radius_px, evidence=odds)
+            verdict = judge(first.matches, found, counts, matching.window, radius_px, evidence=evidence)
     if verdict.accepted and not epipolar:
         offset_px = np.asarray(pair.offset_px, dtype=np.float64)
         motions = motions_of(matches, kept, offset_px, matching.window, radius_px)
@@ -260,7 +260,9 @@ def _by_geometry(
     elif settings.geometry == "planar":
         return kept, verdict, False
     found = on_their_lines(matches)
-    significance = epipolar_evidence(matches, window_px, prealignment.search_radius_px) + prealignment.odds
+    significance = (
+        epipolar_evidence(matches, window_px, prealignment.search_radius_px) + prealignment.net_evidence
+    )
     if not verdict.accepted and found.sum() >= MIN_EPIPOLAR_MATCHES and significance >= MIN_SIGNIFICANCE:
         verdict = replace(verdict, accepted=True, reason=None, significance=significance, beyond=None)
     return found, verdict, True

@@ -74,14 +74,14 @@ def closure_of(pairs: Sequence[StackPair]) -> Closure:
         sigma = math.sqrt(sum((pair.sigma_px or 0.0) ** 2 for pair, _ in steps))
         if length > OPEN * max(sigma, 1e-9):
             worst = max(
-                (pair for pair, _ in steps), key=lambda pair: (pair.status != "used", suspicion(pair))
+                (pair for pair, _ in steps), key=lambda pair: (pair.status != "used", misfit_sigmas(pair))
             )
             found.append(Cycle(images, (col, row), sigma, (worst.reference, worst.target)))
     found.sort(key=lambda each: -math.hypot(*each.closure_px))
     return Closure(len(every), root_mean_square(every), root_mean_square(good), tuple(found[:LISTED]))
 
 
-def suspicion(pair: StackPair) -> float:
+def misfit_sigmas(pair: StackPair) -> float:
     """Return by how many sigmas a pair disagrees with all others; 0 for one that was refused."""
     return pair.off_px / pair.sigma_px if pair.sigma_px else 0.0
 

@@ -43,8 +43,8 @@ from pcwlad_geo.stacks.cycles import (
     closure_of,
     image_qualities,
     left_ce90,
+    misfit_sigmas,
     root_mean_square,
-    suspicion,
 )
 from pcwlad_geo.stacks.inputs import DATE, StackInput
 from pcwlad_geo.stacks.models import FrameAdjustment
@@ -440,7 +440,7 @@ def placed_values(
         "sigma_px": _pair(sigma_px),
         "sigma_m": None if sizes_m is None else _pair(sigma_px * sizes_m[0]),
         "pairs": len(own),
-        "suspicion": root_mean_square([suspicion(pair) for pair in own]) or 0.0,
+        "suspicion": root_mean_square([misfit_sigmas(pair) for pair in own]) or 0.0,
         "group": group,
         "given": frame.given(number),
     }
