@@ -144,19 +144,19 @@ def check_format(fmt: OutputFormat, source_uri: str, grid: Grid) -> None:
         with gdal_log(logging.WARNING, passes_on=False) as records:
             try:
                 _write_small(source, fmt, path, small)
-                wrong = _changed(path, source, small)
+                fault = _changed(path, source, small)
             except (*GDAL_ERRORS, OSError, SystemError, ValueError) as error:
-                wrong = root_cause(error)
+                fault = root_cause(error)
                 # rasterio has no message for some of GDAL's errors, but its log has
-                wrong = _words(records[0]) if records and "Unknown GDAL Error" in wrong else wrong
+                fault = _words(records[0]) if records and "Unknown GDAL Error" in fault else fault
     said = map(_words, records)
     options = [text for text in said if "creation option" in text or any(key in text for key in fmt.options)]
     if options and fmt.options:
         given = ", ".join(f"{key}={value}" for key, value in fmt.options.items())
         raise SettingsError(f"co = {given}: GDAL's {fmt.driver} says: {options[0]}")
-    if wrong:
+    if fault:
         raise SettingsError(
-            f"of = {fmt.driver!r}: GDAL cannot write {Path(source_uri).name} so: {wrong}; give another "
+            f"of = {fmt.driver!r}: GDAL cannot write {Path(source_uri).name} so: {fault}; give another "
             "format (COG, GTiff, ENVI) or other creation options"
         )
 

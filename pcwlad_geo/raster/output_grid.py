@@ -227,11 +227,9 @@ def output_grids(
     boxes = [_footprint(own, target_grid, correction, lattice) for own in (target_grid, *rasters)]
     sizes = pixel_sizes(lattice, reference_grid, target_grid, rasters)
     grids = lay_out(lattice, request, boxes, sizes)
-    made_from_px = sum(
-        float(each.shape[0]) * each.shape[1] for each in (reference_grid, target_grid, *rasters)
-    )
+    source_px = sum(float(each.shape[0]) * each.shape[1] for each in (reference_grid, target_grid, *rasters))
     for grid in grids:
-        check_grid("the output grid", grid.shape[::-1], made_from_px)
+        check_grid("the output grid", grid.shape[::-1], source_px)
         _check_pixel(grid, target_grid)
     return grids
 

@@ -239,8 +239,8 @@ class Quality:
         Good points are never refused because of the ground beyond them; a poor correction is refused if
         hardly any of the matches or of the ground support it.
         """
-        little_kept, little_seen = self.kept_share < FEW_KEPT, self.extrapolated_share > NEARLY_ALL
-        if self.grade != "poor" or not (little_kept or little_seen):
+        little_kept, extrapolated = self.kept_share < FEW_KEPT, self.extrapolated_share > NEARLY_ALL
+        if self.grade != "poor" or not (little_kept or extrapolated):
             return None
         share = self.kept_share if little_kept else self.extrapolated_share
         what = (

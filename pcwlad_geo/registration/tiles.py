@@ -299,9 +299,9 @@ def compile_some(method: Method, number: int) -> None:
 
 def _compilations(method: Method) -> list[Callable[[], object]]:
     """Return what compiles the kernels of a method, the longest first."""
-    apart = [part.__wrapper_address__ for part in PARTS]
+    parts = [part.__wrapper_address__ for part in PARTS]
     phase = [] if TRAITS[method].channels == "gradients" else [_compile_phase_congruency]
-    return [compile_refinement, *apart, load_own_kernel, *phase]
+    return [compile_refinement, *parts, load_own_kernel, *phase]
 
 
 def _compile_phase_congruency() -> None:

@@ -416,7 +416,7 @@ def textured(values: Float32, valid: Bool, window_px: int, *, between: bool = Fa
 
 
 def _adjusted(
-    now: Rig, rig: Rig, observed: Observations, plane: Float64, near: float, told: bool
+    now: Rig, rig: Rig, observed: Observations, plane: Float64, near: float, height_known: bool
 ) -> tuple[Placed, float]:
     """Return where the ground was and how the lenses turned, and how far the places were off before."""
     count = len(rig.lenses)
@@ -426,7 +426,7 @@ def _adjusted(
     turn = rig.wander_px / rig.reference.lens.focal_px
     free = np.zeros_like(poses)
     free[1:, :2], free[1:, 2] = turn, turn / rig.reference.lens.corner
-    slack = NEAR_SIGMA[0 if told else 1] * near
+    slack = NEAR_SIGMA[0 if height_known else 1] * near
     planes = np.array([[slack, rig.tilt * near, rig.tilt * near]])
     begin = replace(first, planes=plane[None])
     sigma = State(first.models, np.zeros_like(lenses), free, planes)

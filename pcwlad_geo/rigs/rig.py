@@ -357,8 +357,8 @@ class Rig:
         """Return how far (col, row) a lens sees the middle of the reference's view from its own middle."""
         first, second = self.reference.lens, lens.lens
         ray = first.rays(np.array([[first.shape[1] / 2, first.shape[0] / 2]]))
-        seen = lens.project(ray, np.ones(1))[0] - np.array([second.shape[1] / 2, second.shape[0] / 2])
-        return float(seen[0]), float(seen[1])
+        offset = lens.project(ray, np.ones(1))[0] - np.array([second.shape[1] / 2, second.shape[0] / 2])
+        return float(offset[0]), float(offset[1])
 
     def crop(self) -> tuple[int, int, int, int]:
         """Return first column, first row, columns and rows of the part that all lenses see.
