@@ -29,8 +29,8 @@ class Support:
     points_px: Float64
     """(n, 2) predicted position (col, row) of the points that count, px."""
     reach_px: float
-    """Distance up to which a point supports the correction: a matching window, or three times the typical
-    spacing of the points if that is more, px."""
+    """Distance up to which a point supports the correction: half a matching window, or three times the
+    typical spacing of the points if that is more, px."""
 
     @classmethod
     def of(cls, points_px: Float64, footprint_px: float) -> Support:
@@ -38,7 +38,7 @@ class Support:
         spacing = np.sqrt(_hull_area(points_px) / max(len(points_px), 1))
         if spacing == 0 and len(points_px):
             spacing = float(np.hypot(*np.ptp(points_px, axis=0))) / len(points_px)
-        return cls(points_px, max(footprint_px, SPACINGS * float(spacing)))
+        return cls(points_px, max(footprint_px / 2, SPACINGS * float(spacing)))
 
     def extrapolated(self, at_px: Float64) -> Bool:
         """Return the (n,) mask of the (n, 2) `at_px` (col, row) outside the tie points or in a wide hole."""

@@ -41,6 +41,12 @@ EPSILON_REFERENCE: Final = 5e-4
 """ε_G, the variance below which the reference window counts as flat, as published [1]_."""
 EPSILON_TARGET: Final = 1e-4
 """ε_I, the variance below which the target window counts as flat, as published [1]_."""
+AROUND_PX: Final = 40
+"""Half side of what must be alike around a match, about the first window of refinement."""
+BESIDE_PX: Final = 24
+"""Offset (row and column) of the places that are alike by chance only, beyond the reach of the filters."""
+MORE_THAN_CHANCE: Final = 2.0
+"""Least correlation of a match, in standard deviations of those by chance."""
 
 
 def mutual_structure(
@@ -289,6 +295,47 @@ def passes_paper(
         initial = ssim(reference / FULL_SCALE, before / FULL_SCALE)
         final = ssim(reference / FULL_SCALE, after / FULL_SCALE)
         result[part] = (final > gate) & (final > initial)
+    return result
+
+
+def share_structure(pair: ChannelPair, corners_rc: Index, shift_xy_px: Float64) -> Bool:
+    """Return the (n,) mask of the matches around which the two images are more alike than by chance.
+
+    The (n, 2) `corners_rc` are pixels of the reference, `shift_xy_px` where they are in the target beside
+    that. The correlation of the maps around each is compared with those that the same places have with places
+    beside their matches.
+    """
+    whole = np.rint(shift_xy_px[:, ::-1]).astype(np.intp)
+    right, beside = (
+        _correlations(pair, corners_rc, corners_rc + whole + offset) for offset in (0, BESIDE_PX)
+    )
+    by_chance = float(np.sqrt(np.mean(beside**2))) if len(beside) else 0.0
+    return right > MORE_THAN_CHANCE * by_chance
+
+
+def _correlations(pair: ChannelPair, reference_rc: Index, target_rc: Index) -> Float64:
+    """Return the (n,) correlations of the maps around (n, 2) pixels of the reference and of the target."""
+    steps = np.arange(-AROUND_PX, AROUND_PX + 1, 2)
+    result = np.zeros(len(reference_rc))
+    for begin in range(0, len(reference_rc), CHUNK):
+        part = slice(begin, begin + CHUNK)
+        seen = []
+        for maps, centre_rc in (
+            (pair.reference.maps, reference_rc[part]),
+            (pair.target.maps, target_rc[part]),
+        ):
+            rows, cols = (
+                np.clip(centre[:, None] + steps, 0, length - 1)
+                for centre, length in zip(centre_rc.T, maps.shape[1:], strict=True)
+            )
+            values = maps[:, rows[:, :, None], cols[:, None, :]]
+            seen.append(values - values.mean(axis=(2, 3), keepdims=True))
+        reference, target = seen
+        both, first, second = (
+            np.einsum("knij,knij->n", one, other)
+            for one, other in ((reference, target), (reference, reference), (target, target))
+        )
+        result[part] = both / np.sqrt(np.maximum(first * second, np.finfo(np.float32).tiny))
     return result
 
 

@@ -301,7 +301,7 @@ def assess(
     reasons = (
         *_inaccurate(expected_px, selection.name, jitter_px),
         *_check_points_off(table, selection.name, footprint_px),
-        *_displaced_otherwise(left_px[~kept], len(matches)),
+        *displaced_otherwise(left_px[~kept], len(matches)),
         *_extrapolation(extrapolated),
     )
     worst_first = tuple(sorted(reasons, key=lambda reason: GRADES.index(reason.grade)))
@@ -342,7 +342,7 @@ def _typical_sigma_px(points: TiePointTable) -> float:
     return float(np.sqrt((points.sigma_px**2).mean()))
 
 
-def _displaced_otherwise(left_px: Float64, matches: int) -> Iterator[Reason]:
+def displaced_otherwise(left_px: Float64, matches: int) -> Iterator[Reason]:
     """Yield a reason where many rejected matches agree on one other displacement.
 
     It may be that of a tenth of the ground, in parts smaller than a window, in which some matches find it.

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from statistics import median
+from statistics import median, median_low
 from typing import Final, Literal
 
 import numpy as np
@@ -273,8 +273,8 @@ def _judged(
     """
     used, reasons = [pair for pair in pairs if pair.status == "used"], []
     left_px = median([pair.ce90_px or 0.0 for pair in used] or [0.0]) / unit_px
-    # jitter of an image is in all of its pairs, that of another in one
-    jitter_px = min((pair.jitter_px for pair in used), default=0.0) / unit_px
+    # jitter of an image is in all of its pairs, that of another in one: half of them must show it
+    jitter_px = median_low([pair.jitter_px for pair in used] or [0.0]) / unit_px
     causes = {
         f"the sigma of its position ({sigma_px:.2f} px)": SIGMA_90 * sigma_px,
         "what its pairs leave": left_px,

@@ -22,7 +22,15 @@ from pcwlad_geo.products import of_one_product
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, GRADES, Grade
+from pcwlad_geo.registration.fitting import (
+    FAIR_PX,
+    FEW_KEPT,
+    GOOD_PX,
+    GRADES,
+    Grade,
+    Reason,
+    displaced_otherwise,
+)
 from pcwlad_geo.registration.inputs import estimate_tile_count
 from pcwlad_geo.registration.judge import GEOREFERENCED_PX, Motion, told_of
 from pcwlad_geo.report.finished import read_report, report_of_same_job
@@ -210,9 +218,19 @@ def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
         reasons.append(("fair" if off_px <= FAIR_PX else "poor", text))
     if kept < FEW_KEPT:
         reasons.append(("poor", f"only {100 * kept:.0f} % of the matches agree with their neighbours"))
+    reasons += [(each.grade, each.text) for each in _displaced_otherwise(pair.folder)]
     grade: Grade = min((grade for grade, _ in reasons), key=GRADES.index, default="good")
     texts = tuple(text for _, text in reasons)
     return replace(pair, quality=grade, quality_reasons=texts, jitter_px=jitter_px)
+
+
+def _displaced_otherwise(place: Path) -> Iterator[Reason]:
+    """Yield a reason where many of the matches that a pair rejected agree on one other displacement."""
+    points = read_point_file(place / "tiepoints.csv")
+    basis = basis_over([points.reference[points.enabled]], "polynomial2")
+    moved, smooth = points.target - points.reference, basis.values(points.reference)
+    left = moved - smooth @ least_squares(smooth[points.enabled], moved[points.enabled])
+    return displaced_otherwise(left[~points.enabled], len(points.enabled))
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ import pytest
 
 from pcwlad_geo.correction.error_statistics import (
     CELLS_PER_WINDOW,
+    LEAST_COMMON_PX,
     Residuals,
     expected_ce90,
     left_by_correction,
@@ -51,6 +52,15 @@ def test_a_shift_that_fits_is_expected_to_hold() -> None:
     expected = expected_ce90(selection, residuals_of(selection, xy, moved), grid(), WINDOW_PX)
     true = np.linalg.norm(selection.fit.correction.forward(grid()) - grid() - [1.5, -0.5], axis=1).max()
     assert true < expected < 0.25
+
+
+def test_points_without_noise_promise_no_more_than_two_images_allow() -> None:
+    xy = points()
+    selection = fitted(xy, np.tile([1.5, -0.5], (len(xy), 1)), "shift")
+    residuals = residuals_of(selection, xy, np.tile([1.5, -0.5], (len(xy), 1)))
+    exact = Residuals(xy, residuals.residual_px, residuals.kept, np.full_like(xy, 1e-3))
+    expected = expected_ce90(selection, exact, grid(), WINDOW_PX)
+    assert 2.1 * LEAST_COMMON_PX < expected < 0.2
 
 
 def test_displacements_that_the_model_does_not_follow_are_expected() -> None:

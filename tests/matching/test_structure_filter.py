@@ -4,7 +4,12 @@ import numpy as np
 
 from pcwlad_geo.matching.keypoints import FULL_SCALE
 from pcwlad_geo.matching.maps import scene_epsilon
-from pcwlad_geo.matching.mutual_structure import mutual_structure, passes_paper, shared_structure
+from pcwlad_geo.matching.mutual_structure import (
+    mutual_structure,
+    passes_paper,
+    share_structure,
+    shared_structure,
+)
 from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
 from pcwlad_geo.matching.refinement import Refined, Start
 from tests.matching.landscape import Landscape, constant
@@ -54,6 +59,23 @@ def test_more_points_than_one_chunk_are_each_their_own() -> None:
     start = Start(np.tile([2.0, -3.0], (150, 1)), np.zeros((150, 2, 2)))
     found = shared_structure(pair(), many, start, WINDOW)
     np.testing.assert_array_equal(found[-3:], found[:3])
+
+
+def test_nothing_is_shared_under_a_cloud_however_well_the_match_is_placed() -> None:
+    scene = Landscape(11)
+    side, moved = 400, constant(2.0, -3.0)
+    ground, cloud = scene.image(side, 0, moved), Landscape(12).image(side, 0, moved)
+    clouded = np.where(np.arange(side) < side // 2, ground, cloud)
+    images = (
+        Image(each, np.ones(each.shape, bool), scene_epsilon(each)) for each in (scene.image(side), clouded)
+    )
+    channels = prepare(*images, channels="orientations").channels
+    rows, cols = np.meshgrid(np.arange(60, side - 60, 20), np.arange(60, side - 60, 20), indexing="ij")
+    corners = np.column_stack([rows.ravel(), cols.ravel()])
+    shared = share_structure(channels, corners, np.tile([2.0, -3.0], (len(corners), 1)))
+    assert shared[corners[:, 1] < 150].all()
+    assert shared[corners[:, 1] > 250].mean() < 0.15
+    assert share_structure(channels, corners[:0], np.zeros((0, 2))).shape == (0,)
 
 
 def test_a_match_passes_when_it_became_more_similar_and_is_similar_enough() -> None:

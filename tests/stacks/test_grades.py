@@ -96,6 +96,13 @@ def test_jitter_is_of_the_image_all_of_whose_pairs_show_it() -> None:
     assert "1.06 px by rows or columns that move" in found["e"].reasons[0]
 
 
+def test_a_pair_that_shows_little_of_the_jitter_does_not_hide_it() -> None:
+    weak = [pair(*ends, jitter_px=(0.1 if "a" in ends else 0.7) if "e" in ends else 0.0) for ends in ALL]
+    assert letters(grades(weak)) == "good good good good poor"
+    triangle = [pair("a", "b"), pair("a", "c", jitter_px=0.7), pair("b", "c", jitter_px=0.7)]
+    assert letters(grades(triangle)) == "good good poor"
+
+
 def test_what_a_dem_beside_its_place_does_to_an_image_counts() -> None:
     names = dict.fromkeys("abcde", 1.0)
     found = image_qualities(
