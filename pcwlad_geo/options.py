@@ -197,7 +197,7 @@ class Settings:
         ),
     ] = None
     """Function that finds corresponding positions in two images, ``package.module:function`` (see
-    `registration.start_matcher`); tried before the pose search. Its module is imported, that is, run."""
+    `registration.prealign`); tried before the pose search. Its module is imported, that is, run."""
     geometry: Annotated[
         Geometry, Option("What right matches have in common: a smooth displacement, or a viewpoint.", _PAIR)
     ] = "auto"

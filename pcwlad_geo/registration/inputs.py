@@ -81,7 +81,7 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
     """Find the bands and masks of a pair.
 
     Raises `InputError` if a product, or a band of it, is missing or cannot be used. The two are rasters or
-    products (see `products.detect.find_product`), of which bands have names in the settings. With
+    products (see `products.find_product`), of which bands have names in the settings. With
     `all_bands`, all others of the target are to be corrected too.
     """
     ref = _side(reference, "ref", settings)
