@@ -43,6 +43,17 @@ def check_regular(path: str | os.PathLike[str]) -> None:
             raise InputError(f"{os.fspath(path)} is {name}, not a file: copy what it gives into a file")
 
 
+def is_uri(name: str) -> bool:
+    """Whether a name may be a GDAL URI, so that only GDAL knows what it names."""
+    return ":" in name or name.startswith(("/vsi", "<"))
+
+
+def check_exists(name: str) -> None:
+    """Raise `InputError` if a name that can only be a path names nothing."""
+    if not (is_uri(name) or os.path.exists(name)):  # noqa: PTH110  # it may be no valid path
+        raise InputError(f"{name} does not exist: check the path")
+
+
 def check_sidecars(path: str | os.PathLike[str]) -> None:
     """Raise `InputError` where a pipe, a socket or a device lies beside a raster, and GDAL would open it.
 

@@ -24,7 +24,8 @@ BATCH_SIDE_PX: Final = 256
 BATCH_PAIRS: Final = 100
 SCENE_SIDES: Final = (1024, 2048, 4096, 8192)
 _PROGRAM: Final = (sys.executable, "-m", "pcwlad_geo")
-_ENVIRONMENT: Final = {"PYTHONPATH": str(w.REPOSITORY)}
+# an installed package has its bytecode: without it, 130 modules are compiled at every start
+_ENVIRONMENT: Final = {"PYTHONPATH": str(w.REPOSITORY), "PYTHONDONTWRITEBYTECODE": ""}
 
 
 def small_pairs(scratch: Path, arosics: Path | None, pairs: int, repeats: int) -> Iterator[Table]:

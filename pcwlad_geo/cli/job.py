@@ -27,7 +27,7 @@ from pcwlad_geo.errors import (
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.limits import check_address_space
 from pcwlad_geo.options import OUTPUT_OPTIONS, Settings
-from pcwlad_geo.text import one_line, visible
+from pcwlad_geo.text import check_exists, one_line, visible
 
 UNEXPECTED = 1
 """Exit status of an unexpected error."""
@@ -147,11 +147,13 @@ def _work(
     command: Command, params: Mapping[str, Any], settings: Mapping[str, Any], on_event: EventCallback
 ) -> tuple[int, Mapping[str, Path]]:
     """Run the job; return the exit status, and the paths of the outputs by kind."""
-    Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
+    inputs, places, status = (params["reference"], params["target"]), _places(params), 0
+    Settings.from_options(settings)  # what is mistyped is reported before the large libraries are loaded:
+    for name in inputs:
+        check_exists(name)
     from pcwlad_geo import job as workflow
 
     function: Callable[..., object] = workflow.register if command == "register" else workflow.match_files
-    inputs, places, status = (params["reference"], params["target"]), _places(params), 0
     with workflow.products_found_once():
         try:
             function(*inputs, overwrite=params["overwrite"], on_event=on_event, **places, **settings)

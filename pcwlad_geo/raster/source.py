@@ -29,7 +29,7 @@ from pcwlad_geo.raster.gdal import GDAL_ERRORS, LIBRARY_ERRORS, ignoring, readin
 from pcwlad_geo.raster.grid import Grid, Window, geotransform_of, is_invertible, linear_part
 from pcwlad_geo.raster.masks import Collar, MaskKind, find_collar, kind_of
 from pcwlad_geo.raster.opening import check_dataset, network_settings, open_for_reading, open_own
-from pcwlad_geo.text import check_regular, check_sidecars, joined
+from pcwlad_geo.text import check_regular, check_sidecars, is_uri, joined
 from pcwlad_geo.types import Bool, Float64
 
 MAX_READ_PX: Final = 2**25
@@ -290,7 +290,7 @@ def _why_not_opened(uri: str, error: Exception) -> str:
             return f"{uri} is not a raster that GDAL can read, or it is damaged: {reason}"
     except (OSError, ValueError):  # too long or odd for a path, as GDAL URIs may be
         pass
-    if ":" in uri or uri.startswith("/vsi") or uri.startswith("<"):
+    if is_uri(uri):
         return f"{uri} cannot be opened: {joined(error)}"
     return f"{uri} does not exist: check the path"
 

@@ -16,6 +16,7 @@ from pcwlad_geo.report.figures import (
     COL_COLOUR,
     MAX_TICKS,
     ROW_COLOUR,
+    TITLE_Y,
     add_bar,
     few_ticks,
     frame_figure,
@@ -197,7 +198,7 @@ def profile_figure(profiles: ProfilesEntry) -> bytes:
             axes.fill_between(part.place, mean - band, mean + band, color=colour, alpha=0.2, lw=0)
             axes.plot(part.place, mean, color=colour, lw=1.4, label=name)
         axes.axhline(0, color="0.4", lw=0.8)
-        axes.set_title(wave_text(profiles, along), fontsize=9, loc="left")
+        axes.set_title(wave_text(profiles, along), fontsize=9, loc="left", y=TITLE_Y)
         axes.set_xlabel(label, fontsize=9)
         axes.set_ylabel("displacement, px", fontsize=8)
         few_ticks(axes)

@@ -33,6 +33,8 @@ ARROW_COLOUR = "#003355"
 """Colour of arrows, dark enough on a pale image."""
 MAX_TICKS: Final = 4
 """Largest number of intervals between the ticks of an axis."""
+TITLE_Y: Final = 1.0
+"""Place of a title, in heights of its panel, which matplotlib would look for by drawing all labels twice."""
 COLOURS: Final = 256
 """Number of colours of a PNG, which makes it a quarter of the size without visible loss."""
 
@@ -157,7 +159,7 @@ def displacement_figure(
     drawn += [("after: residual, same scale", kept.residual_px)] if corrected else []
     figure, panels = frame_figure(reference_shape, backdrop, panels=len(drawn))
     for axes, (title, arrows) in zip(panels, drawn, strict=True):
-        axes.set_title(title, fontsize=10, loc="left")
+        axes.set_title(title, fontsize=10, loc="left", y=TITLE_Y)
         if len(kept):
             draw_arrows(axes, kept.reference_px, arrows, kept.displacement_px, max(reference_shape))
     return to_png(figure)
@@ -256,7 +258,7 @@ def residual_figure(
     if len(check):
         ring = {"ms": 6, "mfc": "none", "mec": CHECK_COLOUR, "mew": 1.3}
         marks += axes.plot(*check.reference_px.T, "o", label="check point", **ring)  # type: ignore[arg-type]
-    axes.set_title("residual, enlarged", fontsize=10, loc="left")
+    axes.set_title("residual, enlarged", fontsize=10, loc="left", y=TITLE_Y)
     axes.set_xlabel("reference column, px", fontsize=9, loc="left")
     if marks:
         axes.legend(
@@ -353,6 +355,6 @@ def _circle(axes: Axes, table: TiePointTable, ce90_px: float, limit: float) -> N
     axes.axhline(0, color="0.6", lw=0.7)
     axes.axvline(0, color="0.6", lw=0.7)
     axes.set(xlim=(-limit, limit), ylim=(limit, -limit))
-    axes.set_title(f"CE90 {ce90_px:.3f} px", fontsize=10)
+    axes.set_title(f"CE90 {ce90_px:.3f} px", fontsize=10, y=TITLE_Y)
     axes.set_xlabel("residual in column, px", fontsize=9)
     axes.set_ylabel("in row, px", fontsize=9, labelpad=0)

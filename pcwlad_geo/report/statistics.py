@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
 from pcwlad_geo.correction.selection import Selection
@@ -37,14 +37,25 @@ When = Literal["before", "after"]
 """State of the registration for which statistics are given: before or after the correction."""
 
 
-def statistics_of(registration: Registration, when: When, group: Group) -> dict[str, ErrorStatistics | None]:
-    """Return the statistics by unit of a `group` of `GROUPS` of a `registration`; `when`: before or after."""
-    points = registration.tie_points.select(*GROUPS[group])
+def statistics_of(
+    registration: Registration, when: When, group: Group, sizes_m: Float64 | None
+) -> dict[str, ErrorStatistics | None]:
+    """Return the statistics by unit of a `group` of `GROUPS` of a `registration`; `when`: before or after.
+
+    The (n, 2) `sizes_m` are those of `target_px_m`.
+    """
+    of_group = np.isin(registration.tie_points.status, GROUPS[group])
+    points = registration.tie_points[of_group]
     native_m, px_m = native_size_m(registration.reference, registration.target), registration.px_m
     native = None if px_m is None or native_m is None else native_per_px(px_m, native_m)
-    sizes_m = pixel_sizes_m(at_mean_height(registration.target.grid), points.predicted_px)
+    metres = None if sizes_m is None else sizes_m[of_group]
     errors_px = points.displacement_px if when == "before" else points.residual_px
-    return in_units(errors_px, points.sigma_px, {"px": np.ones(2), "native_px": native, "m": sizes_m})
+    return in_units(errors_px, points.sigma_px, {"px": np.ones(2), "native_px": native, "m": metres})
+
+
+def target_px_m(registration: Registration) -> Float64 | None:
+    """Return the (n, 2) sizes of the target's pixels at its tie points, metres; None without a CRS."""
+    return pixel_sizes_m(at_mean_height(registration.target.grid), registration.tie_points.predicted_px)
 
 
 def native_size_m(*rasters: RasterInfo) -> float | None:
@@ -139,7 +150,7 @@ class Coverage:
         A square in which none was requested counts as covered if a neighbouring square has one.
         """
         with_data = ~np.isin(self.reason, NO_DATA)
-        near = binary_dilation(self.points > 0, np.ones((3, 3)))
+        near = cv2.dilate((self.points > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         missing = with_data & (self.points == 0) & ~(near & np.isin(self.reason, ("not_asked", "unknown")))
         return float(missing.sum() / max(int(with_data.sum()), 1))
 
@@ -304,7 +315,7 @@ def _length(registration: Registration, requirement: Requirement) -> float | str
     name, unit = requirement.statistic, str(requirement.unit).replace(" ", "_")
     of_all = name in ("displacement", "sigma")
     group: Group = "all" if of_all else requirement.group or "check"
-    by_unit = statistics_of(registration, "before" if of_all else "after", group)
+    by_unit = statistics_of(registration, "before" if of_all else "after", group, target_px_m(registration))
     if by_unit["px"] is None:
         return NO_CHECK_POINTS if group == "check" else "there are no tie points"
     statistics = by_unit[unit]

@@ -36,6 +36,7 @@ from pcwlad_geo.report.statistics import (
     native_size_m,
     precision_of,
     statistics_of,
+    target_px_m,
 )
 from pcwlad_geo.requirements import RequirementResult
 from pcwlad_geo.types import Float64
@@ -116,16 +117,19 @@ def versions() -> dict[str, str]:
 
 def error_statistics(registration: Registration) -> c.StatisticsEntry:
     """Return the statistics of displacements (before) and residuals (after) of all, fit and check points."""
+    sizes_m = target_px_m(registration)
 
     def groups(when: When) -> dict[Group, c.GroupStatistics | None]:
-        return {group: _group(registration, when, group) for group in GROUPS}
+        return {group: _group(registration, when, group, sizes_m) for group in GROUPS}
 
     native_m = native_size_m(registration.reference, registration.target)
     return c.StatisticsEntry(native_m, groups("before"), groups("after"))
 
 
-def _group(registration: Registration, when: When, group: Group) -> c.GroupStatistics | None:
-    found = statistics_of(registration, when, group)
+def _group(
+    registration: Registration, when: When, group: Group, sizes_m: Float64 | None
+) -> c.GroupStatistics | None:
+    found = statistics_of(registration, when, group, sizes_m)
     px, native_px, m = (found[unit] for unit in ("px", "native_px", "m"))
     if px is None:
         return None

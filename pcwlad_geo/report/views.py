@@ -15,7 +15,7 @@ from pcwlad_geo.correction.points import thin
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Window, jacobian, map_px
 from pcwlad_geo.raster.source import RasterInfo, has_quick_overview, open_raster
-from pcwlad_geo.raster.view import View
+from pcwlad_geo.raster.view import Patch, View
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.statistics import KEPT
 from pcwlad_geo.tiepoints.table import TiePointTable
@@ -45,8 +45,13 @@ SQUARES: Final = 8
 """Number of squares along a side of a checkerboard."""
 MOSTLY_VALID: Final = 0.99
 """Least share of valid pixels around a sample for it to be valid."""
+WHOLE_PX: Final = 1024
+"""Largest side of a raster that is read as a whole for its views: opening it for each takes longer."""
 
 Image = NDArray[np.uint8]
+Reader = Callable[[Window], Patch]
+Readers = tuple[Reader, Reader]
+"""Of the reference and of the target."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +95,8 @@ def read_backdrop(info: RasterInfo) -> Image | None:
 def pair_views(registration: Registration) -> list[PairView]:
     """Return views of a clear edge and of the largest residual; none if the files cannot be read."""
     try:
-        views = [_view(registration, title, centre) for title, centre in _places(registration)]
+        read = _reader(registration.reference), _reader(registration.target)
+        views = [_view(registration, read, title, centre) for title, centre in _places(registration, read)]
     except (InputError, RasterioError):
         return []
     shown = [view for view in views if view is not None]
@@ -116,13 +122,30 @@ def checkered(one: Image, other: Image) -> Image:
     return np.where((rows[:, None] + cols) % 2 == 0, one, other)
 
 
-def _places(registration: Registration) -> list[tuple[str, Float64]]:
+def _reader(info: RasterInfo) -> Reader:
+    """Return what reads the windows of a band, by one reading of all of it where it is small."""
+    view, everything = View(info, info.grid, "none"), Window.whole(info.grid.shape)
+    if max(everything.shape) > WHOLE_PX:
+        return view.read
+    try:
+        whole = view.read(everything)
+    except InputError:  # parts of it may be readable
+        return view.read
+
+    def part(window: Window) -> Patch:
+        here = window.slices_in(everything)
+        return Patch(whole.values[here], whole.valid[here])
+
+    return part
+
+
+def _places(registration: Registration, read: Readers) -> list[tuple[str, Float64]]:
     kept = registration.tie_points.select(*KEPT)
     if len(kept) == 0:
         rows, cols = registration.reference.grid.shape
         return [("the middle", np.array([cols / 2, rows / 2]))]
     best = kept.reference_px[int(np.nanargmax(np.nan_to_num(kept.score)))]
-    edge = _telling_edge(registration, kept)
+    edge = _telling_edge(registration, read, kept) if registration.correction else None
     places = [("the most distinct match", best) if edge is None else ("the clearest edge", edge)]
     residual = np.nan_to_num(np.hypot(*kept.residual_px.T))
     if residual.any():
@@ -130,10 +153,10 @@ def _places(registration: Registration) -> list[tuple[str, Float64]]:
     return places
 
 
-def _telling_edge(registration: Registration, kept: TiePointTable) -> Float64 | None:
+def _telling_edge(registration: Registration, read: Readers, kept: TiePointTable) -> Float64 | None:
     """Return where, near the tie points, an edge makes the largest step; None if none does."""
     at_px = kept.reference_px[thin(kept.reference_px, np.hypot(*kept.sigma_px.T), EDGES)]
-    steps = [_step(_view(registration, "", each, LOOKED_AT)) for each in at_px]
+    steps = [_step(_view(registration, read, "", each, LOOKED_AT)) for each in at_px]
     best = int(np.argmax([step for step, _ in steps]))
     if not steps[best][0] > 0:
         return None
@@ -172,7 +195,9 @@ def _squared_gradient(image: Image) -> NDArray[np.complex64]:
     return image.all() * gradient**2
 
 
-def _view(registration: Registration, title: str, centre_px: Float64, n: int = SIDE_PX) -> PairView | None:
+def _view(
+    registration: Registration, read: Readers, title: str, centre_px: Float64, n: int = SIDE_PX
+) -> PairView | None:
     """Return a view of `n` x `n` samples; None where the target cannot be seen."""
     reference, target = registration.reference, registration.target
     predict = _prediction(registration)
@@ -184,12 +209,12 @@ def _view(registration: Registration, title: str, centre_px: Float64, n: int = S
     if not np.isfinite(predicted).all():
         return None
     correction = registration.correction
-    grey = stretched(*_sampled(reference, _dense(nodes, n)))
-    before = _sampled(target, _dense(predicted, n))
+    grey = stretched(*_sampled(reference, read[0], _dense(nodes, n)))
+    before = _sampled(target, read[1], _dense(predicted, n))
     after = moved = None
     if correction is not None:
         observed = correction.forward(predicted.reshape(-1, 2)).reshape(nodes.shape)
-        after = _sampled(target, _dense(observed, n))
+        after = _sampled(target, read[1], _dense(observed, n))
         moved = (observed - predicted)[NODES // 2, NODES // 2]
     if not before[1].any() and (after is None or not after[1].any()):
         return None
@@ -226,7 +251,7 @@ def _dense(nodes: Float64, count: int) -> Float64:
     return np.asarray(np.einsum("ra,abk,cb->rck", weights, nodes, weights, optimize=True))
 
 
-def _sampled(info: RasterInfo, at_px: Float64) -> tuple[Float64, Bool]:
+def _sampled(info: RasterInfo, read: Reader, at_px: Float64) -> tuple[Float64, Bool]:
     """Return (n, n) samples of a band at (n, n, 2) positions (col, row), and their validity."""
     nothing = np.zeros(at_px.shape[:2])
     if np.isnan(at_px).any():  # beyond the horizon of the correction
@@ -238,7 +263,7 @@ def _sampled(info: RasterInfo, at_px: Float64) -> tuple[Float64, Bool]:
     window = window.intersection(Window.whole(info.grid.shape))
     if window.empty or max(window.shape) > MAX_SOURCE_PX:
         return nothing, nothing > 0
-    patch = View(info, info.grid, "none").read(window)
+    patch = read(window)
     at = (at_px - [window.col, window.row] - 0.5).astype(np.float32)
     values = cv2.remap(patch.values.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_CUBIC)
     valid = cv2.remap(patch.valid.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)

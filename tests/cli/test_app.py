@@ -97,8 +97,10 @@ def test_nothing_heavy_is_imported_before_a_command_runs() -> None:
     code = (
         "import contextlib, io, sys\n"
         "from pcwlad_geo.cli.app import run\n"
-        "with contextlib.redirect_stdout(io.StringIO()):\n"
+        "with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as told:\n"
         "    for command in ([], ['register'], ['match'], ['batch']): run([*command, '--help'])\n"
+        "    assert run(['match', sys.executable, 'gone.tif']) == 2\n"
+        "assert 'gone.tif does not exist' in told.getvalue()\n"
         f"print([name for name in {heavy} if name in sys.modules])"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

@@ -65,8 +65,8 @@ def test_requirements_of_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "function"),
     [
-        (("register", "a.tif", "b.tif"), "job.register"),
-        (("match", "a.tif", "b.tif"), "job.match_files"),
+        (("register", "/vsimem/a.tif", "/vsimem/b.tif"), "job.register"),
+        (("match", "/vsimem/a.tif", "/vsimem/b.tif"), "job.match_files"),
         (("batch", "pairs.csv"), "batches.batch"),
         (("qa", "a.tif", "b.tif"), "bandqa.run.qa"),
     ],

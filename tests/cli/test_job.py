@@ -64,7 +64,7 @@ WITH_WORKERS = """
     with OwnProcesses(2, preload="") as runner:
         runner.run(time.sleep, [(0.0,), (3600.0,)], "matching", begin)
 """
-BOTH = ("register", "a.tif", "b.tif")
+BOTH = ("register", "/vsimem/a.tif", "/vsimem/b.tif")  # whether GDAL knows them is the job's to say
 
 
 def events(result: Result) -> list[dict[str, Any]]:

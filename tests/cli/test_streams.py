@@ -10,7 +10,7 @@ import pytest
 from tests.cli.process import TIMERS_RUN_OUT, Result
 
 Cli = Callable[..., Result]
-BOTH = ("register", "a.tif", "b.tif")
+BOTH = ("register", "/vsimem/a.tif", "/vsimem/b.tif")  # whether GDAL knows them is the job's to say
 
 TALK = """
     import logging, os, subprocess, sys, warnings

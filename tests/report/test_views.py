@@ -11,7 +11,11 @@ import pytest
 import rasterio
 
 from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.raster.view import Patch, View
 from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report import views
 from pcwlad_geo.report.views import SIDE_PX, pair_views, read_backdrop, stretched
 from tests.registrations import SHIFT_PX, of_files
 from tests.scenes import write
@@ -102,6 +106,30 @@ def test_what_cannot_be_read_costs_the_views_only(registration: Make, made: Regi
     assert [view.title for view in pair_views(refused)] == ["the middle"]
     only_before = pair_views(replace(made, correction=None))
     assert only_before[0].after is None
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_a_small_raster_shows_what_a_large_one_would(
+    made: Registration, damaged: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A small one is read as a whole, unless that fails: parts of it may be readable."""
+    with monkeypatch.context() as large:
+        large.setattr(views, "WHOLE_PX", 0)
+        expected = pair_views(made)
+    if damaged:
+        read = View.read
+
+        def broken(view: View, window: Window) -> Patch:
+            if window == Window.whole(view.grid.shape):
+                raise InputError("truncated")
+            return read(view, window)
+
+        monkeypatch.setattr(View, "read", broken)
+    found = pair_views(made)
+    assert [view.title for view in found] == [view.title for view in expected] != []
+    for view, other in zip(found, expected, strict=True):
+        for name in ("reference", "before", "after"):
+            np.testing.assert_array_equal(getattr(view, name), getattr(other, name))
 
 
 @pytest.mark.parametrize(
