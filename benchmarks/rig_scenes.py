@@ -15,8 +15,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy import ndimage
 
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.rigs.lenses import Lens
-from pcwlad_geo.rigs.rig import _resample, coefficients_of
+from pcwlad_geo.rigs.rig import Lens, _resample, coefficients_of
 
 Array = NDArray[np.float64]
 GROUND_M = 0.05

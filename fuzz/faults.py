@@ -44,7 +44,7 @@ OPTIONS: Final = ("--features", "40", "--window", "41", "--template", "61", "--m
 RUNNING: Final = ("--jobs", "1", "--progress", "none")
 LOADED: Final = (
     "pcwlad_geo.band_warping",
-    "pcwlad_geo.batches.run",
+    "pcwlad_geo.batches",
     "pcwlad_geo.cli.app",
     "pcwlad_geo.registration.run",
     "pcwlad_geo.stacks.run",

@@ -67,7 +67,7 @@ def warm_up() -> bytes:
     import pcwlad_geo.__main__
     import pcwlad_geo.band_warping
     import pcwlad_geo.bandqa.trend
-    import pcwlad_geo.batches.run
+    import pcwlad_geo.batches
     import pcwlad_geo.cli.app
     from pcwlad_geo.report import page
 

@@ -27,10 +27,10 @@ from pcwlad_geo.errors import (
 if TYPE_CHECKING:
     from pcwlad_geo.api import FittedCorrection, fit, match, open_pair
     from pcwlad_geo.band_warping import WarpOptions, warp
-    from pcwlad_geo.bandqa.pairs import PairResult
+    from pcwlad_geo.bandqa.bands import PairResult
     from pcwlad_geo.bandqa.run import qa
     from pcwlad_geo.bandqa.summary import QaResult
-    from pcwlad_geo.batches.run import BatchResult, batch
+    from pcwlad_geo.batches import BatchResult, batch
     from pcwlad_geo.correction.error_statistics import Accuracy
     from pcwlad_geo.correction.models import Correction
     from pcwlad_geo.events import Event, EventCallback, Progress, Warned
@@ -127,10 +127,10 @@ __all__ = [
 _NAMES = {
     "api": ("FittedCorrection", "fit", "match", "open_pair"),
     "band_warping": ("WarpOptions", "warp"),
-    "bandqa.pairs": ("PairResult",),
+    "bandqa.bands": ("PairResult",),
     "bandqa.run": ("qa",),
     "bandqa.summary": ("QaResult",),
-    "batches.run": ("BatchResult", "batch"),
+    "batches": ("BatchResult", "batch"),
     "correction.error_statistics": ("Accuracy",),
     "correction.models": ("Correction",),
     "events": ("Event", "EventCallback", "Progress", "Warned"),

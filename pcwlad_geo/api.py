@@ -21,6 +21,7 @@ from pcwlad_geo.band_warping import WarpOptions, WarpOutput, apply, requested_ou
 from pcwlad_geo.correction.error_statistics import Accuracy
 from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.events import EventCallback, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import PairOptions, open_job_runner
@@ -43,7 +44,6 @@ from pcwlad_geo.registration.fitting import Quality
 from pcwlad_geo.registration.result import Matches, Pair, Registration
 from pcwlad_geo.registration.rpc import check_model
 from pcwlad_geo.report.finished import finished
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.text import html_table, one_line_of
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64, PathLike
@@ -394,15 +394,15 @@ class FittedCorrection:
             )
         scratch = Scratch()
         place = scratch.folder / "warped.tif" if dst is None else Path(dst)
-        wishes: WarpOptions = {**output}
+        requested: WarpOptions = {**output}
         if dst is None:
-            wishes |= {"of": "GTiff", "co": ()}
-            if all(output.get(name) is None for name in GRID_OPTIONS):
-                wishes["grid"] = "reference-exact"
+            requested |= {"of": "GTiff", "co": ()}
+            if all(requested.get(name) is None for name in GRID_OPTIONS):
+                requested["grid"] = "reference-exact"
         with trusting(self.registration.settings.trust):
             done = finished(self.registration)
-            request, made = requested_output(done, wishes)
-            wanted = WarpOutput(done.reference_grid, request, made, resampling or done.resampling)
+            request, fmt = requested_output(done, requested)
+            wanted = WarpOutput(done.reference_grid, request, fmt, resampling or done.resampling)
             uri = scratch.file_of(self._placed(src), "array")
             apply(done, [uri], [place], wanted, False, overwrite, on_event)
         return place if dst is not None else like_the_source(read_raster(place), src)

@@ -52,13 +52,13 @@ def _by_rpc(
     sources: Sequence[str],
     places: Sequence[Mapping[str, Path]],
     target: CorrectedRpc,
-    made: WarpOutput,
+    output: WarpOutput,
     on_event: EventCallback,
 ) -> WriteBand:
     """Transfer the correction of the registered RPC to other rasters; return what orthorectifies them."""
-    if made.request.mode == "target":
+    if output.request.mode == "target":
         raise SettingsError("grid = 'target': the pixels of an image with RPC are no grid on the ground")
-    if made.format.is_vrt:
+    if output.format.is_vrt:
         raise SettingsError("of = 'VRT': a VRT cannot hold an orthorectified image; give --of COG or GTiff")
     siblings: list[RpcRegistration] = []
     for source in sources:
@@ -66,13 +66,13 @@ def _by_rpc(
         siblings.append(sibling)
         for warning in warnings:
             on_event(Warned(warning))
-    grids = _ortho_grids(target, siblings, made)
+    grids = _ortho_grids(target, siblings, output)
     for source, grid in zip(sources, grids, strict=True):
-        check_format(made.format, source, grid)
+        check_format(output.format, source, grid)
 
     def write(number: int, staged: Mapping[str, Path]) -> None:
         corrected = siblings[number].corrected_grid
-        how = BandOutput(grids[number], made.resampling, made.format, places[number]["raster"])
+        how = BandOutput(grids[number], output.resampling, output.format, places[number]["raster"])
         orthorectify_band(sources[number], staged["raster"], corrected, how, on_event)
         if "rpc" in staged:
             final_path = places[number]["rpc"]
@@ -83,12 +83,12 @@ def _by_rpc(
     return write
 
 
-def _ortho_grids(target: CorrectedRpc, siblings: Sequence[RpcRegistration], made: WarpOutput) -> list[Grid]:
+def _ortho_grids(target: CorrectedRpc, siblings: Sequence[RpcRegistration], output: WarpOutput) -> list[Grid]:
     """Return the output grids: one extent for all, the target's; raise where one shows nothing."""
     own = [sibling.corrected_grid for sibling in siblings]
     registered = replace(own[0], shape=target.shape, rpc=target.corrected)
-    grids = requested_ortho_grids(made.reference_grid, registered, made.request, own)
-    if made.request.needs_ground or made.request.fixed(made.reference_grid):
+    grids = requested_ortho_grids(output.reference_grid, registered, output.request, own)
+    if output.request.needs_ground or output.request.fixed(output.reference_grid):
         for raster, grid in zip(own, grids, strict=True):
             check_covered(grid, raster.to_xy(raster.boundary_px()), raster.crs)
     return grids
@@ -173,13 +173,13 @@ def warp(
     OutputError
         If a result cannot be written; those before it are kept.
     """
-    wishes: WarpOptions = {"grid": grid, "like": like, "tr": tr, "te": te, "t_srs": t_srs, "of": of, "co": co}
+    output: WarpOptions = {"grid": grid, "like": like, "tr": tr, "te": te, "t_srs": t_srs, "of": of, "co": co}
     with trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
         finished = read_registration(registration)
         sources = [os.fspath(raster) for raster in rasters]
-        request, made = requested_output(finished, wishes)
-        places = _warped_paths(sources, out_dir, output_raster, made.extension)
-        wanted = WarpOutput(finished.reference_grid, request, made, resampling or finished.resampling)
+        request, fmt = requested_output(finished, output)
+        places = _warped_paths(sources, out_dir, output_raster, fmt.extension)
+        wanted = WarpOutput(finished.reference_grid, request, fmt, resampling or finished.resampling)
         return apply(finished, sources, places, wanted, output_raster is None, overwrite, on_event)
 
 
@@ -188,7 +188,7 @@ def apply(
     sources: Sequence[str],
     places: Sequence[Path],
     wanted: WarpOutput,
-    rpc_beside: bool,
+    rpc_sidecar: bool,
     overwrite: bool,
     on_event: EventCallback,
 ) -> tuple[Path, ...]:
@@ -202,7 +202,7 @@ def apply(
         Where each goes.
     wanted : WarpOutput
         Grid, format and resampling.
-    rpc_beside : bool
+    rpc_sidecar : bool
         Where the target has an RPC, write those of the rasters beside them.
     overwrite : bool
         Replace files that exist.
@@ -223,7 +223,7 @@ def apply(
         raise InputError("no raster to warp: give at least one")
     inputs = [identify(source) for source in sources]
     _warn_of_changes(inputs, finished, on_event)
-    files = _rpc_paths(sources, places, beside=rpc_beside and finished.rpc is not None)
+    files = _rpc_paths(sources, places, with_rpc=rpc_sidecar and finished.rpc is not None)
     every = [place for each in files for place in each.values()]
     check_outputs(every, sources, overwrite=overwrite)
     if finished.rpc is None:
@@ -260,19 +260,19 @@ def _warn_of_changes(
             )
 
 
-def requested_output(finished: FinishedRegistration, wishes: WarpOptions) -> tuple[GridRequest, OutputFormat]:
+def requested_output(finished: FinishedRegistration, output: WarpOptions) -> tuple[GridRequest, OutputFormat]:
     """Return the output grid and the format that are asked for, else those of the registration.
 
     Raises `SettingsError` if an option has no such value, or two contradict each other.
     """
-    of, co = wishes.get("of"), wishes.get("co")
-    options = {name: value for name, value in wishes.items() if value is not None and name != "co"}
-    if wishes.get("like"):
-        options["like"] = str(wishes["like"])
+    of, co = output.get("of"), output.get("co")
+    options = {name: value for name, value in output.items() if value is not None and name != "co"}
+    if output.get("like"):
+        options["like"] = str(output["like"])
     settings = Settings.from_options(options | ({} if co is None else {"co": tuple(co)}))
     request = requested_grid(settings) if set(options) - {"of"} else finished.request
     if of is None:
-        return request, finished.made if co is None else OutputFormat.of(finished.made.driver, settings.co)
+        return request, finished.fmt if co is None else OutputFormat.of(finished.fmt.driver, settings.co)
     return request, OutputFormat.of(of, settings.co)
 
 
@@ -326,9 +326,9 @@ def _warped_paths(
     return (Path(output_raster),)
 
 
-def _rpc_paths(sources: Sequence[str], rasters: Sequence[Path], *, beside: bool) -> list[dict[str, Path]]:
+def _rpc_paths(sources: Sequence[str], rasters: Sequence[Path], *, with_rpc: bool) -> list[dict[str, Path]]:
     """Return the output paths by kind of each source, with those of its corrected RPC beside the raster."""
-    kinds = ("rpc", "rpc_text") if beside else ()
+    kinds = ("rpc", "rpc_text") if with_rpc else ()
     return [
         {"raster": raster}
         | {kind: raster.with_name(NAMES[kind].format(stem=Path(source).stem)) for kind in kinds}

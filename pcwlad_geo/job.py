@@ -20,8 +20,8 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder, place_file, place_with_files
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.outputs.write import OUTPUTS, write
-from pcwlad_geo.products.detect import products_found_once as products_found_once
-from pcwlad_geo.products.detect import stem_of
+from pcwlad_geo.products import products_found_once as products_found_once
+from pcwlad_geo.products import stem_of
 from pcwlad_geo.raster.arrays import file_of
 from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.output_format import OutputFormat
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from rasterio.io import DatasetReader
     from typing_extensions import Unpack
 
-    from pcwlad_geo.products.product import ProductBand
+    from pcwlad_geo.products import ProductBand
     from pcwlad_geo.registration.result import Registration
 
 Job = Literal["registered", "matched"]

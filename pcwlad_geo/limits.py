@@ -248,15 +248,15 @@ def check_gcp_misfit(uri: str, misfit_px: float, shape: tuple[int, int]) -> None
         )
 
 
-def check_grid(what: str, counts: Sequence[float], made_from_px: float | None = None) -> None:
+def check_grid(what: str, counts: Sequence[float], source_px: float | None = None) -> None:
     """Raise `InputError` if an output grid, `what` in the message, would have too many pixels.
 
-    These are more than `GRID_PX`, than `GRID_SIDE_PX` a side, or than `GRID_TIMES` the `made_from_px` from
+    These are more than `GRID_PX`, than `GRID_SIDE_PX` a side, or than `GRID_TIMES` the `source_px` from
     which it is made (at least `GRID_LEAST_PX`). `counts` are its columns and rows.
     """
     most = float(GRID_PX)
-    if made_from_px is not None:
-        most = min(most, max(GRID_TIMES * made_from_px, GRID_LEAST_PX))
+    if source_px is not None:
+        most = min(most, max(GRID_TIMES * source_px, GRID_LEAST_PX))
     cols, rows = counts
     if not cols * rows <= most:
         raise InputError(

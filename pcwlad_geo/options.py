@@ -197,7 +197,7 @@ class Settings:
         ),
     ] = None
     """Function that finds corresponding positions in two images, ``package.module:function`` (see
-    `registration.start_matcher`); tried before the pose search. Its module is imported, that is, run."""
+    `registration.prealign`); tried before the pose search. Its module is imported, that is, run."""
     geometry: Annotated[
         Geometry, Option("What right matches have in common: a smooth displacement, or a viewpoint.", _PAIR)
     ] = "auto"
@@ -490,7 +490,7 @@ SETTINGS: Final = tuple(field.name for field in fields(Settings))
 """Names of all fields of `Settings`."""
 RUNNING: Final = ("jobs", "scheduler", "allow_remote", "trust_vrt")
 """Those that say where a job runs and what it may open: its result does not depend on them."""
-OF_THE_USER_ALONE: Final = (*RUNNING, "start_matcher")
+NOT_IN_TABLES: Final = (*RUNNING, "start_matcher")
 """Those that a table of pairs, which may be a stranger's, cannot set."""
 OPTIONS: Final[dict[str, Option]] = {
     name: next(each for each in get_args(hint) if isinstance(each, Option))

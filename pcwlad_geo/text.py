@@ -54,7 +54,7 @@ def check_exists(name: str) -> None:
         raise InputError(f"{name} does not exist: check the path")
 
 
-def check_beside(path: str | os.PathLike[str]) -> None:
+def check_sidecars(path: str | os.PathLike[str]) -> None:
     """Raise `InputError` where a pipe, a socket or a device lies beside a raster, and GDAL would open it.
 
     GDAL looks for georeferencing, RPCs, overviews and metadata beside a raster, by its name or by their own.
@@ -200,10 +200,10 @@ TURNING: Final = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u20
 
 def visible(text: str) -> str:
     r"""Return a text with its control characters written like ``\x1b``, except line breaks and tabs."""
-    return "".join(_seen(each) for each in text)
+    return "".join(_visible(each) for each in text)
 
 
-def _seen(character: str) -> str:
+def _visible(character: str) -> str:
     hidden = unicodedata.category(character) in HIDDEN or character in TURNING
     if character in "\n\t" or not hidden:
         return character

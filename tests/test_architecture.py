@@ -25,7 +25,7 @@ SOURCES = {
     ".".join(path.relative_to(REPOSITORY).with_suffix("").parts).removesuffix(".__init__"): path
     for path in sorted(PACKAGE.rglob("*.py"))
 }
-MAX_MODULES = 170
+MAX_MODULES = 157
 MAX_BODY_LINES = 50
 
 
@@ -64,7 +64,7 @@ SOLVES = {"solve", "inv", "lstsq", "pinv", "cholesky", "splu", "spsolve", "cho_f
 """Functions of `numpy.linalg`, `scipy.linalg` and `scipy.sparse.linalg` that fail on what is singular."""
 
 
-@pytest.mark.parametrize("module", sorted(SOURCES.keys() - {"pcwlad_geo.solving"}))
+@pytest.mark.parametrize("module", sorted(SOURCES.keys() - {"pcwlad_geo.estimation.solving"}))
 def test_equations_are_solved_in_one_place(module: str) -> None:
     found = set()
     for node in ast.walk(ast.parse(SOURCES[module].read_text(encoding="utf-8"))):

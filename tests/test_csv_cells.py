@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.bandqa.summary import to_csv
-from pcwlad_geo.batches.pairs import Pair
-from pcwlad_geo.batches.run import PairOutcome, write_summary
+from pcwlad_geo.batches import Pair, PairOutcome, write_summary
 from pcwlad_geo.options import Settings
 from pcwlad_geo.text import cell
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable
-from pcwlad_geo.tiepoints.text_files import write_envi
+from pcwlad_geo.tiepoints.writers import write_envi
 
 FORMULAS = ["=1+1", "+1", "-cmd|' /C calc'!A0", "@SUM(A1)", "\t=1", "\r=1", "  =1", "＝1"]
 

@@ -25,7 +25,7 @@ from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.execution.cluster import LOST_AFTER_S, WARN_AFTER_S, WorkerWatch
 from pcwlad_geo.job import register
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products.landsat import LISTED
+from pcwlad_geo.products import LANDSAT_LISTED
 from pcwlad_geo.raster.file_tree import tree_of
 from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.raster.grid import Grid
@@ -392,11 +392,11 @@ def test_an_rpc_file_of_nonsense_is_read_in_linear_time(name: str, text: str, tm
 def test_landsat_metadata_of_nonsense_are_read_in_linear_time() -> None:
     """Where each begins of a name is followed to the end of the text, four megabytes take hours."""
     for part in ("FILE_NAME_BAND_", "FILE_NAME_BAND_1.L.", "FILE_NAME_BAND_1 = L"):
-        assert LISTED.findall(part * 200_000) == []
+        assert LANDSAT_LISTED.findall(part * 200_000) == []
     listed = (
         'FILE_NAME_BAND_ST_B10 = "LC08_L2SP_1_T1_ST_B10.TIF"\n<FILE_NAME_BAND_1>L_B1.TIF</FILE_NAME_BAND_1>'
     )
-    assert LISTED.findall(listed) == ["LC08_L2SP_1_T1_ST_B10.TIF", "L_B1.TIF"]
+    assert LANDSAT_LISTED.findall(listed) == ["LC08_L2SP_1_T1_ST_B10.TIF", "L_B1.TIF"]
 
 
 def test_an_envi_header_of_nonsense_is_read_in_linear_time(tmp_path: Path) -> None:

@@ -10,10 +10,10 @@ import pytest
 import rasterio
 
 import pcwlad_geo
+from pcwlad_geo import products
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.errors import InputError, OutputError
-from pcwlad_geo.products import detect
-from pcwlad_geo.products.product import Product
+from pcwlad_geo.products import Product
 from pcwlad_geo.raster.grid import Grid, map_px
 from tests.products import LANDSAT, SAFE, SHIFT_M, grid_of, packed, seen_by, write_landsat, write_safe
 
@@ -239,13 +239,13 @@ def test_the_product_of_a_path_is_found_once_a_job(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     searched: list[str] = []
-    search = detect._search
+    search = products._search
 
-    def count(path: detect.PathLike) -> Product | None:
+    def count(path: products.PathLike) -> Product | None:
         searched.append(str(path))
         return search(path)
 
-    monkeypatch.setattr(detect, "_search", count)
+    monkeypatch.setattr(products, "_search", count)
     reference, target = write_landsat(tmp_path / "ref"), write_landsat(tmp_path / "tgt", shift_m=SHIFT_M)
     bands = ["--ref-band", "B4", "--tgt-band", "B10", "--jobs", "1", "--template", "61", "--window", "41"]
     more = ["--tr", "30", "30"] if command == "register" else []

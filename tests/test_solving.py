@@ -14,8 +14,7 @@ from pcwlad_geo.correction.dense import invert
 from pcwlad_geo.correction.fit import FITS
 from pcwlad_geo.correction.points import agreement
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.rigs.lenses import homography_residual
-from pcwlad_geo.solving import (
+from pcwlad_geo.estimation.solving import (
     check_observations,
     check_rank,
     factorised,
@@ -26,8 +25,9 @@ from pcwlad_geo.solving import (
     triangular,
     undetermined,
 )
+from pcwlad_geo.rigs.rig import homography_residual
 from pcwlad_geo.stacks.adjustment import adjust
-from pcwlad_geo.stacks.homography import homographies
+from pcwlad_geo.stacks.models import homographies
 from pcwlad_geo.stacks.network import Edge, UndeterminedImageError, named
 
 Array = NDArray[np.float64]

@@ -30,8 +30,7 @@ from benchmarks.rig_scenes import (
 from benchmarks.runs import Runner
 from benchmarks.tables import Cell, Table, at_least, at_most, within
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.rigs.lenses import lattice
-from pcwlad_geo.rigs.rig import Rig
+from pcwlad_geo.rigs.rig import Rig, lattice
 from pcwlad_geo.rigs.run import RigApplied, rig_apply, rig_learn
 
 WINDOW: Final = 128
@@ -260,12 +259,12 @@ def applied_errors(
     left, top, cols, rows = known.crop()
     rays = known.common_rays(lattice((rows, cols), 16) + np.array([left, top]))
     near = plane[0] + rays @ plane[1:]
-    raw = known.reference.seen(rays, near)
+    raw = known.reference.project(rays, near)
     good = np.isfinite(raw).all(axis=1)
     down, place = lens_rays(lenses[0], flown, raw[good])
     points = ground_points(land, flown, down, place)
     return [
-        replace(each, rotation=turn).seen(rays[good], near[good]) - seen_by(true, flown, points)
+        replace(each, rotation=turn).project(rays[good], near[good]) - seen_by(true, flown, points)
         for each, turn, true in zip(known.lenses[1:], turns[1:], lenses[1:], strict=True)
     ]
 

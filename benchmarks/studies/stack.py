@@ -20,7 +20,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.stacks.adjustment import Adjustment, adjust
-from pcwlad_geo.stacks.graph import candidates, choose_pairs, quick_look
+from pcwlad_geo.stacks.graph import candidates, choose_pairs, read_overview
 from pcwlad_geo.stacks.inputs import StackInput
 from pcwlad_geo.stacks.network import Edge
 from pcwlad_geo.stacks.pairs import Frame, measure
@@ -59,7 +59,7 @@ def stack(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     rng = np.random.default_rng(SEED)
     frame, truths = _images(scratch, rng)
     given = [frame.given(number) for number in range(IMAGES)]
-    found = candidates(frame, given, [quick_look(info) for info in frame.infos])
+    found = candidates(frame, given, [read_overview(info) for info in frame.infos])
     chosen = choose_pairs(found, IMAGES)
     with open_runner(None, _ignore, jobs=runner.processes, scheduler=None, preload="numpy") as pool:
         measured = list(measure(frame, chosen, scratch / "out", Settings(), False, _ignore, pool))

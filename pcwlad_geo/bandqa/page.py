@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from jinja2 import Environment
 
-from pcwlad_geo.bandqa.pairs import SQUARES
+from pcwlad_geo.bandqa.bands import SQUARES
 from pcwlad_geo.bandqa.summary import Summary
 from pcwlad_geo.report.rendering import templates_of
 
@@ -168,11 +168,11 @@ def render(summary: Summary) -> str:
 
 def environment() -> Environment:
     """Return the templates of this package, everything escaped, with the filters for figures."""
-    made = templates_of("pcwlad_geo.bandqa")
-    made.filters["figure"] = figure
-    made.filters["signed"] = signed
-    made.filters["file_name"] = lambda path: Path(path).name
-    return made
+    environment = templates_of("pcwlad_geo.bandqa")
+    environment.filters["figure"] = figure
+    environment.filters["signed"] = signed
+    environment.filters["file_name"] = lambda path: Path(path).name
+    return environment
 
 
 def verdict(summary: Summary) -> str:

@@ -10,8 +10,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from pcwlad_geo.bandqa.bands import Band, find_band, list_bands, parse_bands, split_bands, with_native_px
-from pcwlad_geo.bandqa.pairs import PairResult, close_triangles, measured, plan_pairs
+from pcwlad_geo.bandqa.bands import (
+    Band,
+    PairResult,
+    close_triangles,
+    find_band,
+    list_bands,
+    measured,
+    parse_bands,
+    plan_pairs,
+    split_bands,
+    with_native_px,
+)
 from pcwlad_geo.bandqa.summary import (
     BandRequirement,
     QaResult,
@@ -27,7 +37,7 @@ from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
-from pcwlad_geo.products.detect import stem_of
+from pcwlad_geo.products import stem_of
 from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
 from pcwlad_geo.raster.source import plain_name
 from pcwlad_geo.raster.trust import trusting

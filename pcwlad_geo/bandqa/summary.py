@@ -9,11 +9,10 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from pcwlad_geo.bandqa.bands import Band
-from pcwlad_geo.bandqa.pairs import PairResult, Triangle, local_means
+from pcwlad_geo.bandqa.bands import Band, PairResult, Triangle, local_means
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products.detect import TIRS_M
+from pcwlad_geo.products import TIRS_M
 from pcwlad_geo.raster.identity import FileIdentity
 from pcwlad_geo.report.content import plain, rounded
 from pcwlad_geo.report.summary import versions

@@ -18,7 +18,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.text import visible
 
 if TYPE_CHECKING:
-    from pcwlad_geo.batches.run import BatchResult
+    from pcwlad_geo.batches import BatchResult
 
 STATUS_OF = {
     "failed": UNEXPECTED,
@@ -56,8 +56,7 @@ def batch(
 def _work(params: Mapping[str, Any], folders: list[Path], on_event: EventCallback) -> Ending:
     settings = collect(params, params["config"])
     Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
-    from pcwlad_geo.batches.pairs import read_pairs
-    from pcwlad_geo.batches.run import batch, batch_folder
+    from pcwlad_geo.batches import batch, batch_folder, read_pairs
 
     table_of_pairs, out_dir = params["pairs"], batch_folder(params["pairs"], params["out_dir"])
     folders += [pair.out_dir for pair in read_pairs(table_of_pairs, out_dir, settings)]

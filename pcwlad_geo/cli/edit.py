@@ -67,12 +67,12 @@ def _open(folder: Path, trust: Mapping[str, bool]) -> tuple[Editor, str]:
     if report.get("status") != "registered":
         raise InputError(f"{folder} holds no finished registration: give the output folder of register")
     try:
-        told = {
+        given = {
             name: to_setting(name, value)
             for name, value in report["settings"].items()
             if name not in NOT_TAKEN and value is not None
         }
-        settings = Settings.from_options({**told, **trust})
+        settings = Settings.from_options({**given, **trust})
         reference, target = (os.fspath(report[which]["path"]) for which in ("reference", "target"))
         model = str(report["model"]["name"])
     except (KeyError, TypeError, ValueError, AttributeError, SettingsError) as error:

@@ -19,7 +19,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.text import visible
 
 if TYPE_CHECKING:
-    from pcwlad_geo.bandqa.pairs import PairResult, Triangle
+    from pcwlad_geo.bandqa.bands import PairResult, Triangle
     from pcwlad_geo.bandqa.summary import Judged, QaResult
     from pcwlad_geo.bandqa.trend import Trend
 

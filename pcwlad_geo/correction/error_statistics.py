@@ -222,11 +222,11 @@ class Accuracy:
 
 
 CELLS_PER_WINDOW: Final = 3.0
-"""Number of cells along the side of a window; points of one cell share pixels and count as one witness."""
+"""Number of cells along the side of a window; points of one cell share pixels and count as one."""
 NEIGHBOURS: Final = 5
-"""Number of nearest witnesses whose median residual is taken for the mean error at a place."""
+"""Number of nearest independent points whose median residual is taken for the mean error at a place."""
 SHARED: Final = 0.5
-"""Largest scatter of witnesses that agree, as a share of the length of their median."""
+"""Largest scatter of such points that agree, as a share of the length of their median."""
 CLOSELY_PX: Final = 0.5
 """Largest scatter of rejected matches that count beyond the tie points: matches of ground without structure
 err in any direction, and some of them agree by chance."""
@@ -285,7 +285,7 @@ def expected_ce90(
     # The misfit of the model is in the mean, so not in the covariance.
     common_px2 = np.maximum(selection.common_px2, LEAST_COMMON_PX**2) + jitter_px**2 / 2
     covariance = selection.fit.covariance(places_px) + np.diag(common_px2)
-    growth = _variance_beyond(selection, residuals, places_px[unseen])
+    growth = _extrapolation_variance(selection, residuals, places_px[unseen])
     covariance[unseen] += growth[:, None, None] * np.eye(2)
     values, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
@@ -296,9 +296,9 @@ def expected_ce90(
 def _mean_error(residuals: Residuals, median_px: Float64, places_px: Float64, footprint_px: float) -> Float64:
     """Return the (m, 2) mean error of the correction at places that matches tell of, px.
 
-    Where sigmas explain the residuals, it is the median of the nearest witnesses without the noise, which is
-    no error of the correction. Otherwise the ground is displaced within short distances, and a match that its
-    neighbours contradict may be the right one: the nearest witness counts, rejected or not.
+    Where sigmas explain the residuals, it is the median of the nearest independent points without the noise,
+    which is no error of the correction. Otherwise the ground is displaced within short distances, and a match
+    that its neighbours contradict may be the right one: the nearest point counts, rejected or not.
     """
     kept, sigma_px = np.flatnonzero(residuals.kept), residuals.sigma_px
     if len(places_px) == 0 or len(kept) == 0 or sigma_px is None:
@@ -306,7 +306,7 @@ def _mean_error(residuals: Residuals, median_px: Float64, places_px: Float64, fo
     times = np.linalg.norm(residuals.residual_px[kept] / np.maximum(sigma_px[kept], 1e-9), axis=1)
     if not np.percentile(times, 90) <= UNSURPRISING * SIGMA_90:
         side_px = footprint_px / CELLS_PER_WINDOW
-        place, value = _witnesses(residuals.predicted_px, residuals.residual_px, side_px)
+        place, value = _independent_points(residuals.predicted_px, residuals.residual_px, side_px)
         return np.asarray(value[cKDTree(place).query(places_px)[1]])
     nearest = kept[cKDTree(residuals.predicted_px[kept]).query(places_px)[1]]
     return without_noise(median_px, sigma_px[nearest])
@@ -317,13 +317,13 @@ class Left:
     """The residuals of the matches around m places."""
 
     median_px: Float64
-    """(m, 2) median residual of the nearest witnesses (col, row), px."""
+    """(m, 2) median residual of the nearest independent points (col, row), px."""
     by_all: Bool
     """(m,) whether all matches around agree on it; otherwise it is that of the matches kept."""
     spread_px: Float64
-    """(m,) median distance of the nearest witnesses, of all matches, from their median, px."""
+    """(m,) median distance of the nearest such points, of all matches, from their median, px."""
     distance_px: Float64
-    """(m,) distance of the nearest witness, of all matches, px."""
+    """(m,) distance of the nearest such point, of all matches, px."""
 
 
 def left_by_correction(residuals: Residuals, places_px: Float64, footprint_px: float) -> Left:
@@ -345,8 +345,8 @@ def left_by_correction(residuals: Residuals, places_px: Float64, footprint_px: f
 def _around(
     xy_px: Float64, value_px: Float64, places_px: Float64, footprint_px: float
 ) -> tuple[Float64, Float64, Float64]:
-    """Return the nearest witnesses' median, their median distance from it, and the nearest distance."""
-    place, value = _witnesses(xy_px, value_px, footprint_px / CELLS_PER_WINDOW)
+    """Return the nearest independent points' median, median distance from it, and least distance."""
+    place, value = _independent_points(xy_px, value_px, footprint_px / CELLS_PER_WINDOW)
     count = min(NEIGHBOURS, len(place))
     distance, near = cKDTree(place).query(places_px, k=[*range(1, count + 1)])
     around = value[near]
@@ -355,7 +355,7 @@ def _around(
     return median, spread, distance[:, 0]
 
 
-def _witnesses(xy_px: Float64, value_px: Float64, side_px: float) -> tuple[Float64, Float64]:
+def _independent_points(xy_px: Float64, value_px: Float64, side_px: float) -> tuple[Float64, Float64]:
     """Return the mean position and the median value of the points of each cell of the given side."""
     if side_px <= 0:
         return xy_px, value_px
@@ -367,7 +367,7 @@ def _witnesses(xy_px: Float64, value_px: Float64, side_px: float) -> tuple[Float
     return place, (ordered[begin + (count - 1) // 2] + ordered[begin + count // 2]) / 2
 
 
-def _variance_beyond(selection: Selection, residuals: Residuals, places_px: Float64) -> Float64:
+def _extrapolation_variance(selection: Selection, residuals: Residuals, places_px: Float64) -> Float64:
     """Return (k,) variance per axis to add at places beyond the tie points, px².
 
     It is half the mean squared difference of displacements as far apart as the place is from the nearest
@@ -382,10 +382,10 @@ def _variance_beyond(selection: Selection, residuals: Residuals, places_px: Floa
         observed = left + selection.fit.correction.forward(xy)
         left = observed - AffineCorrection("affine", affine_between(xy, observed)).forward(xy)
     sample = np.linspace(0, len(xy) - 1, min(len(xy), SAMPLE)).astype(np.intp)
-    apart = np.linalg.norm(xy[sample, None] - xy[None, sample], axis=2)
+    separation = np.linalg.norm(xy[sample, None] - xy[None, sample], axis=2)
     halved = ((left[sample, None] - left[None, sample]) ** 2).sum(axis=2) / 4  # of two points, of two axes
     reach = max(float(np.ptp(xy, axis=0).max()) / 2, 1e-9)
-    bins = np.minimum(np.ceil(apart / reach * LAGS), LAGS + 1).astype(np.intp).ravel()
+    bins = np.minimum(np.ceil(separation / reach * LAGS), LAGS + 1).astype(np.intp).ravel()
     counts = np.bincount(bins, minlength=LAGS + 2)[1 : LAGS + 1]
     sums = np.bincount(bins, halved.ravel(), minlength=LAGS + 2)[1 : LAGS + 1]
     rough = np.divide(sums, counts, out=np.zeros(LAGS), where=counts > 0)

@@ -8,16 +8,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pcwlad_geo.correction.estimation import (
-    COARSE_STEPS,
-    COLLINEAR,
-    Estimate,
-    Solution,
-    design,
-    estimate,
-    reweighted,
-    weighted_least_squares,
-)
 from pcwlad_geo.correction.fitted import FitFunction, ParametricFit, checked
 from pcwlad_geo.correction.jitter import fit_jitter
 from pcwlad_geo.correction.models import (
@@ -29,10 +19,20 @@ from pcwlad_geo.correction.models import (
 )
 from pcwlad_geo.correction.thin_plate import fit_field, fit_tps
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.solving import solve
+from pcwlad_geo.estimation.robust import (
+    COARSE_STEPS,
+    COLLINEAR,
+    Estimate,
+    Solution,
+    design,
+    estimate,
+    reweighted,
+    weighted_least_squares,
+)
+from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.types import Float64
 
-MIN_POINTS = 6
+MIN_PROJECTIVE_POINTS = 6
 """Least number of tie points of a projective transformation."""
 STEPS = 30
 """Largest number of Gauss-Newton steps of a projective transformation."""
@@ -54,7 +54,7 @@ def fit_projective(
         See `fit_polynomial`, also for `footprint_px`; n ≥ 6, spread in both directions.
     """
     predicted, observed, covariance = checked(
-        "projective", MIN_POINTS, predicted_px, observed_px, covariance_px2
+        "projective", MIN_PROJECTIVE_POINTS, predicted_px, observed_px, covariance_px2
     )
     centre = predicted.mean(axis=0)
     radius = float(np.sqrt(((predicted - centre) ** 2).sum(axis=1).mean())) or 1.0
@@ -102,13 +102,13 @@ def _gauss_newton(
         parameters = parameters + step
         if np.abs(step).max() < STEP_TOLERANCE_PX:
             break
-    return np.asarray(parameters)
+    return parameters
 
 
 def _moved(parameters: Float64, place: Float64, radius_px: float) -> Float64:
     """Return the (n, 2) observed px about the centre; NaN beyond the horizon."""
     numerator = parameters[:2] + place @ parameters[2:6].reshape(2, 2)
-    return np.asarray(numerator / _denominator(parameters, place, radius_px)[:, None])
+    return numerator / _denominator(parameters, place, radius_px)[:, None]
 
 
 def _denominator(parameters: Float64, place: Float64, radius_px: float) -> Float64:
@@ -123,7 +123,7 @@ def _projective_jacobian(parameters: Float64, place: Float64, radius_px: float) 
     numerator = np.einsum("it,ab->iatb", terms, np.eye(2)).reshape(n, 2, 6)
     horizon = -_moved(parameters, place, radius_px)[:, :, None] * place[:, None, :] / radius_px
     both = np.concatenate([numerator, horizon], axis=2)
-    return np.asarray(both / _denominator(parameters, place, radius_px)[:, None, None])
+    return both / _denominator(parameters, place, radius_px)[:, None, None]
 
 
 def _jacobian_px(at_px: Float64, *, parameters: Float64, centre_px: Float64, radius_px: float) -> Float64:

@@ -11,10 +11,11 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from pcwlad_geo.correction.dense import in_chunks
-from pcwlad_geo.correction.estimation import Estimate, SharedErrors, parameter_covariance
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.solving import check_observations, solve
+from pcwlad_geo.estimation.robust import Estimate
+from pcwlad_geo.estimation.shared_errors import SharedErrors, parameter_covariance
+from pcwlad_geo.estimation.solving import check_observations, solve
 from pcwlad_geo.types import Bool, Float64
 
 SPACINGS = 3.0
@@ -163,7 +164,7 @@ class ParametricFit(Fit):
 
         def propagated(part_px: Float64) -> Float64:
             jacobian = self.jacobian(part_px)
-            return np.asarray(jacobian @ self.parameter_covariance @ jacobian.transpose(0, 2, 1))
+            return jacobian @ self.parameter_covariance @ jacobian.transpose(0, 2, 1)
 
         return in_chunks(propagated, at_px)
 
@@ -177,7 +178,7 @@ class ParametricFit(Fit):
         values = (root @ values_px[training]).reshape(len(rows), -1)
         needs = f"the {self.correction.name} model needs tie points in other parts of the image as well"
         found = solve(rows.T @ rows, rows.T @ values, needs, least=DETERMINED)
-        return np.asarray(self.jacobian(self.predicted_px[test]) @ found)
+        return self.jacobian(self.predicted_px[test]) @ found
 
 
 def checked(

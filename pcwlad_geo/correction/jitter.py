@@ -9,15 +9,15 @@ from typing import Final, Literal
 
 import numpy as np
 
-from pcwlad_geo.correction.estimation import Solution, design, estimate, reweighted, weighted_least_squares
 from pcwlad_geo.correction.fitted import ParametricFit, checked
 from pcwlad_geo.correction.models import AffineCorrection, JitterCorrection, JitterWave
-from pcwlad_geo.solving import least_squares
+from pcwlad_geo.estimation.robust import Solution, design, estimate, reweighted, weighted_least_squares
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.types import Float64, Index
 
 ALONG: Final = ("column", "row")
 """What a profile runs along, by the index of the coordinate."""
-MIN_POINTS: Final = 60
+MIN_WAVE_POINTS: Final = 60
 """Least number of tie points in which waves are looked for."""
 SHORTEST: Final = 1.5
 """Shortest period that is looked for, in windows: of shorter ones a window leaves a third at most."""
@@ -58,7 +58,7 @@ class Peak:
     """Whether it is jitter: chance is below one in a thousand."""
 
 
-def seen_share(period_px: float, footprint_px: float) -> float:
+def visible_share(period_px: float, footprint_px: float) -> float:
     """Return the share of the amplitude of a wave that is left of it in means over windows."""
     return float(np.sinc(footprint_px / period_px))
 
@@ -96,7 +96,7 @@ def peaks(at_px: Float64, rest_px: Float64, footprint_px: float) -> tuple[Peak, 
     """
     every = max(1, -(-len(at_px) // MAX_SEARCHED))
     at_px, rest_px = at_px[::every], rest_px[::every]
-    if len(at_px) < MIN_POINTS:
+    if len(at_px) < MIN_WAVE_POINTS:
         return ()
     extent = np.ptp(at_px, axis=0)
     spacing = float(np.sqrt(np.prod(extent) / len(at_px)))
@@ -129,7 +129,7 @@ def _peak(
     best = frequency[index] + np.linspace(-1, 1, 41) / (OVERSAMPLED * extent)
     sharp = _power(at_px[:, along], values, best)
     period = float(1.0 / best[np.argmax(sharp)])
-    share = seen_share(period, footprint_px)
+    share = visible_share(period, footprint_px)
     count = len(values)
     amplitude = 2.0 * np.sqrt(max(float(sharp.max()) - noise[index], 0.0)) / count
     sigma = np.sqrt(2.0 * noise[index]) / count
@@ -147,7 +147,7 @@ def _smoothed(values: Float64, reach: int) -> Float64:
     """Return running means over 2 · `reach` + 1 values, fewer at the ends."""
     kernel = np.ones(2 * reach + 1)
     total = np.convolve(values, kernel)[reach : reach + len(values)]
-    return np.asarray(total / np.convolve(np.ones_like(values), kernel)[reach : reach + len(values)])
+    return total / np.convolve(np.ones_like(values), kernel)[reach : reach + len(values)]
 
 
 def fit_jitter(
@@ -206,7 +206,7 @@ def _terms(
     place = at_px - centre_px
     columns = [np.ones(len(at_px)), *(place / RADIUS_PX).T]
     for along, period in waves:
-        phase, share = 2 * np.pi * place[:, along] / period, seen_share(period, footprint_px)
+        phase, share = 2 * np.pi * place[:, along] / period, visible_share(period, footprint_px)
         columns += [share * np.cos(phase), share * np.sin(phase)]
     return np.stack(columns, axis=1)
 
@@ -221,11 +221,11 @@ def _correction(
 ) -> JitterCorrection:
     slopes = parameters_px[1:3].T / RADIUS_PX
     matrix = np.column_stack([np.eye(2) + slopes, parameters_px[0] - slopes @ centre_px])
-    made = tuple(
+    fitted = tuple(
         JitterWave(ALONG[along], period, float(centre_px[along]), parameters_px[3 + 2 * k : 5 + 2 * k])
         for k, (along, period) in enumerate(waves)
     )
-    return JitterCorrection(AffineCorrection("affine", matrix), made)
+    return JitterCorrection(AffineCorrection("affine", matrix), fitted)
 
 
 BINS: Final = 48
@@ -262,7 +262,7 @@ def profile(along: Float64, across: Float64, rest_px: Float64, least_step: float
     """
     known = np.isfinite(along)
     along, across, rest_px = along[known], across[known], rest_px[known]
-    if len(along) < MIN_POINTS or np.ptp(along) <= 0:
+    if len(along) < MIN_WAVE_POINTS or np.ptp(along) <= 0:
         return Profile((), (), ())
     count = int(np.clip(np.ptp(along) / max(least_step, 1e-9), 1, BINS))
     edges = np.linspace(along.min(), along.max(), count + 1)

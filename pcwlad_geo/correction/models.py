@@ -11,7 +11,7 @@ import scipy.sparse
 
 from pcwlad_geo.correction.dense import Lattice, in_chunks, invert, positions
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.solving import inverse, least_squares
+from pcwlad_geo.estimation.solving import inverse, least_squares
 from pcwlad_geo.types import Float64, Index
 
 MAX_ORDER: Final = 3
@@ -160,7 +160,7 @@ class SplineGrid:
         The coefficients of a plane are its values there.
         """
         place = positions(*(np.arange(count + 3.0) - 1 for count in self.cells))
-        return np.asarray(self.origin_px + self.spacing_px * place)
+        return self.origin_px + self.spacing_px * place
 
     def design(self, at_px: Float64) -> scipy.sparse.csr_array:
         """Return the (n, k) values of all B-splines, row by row of the grid, at the (n, 2) `at_px`."""
@@ -399,7 +399,7 @@ class JitterCorrection:
 def _homogeneous(matrix: Float64, at_px: Float64) -> Float64:
     moved = np.asarray(at_px, dtype=np.float64) @ matrix[:, :2].T + matrix[:, 2]
     w = np.where(moved[:, 2:] > 0, moved[:, 2:], np.nan)
-    return np.asarray(moved[:, :2] / w)
+    return moved[:, :2] / w
 
 
 def from_json(model: Mapping[str, Any]) -> Correction:
@@ -415,13 +415,13 @@ def from_json(model: Mapping[str, Any]) -> Correction:
     try:
         name, forward = str(model["name"]), model["forward"]
         kind = forward["type"]
-        made = _READERS[kind](name, forward)
+        correction = _READERS[kind](name, forward)
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(
             f"this is no correction model ({type(error).__name__}: {error}): give the entry 'model' of the "
             "report.json of a finished registration"
         ) from error
-    return made
+    return correction
 
 
 def _affine(name: str, forward: Mapping[str, Any]) -> Correction:
@@ -500,7 +500,7 @@ _READERS = {
 }
 
 
-CELLS = 320
+ORIENTATION_CELLS = 320
 """Number of cells along the longer side whose orientation is tested, four per cell of the finest spline."""
 
 
@@ -512,7 +512,7 @@ def has_foldover(correction: Correction, low_px: Float64, high_px: Float64) -> b
     low_px, high_px : (2,) array of float
         Corners of the box (col, row), px.
     """
-    lattice = Lattice.over(low_px, high_px, float((high_px - low_px).max()) / CELLS)
+    lattice = Lattice.over(low_px, high_px, float((high_px - low_px).max()) / ORIENTATION_CELLS)
     moved = correction.forward(lattice.nodes_px()).reshape(*lattice.shape, 2)
     along_cols, along_rows = np.diff(moved, axis=1), np.diff(moved, axis=0)
     for cols in (along_cols[:-1], along_cols[1:]):

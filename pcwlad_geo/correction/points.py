@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pcwlad_geo.correction.estimation import Overlaps, random_signs
 from pcwlad_geo.correction.fitted import Fit
-from pcwlad_geo.solving import check_observations, least_squares, solve
+from pcwlad_geo.estimation.robust import axis_sigma, sigma_of
+from pcwlad_geo.estimation.shared_errors import Overlaps, random_signs
+from pcwlad_geo.estimation.solving import check_observations, least_squares, solve
 from pcwlad_geo.types import Bool, Float64, Index
 
 SURFACE_NEIGHBOURS = 40
@@ -52,7 +53,7 @@ def local_surface(xy_px: Float64, values_px: Float64) -> Float64:
 
 AGREEMENT_NEIGHBOURS: Final = 8
 """Number of nearest neighbours that a tie point is compared with."""
-MIN_POINTS: Final = 6
+MIN_COMPARED_POINTS: Final = 6
 """Least number of points among which outliers can be found."""
 SCATTERS: Final = 6.11
 """The limit is this many times the robust scatter, per axis, of all points about their neighbours."""
@@ -63,10 +64,6 @@ AGREEMENT_ROUNDS: Final = 4
 MIN_PX: Final = 1e-3
 """Least limit, and least sigma."""
 _STEPS: Final = 50
-_SIGMA_OF_MEDIAN_SIZE: Final = 1.4826
-"""Standard deviation of normal errors over the median of their absolute values."""
-_SIGMA_OF_MEDIAN_LENGTH: Final = 0.8493
-"""Standard deviation per axis over the median of their lengths, which are Rayleigh-distributed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +91,7 @@ def agreement(predicted_px: Float64, observed_px: Float64, sigma_px: Float64 | N
     """
     check_observations("tie points", predicted_px, observed_px)
     n = len(predicted_px)
-    if n < MIN_POINTS:
+    if n < MIN_COMPARED_POINTS:
         return Agreement(np.ones(n, bool), np.eye(2), float("nan"), 0.0)
     residual_px, linear = _about_the_trend(predicted_px, observed_px)
     spread_px = float(np.sqrt(observed_px.var(axis=0).sum()))
@@ -102,15 +99,15 @@ def agreement(predicted_px: Float64, observed_px: Float64, sigma_px: Float64 | N
     own = np.zeros(n) if sigma_px is None else np.nan_to_num(sigma_px)
     kept = np.ones(n, bool)
     for _ in range(AGREEMENT_ROUNDS):
-        apart_px = _apart(predicted_px, residual_px, kept)
-        size_px = np.linalg.norm(apart_px, axis=1)
-        scatter_px = _SIGMA_OF_MEDIAN_LENGTH * float(np.median(size_px[kept]))
+        difference_px = _from_neighbours(predicted_px, residual_px, kept)
+        size_px = np.linalg.norm(difference_px, axis=1)
+        scatter_px = axis_sigma(size_px[kept])
         again = size_px <= np.maximum(np.maximum(SCATTERS * scatter_px, SIGMAS * own), MIN_PX)
-        if (again == kept).all() or again.sum() < MIN_POINTS:
+        if (again == kept).all() or again.sum() < MIN_COMPARED_POINTS:
             break
         kept = again
     # The median of k neighbours has a variance of its own, π/2k of a point's.
-    per_axis_px = _SIGMA_OF_MEDIAN_SIZE * float(np.median(np.abs(apart_px[kept])))
+    per_axis_px = sigma_of(difference_px[kept])
     neighbours = min(AGREEMENT_NEIGHBOURS, int(kept.sum()) - 1)
     sigma = per_axis_px / np.sqrt(1 + np.pi / (2 * neighbours))
     return Agreement(kept, linear, max(float(sigma), MIN_PX), unexplained)
@@ -130,7 +127,7 @@ def _about_the_trend(predicted_px: Float64, observed_px: Float64) -> tuple[Float
     return observed_px - basis @ found, found[1:].T / scale_px
 
 
-def _apart(xy_px: Float64, residual_px: Float64, kept: Bool) -> Float64:
+def _from_neighbours(xy_px: Float64, residual_px: Float64, kept: Bool) -> Float64:
     """Return (n, 2) residuals less the median of those of the nearest kept neighbours."""
     index = np.flatnonzero(kept)
     k = min(AGREEMENT_NEIGHBOURS, len(index) - 1)
@@ -215,7 +212,7 @@ def best_of_cells(cell: Index, badness: Float64) -> Index:
     _, start, size = np.unique(cell[by_cell], return_index=True, return_counts=True)
     rank = np.empty(len(cell), dtype=np.intp)
     rank[by_cell] = np.arange(len(cell)) - np.repeat(start, size)
-    return np.asarray(np.lexsort((badness, rank)))
+    return np.lexsort((badness, rank))
 
 
 def _cell_of(xy_px: Float64, low: Float64, extent: Float64, side: float) -> tuple[Index, Float64]:

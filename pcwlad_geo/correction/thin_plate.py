@@ -1,33 +1,384 @@
-"""Robust fit of smoothing thin-plate splines, weighted by the covariance of the points."""
+"""Smoothing thin-plate splines: a sparse least-squares problem, fitted robustly by the points' covariance."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+import scipy.sparse
+from scipy.sparse.linalg import LinearOperator, cg
 
-from pcwlad_geo.correction.dense import Lattice
-from pcwlad_geo.correction.estimation import (
-    Estimate,
-    Overlaps,
-    Solution,
-    estimate,
-    probes_of,
-    random_signs,
-    reweighted,
-)
+from pcwlad_geo.correction.dense import Lattice, positions
 from pcwlad_geo.correction.fitted import Fit, Support, checked
-from pcwlad_geo.correction.models import SplineCorrection
+from pcwlad_geo.correction.models import SplineCorrection, SplineGrid, cubic_b_splines
 from pcwlad_geo.correction.points import cross_validation_blocks, local_surface
-from pcwlad_geo.correction.thin_plate_system import (
-    Factor,
-    Successive,
-    ThinPlateSystem,
-    Trials,
-    best,
-    mean_precision,
-)
+from pcwlad_geo.estimation.robust import Estimate, Solution, estimate, reweighted
+from pcwlad_geo.estimation.shared_errors import Overlaps, SharedErrors, probes_of, random_signs
+from pcwlad_geo.estimation.solving import factorised
 from pcwlad_geo.types import Bool, Float64
+
+Sparse: TypeAlias = scipy.sparse.csc_array
+
+MAX_CELLS = 40
+"""Largest number of cells along the longer side."""
+CELL_PER_WINDOW = 0.75
+"""Least side of a cell in window sides: displacements averaged over a window have no finer detail."""
+MAX_FIELD_CELLS = 80
+"""Likewise, of a field."""
+FIELD_CELL_PER_WINDOW = 0.5
+"""Likewise, of a field, whose displacements are means over the windows and show finer detail."""
+WINDOW_NODES = 4
+"""Number of places along the side of a window whose mean stands for that over the window."""
+BATCH = 4
+"""Number of right sides solved at once; with more, BLAS threads wait for each other longer than they work."""
+MAX_STEPS = 12
+"""Largest number of conjugate gradient steps before the system is factorised again."""
+REST = 1e-7
+"""Relative residual at which the conjugate gradients end."""
+
+
+def grid_of(xy_px: Float64, footprint_px: float, *, field: bool = False) -> SplineGrid:
+    """Return the grid for the (n, 2) points `xy_px` (col, row) with windows of side `footprint_px`, px.
+
+    That of a `field` has smaller cells.
+    """
+    per_window, most = (FIELD_CELL_PER_WINDOW, MAX_FIELD_CELLS) if field else (CELL_PER_WINDOW, MAX_CELLS)
+    low, extent = xy_px.min(axis=0), np.maximum(np.ptp(xy_px, axis=0), 1e-6)
+    finest = float(np.sqrt(np.prod(extent) / len(xy_px)))
+    spacing = max(float(extent.max()) / most, per_window * footprint_px, finest)
+    cells = np.maximum(np.ceil(extent / spacing * (1 - 1e-9)), 1).astype(int)
+    # The box sits in the middle of the grid.
+    origin = low - (cells * spacing - extent) / 2
+    return SplineGrid((float(origin[0]), float(origin[1])), spacing, (int(cells[0]), int(cells[1])))
+
+
+def bending(grid: SplineGrid) -> Sparse:
+    """Return the (k, k) matrix of the bending energy over the grid, with cells of side 1.
+
+    The energy is the integral of f_xx² + 2 f_xy² + f_yy² (Duchon 1977, doi:10.1007/BFb0086566).
+    """
+    along_cols, along_rows = ([_gram(cells, k) for k in range(3)] for cells in grid.cells)
+    energy = (
+        scipy.sparse.kron(along_rows[0], along_cols[2])
+        + 2 * scipy.sparse.kron(along_rows[1], along_cols[1])
+        + scipy.sparse.kron(along_rows[2], along_cols[0])
+    )
+    return scipy.sparse.csc_array(energy)
+
+
+def pull(grid: SplineGrid, reach_px: float) -> Sparse:
+    """Return the (k, k) matrix of the squared size of a spline, with cells of side 1.
+
+    Beside the bending energy it lets the spline go to zero within `reach_px` where there are no points.
+    """
+    along_cols, along_rows = (_gram(cells, 0) for cells in grid.cells)
+    weight = (grid.spacing_px / reach_px) ** 4
+    return scipy.sparse.csc_array(weight * scipy.sparse.kron(along_rows, along_cols))
+
+
+def windowed_design(grid: SplineGrid, xy_px: Float64, footprint_px: float) -> scipy.sparse.csr_array:
+    """Return the (n, k) means of the B-splines over windows of side `footprint_px` at the (n, 2) `xy_px`."""
+    nodes = footprint_px * ((np.arange(WINDOW_NODES) + 0.5) / WINDOW_NODES - 0.5)
+    total = sum(grid.design(xy_px + place) for place in positions(nodes, nodes))
+    return scipy.sparse.csr_array(total / WINDOW_NODES**2)
+
+
+def _gram(cells: int, derivative: int) -> Sparse:
+    """Return the integrals of products of two B-splines' derivatives."""
+    node, weight = np.polynomial.legendre.leggauss(4)  # exact to degree 7
+    values = cubic_b_splines((node + 1) / 2)[derivative]
+    cell = (values.T * weight / 2) @ values
+    total = np.zeros((cells + 3, cells + 3))
+    for first in range(cells):
+        total[first : first + 4, first : first + 4] += cell
+    return scipy.sparse.csc_array(total)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThinPlateSystem:
+    """The equations of a spline through points on a grid, without weights and smoothing."""
+
+    grid: SplineGrid
+    design: scipy.sparse.csr_array
+    """(n, k) values of the B-splines at the points."""
+    energy: Sparse
+    """(k, k) bending energy."""
+    energy_of_both: Sparse
+    """(2 * k, 2 * k) bending energy of the coefficients of col, then of row."""
+
+    @classmethod
+    def of(cls, xy_px: Float64, footprint_px: float) -> ThinPlateSystem:
+        """Return the equations for the (n, 2) points `xy_px` (col, row) and windows of `footprint_px`."""
+        grid = grid_of(xy_px, footprint_px)
+        return cls.on(grid, grid.design(xy_px), bending(grid))
+
+    @classmethod
+    def of_field(cls, xy_px: Float64, footprint_px: float, reach_px: float) -> ThinPlateSystem:
+        """Return those of a spline whose means over the windows are observed, and that ends in wide holes.
+
+        The (n, 2) points are `xy_px` (col, row), the windows `footprint_px` wide; the spline goes to zero
+        within `reach_px` where there are no points.
+        """
+        grid = grid_of(xy_px, footprint_px, field=True)
+        return cls.on(grid, windowed_design(grid, xy_px, footprint_px), bending(grid) + pull(grid, reach_px))
+
+    @classmethod
+    def on(cls, grid: SplineGrid, design: scipy.sparse.csr_array, energy: Sparse) -> ThinPlateSystem:
+        """Return the equations for an (n, k) `design` and a (k, k) `energy`."""
+        return cls(grid, design, energy, scipy.sparse.block_diag([energy, energy], format="csc"))
+
+    def normal(self, precision: Float64) -> Sparse:
+        """Return the normal matrix of one axis for an (n,) `precision`, 1/px², of both for (n, 2, 2).
+
+        With both axes, all coefficients of col come first, then all of row.
+        """
+        if precision.ndim == 1:
+            return scipy.sparse.csc_array(self.design.T @ (self.design * precision[:, None]))
+        col, cross, row = (self.normal(precision[:, a, b]) for a, b in ((0, 0), (0, 1), (1, 1)))
+        return scipy.sparse.csc_array(scipy.sparse.block_array([[col, cross], [cross, row]]))
+
+    def planes(self, root: Float64) -> Float64:
+        """Return (n, 3) orthonormal vectors that span the planes at the points, times the (n,) `root`."""
+        nodes = self.grid.nodes_px()
+        nodes = (nodes - nodes.mean(axis=0)) / self.grid.spacing_px
+        planes = self.design @ np.column_stack([np.ones(len(nodes)), nodes])
+        return np.linalg.qr(root[:, None] * planes)[0]
+
+    def freedom(self, stiffness: float, probes: Float64) -> float:
+        """Return the effective number of parameters of an axis at a `stiffness`, all precisions equal.
+
+        It is the trace of the smoother. A spline reproduces planes, which count as 3; the (n, m) random signs
+        `probes` estimate the rest.
+        """
+        precision = np.ones(len(probes))
+        factor = self.factor(self.normal(precision), self.smoothing(stiffness, precision))
+        planes = self.planes(precision)
+        bent = probes - planes @ (planes.T @ probes)
+        smoothed = self.design @ factor.solve(self.design.T @ bent)
+        return 3 + float((bent * smoothed).sum()) / float(probes.shape[1])
+
+    def smoothing(self, stiffness: float, precision: Float64) -> float:
+        """Return λ for the (n,) `precision`, 1/px²: `stiffness` times the mean total precision of a cell."""
+        return stiffness * float(precision.sum()) / float(np.prod(self.grid.cells))
+
+    def factor(self, normal: Sparse, smoothing: float) -> Factor:
+        """Factorise the matrix `normal` plus `smoothing` times the bending energy."""
+        energy = self.energy if normal.shape == self.energy.shape else self.energy_of_both
+        return Factor(
+            factorised(
+                scipy.sparse.csc_array(normal + smoothing * energy),
+                "the thin-plate spline needs tie points of finite sigma",
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        )
+
+
+class Factor:
+    """A factorised symmetric positive matrix."""
+
+    def __init__(self, factor: object) -> None:
+        self._solve = factor.solve  # type: ignore[attr-defined]  # SuperLU has no type
+
+    def solve(self, right: Float64) -> Float64:
+        """Return the (k, m) solutions for the columns of the (k, m) right sides `right`."""
+        parts = [
+            self._solve(np.ascontiguousarray(right[:, start : start + BATCH]))
+            for start in range(0, right.shape[1], BATCH)
+        ]
+        return np.concatenate(parts, axis=1)
+
+    def solve_one(self, right: Float64) -> Float64:
+        """Return the (k,) solution for the (k,) right side `right`."""
+        return self.solve(right.reshape(-1, 1))[:, 0]
+
+
+class Successive:
+    """Fits both axes for successive sets of precisions, each similar to the one before.
+
+    A factorisation preconditions conjugate gradients as long as these converge within few steps: a step costs
+    a thirtieth of a factorisation.
+
+    Parameters
+    ----------
+    system : ThinPlateSystem
+        The equations.
+    values_px : (n, 2) array
+        Values (col, row), px, to which the spline is fitted.
+    """
+
+    def __init__(self, system: ThinPlateSystem, values_px: Float64) -> None:
+        self._system, self._values_px = system, values_px
+        self._factor: Factor | None = None
+        self._found: Float64 | None = None
+
+    def solve(self, precision: Float64, smoothing: float) -> Float64:
+        """Return the (k, 2) coefficients (col, row), px, for an (n, 2, 2) `precision` and a `smoothing`."""
+        design, energy = self._system.design, self._system.energy_of_both
+
+        def pulled(at_points: Float64) -> Float64:
+            weighted = np.einsum("iab,ib->ia", precision, at_points)
+            return np.asarray((design.T @ weighted).T.ravel())
+
+        def times(flat: Float64) -> Float64:
+            return np.asarray(pulled(design @ flat.reshape(2, -1).T) + smoothing * (energy @ flat))
+
+        right, rests = pulled(self._values_px), False
+        if self._factor is not None:
+            before = LinearOperator(energy.shape, matvec=self._factor.solve_one, dtype=np.float64)
+            system = LinearOperator(energy.shape, matvec=times, dtype=np.float64)
+            self._found, left = cg(system, right, self._found, rtol=REST, maxiter=MAX_STEPS, M=before)
+            rests = left == 0
+        if not rests:
+            self._factor = self._system.factor(self._system.normal(precision), smoothing)
+            self._found = self._factor.solve_one(right)
+        return np.asarray(self._found).reshape(2, -1).T
+
+
+def mean_precision(whitener: Float64, weight: Float64) -> Float64:
+    """Return the (n,) weighted precision, 1/px², of each point, averaged over all directions.
+
+    Parameters
+    ----------
+    whitener, weight : (n, 2, 2) and (n,) arrays of float
+        See `Estimate`.
+    """
+    return np.asarray(weight * (whitener**2).sum(axis=(1, 2)) / 2)
+
+
+MAX_FREEDOM = 0.6
+"""Largest effective number of parameters of the spline as a share of the number of points."""
+ROUNDS = 4
+"""Largest number of iterations between the choice of the smoothing and the estimate of α."""
+SETTLED = 0.02
+"""That iteration ends where α changes by less than this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A spline fitted with a given smoothing."""
+
+    smoothing: float
+    """λ."""
+    squares: float
+    """Sum of the weighted squared residuals, mean of the axes."""
+    used: tuple[float, float]
+    """Effective parameters per point if the points' errors are independent, and if windows share them."""
+    errors: SharedErrors
+    """How far the errors are shared, as estimated from the residuals."""
+
+    def score(self, alpha: float) -> float:
+        """Return the generalised cross-validation score; infinite if the spline has too many parameters.
+
+        A spline follows correlated errors as if it had more parameters (Opsomer, Wang & Yang 2001,
+        Nonparametric regression with correlated errors, Statistical Science 16(2), 134-153).
+        """
+        used = (1 - alpha) * self.used[0] + alpha * self.used[1]
+        return self.squares / (1 - used) ** 2 if used < MAX_FREEDOM else np.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trials:
+    """Weighted points to which splines of any smoothing can be fitted; col and row have the same weights."""
+
+    system: ThinPlateSystem
+    overlaps: Overlaps
+    values_px: Float64
+    """(n, 2) values (col, row), px."""
+    normal: Sparse
+    """The normal matrix, the same for every smoothing."""
+    root: Float64
+    """(n, 1) square root of the precision, 1/px, 0 for outliers."""
+    inlier: Float64
+    """(n, 1) 1, or 0 for outliers."""
+    probes: Float64
+    """(n, m) random signs."""
+    shared: Float64
+    """(n, m) these signs, times the errors that windows of inliers share."""
+    planes: Float64
+    """(n, 3) orthonormal vectors that span the planes, see `ThinPlateSystem.planes`."""
+
+    @classmethod
+    def of(
+        cls,
+        system: ThinPlateSystem,
+        overlaps: Overlaps,
+        probes: Float64,
+        values_px: Float64,
+        whitener: Float64,
+        weight: Float64,
+    ) -> Trials:
+        """Return trials of a spline with given weights.
+
+        Inliers have weight 1: weights that follow the residuals would make these look small. The (n, m)
+        `probes` are random signs (see `probes_of`), the (n, 2) `values_px` those (col, row) to
+        which splines are fitted. The (n, 2, 2) `whitener` and (n,) `weight` are as in `Estimate`.
+        """
+        inlier = (weight > 0).astype(np.float64)
+        precision = mean_precision(whitener, inlier)
+        root, of_inliers = np.sqrt(precision)[:, None], inlier[:, None]
+        shared = of_inliers * overlaps.times(of_inliers * probes)
+        given = (system.normal(precision), root, of_inliers, probes, shared)
+        return cls(system, overlaps, values_px, *given, system.planes(root[:, 0]))
+
+    @property
+    def precision(self) -> Float64:
+        """(n,) 1/px², 0 for outliers."""
+        return self.root[:, 0] ** 2
+
+    def smoothing(self, stiffness: float) -> float:
+        """Return the λ of a stiffness."""
+        return self.system.smoothing(stiffness, self.precision)
+
+    def at(self, smoothing: float) -> Trial:
+        """Fit the spline, and estimate how it follows independent and shared errors."""
+        factor = self.system.factor(self.normal, smoothing)
+        whitened = np.column_stack([self.probes, self.shared, self.planes, self.root * self.values_px])
+        found = factor.solve(self.system.design.T @ (self.root * whitened))
+        remaining = whitened - self.root * (self.system.design @ found)
+        count = self.probes.shape[1]
+        left, shared_error, bent, residual = np.split(remaining, [count, 2 * count, 2 * count + 3], axis=1)
+        followed = self.probes - left
+        own = self.inlier * self.probes
+        own_error = own - followed  # a spline follows inliers alone
+        products = [[(a * b).sum() for b in (own_error, shared_error)] for a in (left, self._shared(left))]
+        squares = float((residual**2).sum()) / 2
+        errors = SharedErrors.of(
+            np.array(products) / count,
+            squares,
+            float((residual * self._shared(residual)).sum()) / 2,
+            self.overlaps.patches(),
+        )
+        # Planes are reproduced, and counted exactly; random signs estimate the rest of the traces.
+        smoothed = followed - (self.planes - bent) @ (self.planes.T @ self.probes)
+        straight = (self.planes**2).sum(), (self.planes * self._shared(self.planes)).sum()
+        used = [
+            float(part + (smoothed * noise).sum() / count) / float(self.inlier.sum())
+            for part, noise in zip(straight, (own, self.shared), strict=True)
+        ]
+        return Trial(smoothing, squares, (used[0], used[1]), errors)
+
+    def _shared(self, vectors: Float64) -> Float64:
+        return self.inlier * self.overlaps.times(self.inlier * vectors)
+
+
+def best(trials: list[Trial], alpha: float) -> tuple[int, float]:
+    """Return the index of the best of several smoothings, and α, which says how far errors are shared.
+
+    The two depend on each other: the residuals of the spline determine α, and α the smoothing. The iteration
+    starts from errors shared in full, which smooths most. There is a trial of each smoothing, the stiffest
+    first; `alpha` is 1 or an earlier result.
+    """
+    index = 0
+    for _ in range(ROUNDS):
+        index = int(np.argmin([trial.score(alpha) for trial in trials]))
+        before, alpha = alpha, trials[index].errors.alpha
+        if abs(alpha - before) < SETTLED:
+            break
+    return index, alpha
+
 
 LATTICE_SIDE = 32
 """Number of places whose precision is computed at once."""
@@ -100,7 +451,7 @@ class SplineFit(Fit):
             noise = (1 - alpha) * noise + alpha * _pairs(
                 influence.reshape(-1, m, 2), shared.reshape(-1, m, 2)
             )
-        return np.asarray(self.errors.scale * (noise + missed))
+        return self.errors.scale * (noise + missed)
 
 
 def _factor(system: ThinPlateSystem, estimate: Estimate, smoothing: float) -> Factor:
@@ -120,13 +471,13 @@ def _pairs(left: Float64, right: Float64) -> Float64:
     return np.asarray(np.einsum("kma,kmb->mab", left, right))
 
 
-MIN_POINTS = 12
+MIN_SPLINE_POINTS = 12
 """Least number of tie points of a thin-plate spline."""
 STIFF = 0.02
 """Stiffness over side⁴ at which the softest mode of a square plate is reduced to a tenth."""
 FACTOR = 4.0
 """Ratio of successive stiffnesses tried, which doubles the effective number of parameters."""
-MAX_STEPS = 14
+MAX_TRIES = 14
 """Largest number of stiffnesses tried."""
 HOLE = 2.0
 """A field returns to the affine over so many times the distance up to which a point supports a correction."""
@@ -158,7 +509,7 @@ def fit_tps(
     predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays of float
         See `fit.fit_polynomial`, also for `footprint_px`; n ≥ 12, not on one line.
     """
-    points = checked("tps", MIN_POINTS, predicted_px, observed_px, covariance_px2)
+    points = checked("tps", MIN_SPLINE_POINTS, predicted_px, observed_px, covariance_px2)
     return _fit_spline("tps", ThinPlateSystem.of(points[0], footprint_px), points, footprint_px)
 
 
@@ -179,7 +530,7 @@ def fit_field(
     predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays of float
         See `fit.fit_polynomial`, also for `footprint_px`; n ≥ 12, not on one line.
     """
-    points = checked("field", MIN_POINTS, predicted_px, observed_px, covariance_px2)
+    points = checked("field", MIN_SPLINE_POINTS, predicted_px, observed_px, covariance_px2)
     reach_px = HOLE * (Support.of(points[0], footprint_px).reach_px or 1.0)
     system = ThinPlateSystem.of_field(points[0], footprint_px, reach_px)
     return _fit_spline("field", system, points, footprint_px)
@@ -249,10 +600,10 @@ def _validated_stiffness(task: _Task, start_px: Float64, footprint_px: float, xy
         right = system.design.T @ (kept[:, None] * values)
         for step, stiffness in enumerate(finer):
             factor = system.factor(normal, trials.smoothing(stiffness))
-            made = system.design[test] @ factor.solve(right)
-            missed = ((task.rest_px[test] - made[:, :2]) ** 2).sum(axis=1)
+            predicted = system.design[test] @ factor.solve(right)
+            missed = ((task.rest_px[test] - predicted[:, :2]) ** 2).sum(axis=1)
             # 2 of the covariance, of 2 axes
-            flattery = 4 * (signs[test] * made[:, 2:]).mean(axis=1)
+            flattery = 4 * (signs[test] * predicted[:, 2:]).mean(axis=1)
             missed += errors.alpha * errors.scale * flattery
             scores[step] += float((precision[test] * missed).sum())
     return finer[int(np.argmin(scores))]
@@ -275,7 +626,7 @@ def _stiffness(task: _Task, start_px: Float64) -> float:
 def _tried(task: _Task) -> list[float]:
     """Return the stiffnesses that are tried, the largest first."""
     side = float(max(task.system.grid.cells))
-    return [STIFF * side**4 / FACTOR**step for step in range(MAX_STEPS)]
+    return [STIFF * side**4 / FACTOR**step for step in range(MAX_TRIES)]
 
 
 def _best(trials: Trials, tried: list[float]) -> tuple[int, float]:

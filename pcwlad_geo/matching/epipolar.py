@@ -14,10 +14,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
+from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.outliers import ALIKE, NARROW_PX, NEIGHBOURS
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Bool, Float64, Index
 
 TOLERANCE_PX: Final = 1.0
@@ -34,7 +35,7 @@ CONFIDENCE: Final = 0.9999
 """Probability of a sample without outliers at which the sampling ends."""
 SAMPLE: Final = 7
 """Number of matches that determine a fundamental matrix."""
-MIN_POINTS: Final = 24
+MIN_EPIPOLAR_MATCHES: Final = 24
 """Least number of matches of an epipolar geometry."""
 OFF_PLANE_PX: Final = 2.0
 """Distance from the position that one plane gives, from which a match tells something of its depth."""
@@ -43,7 +44,7 @@ LARGE_SHARE: Final = 0.05
 SEVERAL_DEPTHS: Final = 0.25
 """Least share of these with another parallax than the median one: clouds that moved have one and the same."""
 CELL_PER_WINDOW: Final = 0.75
-"""Side of the cells that count as independent witnesses, in window sides."""
+"""Side of the cells that count as independent, in window sides."""
 CHANCE_FACTOR: Final = 2.0
 """Factor on the chance of agreement, as matches of unrelated images are not uniform over the search."""
 _SEED: Final = 1
@@ -69,7 +70,7 @@ class EpipolarGeometry:
         ----------
         .. [1] Barath, D., Noskova, J., Ivashechkin, M., Matas, J. (2020), doi:10.1109/CVPR42600.2020.00138.
         """
-        if len(reference_xy_px) < MIN_POINTS:
+        if len(reference_xy_px) < MIN_EPIPOLAR_MATCHES:
             return None
         # about the middle: products of pixel coordinates lose digits
         middle = reference_xy_px.mean(axis=0)
@@ -200,13 +201,13 @@ def plane_residual_px(reference_xy_px: Float64, target_xy_px: Float64, kept: Boo
     kept : (n,) bool array
         The matches that it is fitted to.
     """
-    if np.count_nonzero(kept) < MIN_POINTS:
+    if np.count_nonzero(kept) < MIN_EPIPOLAR_MATCHES:
         return None
     matrix = plane_of(reference_xy_px[kept], target_xy_px[kept])
     if matrix is None:
         return None
     moved = np.column_stack([reference_xy_px, np.ones(len(reference_xy_px))]) @ matrix.T
-    return np.asarray(target_xy_px - moved[:, :2] / moved[:, 2:])
+    return target_xy_px - moved[:, :2] / moved[:, 2:]
 
 
 def plane_of(reference_xy_px: Float64, target_xy_px: Float64) -> Float64 | None:
@@ -246,10 +247,15 @@ def _geometry_of(points: TiePoints) -> EpipolarGeometry | None:
 def _near(points: TiePoints, geometry: EpipolarGeometry) -> Bool:
     distance = np.abs(geometry.distance_px(points.reference_xy_px, points.target_xy_px))
     inner = distance[distance < TOLERANCE_PX]
-    if len(inner) < MIN_POINTS:
+    if len(inner) < MIN_EPIPOLAR_MATCHES:
         return np.zeros(len(points), bool)
-    limit = SCATTERS * 1.4826 * float(np.median(inner))
-    return np.asarray(distance < np.clip(limit, MIN_TOLERANCE_PX, TOLERANCE_PX))
+    return np.asarray(distance < largest_distance_px(inner))
+
+
+def largest_distance_px(distance_px: Float64) -> float:
+    """Return how far a match may lie off its epipolar line, by (n,) `distance_px` of those in question."""
+    limit = SCATTERS * SIGMA_OF_MEDIAN * float(np.median(distance_px))
+    return float(np.clip(limit, MIN_TOLERANCE_PX, TOLERANCE_PX))
 
 
 def _supported(points: TiePoints, on_line: Bool) -> Bool:
@@ -260,8 +266,8 @@ def _supported(points: TiePoints, on_line: Bool) -> Bool:
         return result
     xy, moved = points.reference_xy_px[index], points.displacement_px[index]
     _, neighbours = cKDTree(xy).query(xy, k=min(NEIGHBOURS + 1, len(index)))
-    apart = np.linalg.norm(moved[neighbours[:, 1:]] - moved[:, None], axis=2)
-    result[index] = (apart < NARROW_PX).sum(axis=1) >= SUPPORT
+    distance = np.linalg.norm(moved[neighbours[:, 1:]] - moved[:, None], axis=2)
+    result[index] = (distance < NARROW_PX).sum(axis=1) >= SUPPORT
     return result
 
 

@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN_LENGTH
+from pcwlad_geo.estimation.solving import least_squares, pseudo_inverse
 from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
-from pcwlad_geo.solving import least_squares, pseudo_inverse
 from pcwlad_geo.types import Float64, Index
 
 SIMPLER_WITHIN_PX: Final = 0.02
@@ -34,8 +35,6 @@ SAMPLE: Final = 400
 """Largest number of points that are compared with the prediction of their neighbours."""
 CHUNK_VALUES: Final = 2_000_000
 """Largest number of (place, neighbour) pairs that are predicted at once, which limits the memory."""
-SIGMA_OF_MEDIAN_DISTANCE: Final = 0.8493
-"""Standard deviation per axis over the median distance of a circular normal distribution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,19 +250,19 @@ class _Search:
     """(n, k) distances of the points found, px."""
     index: Index
     """(n, k) indices of the points found."""
-    apart_px: float
+    excluded_px: float
     """Points nearer than this do not count."""
     nearer: int
     """Largest number of such points at a place."""
 
     @staticmethod
-    def of(tree: cKDTree, at: Float64, count: int, apart_px: float = 0.0) -> _Search:
+    def of(tree: cKDTree, at: Float64, count: int, excluded_px: float = 0.0) -> _Search:
         """Search the nearest `count` points that count."""
         at, nearer = np.ascontiguousarray(at, np.float64), 0
-        if apart_px and tree.n > 1 and len(at):
-            nearer = int(tree.query_ball_point(at, apart_px, return_length=True).max())
+        if excluded_px and tree.n > 1 and len(at):
+            nearer = int(tree.query_ball_point(at, excluded_px, return_length=True).max())
         distance, index = tree.query(at, k=np.arange(1, min(tree.n, count + nearer) + 1))
-        return _Search(tree, at, distance, index.astype(np.intp), apart_px, nearer)
+        return _Search(tree, at, distance, index.astype(np.intp), excluded_px, nearer)
 
     def typical_count(self, radius_px: float) -> float:
         """Return the median number of points within a radius of the places; 1 if there is no place."""
@@ -275,8 +274,8 @@ class _Search:
         reach = min(self.tree.n, surface.count + self.nearer)
         index = np.ascontiguousarray(self.index[:, :reach])
         usable = np.ones(index.shape, bool)
-        if self.apart_px:
-            usable = self.distance[:, :reach] >= self.apart_px
+        if self.excluded_px:
+            usable = self.distance[:, :reach] >= self.excluded_px
             usable &= np.cumsum(usable, axis=1) <= surface.count
         n = len(self.at)
         out, slope = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
@@ -284,4 +283,4 @@ class _Search:
         moved = np.ascontiguousarray(displacement, np.float64)
         found = (out, slope, scatter, leverage)
         fit_surfaces(self.tree.data, moved, self.at, index, usable, surface.order, *found)
-        return Prediction(out, slope, SIGMA_OF_MEDIAN_DISTANCE * scatter, leverage)
+        return Prediction(out, slope, SIGMA_OF_MEDIAN_LENGTH * scatter, leverage)

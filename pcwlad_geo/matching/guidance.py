@@ -9,17 +9,18 @@ from typing import Final
 
 import numpy as np
 
+from pcwlad_geo.estimation.robust import huber
+from pcwlad_geo.estimation.solving import inverse, least_squares
 from pcwlad_geo.matching import field
 from pcwlad_geo.matching.outliers import MIN_NARROW_PX, NARROW_PX, SCATTERS
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
-from pcwlad_geo.solving import inverse, least_squares
 from pcwlad_geo.types import Bool, Float64, Index
 
 DEFAULT_SCALE: Final = 3.0
 """Factor from formal to calibrated sigmas where a scene has too few points to estimate it."""
 SCALE_RANGE: Final = (1.5, 12.0)
 """Range to which an estimated factor from formal to calibrated sigmas is clipped."""
-MIN_POINTS: Final = 30
+MIN_RESIDUALS: Final = 30
 """Least number of points with a known residual from which that factor is estimated."""
 MEDIAN_CHI_SQUARE_2: Final = 1.3863
 """Median of the χ² distribution with two degrees of freedom, 2 ln 2."""
@@ -34,7 +35,7 @@ def sigma_scale(residual_px: Float64, covariance_px2: Float64) -> float:
     where not known. The (n, 2, 2) `covariance_px2` are formal covariances, px².
     """
     known = np.isfinite(residual_px).all(axis=1)
-    if known.sum() < MIN_POINTS:
+    if known.sum() < MIN_RESIDUALS:
         return DEFAULT_SCALE
     residual, weight = residual_px[known], inverse(covariance_px2[known] + 1e-8 * np.eye(2))
     squared = np.einsum("ni,nij,nj->n", residual, weight, residual)
@@ -53,7 +54,7 @@ def shared_variance(xy_px: Float64, residual_px: Float64, window_px: int, neighb
     """
     radial = np.hypot(residual_px[:, 0], residual_px[:, 1])
     known = radial[np.isfinite(radial)]
-    if len(known) < MIN_POINTS:
+    if len(known) < MIN_RESIDUALS:
         return 0.0
     windows = len(np.unique(np.floor(xy_px / window_px).astype(np.intp), axis=0))
     independent = max(1.0, windows * min(1.0, neighbours / len(xy_px)))
@@ -180,8 +181,8 @@ def guide_by_field(
         return FieldGuide(everywhere, nowhere, surface, 0.0, one_way)
     predicted = predict(xy, moved, xy, surface)
     rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
-    apart = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
-    structure = np.where((rough | apart)[:, None], np.nan, predicted.displacement_px)
+    pulled = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
+    structure = np.where((rough | pulled)[:, None], np.nan, predicted.displacement_px)
     shared = shared_variance(xy, choice.residual_px, settings.window, surface.count)
     return FieldGuide(_local(everywhere, predicted, reach), structure, surface, shared, one_way)
 
@@ -246,7 +247,7 @@ class WindowErrors:
         """
         sides = np.asarray(windows_px, np.float64)
         shared = np.maximum.outer(sides, sides) ** -NOISE_POWER
-        return np.asarray(self.noise * shared + self.bend * np.outer(sides**2, sides**2))
+        return self.noise * shared + self.bend * np.outer(sides**2, sides**2)
 
     def variance_px2(self, scales: Scales) -> float:
         """Return the variance per axis of the error that the windows leave together."""
@@ -406,7 +407,7 @@ def calibrate(
     if window_variance_px2 is not None and len(points):
         formal_px2 = float(np.median(np.trace(points.covariance_px2, axis1=1, axis2=2))) / 2
         by_windows = window_variance_px2 / max(formal_px2, 1e-8)
-        known = own if np.isfinite(residual).all(axis=1).sum() >= MIN_POINTS else 0.0
+        known = own if np.isfinite(residual).all(axis=1).sum() >= MIN_RESIDUALS else 0.0
         scale = float(np.clip(np.sqrt(known * scale**2 + (1 - known) * by_windows), *SCALE_RANGE))
     covariance = calibrated(points.covariance_px2, scale, shared_variance_px2)
     return replace(points, covariance_px2=covariance)
@@ -414,7 +415,7 @@ def calibrate(
 
 SAME_ROWS_PX: Final = 4.0
 """Windows whose rows are less apart lie on the same rows."""
-APART_PX: Final = 90.0
+DISJOINT_PX: Final = 90.0
 """Windows of 61 px that are farther apart along the rows share no pixel."""
 LONGEST: Final = 4.0
 """Longer residuals, in the median of all, are cut to that."""
@@ -424,26 +425,26 @@ CLEAR_JITTER: Final = 5.0
 """What they share is jitter beyond so many standard errors; without any it was 3 at most."""
 
 
-def jitter_px(xy_px: Float64, beside_px: Float64) -> float:
+def jitter_px(xy_px: Float64, difference_px: Float64) -> float:
     """Return by how much rows and columns move within a window, RMS, px; 0 where that may be chance.
 
-    The n points have (n, 2) positions `xy_px` (col, row); the (2, n, 2) `beside_px` are their displacements
-    by windows of few rows, then of few columns, less those by whole windows; NaN for failures. Errors of
-    windows are their own, except for what those of the same rows, far along them, share.
+    The n points have (n, 2) positions `xy_px` (col, row); the (2, n, 2) `difference_px` are their
+    displacements by windows of few rows, then of few columns, less those by whole windows; NaN for failures.
+    Errors of windows are their own, except for what those of the same rows, far along them, share.
     """
-    return float(np.hypot(_shared(xy_px, beside_px[0], 1), _shared(xy_px, beside_px[1], 0)))
+    return float(np.hypot(_shared(xy_px, difference_px[0], 1), _shared(xy_px, difference_px[1], 0)))
 
 
-def _shared(xy_px: Float64, beside_px: Float64, across: int) -> float:
-    known = np.isfinite(beside_px).all(axis=1)
+def _shared(xy_px: Float64, difference_px: Float64, across: int) -> float:
+    known = np.isfinite(difference_px).all(axis=1)
     if np.count_nonzero(known) < 2:
         return 0.0
-    left = beside_px[known] - np.median(beside_px[known], axis=0)
+    left = difference_px[known] - np.median(difference_px[known], axis=0)
     size = np.linalg.norm(left, axis=1)
-    left *= np.minimum(1.0, LONGEST * np.median(size) / np.maximum(size, 1e-9))[:, None]
-    apart = np.abs(xy_px[known, None] - xy_px[known])
+    left *= huber(np.maximum(size, 1e-9), LONGEST * np.median(size))[:, None]
+    distance = np.abs(xy_px[known, None] - xy_px[known])
     first, second = np.nonzero(
-        np.triu((apart[..., across] < SAME_ROWS_PX) & (apart[..., 1 - across] > APART_PX))
+        np.triu((distance[..., across] < SAME_ROWS_PX) & (distance[..., 1 - across] > DISJOINT_PX))
     )
     if len(first) < MIN_JITTER_PAIRS:
         return 0.0

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.coarse import match_coarsely
 from pcwlad_geo.matching.guidance import (
@@ -35,7 +36,6 @@ from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, measure_noise, prepare, rounding_of
 from pcwlad_geo.matching.refinement import STEP_PX, Refined, Start, refine
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, MethodTraits, TiePoints
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Bool, Float64, Index
 
 DISAGREEMENT_PX: Final = 0.5

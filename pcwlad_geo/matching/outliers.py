@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from pcwlad_geo.matching.field import SIGMA_OF_MEDIAN_DISTANCE
-from pcwlad_geo.solving import least_squares
+from pcwlad_geo.estimation.robust import axis_sigma
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.types import Bool, Float64, Index
 
 NEIGHBOURS: Final = 12
@@ -39,16 +39,16 @@ ROUNDS: Final = 6
 """Largest number of repetitions of each test, which ends when no further match is removed."""
 CONFIRMING: Final = 3
 """Number of neighbours that confirm an inconsistent match."""
-AS_NEAR: Final = 0.2
+CONFIRMING_SHARE: Final = 0.2
 """They differ from it by less than this share of its distance from the prediction."""
-THE_SAME: Final = 0.05
+EQUAL_SHARE: Final = 0.05
 """Neighbours however near confirm it if they differ by less than this share."""
 CELLS_AROUND: Final = 8
 """Number of nearest cells, other than its own, that a match is compared with."""
 
-APART_PX: Final = 3.0
+CONTRADICTION_PX: Final = 3.0
 """Least distance of a cluster from what the others predict."""
-APART_SCATTERS: Final = 6.0
+CONTRADICTION_SCATTERS: Final = 6.0
 """The same, in scatters per axis of the others about their own prediction: the parts of a rough displacement
 field all differ, and none of them is a contradiction."""
 MIN_CLUSTER: Final = 6
@@ -124,25 +124,11 @@ def confirmed(
         return np.zeros(len(index), bool)
     distance, near = cKDTree(xy_px).query(xy_px[index], k=min(NEIGHBOURS + 1, len(xy_px)))
     own = displacement_px[index]
-    apart = np.linalg.norm(displacement_px[near[:, 1:]] - own[:, None], axis=2)
+    difference = np.linalg.norm(displacement_px[near[:, 1:]] - own[:, None], axis=2)
     off = np.linalg.norm(own - predicted_px, axis=1)
-    nearer = apart < AS_NEAR * off[:, None]
+    nearer = difference < CONFIRMING_SHARE * off[:, None]
     confirms = (nearer & (distance[:, 1:] >= window_px / 4)).sum(axis=1) >= CONFIRMING
-    return np.asarray(confirms | ((apart < THE_SAME * off[:, None]).sum(axis=1) >= CONFIRMING))
-
-
-def axis_sigma_px(distance_px: Float64) -> float:
-    """Return the robust standard deviation per axis of circular normal errors.
-
-    Lengths are Rayleigh-distributed: their median is √(2 ln 2) = 1.1774 standard deviations of an axis. (The
-    familiar 1.4826 times the median absolute deviation is for a single axis.)
-
-    Parameters
-    ----------
-    distance_px : (n,) array
-        Lengths of the errors.
-    """
-    return SIGMA_OF_MEDIAN_DISTANCE * float(np.median(distance_px))
+    return np.asarray(confirms | ((difference < EQUAL_SHARE * off[:, None]).sum(axis=1) >= CONFIRMING))
 
 
 def _one_round(xy: Float64, displacement: Float64, sigma: Float64, kept: Bool, narrow: bool) -> Bool:
@@ -156,7 +142,7 @@ def _one_round(xy: Float64, displacement: Float64, sigma: Float64, kept: Bool, n
     residual = np.linalg.norm(own - np.median(around, axis=1), axis=1)
     limit = np.full(len(index), WIDE_PX)
     if narrow:
-        width = np.maximum(SCATTERS * axis_sigma_px(residual), SIGMAS * sigma[index])
+        width = np.maximum(SCATTERS * axis_sigma(residual), SIGMAS * sigma[index])
         limit = np.clip(width, MIN_NARROW_PX, NARROW_PX)
     agreeing = (np.linalg.norm(around - own[:, None, :], axis=2) < np.maximum(limit, 1.0)[:, None]).mean(
         axis=1
@@ -188,7 +174,7 @@ def _with_their_surroundings(
     _, nearest = cKDTree(centres).query(centres, k=min(CELLS_AROUND + 1, len(cells)))
     around = np.median(medians[nearest[:, 1:]], axis=1)
     residual = np.linalg.norm(moved - around[cell_of], axis=1)
-    width = np.maximum(SCATTERS * axis_sigma_px(residual), SIGMAS * sigma[index])
+    width = np.maximum(SCATTERS * axis_sigma(residual), SIGMAS * sigma[index])
     result = np.zeros_like(kept)
     result[index] = residual < np.clip(width, MIN_NARROW_PX, WIDE_PX)
     return result
@@ -260,14 +246,14 @@ def _against_all_others(
         left = displacement - _trend(xy, displacement, ~inside, order)
         offset = np.median(left[inside], axis=0)
         size = float(np.hypot(*offset))
-        if size <= _limit_px(left, ~inside, unit_px) or not _stands_alone(left, inside, edges, offset, size):
+        if size <= _limit_px(left, ~inside, unit_px) or not _is_isolated(left, inside, edges, offset, size):
             return None
         if found is None or size < np.hypot(*found.offset_px):
             found = Cluster(np.flatnonzero(inside), offset)
     return found
 
 
-def _stands_alone(left: Float64, inside: Bool, edges: Index, offset: Float64, size: float) -> bool:
+def _is_isolated(left: Float64, inside: Bool, edges: Index, offset: Float64, size: float) -> bool:
     """Whether the matches inside are off by one and the same amount, and those next to them are not."""
     if np.median(_length(left[inside] - offset)) > ALIKE * size:
         return False
@@ -301,7 +287,7 @@ def _neighbour_pairs(xy: Float64, reach_px: float) -> Index:
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     sides = np.unique(np.sort(sides, axis=1), axis=0).astype(np.intp)
     length = _length(xy[sides[:, 0]] - xy[sides[:, 1]])
-    return np.asarray(sides[length <= max(reach_px, TYPICAL_SIDES * float(np.median(length)))])
+    return sides[length <= max(reach_px, TYPICAL_SIDES * float(np.median(length)))]
 
 
 def _trend(xy: Float64, displacement: Float64, used: Bool, order: int) -> Float64:
@@ -315,13 +301,13 @@ def _trend(xy: Float64, displacement: Float64, used: Bool, order: int) -> Float6
         fitted = basis @ least_squares(weighted @ basis, weighted @ displacement)
         off = _length(displacement - fitted)
         weight = used / np.maximum(off, max(0.1 * float(np.median(off[used])), 1e-6))
-    return np.asarray(fitted)
+    return fitted
 
 
 def _limit_px(left: Float64, used: Bool, unit_px: float) -> float:
     """Return how far a match must lie off the trend to contradict it."""
-    return max(APART_PX * unit_px, APART_SCATTERS * axis_sigma_px(_length(left[used])))
+    return max(CONTRADICTION_PX * unit_px, CONTRADICTION_SCATTERS * axis_sigma(_length(left[used])))
 
 
 def _length(vectors: Float64) -> Float64:
-    return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
+    return np.hypot(vectors[:, 0], vectors[:, 1])

@@ -17,12 +17,12 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
 from pcwlad_geo.matching.shift_search import Patches, normalised_channels, patches_against_chance
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Bool, Float32, Float64
 
-CELLS: Final = 112
+CORRELATION_CELLS: Final = 112
 """Longer side of the larger image, in cells of the correlation."""
 PIXELS_PER_CELL: Final = 3.0
 """Channels are computed at so many pixels a cell and averaged: they tolerate the steps of the search."""
@@ -204,9 +204,9 @@ class _Image:
 
     def _level(self, side_cells: float) -> tuple[Float32, Float32, Float64]:
         """Return channels, usable px and the (3, 3) matrix from px, at the nearest half octave."""
-        step = round(2 * math.log2(side_cells / CELLS))
+        step = round(2 * math.log2(side_cells / CORRELATION_CELLS))
         if step not in self._levels:
-            factor = min(1.0, PIXELS_PER_CELL * CELLS * 2 ** (step / 2) / self.side_px)
+            factor = min(1.0, PIXELS_PER_CELL * CORRELATION_CELLS * 2 ** (step / 2) / self.side_px)
             values, valid, to_map = _shrunk(self.values, self.valid, factor)
             channels, usable = normalised_channels(values, valid)
             maps = np.einsum("rco,ho->hrc", channels, _HARMONICS / ORIENTATIONS)
@@ -222,7 +222,7 @@ class _Scan:
     fixed: _Image
     from_target: bool
     """Whether the target is the moving image."""
-    cells: int = CELLS
+    cells: int = CORRELATION_CELLS
     """Longer side of the fixed image, cells."""
 
     def everywhere(self, scales: tuple[float, float]) -> Iterator[_Trial]:
@@ -332,7 +332,9 @@ def search_pose(
         return None
     best, rival = ranked[0], ranked[1].score if len(ranked) > 1 else 0.0
     stands_out = EVIDENCE_PER_RATIO * (best.score / rival - 1) if rival > 0 else MAX_EVIDENCE
-    return _voted(first, second, PoseProposal(best.matrix[:2], best.score, min(stands_out, MAX_EVIDENCE)))
+    return _moved_to_consensus(
+        first, second, PoseProposal(best.matrix[:2], best.score, min(stands_out, MAX_EVIDENCE))
+    )
 
 
 def mean_distance_px(first: Float64, second: Float64, shape: tuple[int, ...]) -> float:
@@ -354,8 +356,8 @@ def _distinct(trials: Iterable[_Trial], shape: tuple[int, ...]) -> list[_Trial]:
     """Return the best trials that differ, the best first."""
     chosen: list[_Trial] = []
     for trial in sorted(trials, key=lambda each: -each.score):
-        apart = DISTINCT * max(shape) * _scale_of(trial.matrix)
-        if all(mean_distance_px(trial.matrix, other.matrix, shape) > apart for other in chosen):
+        distinct_px = DISTINCT * max(shape) * _scale_of(trial.matrix)
+        if all(mean_distance_px(trial.matrix, other.matrix, shape) > distinct_px for other in chosen):
             chosen.append(trial)
         if len(chosen) == REFINED:
             break
@@ -414,7 +416,7 @@ def _mask_spectrum(known: Float32, size: int) -> Complex64:
     return np.asarray(scipy.fft.rfft2(blocks.sum(axis=(1, 3))), np.complex64)
 
 
-def _voted(reference: _Image, target: _Image, proposal: PoseProposal) -> PoseProposal:
+def _moved_to_consensus(reference: _Image, target: _Image, proposal: PoseProposal) -> PoseProposal:
     """Compare patches of both images, the target warped by a proposal, and move that to where they agree."""
     factor = min(1.0, proposal.scale, FRAME_PX / reference.side_px)
     values, valid, to_frame = _shrunk(reference.values, reference.valid, factor)

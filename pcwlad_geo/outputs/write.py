@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned
 from pcwlad_geo.outputs import maps
-from pcwlad_geo.products.product import ProductBand
+from pcwlad_geo.products import ProductBand
 from pcwlad_geo.raster import vrt, warping
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.matching_grid import grid_on_plane_of
@@ -27,7 +27,7 @@ from pcwlad_geo.raster.rpc.view import ground_grid
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.inputs import requested_grid
 from pcwlad_geo.report.rendering import to_pdf
-from pcwlad_geo.tiepoints import geopackage, text_files
+from pcwlad_geo.tiepoints import writers
 
 if TYPE_CHECKING:  # slow to load; workers are started before
     from pcwlad_geo.registration.result import Registration
@@ -69,7 +69,7 @@ class BandOutput:
 
     grid: Grid
     resampling: str
-    made: OutputFormat
+    fmt: OutputFormat
     final_path: Path
     """Final path of the file."""
 
@@ -90,7 +90,7 @@ def warp_band(
         how.grid,
         how.resampling,
         target_grid=target_grid,
-        made=how.made,
+        fmt=how.fmt,
         final_path=how.final_path,
         progress=lambda done, total: on_event(Progress("warping", done, total)),
     )
@@ -108,7 +108,7 @@ def orthorectify_band(
         corrected,
         how.grid,
         how.resampling,
-        made=how.made,
+        fmt=how.fmt,
         progress=lambda done, total: on_event(Progress("warping", done, total)),
     )
     if warning is not None:
@@ -156,28 +156,28 @@ class Output(NamedTuple):
 
 
 def _tiepoints(job: Writing, path: Path) -> None:
-    text_files.write_csv(job.registration.tie_points, path)
+    writers.write_csv(job.registration.tie_points, path)
 
 
 def _geopackage(job: Writing, path: Path) -> None:
-    geopackage.write(job.registration.tie_points, path, job.registration.target.grid)
+    writers.write_geopackage(job.registration.tie_points, path, job.registration.target.grid)
 
 
 def _points(job: Writing, path: Path) -> None:
     target = job.registration.target
     on_ground = target.georeferenced and job.registration.rpc is None
-    text_files.write_points(job.registration.tie_points, path, on_ground, target.grid)
+    writers.write_points(job.registration.tie_points, path, on_ground, target.grid)
 
 
 def _gcps(job: Writing, path: Path) -> None:
     table = job.registration.tie_points
     uri = job.registration.target.uri
-    text_files.write_gcps_vrt(path, uri, table, table.crs, final_path=job.places["gcps"])
+    writers.write_gcps_vrt(path, uri, table, table.crs, final_path=job.places["gcps"])
 
 
 def _envi(job: Writing, path: Path) -> None:
     registration = job.registration
-    text_files.write_envi(registration.tie_points, path, registration.reference.uri, registration.target.uri)
+    writers.write_envi(registration.tie_points, path, registration.reference.uri, registration.target.uri)
 
 
 def _corrected(job: Writing, path: Path) -> None:
@@ -198,8 +198,8 @@ def _raster(job: Writing, path: Path) -> None:
     if grid is None:
         raise TypeError(f"a pair that is {registration.status} has no registered raster")
     target, settings = registration.target, registration.settings
-    made = OutputFormat.of(settings.of, settings.co)
-    how = BandOutput(grid, settings.resampling, made, job.places["raster"])
+    fmt = OutputFormat.of(settings.of, settings.co)
+    how = BandOutput(grid, settings.resampling, fmt, job.places["raster"])
     if registration.rpc is not None:
         orthorectify_band(target.uri, path, registration.rpc.corrected_grid, how, job.on_event)
     else:
@@ -338,9 +338,9 @@ def _write_files(
         if output.write is not None and output.is_of(registration):
             output.write(job, staged[output.kind])
             yield staged[output.kind]
-    made = OutputFormat.of(settings.of, settings.co)
+    fmt = OutputFormat.of(settings.of, settings.co)
     for (band, path), grid in zip(bands.items(), grids[1:], strict=True):
-        how = BandOutput(grid, settings.resampling, made, job.places["numbers"].with_name(path.name))
+        how = BandOutput(grid, settings.resampling, fmt, job.places["numbers"].with_name(path.name))
         correction, target = _correction(registration), registration.target.grid
         warp_band(band.opened_as(), path, correction, target, how, job.on_event)
         yield path

@@ -355,30 +355,30 @@ def _transform_of(data: DataArrayLike, place: Mapping[Any, Any]) -> Affine | Non
     return written if off_px <= ROUNDING else found
 
 
-def like_the_source(made: Raster, source: object) -> object:
+def like_the_source(raster: Raster, source: object) -> object:
     """Return a warped raster as its source was given: `Raster`, DataArray or masked array.
 
     Parameters
     ----------
-    made : Raster
+    raster : Raster
         Of (bands, rows, cols), masked where nothing is known.
     source : object
         One for a band more: an array of (rows, cols) comes back as such.
     """
     pixels = source.array if isinstance(source, Raster) else source
     if not is_dataset(source) and len(getattr(pixels, "shape", ())) == 2:
-        made = Raster(made.array[0], made.transform, made.crs, made.nodata)
+        raster = Raster(raster.array[0], raster.transform, raster.crs, raster.nodata)
     if isinstance(source, np.ndarray):
-        return made.array
-    return _to_data_array(made, source) if is_data_array(source) else made
+        return raster.array
+    return _to_data_array(raster, source) if is_data_array(source) else raster
 
 
-def _to_data_array(made: Raster, source: DataArrayLike) -> DataArrayLike:
+def _to_data_array(raster: Raster, source: DataArrayLike) -> DataArrayLike:
     """Return a DataArray like another one, on the grid of a raster."""
-    values = _filled(made)
-    transform = made.transform or Affine.identity()
-    rows, cols = made.shape
-    text = "" if made.crs is None else made.crs.to_wkt()
+    values = _filled(raster)
+    transform = raster.transform or Affine.identity()
+    rows, cols = raster.shape
+    text = "" if raster.crs is None else raster.crs.to_wkt()
     place = {"crs_wkt": text, "spatial_ref": text} if text else {}
     place["GeoTransform"] = " ".join(repr(float(value)) for value in transform.to_gdal())
     dims = (*source.dims[:-2], "y", "x")
@@ -395,15 +395,15 @@ def _to_data_array(made: Raster, source: DataArrayLike) -> DataArrayLike:
     attrs = {name: value for name, value in source.attrs.items() if name != "grid_mapping"}
     data = make(values, dims=dims, coords=coords, attrs=attrs, name=source.name)
     data.encoding["grid_mapping"] = "spatial_ref"
-    made_array: DataArrayLike = data
-    return made_array
+    array: DataArrayLike = data
+    return array
 
 
-def _filled(made: Raster) -> NDArray[Any]:
+def _filled(raster: Raster) -> NDArray[Any]:
     """Return the pixels with nodata where not valid; whole numbers without a nodata value become float."""
-    values, mask = np.ma.getdata(made.array), np.ma.getmaskarray(made.array)
-    if made.nodata is not None:
-        return np.asarray(np.where(mask, values.dtype.type(made.nodata), values))
+    values, mask = np.ma.getdata(raster.array), np.ma.getmaskarray(raster.array)
+    if raster.nodata is not None:
+        return np.where(mask, values.dtype.type(raster.nodata), values)
     if values.dtype.kind != "f":
         values = values.astype("float32" if values.dtype.name in _WIDER else "float64")
-    return np.asarray(np.where(mask, values.dtype.type(np.nan), values))
+    return np.where(mask, values.dtype.type(np.nan), values)

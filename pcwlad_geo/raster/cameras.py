@@ -130,8 +130,8 @@ def _by_focal_plane(exif: Mapping[str, str], shape: tuple[int, int]) -> float | 
     if focal_mm is None or per_unit is None or unit_mm is None:
         return None
     cols = _number(exif, "PixelXDimension")
-    made_smaller = shape[1] / cols if cols else 1.0
-    return _within(focal_mm * per_unit / unit_mm * made_smaller, FOCAL_PX)
+    reduction = shape[1] / cols if cols else 1.0
+    return _within(focal_mm * per_unit / unit_mm * reduction, FOCAL_PX)
 
 
 def _by_35_mm(exif: Mapping[str, str], shape: tuple[int, int]) -> float | None:

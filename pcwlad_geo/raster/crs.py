@@ -88,7 +88,7 @@ def with_arrays(method: Callable[..., Sequence[Any]], *arrays: Float64) -> tuple
     which NumPy issues a warning; such an array is passed as a number.
     """
     given = [array.item() for array in arrays] if len(arrays[0]) == 1 else arrays
-    return tuple(np.atleast_1d(np.asarray(made, dtype=np.float64)) for made in method(*given))
+    return tuple(np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in method(*given))
 
 
 def transformation_warnings(from_crs: CRS | None, to_crs: CRS | None) -> tuple[str, ...]:

@@ -71,7 +71,7 @@ def gdal_log(level: int, *, passes_on: bool = True) -> Iterator[list[logging.Log
 
 
 @contextmanager
-def no_error_unheard() -> Iterator[None]:
+def raising_gdal_reports() -> Iterator[None]:
     """Raise what GDAL reports within the context without failing: a write that the disk refuses.
 
     GDAL writes blocks later, when its cache is full or the file is closed, and says then what went wrong;

@@ -10,9 +10,9 @@ import pyproj
 from pyproj.exceptions import ProjError
 from rasterio.crs import CRS
 
+from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.raster.crs import to_pyproj, with_arrays
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.solving import solve
 from pcwlad_geo.types import Float64
 
 _PROBE_M = 50.0
@@ -67,12 +67,12 @@ def displacement_m(xy_from: Float64, xy_to: Float64, crs: CRS | None) -> Float64
     ground = _ground_of(crs)
     step = xy_to - xy_from
     if ground is None:
-        return np.asarray(step * _unit(to_pyproj(crs)))
+        return step * _unit(to_pyproj(crs))
     step = ground.shortest(step)
     along: Float64 = np.einsum("nij,nj->ni", ground.stretch(xy_from + step / 2), step)
     length, as_long = ground.length_m(xy_from, xy_to), np.hypot(along[:, 0], along[:, 1])
     exact = np.divide(length, as_long, out=np.ones_like(length), where=as_long > 0)
-    return np.asarray(along * exact[:, None])
+    return along * exact[:, None]
 
 
 def moved_xy(xy: Float64, along_m: Float64, crs: CRS) -> Float64:
@@ -83,12 +83,12 @@ def moved_xy(xy: Float64, along_m: Float64, crs: CRS) -> Float64:
     """
     ground = _ground_of(crs)
     if ground is None:
-        return np.asarray(xy + along_m / _unit(to_pyproj(crs)))
+        return xy + along_m / _unit(to_pyproj(crs))
     step = np.zeros_like(xy)
     for _ in range(_ROUNDS):
         missing_m = along_m - displacement_m(xy, xy + step, crs)
         step = step + solve(ground.stretch(xy + step / 2), missing_m[..., None])[..., 0]
-    return np.asarray(xy + step)
+    return xy + step
 
 
 class _Ground:

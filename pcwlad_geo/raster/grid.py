@@ -13,8 +13,8 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.correction.models import affine_between
+from pcwlad_geo.estimation.solving import inverse, solve
 from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.solving import inverse, solve
 from pcwlad_geo.types import Float64
 
 
@@ -116,7 +116,7 @@ class Window:
         )
 
 
-MIN_POINTS: Final = 3
+MIN_GCPS: Final = 3
 """Least number of ground control points that determine a geotransform."""
 _FLATTEST: Final = 1e-6
 """Ratio of the points' extents below which they count as lying on a line."""
@@ -138,7 +138,7 @@ def geotransform_of(gcps: Sequence[GroundControlPoint]) -> tuple[Affine, float] 
     None
         Returned instead for fewer than three points, or points on a line.
     """
-    if len(gcps) < MIN_POINTS:
+    if len(gcps) < MIN_GCPS:
         return None
     px = np.array([[gcp.col, gcp.row] for gcp in gcps], dtype=np.float64)
     xy = np.array([[gcp.x, gcp.y] for gcp in gcps], dtype=np.float64)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.named_files import HEAD_BYTES, kind_of_head
 from pcwlad_geo.raster.source import open_raster, plain_uri
+from pcwlad_geo.raster.trust import HEAD_BYTES, kind_of_head
 
 HEADER_BYTES: Final = 65536
 """Number of bytes at the beginning of a file that count as its header."""
@@ -87,12 +87,12 @@ def identify(uri: str | os.PathLike[str], *, raster: bool = True) -> tuple[FileI
     found: dict[str, FileIdentity] = {}
     # opened first: a server is not asked for a file that may not be opened
     waiting = [uri, *_files_of(uri)] if raster else [uri]
-    seen: set[str] = set()
+    visited: set[str] = set()
     while waiting and len(found) < MAX_FILES:
         each = waiting.pop(0)
-        if each in seen or each.endswith(_NO_PIXELS):
+        if each in visited or each.endswith(_NO_PIXELS):
             continue
-        seen.add(each)
+        visited.add(each)
         identity = _identify(each, ask_servers=raster)
         if identity is not None:
             found.setdefault(identity.path, identity)

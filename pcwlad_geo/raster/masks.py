@@ -91,7 +91,7 @@ def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
         old, later = (_without(bits, values[0]) for bits in (OLD_BQA_BITS, BQA_BITS))
         return np.where(values[0] >= OLD_BQA, old, later)
     if kind == "SCL":
-        return np.asarray(~np.isin(values[0], SCL_CLASSES))
+        return ~np.isin(values[0], SCL_CLASSES)
     if kind == "MSK_CLASSI":
         return np.asarray((values == 0).all(axis=0))
     return np.asarray((values[0] != 0) & np.isfinite(values[0]))
@@ -143,7 +143,7 @@ MIN_SUPPORT: Final = 0.6
 PROTRUSION_PX: Final = 6.0
 """Largest distance by which noise beside an edge may lie beyond a side, px beside one of the overview."""
 BLENDED_PX: Final = 1.5
-"""Width of the rim in which resampling has mixed data and collar, which counts as collar."""
+"""Width of the edge in which resampling has mixed data and collar, which counts as collar."""
 RARE: Final = 0.02
 """Share of the pixels among the data up to which a value is hardly ever data: one straight side will do."""
 MAX_COMMON: Final = 1 / 3
@@ -256,7 +256,7 @@ def _from_memory(values: NDArray[np.generic]) -> Read:
 
 def _differs(values: NDArray[np.generic], value: float) -> Bool:
     """Return where values are data, not the collar's; NaN is not data."""
-    return np.asarray(np.abs(values.astype(np.float64) - value) > _tolerance(values, JPEG_NOISE))
+    return np.abs(values.astype(np.float64) - value) > _tolerance(values, JPEG_NOISE)
 
 
 def _solid(differs: Bool) -> Bool:
@@ -280,9 +280,9 @@ def _outline(solid: Bool) -> Float64:
 def _inner_sides(outline_px: Float64, shape: tuple[int, int]) -> Iterator[tuple[Float64, Float64]]:
     """Yield the ends of the longer sides of an outline that are not sides of the raster."""
     size = np.array(shape[::-1])
-    rim = max(1.0, max(shape) / COLLAR_OVERVIEW_PX)
+    edge_px = max(1.0, max(shape) / COLLAR_OVERVIEW_PX)
     for begin, end in pairwise(outline_px):
-        at_edge = (np.maximum(begin, end) <= rim) | (np.minimum(begin, end) >= size - rim)
+        at_edge = (np.maximum(begin, end) <= edge_px) | (np.minimum(begin, end) >= size - edge_px)
         if not at_edge.any() and np.hypot(*(end - begin)) >= MIN_SIDE * size.max():
             yield begin, end
 
@@ -351,4 +351,4 @@ def _between(data: Bool, axis: int) -> Bool:
     """Return the pixels that have data, or are data, on both sides along an axis."""
     before = np.logical_or.accumulate(data, axis)
     after = np.flip(np.logical_or.accumulate(np.flip(data, axis), axis), axis)
-    return np.asarray(before & after)
+    return before & after

@@ -10,12 +10,12 @@ import shapely
 from affine import Affine
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.limits import check_pixel_ratio
 from pcwlad_geo.raster.crs import name_of, transform_xy, transformation_warnings
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import Resampling, View
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Float64
 
 TURN: float = 360.0
@@ -35,8 +35,8 @@ def moved_across_antimeridian(reference: RasterInfo, target: RasterInfo) -> Rast
     if not crs.units_factor[0].lower().startswith("degree"):
         return reference
     middle = transform_xy(target.grid.to_xy(target.grid.middle_px), target.grid.crs, crs)
-    apart = float(middle[0, 0] - reference.grid.to_xy(reference.grid.middle_px)[0, 0])
-    turns = round(apart / TURN) if np.isfinite(apart) else 0
+    difference = float(middle[0, 0] - reference.grid.to_xy(reference.grid.middle_px)[0, 0])
+    turns = round(difference / TURN) if np.isfinite(difference) else 0
     if turns == 0:
         return reference
     mask = reference.mask_grid
@@ -196,13 +196,13 @@ def limited(pair: ViewPair, extent: tuple[float, float, float, float]) -> ViewPa
         pair.offset_px[0] + window.col - around.col,
         pair.offset_px[1] + window.row - around.row,
     )
-    seen = pair.overlap.moved(-window.row, -window.col).clipped(window.shape)
+    covered = pair.overlap.moved(-window.row, -window.col).clipped(window.shape)
     return replace(
         pair,
         reference=_part(view, window),
         target=_part(pair.target, around),
         offset_px=offset,
-        overlap=seen,
+        overlap=covered,
     )
 
 
@@ -310,13 +310,13 @@ def _overlap(reference: RasterInfo, target: RasterInfo) -> shapely.Geometry:
     if footprint is not None:
         common = footprint.intersection(_rectangle(reference.grid))
     else:  # the target exceeds the domain of the reference's projection: intersect in the target's CRS
-        seen = _footprint(reference.grid, target.grid)
-        if seen is None:
+        covered = _footprint(reference.grid, target.grid)
+        if covered is None:
             raise InputError(
                 f"cannot transform between {name_of(reference.grid.crs)} of {reference.uri} and "
                 f"{name_of(target.grid.crs)} of {target.uri} where the rasters lie: check both CRSs"
             )
-        common = _mapped(seen.intersection(_rectangle(target.grid)), target.grid, reference.grid)
+        common = _mapped(covered.intersection(_rectangle(target.grid)), target.grid, reference.grid)
     if common.area < 1.0:
         raise InputError(
             f"the rasters do not overlap: in {_plane(reference.grid)}, {reference.uri} covers "

@@ -23,22 +23,20 @@ from rasterio.io import DatasetReader
 from pcwlad_geo.errors import InputError, TrustError
 from pcwlad_geo.limits import CHECKED_PX, MIN_STORED, check_block, check_shape, check_stored
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.raster.named_files import (
+from pcwlad_geo.raster.trust import (
     NETWORK_DRIVERS,
     PLAIN_DRIVERS,
-    check_file,
-    check_named_by,
-    check_source,
-    drivers_for,
-)
-from pcwlad_geo.raster.trust import (
-    BESIDE,
+    SIDECARS,
     Destination,
     Place,
     Trust,
     UntrustedFileError,
+    check_file,
+    check_named_by,
+    check_source,
     current_trust,
     destination,
+    drivers_for,
     gdal_name,
     place_of,
 )
@@ -103,7 +101,7 @@ def _drivers(uri: str, found: Destination, place: Place | None) -> list[str]:
         if found.where == "unknown" or view:
             raise UntrustedFileError("it cannot be looked at before GDAL opens it")
         if found.where == "network":
-            _check_beside_remote(uri)
+            _check_remote_sidecars(uri)
         return list(PLAIN_DRIVERS)
     if view:  # GDAL opens what it shows by itself
         check_source(place)
@@ -114,11 +112,11 @@ def _drivers(uri: str, found: Destination, place: Place | None) -> list[str]:
     return list(drivers)
 
 
-def _check_beside_remote(uri: str) -> None:
+def _check_remote_sidecars(uri: str) -> None:
     """Raise if GDAL would find overviews or a mask beside a remote raster that are VRTs."""
     if get_gdal_config("GDAL_DISABLE_READDIR_ON_OPEN") == "EMPTY_DIR":
         return  # it does not look
-    for ending in BESIDE:
+    for ending in SIDECARS:
         with suppress(RasterioError):
             _opened(uri + ending, ["VRT"], {}).close()
             raise UntrustedFileError(f"{uri}{ending} is a VRT")
@@ -138,14 +136,14 @@ def check_dataset(uri: str, dataset: DatasetReader, band: int) -> None:
     _check_sources(dataset, {dataset.name})
 
 
-def _check_sources(dataset: DatasetReader, seen: set[str]) -> None:
+def _check_sources(dataset: DatasetReader, visited: set[str]) -> None:
     """Check the source rasters of a VRT, about which its own size says nothing."""
     if dataset.driver != "VRT":
         return
     for name in dataset.files:
-        if name in seen:
+        if name in visited:
             continue
-        seen.add(name)
+        visited.add(name)
         with (
             suppress(RasterioError),  # it is no raster, or reading it will raise
             ignoring(NotGeoreferencedWarning),
@@ -153,7 +151,7 @@ def _check_sources(dataset: DatasetReader, seen: set[str]) -> None:
         ):
             if source.count:
                 _check_pixels(name, source, 1)
-            _check_sources(source, seen)
+            _check_sources(source, visited)
 
 
 def _check_pixels(uri: str, dataset: DatasetReader, band: int) -> None:

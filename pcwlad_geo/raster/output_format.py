@@ -29,7 +29,7 @@ from rasterio.windows import Window
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.limits import check_created_block
 from pcwlad_geo.raster import vrt
-from pcwlad_geo.raster.gdal import GDAL_ERRORS, gdal_log, ignoring, no_error_unheard, question, root_cause
+from pcwlad_geo.raster.gdal import GDAL_ERRORS, gdal_log, ignoring, question, raising_gdal_reports, root_cause
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.opening import open_own
 from pcwlad_geo.raster.source import open_raster, open_written_raster
@@ -126,42 +126,42 @@ def files_of(path: Path) -> list[Path]:
         found = [Path(name) for name in dataset.files]
     # a file that GDAL writes but does not list
     found += [path.with_name(f"{path.name}.aux.xml")]
-    beside = [file for file in found if file.parent == path.parent and file.name != path.name]
-    return [path, *sorted({file for file in beside if file.is_file()})]
+    sidecars = [file for file in found if file.parent == path.parent and file.name != path.name]
+    return [path, *sorted({file for file in sidecars if file.is_file()})]
 
 
-def check_format(made: OutputFormat, source_uri: str, grid: Grid) -> None:
+def check_format(fmt: OutputFormat, source_uri: str, grid: Grid) -> None:
     """Check that GDAL can write a raster in a format, by writing a small one with the same properties.
 
     Raises `SettingsError` if the format is unknown or cannot hold such a raster, or an option is unknown, has
     an invalid value, or moves the pixels. The bands of `source_uri` will be written, on the output grid.
     """
-    if made.is_vrt or made == OutputFormat():
+    if fmt.is_vrt or fmt == OutputFormat():
         return
     with open_raster(source_uri) as source, tempfile.TemporaryDirectory(prefix="pcwlad-geo-") as folder:
-        path = Path(folder) / f"small.{made.extension}"
+        path = Path(folder) / f"small.{fmt.extension}"
         small = Grid((_SMALL_PX, _SMALL_PX), grid.transform, grid.crs)
         with gdal_log(logging.WARNING, passes_on=False) as records:
             try:
-                _write_small(source, made, path, small)
-                wrong = _changed(path, source, small)
+                _write_small(source, fmt, path, small)
+                fault = _changed(path, source, small)
             except (*GDAL_ERRORS, OSError, SystemError, ValueError) as error:
-                wrong = root_cause(error)
+                fault = root_cause(error)
                 # rasterio has no message for some of GDAL's errors, but its log has
-                wrong = _words(records[0]) if records and "Unknown GDAL Error" in wrong else wrong
+                fault = _words(records[0]) if records and "Unknown GDAL Error" in fault else fault
     said = map(_words, records)
-    options = [text for text in said if "creation option" in text or any(key in text for key in made.options)]
-    if options and made.options:
-        given = ", ".join(f"{key}={value}" for key, value in made.options.items())
-        raise SettingsError(f"co = {given}: GDAL's {made.driver} says: {options[0]}")
-    if wrong:
+    options = [text for text in said if "creation option" in text or any(key in text for key in fmt.options)]
+    if options and fmt.options:
+        given = ", ".join(f"{key}={value}" for key, value in fmt.options.items())
+        raise SettingsError(f"co = {given}: GDAL's {fmt.driver} says: {options[0]}")
+    if fault:
         raise SettingsError(
-            f"of = {made.driver!r}: GDAL cannot write {Path(source_uri).name} so: {wrong}; give another "
+            f"of = {fmt.driver!r}: GDAL cannot write {Path(source_uri).name} so: {fault}; give another "
             "format (COG, GTiff, ENVI) or other creation options"
         )
 
 
-def _write_small(source: DatasetReader, made: OutputFormat, path: Path, grid: Grid) -> None:
+def _write_small(source: DatasetReader, fmt: OutputFormat, path: Path, grid: Grid) -> None:
     pixels = path.with_name("pixels.tif")
     dtype = np.result_type(*source.dtypes)
     profile = {"driver": "GTiff", "count": source.count, "dtype": dtype.name, "transform": Affine.scale(2.0)}
@@ -172,8 +172,8 @@ def _write_small(source: DatasetReader, made: OutputFormat, path: Path, grid: Gr
         vrt.add_georeferencing(tree, grid.transform, grid.crs)
     described = path.with_name("described.vrt")
     vrt.write(tree, described)
-    options = made.creation_options(source, interpolated=True)
-    rasterio.shutil.copy(os.fspath(described), os.fspath(path), driver=made.driver, **options)
+    options = fmt.creation_options(source, interpolated=True)
+    rasterio.shutil.copy(os.fspath(described), os.fspath(path), driver=fmt.driver, **options)
 
 
 def _changed(path: Path, source: DatasetReader, grid: Grid) -> str | None:
@@ -209,7 +209,7 @@ def write_described(
     source: DatasetReader,
     pixels: vrt.PixelFile,
     grid: Grid,
-    made: OutputFormat,
+    fmt: OutputFormat,
     scratch: Path,
     name: str,
     *,
@@ -241,22 +241,22 @@ def write_described(
     path.parent.mkdir()
     tree = vrt.describe_pixels(source, pixels, grid.shape)
     band_tags = [tags for tags in tree.findall("VRTRasterBand/Metadata") if "domain" not in tags.attrib]
-    for tags in band_tags if made.is_tiff else ():
+    for tags in band_tags if fmt.is_tiff else ():
         tags.set("domain", _BAND_TAGS)
     if grid.located:
         vrt.add_georeferencing(tree, grid.transform, grid.crs)
     vrt.write(tree, description)
-    options = made.creation_options(source, interpolated=interpolated)
+    options = fmt.creation_options(source, interpolated=interpolated)
 
     def copy() -> None:
         # Settings of GDAL belong to a thread.
-        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), no_error_unheard():
-            rasterio.shutil.copy(os.fspath(description), os.fspath(path), driver=made.driver, **options)
-            if made.driver.upper() == "COG":
+        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), raising_gdal_reports():
+            rasterio.shutil.copy(os.fspath(description), os.fspath(path), driver=fmt.driver, **options)
+            if fmt.driver.upper() == "COG":
                 _check_layout(path)
 
     _interruptible(copy)
-    if band_tags and made.is_tiff:  # otherwise the whole file would be searched
+    if band_tags and fmt.is_tiff:  # otherwise the whole file would be searched
         _rename_band_tags(path)
     return files_of(path)
 
@@ -269,7 +269,7 @@ def write_cog(pixels: Path, path: Path) -> None:
     options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "BIGTIFF": "IF_SAFER"}
 
     def copy() -> None:
-        with no_error_unheard(), ignoring(NotGeoreferencedWarning):
+        with raising_gdal_reports(), ignoring(NotGeoreferencedWarning):
             rasterio.shutil.copy(
                 os.fspath(pixels), os.fspath(path), driver="COG", OVERVIEW_RESAMPLING="NEAREST", **options
             )

@@ -13,10 +13,10 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.limits import check_grid, check_output_pixel
 from pcwlad_geo.raster.crs import name_of, to_pyproj
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
-from pcwlad_geo.solving import inverse
 from pcwlad_geo.types import Float64
 
 _SAME: Final = 1e-6
@@ -170,7 +170,7 @@ class GridRequest:
     @property
     def needs_ground(self) -> bool:
         """Whether the request needs map coordinates."""
-        return any(wish is not None for wish in (self.like, self.pixel_size, self.extent, self.crs))
+        return any(option is not None for option in (self.like, self.pixel_size, self.extent, self.crs))
 
     def fixed(self, reference: Grid) -> Grid | None:
         """Return the grid if it does not depend on the raster, else None."""
@@ -227,11 +227,9 @@ def output_grids(
     boxes = [_footprint(own, target_grid, correction, lattice) for own in (target_grid, *rasters)]
     sizes = pixel_sizes(lattice, reference_grid, target_grid, rasters)
     grids = lay_out(lattice, request, boxes, sizes)
-    made_from_px = sum(
-        float(each.shape[0]) * each.shape[1] for each in (reference_grid, target_grid, *rasters)
-    )
+    source_px = sum(float(each.shape[0]) * each.shape[1] for each in (reference_grid, target_grid, *rasters))
     for grid in grids:
-        check_grid("the output grid", grid.shape[::-1], made_from_px)
+        check_grid("the output grid", grid.shape[::-1], source_px)
         _check_pixel(grid, target_grid)
     return grids
 

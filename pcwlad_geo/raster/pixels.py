@@ -54,7 +54,7 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
             if mask_on_pixels(info, info.mask_grid):
                 values = dataset.read(bands, window=file_window)
                 inside = valid_in_file(dataset, bands[0], values[0], file_window)
-                return np.asarray(inside & accepted(info.mask_kind, values))
+                return inside & accepted(info.mask_kind, values)
             rows, cols = info.grid.shape
             with WarpedVRT(
                 dataset,

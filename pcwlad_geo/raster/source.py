@@ -29,7 +29,7 @@ from pcwlad_geo.raster.gdal import GDAL_ERRORS, LIBRARY_ERRORS, ignoring, readin
 from pcwlad_geo.raster.grid import Grid, Window, geotransform_of, is_invertible, linear_part
 from pcwlad_geo.raster.masks import Collar, MaskKind, find_collar, kind_of
 from pcwlad_geo.raster.opening import check_dataset, network_settings, open_for_reading, open_own
-from pcwlad_geo.text import check_beside, check_regular, is_uri, joined
+from pcwlad_geo.text import check_regular, check_sidecars, is_uri, joined
 from pcwlad_geo.types import Bool, Float64
 
 MAX_READ_PX: Final = 2**25
@@ -268,7 +268,7 @@ def _check_files(uri: str) -> None:
     if "\0" in uri:  # where GDAL would end the name
         raise InputError(f"the name {uri!r} holds a NUL character: no file has such a name")
     check_regular(uri)
-    check_beside(uri)
+    check_sidecars(uri)
 
 
 def _why_not_opened(uri: str, error: Exception) -> str:
@@ -399,12 +399,12 @@ def _samples(shape: tuple[int, int]) -> list[Window]:
 def _steps(values: NDArray[Any]) -> NDArray[Any]:
     """Return (rows - 3, cols) steps from row i + 1 to row i + 2, less the mean of the slopes beside them."""
     slopes = np.diff(values, axis=0)
-    return np.asarray(slopes[1:-1] - (slopes[:-2] + slopes[2:]) / 2)
+    return slopes[1:-1] - (slopes[:-2] + slopes[2:]) / 2
 
 
 def _all_valid(valid: Bool) -> Bool:
     """Return (rows - 3, cols), whether the four pixels of each step are valid."""
-    return np.asarray(valid[:-3] & valid[1:-2] & valid[2:-1] & valid[3:])
+    return valid[:-3] & valid[1:-2] & valid[2:-1] & valid[3:]
 
 
 def _mean_steps(samples: Iterable[tuple[NDArray[Any], Bool, int]]) -> Float64:

@@ -41,7 +41,7 @@ class UnreadableParts:
     area_px2: int
     """Number of all pixels to be read."""
     lost_px2: int = 0
-    seen_px2: int = 0
+    read_px2: int = 0
     """Approximate number of readable pixels with data."""
     _parts: int = 0
     _reason: str = ""
@@ -54,9 +54,9 @@ class UnreadableParts:
         """
         if self.lost_px2 == 0:
             return None
-        if self.lost_px2 > self.seen_px2:
+        if self.lost_px2 > self.read_px2:
             raise self._error()
-        share = 100 * self.lost_px2 / (self.lost_px2 + self.seen_px2)
+        share = 100 * self.lost_px2 / (self.lost_px2 + self.read_px2)
         return (
             f"about {share:.2g} % of the warped raster is empty, as {self.name} cannot be read there: it may "
             f"be damaged ({self._reason})"
@@ -105,7 +105,7 @@ class UnreadableParts:
         some = block[:, ::_STRIDE, ::_STRIDE]
         same = (some == nothing) | ((some != some) & (nothing != nothing))  # NaN counts as equal to NaN
         with self._lock:
-            self.seen_px2 += int((~same.all(axis=0)).sum()) * _STRIDE**2
+            self.read_px2 += int((~same.all(axis=0)).sum()) * _STRIDE**2
 
     def _fail(self, reason: str) -> None:
         with self._lock:

@@ -271,7 +271,7 @@ def file_px_per_px(view: View) -> Float64:
     matrix = jacobian(view.grid.middle_px, view.grid, at_mean_height(view.info.grid))[0]
     lengths = np.hypot(matrix[0], matrix[1])
     # Outside the projection's domain nothing is read, so any finite length will do.
-    return np.asarray(np.where(np.isfinite(lengths), lengths, 1.0))
+    return np.where(np.isfinite(lengths), lengths, 1.0)
 
 
 def _patch(dtype: str, values: NDArray[np.generic], valid: Bool) -> Patch:

@@ -30,8 +30,8 @@ from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.raster.gdal import (
     GDAL_ERRORS,
     ignoring,
-    no_error_unheard,
     question,
+    raising_gdal_reports,
     root_cause,
     small_block_cache,
 )
@@ -70,10 +70,10 @@ def fill(values: NDArray[Any], valid: Bool, nodata: float) -> None:
     cols) array of bool.
     """
     if values.dtype.kind == "f":
-        beside = np.nextafter(values.dtype.type(nodata), values.dtype.type(np.inf))
+        neighbour = np.nextafter(values.dtype.type(nodata), values.dtype.type(np.inf))
     else:
-        beside = int(nodata) + (1 if nodata < np.iinfo(values.dtype).max else -1)
-    values[values == nodata] = beside
+        neighbour = int(nodata) + (1 if nodata < np.iinfo(values.dtype).max else -1)
+    values[values == nodata] = neighbour
     values[~valid] = nodata
 
 
@@ -129,7 +129,7 @@ def warp(
     resampling: str = "lanczos",
     *,
     target_grid: Grid | None = None,
-    made: OutputFormat = COG,
+    fmt: OutputFormat = COG,
     final_path: Path | None = None,
     progress: ProgressCallback | None = None,
 ) -> str | None:
@@ -158,7 +158,7 @@ def warp(
         A name of `rasterio.enums.Resampling`.
     target_grid : Grid, optional
         The grid whose pixels the correction maps; that of source_path by default.
-    made : OutputFormat
+    fmt : OutputFormat
         The format; a VRT holds no pixels but warps those of the source by a shift or an affine correction.
     final_path : pathlib.Path, optional
         Final path of the file if it differs from out_path: a VRT's path to the source is relative to it.
@@ -175,7 +175,7 @@ def warp(
     target_grid = target_grid or own_grid
     check_geometry(source_path, own_grid, target_grid)
     grids = (own_grid, target_grid, grid)
-    if made.is_vrt:
+    if fmt.is_vrt:
         _write_vrt(source_path, out_path, grids, correction, resampling, final_path or out_path)
         return None
 
@@ -183,7 +183,7 @@ def warp(
         view = _view(source, grids, correction, method, request)
         return warped_blocks(request.unreadable, view, request.windows)
 
-    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress, made=made)
+    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress, fmt=fmt)
 
 
 def write_warped(
@@ -194,7 +194,7 @@ def write_warped(
     blocks_of: BlocksOf,
     progress: ProgressCallback | None = None,
     *,
-    made: OutputFormat = COG,
+    fmt: OutputFormat = COG,
 ) -> str | None:
     """Write the blocks of a warped raster with the metadata of its source.
 
@@ -226,7 +226,7 @@ def write_warped(
         )
         warning = unreadable.warning()
         interpolated = method != Resampling.nearest
-        files = write_described(source, pixels, grid, made, scratch, out_path.name, interpolated=interpolated)
+        files = write_described(source, pixels, grid, fmt, scratch, out_path.name, interpolated=interpolated)
         for file in reversed(files):  # the raster itself last
             file.replace(out_path.with_name(file.name))
     return warning
@@ -354,7 +354,7 @@ def sink(path: Path, profile: Mapping[str, Any]) -> Iterator[DatasetWriter]:
     except BaseException:
         file.close()
         raise
-    with no_error_unheard():
+    with raising_gdal_reports():
         file.close()
 
 
@@ -395,7 +395,7 @@ def _write_pixels(
         for done, (window, block) in enumerate(blocks, start=1):
             if fills and nodata is not None:
                 fill(block[0], block[1] != 0, nodata)
-            with no_error_unheard():
+            with raising_gdal_reports():
                 written.write(block[: source.count], window=window)
                 if needs_mask:
                     mask = np.where(block[source.count] != 0, 255, 0).astype(np.uint8)

@@ -19,7 +19,7 @@ from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.fitting import footprint_px, user_points
 from pcwlad_geo.registration.result import Pair
 from pcwlad_geo.tiepoints.table import TiePointTable, place
-from pcwlad_geo.tiepoints.text_files import write_points
+from pcwlad_geo.tiepoints.writers import write_points
 from pcwlad_geo.types import Float64, PathLike
 
 FAR_PX: Final = 1e7

@@ -17,10 +17,10 @@ from pcwlad_geo.correction.models import Correction, JitterCorrection
 from pcwlad_geo.correction.points import agreement, hold_out
 from pcwlad_geo.correction.selection import Selection, choose
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.registration.judge import Verdict
-from pcwlad_geo.solving import least_squares
 from pcwlad_geo.tiepoints.readers import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
@@ -239,8 +239,8 @@ class Quality:
         Good points are never refused because of the ground beyond them; a poor correction is refused if
         hardly any of the matches or of the ground support it.
         """
-        little_kept, little_seen = self.kept_share < FEW_KEPT, self.extrapolated_share > NEARLY_ALL
-        if self.grade != "poor" or not (little_kept or little_seen):
+        little_kept, extrapolated = self.kept_share < FEW_KEPT, self.extrapolated_share > NEARLY_ALL
+        if self.grade != "poor" or not (little_kept or extrapolated):
             return None
         share = self.kept_share if little_kept else self.extrapolated_share
         what = (
@@ -297,16 +297,16 @@ def assess(
     kept = matches.status != "rejected"
     residuals = Residuals(matches.predicted_px, left_px, kept, matches.sigma_px)
     expected_px = expected_ce90(selection, residuals, places_px, footprint_px, jitter_px)
-    beyond = float(selection.extrapolated(places_px).mean())
+    extrapolated = float(selection.extrapolated(places_px).mean())
     reasons = (
         *_inaccurate(expected_px, selection.name, jitter_px),
         *_check_points_off(table, selection.name, footprint_px),
         *displaced_otherwise(left_px[~kept], len(matches)),
-        *_beyond_the_points(beyond),
+        *_extrapolation(extrapolated),
     )
     worst_first = tuple(sorted(reasons, key=lambda reason: GRADES.index(reason.grade)))
     grade: Grade = worst_first[0].grade if worst_first else "good"
-    return Quality(grade, worst_first, expected_px, beyond, float(kept.mean()))
+    return Quality(grade, worst_first, expected_px, extrapolated, float(kept.mean()))
 
 
 def shared_residual_px(table: TiePointTable, footprint_px: float) -> float:
@@ -322,16 +322,16 @@ def shared_residual_px(table: TiePointTable, footprint_px: float) -> float:
     if size < SHARED_SIGMAS * SIGMA_68 * _typical_sigma_px(points):
         return 0.0
     sample = points[np.linspace(0, len(points) - 1, min(len(points), SAMPLE)).astype(np.intp)]
-    around = np.array([_plane_beside(points, at_px, footprint_px) for at_px in sample.predicted_px])
+    around = np.array([_plane_nearby(points, at_px, footprint_px) for at_px in sample.predicted_px])
     noise = np.percentile(np.linalg.norm(sample.residual_px - around, axis=1), 68)
     return size if noise < NOISE_SHARE * size else 0.0
 
 
-def _plane_beside(points: TiePointTable, at_px: Float64, footprint_px: float) -> Float64:
+def _plane_nearby(points: TiePointTable, at_px: Float64, footprint_px: float) -> Float64:
     """Return the (2,) value there of a plane fitted to the residuals of the nearest points a window away."""
-    apart = np.abs(points.predicted_px - at_px).max(axis=1)
-    beside = np.flatnonzero((apart >= footprint_px) & (apart > 0))
-    nearest = beside[np.argsort(apart[beside], kind="stable")[:NEIGHBOURS]]
+    distance = np.abs(points.predicted_px - at_px).max(axis=1)
+    outside = np.flatnonzero((distance >= footprint_px) & (distance > 0))
+    nearest = outside[np.argsort(distance[outside], kind="stable")[:NEIGHBOURS]]
     if len(nearest) < NEIGHBOURS:
         return np.zeros(2)
     design = np.column_stack([np.ones(NEIGHBOURS), points.predicted_px[nearest] - at_px])
@@ -425,7 +425,7 @@ def _most_hold(table: TiePointTable) -> bool:
     return bool(np.percentile(size_px, 68) <= MANY_SIGMAS * SIGMA_68 * _typical_sigma_px(checked))
 
 
-def _beyond_the_points(share: float) -> Iterator[Reason]:
+def _extrapolation(share: float) -> Iterator[Reason]:
     if share > MOSTLY:
         yield Reason(
             "fair",

@@ -15,8 +15,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import FILE_OPTIONS, Settings
-from pcwlad_geo.products.detect import find_product, no_product
-from pcwlad_geo.products.product import Product, ProductBand
+from pcwlad_geo.products import Product, ProductBand, find_product, no_product
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import FileIdentity, identify
@@ -82,7 +81,7 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
     """Find the bands and masks of a pair.
 
     Raises `InputError` if a product, or a band of it, is missing or cannot be used. The two are rasters or
-    products (see `products.detect.find_product`), of which bands have names in the settings. With
+    products (see `products.find_product`), of which bands have names in the settings. With
     `all_bands`, all others of the target are to be corrected too.
     """
     ref = _side(reference, "ref", settings)
@@ -199,17 +198,17 @@ def check_output(reference: PathLike, target: PathLike, settings: Settings) -> N
     be read, lacks georeferencing that the grid needs, or lies far from that grid.
     """
     request = requested_grid(settings)
-    made = OutputFormat.of(settings.of, settings.co)
-    if request == GridRequest(settings.grid) and made == OutputFormat():
+    fmt = OutputFormat.of(settings.of, settings.co)
+    if request == GridRequest(settings.grid) and fmt == OutputFormat():
         return
     inputs = resolve(reference, target, settings)
     ref, tgt = _as_placed(describe(inputs.reference), describe(inputs.target), inputs.settings)
     ground = ground_grid(ref.grid)
     check_placed(request, {ref.uri: ref.georeferenced, tgt.uri: tgt.georeferenced}, ground)
-    if made.is_vrt and isinstance(tgt.grid, RpcGrid):
+    if fmt.is_vrt and isinstance(tgt.grid, RpcGrid):
         raise SettingsError("of = 'VRT': a VRT cannot hold the correction of an RPC; give --of COG or GTiff")
     check_near(request, ground, tgt.grid)
-    check_format(made, tgt.uri, request.fixed(ground) or (tgt.grid if request.mode == "target" else ground))
+    check_format(fmt, tgt.uri, request.fixed(ground) or (tgt.grid if request.mode == "target" else ground))
 
 
 def _as_placed(

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.registration.prealign import Prealignment
-from pcwlad_geo.solving import least_squares
 from pcwlad_geo.types import Bool, Float64, Index
 
 MIN_POINTS: Final = 12
@@ -112,7 +112,7 @@ def judge(
     All n matches were found independently, consistent or not; the (n,) bool array `kept` is the mask of the
     consistent ones. The `counts` are of candidates and of those that each stage rejected. The window is
     `window_px` wide, and the coarse match searched `radius_px` around. The `evidence` of the
-    start, see `Prealignment.odds`, counts if the points say something themselves.
+    start, see `Prealignment.net_evidence`, counts if the points say something themselves.
     """
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
     cells, agreeing, found = _best_witnesses(matches, kept, CELL_PER_WINDOW * window_px, share)
@@ -167,7 +167,7 @@ def _witnesses(matches: TiePoints, common_px: Float64, cell_px: float) -> tuple[
 def _cells(matches: TiePoints, cell_px: float) -> Index:
     """Return the (n,) number of the cell of each match, counted without gaps."""
     cells = np.floor(matches.reference_xy_px / cell_px).astype(np.intp)
-    return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel())
+    return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
 
 
 def _common_plane(matches: TiePoints, kept: Bool) -> tuple[Float64, float]:

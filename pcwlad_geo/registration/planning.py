@@ -123,14 +123,14 @@ def _best_windows(
     corners = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
     middle = corners + side / 2
     off_centre = np.abs((middle - [place.row, place.col]) / place.shape - 0.5).max(axis=1) * 2
-    seen = _mean_in(valid, corners - reach, side + 2 * reach, factor)
+    valid_share = _mean_in(valid, corners - reach, side + 2 * reach, factor)
     score = _mean_in(texture, corners, side, factor)
-    good = (seen >= MIN_VALID) & (score >= MIN_TEXTURE)
-    score = score * seen * (1 - CENTRE_PREFERENCE * off_centre)
+    good = (valid_share >= MIN_VALID) & (score >= MIN_TEXTURE)
+    score = score * valid_share * (1 - CENTRE_PREFERENCE * off_centre)
     chosen: list[int] = []
     for index in np.argsort(-np.where(good, score, -np.inf), kind="stable"):
-        apart = all(np.abs(corners[index] - corners[other]).max() >= side for other in chosen)
-        if good[index] and apart:
+        separate = all(np.abs(corners[index] - corners[other]).max() >= side for other in chosen)
+        if good[index] and separate:
             chosen.append(int(index))
         if len(chosen) == WINDOWS_PER_SITE:
             break

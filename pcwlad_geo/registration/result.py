@@ -43,7 +43,7 @@ LATTICE_SIDE: Final = 120
 """Along the longer side of the reference, where that is asked."""
 NODES: Final = 5
 """Along a side of a window, where its place in the file is asked."""
-GLANCE_OVERVIEW_PX: Final = 512
+OVERVIEW_PX: Final = 512
 """Side of the overviews that are read where there was no matching."""
 
 
@@ -89,7 +89,7 @@ def record_matching(
     Parameters
     ----------
     overviews : Overviews
-        Both bands at a glance.
+        Overviews of both bands.
     target_offset_px : (int, int)
         (col, row) from reference view to target view, pre-alignment included.
     without_structure : sequence of Window
@@ -119,18 +119,18 @@ def record_ground(pair: ViewPair) -> MatchRecord | None:
     None where that would take long or cannot be read.
     """
     sides = max(pair.reference.grid.shape), max(pair.target.grid.shape)
-    factor = max(1.0, max(sides) / GLANCE_OVERVIEW_PX)
+    factor = max(1.0, max(sides) / OVERVIEW_PX)
     try:
         if not all(has_quick_overview(view.info) for view in (pair.reference, pair.target)):
             return None
-        seen = [
+        masks = [
             view.read_decimated(max(1, round(side / factor)))[0].valid
             for view, side in zip((pair.reference, pair.target), sides, strict=True)
         ]
     except InputError:
         return None
     col, row = pair.offset_px
-    contents = [_Content(valid, np.ones_like(valid)) for valid in seen]
+    contents = [_Content(valid, np.ones_like(valid)) for valid in masks]
     ground = _ground(pair, contents, factor, (round(col), round(row)), 1, 0.5)
     nothing = np.empty((0, 4))
     return MatchRecord(ground, nothing, np.empty(0, bool), nothing, Candidates.empty())
@@ -163,14 +163,14 @@ def _ground(
     reference, target = contents
     here, there = _value_at(reference.valid, at), _value_at(target.valid, at_target)
     # a resampled view of the reference ends a little beyond what the target covers
-    seen = _value_at(np.ones_like(reference.valid), at)
+    inside = _value_at(np.ones_like(reference.valid), at)
     textured = _value_at(reference.textured, at) & _value_at(target.textured, at_target)
     around = cv2.blur(
         (here & there).reshape(shape).astype(np.float32),
         _odd_sides(pair, window_px, shape),
         borderType=cv2.BORDER_CONSTANT,
     )
-    reasons = [seen & ~here, ~(seen & there), around.ravel() < least_valid, ~textured]
+    reasons = [inside & ~here, ~(inside & there), around.ravel() < least_valid, ~textured]
     names = ("reference_without_data", "target_without_data", "edge", "no_texture")
     ground = np.select(reasons, [GROUND.index(name) for name in names], default=0)
     return ground.reshape(shape).astype(np.uint8)
@@ -241,8 +241,8 @@ class PairGeometry:
         if lines is None:
             return PairGeometry("planar")
         everyone = np.ones(len(points), bool)
-        beside = plane_residual_px(points.reference_px, points.target_px, everyone)
-        along = None if beside is None else (beside * lines.along(points.reference_px)).sum(axis=1)
+        off_plane = plane_residual_px(points.reference_px, points.target_px, everyone)
+        along = None if off_plane is None else (off_plane * lines.along(points.reference_px)).sum(axis=1)
         across = lines.distance_px(points.reference_px, points.target_px)
         return PairGeometry(
             "epipolar",

@@ -17,7 +17,7 @@ from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.rpc.dem import Dem, Vertical
 from pcwlad_geo.raster.rpc.files import RpcSource, read_rpc
-from pcwlad_geo.raster.rpc.grid import RpcGrid, raised
+from pcwlad_geo.raster.rpc.grid import RpcGrid, with_ground_raised
 from pcwlad_geo.raster.rpc.model import (
     BIAS_TOLERANCE_PX,
     RpcModel,
@@ -81,7 +81,7 @@ def place_reference(
     if reference.georeferenced:
         return None, ()
     if settings.dem is None and settings.model != "rpc":
-        return None, _left_aside(
+        return None, _unused_rpc(
             f"{reference.uri} has an RPC, which counts for a reference with a DEM only: it is not used",
             reference.uri,
         )
@@ -123,7 +123,7 @@ def place_target(
     """
     wanted = settings.dem is not None or settings.model == "rpc"
     if target.georeferenced and not wanted:
-        return None, _left_aside(
+        return None, _unused_rpc(
             f"{target.uri} has a geotransform and an RPC: the RPC is not used; give --dem to use it",
             target.uri,
         )
@@ -174,7 +174,7 @@ def _placed(
         raise InputError("; ".join([str(error), *source.warnings])) from error
 
 
-def _left_aside(warning: str, uri: str) -> tuple[str, ...]:
+def _unused_rpc(warning: str, uri: str) -> tuple[str, ...]:
     """Return a warning if a raster has an RPC that can be read; nothing otherwise."""
     try:
         source = read_rpc(uri)
@@ -246,7 +246,7 @@ def wrong_heights(reference: Grid, target: Grid, points: TiePointTable) -> str |
     """
     if not (isinstance(target, RpcGrid) and isinstance(target.heights, Dem)):
         return None
-    grids = [(raised(reference, m), raised(target, m)) for m in (0.5, -0.5)]
+    grids = [(with_ground_raised(reference, m), with_ground_raised(target, m)) for m in (0.5, -0.5)]
     up, down = (map_px(points.reference_px, *each) for each in grids)
     rate_px = np.nanmedian(up - down, axis=0)  # by a metre of height
     size_px = float(np.hypot(*rate_px))
@@ -310,11 +310,11 @@ def correct_other_image(uri: str, target: CorrectedRpc) -> tuple[RpcRegistration
             source.origin, grid, replace(grid, rpc=target.corrected), None, placed.heights_m
         )
         return same, warnings
-    apart_m = parallax(target.original, source.rpc, info.grid.shape, placed.heights_m)
-    if not apart_m <= MAX_PARALLAX:
+    separation_m = parallax(target.original, source.rpc, info.grid.shape, placed.heights_m)
+    if not separation_m <= MAX_PARALLAX:
         raise InputError(
             f"{uri} was not taken from where the registered image was: a metre of height displaces the "
-            f"ground {apart_m:.2f} m differently in the two, so that the errors of their RPCs differ; "
+            f"ground {separation_m:.2f} m differently in the two, so that the errors of their RPCs differ; "
             "register it on its own"
         )
     correction, misfit_px = carried(

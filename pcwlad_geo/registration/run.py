@@ -15,7 +15,7 @@ from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.matching.outliers import consistent, contradicted_clusters
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.options import VRT_MODELS, Settings
-from pcwlad_geo.products.detect import of_one_product
+from pcwlad_geo.products import of_one_product
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.identity import digest

@@ -13,7 +13,12 @@ from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, JobLog, Progress, only_warnings
 from pcwlad_geo.execution.runner import Runner
-from pcwlad_geo.matching.epipolar import MIN_POINTS, epipolar_evidence, on_their_lines, parallax_evidence
+from pcwlad_geo.matching.epipolar import (
+    MIN_EPIPOLAR_MATCHES,
+    epipolar_evidence,
+    on_their_lines,
+    parallax_evidence,
+)
 from pcwlad_geo.matching.field import Prediction, Surface, predict
 from pcwlad_geo.matching.guidance import (
     MIN_FOR_FIELD,
@@ -47,7 +52,7 @@ from pcwlad_geo.matching.types import (
     TiePoints,
 )
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products.detect import of_one_product
+from pcwlad_geo.products import of_one_product
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.view import plan_rpc_views
@@ -77,14 +82,15 @@ from pcwlad_geo.registration.prealign import (
     by_search,
     can_be_posed,
     direct_start,
+    load_start_matcher,
     posed_start,
+    proposed_start,
     read_overviews,
     searches_first,
     target_offset_px,
 )
 from pcwlad_geo.registration.result import MatchRecord, record_matching
 from pcwlad_geo.registration.rpc import shifted
-from pcwlad_geo.registration.start_matcher import load_start_matcher, proposed_start
 from pcwlad_geo.registration.tiles import (
     TileJob,
     TileResult,
@@ -181,11 +187,11 @@ class _FirstPass:
 
     def without(self, found: Index) -> _FirstPass:
         """Return the pass with those lost candidates struck off that were `found` later."""
-        struck = np.zeros(len(self.lost), bool)
-        struck[found] = True
+        is_found = np.zeros(len(self.lost), bool)
+        is_found[found] = True
         results = []
         for tile, result in enumerate(self.results):
-            gone = struck[self.lost_tile_of == tile]
+            gone = is_found[self.lost_tile_of == tile]
             fewer = np.bincount(result.lost.outcome[gone], minlength=len(OUTCOMES)).tolist()
             counts = {
                 name: count - (fewer[OUTCOMES.index(name)] if name in OUTCOMES else 0)
@@ -211,8 +217,8 @@ def match_scene(
         first = _first_pass(planned, log, runner)
     matches, counts = first.matches, _sum_counts(first.results)
     kept = consistent_points(matches, matching) if len(matches) else np.zeros(0, bool)
-    radius_px, odds = prealignment.search_radius_px, prealignment.odds
-    verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=odds)
+    radius_px, evidence = prealignment.search_radius_px, prealignment.net_evidence
+    verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=evidence)
     kept, verdict, epipolar = _by_geometry(matches, kept, verdict, pair, prealignment, settings, matching)
     window_px, jitter, other = matching.window, 0.0, None
     motions: Sequence[tuple[Motion, Bool]] = ()
@@ -226,7 +232,7 @@ def match_scene(
         counts = {**_sum_counts(first.results), "second_try": int(checked.again.sum())}
         if again.incomplete:  # do the others suffice?
             found = kept[: len(first.matches)]
-            verdict = judge(first.matches, found, counts, matching.window, radius_px, evidence=odds)
+            verdict = judge(first.matches, found, counts, matching.window, radius_px, evidence=evidence)
     offset_px = np.asarray(pair.offset_px, dtype=np.float64)
     if verdict.accepted and not epipolar:
         motions = motions_of(matches, kept, offset_px, matching.window, radius_px)
@@ -264,8 +270,10 @@ def _by_geometry(
     elif settings.geometry == "planar":
         return kept, verdict, False
     found = on_their_lines(matches)
-    significance = epipolar_evidence(matches, window_px, prealignment.search_radius_px) + prealignment.odds
-    if not verdict.accepted and found.sum() >= MIN_POINTS and significance >= MIN_SIGNIFICANCE:
+    significance = (
+        epipolar_evidence(matches, window_px, prealignment.search_radius_px) + prealignment.net_evidence
+    )
+    if not verdict.accepted and found.sum() >= MIN_EPIPOLAR_MATCHES and significance >= MIN_SIGNIFICANCE:
         verdict = replace(verdict, accepted=True, reason=None, significance=significance, beyond=None)
     return found, verdict, True
 
@@ -471,7 +479,9 @@ def _scales(
     workers = [first.workers[tile] for tile in tiles[chosen]]
     on_event = partial(only_warnings, log.on_event)  # the progress is no stage's own
 
-    def seen(compare: Callable[..., Float64], sample: Sequence[Index], *windows_px: Sequence[int]) -> Float64:
+    def measured(
+        compare: Callable[..., Float64], sample: Sequence[Index], *windows_px: Sequence[int]
+    ) -> Float64:
         calls = [
             (first.jobs[tile], points[some], guide.part(some), *windows_px)
             for tile, some in zip(tiles[chosen], sample, strict=True)
@@ -479,17 +489,15 @@ def _scales(
         moved = runner.run(compare, calls, "refining", on_event, workers).results
         return np.concatenate(moved, axis=1)
 
-    scales, errors = choose_scales(partial(seen, compare_windows, sample), settings)
+    scales, errors = choose_scales(partial(measured, compare_windows, sample), settings)
     more = [these[:: max(1, every // STRIPES)] for these in inside]
-    told = np.concatenate(more)
-    beside_px = seen(compare_stripes, more) - points.displacement_px[told]
-    displaced = 0.0
+    sampled = np.concatenate(more)
+    xy, moved_px = points.reference_xy_px[sampled], points.displacement_px[sampled]
+    jitter, displaced = jitter_px(xy, measured(compare_stripes, more) - moved_px), 0.0
     if other_px is not None:
-        best_px = (
-            seen(partial(compare_surroundings, other_px=other_px), more)[0] - points.displacement_px[told]
-        )
-        displaced = share_displaced(best_px, other_px)
-    return scales, errors, jitter_px(points.reference_xy_px[told], beside_px), displaced
+        best_px = measured(partial(compare_surroundings, other_px=other_px), more)[0]
+        displaced = share_displaced(best_px - moved_px, other_px)
+    return scales, errors, jitter, displaced
 
 
 def _predict_on(
@@ -691,8 +699,8 @@ def _of_the_ground(
         return matched
     if motions[0] is not usual:  # again, beyond the reach of the others
         best = motions[0][0]
-        apart_px = np.subtract([other.displacement_px for other, _ in motions[1:]], best.displacement_px)
-        radius_px = min(before.search_radius_px, max(2, int(np.hypot(*apart_px.T).min() / 3)))
+        separation_px = np.subtract([other.displacement_px for other, _ in motions[1:]], best.displacement_px)
+        radius_px = min(before.search_radius_px, max(2, int(np.hypot(*separation_px.T).min() / 3)))
         shift_px, evidence = best.displacement_px, best.significance
         around = replace(before, shift_px=shift_px, search_radius_px=radius_px, evidence=evidence)
         return replace(match_scene(pair, start.overviews, around, settings, log, runner), motions=motions)

@@ -238,7 +238,7 @@ def _compared(
     reference_origin, target_origin = _origins(job)
     between = target_origin - reference_origin
     inside = points.shifted(-reference_origin, -target_origin)
-    return np.asarray(see(channels, inside, guide.moved(-between)) + between)
+    return see(channels, inside, guide.moved(-between)) + between
 
 
 def _prepare(job: TileJob) -> PreparedPair | None:
@@ -305,9 +305,9 @@ def compile_some(method: Method, number: int) -> None:
 
 def _compilations(method: Method) -> list[Callable[[], object]]:
     """Return what compiles the kernels of a method, the longest first."""
-    apart = [part.__wrapper_address__ for part in PARTS]
+    parts = [part.__wrapper_address__ for part in PARTS]
     phase = [] if TRAITS[method].channels == "gradients" else [_compile_phase_congruency]
-    return [compile_refinement, *apart, load_own_kernel, *phase]
+    return [compile_refinement, *parts, load_own_kernel, *phase]
 
 
 def _compile_phase_congruency() -> None:

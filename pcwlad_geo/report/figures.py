@@ -120,15 +120,15 @@ def add_bar(axes: Axes, shown: ScalarMappable, label: str, extend: str = "neithe
 
 def to_png(figure: Figure) -> bytes:
     """Return a figure as a PNG."""
-    raw, made = io.BytesIO(), io.BytesIO()
+    raw, encoded = io.BytesIO(), io.BytesIO()
     figure.savefig(raw, format="rgba")
     drawn = Image.frombytes("RGBA", figure.canvas.get_width_height(), raw.getvalue()).convert("RGB")
     try:
         few = drawn.quantize(COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     except ValueError as error:  # Pillow's error for a lack of memory; the picture itself is valid
         raise MemoryError(str(error)) from error
-    few.save(made, "png")
-    return made.getvalue()
+    few.save(encoded, "png")
+    return encoded.getvalue()
 
 
 MAX_ARROWS = 400

@@ -46,7 +46,7 @@ class FinishedRegistration:
     target_grid: Grid
     request: GridRequest
     """The output grid that was requested."""
-    made: OutputFormat
+    fmt: OutputFormat
     """The format of the registered raster."""
     resampling: str
     rpc: CorrectedRpc | None = None
@@ -72,7 +72,7 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
             reference_grid=_grid(path, report["reference"].get("ground") or report["reference"]),
             target_grid=_grid(path, report["target"]),
             request=_request(path, report),
-            made=OutputFormat.of(settings.get("of", "COG"), settings.get("co", ())),
+            fmt=OutputFormat.of(settings.get("of", "COG"), settings.get("co", ())),
             resampling=Settings.from_options({"resampling": settings["resampling"]}).resampling,
             rpc=_rpc(report["rpc"], report["target"], settings) if report.get("rpc") else None,
             inputs=tuple(FileIdentity.from_json(each) for each in report.get("inputs", ())),
@@ -96,7 +96,7 @@ def finished(registration: Registration) -> FinishedRegistration:
         reference_grid=ground_grid(registration.reference.grid),
         target_grid=registration.target.grid,
         request=requested_grid(settings),
-        made=OutputFormat.of(settings.of, settings.co),
+        fmt=OutputFormat.of(settings.of, settings.co),
         resampling=settings.resampling,
         rpc=None if rpc is None else _corrected_rpc(rpc, registration),
         inputs=tuple(file.identity for file in registration.inputs),
@@ -127,8 +127,8 @@ def report_of_same_job(
                 return {}
     except InputError:  # the job itself will raise it
         return {}
-    told = report["settings"] if isinstance(report["settings"], dict) else {}
-    before = {name: value for name, value in told.items() if name not in RUNNING}
+    reported = report["settings"] if isinstance(report["settings"], dict) else {}
+    before = {name: value for name, value in reported.items() if name not in RUNNING}
     wanted = {name: value for name, value in asdict(found.settings).items() if name not in RUNNING}
     return report if before == plain(wanted) else {}
 

@@ -43,8 +43,8 @@ def to_pdf(page: str) -> bytes:
     """
     weasyprint = _weasyprint()
     only_inside = weasyprint.urls.URLFetcher(allowed_protocols=["data"])
-    made = weasyprint.HTML(string=page, url_fetcher=only_inside).write_pdf()
-    return bytes(made)
+    document = weasyprint.HTML(string=page, url_fetcher=only_inside).write_pdf()
+    return bytes(document)
 
 
 def _weasyprint() -> ModuleType:

@@ -16,7 +16,7 @@ from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
-from pcwlad_geo.products.detect import native_per_px, native_px_m
+from pcwlad_geo.products import native_per_px, native_px_m
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import at_mean_height
@@ -42,7 +42,7 @@ def statistics_of(
 ) -> dict[str, ErrorStatistics | None]:
     """Return the statistics by unit of a `group` of `GROUPS` of a `registration`; `when`: before or after.
 
-    The `sizes_m` are those of `target_px_m`.
+    The (n, 2) `sizes_m` are those of `target_px_m`.
     """
     of_group = np.isin(registration.tie_points.status, GROUPS[group])
     points = registration.tie_points[of_group]

@@ -14,7 +14,7 @@ import numpy as np
 import rasterio
 
 from pcwlad_geo.correction.error_statistics import Accuracy, Pair
-from pcwlad_geo.correction.jitter import MIN_POINTS, peaks, profile, smooth_rest
+from pcwlad_geo.correction.jitter import MIN_WAVE_POINTS, peaks, profile, smooth_rest
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc.dem import Dem
@@ -260,7 +260,7 @@ def _predicted_sigma(precision: PrecisionMap) -> c.PredictedSigma:
 def _profiles(registration: Registration) -> c.ProfilesEntry | None:
     """Return the displacement along rows and columns of the target beyond its cubic trend."""
     points = registration.tie_points.select("fit", "check", "unused")
-    if registration.selection is None or len(points) < MIN_POINTS:
+    if registration.selection is None or len(points) < MIN_WAVE_POINTS:
         return None
     window_px, at_px = registration.selection.footprint_px, points.predicted_px
     rest = smooth_rest(at_px, points.displacement_px)

@@ -192,7 +192,7 @@ def _squared_gradient(image: Image) -> NDArray[np.complex64]:
     """Return the squared gradient of an image as complex numbers; 0 where it lacks data."""
     soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
     gradient = cv2.Sobel(soft, cv2.CV_32F, 1, 0) + 1j * cv2.Sobel(soft, cv2.CV_32F, 0, 1)
-    return np.asarray(image.all() * gradient**2)
+    return image.all() * gradient**2
 
 
 def _view(

@@ -22,8 +22,9 @@ import cv2
 import numpy as np
 from scipy import sparse
 
-from pcwlad_geo.rigs.lenses import LensModel, project, rays
-from pcwlad_geo.solving import inverse, solve
+from pcwlad_geo.estimation.robust import huber, sigma_of
+from pcwlad_geo.estimation.solving import inverse, solve
+from pcwlad_geo.rigs.rig import LensModel, project, rays
 from pcwlad_geo.types import Bool, Float64, Index
 
 OF_LENS: Final = 8
@@ -72,7 +73,7 @@ class Observations:
     """(n,) number of the lens that saw it."""
     reference_px: Float64
     """(n, 2) position in the raw frame of the reference lens."""
-    seen_px: Float64
+    lens_px: Float64
     """(n, 2) position in the raw frame of the lens."""
     sigma_px: Float64
     """(n,) standard deviation per axis, in px of the lens."""
@@ -83,7 +84,7 @@ class Observations:
     @staticmethod
     def joined(parts: Sequence[Observations]) -> Observations:
         """Return the observations of all parts."""
-        names = ("capture", "pose", "lens", "reference_px", "seen_px", "sigma_px")
+        names = ("capture", "pose", "lens", "reference_px", "lens_px", "sigma_px")
         return Observations(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def points(self) -> Index:
@@ -98,7 +99,7 @@ class State:
 
     models: tuple[LensModel, ...]
     lenses: Float64
-    """(lenses, 8), see `lenses.PARAMETERS`."""
+    """(lenses, 8), see `rig.PARAMETERS`."""
     poses: Float64
     """(poses, 6) rotation vector and baseline; the first is the reference's and stays zero."""
     planes: Float64
@@ -141,7 +142,7 @@ def adjust(
     first: State,
     expected: State,
     sigma: State,
-    seen: Observations,
+    observed: Observations,
     overlap: float,
     *,
     unit: bool = True,
@@ -157,7 +158,7 @@ def adjust(
         What is expected without the tie points.
     sigma : State
         How far each parameter may be from there; 0 holds it where it begins.
-    seen : Observations
+    observed : Observations
         Tie points.
     overlap : float
         How many points share a window: their errors are not independent.
@@ -166,24 +167,24 @@ def adjust(
     by_lens : bool
         Whether the points of each lens, and those between captures, have the sigma that their residuals say.
     """
-    state, point = first, seen.points()
-    seen = replace(seen, sigma_px=np.hypot(seen.sigma_px, MODEL_SIGMA_PX))
-    given_px, alike = seen.sigma_px, max(overlap, 1.0)
+    state, point = first, observed.points()
+    observed = replace(observed, sigma_px=np.hypot(observed.sigma_px, MODEL_SIGMA_PX))
+    given_px, alike = observed.sigma_px, max(overlap, 1.0)
     relief = np.zeros(point.max() + 1)
     scale, before = sigma.vector, expected.vector
     free = np.flatnonzero(scale > 0)
-    kept = np.ones(len(seen), bool)
+    kept = np.ones(len(observed), bool)
     damping, normal = 1e-3, np.eye(len(free))
     # linear at no relief: where it is, longer baselines would be drawn towards less of it
-    level = np.zeros(len(seen))
-    residual, by_relief = _misfit(state, seen, level)
+    level = np.zeros(len(observed))
+    residual, by_relief = _misfit(state, observed, level)
     for turn in range(ROUNDS):
-        jacobian = _jacobian(state, seen, level, set(free.tolist()))
+        jacobian = _jacobian(state, observed, level, set(free.tolist()))
         if by_lens and turn >= PATIENT:
-            seen = replace(
-                seen, sigma_px=given_px * _share_by_lens(state, seen, residual, by_relief, given_px)
+            observed = replace(
+                observed, sigma_px=given_px * _share_by_lens(state, observed, residual, by_relief, given_px)
             )
-        weight, kept = _weights(residual - by_relief * relief[point, None], seen, turn)
+        weight, kept = _weights(residual - by_relief * relief[point, None], observed, turn)
         weight = weight / alike
         columns = jacobian[:, free] @ sparse.diags(scale[free])
         problem = _Problem(weight, point, _relief_sigma(state), before, scale, free, unit)
@@ -196,7 +197,7 @@ def adjust(
             change = np.zeros(len(scale))
             change[free] = scale[free] * step
             there = state.with_vector(state.vector + change)
-            misfit = _misfit(there, seen, level)
+            misfit = _misfit(there, observed, level)
             if problem.cost(there, *misfit) <= least * (1 + 1e-9):
                 state, moved = there, np.abs(columns @ step).max(initial=0.0)
                 residual, by_relief = misfit
@@ -205,9 +206,10 @@ def adjust(
             damping = max(10 * damping, 1e-6)  # too far for what is linear
         if moved < STILL_PX and turn > PATIENT:
             break
-    residual = seen.seen_px - predict(state, seen, np.clip(relief, -0.5, 0.5)[point])
-    weight, kept = _weights(residual, seen, ROUNDS)
-    factor = _spread(residual, seen, kept)
+    residual = observed.lens_px - predict(state, observed, np.clip(relief, -0.5, 0.5)[point])
+    weight, kept = _weights(residual, observed, ROUNDS)
+    # robust standard deviation of the residuals over that expected
+    factor = sigma_of(residual[kept] / observed.sigma_px[kept, None]) if kept.any() else 1.0
     covariance = np.zeros((len(scale), len(scale)))
     covariance[np.ix_(free, free)] = (
         inverse(normal, NEEDS) * np.outer(scale[free], scale[free]) * max(factor, 1.0) ** 2
@@ -241,55 +243,48 @@ class _Problem:
         return total if math.isfinite(total) else math.inf
 
 
-def _misfit(state: State, seen: Observations, relief: Float64) -> tuple[Float64, Float64]:
+def _misfit(state: State, observed: Observations, relief: Float64) -> tuple[Float64, Float64]:
     """Return the (n, 2) residuals of a state, and their derivatives by relief."""
-    first = rays(seen.reference_px, state.lenses[0], state.models[0])
-    now = _seen(state, seen, first, relief)
-    return seen.seen_px - now, (_seen(state, seen, first, relief + 1e-4) - now) / 1e-4
+    first = rays(observed.reference_px, state.lenses[0], state.models[0])
+    now = _projected(state, observed, first, relief)
+    return observed.lens_px - now, (_projected(state, observed, first, relief + 1e-4) - now) / 1e-4
 
 
-def predict(state: State, seen: Observations, relief: Float64) -> Float64:
+def predict(state: State, observed: Observations, relief: Float64) -> Float64:
     """Return the (n, 2) px at which lenses see the points; `relief` is the (n,) share beside the plane."""
-    first = rays(seen.reference_px, state.lenses[0], state.models[0])
-    return _seen(state, seen, first, relief)
+    first = rays(observed.reference_px, state.lenses[0], state.models[0])
+    return _projected(state, observed, first, relief)
 
 
-def _seen(state: State, seen: Observations, first: Float64, relief: Float64) -> Float64:
+def _projected(state: State, observed: Observations, first: Float64, relief: Float64) -> Float64:
     axes = np.column_stack([first, np.ones(len(first))])
-    plane = state.planes[seen.capture]
+    plane = state.planes[observed.capture]
     nearness = plane[:, 0] + plane[:, 1] * first[:, 0] + plane[:, 2] * first[:, 1] + relief
     matrices = np.stack([cv2.Rodrigues(pose[:3])[0] for pose in state.poses])
-    turned = np.einsum("nij,nj->ni", matrices[seen.pose], axes)
-    turned += nearness[:, None] * state.poses[seen.pose, 3:]
+    turned = np.einsum("nij,nj->ni", matrices[observed.pose], axes)
+    turned += nearness[:, None] * state.poses[observed.pose, 3:]
     direction = turned[:, :2] / np.maximum(turned[:, 2:], 0.05)
     result = np.empty_like(first)
     for number, model in enumerate(state.models):
-        some = seen.lens == number
+        some = observed.lens == number
         if some.any():
             result[some] = project(direction[some], state.lenses[number], model)
     return result
 
 
-def _weights(residual: Float64, seen: Observations, turn: int) -> tuple[Float64, Bool]:
+def _weights(residual: Float64, observed: Observations, turn: int) -> tuple[Float64, Bool]:
     """Return the (n,) weights, px⁻², and which observations count; the first turns are more patient."""
-    sigma, length = seen.sigma_px, np.hypot(*residual.T)
+    sigma, length = observed.sigma_px, np.hypot(*residual.T)
     spread = max(1.0, float(np.median(length / sigma)) / 1.18)
     ratio = length / (sigma * spread)
     far = TOO_FAR * (4 if turn < PATIENT else 1)
     kept = (ratio < far) | (length < LEAST_FAR_PX)
-    huber = np.minimum(1.0, HUBER * 1.41 / np.maximum(ratio, 1e-9))
-    return np.where(kept, huber / sigma**2, 0.0), np.asarray(kept)
-
-
-def _spread(residual: Float64, seen: Observations, kept: Bool) -> float:
-    """Return the robust standard deviation of the residuals over that expected."""
-    if not kept.any():
-        return 1.0
-    return float(np.median(np.abs(residual[kept]) / seen.sigma_px[kept, None]) * 1.4826)
+    weight = huber(np.maximum(ratio, 1e-9), HUBER * 1.41)
+    return np.where(kept, weight / sigma**2, 0.0), np.asarray(kept)
 
 
 def _share_by_lens(
-    state: State, seen: Observations, residual: Float64, by_relief: Float64, sigma_px: Float64
+    state: State, observed: Observations, residual: Float64, by_relief: Float64, sigma_px: Float64
 ) -> Float64:
     """Return the (n,) sigma of the points of a lens, or between captures, over that expected of them.
 
@@ -297,22 +292,22 @@ def _share_by_lens(
     """
     length = np.maximum(np.hypot(*by_relief.T), 1e-12)
     across = np.abs(residual[:, 0] * by_relief[:, 1] - residual[:, 1] * by_relief[:, 0]) / length / sigma_px
-    share = np.ones(len(seen))
-    group = np.minimum(seen.pose, len(state.lenses))
+    share = np.ones(len(observed))
+    group = np.minimum(observed.pose, len(state.lenses))
     for each in np.unique(group):
         some = group == each
-        share[some] = max(LEAST_SHARE, 1.4826 * float(np.median(across[some])))
+        share[some] = max(LEAST_SHARE, sigma_of(across[some]))
     return share
 
 
-def _jacobian(state: State, seen: Observations, relief: Float64, free: set[int]) -> sparse.csr_matrix:
+def _jacobian(state: State, observed: Observations, relief: Float64, free: set[int]) -> sparse.csr_matrix:
     """Return the (2 n, parameters) derivatives of the predictions.
 
     Columns of parameters that are not `free` are left empty.
     """
-    n, lenses, poses = len(seen), state.lenses.size, state.poses.size
-    first = rays(seen.reference_px, state.lenses[0], state.models[0])
-    now = _seen(state, seen, first, relief)
+    n, lenses, poses = len(observed), state.lenses.size, state.poses.size
+    first = rays(observed.reference_px, state.lenses[0], state.models[0])
+    now = _projected(state, observed, first, relief)
     entries: list[tuple[Index, Float64]] = []
     for k in range(OF_LENS):
         step = float(_steps(state.lenses[0, 0])[k])
@@ -320,21 +315,23 @@ def _jacobian(state: State, seen: Observations, relief: Float64, free: set[int])
         moved[:, k] += step
         if free.intersection(range(k, lenses, OF_LENS)):
             own = replace(state, lenses=moved)
-            entries.append((seen.lens * OF_LENS + k, (_seen(own, seen, first, relief) - now) / step))
+            entries.append(
+                (observed.lens * OF_LENS + k, (_projected(own, observed, first, relief) - now) / step)
+            )
         if k in free:
-            other = rays(seen.reference_px, moved[0], state.models[0])
-            entries.append((np.full(n, k), (_seen(state, seen, other, relief) - now) / step))
+            other = rays(observed.reference_px, moved[0], state.models[0])
+            entries.append((np.full(n, k), (_projected(state, observed, other, relief) - now) / step))
     for k in range(OF_POSE):
         if free.intersection(range(lenses + k, lenses + poses, OF_POSE)):
             moved = state.poses.copy()
             moved[:, k] += 1e-6
-            change = (_seen(replace(state, poses=moved), seen, first, relief) - now) / 1e-6
-            entries.append((lenses + seen.pose * OF_POSE + k, change))
+            change = (_projected(replace(state, poses=moved), observed, first, relief) - now) / 1e-6
+            entries.append((lenses + observed.pose * OF_POSE + k, change))
     for k in range(OF_PLANE):
         moved = state.planes.copy()
         moved[:, k] += 1e-4
-        change = (_seen(replace(state, planes=moved), seen, first, relief) - now) / 1e-4
-        entries.append((lenses + poses + seen.capture * OF_PLANE + k, change))
+        change = (_projected(replace(state, planes=moved), observed, first, relief) - now) / 1e-4
+        entries.append((lenses + poses + observed.capture * OF_PLANE + k, change))
     columns = np.concatenate([np.repeat(column, 2) for column, _ in entries])
     values = np.concatenate([change.ravel() for _, change in entries])
     rows = np.tile(np.arange(2 * n), len(entries))

@@ -22,15 +22,15 @@ from pcwlad_geo.raster.opening import check_dataset
 from pcwlad_geo.raster.source import open_raster
 from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, Grade
 from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust, predict
-from pcwlad_geo.rigs.captures import Capture, Frame, panel_seen, read_frame
-from pcwlad_geo.rigs.learning import NEAR_SIGMA, look
+from pcwlad_geo.rigs.captures import Capture, Frame, panel_shown, read_frame
+from pcwlad_geo.rigs.learning import NEAR_SIGMA, measure_sharpness
 from pcwlad_geo.rigs.rig import (
     Rig,
     RigLens,
     Sharpness,
+    coarsened,
     coefficients_of,
     grade_of,
-    made_coarser,
     map_places,
     measured_side,
     resampled,
@@ -41,7 +41,7 @@ Status = Literal["corrected", "rejected", "unusable", "failed"]
 
 CAPTURE_TAG: Final = "PCWLAD_GEO_CAPTURE"
 """Tag of a raster with the name of its capture."""
-CELLS: Final = 160
+MEASURED_PLACES: Final = 160
 """Number of places that are measured in every lens."""
 WINDOW_PX: Final = 61
 """Side of the window of a place."""
@@ -187,13 +187,13 @@ def placed_capture(rig: Rig, capture: Capture) -> tuple[Placed, list[Frame], lis
     frames = [capture.frames[each] for each in rig.names]
     values = [read_frame(each.path, each.shape) for each in frames]
     try:
-        looks = {name: look(plane) for name, plane in zip(rig.names, values, strict=True)}
-        check_looks({each.name: each.sharpness for each in rig.lenses}, looks)
+        sharpness = {name: measure_sharpness(plane) for name, plane in zip(rig.names, values, strict=True)}
+        check_sharpness({each.name: each.sharpness for each in rig.lenses}, sharpness)
         placed = tested(place(rig, values, _expected_nearness(rig, capture)), values)
     except BadCaptureError as error:
-        raise BadCaptureError(panel_seen(frames, values) or str(error)) from error
+        raise BadCaptureError(panel_shown(frames, values) or str(error)) from error
     near = placed.plane[0] > NEAR * rig.nearness[1]
-    panel = panel_seen(frames, values) if near or any(each.panel for each in frames) else None
+    panel = panel_shown(frames, values) if near or any(each.panel for each in frames) else None
     if panel is not None:
         raise BadCaptureError(panel)
     return placed, frames, values
@@ -250,10 +250,12 @@ def _expected_nearness(rig: Rig, capture: Capture) -> float | None:
     return None if height is None or rig.distance_m is None else rig.distance_m / height
 
 
-def check_looks(expected: Mapping[str, Sharpness], seen: Mapping[str, Sharpness]) -> None:
+def check_sharpness(expected: Mapping[str, Sharpness], measured: Mapping[str, Sharpness]) -> None:
     """Raise `BadCaptureError` where the frame of a lens is blurred, or shows nothing, against usual ones."""
-    covered = [name for name, usual in expected.items() if not seen[name].contrast > COVERED * usual.contrast]
-    blurred = [name for name, usual in expected.items() if seen[name].detail < BLURRED * usual.detail]
+    covered = [
+        name for name, usual in expected.items() if not measured[name].contrast > COVERED * usual.contrast
+    ]
+    blurred = [name for name, usual in expected.items() if measured[name].detail < BLURRED * usual.detail]
     if covered:
         raise BadCaptureError(
             f"lens {', '.join(covered)} shows hardly anything: it was covered, or it failed"
@@ -286,8 +288,8 @@ def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed
         now = rig
         try:
             for _ in range(3):
-                seen = _measured(now, values, plane)
-                placed, moved = _adjusted(now, rig, seen, plane, near, expected is not None)
+                observed = _measured(now, values, plane)
+                placed, moved = _adjusted(now, rig, observed, plane, near, expected is not None)
                 now, plane = placed.rig, placed.plane
                 if moved < MOVED_PX:
                     break
@@ -296,7 +298,7 @@ def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed
             continue
         if best is None or placed.points > best.points:
             best = placed
-        if placed.points > 0.6 * CELLS * (len(values) - 1):
+        if placed.points > 0.6 * MEASURED_PLACES * (len(values) - 1):
             break
     if best is None:
         raise BadCaptureError(reasons[0])
@@ -350,10 +352,10 @@ def _window_px(shape: Sequence[int]) -> int:
     return int(np.clip(0.25 * min(shape), 21, WINDOW_PX)) // 2 * 2 + 1
 
 
-def _overlap(rig: Rig, seen: Observations) -> float:
+def _overlap(rig: Rig, observed: Observations) -> float:
     """Return how many places of a lens share a window, on average: their errors are not independent."""
     shape = [round(n / _factor(rig, rig.lenses[1])) for n in rig.reference.lens.shape]
-    return len(seen) / (len(rig.lenses) - 1) * _window_px(shape) ** 2 / math.prod(shape)
+    return len(observed) / (len(rig.lenses) - 1) * _window_px(shape) ** 2 / math.prod(shape)
 
 
 def _as_observations(
@@ -362,13 +364,13 @@ def _as_observations(
     """Return places of the common frame as positions in the raw frames."""
     lens = rig.lenses[number]
     rays, moved = rig.common_rays(origin_px), rig.common_rays(target_px)
-    seen = lens.seen(moved, plane[0] + moved @ plane[1:])
+    observed = lens.project(moved, plane[0] + moved @ plane[1:])
     raw = rig.reference.lens.project(rays)
-    good = np.isfinite(seen).all(axis=1) & np.isfinite(raw).all(axis=1)
+    good = np.isfinite(observed).all(axis=1) & np.isfinite(raw).all(axis=1)
     count = int(good.sum())
     per_px = lens.lens.focal_px / rig.reference.lens.focal_px
     capture, of_lens = np.zeros(count, np.intp), np.full(count, number)
-    return Observations(capture, of_lens, of_lens, raw[good], seen[good], sigma_px[good] * per_px)
+    return Observations(capture, of_lens, of_lens, raw[good], observed[good], sigma_px[good] * per_px)
 
 
 def _in_view(rig: Rig, each: RigLens, values: Float32, plane: Float64, factor: float) -> tuple[Float32, Bool]:
@@ -376,8 +378,8 @@ def _in_view(rig: Rig, each: RigLens, values: Float32, plane: Float64, factor: f
     rows, cols = (round(n / factor) for n in rig.reference.lens.shape)
     places, counts = map_places((rows, cols), (0.0, 0.0), factor)
     rays = rig.common_rays(places)
-    at = each.seen(rays, plane[0] + rays @ plane[1:])
-    values, at = made_coarser(values, at, factor * each.lens.focal_px / rig.reference.lens.focal_px)
+    at = each.project(rays, plane[0] + rays @ plane[1:])
+    values, at = coarsened(values, at, factor * each.lens.focal_px / rig.reference.lens.focal_px)
     warped = resampled(coefficients_of(values), at, counts, (rows, cols))
     valid = np.isfinite(warped)
     fill = float(warped[valid].mean()) if valid.any() else 0.0
@@ -397,7 +399,7 @@ def textured(values: Float32, valid: Bool, window_px: int, *, between: bool = Fa
     cells lie between the usual ones.
     """
     rows, cols = values.shape
-    side = max(8.0, math.sqrt(rows * cols / CELLS))
+    side = max(8.0, math.sqrt(rows * cols / MEASURED_PLACES))
     begin = side / 2 * between
     response = cv2.cornerMinEigenVal(cv2.GaussianBlur(values, (0, 0), 1.0), 9)
     kernel = np.ones((window_px, window_px), np.uint8)
@@ -414,7 +416,7 @@ def textured(values: Float32, valid: Bool, window_px: int, *, between: bool = Fa
 
 
 def _adjusted(
-    now: Rig, rig: Rig, seen: Observations, plane: Float64, near: float, told: bool
+    now: Rig, rig: Rig, observed: Observations, plane: Float64, near: float, height_known: bool
 ) -> tuple[Placed, float]:
     """Return where the ground was and how the lenses turned, and how far the places were off before."""
     count = len(rig.lenses)
@@ -424,16 +426,16 @@ def _adjusted(
     turn = rig.wander_px / rig.reference.lens.focal_px
     free = np.zeros_like(poses)
     free[1:, :2], free[1:, 2] = turn, turn / rig.reference.lens.corner
-    slack = NEAR_SIGMA[0 if told else 1] * near
+    slack = NEAR_SIGMA[0 if height_known else 1] * near
     planes = np.array([[slack, rig.tilt * near, rig.tilt * near]])
     begin = replace(first, planes=plane[None])
     sigma = State(first.models, np.zeros_like(lenses), free, planes)
-    result = adjust(begin, first, sigma, seen, _overlap(rig, seen), unit=False)
-    scale = rig.reference.lens.focal_px / lenses[seen.lens, 0]
+    result = adjust(begin, first, sigma, observed, _overlap(rig, observed), unit=False)
+    scale = rig.reference.lens.focal_px / lenses[observed.lens, 0]
     length = np.hypot(*result.residual_px.T) * scale
-    _check_agreement(rig, seen, length, result)
+    _check_agreement(rig, observed, length, result)
     turned = tuple(replace(each, rotation=result.state.poses[k, :3]) for k, each in enumerate(rig.lenses))
-    factor = np.array([_factor(rig, each) for each in rig.lenses])[seen.lens]
+    factor = np.array([_factor(rig, each) for each in rig.lenses])[observed.lens]
     agreeing = length < AGREE_PX * factor
     placed = Placed(
         replace(rig, lenses=turned),
@@ -443,12 +445,12 @@ def _adjusted(
         _sigma_px(rig, result, count),
     )
     before = replace(begin, poses=np.stack([np.r_[each.rotation, each.baseline] for each in now.lenses]))
-    moved = np.hypot(*(_shift(before, seen) - _shift(result.state, seen)).T) * scale
+    moved = np.hypot(*(_shift(before, observed) - _shift(result.state, observed)).T) * scale
     return placed, float(np.percentile(moved / factor, 90))
 
 
-def _shift(state: State, seen: Observations) -> Float64:
-    return predict(state, seen, np.zeros(len(seen)))
+def _shift(state: State, observed: Observations) -> Float64:
+    return predict(state, observed, np.zeros(len(observed)))
 
 
 def _factor(rig: Rig, lens: RigLens) -> float:
@@ -457,12 +459,12 @@ def _factor(rig: Rig, lens: RigLens) -> float:
     return max(max(first.shape) / measured_side(first.shape), first.focal_px / lens.lens.focal_px)
 
 
-def _check_agreement(rig: Rig, seen: Observations, length: Float64, result: Adjusted) -> None:
+def _check_agreement(rig: Rig, observed: Observations, length: Float64, result: Adjusted) -> None:
     """Raise where a lens does not show what the reference shows, or the ground is where none can be."""
     lost = []
     for number, each in enumerate(rig.lenses[1:], 1):
         factor = _factor(rig, each)
-        own = length[seen.lens == number]
+        own = length[observed.lens == number]
         agreeing = int((own < AGREE_PX * factor).sum())
         near_px = float(np.median(own[own < AGREE_PX * factor])) if agreeing else math.inf
         if agreeing < max(LEAST_PLACES, LEAST_AGREEING * len(own)) or near_px > CHANCE * AGREE_PX * factor:
@@ -509,9 +511,9 @@ def write_capture(
     near = placed.plane[0] + rays @ placed.plane[1:]
     bands: list[tuple[str, RigLens, Frame, NDArray[Any]]] = []
     dtype = np.result_type(*(each.dtype for each in frames))
-    for each, frame, seen in zip(placed.rig.lenses, frames, values, strict=True):
-        at = each.seen(rays, near)
-        planes = _bands_of(frame, seen)
+    for each, frame, raw in zip(placed.rig.lenses, frames, values, strict=True):
+        at = each.project(rays, near)
+        planes = _bands_of(frame, raw)
         for number, plane in enumerate(planes, 1):
             name = each.name if len(planes) == 1 else f"{each.name} {number}"
             warped = resampled(coefficients_of(plane), at, counts, (rows, cols))

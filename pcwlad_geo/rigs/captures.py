@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 
 from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.raster.cameras import MM_PER_UNIT, camera_of, exif_of, number_of, xmp_of
 from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.opening import check_dataset
 from pcwlad_geo.raster.source import open_raster, plain_name
-from pcwlad_geo.rigs.lenses import Lens
-from pcwlad_geo.solving import least_squares
+from pcwlad_geo.rigs.rig import Lens
 from pcwlad_geo.types import Float32, Float64, PathLike
 
 ENDINGS: Final = (".tif", ".tiff", ".jpg", ".jpeg", ".png")
@@ -155,9 +155,9 @@ def _captures(read: Sequence[tuple[str, str, Frame]], unread: list[tuple[str, st
     groups: dict[str, dict[str, Frame]] = {}
     names: dict[str, str] = {}
     # a colour picture beside the frames of the lenses (Sequoia): of another shutter, and of no capture
-    told = {f"{Path(frame.path).parent}/{name}" for key, name, frame in read if key == frame.capture_id}
+    captured = {f"{Path(frame.path).parent}/{name}" for key, name, frame in read if key == frame.capture_id}
     for identity, name, frame in read:
-        if identity in told:
+        if identity in captured:
             unread.append((frame.path, f"left aside: it names no capture, as the other frames of {name} do"))
             continue
         frames = groups.setdefault(identity, {})
@@ -200,7 +200,7 @@ def read_frame_facts(path: PathLike, lens: str = "") -> Frame:
         exif, xmp = exif_of(dataset), xmp_of(dataset)
         shape, dtype, camera = dataset.shape, dataset.dtypes[0], camera_of(dataset)
     plain = {name.rpartition(" ")[2]: values for name, values in xmp.items()}
-    told = told_lens(plain, exif, shape)
+    stated = stated_lens(plain, exif, shape)
     wavelength = _floats(plain.get("CentralWavelength", ())), _floats(plain.get("WavelengthFWHM", ()))
     order = _floats(plain.get("RigCameraIndex", ()))
     return Frame(
@@ -209,7 +209,7 @@ def read_frame_facts(path: PathLike, lens: str = "") -> Frame:
         shape=shape,
         dtype=dtype,
         camera=" ".join(_camera_words(exif)),
-        told=told,
+        told=stated,
         focal_px=camera.focal_px if camera else None,
         height_m=camera.height_m if camera else None,
         order=order[0] if order else 1e9,
@@ -240,7 +240,7 @@ def read_frame(path: str, shape: tuple[int, int]) -> Float32:
     return np.ascontiguousarray(finite, np.float32)
 
 
-def panel_seen(frames: Sequence[Frame], values: Sequence[Float32]) -> str | None:
+def panel_shown(frames: Sequence[Frame], values: Sequence[Float32]) -> str | None:
     """Return what shows that a capture is of a calibration panel; None where nothing does.
 
     The camera says so, or lenses show a QR code that is large in the frame: such a code is printed on panels,
@@ -249,15 +249,15 @@ def panel_seen(frames: Sequence[Frame], values: Sequence[Float32]) -> str | None
     """
     if any(each.panel for each in frames):
         return "a calibration panel, as its frames say"
-    seen = 0
+    codes = 0
     for number, (frame, plane) in enumerate(zip(frames, values, strict=True)):
         shown, text = _code_in(plane)
         if text:
             return f"a calibration panel: lens {frame.lens} shows its code {text[:40]}"
-        seen += shown
-        if number == 1 and not seen:
+        codes += shown
+        if number == 1 and not codes:
             break
-    return f"a calibration panel: {seen} lenses show its code" if seen >= max(2, len(frames) / 2) else None
+    return f"a calibration panel: {codes} lenses show its code" if codes >= max(2, len(frames) / 2) else None
 
 
 def _code_in(values: Float32) -> tuple[bool, str]:
@@ -278,7 +278,7 @@ def _code_in(values: Float32) -> tuple[bool, str]:
         return False, ""
 
 
-def told_lens(
+def stated_lens(
     xmp: Mapping[str, tuple[str, ...]], exif: Mapping[str, str], shape: tuple[int, int]
 ) -> Lens | None:
     """Return the calibration of a lens in its frame's XMP; None where there is none that can be believed.

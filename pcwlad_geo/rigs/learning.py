@@ -18,14 +18,15 @@ from pcwlad_geo.matching.matcher import match_arrays
 from pcwlad_geo.matching.pose import search_pose
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust
-from pcwlad_geo.rigs.captures import Capture, Frame, first_lens, panel_seen, read_frame
-from pcwlad_geo.rigs.lenses import Lens, lattice
+from pcwlad_geo.rigs.captures import Capture, Frame, first_lens, panel_shown, read_frame
 from pcwlad_geo.rigs.rig import (
+    Lens,
     Rig,
     RigLens,
     Sharpness,
+    coarsened,
     coefficients_of,
-    made_coarser,
+    lattice,
     map_places,
     measured_side,
     resampled,
@@ -53,9 +54,9 @@ TRIES: Final = 4
 """Captures in which a start is looked for."""
 SCALE_SPREAD: Final = (1.3, 2.2)
 """Factor within which the ratio of two focal lengths is searched: where both are told, and elsewhere."""
-RIM: Final = 0.5
+MARGIN_SHARE: Final = 0.5
 """Points between captures, and in the last round all, are not nearer to an edge of a frame than this share of
-their window: what is seen from aside deforms windows, and those that are cut are drawn inwards."""
+their window: what is seen obliquely deforms windows, and those that are cut are drawn inwards."""
 SCALES: Final = tuple(float(1.08**step) for step in sorted(range(-9, 10), key=abs))
 """Factors on a focal length that nothing tells, the likely ones first."""
 MIN_START: Final = 16
@@ -64,7 +65,7 @@ AGREE_PX: Final = 2.5
 """Distance within which they agree, px of the small frames."""
 MIN_OVERLAPPING: Final = 25
 """Least number of features that agree on how two captures overlap."""
-MIN_POINTS: Final = 20
+MIN_LENS_POINTS: Final = 20
 """Least number of tie points of a lens in a capture."""
 FOCAL_SIGMA: Final = (0.01, 0.15)
 """Expected relative deviation of the focal length: where the frame tells it, and elsewhere."""
@@ -72,7 +73,7 @@ CENTRE_SIGMA: Final = (0.004, 0.02)
 """Of the principal point, as a share of the frame's longer side."""
 BEND_SIGMA_PX: Final = (1.0, 40.0)
 """Of the distortion at the corners, px, by each radial term."""
-TOLD_BEND: Final = np.array([1.0, 1.0, 1.0, 3.0, 3.0, 3.0, 1.0, 1.0])
+SHARED_BEND: Final = np.array([1.0, 1.0, 1.0, 3.0, 3.0, 3.0, 1.0, 1.0])
 """(8,) factor on the sigmas of a lens where captures overlap: they tell the distortion that all share."""
 SHEAR_SIGMA_PX: Final = (0.5, 6.0)
 """Of the tangential terms."""
@@ -94,7 +95,7 @@ class _Task:
     pose: int
     lens: int
     reference: Frame
-    seen: Frame
+    target: Frame
     models: tuple[Lens, Lens]
     pose_vector: Float64
     plane: Float64
@@ -103,7 +104,7 @@ class _Task:
     share: float
     """Of a window, see `WINDOW_SHARE`."""
 
-    def seen_px(self, reference_px: Float64) -> Float64:
+    def lens_px(self, reference_px: Float64) -> Float64:
         """Return the (n, 2) px at which the lens should see (n, 2) px of the reference's raw frame."""
         first, second = self.models
         return _between(first, second, self.pose_vector, self.plane, reference_px)
@@ -111,15 +112,15 @@ class _Task:
 
 def learn(
     captures: Sequence[Capture],
-    looks: Sequence[Mapping[str, Sharpness]],
+    sharpness: Sequence[Mapping[str, Sharpness]],
     fisheye: bool,
     runner: Runner,
     on_event: EventCallback,
 ) -> Rig:
     """Return the rig of `captures` that all have the same lenses, of the same sizes.
 
-    `looks` is what the frames of each look like, see `inspect`; `fisheye` says whether lenses that tell no
-    calibration are fisheyes. `runner` runs the matching, and `on_event` receives its `Progress`. Raises
+    `sharpness` is what the frames of each look like, see `inspect`; `fisheye` says whether lenses that tell
+    no calibration are fisheyes. `runner` runs the matching, and `on_event` receives its `Progress`. Raises
     `RegistrationRejectedError` if a lens cannot be matched.
     """
     order = sorted(
@@ -127,13 +128,13 @@ def learn(
     )
     names = [each.lens for each in order]
     lenses = [first_lens(each, fisheye, 1.1 * max(each.shape)) for each in order]
-    told = list(lenses)
+    given = list(lenses)
     some = evenly(captures, COARSE_CAPTURES)
     state = _started(_first_state(some, names, lenses), some, names, lenses, runner, on_event)
     sigma = _sigmas(state, order, _all_heights(some))
-    seen = _matched(state, some, names, lenses, COARSE_SIDE_PX, 10, WINDOW_SHARE[0], runner, on_event)
-    state = adjust(state, _first_state(some, names, told), sigma, seen, 1.0).state
-    expected = _first_state(captures, names, told)
+    observed = _matched(state, some, names, lenses, COARSE_SIDE_PX, 10, WINDOW_SHARE[0], runner, on_event)
+    state = adjust(state, _first_state(some, names, given), sigma, observed, 1.0).state
+    expected = _first_state(captures, names, given)
     state = replace(expected, lenses=state.lenses, poses=state.poses)
     sigma = _sigmas(state, order, _all_heights(captures))
     if len(captures) > 1:
@@ -144,10 +145,10 @@ def learn(
         lenses = [replace(lens, vector=v) for lens, v in zip(lenses, state.lenses, strict=True)]
         last = radius == ROUND_RADII_PX[-1] and len(state.overlaps) > 0
         side, share = measured_side(order[0].shape), WINDOW_SHARE[last]
-        seen = _matched(state, captures, names, lenses, side, radius, share, runner, on_event)
-        found = adjust(state, expected, sigma, seen, _overlap(seen, order, share), by_lens=True)
+        observed = _matched(state, captures, names, lenses, side, radius, share, runner, on_event)
+        found = adjust(state, expected, sigma, observed, _overlap(observed, order, share), by_lens=True)
         state = found.state
-    return _rig_of(found, seen, captures, looks, order)
+    return _rig_of(found, observed, captures, sharpness, order)
 
 
 def _first_state(chosen: Sequence[Capture], names: Sequence[str], lenses: Sequence[Lens]) -> State:
@@ -217,7 +218,7 @@ def _started(
     for number in np.unique(np.linspace(0, len(chosen) - 1, TRIES).astype(int)):
         frames = chosen[number].frames
         calls = [
-            (frames[names[0]], frames[names[k]], lenses[0], lenses[k], _focal_is_told(frames[names[k]]))
+            (frames[names[0]], frames[names[k]], lenses[0], lenses[k], _has_focal(frames[names[k]]))
             for k in left
         ]
         results = runner.run(find_start, calls, "starts", on_event).results
@@ -235,31 +236,33 @@ def _started(
     )
 
 
-def _focal_is_told(frame: Frame) -> bool:
+def _has_focal(frame: Frame) -> bool:
     return frame.told is not None or frame.focal_px is not None
 
 
-def find_start(reference: Frame, seen: Frame, first: Lens, second: Lens, focal_told: bool) -> Float64 | None:
+def find_start(
+    reference: Frame, target: Frame, first: Lens, second: Lens, focal_known: bool
+) -> Float64 | None:
     """Return (4,) rotation vector and focal length of a lens from one capture; None where none is found.
 
     Given are the frames of the reference and of the lens, their lenses as far as they are known, and whether
     the focal length of the lens is known beside that of the reference.
     """
-    images = [read_frame(each.path, each.shape) for each in (reference, seen)]
-    for scale in [1.0] if focal_told else SCALES:
+    images = [read_frame(each.path, each.shape) for each in (reference, target)]
+    for scale in [1.0] if focal_known else SCALES:
         vector = second.vector.copy()
         vector[0] *= scale
-        matrix = _agreed_similarity(reference, seen, images, first, replace(second, vector=vector))
+        matrix = _agreed_similarity(reference, target, images, first, replace(second, vector=vector))
         if matrix is not None:
-            return _as_rotation(first, second, matrix, focal_told)
+            return _as_rotation(first, second, matrix, focal_known)
     expected = second.focal_px / first.focal_px
-    spread = SCALE_SPREAD[0 if focal_told else 1]
+    spread = SCALE_SPREAD[0 if focal_known else 1]
     found = similarity_of(images[0], images[1], (expected / spread, expected * spread))
-    return None if found is None else _as_rotation(first, second, found, focal_told)
+    return None if found is None else _as_rotation(first, second, found, focal_known)
 
 
 def _agreed_similarity(
-    reference: Frame, seen: Frame, images: Sequence[Float32], first: Lens, second: Lens
+    reference: Frame, target: Frame, images: Sequence[Float32], first: Lens, second: Lens
 ) -> Float64 | None:
     """Return the (2, 3) similarity from px of the reference to px of a lens that looks the same way, nearly.
 
@@ -267,7 +270,7 @@ def _agreed_similarity(
     """
     side = round(np.clip(max(reference.shape) * second.focal_px / first.focal_px, 160, START_SIDE_PX))
     level = np.array([1.0, 0.0, 0.0])
-    task = _Task(0, 1, 1, reference, seen, (first, second), np.zeros(6), level, side, 16, WINDOW_SHARE[0])
+    task = _Task(0, 1, 1, reference, target, (first, second), np.zeros(6), level, side, 16, WINDOW_SHARE[0])
     points = _matched_here(task, images[0], images[1])
     if points is None or len(points[0]) < MIN_START:
         return None
@@ -302,7 +305,7 @@ def similarity_of(reference: Float32, target: Float32, scales: tuple[float, floa
     return np.column_stack([linear, origin])
 
 
-def _as_rotation(first: Lens, second: Lens, matrix: Float64, focal_told: bool) -> Float64:
+def _as_rotation(first: Lens, second: Lens, matrix: Float64, focal_known: bool) -> Float64:
     """Return rotation vector and focal length that place px nearly as a similarity does."""
     places = lattice(first.shape, max(first.shape) // 4)
     wanted = places @ matrix[:, :2].T + matrix[:, 2]
@@ -311,18 +314,18 @@ def _as_rotation(first: Lens, second: Lens, matrix: Float64, focal_told: bool) -
         places, wanted = places[inside], wanted[inside]
     rays = first.rays(places)
     scale = math.sqrt(abs(float(np.linalg.det(matrix[:, :2]))))
-    focal = second.focal_px if focal_told else first.focal_px * scale
+    focal = second.focal_px if focal_known else first.focal_px * scale
     angle = math.atan2(matrix[1, 0], matrix[0, 0])
 
-    def wrong(x: Float64) -> Float64:
+    def misfit(x: Float64) -> Float64:
         vector = second.vector.copy()
-        vector[0] = focal * (1.0 if focal_told else math.exp(x[3]))
+        vector[0] = focal * (1.0 if focal_known else math.exp(x[3]))
         turned = np.column_stack([rays, np.ones(len(rays))]) @ cv2.Rodrigues(x[:3])[0].T
-        seen = vector[0] * turned[:, :2] / np.maximum(turned[:, 2:], 0.05) + vector[1:3]
-        return np.asarray((seen - wanted).ravel())
+        projected = vector[0] * turned[:, :2] / np.maximum(turned[:, 2:], 0.05) + vector[1:3]
+        return np.asarray((projected - wanted).ravel())
 
-    best = least_squares(wrong, np.array([0.0, 0.0, angle, 0.0])).x
-    best[3] = focal * (1.0 if focal_told else math.exp(best[3]))
+    best = least_squares(misfit, np.array([0.0, 0.0, angle, 0.0])).x
+    best[3] = focal * (1.0 if focal_known else math.exp(best[3]))
     return np.asarray(best, np.float64)
 
 
@@ -375,22 +378,24 @@ def _side(side_px: int, first: Lens, second: Lens) -> int:
 
 def match_task(task: _Task) -> Observations | None:
     """Return what a lens sees of its reference; None where too few points are found."""
-    images = [read_frame(each.path, each.shape) for each in (task.reference, task.seen)]
+    images = [read_frame(each.path, each.shape) for each in (task.reference, task.target)]
     found = _matched_here(task, *images)
-    if found is None or len(found[0]) < MIN_POINTS:
+    if found is None or len(found[0]) < MIN_LENS_POINTS:
         return None
-    reference_px, seen_px, sigma_px = found
+    reference_px, lens_px, sigma_px = found
     capture, pose, lens = (np.full(len(reference_px), k) for k in (task.capture, task.pose, task.lens))
-    return Observations(capture, pose, lens, reference_px, seen_px, sigma_px)
+    return Observations(capture, pose, lens, reference_px, lens_px, sigma_px)
 
 
-def _matched_here(task: _Task, reference: Float32, seen: Float32) -> tuple[Float64, Float64, Float64] | None:
+def _matched_here(
+    task: _Task, reference: Float32, target: Float32
+) -> tuple[Float64, Float64, Float64] | None:
     """Match a lens, warped into the raw frame of the reference; return px of both and their sigma."""
     whole = task.reference.shape
     factor = max(whole) / min(task.side_px, max(whole))
     rows, cols = (max(16, round(n / factor)) for n in whole)
     factor_xy = np.array([whole[1] / cols, whole[0] / rows])  # whole px make them differ a little
-    images, valid = _pair_in_view(task, reference, seen, (rows, cols), factor_xy)
+    images, valid = _pair_in_view(task, reference, target, (rows, cols), factor_xy)
     settings = match_settings(images[0].shape, task.radius_px, task.share)
     try:
         points = match_arrays(*images, target_valid=valid, settings=settings)
@@ -400,28 +405,28 @@ def _matched_here(task: _Task, reference: Float32, seen: Float32) -> tuple[Float
     found = _in_frames(task, points, factor_xy)
     if task.lens != 0 and task.share != WINDOW_SHARE[1]:
         return found
-    rim_px = RIM * settings.window * factor  # another capture of the reference, or the last round
-    inside = _inside(found[0], whole, rim_px) & _inside(found[1], whole, rim_px)
+    margin_px = MARGIN_SHARE * settings.window * factor  # another capture of the reference, or the last round
+    inside = _inside(found[0], whole, margin_px) & _inside(found[1], whole, margin_px)
     return found[0][inside], found[1][inside], found[2][inside]
 
 
-def _inside(xy_px: Float64, shape: tuple[int, int], rim_px: float) -> Bool:
-    return np.asarray(((xy_px > rim_px) & (xy_px < np.array(shape[::-1]) - rim_px)).all(axis=1))
+def _inside(xy_px: Float64, shape: tuple[int, int], margin_px: float) -> Bool:
+    return np.asarray(((xy_px > margin_px) & (xy_px < np.array(shape[::-1]) - margin_px)).all(axis=1))
 
 
 def _in_frames(task: _Task, points: TiePoints, factor_xy: Float64) -> tuple[Float64, Float64, Float64]:
     """Return the px in both raw frames of points in the view, and their sigma in px of the lens."""
     reference_px = points.reference_xy_px * factor_xy
-    seen_px = task.seen_px(points.target_xy_px * factor_xy)
-    aside_px = task.seen_px(points.target_xy_px * factor_xy + 1.0)
-    per_px = np.hypot(*(aside_px - seen_px).T) / math.sqrt(2)
+    lens_px = task.lens_px(points.target_xy_px * factor_xy)
+    shifted_px = task.lens_px(points.target_xy_px * factor_xy + 1.0)
+    per_px = np.hypot(*(shifted_px - lens_px).T) / math.sqrt(2)
     sigma_px = np.sqrt((points.sigma_px**2).mean(axis=1)) * factor_xy.mean() * per_px
-    good = np.isfinite(seen_px).all(axis=1) & np.isfinite(sigma_px)
-    return reference_px[good], seen_px[good], sigma_px[good]
+    good = np.isfinite(lens_px).all(axis=1) & np.isfinite(sigma_px)
+    return reference_px[good], lens_px[good], sigma_px[good]
 
 
 def _pair_in_view(
-    task: _Task, reference: Float32, seen: Float32, shape: tuple[int, int], factor_xy: Float64
+    task: _Task, reference: Float32, target: Float32, shape: tuple[int, int], factor_xy: Float64
 ) -> tuple[tuple[Float32, Float32], Bool]:
     """Return the reference, and the lens as the reference should see it, with the mask of the latter."""
     rows, cols = shape
@@ -429,10 +434,10 @@ def _pair_in_view(
     if shape != reference.shape:
         view = np.asarray(cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
     places, counts = map_places(shape, (0.0, 0.0), 1.0)
-    at = task.seen_px(places * factor_xy)
+    at = task.lens_px(places * factor_xy)
     steps = np.nanmedian(np.abs(np.diff(at.reshape(*counts, 2)[:, :, 0], axis=1))) / 8
-    seen, at = made_coarser(seen, at, float(steps) if np.isfinite(steps) else 1.0)
-    warped = resampled(coefficients_of(np.ascontiguousarray(seen, np.float32)), at, counts, (rows, cols))
+    target, at = coarsened(target, at, float(steps) if np.isfinite(steps) else 1.0)
+    warped = resampled(coefficients_of(np.ascontiguousarray(target, np.float32)), at, counts, (rows, cols))
     valid = np.isfinite(warped)
     return (np.asarray(view, np.float32), np.nan_to_num(warped)), valid
 
@@ -446,11 +451,11 @@ def match_settings(shape: tuple[int, ...], radius_px: int, share: float) -> Matc
     )
 
 
-def _overlap(seen: Observations, order: Sequence[Frame], share: float) -> float:
+def _overlap(observed: Observations, order: Sequence[Frame], share: float) -> float:
     """Return how many points share a window, on average."""
-    views = len(np.unique(np.column_stack([seen.capture, seen.pose]), axis=0))
+    views = len(np.unique(np.column_stack([observed.capture, observed.pose]), axis=0))
     side = match_settings(order[0].shape, 5, share).window
-    return len(seen) / max(views, 1) * side**2 / math.prod(order[0].shape)
+    return len(observed) / max(views, 1) * side**2 / math.prod(order[0].shape)
 
 
 def _overlapping(
@@ -513,17 +518,17 @@ def overlap_of(reference: Float32, target: Float32) -> tuple[Float64, Float64, F
 
 
 def _fitted_pose(
-    lens: Lens, plane: Float64, reference_px: Float64, seen_px: Float64, first: Float64, free: Sequence[int]
+    lens: Lens, plane: Float64, reference_px: Float64, lens_px: Float64, first: Float64, free: Sequence[int]
 ) -> Float64:
     """Return the pose between two captures that fits points best, most of them on the plane."""
 
-    def wrong(x: Float64) -> Float64:
+    def misfit(x: Float64) -> Float64:
         pose = first.copy()
         pose[list(free)] = x
         at = _between(lens, lens, pose, plane, reference_px)
-        return np.asarray(np.nan_to_num(at - seen_px, nan=1e3).ravel())
+        return np.nan_to_num(at - lens_px, nan=1e3).ravel()
 
-    found = least_squares(wrong, first[list(free)], loss="soft_l1", f_scale=2.0, x_scale=0.01)
+    found = least_squares(misfit, first[list(free)], loss="soft_l1", f_scale=2.0, x_scale=0.01)
     pose = first.copy()
     pose[list(free)] = found.x
     return pose
@@ -534,21 +539,21 @@ def _with_poses(state: State, sigma: State, extra: Sequence[tuple[int, int, Floa
     if not extra:
         return state, sigma
     poses = np.vstack([state.poses, *(pose for *_, pose in extra)])
-    loose = np.tile([0.5, 0.5, 0.5, 2.0, 2.0, 2.0], (len(extra), 1))
+    weak = np.tile([0.5, 0.5, 0.5, 2.0, 2.0, 2.0], (len(extra), 1))
     pairs = tuple((one, other) for one, other, _ in extra)
     return (
         replace(state, poses=poses, overlaps=pairs),
         replace(
-            sigma, lenses=sigma.lenses * TOLD_BEND, poses=np.vstack([sigma.poses, loose]), overlaps=pairs
+            sigma, lenses=sigma.lenses * SHARED_BEND, poses=np.vstack([sigma.poses, weak]), overlaps=pairs
         ),
     )
 
 
 def _rig_of(
     found: Adjusted,
-    seen: Observations,
+    observed: Observations,
     chosen: Sequence[Capture],
-    looks: Sequence[Mapping[str, Sharpness]],
+    sharpness: Sequence[Mapping[str, Sharpness]],
     order: Sequence[Frame],
 ) -> Rig:
     """Return the rig of an adjustment, with the precision of what it maps."""
@@ -559,7 +564,7 @@ def _rig_of(
         lens = Lens(state.models[number], frame.shape, state.lenses[number])
         first, pose = number * 8, state.lenses.size + number * 6
         mapping, distortion = _precision(found, number, frame.shape)
-        own = [each[frame.lens] for each in looks]
+        own = [each[frame.lens] for each in sharpness]
         lenses.append(
             RigLens(
                 name=frame.lens,
@@ -577,7 +582,7 @@ def _rig_of(
     heights = [each.height_m for each in chosen]
     known = [each for each in heights if each]
     distance = len(known) / sum(1 / each for each in known) if len(known) == len(heights) else None
-    between = seen.pose < len(order)
+    between = observed.pose < len(order)
     length = np.hypot(*found.residual_px.T)[found.kept & between]
     return Rig(
         lenses=tuple(lenses),
@@ -585,20 +590,20 @@ def _rig_of(
         distance_m=distance,
         nearness=(float(state.planes[:, 0].min()), float(state.planes[:, 0].max())),
         tilt=float(np.clip(np.sqrt((state.planes[:, 1:] ** 2).mean()), 0.05, 0.5)),
-        wander_px=_wander(found, seen, len(order)),
+        wander_px=_drift_px(found, observed, len(order)),
         captures=len(chosen),
         points=int((found.kept & between).sum()),
         residual_px=float(np.median(length)),
     )
 
 
-def _wander(found: Adjusted, seen: Observations, lenses: int) -> float:
+def _drift_px(found: Adjusted, observed: Observations, lenses: int) -> float:
     """Return how far the points of a lens in one capture are off together, px, beyond chance."""
     offs = []
-    for capture in np.unique(seen.capture):
+    for capture in np.unique(observed.capture):
         for lens in range(1, lenses):
-            some = found.kept & (seen.capture == capture) & (seen.pose == lens)
-            if some.sum() >= MIN_POINTS:
+            some = found.kept & (observed.capture == capture) & (observed.pose == lens)
+            if some.sum() >= MIN_LENS_POINTS:
                 offs.append(np.median(found.residual_px[some], axis=0))
     return float(np.clip(np.sqrt(np.mean(np.square(offs))) if offs else 0.05, 0.02, 1.0))
 
@@ -632,21 +637,21 @@ def _precision(found: Adjusted, number: int, shape: tuple[int, int]) -> tuple[tu
     return (float(np.nanmedian(sigma)), float(np.nanmax(sigma))), float(bend.max())
 
 
-def usual_of(looks: Sequence[Sharpness]) -> Sharpness:
+def usual_of(sharpness: Sequence[Sharpness]) -> Sharpness:
     """Return the median (the higher one of two) of what frames of a lens look like."""
-    looks_of = np.array([(each.detail, each.contrast) for each in looks])
-    return Sharpness(*(float(each) for each in np.percentile(looks_of, 50, axis=0, method="higher")))
+    figures = np.array([(each.detail, each.contrast) for each in sharpness])
+    return Sharpness(*(float(each) for each in np.percentile(figures, 50, axis=0, method="higher")))
 
 
 def inspect(capture: Capture) -> tuple[str | None, dict[str, Sharpness]]:
     """Return whether a capture shows a panel, and how, and what the frames of its lenses look like."""
     frames = list(capture.frames.values())
     values = [read_frame(each.path, each.shape) for each in frames]
-    looks = {each.lens: look(plane) for each, plane in zip(frames, values, strict=True)}
-    return panel_seen(frames, values), looks
+    sharpness = {each.lens: measure_sharpness(plane) for each, plane in zip(frames, values, strict=True)}
+    return panel_shown(frames, values), sharpness
 
 
-def look(values: Float32) -> Sharpness:
+def measure_sharpness(values: Float32) -> Sharpness:
     """Return what a frame of (rows, cols) `values` looks like.
 
     Noise has as much energy in the finest detail as blur takes away: so the bands of one and of two px are

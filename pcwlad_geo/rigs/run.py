@@ -27,7 +27,7 @@ from pcwlad_geo.rigs.applying import (
     BadCaptureError,
     CaptureOutcome,
     CaptureTask,
-    check_looks,
+    check_sharpness,
     correct_capture,
     doubt_of,
     try_capture,
@@ -172,15 +172,15 @@ def _in_flight(
     on_event: EventCallback,
 ) -> dict[Capture, dict[str, Sharpness]]:
     """Return the captures that show ground, sharply, with what they look like; name the others."""
-    seen = [looks for panel, looks in found if not panel]
-    usual = {name: usual_of([each[name] for each in seen]) for name in captures[0].frames if seen}
+    flying = [sharpness for panel, sharpness in found if not panel]
+    usual = {name: usual_of([each[name] for each in flying]) for name in captures[0].frames if flying}
     flown, left = {}, []
-    for each, (panel, looks) in zip(captures, found, strict=True):
+    for each, (panel, sharpness) in zip(captures, found, strict=True):
         try:
             if panel:
                 raise BadCaptureError(panel)
-            check_looks(usual, looks)
-            flown[each] = looks
+            check_sharpness(usual, sharpness)
+            flown[each] = sharpness
         except BadCaptureError as error:
             left.append(f"{each.name}: left out: {error}")
     if not flown:
@@ -358,10 +358,10 @@ def _whole(found: Sequence[Capture], on_event: EventCallback) -> Iterator[Captur
     # a lens of a stray file is none of the rig's
     lenses = {name for name, count in names.items() if count >= max(1, 0.5 * len(found))}
     if not 2 <= len(lenses) <= MAX_LENSES:
-        told = ", ".join(sorted(names)) or "none"
+        listed = ", ".join(sorted(names)) or "none"
         raise InputError(
             f"the {len(found)} captures found have not two to {MAX_LENSES} lenses in common (lenses: "
-            f"{told[:200]}): name frames of one camera, or give --pattern"
+            f"{listed[:200]}): name frames of one camera, or give --pattern"
         )
     complete = 0
     for capture in found:

@@ -18,25 +18,29 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.solving import check_observations, inverse, triangular
-from pcwlad_geo.stacks.basis import Basis, basis_over, mixing_of, penalty_of, terms_of
+from pcwlad_geo.estimation.solving import check_observations, inverse, triangular
 from pcwlad_geo.stacks.network import (
     ALIKE,
     BLOCKS,
     POINTS,
+    Basis,
     Edge,
     EdgeFit,
     Network,
     Part,
     Solution,
+    basis_over,
     components,
     errors_of,
     factor_of,
     folds_of,
     linked,
+    mixing_of,
     named,
     part_of,
+    penalty_of,
     side_of_blocks,
+    terms_of,
 )
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -54,7 +58,7 @@ ALPHA: Final = 0.01
 """Probability that of all pairs of a stack, all right, one is left out."""
 TYPICAL: Final = (FREEDOM * (2.0 ** (2 / FREEDOM) - 1)) ** 0.5
 """Median of an offset of such a pair, in sigmas."""
-FAR_BEYOND: Final = 5.0
+FAR_SIGMAS: Final = 5.0
 """What is known beforehand counts half where an image is found so many of its sigmas beyond."""
 MIN_REDUNDANCY: Final = 0.1
 """A pair that the others check less says nothing about the error that pairs have."""
@@ -118,9 +122,9 @@ class Adjustment:
         free = (free if mixing is None else free @ mixing).reshape(2 * terms, -1)
         solved = self._factor.solve(free.T)
         blocks = (free @ solved).reshape(2, terms, 2, terms)
-        told = np.einsum("nt,atbs,ns->nab", values, blocks, values)
+        formal = np.einsum("nt,atbs,ns->nab", values, blocks, values)
         changed = np.einsum("nt,kta->kna", values, changes)
-        return larger(np.asarray(told), np.asarray(np.einsum("kna,knb->nab", changed, changed)))
+        return larger(np.asarray(formal), np.asarray(np.einsum("kna,knb->nab", changed, changed)))
 
     @cached_property
     def _factor(self) -> SuperLU:
@@ -136,7 +140,7 @@ def larger(one: Float64, other: Float64) -> Float64:
     ratio, axes = np.linalg.eigh(back @ (other + least) @ back.transpose(0, 2, 1))
     turned = root @ axes
     found = turned @ (np.maximum(ratio, 1.0)[:, :, None] * turned.transpose(0, 2, 1))
-    return np.asarray(np.where(size[:, None, None] > 0, found, 0.0))
+    return np.where(size[:, None, None] > 0, found, 0.0)
 
 
 def adjust(
@@ -145,7 +149,7 @@ def adjust(
     *,
     model: str = "affine",
     datum: int | None = 0,
-    apart: bool = False,
+    split: bool = False,
     basis: Basis | None = None,
     sigma_known: Float64 | None = None,
 ) -> Adjustment:
@@ -164,10 +168,10 @@ def adjust(
     images : int
         Number of images.
     model : str
-        Of the displacement of an image: one of `basis.MODELS`.
+        Of the displacement of an image: one of `network.MODELS`.
     datum : int, optional
         Number of the image that stays; None: the mean of all images does.
-    apart : bool
+    split : bool
         Whether there may be groups of images that no edge connects: in each but that of the datum the first
         image stays.
     basis : Basis, optional
@@ -179,12 +183,12 @@ def adjust(
     Raises
     ------
     InputError
-        If the edges do not connect all images, unless they may be apart, or there are none.
+        If the edges do not connect all images, unless they may be `split`, or there are none.
     """
     for edge in edges:
         check_observations("the tie points of a pair", edge.first_xy, edge.second_xy, edge.covariance)
     count, group = components(edges, images, np.ones(len(edges), bool))
-    if not edges or (count > 1 and not apart):
+    if not edges or (count > 1 and not split):
         away = np.flatnonzero(group != group[0]).tolist()
         raise InputError(f"{count} groups of images share no ground: images {away} are not connected")
     basis, edges = basis or basis_over([edge.first_xy for edge in edges], model), linked(edges)
@@ -203,7 +207,7 @@ def adjust(
         for turn in range(SETTLING):
             # two answers that replace each other: that of more evidence is the last
             settled = _settled(network, parts, used, shared, kept=turn == SETTLING - 1)
-            used = _outvoted(network, parts, settled, evidence)
+            used = _consistent_pairs(network, parts, settled, evidence)
             shared = settled.shared
             if (used == settled.used).all():
                 break
@@ -222,7 +226,7 @@ def _known(edges: Sequence[Edge], basis: Basis, coefficients: Float64, sigma: Fl
     values = basis.values(np.concatenate([edge.first_xy for edge in edges]))
     moment = values.T @ values / len(values)
     squares = np.einsum("ita,ts,isa->i", coefficients, moment, coefficients)
-    weight = 1 / (sigma**2 + squares / FAR_BEYOND**2)
+    weight = 1 / (sigma**2 + squares / FAR_SIGMAS**2)
     return np.asarray(weight[:, None, None] * moment)
 
 
@@ -398,7 +402,7 @@ def _shared_error(solution: Solution, used: Bool, before: float) -> float:
     return before * float(np.median(checked)) / TYPICAL if checked else before
 
 
-def _outvoted(network: Network, parts: Sequence[Part], settled: _Settled, evidence: Float64) -> Bool:
+def _consistent_pairs(network: Network, parts: Sequence[Part], settled: _Settled, evidence: Float64) -> Bool:
     """Return the pairs in use.
 
     The pairs of an image give way to others that agree on another place and have more evidence together, as

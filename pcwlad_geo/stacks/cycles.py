@@ -74,14 +74,14 @@ def closure_of(pairs: Sequence[StackPair]) -> Closure:
         sigma = math.sqrt(sum((pair.sigma_px or 0.0) ** 2 for pair, _ in steps))
         if length > OPEN * max(sigma, 1e-9):
             worst = max(
-                (pair for pair, _ in steps), key=lambda pair: (pair.status != "used", suspicion(pair))
+                (pair for pair, _ in steps), key=lambda pair: (pair.status != "used", misfit_sigmas(pair))
             )
             found.append(Cycle(images, (col, row), sigma, (worst.reference, worst.target)))
     found.sort(key=lambda each: -math.hypot(*each.closure_px))
     return Closure(len(every), root_mean_square(every), root_mean_square(good), tuple(found[:LISTED]))
 
 
-def suspicion(pair: StackPair) -> float:
+def misfit_sigmas(pair: StackPair) -> float:
     """Return by how many sigmas a pair disagrees with all others; 0 for one that was refused."""
     return pair.off_px / pair.sigma_px if pair.sigma_px else 0.0
 
@@ -138,7 +138,7 @@ ORDER: Final = ("refused", *GRADES)
 """What an image can be graded, the worst first."""
 NOISE_OF_MEDIAN: Final = 0.53
 """Standard deviation along an axis of the median of five normal errors, in their median distance from it."""
-TOLD_PX: Final = 0.05
+LEAST_CAUSE_PX: Final = 0.05
 """Least part of the expected error of an image that is told."""
 PLACES: Final = 500
 """Largest number of places at which the residuals of a pair are looked at."""
@@ -283,8 +283,10 @@ def _judged(
     }
     expected = math.hypot(*causes.values())
     if expected > GOOD_PX:
-        told = ", ".join(f"{size:.2f} px by {cause}" for cause, size in causes.items() if size >= TOLD_PX)
-        text = f"a tenth of it is expected to lie more than {expected:.2f} px off: {told}"
+        parts = ", ".join(
+            f"{size:.2f} px by {cause}" for cause, size in causes.items() if size >= LEAST_CAUSE_PX
+        )
+        text = f"a tenth of it is expected to lie more than {expected:.2f} px off: {parts}"
         reasons.append(Reason("fair" if expected <= FAIR_PX else "poor", text))
     far = FAIR_PX if off[FAIR_PX] > DOUBTED else GOOD_PX
     if off[far] >= DOUBTED:

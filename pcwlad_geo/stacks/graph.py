@@ -16,25 +16,25 @@ from rasterio.enums import Resampling
 from scipy import ndimage
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import pseudo_inverse
 from pcwlad_geo.raster.source import RasterInfo, has_quick_overview, open_raster
-from pcwlad_geo.solving import pseudo_inverse
 from pcwlad_geo.stacks.inputs import StackInput, read_table
 from pcwlad_geo.stacks.pairs import Frame
 from pcwlad_geo.types import Float64, PathLike
 
 ALL_PAIRS: Final = 8
 """Of so many images every pair is measured."""
-FORESTS: Final = 3
-"""Beyond, so many spanning forests without a common pair: each gives every image a pair, and two close
+SPANNING_TREES: Final = 3
+"""Beyond, so many spanning trees without a common pair: each gives every image a pair, and two close
 a cycle with every pair."""
 MIN_OVERLAP: Final = 0.1
 """Least common ground of a pair, as a share of the smaller image."""
-LOOK_PX: Final = 128
-"""Side of a quick look, px."""
-CELLS: Final = 64
+OVERVIEW_PX: Final = 128
+"""Side of a overview, px."""
+OVERLAP_CELLS: Final = 64
 """The common ground of all images is compared at so many places along each axis."""
 MIN_CELLS: Final = 64
-"""Least number of common places at which quick looks are compared."""
+"""Least number of common places at which overviews are compared."""
 FAR: Final = 0.75
 """An image whose position has a larger variance, in those of a usual pair, gets one more pair."""
 LEAST_COST: Final = 0.2
@@ -55,10 +55,10 @@ class Candidate:
     cost: float
 
 
-def quick_look(info: RasterInfo) -> Float64 | None:
+def read_overview(info: RasterInfo) -> Float64 | None:
     """Return a (rows, cols) image of where an image shows edges; NaN where it shows nothing.
 
-    It has at most `LOOK_PX` px a side.
+    It has at most `OVERVIEW_PX` px a side.
 
     None where reading it would take as long as reading a large image. Raises `InputError` if the pixels
     cannot be read.
@@ -66,7 +66,7 @@ def quick_look(info: RasterInfo) -> Float64 | None:
     if not has_quick_overview(info):
         return None
     rows, cols = info.grid.shape
-    shape = tuple(max(2, min(side, round(side * LOOK_PX / max(rows, cols)))) for side in (rows, cols))
+    shape = tuple(max(2, min(side, round(side * OVERVIEW_PX / max(rows, cols)))) for side in (rows, cols))
     with open_raster(info.uri) as dataset:
         read = dataset.read(info.band, out_shape=shape, masked=True, resampling=Resampling.average)
     valid = ~np.ma.getmaskarray(read) & np.isfinite(read.data)
@@ -78,20 +78,20 @@ def quick_look(info: RasterInfo) -> Float64 | None:
 
 
 def candidates(
-    frame: Frame, inputs: Sequence[StackInput], looks: Sequence[Float64 | None]
+    frame: Frame, inputs: Sequence[StackInput], overviews: Sequence[Float64 | None]
 ) -> list[Candidate]:
     """Return all pairs with common ground, the most promising first.
 
-    `looks` are the quick looks of the images, each (rows, cols) or None.
+    `overviews` are the overviews of the images, each (rows, cols) or None.
 
-    What counts is how alike the quick looks' edges are (bands of one kind, one season, without clouds), then
+    What counts is how alike the overviews' edges are (bands of one kind, one season, without clouds), then
     season, sun, years between them, clouds told by the metadata, common ground and pixels of one size.
     """
     outlines = [
         shapely.Polygon(frame.from_image(number, info.grid.boundary_px()))
         for number, info in enumerate(frame.infos)
     ]
-    alike = _likeness(frame, looks)
+    alike = _likeness(frame, overviews)
     pixel = [
         abs(float(np.linalg.det(frame.scale(number, info.grid.middle_px)[0]))) ** 0.5
         for number, info in enumerate(frame.infos)
@@ -100,7 +100,7 @@ def candidates(
     for one, other in combinations(range(len(outlines)), 2):
         overlap = _overlap(outlines[one], outlines[other])
         if overlap >= MIN_OVERLAP:
-            cost = 1.5 - alike[one, other] - 0.5 * overlap + _told(inputs[one], inputs[other])
+            cost = 1.5 - alike[one, other] - 0.5 * overlap + _metadata_cost(inputs[one], inputs[other])
             cost += 0.2 * abs(float(np.log2(pixel[one] / pixel[other])))
             found.append(Candidate((one, other), round(cost + 1e-6 * (other - one), 9)))
     return sorted(found, key=lambda each: (each.cost, each.pair))
@@ -111,7 +111,7 @@ def _overlap(one: shapely.Polygon, other: shapely.Polygon) -> float:
     return float(one.intersection(other).area / smaller) if smaller > 0 else 0.0
 
 
-def _told(one: StackInput, other: StackInput) -> float:
+def _metadata_cost(one: StackInput, other: StackInput) -> float:
     """Return what dates, sun and clouds of the metadata say against a pair."""
     cost = 0.25 * ((one.cloud or 0.0) + (other.cloud or 0.0))
     if one.day is not None and other.day is not None:
@@ -123,15 +123,15 @@ def _told(one: StackInput, other: StackInput) -> float:
     return cost
 
 
-def _likeness(frame: Frame, looks: Sequence[Float64 | None]) -> Float64:
-    """Return the (images, images) correlation of the quick looks on common ground; 0.5 where unknown."""
+def _likeness(frame: Frame, overviews: Sequence[Float64 | None]) -> Float64:
+    """Return the (images, images) correlation of the overviews on common ground; 0.5 where unknown."""
     corners = [frame.from_image(number, info.grid.boundary_px()) for number, info in enumerate(frame.infos)]
     low, high = np.min(np.vstack(corners), axis=0), np.max(np.vstack(corners), axis=0)
-    step = (np.arange(CELLS) + 0.5) / CELLS
+    step = (np.arange(OVERLAP_CELLS) + 0.5) / OVERLAP_CELLS
     at = low + np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2) * (high - low)
-    seen = np.stack([_sampled(frame, number, look, at) for number, look in enumerate(looks)])
-    valid = np.isfinite(seen)
-    values = np.where(valid, seen, 0.0)
+    samples = np.stack([_sampled(frame, number, overview, at) for number, overview in enumerate(overviews)])
+    valid = np.isfinite(samples)
+    values = np.where(valid, samples, 0.0)
     weight = valid.astype(np.float64)
     count = weight @ weight.T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -139,21 +139,21 @@ def _likeness(frame: Frame, looks: Sequence[Float64 | None]) -> Float64:
         square = ((values**2) @ weight.T) / count - mean**2
         found = ((values @ values.T) / count - mean * mean.T) / np.sqrt(square * square.T)
     known = (count >= MIN_CELLS) & np.isfinite(found)
-    return np.asarray(np.where(known, np.clip(found, 0.0, 1.0), 0.5))
+    return np.where(known, np.clip(found, 0.0, 1.0), 0.5)
 
 
-def _sampled(frame: Frame, image: int, look: Float64 | None, at: Float64) -> Float64:
-    """Return the quick look of an image at (n, 2) positions of the frame, scaled; NaN outside."""
+def _sampled(frame: Frame, image: int, overview: Float64 | None, at: Float64) -> Float64:
+    """Return the overview of an image at (n, 2) positions of the frame, scaled; NaN outside."""
     found = np.full(len(at), np.nan)
-    if look is None or not np.isfinite(look).any():
+    if overview is None or not np.isfinite(overview).any():
         return found
     rows, cols = frame.infos[image].grid.shape
-    per_px = np.array([look.shape[1] / cols, look.shape[0] / rows])
+    per_px = np.array([overview.shape[1] / cols, overview.shape[0] / rows])
     with np.errstate(invalid="ignore"):
         index = np.floor(frame.to_image(image, at) * per_px)
-    inside = ((index >= 0) & (index < look.shape[::-1])).all(axis=1)
+    inside = ((index >= 0) & (index < overview.shape[::-1])).all(axis=1)
     col, row = index[inside].astype(int).T
-    found[inside] = look[row, col] / np.nanstd(look) if np.nanstd(look) > 0 else np.nan
+    found[inside] = overview[row, col] / np.nanstd(overview) if np.nanstd(overview) > 0 else np.nan
     return found
 
 
@@ -167,16 +167,16 @@ def choose_pairs(
     """
     known = {image for pair in before for image in pair}
     chosen = dict.fromkeys(before)
-    for _ in range(FORESTS):
-        chosen |= dict.fromkeys(_forest(found, images, known, chosen))
+    for _ in range(SPANNING_TREES):
+        chosen |= dict.fromkeys(_spanning_tree(found, images, known, chosen))
     if images <= ALL_PAIRS:
         chosen |= dict.fromkeys(each.pair for each in found if not known.issuperset(each.pair))
     elif images <= DIRECT_IMAGES and not before:
-        chosen |= dict.fromkeys(_stiffening(found, images, list(chosen)))
+        chosen |= dict.fromkeys(_strengthening(found, images, list(chosen)))
     return list(chosen)[:most]
 
 
-def _forest(
+def _spanning_tree(
     found: Sequence[Candidate], images: int, known: set[int], taken: Mapping[tuple[int, int], None]
 ) -> Iterator[tuple[int, int]]:
     """Yield the cheapest pairs not taken that connect all images (Kruskal); those known are connected."""
@@ -190,7 +190,7 @@ def _forest(
             yield each.pair
 
 
-def _stiffening(
+def _strengthening(
     found: Sequence[Candidate], images: int, chosen: list[tuple[int, int]]
 ) -> Iterator[tuple[int, int]]:
     """Yield further pairs for the images that are least well connected to the first."""

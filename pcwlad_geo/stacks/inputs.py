@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import BATCH_ROWS, check_count
-from pcwlad_geo.products.detect import RASTERS, find_product, rasters_of
+from pcwlad_geo.products import RASTERS, find_product, rasters_of
 from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.source import RasterInfo, describe, file_name, plain_name
 from pcwlad_geo.text import read_json, read_text

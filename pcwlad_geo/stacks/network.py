@@ -1,12 +1,13 @@
-"""The normal equations of a stack: what the tie points of each pair say of its images."""
+"""The normal equations of a stack: functions of place, and what the tie points of each pair say of them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from scipy.sparse import block_diag, coo_array, csc_array, eye_array, kron
@@ -14,15 +15,146 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU
 from scipy.spatial import cKDTree
 
+from pcwlad_geo.correction.models import PolynomialBasis, SplineGrid
+from pcwlad_geo.correction.thin_plate import bending
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.solving import RANK, factorised, inverse, least_squares, solve, undetermined
-from pcwlad_geo.stacks.basis import Basis
+from pcwlad_geo.estimation.robust import huber, sigma_of, unit_sigma
+from pcwlad_geo.estimation.solving import RANK, factorised, inverse, least_squares, solve, undetermined
 from pcwlad_geo.types import Bool, Float64, Index
+
+ORDERS: Final[Mapping[str, int]] = {"shift": 0, "affine": 1, "polynomial2": 2, "polynomial3": 3}
+"""Order of the polynomial of each model that is one."""
+SPLINE: Final = "tps"
+"""The model whose displacement is a smooth spline."""
+MODELS: Final = (*ORDERS, SPLINE)
+"""Models of an image, the simpler first."""
+SPLINE_CELLS: Final = 4
+"""Cells of a spline along the longer side of the ground."""
+ROUGHNESS: Final = (0.1, 1.0, 10.0)
+"""Bendings of a spline that are tried, map units over the side of a cell: of the deviation of neighbouring
+coefficients from a plane, standard deviation."""
+
+
+class Basis(Protocol):
+    """Functions of place."""
+
+    @property
+    def low_px(self) -> tuple[float, float]:
+        """Corner (x, y) of the ground, map units."""
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """Its middle."""
+
+    @property
+    def radius_px(self) -> float:
+        """Half of its longer side."""
+
+    def values(self, at_px: Float64) -> Float64:
+        """Return the (n, terms) values of the functions at the (n, 2) positions `at_px` (x, y)."""
+
+
+@dataclass(frozen=True, eq=False)
+class SplineBasis:
+    """Bicubic B-splines on a coarse grid; planes cost nothing, bending does."""
+
+    grid: SplineGrid
+    centre_px: tuple[float, float]
+    radius_px: float
+    low_px: tuple[float, float]
+    roughness: float
+    """Standard deviation, map units, of what the bending of a cell is expected to be."""
+
+    def values(self, at_px: Float64) -> Float64:
+        """Return the (n, terms) values of the B-splines, row by row of the grid, at the (n, 2) `at_px`."""
+        return np.asarray(self.grid.design(np.asarray(at_px, dtype=np.float64)).toarray())
+
+    @cached_property
+    def penalty(self) -> Float64:
+        """The (terms, terms) normal matrix of what is known beforehand: little bending."""
+        return np.asarray(bending(self.grid).toarray()) / self.roughness**2
+
+
+@dataclass(frozen=True, eq=False)
+class HomographyBasis:
+    """An infinitesimal homography: a polynomial of order 2, of eight unknowns for both axes together."""
+
+    polynomial: PolynomialBasis
+
+    @property
+    def low_px(self) -> tuple[float, float]:
+        """Corner (x, y) of the ground, map units."""
+        return self.polynomial.low_px
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """Its middle."""
+        return self.polynomial.centre_px
+
+    @property
+    def radius_px(self) -> float:
+        """Half of its longer side."""
+        return self.polynomial.radius_px
+
+    def values(self, at_px: Float64) -> Float64:
+        """Return the (n, 6) values of 1, u, v, u², uv, v² at the (n, 2) positions `at_px` (x, y)."""
+        return self.polynomial.values(at_px)
+
+    @property
+    def mixing(self) -> Float64:
+        """The (12, 8) coefficients, axis by axis, by the parameters of a homography.
+
+        These are the displacement and slopes of each axis, then those of the horizon, which move (u, v) by
+        u (u, v) and by v (u, v).
+        """
+        found = np.zeros((12, 8))
+        for axis in range(2):
+            for term in range(3):
+                found[6 * axis + term, 3 * axis + term] = 1.0
+        found[3, 6] = found[10, 6] = 1.0  # u² along x, uv along y
+        found[4, 7] = found[11, 7] = 1.0  # uv along x, v² along y
+        return found
+
+
+def mixing_of(basis: Basis) -> Float64 | None:
+    """Return the (2 * terms, p) coefficients of an image by p unknowns; None where they are the unknowns."""
+    return basis.mixing if isinstance(basis, HomographyBasis) else None
+
+
+def terms_of(basis: Basis) -> int:
+    """Return the number of functions of a basis."""
+    return int(basis.values(np.array([basis.centre_px])).shape[1])
+
+
+def penalty_of(basis: Basis) -> Float64:
+    """Return the (terms, terms) normal matrix of what is known of coefficients beforehand: of a spline."""
+    terms = terms_of(basis)
+    return basis.penalty if isinstance(basis, SplineBasis) else np.zeros((terms, terms))
+
+
+def basis_over(places: Sequence[Float64], model: str, roughness: float = ROUGHNESS[1]) -> Basis:
+    """Return the functions of a model, one of `MODELS`, over the ground of tie points.
+
+    The `places` of these are (n, 2) positions (x, y), map units; for the `roughness` see `SplineBasis`.
+    """
+    low = np.min([place.min(axis=0) for place in places], axis=0)
+    high = np.max([place.max(axis=0) for place in places], axis=0)
+    centre, radius = (low + high) / 2, max(float((high - low).max()) / 2, 1e-9)
+    if model != SPLINE:
+        return PolynomialBasis(ORDERS[model], _xy(centre), radius, _xy(low), _xy(high))
+    spacing = 2 * radius / SPLINE_CELLS
+    across, down = (max(1, int(np.ceil(side / spacing - 1e-9))) for side in high - low)
+    return SplineBasis(
+        SplineGrid(_xy(low), spacing, (across, down)), _xy(centre), radius, _xy(low), roughness
+    )
+
+
+def _xy(values: Float64) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
 
 LEAST_SCATTER: Final = 0.1
 """Least scatter of the points of a pair, in medians of their own sigmas."""
-RAYLEIGH_MEDIAN: Final = 1.1774
-"""Median of a length of two normal components of unit variance."""
 SAME_PX: Final = 0.5
 """Points that lie nearer to each other in an image are of one feature, map units (px of the frame)."""
 NEIGHBOURS: Final = 16
@@ -30,10 +162,10 @@ NEIGHBOURS: Final = 16
 MIN_BLOCKS: Final = 4
 """Fewer blocks tell nothing of what the points of a pair share."""
 POINT_LIMIT: Final = 3.0
-"""Points that lie off their pair's by more sigmas lose weight (Huber 1964, doi:10.1214/aoms/1177703732)."""
+"""Points that lie off their pair's by more sigmas lose weight."""
 LEAST_CHECKED: Final = 0.01
 """Of an offset that the other pairs check less, the rest is of the arithmetic: it is not called wrong."""
-BEYOND_REASON: Final = 1e4
+LARGEST_GROWTH: Final = 1e4
 """Coefficients so many times as large as what is observed are those of a singular matrix."""
 POINTS: Final = "a pair of images needs tie points of ordinary size, with a sigma above 0"
 """What its equations ask for."""
@@ -124,9 +256,9 @@ class Part:
     """(2 terms, 6) products with the shared error's terms."""
     inner: Float64
     """(6, 6) normal matrix of those."""
-    seen: Float64
+    rhs: Float64
     """(2 terms,) right-hand side."""
-    beside: Float64
+    shared_rhs: Float64
     """(6,) that of the shared error."""
     values: Float64
     """(terms,) weighted mean of the terms."""
@@ -144,9 +276,9 @@ class Part:
         """Return what is left without a block; the whole where that is more than half of it.
 
         The points of the `block` add (2 terms, 2 terms), (2 terms, 6), (6, 6), (2 terms,) and (6,) arrays to
-        `own`, `across`, `inner`, `seen` and `beside`.
+        `own`, `across`, `inner`, `rhs` and `shared_rhs`.
         """
-        own, across, inner, seen, beside = block
+        own, across, inner, rhs, shared_rhs = block
         if np.trace(own) > np.trace(self.own) / 2:
             return self
         return replace(
@@ -154,8 +286,8 @@ class Part:
             own=self.own - own,
             across=self.across - across,
             inner=self.inner - inner,
-            seen=self.seen - seen,
-            beside=self.beside - beside,
+            rhs=self.rhs - rhs,
+            shared_rhs=self.shared_rhs - shared_rhs,
         )
 
 
@@ -209,8 +341,8 @@ def linked(edges: Sequence[Edge]) -> list[Edge]:
     one, other = np.concatenate(links).T
     graph = coo_array((np.ones(len(one)), (one, other)), shape=(count[-1], count[-1]))
     track = connected_components(graph, directed=False)[1]
-    seen = np.unique(np.column_stack([track[of_point], image]), axis=0)[:, 0]
-    images = np.bincount(seen, minlength=len(track)).astype(np.float64)[track]
+    tracked = np.unique(np.column_stack([track[of_point], image]), axis=0)[:, 0]
+    images = np.bincount(tracked, minlength=len(track)).astype(np.float64)[track]
     return [replace(edge, images=images[a:b]) for edge, (a, b) in zip(edges, pairwise(count), strict=True)]
 
 
@@ -288,8 +420,8 @@ def _weighted(edge: Edge, basis: Basis, coefficients: Float64) -> _Weighted:
     left = left - np.median(left, axis=0)
     weights = inverse(edge.covariance, POINTS)
     off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", left, weights, left), 1e-12))
-    unit = max(1.0, float(np.median(off)) / RAYLEIGH_MEDIAN)
-    weights *= (np.minimum(1.0, POINT_LIMIT * unit / off) / unit**2)[:, None, None]
+    unit = unit_sigma(off)
+    weights *= (huber(off, POINT_LIMIT * unit) / unit**2)[:, None, None]
     if edge.images is not None:
         weights *= (2.0 / edge.images)[:, None, None]
     return _Weighted(ground, values, near, weights, observed, left)
@@ -300,7 +432,7 @@ def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> Part:
     total = weights.sum(axis=0)
     each = np.trace(weights, axis1=1, axis2=2) / np.trace(total)
     typical_sigma = float(np.median(np.sqrt(np.trace(edge.covariance, axis1=1, axis2=2) / 2)))
-    scatter = max(float(1.4826 * np.median(np.abs(points.left))), LEAST_SCATTER * typical_sigma)
+    scatter = max(sigma_of(points.left), LEAST_SCATTER * typical_sigma)
     sums = _sums(points, slice(None))
     return Part(
         edge.first,
@@ -316,12 +448,12 @@ def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> Part:
 
 def _error(points: _Weighted, sums: Sequence[Float64], number: Index) -> float:
     """Return `Part.error`: the jackknife of the affine of an edge."""
-    inner, beside = sums[2], sums[4]
+    inner, shared_rhs = sums[2], sums[4]
     found = []
     for each in np.unique(number):
         block = _sums(points, number == each)
         if np.trace(block[2]) <= np.trace(inner) / 2:
-            found.append(_solved(inner - block[2], beside - block[4]))
+            found.append(_solved(inner - block[2], shared_rhs - block[4]))
     if len(found) < MIN_BLOCKS:
         return 0.0
     terms = points.near.shape[1]
@@ -417,7 +549,7 @@ class Network:
         """The (free,) numbers of the unknowns of images that are not fixed."""
         size = self.size
         every = np.arange(self.images * size).reshape(self.images, size)
-        return np.asarray(np.delete(every, self.fixed, axis=0).ravel())
+        return np.delete(every, self.fixed, axis=0).ravel()
 
     def solve(self, parts: Sequence[Part], used: Bool, shared: Float64) -> Solution:
         """Solve the normal equations of the edges in use, each with a sigma of its shared error.
@@ -428,9 +560,9 @@ class Network:
         normal, right = self.equations(parts, used, shared)
         factor = factor_of(normal, self.images, self.fixed)
         coefficients = self.unpacked(factor.solve(right))
-        seen = max(float(np.abs(part.observed).max()) for part in parts)
+        largest = max(float(np.abs(part.observed).max()) for part in parts)
         size = np.abs(coefficients).max(axis=(1, 2))
-        if not size.max(initial=0.0) < BEYOND_REASON * (1.0 + seen):
+        if not size.max(initial=0.0) < LARGEST_GROWTH * (1.0 + largest):
             raise UndeterminedImageError(int(size.argmax()))
         fits = tuple(
             self._fit(part, coefficients, bool(good), float(sigma), factor)
@@ -445,20 +577,20 @@ class Network:
         """
         size = self.size
         chosen = [part for part, good in zip(parts, used, strict=True) if good]
-        own, across, inner, seen, beside = (
+        own, across, inner, rhs, shared_rhs = (
             np.array([getattr(part, name) for part in chosen])
-            for name in ("own", "across", "inner", "seen", "beside")
+            for name in ("own", "across", "inner", "rhs", "shared_rhs")
         )
         inner = inner + np.eye(inner.shape[1]) / (shared[used] ** 2)[:, None, None]
         gain = solve(inner, across.transpose(0, 2, 1), POINTS).transpose(0, 2, 1)
         block = own - gain @ across.transpose(0, 2, 1)
-        seen = seen - (gain @ beside[:, :, None])[:, :, 0]
+        rhs = rhs - (gain @ shared_rhs[:, :, None])[:, :, 0]
         if self.mixing is not None:
-            block, seen = self.mixing.T @ block @ self.mixing, seen @ self.mixing
+            block, rhs = self.mixing.T @ block @ self.mixing, rhs @ self.mixing
         ends = np.array([(part.first, part.second) for part in chosen])
         right = np.zeros((self.images, size))
-        np.add.at(right, ends[:, 0], -seen)
-        np.add.at(right, ends[:, 1], seen)
+        np.add.at(right, ends[:, 0], -rhs)
+        np.add.at(right, ends[:, 1], rhs)
         index = ends[:, :, None] * size + np.arange(size)
         place = [np.broadcast_to(index[:, e, :, None], block.shape).ravel() for e in (0, 0, 1, 1)]
         across_place = [np.broadcast_to(index[:, e, None, :], block.shape).ravel() for e in (0, 1, 0, 1)]
@@ -483,7 +615,7 @@ class Network:
         found[self.free] = free
         if self.mixing is not None:
             found = (found.reshape(self.images, -1) @ self.mixing.T).ravel()
-        return np.asarray(found.reshape(self.images, 2, self.terms).transpose(0, 2, 1))
+        return found.reshape(self.images, 2, self.terms).transpose(0, 2, 1)
 
     def _fit(self, part: Part, coefficients: Float64, used: bool, shared: float, factor: SuperLU) -> EdgeFit:
         """Return how an edge agrees with a solution, in which one not in use had no part."""

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
+from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import match_elsewhere, match_files, write_match
 from pcwlad_geo.limits import check_coordinates
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products.detect import of_one_product
+from pcwlad_geo.products import of_one_product
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
@@ -33,10 +34,8 @@ from pcwlad_geo.registration.fitting import (
 from pcwlad_geo.registration.inputs import estimate_tile_count
 from pcwlad_geo.registration.judge import GEOREFERENCED_PX, Motion, told_of
 from pcwlad_geo.report.finished import read_report, report_of_same_job
-from pcwlad_geo.solving import least_squares
-from pcwlad_geo.stacks.basis import basis_over
 from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
-from pcwlad_geo.stacks.network import Edge, components
+from pcwlad_geo.stacks.network import Edge, basis_over, components
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.types import Float64, PathLike
@@ -48,7 +47,7 @@ PAIRS: Final = "pairs"
 """Folder of the pairs that were measured."""
 SMALL_TILES: Final = 4
 """Pairs of so many tiles or fewer are matched as a whole, several at a time."""
-MIN_POINTS: Final = 12
+MIN_PAIR_POINTS: Final = 12
 """Least number of tie points of a pair."""
 MIN_CONTROL: Final = 4
 """Least number of control points of an image."""
@@ -186,7 +185,7 @@ def measured_pair(
         reason = str(report.get("reason")) if report.get("status") == "rejected" else None
         edge = edge_of(frame, *pair, place) if reason is None else None
     if edge is None:
-        reason = reason or f"fewer than {MIN_POINTS} tie points"
+        reason = reason or f"fewer than {MIN_PAIR_POINTS} tie points"
         on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
     status: PairStatus = "refused" if edge is None else "used"
     found = StackPair(*names, status, reason, place, motions=_motions_of(report, place))
@@ -341,7 +340,7 @@ def edge_of(frame: Frame, one: int, other: int, place: Path) -> Edge | None:
     covariance = np.einsum("nab,nb,ncb->nac", scale, sigma_px**2, scale)
     first, second = frame.from_image(one, reference_px), frame.from_image(other, target_px)
     known = np.isfinite(np.column_stack([first, second])).all(axis=1)
-    if known.sum() < MIN_POINTS:
+    if known.sum() < MIN_PAIR_POINTS:
         return None
     first, second = first[known], second[known]
     places = len(np.unique(np.floor(first / PLACE_PX), axis=0))
@@ -355,9 +354,9 @@ def sigma_known(frame: Frame, datum: int | None, count: int) -> Float64 | None:
     if datum is None or datum >= len(frame.infos) or sizes_m is None or not frame.placed:
         return None
     found = np.full(count, np.inf)
-    beside = [of_one_product(frame.infos[datum].uri, info.uri) for info in frame.infos[:count]]
-    found[: len(beside)][beside] = PRODUCT_SIGMA_M / max(sizes_m)
-    return found if any(beside) else None
+    same_product = [of_one_product(frame.infos[datum].uri, info.uri) for info in frame.infos[:count]]
+    found[: len(same_product)][same_product] = PRODUCT_SIGMA_M / max(sizes_m)
+    return found if any(same_product) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -438,10 +437,11 @@ def control_edges(points: Sequence[ControlPoint], frame: Frame, ground: int | No
     return found
 
 
-def check_connected(frame: Frame, edges: Sequence[Edge], reference: int, folder: Path, apart: bool) -> str:
+def check_connected(frame: Frame, edges: Sequence[Edge], reference: int, folder: Path, split: bool) -> str:
     """Return a warning where the pairs that were matched do not connect all images; empty where they do.
 
-    Raises `RegistrationRejectedError` unless groups may be `apart`, or where no pair could be matched.
+    Raises `RegistrationRejectedError` unless it may be `split` into groups, or where no pair could be
+    matched.
     """
     _, group = components(edges, len(frame.names) + 1, np.ones(len(edges), bool))
     groups = [
@@ -456,7 +456,7 @@ def check_connected(frame: Frame, edges: Sequence[Edge], reference: int, folder:
         else ""
     )
     message = f"{len(groups)} groups of images are not connected by any pair: {'; '.join(groups)}{alone}"
-    if apart and edges:
+    if split and edges:
         return f"{message}: each group has a datum of its own, the first of its images"
     raise RegistrationRejectedError(
         f"{message}; give images that share ground with both, stack each group for itself, or give "

@@ -1,4 +1,4 @@
-"""The result of a stack, and its files of numbers."""
+"""The result of a stack, its files of numbers, and a STAC collection of its corrected images."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+from rasterio.crs import CRS
 
 from pcwlad_geo.correction.models import (
     AffineCorrection,
@@ -21,29 +22,33 @@ from pcwlad_geo.correction.models import (
     SplineGrid,
     affine_between,
 )
+from pcwlad_geo.estimation.solving import inverse, least_squares
 from pcwlad_geo.options import Settings
+from pcwlad_geo.products import BAND_OF
+from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
+from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.rpc.grid import at_mean_height
 from pcwlad_geo.raster.rpc.model import RpcModel
+from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.rpc import RpcRegistration
 from pcwlad_geo.report.finished import read_report
 from pcwlad_geo.report.summary import versions
 from pcwlad_geo.requirements import Requirement, RequirementResult
-from pcwlad_geo.solving import inverse, least_squares
 from pcwlad_geo.stacks.adjustment import Adjustment
-from pcwlad_geo.stacks.basis import SPLINE_CELLS, Basis
 from pcwlad_geo.stacks.cycles import (
     Closure,
     StackQuality,
     closure_of,
     image_qualities,
     left_ce90,
+    misfit_sigmas,
     root_mean_square,
-    suspicion,
 )
-from pcwlad_geo.stacks.homography import FrameAdjustment
-from pcwlad_geo.stacks.inputs import StackInput
+from pcwlad_geo.stacks.inputs import DATE, StackInput
+from pcwlad_geo.stacks.models import FrameAdjustment
+from pcwlad_geo.stacks.network import SPLINE_CELLS, Basis
 from pcwlad_geo.stacks.pairs import ControlPoint, Frame, Measured, StackPair
 from pcwlad_geo.stacks.rpc_block import BlockAdjustment, LeftAside
 from pcwlad_geo.stacks.rpc_heights import DemCheck
@@ -435,7 +440,7 @@ def placed_values(
         "sigma_px": _pair(sigma_px),
         "sigma_m": None if sizes_m is None else _pair(sigma_px * sizes_m[0]),
         "pairs": len(own),
-        "suspicion": root_mean_square([suspicion(pair) for pair in own]) or 0.0,
+        "suspicion": root_mean_square([misfit_sigmas(pair) for pair in own]) or 0.0,
         "group": group,
         "given": frame.given(number),
     }
@@ -528,3 +533,147 @@ def _table(found: Stack) -> str:
         row += [image.group, "" if image.refused else image.registered.name, image.quality.grade]
         writer.writerow([cell(value) for value in row])
     return text.getvalue()
+
+
+STAC_VERSION: Final = "1.0.0"
+"""Of the STAC specification."""
+PROJECTION: Final = "https://stac-extensions.github.io/projection/v1.2.0/schema.json"
+"""Extension that tells CRS, shape and geotransform; this version has `proj:epsg` and `proj:code`."""
+COLLECTION: Final = "collection.json"
+"""File name of the collection."""
+ITEM: Final = "item_{}.json"
+"""File name of an item."""
+STAC_ASSET: Final = "data"
+"""The asset of an item where no item has several."""
+UNKNOWN: Final = "1970-01-01T00:00:00Z"
+"""Time of an image whose date is not known: STAC asks for one."""
+MEDIA_TYPES: Final = {"COG": "image/tiff; application=geotiff; profile=cloud-optimized"}
+"""Media type of the rasters by format; others are given as GeoTIFF."""
+
+
+def catalogue(found: Stack, driver: str) -> dict[str, str]:
+    """Return the texts of the collection and its items by path in the output folder.
+
+    Images of one time are assets of one item, and so are undated bands of one product or raster. The rasters
+    must have been written. There is no collection where they have no CRS.
+    """
+    placed = [image for image in found.images if image.registered.is_file()]
+    grids = {image.name: describe(image.registered).grid for image in placed}
+    if not placed or any(grid.crs is None for grid in grids.values()):
+        return {}
+    times: dict[str, dict[str, StackImage]] = {}
+    for image in placed:
+        bands = times.setdefault(image.given.path if image.date is None else _time(image.date), {})
+        band = _band_of(image)
+        bands[image.name if band in bands else band] = image
+    if all(len(bands) == 1 for bands in times.values()):
+        times = {time: {STAC_ASSET: image} for time, bands in times.items() for image in bands.values()}
+    items = [_item(bands, grids, driver) for bands in times.values()]
+    texts = {ITEM.format(item["id"]): item for item in items}
+    return {
+        name: json.dumps(text, indent=1) + "\n" for name, text in {**texts, COLLECTION: _whole(items)}.items()
+    }
+
+
+def _band_of(image: StackImage) -> str:
+    """Return the band that an image shows, as the user or its name says; else its name without the date."""
+    if isinstance(image.given.band, str):
+        return image.given.band
+    found = BAND_OF.fullmatch(image.name)
+    return found["band"] if found else DATE.sub("", image.name).strip("_-. ") or STAC_ASSET
+
+
+def _item(bands: Mapping[str, StackImage], grids: Mapping[str, Grid], driver: str) -> dict[str, Any]:
+    first = next(iter(bands.values()))
+    rings = [_outline(grids[image.name]) for image in bands.values()]
+    outlines = [[ring] for number, ring in enumerate(rings) if ring not in rings[:number]]
+    crs = grids[first.name].crs
+    epsg = None if crs is None else crs.to_epsg()
+    properties: dict[str, Any] = {
+        "datetime": UNKNOWN if first.date is None else _time(first.date),
+        "proj:epsg": epsg,
+        "proj:code": None if epsg is None else f"EPSG:{epsg}",
+        **_placed(grids[first.name]),
+        "pcwlad_geo:date_known": first.date is not None,
+    }
+    if epsg is None and crs is not None:
+        properties["proj:wkt2"] = crs.to_wkt()
+    link = {"type": "application/json", "href": f"./{COLLECTION}"}
+    media = MEDIA_TYPES.get(driver.upper(), "image/tiff; application=geotiff")
+    return {
+        "type": "Feature",
+        "stac_version": STAC_VERSION,
+        "stac_extensions": [PROJECTION],
+        "id": first.name,
+        "collection": "stack",
+        "geometry": {"type": "MultiPolygon", "coordinates": outlines},
+        "bbox": _box(rings),
+        "properties": properties,
+        "links": [{"rel": rel, **link} for rel in ("root", "parent", "collection")],
+        "assets": {
+            band: {
+                "href": f"./{image.registered.name}",
+                "type": media,
+                "roles": ["data"],
+                **_placed(grids[image.name]),
+                "pcwlad_geo:shift_px": list(image.shift_px),
+                "pcwlad_geo:sigma_px": list(image.sigma_px),
+                "pcwlad_geo:quality": image.quality.grade,
+            }
+            for band, image in bands.items()
+        },
+    }
+
+
+def _placed(grid: Grid) -> dict[str, Any]:
+    return {"proj:shape": list(grid.shape), "proj:transform": list(grid.transform)[:6]}
+
+
+def _time(date: str) -> str:
+    """Return a date or time as RFC 3339 asks for it."""
+    if "T" not in date:
+        return f"{date[:10]}T00:00:00Z"
+    return date if date.endswith("Z") or "+" in date[10:] else f"{date}Z"
+
+
+def _outline(grid: Grid) -> list[list[float]]:
+    """Return the closed outline of a grid, longitude and latitude."""
+    outline = grid.to_xy(grid.boundary_px(2))
+    degrees = transform_xy(outline, grid.crs, CRS.from_epsg(4326))
+    ring = [[round(float(x), 7), round(float(y), 7)] for x, y in degrees]
+    return [*ring, ring[0]] if ring[0] != ring[-1] else ring
+
+
+def _box(rings: Sequence[Sequence[Sequence[float]]]) -> list[float]:
+    every = np.concatenate([np.asarray(ring) for ring in rings])
+    return [*every.min(axis=0).tolist(), *every.max(axis=0).tolist()]
+
+
+def _whole(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    times = sorted(item["properties"]["datetime"] for item in items)
+    corners = [[item["bbox"][:2], item["bbox"][2:]] for item in items]
+    links: list[dict[str, str]] = [{"rel": "root", "type": "application/json", "href": f"./{COLLECTION}"}]
+    links += [
+        {"rel": "item", "type": "application/geo+json", "href": f"./{ITEM.format(item['id'])}"}
+        for item in items
+    ]
+    return {
+        "type": "Collection",
+        "stac_version": STAC_VERSION,
+        "id": "stack",
+        "description": "Images of one ground, adjusted together and resampled onto one grid",
+        "license": "other",
+        "extent": {"spatial": {"bbox": [_box(corners)]}, "temporal": {"interval": [[times[0], times[-1]]]}},
+        "links": links,
+    }
+
+
+def write_catalogue(found: Stack, driver: str) -> None:
+    """Write the collection and its items beside the rasters."""
+    for name, text in catalogue(found, driver).items():
+        (found.out_dir / name).write_text(text, encoding="utf-8", newline="")
+
+
+def catalogue_names(images: Sequence[str]) -> list[str]:
+    """Return the names of the files that the catalogue of images of these names may have."""
+    return [COLLECTION, *(ITEM.format(name) for name in images)]

@@ -18,14 +18,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.estimation.robust import huber, sigma_of, unit_sigma
+from pcwlad_geo.estimation.solving import inverse, solve
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import middle_pixel_size_m
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.rpc.dem import WGS84, Dem
-from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, raised
-from pcwlad_geo.solving import inverse, solve
+from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, with_ground_raised
 from pcwlad_geo.stacks.adjustment import larger
-from pcwlad_geo.stacks.network import ALIKE, POINT_LIMIT, POINTS, RAYLEIGH_MEDIAN
+from pcwlad_geo.stacks.network import ALIKE, POINT_LIMIT, POINTS
 from pcwlad_geo.types import Bool, Float64, Index
 
 MODELS: Final[Mapping[str, tuple[int, ...]]] = {"shift": (0,), "drift": (0, 2), "affine": (0, 1, 2)}
@@ -36,7 +37,7 @@ STILL_PX: Final = 0.1
 """They are not, once the DEM moves by less, its px."""
 REWEIGHTED: Final = 5
 """Number of times that the points are weighted anew by how far they lie off."""
-CELLS: Final = 5
+GROUND_CELLS: Final = 5
 """The ground is divided into so many cells along each axis, which are left out in turn: fewer where they
 would be smaller than a pixel of the DEM, whose error neighbours would share."""
 MIN_CELLS: Final = 6
@@ -55,15 +56,15 @@ NO_PARALLAX: Final = 1e-3
 """Pairs that a metre of height displaces by fewer px tell nothing of heights."""
 LEAST_PX: Final = 0.01
 """Least standard deviation of the error that the points of a pair share."""
-WRONG: Final = 5.0
-"""A pair that lies off what all others tell by more sigmas may be wrong."""
-WRONG_SHARE: Final = 0.5
+OUTLIER_SIGMAS: Final = 5.0
+"""A pair that lies off all others by more sigmas may be an outlier."""
+OUTLIER_SHARE: Final = 0.5
 """It is, if without it the others contradict each other by less than this share."""
-NEVER_PX: Final = 1e-6
+NO_ERROR_PX: Final = 1e-6
 """Standard deviation of a shared error that there is not."""
-LOOSE_PX: Final = 1e3
-"""What no point tells stays as it is, with this standard deviation."""
-STIFF: Final = 1e3
+UNOBSERVED_PX: Final = 1e3
+"""What is unobservable stays as it is, with this standard deviation."""
+DATUM_FACTOR: Final = 1e3
 """Weight of the datum, in that of the best known parameter."""
 DEM_PLACE_M: Final = 100.0
 """Standard deviation of the horizontal place of a DEM, as weak as errors of a datum are large."""
@@ -108,8 +109,8 @@ class BlockPair:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """Where the points of a pair are predicted in its second image, and what changes that."""
+class Linearisation:
+    """The linearised observations of a pair: its points as predicted in the second image, and derivatives."""
 
     left_px: Float64
     """(n, 2) observed less predicted."""
@@ -146,7 +147,7 @@ class BlockFit:
     """(n, 2) residuals."""
     weight: Float64
     """(n, 2, 2) weights of the points, 1/px²; 0 for those not used."""
-    sight: Sight
+    linear: Linearisation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,9 +198,9 @@ class BlockAdjustment:
         begin = self.free.index(image) * size
         own = slice(begin, begin + size)
         design = _design(Basis.over(self.shapes[image]).values(at_px)[:, terms])
-        told = design @ self.covariance_px2[own, own] @ design.transpose(0, 2, 1)
+        formal = design @ self.covariance_px2[own, own] @ design.transpose(0, 2, 1)
         changes = np.einsum("nap,kp->nak", design, self.spread_px[:, own])
-        return larger(np.asarray(told), np.asarray(changes @ changes.transpose(0, 2, 1)))
+        return larger(np.asarray(formal), np.asarray(changes @ changes.transpose(0, 2, 1)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,7 +289,7 @@ def adjust_block(
     unless its relief clearly tells another; that place is that of the `simpler` adjustment, where it was
     estimated before. The pairs connect all images, and of the `models` to choose from the simplest is first.
     """
-    rates = tuple(_sight(block, pair) for pair in pairs)
+    rates = tuple(_linearised(block, pair) for pair in pairs)
     if simpler is None:
         free = _Problem(block, tuple(pairs), models[0], rates, dem_moves=True)
         simpler = _result(free, _solved(free), {})
@@ -316,7 +317,7 @@ class _State:
     parameters: Float64
     start_dem_px: Float64
     """(2,) shift of the DEM with which they were."""
-    sights: tuple[Sight, ...]
+    linearised: tuple[Linearisation, ...]
     weights: tuple[Float64, ...]
     """(n, 2, 2) of each pair."""
     scatters: tuple[float, ...]
@@ -337,7 +338,7 @@ class _Problem:
     block: Block
     pairs: tuple[BlockPair, ...]
     model: str
-    rates: tuple[Sight, ...]
+    rates: tuple[Linearisation, ...]
     """Of each pair by the RPCs as they are: the derivatives hardly change."""
     dem_moves: bool = False
     """Whether the place of the DEM is an unknown."""
@@ -356,7 +357,7 @@ class _Problem:
     def dem_prior_px(self) -> float:
         """Standard deviation of the place of the DEM, its px."""
         dem = self.block.dem if self.dem_moves else None
-        return DEM_PLACE_M / max(middle_pixel_size_m(dem.grid) or (DEM_PLACE_M,)) if dem else NEVER_PX
+        return DEM_PLACE_M / max(middle_pixel_size_m(dem.grid) or (DEM_PLACE_M,)) if dem else NO_ERROR_PX
 
     @property
     def unknowns(self) -> int:
@@ -369,14 +370,14 @@ class _Problem:
 
     def flat(self, parameters: Float64) -> Float64:
         """Return the (unknowns,) of the (images, terms, 2) `parameters`."""
-        return np.asarray(parameters[list(self.block.free)].reshape(-1))
+        return parameters[list(self.block.free)].reshape(-1)
 
-    def design(self, pair: BlockPair, sight: Sight) -> tuple[Float64, Index]:
+    def design(self, pair: BlockPair, linear: Linearisation) -> tuple[Float64, Index]:
         """Return the (n, 2, q) design of a pair and the (q,) numbers of its unknowns."""
         blocks, places = [np.zeros((len(pair), 2, 0))], [np.zeros(0, np.intp)]
         for image, terms, rate in (
-            (pair.second, sight.second_terms, np.eye(2)),
-            (pair.first, sight.first_terms, -sight.first_rate),
+            (pair.second, linear.second_terms, np.eye(2)),
+            (pair.first, linear.first_terms, -linear.first_rate),
         ):
             if image in self.block.free:
                 begin = self.block.free.index(image) * self.size
@@ -386,12 +387,10 @@ class _Problem:
 
     def left_px(self, number: int, state: _State) -> Float64:
         """Return the (n, 2) distances of a pair's points from the adjustment."""
-        sight = state.sights[number]
-        design, places = self.design(self.pairs[number], sight)
+        linear = state.linearised[number]
+        design, places = self.design(self.pairs[number], linear)
         step = self.flat(state.parameters - state.start)[places]
-        return np.asarray(
-            sight.left_px - design @ step - sight.dem_rate @ (state.dem_px - state.start_dem_px)
-        )
+        return linear.left_px - design @ step - linear.dem_rate @ (state.dem_px - state.start_dem_px)
 
 
 def _design(terms: Float64) -> Float64:
@@ -410,8 +409,10 @@ def _solved(problem: _Problem) -> _State:
     datum = _datum(problem)
     for turn in range(LINEARISED):
         before_px = state.dem_px
-        sights = _without_mean_slope([_seen_again(problem, number, state) for number in range(count)])
-        state = replace(state, start=state.parameters, start_dem_px=state.dem_px, sights=sights)
+        linearised = _without_mean_slope(
+            [_linearised_again(problem, number, state) for number in range(count)]
+        )
+        state = replace(state, start=state.parameters, start_dem_px=state.dem_px, linearised=linearised)
         state = _reweighted(problem, state, datum)
         if turn and np.abs(state.dem_px - before_px).max() < STILL_PX:
             break
@@ -429,7 +430,7 @@ def _reweighted(problem: _Problem, state: _State, datum: Float64) -> _State:
     return state
 
 
-def _seen_again(problem: _Problem, number: int, state: _State) -> Sight:
+def _linearised_again(problem: _Problem, number: int, state: _State) -> Linearisation:
     """Follow the points of a pair with the corrections and the place of the DEM so far.
 
     The images were matched over the DEM where it was given: a place elsewhere changes what a window shows by
@@ -440,7 +441,7 @@ def _seen_again(problem: _Problem, number: int, state: _State) -> Sight:
     grids = [problem.block.grids[image] for image in (pair.first, pair.second)]
     predicted_px = one.inverse(pair.first_px)
     ground_px = map_px(predicted_px, grids[0], frame)
-    at_px = _seen(grids[1], frame, ground_px, pair.height_m)
+    at_px = _predicted_px(grids[1], frame, ground_px, pair.height_m)
     rate = problem.rates[number].height_rate
     higher_m, slope = relief(problem.block, ground_px, pair.window_px, state.dem_px)
     return replace(
@@ -453,7 +454,7 @@ def _seen_again(problem: _Problem, number: int, state: _State) -> Sight:
     )
 
 
-def _sight(block: Block, pair: BlockPair, *, level: bool = False) -> Sight:
+def _linearised(block: Block, pair: BlockPair, *, level: bool = False) -> Linearisation:
     """Follow the points of a pair through the first image, the ground (`level` or not), the second image.
 
     The DEM stays where it is: `dem_rate` is 0.
@@ -462,15 +463,15 @@ def _sight(block: Block, pair: BlockPair, *, level: bool = False) -> Sight:
     if level:
         grids = [at_mean_height(grid) for grid in grids]
 
-    def seen(px: Float64, higher_m: float = 0.0) -> Float64:
-        first, second = (raised(grid, higher_m) if higher_m else grid for grid in grids)
-        return _seen(second, frame, map_px(px, first, frame), pair.height_m)
+    def predict(px: Float64, higher_m: float = 0.0) -> Float64:
+        first, second = (with_ground_raised(grid, higher_m) if higher_m else grid for grid in grids)
+        return _predicted_px(second, frame, map_px(px, first, frame), pair.height_m)
 
-    at_px, ground_px = seen(pair.first_px), map_px(pair.first_px, grids[0], frame)
-    sides = [seen(pair.first_px + step) - seen(pair.first_px - step) for step in np.eye(2) / 2]
+    at_px, ground_px = predict(pair.first_px), map_px(pair.first_px, grids[0], frame)
+    sides = [predict(pair.first_px + step) - predict(pair.first_px - step) for step in np.eye(2) / 2]
     rate = np.stack(sides, axis=2)
-    height_rate = (seen(pair.first_px, HEIGHT_STEP_M) - at_px) / HEIGHT_STEP_M
-    return Sight(
+    height_rate = (predict(pair.first_px, HEIGHT_STEP_M) - at_px) / HEIGHT_STEP_M
+    return Linearisation(
         pair.second_px - at_px,
         np.broadcast_to(np.nanmean(rate, axis=0), rate.shape),
         Basis.over(grids[0].shape).values(pair.first_px),
@@ -522,87 +523,87 @@ def relief(block: Block, ground_px: Float64, window_px: float, dem_px: Float64) 
     return higher(dem_px), np.stack(ends, axis=1) / (2 * step_px)
 
 
-def _without_mean_slope(sights: Sequence[Sight]) -> tuple[Sight, ...]:
+def _without_mean_slope(linearised: Sequence[Linearisation]) -> tuple[Linearisation, ...]:
     """Take off the effect of moving the DEM what is like a change of its height."""
-    rate = np.nan_to_num(np.concatenate([sight.height_rate for sight in sights]))
-    moving = np.concatenate([sight.dem_rate for sight in sights])
+    rate = np.nan_to_num(np.concatenate([linear.height_rate for linear in linearised]))
+    moving = np.concatenate([linear.dem_rate for linear in linearised])
     alike = np.einsum("na,nab->b", rate, moving) / max(float((rate**2).sum()), NO_PARALLAX**2)
     return tuple(
-        replace(sight, dem_rate=sight.dem_rate - np.nan_to_num(sight.height_rate)[:, :, None] * alike)
-        for sight in sights
+        replace(linear, dem_rate=linear.dem_rate - np.nan_to_num(linear.height_rate)[:, :, None] * alike)
+        for linear in linearised
     )
 
 
-def _seen(grid: Grid, frame: Grid, ground_px: Float64, height_m: Float64 | None) -> Float64:
+def _predicted_px(grid: Grid, frame: Grid, ground_px: Float64, height_m: Float64 | None) -> Float64:
     """Return the (n, 2) px of an image that see the (n, 2) `ground_px` of the frame, at its own heights."""
     at_px = map_px(ground_px, frame, grid)
     if height_m is None or not isinstance(grid, RpcGrid):
         return at_px
     lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
-    told = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height_m])))
-    return np.where(np.isfinite(height_m)[:, None], told, at_px)
+    from_heights = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height_m])))
+    return np.where(np.isfinite(height_m)[:, None], from_heights, at_px)
 
 
 def _weighted(problem: _Problem, state: _State) -> _State:
     """Weight all points by their residuals, and estimate the uncertainty of the DEM."""
     left = [problem.left_px(number, state) - state.offsets[number] for number in range(len(problem.pairs))]
-    sigma_m = _height_sigma(problem, state.sights, left)
+    sigma_m = _height_sigma(problem, state.linearised, left)
     weights, scatters = [], []
-    for pair, sight, residual in zip(problem.pairs, state.sights, left, strict=True):
-        weight = _weights(pair, sight, _height_variance(pair, sight, residual, sigma_m))
+    for pair, linear, residual in zip(problem.pairs, state.linearised, left, strict=True):
+        weight = _weights(pair, linear, _height_variance(pair, linear, residual, sigma_m))
         known = np.asarray(weight.any(axis=(1, 2)))
         own = residual[known]
         off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", own, weight[known], own), 1e-12))
-        unit = max(1.0, float(np.median(off)) / RAYLEIGH_MEDIAN) if known.any() else 1.0
-        factor = np.minimum(1.0, POINT_LIMIT * unit / off)
+        unit = unit_sigma(off) if known.any() else 1.0
+        factor = huber(off, POINT_LIMIT * unit)
         if pair.height_m is not None:  # a few, set one by one: a wrong one must not pull at all
             factor = factor**3
         weight[known] *= (factor / unit**2)[:, None, None]
         weights.append(weight)
-        scatters.append(1.4826 * float(np.median(np.abs(residual[known]))) if known.any() else 0.0)
+        scatters.append(sigma_of(residual[known]) if known.any() else 0.0)
     return replace(state, weights=tuple(weights), scatters=tuple(scatters), sigma_height_m=sigma_m)
 
 
-def _height_variance(pair: BlockPair, sight: Sight, residual_px: Float64, sigma_m: float) -> Float64:
+def _height_variance(pair: BlockPair, linear: Linearisation, residual_px: Float64, sigma_m: float) -> Float64:
     """Return the (n,) variances of the DEM's heights, m²: all points of one of its pixels count as one."""
-    height, _ = implied_heights(pair, sight, residual_px)
-    off = np.abs(np.nan_to_num(height)) / (HEIGHT_LIMIT * max(sigma_m, NEVER_PX))
-    return np.asarray(sigma_m**2 * sight.crowding * np.maximum(1.0, off))
+    height, _ = implied_heights(pair, linear, residual_px)
+    off = np.abs(np.nan_to_num(height)) / (HEIGHT_LIMIT * max(sigma_m, NO_ERROR_PX))
+    return sigma_m**2 * linear.crowding * np.maximum(1.0, off)
 
 
-def _weights(pair: BlockPair, sight: Sight, variance_m2: Float64 | float = 0.0) -> Float64:
+def _weights(pair: BlockPair, linear: Linearisation, variance_m2: Float64 | float = 0.0) -> Float64:
     """Return the (n, 2, 2) inverse covariances of points, heights eliminated; 0 where unknown."""
-    rate = sight.height_rate
+    rate = linear.height_rate
     covariance = pair.covariance_px2 + (variance_m2 * (rate[:, :, None] * rate[:, None, :]).T).T
-    known = np.isfinite(sight.left_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
-    known &= np.isfinite(sight.first_rate).all(axis=(1, 2))
+    known = np.isfinite(linear.left_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+    known &= np.isfinite(linear.first_rate).all(axis=(1, 2))
     weight = np.zeros_like(covariance)
     weight[known] = inverse(covariance[known], POINTS)
     return weight
 
 
-def implied_heights(pair: BlockPair, sight: Sight, residual_px: Float64) -> tuple[Float64, Float64]:
+def implied_heights(pair: BlockPair, linear: Linearisation, residual_px: Float64) -> tuple[Float64, Float64]:
     """Return by how much (n,) points lie above the DEM, and the (n,) variance of that, metres and m².
 
     NaN where there is no parallax. The (n, 2) `residual_px` are distances from an adjustment.
     """
     weight = inverse(pair.covariance_px2, POINTS)
-    told = np.einsum("na,nab,nb->n", sight.height_rate, weight, sight.height_rate)
+    information = np.einsum("na,nab,nb->n", linear.height_rate, weight, linear.height_rate)
     with np.errstate(divide="ignore", invalid="ignore"):
-        height = np.einsum("na,nab,nb->n", sight.height_rate, weight, residual_px) / told
-        seen = np.hypot(*sight.height_rate.T) >= NO_PARALLAX
-        return np.where(seen, height, np.nan), np.where(seen, 1 / told, np.nan)
+        height = np.einsum("na,nab,nb->n", linear.height_rate, weight, residual_px) / information
+        visible = np.hypot(*linear.height_rate.T) >= NO_PARALLAX
+        return np.where(visible, height, np.nan), np.where(visible, 1 / information, np.nan)
 
 
-def _height_sigma(problem: _Problem, sights: Sequence[Sight], left: Sequence[Float64]) -> float:
+def _height_sigma(problem: _Problem, linearised: Sequence[Linearisation], left: Sequence[Float64]) -> float:
     """Return the robust standard deviation of the DEM at the points, beyond their own errors, metres."""
-    found = [implied_heights(*each) for each in zip(problem.pairs, sights, left, strict=True)]
+    found = [implied_heights(*each) for each in zip(problem.pairs, linearised, left, strict=True)]
     height, variance = (np.concatenate(each) for each in zip(*found, strict=True))
-    told = np.isfinite(height) & np.isfinite(variance)
-    if not told.any():
+    known = np.isfinite(height) & np.isfinite(variance)
+    if not known.any():
         return 0.0
-    typical = 1.4826 * float(np.median(np.abs(height[told])))
-    return float(np.sqrt(max(typical**2 - float(np.median(variance[told])), 0.0)))
+    typical = sigma_of(height[known])
+    return float(np.sqrt(max(typical**2 - float(np.median(variance[known])), 0.0)))
 
 
 def _equations(
@@ -620,24 +621,24 @@ def _equations(
     for number, pair in enumerate(problem.pairs):
         at = unknowns + 2 * number
         # control points are seen one by one
-        prior = state.shared_px**-2 if pair.height_m is None else 1.0 / NEVER_PX**2
+        prior = state.shared_px**-2 if pair.height_m is None else 1.0 / NO_ERROR_PX**2
         whole[[at, at + 1], [at, at + 1]] += prior
         if not state.used[number]:
             continue
-        sight, weight = state.sights[number], state.weights[number]
+        linear, weight = state.linearised[number], state.weights[number]
         known = weight.any(axis=(1, 2))
-        design, places = problem.design(pair, sight)
+        design, places = problem.design(pair, linear)
         alike = np.broadcast_to(np.eye(2), (len(pair), 2, 2))
-        design = np.concatenate([design, alike, sight.dem_rate], axis=2)[known]
+        design = np.concatenate([design, alike, linear.dem_rate], axis=2)[known]
         weight = weight[known] if keep is None else weight[known] * keep[number][known, None, None]
         places = np.concatenate([places, [at, at + 1, size - 2, size - 1]])
         weighted = weight @ design
         whole[np.ix_(places, places)] += np.einsum("nap,naq->pq", design, weighted)
-        right[places] += np.einsum("nap,na->p", weighted, sight.left_px[known])
+        right[places] += np.einsum("nap,na->p", weighted, linear.left_px[known])
     own = np.diag_indices(unknowns)
-    stiff = STIFF * max(float(whole[own].max(initial=0.0)), 1.0)
-    whole[:unknowns, :unknowns] += stiff * datum @ datum.T
-    whole[own] += LOOSE_PX**-2
+    factor = DATUM_FACTOR * max(float(whole[own].max(initial=0.0)), 1.0)
+    whole[:unknowns, :unknowns] += factor * datum @ datum.T
+    whole[own] += UNOBSERVED_PX**-2
     return whole, right
 
 
@@ -648,10 +649,12 @@ def _datum(problem: _Problem) -> Float64:
     """
     block = problem.block
     zero = np.zeros((len(block.grids), len(problem.terms), 2))
-    sights = tuple(_sight(block, pair, level=True) for pair in problem.pairs)
-    weights = tuple(_weights(*each) for each in zip(problem.pairs, sights, strict=True))
-    none, used = np.zeros(2), np.ones(len(sights), bool)
-    state = _State(zero, zero, none, sights, weights, (), np.zeros((len(sights), 2)), used, none, NEVER_PX)
+    linearised = tuple(_linearised(block, pair, level=True) for pair in problem.pairs)
+    weights = tuple(_weights(*each) for each in zip(problem.pairs, linearised, strict=True))
+    none, used = np.zeros(2), np.ones(len(linearised), bool)
+    state = _State(
+        zero, zero, none, linearised, weights, (), np.zeros((len(linearised), 2)), used, none, NO_ERROR_PX
+    )
     whole, _ = _equations(problem, state, np.zeros((problem.unknowns, 0)))
     normal = whole[: problem.unknowns, : problem.unknowns]
     # in lengths on the ground, so that none but the smallest biases there are of the smallest sum of squares
@@ -669,11 +672,11 @@ def _step(problem: _Problem, state: _State, datum: Float64) -> _State:
     free = list(problem.block.free)
     parameters[free] += solution[: problem.unknowns].reshape(len(free), len(problem.terms), 2)
     offsets = np.asarray(solution[problem.unknowns : -2].reshape(-1, 2), np.float64)
-    told = state.used & np.array([pair.height_m is None for pair in problem.pairs])
-    redundancy = float(_redundancy(problem, state, whole)[told].sum())
+    counted = state.used & np.array([pair.height_m is None for pair in problem.pairs])
+    redundancy = float(_redundancy(problem, state, whole)[counted].sum())
     shared_px = USUAL_PX
     if redundancy >= MIN_REDUNDANCY:
-        shared_px = max(float(np.sqrt((offsets[told] ** 2).sum() / (2 * redundancy))), LEAST_PX)
+        shared_px = max(float(np.sqrt((offsets[counted] ** 2).sum() / (2 * redundancy))), LEAST_PX)
     dem_px = state.start_dem_px + solution[-2:]
     return replace(state, parameters=parameters, offsets=offsets, shared_px=shared_px, dem_px=dem_px)
 
@@ -699,7 +702,10 @@ def _without_the_worst(problem: _Problem, state: _State, datum: Float64) -> _Sta
         for _ in range(3):
             trial = _step(problem, trial, datum)
         off = float(np.hypot(*_mean_left(problem, trial, number)[0]))
-        if off > WRONG * max(trial.shared_px, USUAL_PX) and WRONG_SHARE * state.shared_px > trial.shared_px:
+        if (
+            off > OUTLIER_SIGMAS * max(trial.shared_px, USUAL_PX)
+            and OUTLIER_SHARE * state.shared_px > trial.shared_px
+        ):
             found.append((trial.shared_px, trial))
     if not found:
         return None
@@ -724,32 +730,32 @@ def _mean_left(problem: _Problem, state: _State, number: int) -> tuple[Float64, 
     weight = state.weights[number]
     total = inverse(weight.sum(axis=0) + 1e-12 * np.eye(2), POINTS)
     known = weight.any(axis=(1, 2))
-    design, places = problem.design(problem.pairs[number], state.sights[number])
+    design, places = problem.design(problem.pairs[number], state.linearised[number])
     mean = np.zeros((2, problem.unknowns))
     mean[:, places] = total @ np.einsum("nab,nbp->ap", weight[known], design[known])
     left = problem.left_px(number, state)[known]
     return np.asarray(total @ np.einsum("nab,nb->a", weight[known], left)), total, mean
 
 
-def _cells(dem: Dem | None, frame: Grid, sights: Sequence[Sight]) -> list[Index]:
+def _cells(dem: Dem | None, frame: Grid, linearised: Sequence[Linearisation]) -> list[Index]:
     """Return the (n,) cell of the ground, no smaller than a pixel of a DEM, of the points of each pair."""
-    every = np.concatenate([sight.ground_px for sight in sights])
+    every = np.concatenate([linear.ground_px for linear in linearised])
     low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
     size = np.maximum(high - low, 1e-9)
-    count = np.full(2, CELLS)
+    count = np.full(2, GROUND_CELLS)
     if dem is not None:
         rate = inverse(jacobian(frame.middle_px, frame, dem.grid)[0])
-        count = np.clip(size / np.abs(rate).max(axis=1), 1, CELLS).astype(np.intp)
+        count = np.clip(size / np.abs(rate).max(axis=1), 1, GROUND_CELLS).astype(np.intp)
     found = []
-    for sight in sights:
-        place = np.clip(np.nan_to_num((sight.ground_px - low) / size) * count, 0, count - 1).astype(np.intp)
-        found.append(place[:, 1] * CELLS + place[:, 0])
+    for linear in linearised:
+        place = np.clip(np.nan_to_num((linear.ground_px - low) / size) * count, 0, count - 1).astype(np.intp)
+        found.append(place[:, 1] * GROUND_CELLS + place[:, 0])
     return found
 
 
 def _without_cells(problem: _Problem, state: _State, dem: Dem | None) -> Iterator[tuple[list[Bool], Float64]]:
     """Yield the points of each cell of the ground, pair by pair, and the (unknowns,) step without them."""
-    datum, cells = _datum(problem), _cells(dem, problem.block.frame, state.sights)
+    datum, cells = _datum(problem), _cells(dem, problem.block.frame, state.linearised)
     for number in np.unique(np.concatenate(cells)).tolist():
         inside = [cell == number for cell in cells]
         if sum(int(each.sum()) for each in inside) * 2 > sum(len(each) for each in inside):
@@ -768,11 +774,11 @@ def _left_out_px2(problem: _Problem, state: _State, judge: Sequence[Float64]) ->
     for inside, solution in _without_cells(problem, state, problem.block.dem):
         squares, count = 0.0, 0
         for number, chosen in enumerate(inside):
-            design, places = problem.design(problem.pairs[number], state.sights[number])
+            design, places = problem.design(problem.pairs[number], state.linearised[number])
             known = chosen & judge[number].any(axis=(1, 2)) & state.weights[number].any(axis=(1, 2))
             at = problem.unknowns + 2 * number
-            left = state.sights[number].left_px[known] - design[known] @ solution[places]
-            left = left - solution[at : at + 2] - state.sights[number].dem_rate[known] @ solution[-2:]
+            left = state.linearised[number].left_px[known] - design[known] @ solution[places]
+            left = left - solution[at : at + 2] - state.linearised[number].dem_rate[known] @ solution[-2:]
             squares += float(np.einsum("na,nab,nb->", left, judge[number][known], left))
             count += int(known.sum())
         if count:
@@ -819,14 +825,14 @@ def _left_aside(problem: _Problem, state: _State) -> LeftAside | None:
     """
     as_it_is, begun = replace(state, dem_px=np.zeros(2)), problem.flat(state.parameters - state.start)
     pairs = [number for number in range(len(problem.pairs)) if state.used[number]]
-    sights = {number: _seen_again(problem, number, as_it_is) for number in pairs}
+    linearised = {number: _linearised_again(problem, number, as_it_is) for number in pairs}
     sums = [np.zeros((0, 3))]
     for inside, solution in _without_cells(problem, state, None):
         for number in pairs:
             known = inside[number] & state.weights[number].any(axis=(1, 2))
-            design, places = problem.design(problem.pairs[number], sights[number])
+            design, places = problem.design(problem.pairs[number], linearised[number])
             step = (solution[: problem.unknowns] - begun)[places]
-            after = sights[number].left_px[known] - design[known] @ step
+            after = linearised[number].left_px[known] - design[known] @ step
             before = problem.rates[number].left_px[known]
             sums.append(np.array([[known.sum(), np.hypot(*before.T).sum(), np.hypot(*after.T).sum()]]))
     count, before_px, after_px = (np.concatenate(sums) / max(1.0, np.concatenate(sums)[:, 0].sum())).T
@@ -839,9 +845,9 @@ def _left_aside(problem: _Problem, state: _State) -> LeftAside | None:
 
 def _response_to_height(problem: _Problem, state: _State, datum: Float64) -> Float64:
     """Return `BlockAdjustment.by_height_px`, of level ground: its relief is told by the other unknowns."""
-    level = [_sight(problem.block, pair, level=True) for pair in problem.pairs]
-    sights = tuple(replace(sight, left_px=-sight.height_rate) for sight in level)
-    whole, right = _equations(problem, replace(state, sights=sights, start_dem_px=np.zeros(2)), datum)
+    level = [_linearised(problem.block, pair, level=True) for pair in problem.pairs]
+    linearised = tuple(replace(linear, left_px=-linear.height_rate) for linear in level)
+    whole, right = _equations(problem, replace(state, linearised=linearised, start_dem_px=np.zeros(2)), datum)
     found = np.zeros((len(problem.block.grids), 2))
     step = solve(whole, right, NEEDS)[: problem.unknowns].reshape(-1, len(problem.terms), 2)
     found[list(problem.block.free)] = step[:, 0]
@@ -864,5 +870,5 @@ def _fit(problem: _Problem, state: _State, number: int, covariance: Float64) -> 
         state.scatters[number],
         problem.left_px(number, state),
         state.weights[number],
-        state.sights[number],
+        state.linearised[number],
     )

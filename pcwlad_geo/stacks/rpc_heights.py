@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.special import betainc
 
+from pcwlad_geo.estimation.robust import sigma_of
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.geodesy import pixel_sizes_m
 from pcwlad_geo.raster.rpc.dem import WGS84, Dem
@@ -32,11 +33,11 @@ BY_CHANCE: Final = 0.1
 """Probability below which biases that all lie along the parallax are not taken for those of RPCs."""
 LEAST_PX: Final = 4.0
 """Least disagreement of two images, px, by which a DEM is called too high or too low."""
-BESIDE_PX: Final = 3.0
+OFFSET_PX: Final = 3.0
 """A DEM is called displaced by at least so many of its pixels, or of the images', if that is significant."""
-LEAST_BESIDE_M: Final = 3.0
+LEAST_OFFSET_M: Final = 3.0
 """And by at least so many metres."""
-BESIDE_M: Final = 10.0
+OFFSET_M: Final = 10.0
 """Without a reference, which RPCs may all miss alike, by at least so many metres."""
 SCALE: Final = 0.03
 """Least error of the scale of heights that is told."""
@@ -83,32 +84,32 @@ def check_dem(
     dem = block.dem
     if dem is None:
         return None
-    height_m, chance, apart_px = _too_high(block, pairs, found)
-    beside_m, sigma_m = _beside(block, dem, found, absolute)
+    height_m, chance, separation_px = _too_high(block, pairs, found)
+    beside_m, sigma_m = _horizontal_offset(block, dem, found, absolute)
     scale, scale_sigma = _scale(block, pairs, found)
-    wrong: list[str] = []
-    if chance is not None and chance < BY_CHANCE and apart_px is not None and apart_px >= LEAST_PX:
-        wrong.append(_height_message(dem, height_m or 0.0, apart_px))
+    reasons: list[str] = []
+    if chance is not None and chance < BY_CHANCE and separation_px is not None and separation_px >= LEAST_PX:
+        reasons.append(_height_message(dem, height_m or 0.0, separation_px))
     if beside_m is not None and found.dem_moved and np.hypot(*beside_m) > _least_m(block, dem, absolute):
-        wrong.append(
+        reasons.append(
             f"the relief of the DEM {dem.uri} lies ({beside_m[0]:+.1f}, {beside_m[1]:+.1f}) m (x, y) beside "
             "the relief that the tie points show: check its position"
             + ("" if absolute else ", unless the RPCs of all images err by that")
         )
     if scale is not None and abs(scale) > max(SCALE, SCALE_SIGMAS * (scale_sigma or 0.0)):
-        wrong.append(
+        reasons.append(
             f"the relief of the DEM {dem.uri} is {100 * abs(scale):.0f} % too "
             f"{'high' if scale > 0 else 'low'}: check the unit of its heights, and whether it is smoothed"
         )
     rough_px = found.sigma_height_m * _parallax_px(found)
     if rough_px > ROUGH_PX:
-        wrong.append(
+        reasons.append(
             f"the heights of the DEM {dem.uri} scatter by {found.sigma_height_m:.1f} m about those of the "
             f"tie points, which sets orthoimages {rough_px:.1f} px apart from place to place"
         )
     return DemCheck(
-        dem.uri, height_m, chance, apart_px, beside_m, sigma_m, scale, scale_sigma,
-        found.sigma_height_m, _off_m(block, found), tuple(wrong),
+        dem.uri, height_m, chance, separation_px, beside_m, sigma_m, scale, scale_sigma,
+        found.sigma_height_m, _off_m(block, found), tuple(reasons),
     )  # fmt: skip
 
 
@@ -116,17 +117,17 @@ def _off_m(block: Block, found: BlockAdjustment) -> float:
     """Return `DemCheck.off_m`: what a DEM that stays beside its place does to the heights of points."""
     if not found.dem_moved:
         return 0.0
-    ground_px = np.concatenate([fit.sight.ground_px for fit in found.edges])
+    ground_px = np.concatenate([fit.linear.ground_px for fit in found.edges])
     higher_m, _ = relief(block, ground_px, 0.0, found.dem_shift_px)
     return float(np.percentile(np.abs(higher_m - np.mean(higher_m)), 90))
 
 
-def _height_message(dem: Dem, height_m: float, apart_px: float) -> str:
+def _height_message(dem: Dem, height_m: float, separation_px: float) -> str:
     side = "high" if height_m > 0 else "low"
     return (
         f"the DEM {dem.uri} lies about {abs(height_m):.1f} m too {side} by the parallax of the tie points, "
-        f"or the RPCs err along the parallax alone, by up to {apart_px:.1f} px: check --dem-vertical (what "
-        "its heights are above) and its position"
+        f"or the RPCs err along the parallax alone, by up to {separation_px:.1f} px: check --dem-vertical "
+        "(what its heights are above) and its position"
     )
 
 
@@ -135,12 +136,12 @@ def _too_high(
 ) -> tuple[float | None, float | None, float | None]:
     """Return how much too high the DEM seems, the chance of that, and what it sets images apart by, px."""
     size = {image: pixel_in_frame(block, image) for image in found.free}
-    made, seen = [], []
+    by_height, by_image = [], []
     for image in found.free:
         middle = block.grids[image].middle_px
-        made.append(found.by_height_px[image] * size[image])
-        seen.append((found.corrections[image].forward(middle) - middle)[0] * size[image])
-    response, biases = np.concatenate(made), np.concatenate(seen)
+        by_height.append(found.by_height_px[image] * size[image])
+        by_image.append((found.corrections[image].forward(middle) - middle)[0] * size[image])
+    response, biases = np.concatenate(by_height), np.concatenate(by_image)
     freedom = 2 * len(found.free) - min(found.datum_rank, 2)
     power = float(response @ response)
     rate = _parallax_px(found)
@@ -154,11 +155,11 @@ def _too_high(
 
 def _parallax_px(found: BlockAdjustment) -> float:
     """Return by how much a metre of height sets two images apart, at most."""
-    rates = [np.nanmedian(fit.sight.height_rate, axis=0) for fit in found.edges]
+    rates = [np.nanmedian(fit.linear.height_rate, axis=0) for fit in found.edges]
     return max((float(np.hypot(*each)) for each in rates), default=0.0)
 
 
-def _beside(
+def _horizontal_offset(
     block: Block, dem: Dem, found: BlockAdjustment, absolute: bool
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
     """Return where the relief of the DEM lies, and its standard deviation; None where it cannot tell."""
@@ -175,8 +176,8 @@ def _beside(
 def _least_m(block: Block, dem: Dem, absolute: bool) -> float:
     """Return the least displacement of a DEM that is told, metres."""
     sizes = [pixel_sizes_m(grid, grid.middle_px) for grid in (dem.grid, block.frame)]
-    least = BESIDE_PX * max(float(each.max()) for each in sizes if each is not None)
-    return max(least, LEAST_BESIDE_M if absolute else BESIDE_M)
+    least = OFFSET_PX * max(float(each.max()) for each in sizes if each is not None)
+    return max(least, LEAST_OFFSET_M if absolute else OFFSET_M)
 
 
 def _scale(
@@ -186,7 +187,7 @@ def _scale(
     above, at_m, cell = (np.concatenate(each) for each in zip(*_points(block, pairs, found), strict=True))
     known = np.isfinite(above) & np.isfinite(at_m)
     above, at_m, cell = above[known], at_m[known], cell[known]
-    noise = 1.4826 * float(np.median(np.abs(above))) if len(above) else 0.0
+    noise = sigma_of(above) if len(above) else 0.0
     numbers = np.unique(cell)
     if len(numbers) < 6 or np.ptp(at_m) < MIN_RELIEF * max(noise, 1e-3):
         return None, None
@@ -198,8 +199,8 @@ def _scale(
     left = np.array([slope(near & (cell != number)) for number in numbers])
     sigma = 1.4 * float(np.sqrt((len(left) - 1) * left.var()))
     scale = -slope(near)
-    told = max(SCALE, abs(scale)) > SCALE_SIGMAS * sigma
-    return (scale, sigma) if told else (None, None)
+    significant = max(SCALE, abs(scale)) > SCALE_SIGMAS * sigma
+    return (scale, sigma) if significant else (None, None)
 
 
 def _points(
@@ -208,8 +209,8 @@ def _points(
     """Yield for each pair by how much its points lie above the DEM, where that is, and their cells."""
     dem = block.dem
     for pair, fit in zip(pairs, found.edges, strict=True):
-        ground_px = fit.sight.ground_px
-        above, _ = implied_heights(pair, fit.sight, fit.left_px)
+        ground_px = fit.linear.ground_px
+        above, _ = implied_heights(pair, fit.linear, fit.left_px)
         lon_lat = transform_xy(block.frame.to_xy(ground_px), block.frame.crs, WGS84)
         cell = np.floor(6 * ground_px / max(block.frame.shape)) @ np.array([1.0, 100.0])
         used = fit.weight.any(axis=(1, 2)) & (pair.height_m is None)

@@ -301,11 +301,11 @@ def adjusted(
     left_open = settings.model in ("auto", "rpc")
     if settings.model != "shift" and not (left_open and check is not None and check.wrong):
         found = adjust_block(block, pairs, MODELS if left_open else (settings.model,), found)
-    aside = found.left_aside
-    if aside is not None and aside.worse:
+    unused = found.left_aside
+    if unused is not None and unused.worse:
         raise RegistrationRejectedError(
-            f"tie points left aside lie {aside.after_px:.2f} px apart with the corrected RPCs and "
-            f"{aside.before_px:.2f} px with those of the files, over the DEM as it is: nothing is written; "
+            f"tie points left aside lie {unused.after_px:.2f} px apart with the corrected RPCs and "
+            f"{unused.before_px:.2f} px with those of the files, over the DEM as it is: nothing is written; "
             + "; ".join((check and check.wrong) or ["check the DEM and the pairs"])
         )
     return found, check
@@ -388,9 +388,11 @@ def _image(
     covariance = adjustment.covariance(number, at_px)
     rpc = None
     if placement is not None:
-        made = corrected_rpc(placement, correction)
+        corrected = corrected_rpc(placement, correction)
         vrt, text = rpc_names([frame.names[number]])
-        rpc = ImageRpc(made.origin, made.bias_error_px, vrt, text, made.corrected_grid.rpc, made)
+        rpc = ImageRpc(
+            corrected.origin, corrected.bias_error_px, vrt, text, corrected.corrected_grid.rpc, corrected
+        )
     return StackImage(
         **placed_values(frame, number, correction.forward(at_px) - at_px, covariance, used, 0),
         correction=correction,
@@ -435,24 +437,24 @@ def _off(pair: BlockPair, fit: BlockFit) -> Bool:
 
 def control_warnings(placed: PlacedImages, pairs: Sequence[BlockPair], found: BlockAdjustment) -> list[str]:
     """Name the control points that contradict the others."""
-    told = []
+    warnings = []
     for pair, fit in zip(pairs, found.edges, strict=True):
         if pair.height_m is None:
             continue
         for index in np.flatnonzero(_off(pair, fit)).tolist():
             (col, row), length = pair.second_px[index], float(np.hypot(*fit.left_px[index]))
             name = placed.frame.names[pair.second]
-            told.append(
+            warnings.append(
                 f"the control point at ({col:.1f}, {row:.1f}) px (col, row) of {name} lies {length:.1f} "
                 "px off what all others tell: check its coordinates"
             )
-    return told
+    return warnings
 
 
 def output_grid_of(placed: PlacedImages, settings: Settings) -> Grid:
     """Return the grid on which all images are written."""
-    made = OutputFormat.of(settings.of, settings.co)
-    if made.is_vrt:
+    fmt = OutputFormat.of(settings.of, settings.co)
+    if fmt.is_vrt:
         raise SettingsError("of = 'VRT': a VRT cannot hold an orthorectified image; give --of COG or GTiff")
     if settings.grid == "target":
         raise SettingsError("grid = 'target': the pixels of an image with RPC are no grid on the ground")
@@ -466,15 +468,15 @@ def write_images(
 
     The files will lie in `folder`, wherever `found` says that they are made.
     """
-    grid, made = output_grid_of(placed, settings), OutputFormat.of(settings.of, settings.co)
-    wanted = WarpOutput(grid, GridRequest(like=grid), made, settings.resampling)
+    grid, fmt = output_grid_of(placed, settings), OutputFormat.of(settings.of, settings.co)
+    wanted = WarpOutput(grid, GridRequest(like=grid), fmt, settings.resampling)
     still, quiet = AffineCorrection("shift", np.eye(2, 3)), partial(only_warnings, on_event)
     for number, image in enumerate(found.images):
         on_event(Progress("images", number, len(found.images)))
         if image.rpc is None:  # the reference
             warp_image(placed.frame, image, still, wanted, quiet)
             continue
-        how = BandOutput(grid, settings.resampling, made, folder / image.registered.name)
+        how = BandOutput(grid, settings.resampling, fmt, folder / image.registered.name)
         _write_image(folder, image, image.rpc, how, quiet)
     on_event(Progress("images", len(found.images), len(found.images)))
 
@@ -484,9 +486,9 @@ def _write_image(
 ) -> None:
     grid = rpc.registration.corrected_grid
     orthorectify_band(image.path, image.registered, grid, how, on_event)
-    made_in = image.registered.parent
-    write_rpc_vrt(made_in / rpc.vrt, image.path, to_gdal(grid.rpc), final_path=folder / rpc.vrt)
-    write_rpc_text(grid.rpc, made_in / rpc.text)
+    staged = image.registered.parent
+    write_rpc_vrt(staged / rpc.vrt, image.path, to_gdal(grid.rpc), final_path=folder / rpc.vrt)
+    write_rpc_text(grid.rpc, staged / rpc.text)
 
 
 def warp_image(

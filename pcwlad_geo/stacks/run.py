@@ -22,7 +22,7 @@ from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.outputs.places import check_outputs
-from pcwlad_geo.products.detect import products_found_once
+from pcwlad_geo.products import products_found_once
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest
@@ -32,7 +32,6 @@ from pcwlad_geo.raster.vrt import write_corrected_vrt
 from pcwlad_geo.registration.inputs import requested_grid
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.stacks.adjustment import Adjustment, adjust, extend
-from pcwlad_geo.stacks.choice import TRIED, choose_basis
 from pcwlad_geo.stacks.graph import (
     ALL_PAIRS,
     UNSURE,
@@ -41,10 +40,10 @@ from pcwlad_geo.stacks.graph import (
     candidates,
     choose_pairs,
     listed_pairs,
-    quick_look,
+    read_overview,
 )
-from pcwlad_geo.stacks.homography import HOMOGRAPHY, homographies, or_homographies
 from pcwlad_geo.stacks.inputs import StackInput, check_reference, listed, with_reference
+from pcwlad_geo.stacks.models import HOMOGRAPHY, TRIED, choose_basis, homographies, or_homographies
 from pcwlad_geo.stacks.network import Edge, components, named
 from pcwlad_geo.stacks.page import page
 from pcwlad_geo.stacks.pairs import (
@@ -68,9 +67,11 @@ from pcwlad_geo.stacks.result import (
     Chosen,
     Stack,
     StackImage,
+    catalogue_names,
     graded,
     judge,
     stack_of,
+    write_catalogue,
     write_numbers,
 )
 from pcwlad_geo.stacks.rpc_stack import (
@@ -89,7 +90,6 @@ from pcwlad_geo.stacks.rpc_stack import (
     without_ground,
     write_images,
 )
-from pcwlad_geo.stacks.stac import catalogue_names, write_catalogue
 from pcwlad_geo.text import read_json
 from pcwlad_geo.types import Float64, PathLike
 
@@ -218,10 +218,10 @@ def stack(
             if allow_components or (datum == "mean" and placed.stays is not None):
                 raise SettingsError("images with RPCs: a reference is the datum, and all hang together")
             return _stacked_rpcs(job, out, placed, unreadable, given, (pairs, max_pairs, gcps))
-        looks = _looks(inputs, infos, unreadable, job.tell)
+        overviews = _overviews(inputs, infos, unreadable, job.tell)
         frame = _frame(inputs, infos, reference, job.settings.model)
         _check_places(job, out, frame, given)
-        found = [] if pairs is not None else candidates(frame, inputs, looks)
+        found = [] if pairs is not None else candidates(frame, inputs, overviews)
         before = _pairs_before(job.folder, frame) if pairs is None and max_pairs is None else ()
         chosen, plan = _planned(frame, found, pairs, max_pairs, before)
         points = () if gcps is None else control_points(gcps)
@@ -231,7 +231,7 @@ def stack(
             if chosen == "auto" and len(infos) > ALL_PAIRS:
                 edges = _edges(job, frame, plan, control, allow_components)
                 count = len(infos) + bool(control)
-                first = adjust(edges, count, datum=stays, apart=allow_components)
+                first = adjust(edges, count, datum=stays, split=allow_components)
                 plan += asked(frame, found, plan, edges, first)
             edges = _edges(job, frame, plan, control, allow_components)
             adjustment = _adjusted(job, frame, edges, stays, allow_components)
@@ -271,8 +271,8 @@ def _stacked_rpcs(
     adjustment, check = adjusted(placed, points, job.settings)
     for message in [*(check.wrong if check else ()), *control_warnings(placed, points, adjustment)]:
         job.tell(Warned(message))
-    told = job.folder, job.settings, job.warnings, unreadable, chosen
-    result = block_stack(placed, measured, points, adjustment, check, *told)
+    details = job.folder, job.settings, job.warnings, unreadable, chosen
+    result = block_stack(placed, measured, points, adjustment, check, *details)
     where = placed, job.folder, job.settings, job.on_event
     return _written(job, out, result, frame, lambda done: write_images(done, *where))
 
@@ -329,7 +329,7 @@ def _with_added(
     job = _job(out_dir, False, on_event, executor, {**options, **own})
     with trusting(job.settings.trust):
         inputs, infos, unreadable = _readable(images, job.settings, job.tell, old)
-        looks = _looks(inputs, infos, unreadable, job.tell)
+        overviews = _overviews(inputs, infos, unreadable, job.tell)
         frame = _frame(inputs, infos, str(before["reference"]), "auto")
         new = frame.names[len(old) :]
         if not new:
@@ -337,10 +337,10 @@ def _with_added(
         _check_places(job, out, frame, images)
         measured = [_measured_before(frame, job.folder, entry) for entry in before["pairs"]]
         plan = [(frame.names.index(pair.reference), frame.names.index(pair.target)) for _, pair in measured]
-        chosen = choose_pairs(candidates(frame, inputs, looks), len(infos), None, plan)[len(plan) :]
+        chosen = choose_pairs(candidates(frame, inputs, overviews), len(infos), None, plan)[len(plan) :]
         measured += job.measured(frame, chosen)
         edges = [edge for edge, _ in measured if edge is not None]
-        check_connected(frame, edges, frame.reference, job.folder, apart=False)
+        check_connected(frame, edges, frame.reference, job.folder, split=False)
         added = (*map(tuple, before["added"]), tuple(new))
         notes = [*before["warnings"], *job.warnings]
         with named(frame.names):
@@ -375,9 +375,9 @@ def _one_after_another(
     stays = None if before["datum"] == "mean" else count if control else frame.reference
     known = [edge for edge in edges if max(edge.first, edge.second) < count]
     first, nodes = [*known, *control], count + bool(control)
-    basis = choose_basis(first, nodes, str(before["model"]), datum=stays, apart=True)
+    basis = choose_basis(first, nodes, str(before["model"]), datum=stays, split=True)
     prior = None if control else sigma_known(frame, stays, nodes)
-    found = adjust(first, nodes, basis=basis, datum=stays, apart=True, sigma_known=prior)
+    found = adjust(first, nodes, basis=basis, datum=stays, split=True, sigma_known=prior)
     for number in added:
         more = [edge for edge in edges if count <= max(edge.first, edge.second) < count + number]
         control = control_edges(points, frame, count)
@@ -414,27 +414,27 @@ def _planned(
 
 
 def _edges(
-    job: _Job, frame: Frame, plan: Sequence[tuple[int, int]], control: Sequence[Edge], apart: bool
+    job: _Job, frame: Frame, plan: Sequence[tuple[int, int]], control: Sequence[Edge], split: bool
 ) -> list[Edge]:
     """Measure pairs; return those that could be, and control points, which together connect all images."""
     edges = [edge for edge, _ in job.measured(frame, plan) if edge is not None] + list(control)
-    warning = check_connected(frame, edges, frame.reference, job.folder, apart)
+    warning = check_connected(frame, edges, frame.reference, job.folder, split)
     if warning:
         job.tell(Warned(warning))
     return edges
 
 
-def _adjusted(job: _Job, frame: Frame, edges: Sequence[Edge], stays: int | None, apart: bool) -> Adjustment:
+def _adjusted(job: _Job, frame: Frame, edges: Sequence[Edge], stays: int | None, split: bool) -> Adjustment:
     """Adjust all images by their pairs, with the model that these ask for."""
     count = max(len(frame.names), 1 + max(edge.first for edge in edges))  # control points are one more
     if job.settings.model == HOMOGRAPHY:
-        return homographies(edges, count, datum=stays, apart=apart)
-    basis = choose_basis(edges, count, job.settings.model, datum=stays, apart=apart)
+        return homographies(edges, count, datum=stays, split=split)
+    basis = choose_basis(edges, count, job.settings.model, datum=stays, split=split)
     known = sigma_known(frame, stays, count) if job.settings.prealign not in ("search", "none") else None
-    found = adjust(edges, count, basis=basis, datum=stays, apart=apart, sigma_known=known)
+    found = adjust(edges, count, basis=basis, datum=stays, split=split, sigma_known=known)
     if frame.placed or job.settings.model != "auto":
         return found
-    return or_homographies(found, edges, count, datum=stays, apart=apart)
+    return or_homographies(found, edges, count, datum=stays, split=split)
 
 
 def asked(
@@ -590,21 +590,21 @@ def _check_enough(count: int, given: int, unreadable: Mapping[str, str]) -> None
         )
 
 
-def _looks(
+def _overviews(
     inputs: list[StackInput], infos: list[RasterInfo], unreadable: dict[str, str], tell: EventCallback
 ) -> list[Float64 | None]:
-    """Return the quick looks of images; those whose pixels cannot be read leave the lists."""
-    looks, given = [], len(inputs)
+    """Return the overviews of images; those whose pixels cannot be read leave the lists."""
+    overviews, given = [], len(inputs)
     for each, info in list(zip(inputs, infos, strict=True)):
         try:
-            looks.append(quick_look(info))
+            overviews.append(read_overview(info))
         except InputError as error:
             inputs.remove(each)
             infos.remove(info)
             unreadable[each.path] = str(error)
             tell(Warned(f"{each.name} is left out: {error}"))
     _check_enough(len(inputs), given, unreadable)
-    return looks
+    return overviews
 
 
 def _frame(inputs: Sequence[StackInput], infos: list[RasterInfo], reference: str | None, model: str) -> Frame:
@@ -657,10 +657,10 @@ def _written(
     """
     found = graded(found)
     doubtful = [image for image in found.images if image.quality.grade in ("refused", "poor")]
-    told = [f"{image.name}: {image.quality.grade}: {image.quality.reasons[0]}" for image in doubtful]
-    for message in told:
+    doubts = [f"{image.name}: {image.quality.grade}: {image.quality.reasons[0]}" for image in doubtful]
+    for message in doubts:
         job.tell(Warned(message))
-    found = replace(found, warnings=tuple(dict.fromkeys([*found.warnings, *told])))
+    found = replace(found, warnings=tuple(dict.fromkeys([*found.warnings, *doubts])))
     found = replace(found, requirements=judge(found, parse_requirements(job.settings.require, "stack")))
     left = any(image.name != found.datum for image in found.written.images)
     with out.writing():
@@ -674,7 +674,7 @@ def _written(
     out.commit()
     if not left:
         raise RegistrationRejectedError(
-            f"no image can be placed: {'; '.join(told)}; mask what moves, or give more images of the same "
+            f"no image can be placed: {'; '.join(doubts)}; mask what moves, or give more images of the same "
             f"ground (page: {found.out_dir / PAGE})"
         )
     return found
@@ -683,21 +683,21 @@ def _written(
 def _warp(job: _Job, found: Stack, frame: Frame, images: Sequence[StackImage]) -> None:
     """Warp images once onto the grid of the frame, and refer to their original pixels."""
     settings = job.settings
-    made = OutputFormat.of(settings.of, settings.co)
+    fmt = OutputFormat.of(settings.of, settings.co)
     exact = settings if settings.like is not None else replace(settings, grid="reference-exact")
     shown = box(0.0, 0.0, *frame.grid.shape[::-1])
     for done_before, image in enumerate(images):
         job.on_event(Progress("images", done_before, len(images)))
         number = frame.names.index(image.name)
         info = frame.infos[number]
-        beside = not Polygon(frame.from_image(number, info.grid.boundary_px())).intersects(shown)
+        outside = not Polygon(frame.from_image(number, info.grid.boundary_px())).intersects(shown)
         # an image beside the reference gets an extent of its own, on the same lattice
-        request = requested_grid(replace(exact, grid="reference") if beside else exact)
+        request = requested_grid(replace(exact, grid="reference") if outside else exact)
         finer = _finer(frame, number, settings)
-        if finer > 1 and not beside:
+        if finer > 1 and not outside:
             rows, cols = frame.grid.shape
             request = GridRequest(like=frame.grid.scaled((finer * rows, finer * cols)))
-        wanted = WarpOutput(frame.grid, request, made, settings.resampling)
+        wanted = WarpOutput(frame.grid, request, fmt, settings.resampling)
         warp_image(frame, image, image.correction, wanted, partial(only_warnings, job.on_event))
         if isinstance(image.correction, AffineCorrection):
             name = VRT.format(image.name)

@@ -18,9 +18,9 @@ from pcwlad_geo.limits import POINTS, SIGMA_PX, check_coordinates, check_count
 from pcwlad_geo.raster.crs import name_of, transform_xy
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
 from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.named_files import gcps_alone
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo, open_raster, open_written_raster
+from pcwlad_geo.raster.trust import gcps_alone
 from pcwlad_geo.text import check_regular, read_bytes
 from pcwlad_geo.tiepoints.table import TiePointTable, ground_xy, place, predict_target_px
 from pcwlad_geo.types import Bool, Float64
@@ -449,16 +449,16 @@ def _check_against_itself(
     """Raise if redundant columns contradict each other for this pair."""
     if points.xy is not None:
         grid = pair.reference.info.grid
-        apart = points.xy - ground_xy(reference_px, pair)
-        in_px = np.asarray(grid.to_px(points.xy) - reference_px) if grid.located else apart
+        difference = points.xy - ground_xy(reference_px, pair)
+        in_px = np.asarray(grid.to_px(points.xy) - reference_px) if grid.located else difference
         _check_same(path, in_px, "x, y and ref_col, ref_row", pair.reference.info)
     if points.displacement_px is not None:
-        apart = target_px - points.displacement_px - predict_target_px(reference_px, pair)
-        _check_same(path, apart, "d_col, d_row and tgt_col, tgt_row", pair.target.info)
+        difference = target_px - points.displacement_px - predict_target_px(reference_px, pair)
+        _check_same(path, difference, "d_col, d_row and tgt_col, tgt_row", pair.target.info)
 
 
-def _check_same(path: Path | str, apart_px: Float64, columns: str, info: RasterInfo) -> None:
-    size_px = np.linalg.norm(apart_px, axis=1)
+def _check_same(path: Path | str, difference_px: Float64, columns: str, info: RasterInfo) -> None:
+    size_px = np.linalg.norm(difference_px, axis=1)
     size_px = size_px[np.isfinite(size_px)]
     if len(size_px) and np.median(size_px) > OTHER_PX:
         raise InputError(

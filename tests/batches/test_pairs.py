@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from pcwlad_geo.batches import pairs
-from pcwlad_geo.batches.pairs import COLUMNS, Pair, read_pairs
+from pcwlad_geo import batches
+from pcwlad_geo.batches import COLUMNS, Pair, read_pairs
 from pcwlad_geo.errors import InputError
 
 
@@ -80,8 +80,8 @@ def test_many_lines_of_one_target_are_numbered_in_linear_time(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     asked = []
-    key = pairs._key
-    monkeypatch.setattr(pairs, "_key", lambda folder: asked.append(folder) or key(folder))
+    key = batches._key
+    monkeypatch.setattr(batches, "_key", lambda folder: asked.append(folder) or key(folder))
     lines = ["r.tif,t.tif,"] * 100
     found = read(
         tmp_path, "reference,target,out_dir\n" + "\n".join([*lines, "r.tif,u.tif,out/t_registered_9"])

@@ -17,8 +17,8 @@ import pytest
 from rasterio.errors import RasterioIOError
 
 import pcwlad_geo
-from pcwlad_geo.batches import run as batches
-from pcwlad_geo.batches.run import BatchResult, PairOutcome, write_summary
+from pcwlad_geo import batches
+from pcwlad_geo.batches import BatchResult, PairOutcome, write_summary
 from pcwlad_geo.errors import CancelledError, InputError, OutputError, SettingsError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import InThisProcess
@@ -199,7 +199,7 @@ def test_the_summary_of_many_pairs_is_not_rewritten_after_each(
         lengths.append(len(outcomes))
         write_summary(path, outcomes)
 
-    monkeypatch.setattr("pcwlad_geo.batches.run.write_summary", write)
+    monkeypatch.setattr("pcwlad_geo.batches.write_summary", write)
     names = [f"pair{number}" for number in range(1005)]
     for name in names:
         monkeypatch.setitem(TROUBLE, name, InputError("unusable"))

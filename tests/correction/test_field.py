@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.correction.fit import FITS
 from pcwlad_geo.correction.models import SplineGrid
 from pcwlad_geo.correction.selection import choose
-from pcwlad_geo.correction.thin_plate_system import grid_of, windowed_design
+from pcwlad_geo.correction.thin_plate import grid_of, windowed_design
 
 from .points import affine, inside, isotropic, predicted_sigma, scattered, window_noise
 

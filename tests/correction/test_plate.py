@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.estimation import probes_of
 from pcwlad_geo.correction.models import SplineCorrection, SplineGrid
-from pcwlad_geo.correction.thin_plate_system import (
+from pcwlad_geo.correction.thin_plate import (
     MAX_CELLS,
     Successive,
     ThinPlateSystem,
@@ -14,6 +13,7 @@ from pcwlad_geo.correction.thin_plate_system import (
     grid_of,
     mean_precision,
 )
+from pcwlad_geo.estimation.shared_errors import probes_of
 
 from .points import noise, scattered
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.estimation import Overlaps, probes_of
-from pcwlad_geo.correction.thin_plate import fit_tps
-from pcwlad_geo.correction.thin_plate_system import ThinPlateSystem, Trials
+from pcwlad_geo.correction.thin_plate import ThinPlateSystem, Trials, fit_tps
+from pcwlad_geo.estimation.shared_errors import Overlaps, probes_of
 
 from .points import inside, isotropic, noise, scattered, waves, window_noise
 

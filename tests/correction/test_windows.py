@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.estimation import Overlaps, random_signs
+from pcwlad_geo.estimation.shared_errors import Overlaps, random_signs
 
 from .points import scattered
 

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from pcwlad_geo.estimation.robust import axis_sigma
 from pcwlad_geo.matching.outliers import (
     MAX_CLUSTERED,
     NEIGHBOURS,
     SCATTERS,
-    axis_sigma_px,
     confirmed,
     consistent,
     contradicted_clusters,
@@ -105,9 +105,9 @@ def test_the_scatter_is_the_standard_deviation_of_an_axis() -> None:
     rng = np.random.default_rng(5)
     for sigma_px in (0.05, 0.4):
         length_px = np.linalg.norm(rng.normal(0, sigma_px, (200_000, 2)), axis=1)
-        assert axis_sigma_px(length_px) == pytest.approx(sigma_px, rel=0.01)
+        assert axis_sigma(length_px) == pytest.approx(sigma_px, rel=0.01)
         length_px[::10] = 50.0  # gross errors hardly change it
-        assert axis_sigma_px(length_px) == pytest.approx(sigma_px, rel=0.15)
+        assert axis_sigma(length_px) == pytest.approx(sigma_px, rel=0.15)
 
 
 def test_the_narrow_limit_is_so_many_of_them() -> None:

@@ -285,4 +285,4 @@ def test_nothing_else_opens_rasters() -> None:
                 ("DatasetReader", "DatasetWriter")
             ):
                 found.append(path.relative_to(package).as_posix())
-    assert set(found) == {"raster/opening.py", "raster/named_files.py"}
+    assert set(found) == {"raster/opening.py", "raster/trust.py"}

@@ -89,12 +89,12 @@ FORMATS = [
 def test_every_format_shows_the_same_and_keeps_the_rest(
     source: Path, tmp_path: Path, driver: str, options: tuple[str, ...], ending: str
 ) -> None:
-    made = OutputFormat.of(driver, options)
-    assert made.extension == ending
-    check_format(made, str(source), GRID)
+    fmt = OutputFormat.of(driver, options)
+    assert fmt.extension == ending
+    check_format(fmt, str(source), GRID)
     warp(source, tmp_path / "cog.tif", SHIFT, GRID)
     path = tmp_path / f"out.{ending}"
-    warp(source, path, SHIFT, GRID, made=made)
+    warp(source, path, SHIFT, GRID, fmt=fmt)
     with rasterio.open(tmp_path / "cog.tif") as cog, rasterio.open(path) as found:
         assert found.driver.upper() == ("GTIFF" if ending == "tif" else driver.upper())
         assert (found.shape, found.crs, found.dtypes) == (cog.shape, cog.crs, cog.dtypes)
@@ -103,7 +103,7 @@ def test_every_format_shows_the_same_and_keeps_the_rest(
         assert found.nodatavals == (0, 0)
         assert (found.scales, found.offsets) == ((0.5, 2.0), (-1.0, 3.0))
         assert found.descriptions == ("warm", "high")
-        if made.is_tiff:  # others have no place for these, or one of their own
+        if fmt.is_tiff:  # others have no place for these, or one of their own
             assert found.units == ("K", "m")
             assert found.colorinterp == cog.colorinterp == (ColorInterp.red, ColorInterp.undefined)
             assert found.tags(1)["GAIN"] == "7"
@@ -112,8 +112,8 @@ def test_every_format_shows_the_same_and_keeps_the_rest(
 
 
 def test_creation_options_have_their_effect(source: Path, tmp_path: Path) -> None:
-    made = OutputFormat.of("GTiff", ("COMPRESS=LZW", "TILED=NO"))
-    warp(source, tmp_path / "out.tif", SHIFT, GRID, made=made)
+    fmt = OutputFormat.of("GTiff", ("COMPRESS=LZW", "TILED=NO"))
+    warp(source, tmp_path / "out.tif", SHIFT, GRID, fmt=fmt)
     with rasterio.open(tmp_path / "out.tif") as found:
         assert found.profile["compress"] == "lzw"
         assert not found.profile["tiled"]
@@ -143,9 +143,9 @@ def test_a_vrt_warps_what_it_is_read_of(source: Path, tmp_path: Path, nodata: bo
     staged, place = tmp_path / "stage" / "out.vrt", tmp_path / "final" / "out.vrt"
     staged.parent.mkdir()
     place.parent.mkdir()
-    made = OutputFormat("VRT")
-    check_format(made, str(source), out)
-    warp(source, staged, SHIFT, out, made=made, final_path=place)
+    fmt = OutputFormat("VRT")
+    check_format(fmt, str(source), out)
+    warp(source, staged, SHIFT, out, fmt=fmt, final_path=place)
     assert [file.name for file in staged.parent.iterdir()] == ["out.vrt"]
     staged.rename(place)
     assert str(tmp_path) not in place.read_text(encoding="utf-8") or not nodata
@@ -168,5 +168,5 @@ def test_a_vrt_warps_what_it_is_read_of(source: Path, tmp_path: Path, nodata: bo
 def test_a_vrt_holds_no_other_correction(source: Path, tmp_path: Path) -> None:
     bent = ProjectiveCorrection("projective", np.array([[1.0, 0, 0.4], [0, 1.0, 0], [1e-5, 0, 1.0]]))
     with pytest.raises(InputError, match="a VRT cannot hold a projective correction: give --model affine"):
-        warp(source, tmp_path / "out.vrt", bent, GRID, made=OutputFormat("VRT"))
+        warp(source, tmp_path / "out.vrt", bent, GRID, fmt=OutputFormat("VRT"))
     assert not list(tmp_path.iterdir())

@@ -9,8 +9,7 @@ import pytest
 import rasterio
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.products.detect import find_product, native_px_m, of_one_product, rasters_of, stem_of
-from pcwlad_geo.products.product import Product
+from pcwlad_geo.products import Product, find_product, native_px_m, of_one_product, rasters_of, stem_of
 from pcwlad_geo.raster.source import describe, file_name
 from tests.products import BEFORE_COLLECTIONS, COLLECTION_1, LANDSAT, SAFE, packed, write_landsat, write_safe
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from rasterio.crs import CRS
 
-from pcwlad_geo.tiepoints import text_files
+from pcwlad_geo.tiepoints import writers
 from pcwlad_geo.tiepoints.table import TiePointTable
 from tests.tables import read_table
 
@@ -36,7 +36,7 @@ def table(n: int = 40, crs: CRS | None = None) -> TiePointTable:
 
 def test_what_was_written_is_read_back(tmp_path: Path) -> None:
     written = table()
-    text_files.write_csv(written, tmp_path / "tiepoints.csv")
+    writers.write_csv(written, tmp_path / "tiepoints.csv")
     read = read_table(tmp_path / "tiepoints.csv", CRS.from_epsg(32633))
     for name in ("reference_px", "target_px", "predicted_px", "displacement_m", "residual_px", "score"):
         assert np.abs(getattr(read, name) - getattr(written, name)).max() < 1.1e-6, name
@@ -59,7 +59,7 @@ def test_the_text_is_exactly_this(tmp_path: Path) -> None:
         status=np.array(["matched"]),
         crs=None,
     )
-    text_files.write_csv(one, tmp_path / "t.csv")
+    writers.write_csv(one, tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_bytes().decode() == (
         HEADER + "\n1,10.500000,20.250000,11.000000,19.000000,500000.1,-33.123456789012,0.250000,0.000000,,,"
         "0.200000,0.300000,0.500000,0.000000,,matched\n"
@@ -67,5 +67,5 @@ def test_the_text_is_exactly_this(tmp_path: Path) -> None:
 
 
 def test_an_empty_table_is_a_header(tmp_path: Path) -> None:
-    text_files.write_csv(table()[:0], tmp_path / "t.csv")
+    writers.write_csv(table()[:0], tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_text() == HEADER + "\n"

@@ -19,7 +19,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.tiepoints import text_files
+from pcwlad_geo.tiepoints import writers
 from pcwlad_geo.tiepoints.readers import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable, place
 from tests.scenes import make_grid, write
@@ -61,13 +61,13 @@ def write_as(kind: str, table: TiePointTable, pair: ViewPair, folder: Path) -> P
     target, reference = pair.target.info, pair.reference.info
     path = folder / {"csv": "t.csv", "qgis": "t.points", "envi": "t.pts", "gcps": "t_gcps.vrt"}[kind]
     if kind == "csv":
-        text_files.write_csv(table, path)
+        writers.write_csv(table, path)
     elif kind == "qgis":
-        text_files.write_points(table, path, target.georeferenced, target.grid)
+        writers.write_points(table, path, target.georeferenced, target.grid)
     elif kind == "envi":
-        text_files.write_envi(table, path, reference.uri, target.uri)
+        writers.write_envi(table, path, reference.uri, target.uri)
     else:
-        text_files.write_gcps_vrt(path, target.uri, table, table.crs, final_path=path)
+        writers.write_gcps_vrt(path, target.uri, table, table.crs, final_path=path)
     return path
 
 
@@ -175,7 +175,7 @@ def test_pixels_instead_of_layer_coordinates_are_understood(pair: ViewPair, tmp_
     """As programs write them that do not ask whether the source is georeferenced."""
     table = make_table(pair)
     path = tmp_path / "t.points"
-    text_files.write_points(table, path, False, TARGET)
+    writers.write_points(table, path, False, TARGET)
     check_same(read_tie_points(path, pair), table)
 
 

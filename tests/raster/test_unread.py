@@ -226,7 +226,7 @@ def test_a_pixel_is_seen_that_shows_something_in_any_band(
     unreadable = UnreadableParts("a.tif", SIDE * SIDE)
     dtype = np.dtype(np.float32)
     unreadable.read(filled([*values], dtype), Window(0, 0, 64, 64), filled([*nothing], dtype))
-    assert unreadable.seen_px2 == (64 * 64 if seen else 0)
+    assert unreadable.read_px2 == (64 * 64 if seen else 0)
 
 
 def test_threads_count_together() -> None:
@@ -250,4 +250,4 @@ def test_threads_count_together() -> None:
                 pass
     finally:
         sys.setswitchinterval(interval)
-    assert unreadable.lost_px2 == unreadable.seen_px2 == parts // 2 * 64
+    assert unreadable.lost_px2 == unreadable.read_px2 == parts // 2 * 64

@@ -25,7 +25,7 @@ from pcwlad_geo.correction.models import (
 )
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.gdal import no_error_unheard
+from pcwlad_geo.raster.gdal import raising_gdal_reports
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_grid import GridRequest, output_grid
 from pcwlad_geo.raster.vrt import compose
@@ -583,11 +583,11 @@ def test_what_gdal_reports_while_it_closes_a_file_is_an_error(level: int) -> Non
     """As when the disk is full: rasterio logs it, and the file lacks its pixels."""
     logger, words = logging.getLogger("rasterio._env"), "TIFFLinkDirectory:Error writing directory link"
     signalled = words if level == logging.ERROR else f"GDAL signalled an error: err_no=1, msg='{words}'"
-    with pytest.raises(OSError, match=f"^{words}$"), no_error_unheard():
+    with pytest.raises(OSError, match=f"^{words}$"), raising_gdal_reports():
         logger.log(level, signalled)
-    with no_error_unheard():
+    with raising_gdal_reports():
         logger.info("all is well")
     elsewhere = threading.Thread(target=logger.error, args=("of another thread",))
-    with no_error_unheard():
+    with raising_gdal_reports():
         elsewhere.start()
         elsewhere.join()

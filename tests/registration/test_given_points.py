@@ -15,7 +15,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.tiepoints import text_files
+from pcwlad_geo.tiepoints import writers
 from pcwlad_geo.tiepoints.table import TiePointTable, place
 from tests.scenes import make_grid, render, write
 
@@ -44,7 +44,7 @@ def make_table(
 
 
 def write_table(table: TiePointTable, path: Path, columns: int = 17) -> Path:
-    text_files.write_csv(table, path)
+    writers.write_csv(table, path)
     lines = [line.split(",") for line in path.read_text().splitlines()]
     path.write_text("".join(",".join(cells[:columns]) + "\n" for cells in lines))
     return path

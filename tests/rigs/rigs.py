@@ -23,9 +23,8 @@ from benchmarks.rig_scenes import (
     write_capture,
 )
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.rigs.learning import look
-from pcwlad_geo.rigs.lenses import lattice
-from pcwlad_geo.rigs.rig import Rig, RigLens
+from pcwlad_geo.rigs.learning import measure_sharpness
+from pcwlad_geo.rigs.rig import Rig, RigLens, lattice
 from pcwlad_geo.types import Float64
 
 SHAPE = (240, 320)
@@ -75,7 +74,7 @@ def true_rig(rig: Sequence[TrueLens], frames: Path, name: str) -> Rig:
                 mapping_sigma_px=(0.0, 0.0),
                 distortion_sigma_px=0.0,
                 told=each.told,
-                sharpness=look(values),
+                sharpness=measure_sharpness(values),
                 wavelength_nm=(float(each.wavelength_nm or 0), 20.0),
             )
         )
@@ -93,13 +92,13 @@ def applied_errors(
     left, top, cols, rows = known.crop()
     rays = known.common_rays(lattice((rows, cols), 16) + np.array([left, top]))
     near = plane[0] + rays @ plane[1:]
-    raw = known.reference.seen(rays, near)
+    raw = known.reference.project(rays, near)
     good = np.isfinite(raw).all(axis=1)
     down, place = lens_rays(rig[0], capture, raw[good])
     points = ground_points(land, capture, down, place)
     found: list[float] = []
     for number, (each, true) in enumerate(zip(known.lenses, rig, strict=True)):
-        read: Float64 = replace(each, rotation=turns[number]).seen(rays[good], near[good])
+        read: Float64 = replace(each, rotation=turns[number]).project(rays[good], near[good])
         wrong = np.hypot(*(read - seen_by(true, capture, points)).T)
         found.append(float(np.nanpercentile(wrong, percent)))
     return found[1:]

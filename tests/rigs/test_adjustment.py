@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.rigs.adjustment import Observations, State, adjust, predict
-from pcwlad_geo.rigs.lenses import Lens, lattice
+from pcwlad_geo.rigs.rig import Lens, lattice
 
 SHAPE = (480, 640)
 SIGMA_PX = 0.1
@@ -41,7 +41,7 @@ def observed(state: State, random: np.random.Generator, relief: float = 0.03) ->
                 np.full(len(places), capture), full, full, places, places, np.full(len(places), SIGMA_PX)
             )
             seen = predict(state, part, bumps) + SIGMA_PX * random.normal(size=places.shape)
-            parts.append(replace(part, seen_px=seen))
+            parts.append(replace(part, lens_px=seen))
     return Observations.joined(parts)
 
 
@@ -95,8 +95,8 @@ def test_gross_errors_do_not_count() -> None:
     first, sigma = started(true, random)
     seen = observed(true, random)
     wrong = random.random(len(seen)) < 0.1
-    shifted = seen.seen_px + np.where(wrong[:, None], random.uniform(3, 9, (len(seen), 2)), 0.0)
-    found = adjust(first, first, sigma, replace(seen, seen_px=shifted), 1.0)
+    shifted = seen.lens_px + np.where(wrong[:, None], random.uniform(3, 9, (len(seen), 2)), 0.0)
+    found = adjust(first, first, sigma, replace(seen, lens_px=shifted), 1.0)
     assert found.kept[wrong].mean() < 0.02
     assert found.kept[~wrong].mean() > 0.98
     assert max(np.median(np.abs(mapped(found.state, k) - mapped(true, k))) for k in (1, 2)) < 0.04
@@ -115,9 +115,9 @@ def test_captures_that_overlap_tell_the_distortion_that_all_lenses_share() -> No
     )
     seen = predict(with_pair, part, 0.03 * random.normal(size=len(places)))
     inside = Lens("brown", SHAPE, true.lenses[0]).inside(seen)
-    tied = replace(part, seen_px=seen + SIGMA_PX * random.normal(size=seen.shape))
+    tied = replace(part, lens_px=seen + SIGMA_PX * random.normal(size=seen.shape))
     tied = Observations(
-        *(getattr(tied, name)[inside] for name in ("capture", "pose", "lens", "reference_px", "seen_px")),
+        *(getattr(tied, name)[inside] for name in ("capture", "pose", "lens", "reference_px", "lens_px")),
         tied.sigma_px[inside],
     )
     first, sigma = started(true, random)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcwlad_geo.rigs.captures import told_lens
-from pcwlad_geo.rigs.lenses import Lens, homography_residual, lattice
+from pcwlad_geo.rigs.captures import stated_lens
+from pcwlad_geo.rigs.rig import Lens, homography_residual, lattice
 
 SHAPE = (480, 640)
 BROWN = Lens("brown", SHAPE, np.array([720.0, 315.0, 246.0, -0.1, 0.14, -0.02, 4e-4, -3e-4]))
@@ -76,7 +76,7 @@ def test_micasense_calibration_is_read() -> None:
         "PerspectiveDistortion": ("-0.0968", "0.1404", "-0.0230", "0.00028", "0.00066"),
     }
     exif = {"EXIF_FocalPlaneXResolution": "(266.667)", "EXIF_FocalPlaneResolutionUnit": "4"}
-    lens = told_lens(xmp, exif, (960, 1280))
+    lens = stated_lens(xmp, exif, (960, 1280))
     assert lens is not None
     assert lens.vector == pytest.approx(
         [
@@ -91,14 +91,14 @@ def test_micasense_calibration_is_read() -> None:
         ]
     )
     # the same focal length in mm
-    in_mm = told_lens(xmp | {"PerspectiveFocalLength": ("5.4351",)}, exif, (960, 1280))
+    in_mm = stated_lens(xmp | {"PerspectiveFocalLength": ("5.4351",)}, exif, (960, 1280))
     assert in_mm is not None
     assert in_mm.focal_px == pytest.approx(1449.36, abs=0.1)
 
 
 def test_dji_calibration_is_read() -> None:
     text = "2021-03-01;1913.3,1913.3,10.36,-8.45,-0.377,0.166,-0.0005,0.0002,-0.046"
-    lens = told_lens({"DewarpData": (text,)}, {}, (1300, 1600))
+    lens = stated_lens({"DewarpData": (text,)}, {}, (1300, 1600))
     assert lens is not None
     assert lens.vector == pytest.approx([1913.3, 810.36, 641.55, -0.377, 0.166, -0.046, -0.0005, 0.0002])
 
@@ -108,7 +108,7 @@ def test_pix4d_fisheye_is_read_as_odd_powers_of_the_angle() -> None:
         "FisheyePolynomial": ("0", "1", "0.0205", "-0.17"),
         "FisheyeAffineMatrix": ("1600.0", "0", "0", "1600.0"),
     }
-    lens = told_lens(xmp, {}, (960, 1280))
+    lens = stated_lens(xmp, {}, (960, 1280))
     assert lens is not None
     assert lens.model == "fisheye"
     angle = np.linspace(0.05, 0.6, 12)
@@ -128,4 +128,4 @@ def test_pix4d_fisheye_is_read_as_odd_powers_of_the_angle() -> None:
     ],
 )
 def test_calibrations_that_cannot_be_are_not_believed(xmp: dict[str, tuple[str, ...]]) -> None:
-    assert told_lens(xmp, {}, (960, 1280)) is None
+    assert stated_lens(xmp, {}, (960, 1280)) is None

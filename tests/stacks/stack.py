@@ -11,8 +11,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
-from pcwlad_geo.bandqa.bands import Band
-from pcwlad_geo.bandqa.pairs import PairResult, statistics_by_unit
+from pcwlad_geo.bandqa.bands import Band, PairResult, statistics_by_unit
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.tiepoints.table import TiePointTable, predict_px

@@ -175,7 +175,7 @@ def test_groups_of_images_each_have_their_own_datum() -> None:
     truth = make(rng, 6)
     pairs = [(0, 1), (1, 2), (0, 2), (3, 4), (4, 5), (3, 5)]
     edges = [truth.edge(rng, *pair, shared=0.0, sigma=0.01) for pair in pairs]
-    found = adjust(edges, 6, datum=1, apart=True)
+    found = adjust(edges, 6, datum=1, split=True)
     assert found.group.tolist() == [0, 0, 0, 1, 1, 1]
     assert found.fixed == (1, 3)
     off = errors(found, truth, 1)

@@ -12,7 +12,7 @@ from rasterio.enums import ColorInterp
 
 from pcwlad_geo.bandqa.bands import expand, find_band, list_bands, parse_bands, split_bands, with_native_px
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.products.detect import native_px_m
+from pcwlad_geo.products import native_px_m
 from tests.scenes import make_grid, write
 
 

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 from scipy.ndimage import uniform_filter
 
-from pcwlad_geo.bandqa.bands import Band
-from pcwlad_geo.bandqa.pairs import Leg, PairResult, close, close_triangles, standard_error
+from pcwlad_geo.bandqa.bands import Band, Leg, PairResult, close, close_triangles, standard_error
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid, apply, apply_inverse
 from tests.stacks.stack import UTM, make_band, make_mapped_pair, make_pair, refused

@@ -17,7 +17,7 @@ import pcwlad_geo
 from pcwlad_geo.correction.models import ProjectiveCorrection
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.stacks.adjustment import adjust
-from pcwlad_geo.stacks.homography import FrameAdjustment, homographies, on_epipolar_lines, or_homographies
+from pcwlad_geo.stacks.models import FrameAdjustment, homographies, on_epipolar_lines, or_homographies
 from pcwlad_geo.stacks.network import Edge
 from tests.scenes import make_grid, render, write
 

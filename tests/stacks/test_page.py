@@ -11,9 +11,8 @@ from typing import Any
 
 import pytest
 
-from pcwlad_geo.bandqa.bands import Band
+from pcwlad_geo.bandqa.bands import Band, PairResult, close_triangles
 from pcwlad_geo.bandqa.page import closes, crs_name, figure, render, signed
-from pcwlad_geo.bandqa.pairs import PairResult, close_triangles
 from pcwlad_geo.bandqa.summary import QaResult, judge_pairs, judge_triangles, read_requirement, summarise
 from pcwlad_geo.options import Settings
 from tests.chromium import show

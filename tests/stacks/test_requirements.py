@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pcwlad_geo.bandqa.pairs import Triangle
+from pcwlad_geo.bandqa.bands import Triangle
 from pcwlad_geo.bandqa.summary import (
     BandRequirement,
     Judged,

@@ -15,7 +15,7 @@ from pcwlad_geo.errors import RegistrationRejectedError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.rpc.dem import Dem, Undulation
-from pcwlad_geo.raster.rpc.grid import RpcGrid, raised
+from pcwlad_geo.raster.rpc.grid import RpcGrid, with_ground_raised
 from pcwlad_geo.raster.rpc.view import ground_grid
 from pcwlad_geo.registration.rpc import wrong_heights
 from pcwlad_geo.stacks.rpc_block import Block, BlockAdjustment, BlockPair, adjust_block
@@ -144,7 +144,7 @@ def test_control_points_fix_the_block_and_a_wrong_one_hardly_counts(grids: tuple
 @pytest.mark.parametrize("too_high_m", [-300.0, 300.0])
 def test_a_dem_that_is_too_high_is_told(grids: tuple[RpcGrid, ...], too_high_m: float) -> None:
     pairs = [observed(grids, 0.1 * BIASES, ends) for ends in PAIRS]
-    wrong = tuple(raised(grid, too_high_m) for grid in grids)
+    wrong = tuple(with_ground_raised(grid, too_high_m) for grid in grids)
     block = Block(wrong, ground_grid(grids[0]))
     check = check_dem(block, pairs, adjust_block(block, pairs, ("shift",)), absolute=False)
     assert check is not None

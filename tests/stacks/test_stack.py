@@ -19,7 +19,7 @@ from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.stacks.graph import ALL_PAIRS, candidates, choose_pairs, quick_look
+from pcwlad_geo.stacks.graph import ALL_PAIRS, candidates, choose_pairs, read_overview
 from pcwlad_geo.stacks.inputs import StackInput
 from pcwlad_geo.stacks.pairs import Frame
 from pcwlad_geo.stacks.run import stack
@@ -185,7 +185,7 @@ def test_pairs_connect_every_image_several_times(tmp_path: Path, count: int) -> 
     info = describe(write(tmp_path / "image.tif", render(GRID), GRID))
     frame = Frame([f"image{k}" for k in range(count)], [info] * count, GRID, True)
     given = [frame.given(number) for number in range(count)]
-    found = candidates(frame, given, [quick_look(info)] * count)
+    found = candidates(frame, given, [read_overview(info)] * count)
     pairs = choose_pairs(found, count)
     assert len(set(pairs)) == len(pairs)
     degree = np.bincount(np.ravel(pairs), minlength=count)
@@ -215,8 +215,8 @@ def test_pairs_of_one_kind_season_and_a_clear_sky_come_first(tmp_path: Path) -> 
     ]
     frame = Frame([f"image{n}" for n in range(4)], infos, GRID, True)
     plain = [StackInput(info.uri, name=f"image{n}") for n, info in enumerate(infos)]
-    looks = [quick_look(info) for info in infos]
-    assert candidates(frame, plain, looks)[0].pair == (0, 1)
+    overviews = [read_overview(info) for info in infos]
+    assert candidates(frame, plain, overviews)[0].pair == (0, 1)
     dates = ["2020-06-01", "2020-12-01", "2021-06-05", "2020-06-03"]
     dated = [replace(each, date=date) for each, date in zip(plain, dates, strict=True)]
     assert candidates(frame, dated, [None] * 4)[0].pair == (0, 3)

@@ -59,20 +59,20 @@ def read_rpc(uri: str) -> RpcSource | None:
     with open_raster(uri) as dataset:
         chosen = _of_dataset(uri, dataset)
         shape = dataset.shape
-    beside = {str(path): parse_rpc_text(path) for path in _sidecars(uri)}
-    if chosen is None and not beside:
+    sidecars = {str(path): parse_rpc_text(path) for path in _sidecars(uri)}
+    if chosen is None and not sidecars:
         return None
     with rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"), open_raster(uri) as dataset:
         inside = _of_dataset(uri, dataset)
-    found = {**beside, **({f"the tag of {uri}": inside} if inside else {})}
+    found = {**sidecars, **({f"the tag of {uri}": inside} if inside else {})}
     if chosen is None:  # GDAL does not look for sidecars of every format
         chosen = next(iter(found.values()))
-    apart = {origin: _difference_px(chosen, rpc, shape) for origin, rpc in found.items()}
-    origin = next((origin for origin, px in apart.items() if px <= SAME_PX), f"the metadata of {uri}")
+    differences = {origin: _difference_px(chosen, rpc, shape) for origin, rpc in found.items()}
+    origin = next((origin for origin, px in differences.items() if px <= SAME_PX), f"the metadata of {uri}")
     warnings = tuple(
         f"the RPC in {other} differs from the one in {origin} by up to {px:.3g} px; the one in {origin} is "
         "used, as GDAL does: one of them is stale, delete or rewrite it"
-        for other, px in apart.items()
+        for other, px in differences.items()
         if not px <= SAME_PX
     )
     return RpcSource(chosen, origin, warnings)

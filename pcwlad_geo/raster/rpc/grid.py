@@ -120,7 +120,7 @@ def at_mean_height(grid: Grid) -> Grid:
     return replace(grid, heights=ConstantHeight(grid.level_m))
 
 
-def raised(grid: Grid, by_m: float) -> Grid:
+def with_ground_raised(grid: Grid, by_m: float) -> Grid:
     """Return a grid with ground higher by so many metres; a grid without heights is unchanged."""
     if not isinstance(grid, RpcGrid):
         return grid

@@ -106,7 +106,7 @@ class RpcModel:
         offset = np.array([self.long_off, self.lat_off, self.height_off])
         moved: Float64 = np.asarray(ground, dtype=np.float64) - offset
         moved[:, 0] = (moved[:, 0] + 180.0) % 360.0 - 180.0  # scenes at the date line
-        return np.asarray(moved / [self.long_scale, self.lat_scale, self.height_scale])
+        return moved / [self.long_scale, self.lat_scale, self.height_scale]
 
     def _to_px(self, normalised: Float64) -> Float64:
         terms = polynomial_terms(normalised)

@@ -20,6 +20,7 @@ from rasterio.warp import reproject
 from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
@@ -33,7 +34,6 @@ from pcwlad_geo.raster.unread import Block, filled
 from pcwlad_geo.raster.vrt import has_alpha
 from pcwlad_geo.raster.warped_views import MAX_THREADS
 from pcwlad_geo.raster.warping import COG, BlockRequest, Blocks, ProgressCallback, kernel, write_warped
-from pcwlad_geo.solving import inverse
 
 LEVEL: Final = Grid((8, 8), Affine(100.0, 0.0, -400.0, 0.0, -25.0, 100.0), WGS84)
 """Grid of a DEM of constant height around the whole earth."""
@@ -103,7 +103,7 @@ def orthorectify(
     grid: Grid,
     resampling: str = "lanczos",
     *,
-    made: OutputFormat = COG,
+    fmt: OutputFormat = COG,
     progress: ProgressCallback | None = None,
 ) -> str | None:
     """Resample all bands of a raster once, by its RPC and the heights of the ground, and write it.
@@ -124,7 +124,7 @@ def orthorectify(
         The output grid.
     resampling : str
         A name of `rasterio.enums.Resampling`.
-    made : OutputFormat
+    fmt : OutputFormat
         A COG by default; not a VRT.
     progress : callable, optional
         Receives (done, total) after each block; an exception that it raises ends the work.
@@ -142,7 +142,7 @@ def orthorectify(
         by_nodata = _blocks(source, target, grid, method, replace(request, as_alpha=False))
         return _with_alpha(by_nodata, request.nodata)
 
-    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress, made=made)
+    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress, fmt=fmt)
 
 
 def _blocks(
@@ -163,8 +163,8 @@ def _blocks(
     }
     # GDAL takes the RPC from the metadata of the source, whatever the options say
     tree = vrt.with_rpc(source, to_gdal(target.rpc), mask_as_alpha=request.as_alpha)
-    with open_written_raster(ET.tostring(tree, encoding="unicode")) as seen:
-        bands = rasterio.band(seen, list(range(1, count + 1)))
+    with open_written_raster(ET.tostring(tree, encoding="unicode")) as view:
+        bands = rasterio.band(view, list(range(1, count + 1)))
         nothing = filled([request.nodata or 0.0] * count, np.dtype(dtype))
 
         def warped(window: FileWindow) -> Block:

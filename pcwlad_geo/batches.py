@@ -1,39 +1,232 @@
-"""The batch job: registration of all pairs of a table, and the summary of their outcomes."""
+"""Batches of pairs: their table, the registration of one after another, and the summary of outcomes."""
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from pcwlad_geo.batches.pairs import Pair, read_pairs
 from pcwlad_geo.errors import (
     InputError,
     OutputError,
     PcwladGeoError,
     RegistrationRejectedError,
     RequirementError,
+    SettingsError,
 )
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
-from pcwlad_geo.job import open_job_runner, register
-from pcwlad_geo.options import Settings
+from pcwlad_geo.job import open_job_runner, output_folder, register
+from pcwlad_geo.limits import BATCH_ROWS, check_count
+from pcwlad_geo.options import NOT_IN_TABLES, OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings, to_setting
 from pcwlad_geo.outputs.places import HOST, disk_errors, make_folders, seal
 from pcwlad_geo.outputs.stages import of_dead_processes
-from pcwlad_geo.products.detect import products_found_once
+from pcwlad_geo.products import products_found_once
 from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.report.finished import read_report, report_of_same_job
-from pcwlad_geo.text import check_regular, csv_of, joined
+from pcwlad_geo.requirements import parse_requirements
+from pcwlad_geo.text import check_regular, csv_of, joined, read_text
 from pcwlad_geo.types import PathLike
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from pcwlad_geo.job import Options
+
+COLUMNS: Final = (
+    "reference",
+    "target",
+    "out_dir",
+    *OUTPUT_OPTIONS,
+    *(name for name in SETTINGS if name not in NOT_IN_TABLES),
+)
+"""All columns that a table may have."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """A line of the table: the pair to register, and its options."""
+
+    line: int
+    """Number of the line in the file, from 1."""
+    reference: str
+    target: str
+    """Absolute path or GDAL URI, as that of the reference."""
+    out_dir: Path
+    settings: Settings
+    places: Mapping[str, Path]
+    """Paths of single outputs by column, for those given."""
+
+    @property
+    def name(self) -> str:
+        """Name of the pair in messages."""
+        return f"{Path(self.target).name} (line {self.line})"
+
+
+def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -> list[Pair]:
+    """Read and check the whole table before any work is done.
+
+    Raises `InputError` if the table cannot be read, a column is unknown, a value is invalid, two pairs have
+    the same `out_dir`, an output is elsewhere, or there is no pair.
+
+    Parameters
+    ----------
+    table : path
+        CSV with a header: `reference` and `target`, and any of the other `COLUMNS`. An empty cell means the
+        default. Relative paths refer to the folder of the table; outputs must be below it, or `out_dir`.
+    out_dir : path
+        Folder of the output folders of pairs without an `out_dir`: ``<target stem>_registered``, with a
+        number if that name is taken.
+    options : mapping
+        Fields of `Settings` for cells that are empty.
+    """
+    path = Path(table)
+    rows = list(islice(_rows(path), BATCH_ROWS + 1))
+    check_count(str(path), len(rows), BATCH_ROWS, "pairs")
+    if not rows:
+        raise InputError(f"{path} holds no pairs: give a line for each, below the header")
+    folder = Path(os.path.abspath(path)).parent  # noqa: PTH100  # resolve() would follow a symbolic link
+    _check_places(path, rows, folder, Path(out_dir))
+    given = _given_folders(path, rows, folder)
+    taken = {_key(place) for place in given.values()}
+    numbers: dict[str, int] = {}
+    pairs = []
+    for line, cells in rows:
+        place = given.get(line) or _free(
+            Path(out_dir) / output_folder(cells["target"], "registered"), taken, numbers
+        )
+        taken.add(_key(place))
+        try:
+            pairs.append(_pair(line, cells, folder, place, options))
+        except SettingsError as error:
+            raise InputError(f"{path}, line {line}: {error}") from error
+    return pairs
+
+
+def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield the number and the nonempty cells of each nonempty line."""
+    try:
+        reader = csv.reader(io.StringIO(read_text(path, encoding="utf-8-sig")), skipinitialspace=True)
+        columns = _columns(path, next(reader, []))
+        for values in reader:
+            values = [value.strip() for value in values]
+            if not any(values):
+                continue
+            if len(values) > len(columns):
+                raise InputError(
+                    f"{path}, line {reader.line_num} has {len(values)} cells for {len(columns)} columns: "
+                    "put values that hold a comma in quotes"
+                )
+            cells = {name: value for name, value in zip(columns, values, strict=False) if value}
+            for name in ("reference", "target"):
+                if name not in cells:
+                    raise InputError(f"{path}, line {reader.line_num} has no {name}")
+            yield reader.line_num, cells
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path} is no CSV table in UTF-8: {error}") from error
+
+
+def _columns(path: Path, header: list[str]) -> list[str]:
+    columns = [name.strip().replace("-", "_") for name in header]
+    if len(columns) == 1 and ";" in columns[0]:
+        raise InputError(f"{path} is separated by semicolons: save it with commas")
+    for name in columns:
+        if name in NOT_IN_TABLES and name not in RUNNING:
+            raise InputError(
+                f"{path}: '{name}' runs code, which no table may name: register such pairs alone"
+            )
+        if name in RUNNING:
+            raise InputError(f"{path}: '{name}' is the same for all pairs: give it to batch, not in a column")
+        if name not in COLUMNS:
+            raise InputError(f"{path} has unknown column '{name}'; the columns are {', '.join(COLUMNS)}")
+        if columns.count(name) > 1:
+            raise InputError(f"{path} has column '{name}' twice")
+    for name in ("reference", "target"):
+        if name not in columns:
+            raise InputError(f"{path} has no column '{name}'")
+    return columns
+
+
+def _check_places(path: Path, rows: list[tuple[int, dict[str, str]]], folder: Path, out_dir: Path) -> None:
+    """Raise if a table, which may be untrusted, names outputs outside of its own folder and OUT_DIR."""
+    allowed = (folder.resolve(), out_dir.resolve())
+    for line, cells in rows:
+        for name in ("out_dir", *OUTPUT_OPTIONS):
+            place = (folder / cells[name]).resolve() if name in cells else allowed[0]
+            if not any(place.is_relative_to(own) for own in allowed):
+                raise InputError(
+                    f"{path}, line {line}: {name} {cells[name]} is neither below the table's folder {folder} "
+                    f"nor below OUT_DIR ({out_dir}): give a folder above it by -o, or another place"
+                )
+
+
+def _given_folders(path: Path, rows: list[tuple[int, dict[str, str]]], folder: Path) -> dict[int, Path]:
+    """Return the output folders that the table names, by line."""
+    given: dict[int, Path] = {}
+    lines: dict[str, int] = {}
+    for line, cells in rows:
+        if "out_dir" not in cells:
+            continue
+        given[line] = folder / cells["out_dir"]
+        other = lines.setdefault(_key(given[line]), line)
+        if other != line:
+            raise InputError(f"{path}: lines {other} and {line} have the same out_dir {cells['out_dir']}")
+    return given
+
+
+def _pair(
+    line: int, cells: Mapping[str, str], folder: Path, out_dir: Path, options: Mapping[str, Any]
+) -> Pair:
+    own = {name: to_setting(name, value) for name, value in cells.items() if name in SETTINGS}
+    own |= {name: folder / value for name, value in own.items() if isinstance(value, Path)}
+    settings = Settings.from_options({**options, **own})
+    parse_requirements(settings.require, "register")
+    return Pair(
+        line,
+        _located(cells["reference"], folder),
+        _located(cells["target"], folder),
+        out_dir,
+        settings,
+        {name: folder / cells[name] for name in OUTPUT_OPTIONS if name in cells},
+    )
+
+
+def _located(name: str, folder: Path) -> str:
+    """Return a path relative to the table's folder as absolute; GDAL URIs are unchanged."""
+    path = folder / name
+    return name if ":" in name and not path.exists() else str(path)
+
+
+def _free(folder: Path, taken: set[str], numbers: dict[str, int]) -> Path:
+    """Return the folder, or the first one numbered from 2 that is not taken.
+
+    All up to `numbers` of a folder's key are known to be taken, so that many lines of one target need no more
+    than linear time; it is brought up to date.
+    """
+    key, free = _key(folder), folder
+    number = numbers.get(key, 1)
+    while number > 1 or _key(free) in taken:
+        number += 1
+        free = folder.with_name(f"{folder.name}_{number}")
+        if _key(free) not in taken:
+            break
+    numbers[key] = number
+    return free
+
+
+def _key(folder: Path) -> str:
+    """Return a key that is equal for two names of one folder, also where case is not significant."""
+    return os.path.normcase(os.path.abspath(folder)).casefold()  # noqa: PTH100
+
 
 SUMMARY: Final = "summary.csv"
 """File name of the summary in the output folder."""
@@ -125,18 +318,18 @@ def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
     """
     text = csv_of([outcome.row() for outcome in outcomes])
     start = f".{path.name}.{HOST}-"
-    beside = path.with_name(f"{start}{os.getpid()}")
+    staged = path.with_name(f"{start}{os.getpid()}")
     with disk_errors(path):
         make_folders(path.parent)
         for left in of_dead_processes(path.parent, start):
             left.unlink(missing_ok=True)
         try:
-            beside.write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
-            seal(beside)
-            beside.replace(path)
+            staged.write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
+            seal(staged)
+            staged.replace(path)
         finally:
             with suppress(OSError):
-                beside.unlink(missing_ok=True)
+                staged.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -231,21 +424,21 @@ def batch(
     folder = batch_folder(pairs, out_dir)
     todo = read_pairs(pairs, folder, options)
     check_summary(folder / SUMMARY)
-    relay = _Relay(on_event)
+    events = _PairEvents(on_event)
     outcomes: list[PairOutcome] = []
     with (
         kept_summary(folder / SUMMARY, outcomes) as keep,
         open_job_runner(shared, executor, on_event) as runner,
     ):
         for number, pair in enumerate(todo):
-            relay(Progress("pairs", number, len(todo)))
+            events(Progress("pairs", number, len(todo)))
             with products_found_once():
-                outcome = (None if overwrite else _done_before(pair)) or _do(pair, overwrite, relay, runner)
+                outcome = (None if overwrite else _done_before(pair)) or _do(pair, overwrite, events, runner)
             outcomes.append(outcome)
             keep()
             if outcome.reason is not None:
-                relay(Warned(f"{pair.name}: {outcome.status}: {outcome.reason}"))
-    relay(Progress("pairs", len(todo), len(todo)))
+                events(Warned(f"{pair.name}: {outcome.status}: {outcome.reason}"))
+    events(Progress("pairs", len(todo), len(todo)))
     return BatchResult(tuple(outcomes), folder / SUMMARY)
 
 
@@ -254,7 +447,7 @@ def batch_folder(pairs: PathLike, out_dir: PathLike | None) -> Path:
     return Path(out_dir) if out_dir else Path(f"{Path(pairs).stem}_registered")
 
 
-class _Relay:
+class _PairEvents:
     """Forwards events, and distinguishes exceptions of the receiver from those of a pair."""
 
     def __init__(self, on_event: EventCallback) -> None:
@@ -275,7 +468,7 @@ class _Relay:
         )
 
 
-def _do(pair: Pair, overwrite: bool, relay: _Relay, runner: Runner) -> PairOutcome:
+def _do(pair: Pair, overwrite: bool, events: _PairEvents, runner: Runner) -> PairOutcome:
     options: dict[str, Any] = {field.name: getattr(pair.settings, field.name) for field in fields(Settings)}
     options |= pair.places
     try:
@@ -284,14 +477,14 @@ def _do(pair: Pair, overwrite: bool, relay: _Relay, runner: Runner) -> PairOutco
             pair.target,
             out_dir=pair.out_dir,
             overwrite=overwrite,
-            on_event=relay.of(pair),
+            on_event=events.of(pair),
             executor=runner,
             **options,
         )
     except RequirementError:
         return _registered(pair, read_report(pair.out_dir))
     except Exception as error:  # of any kind: the other pairs are processed nevertheless
-        if error is relay.raised:
+        if error is events.raised:
             raise
         return _not_done(pair, error)
     return _registered(pair, read_report(pair.out_dir))

@@ -1,1 +1,0 @@
-"""Batches of pairs: reading of their table, registration one after another, summary."""

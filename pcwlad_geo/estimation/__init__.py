@@ -1,0 +1,1 @@
+"""Estimation: equations solved, robust fits, and the precision of what shares errors; arrays only."""
