@@ -24,8 +24,8 @@ from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.outputs.places import HOST
 from pcwlad_geo.report.finished import read_report
+from tests.execution.calls import Counting
 from tests.patience import PATIENCE_S
-from tests.registration.calls import Counting
 from tests.scenes import make_grid, render, write
 
 OPTIONS: Any = {"template": 61, "window": 41, "features": 50, "tile_size": 128, "jobs": 1}

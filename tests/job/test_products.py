@@ -15,7 +15,7 @@ from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.products import detect
 from pcwlad_geo.products.product import Product
 from pcwlad_geo.raster.grid import Grid, map_px
-from tests.products import LANDSAT, SAFE, SHIFT_M, grid_of, packed, seen_by, write_landsat, write_safe
+from tests.product_files import LANDSAT, SAFE, SHIFT_M, grid_of, packed, seen_by, write_landsat, write_safe
 
 SMALL = {"template": 61, "window": 41, "features": 100}
 

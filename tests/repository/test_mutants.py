@@ -12,7 +12,7 @@ import pytest
 from mutants.operators import mutants
 from mutants.targets import TARGETS, equivalent, key
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCE = '''
 """Words."""
 import sys

@@ -12,7 +12,15 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.products.detect import find_product, native_px_m, of_one_product, rasters_of, stem_of
 from pcwlad_geo.products.product import Product
 from pcwlad_geo.raster.source import describe, file_name
-from tests.products import BEFORE_COLLECTIONS, COLLECTION_1, LANDSAT, SAFE, packed, write_landsat, write_safe
+from tests.product_files import (
+    BEFORE_COLLECTIONS,
+    COLLECTION_1,
+    LANDSAT,
+    SAFE,
+    packed,
+    write_landsat,
+    write_safe,
+)
 
 
 def product(path: Path) -> Product:

@@ -28,7 +28,7 @@ from tests.registrations import make_registration, of_files, write_pair
 from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, make_grid, render, write
 
 Make = Callable[..., Path]
-SCHEMA = Path(__file__).resolve().parents[1] / "docs" / "report.schema.json"
+SCHEMA = Path(__file__).resolve().parents[2] / "docs" / "report.schema.json"
 LIKE = {"crs": "EPSG:3035", "transform": Affine(25, 0, 4_680_000, 0, -25, 2_080_000), "shape": (300, 310)}
 
 

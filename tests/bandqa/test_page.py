@@ -16,8 +16,8 @@ from pcwlad_geo.bandqa.page import closes, crs_name, figure, render, signed
 from pcwlad_geo.bandqa.pairs import PairResult, close_triangles
 from pcwlad_geo.bandqa.summary import QaResult, judge_pairs, judge_triangles, read_requirement, summarise
 from pcwlad_geo.options import Settings
+from tests.bandqa.measured_bands import make_band, make_pair, refused
 from tests.chromium import show
-from tests.stacks.stack import make_band, make_pair, refused
 
 VOID = {"meta", "br", "line", "path", "circle", "rect", "polyline", "link", "img", "input"}
 

@@ -11,7 +11,7 @@ import pytest
 import rasterio
 from scipy import ndimage, optimize
 
-SAMPLE_DATA = Path(__file__).resolve().parents[1] / "sample_data"
+SAMPLE_DATA = Path(__file__).resolve().parents[2] / "sample_data"
 sys.path.insert(0, str(SAMPLE_DATA))
 import landscape as scenery  # noqa: E402
 import make_sample_data as sample  # noqa: E402

@@ -15,7 +15,7 @@ import pytest
 from fuzz.fork_server import put_in_place
 from tests.patience import PATIENCE_S
 
-CORPUS: Final = Path(__file__).resolve().parents[1] / "fuzz" / "corpus" / "hostile"
+CORPUS: Final = Path(__file__).resolve().parents[2] / "fuzz" / "corpus" / "hostile"
 MAX_BYTES: Final = 3 * 2**30
 """Of memory that a run may have in use."""
 CASES: Final[list[dict[str, Any]]] = json.loads((CORPUS / "cases.json").read_text(encoding="utf-8"))

@@ -18,9 +18,9 @@ from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.report.content import to_json
 from pcwlad_geo.report.summary import summarise as summarise_registration
+from tests.bandqa.measured_bands import make_band, make_pair
+from tests.bandqa.test_page import make_result, read
 from tests.registrations import make_registration
-from tests.stacks.stack import make_band, make_pair
-from tests.stacks.test_page import make_result, read
 
 LANDSAT = "LC08_L1TP_172083_{date}_20240901_02_T1_{band}"
 

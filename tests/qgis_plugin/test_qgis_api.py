@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-PLUGIN = Path(__file__).parents[1] / "qgis_plugin" / "pcwlad_geo_qgis"
+PLUGIN = Path(__file__).parents[2] / "qgis_plugin" / "pcwlad_geo_qgis"
 MODULES = sorted(PLUGIN.rglob("*.py"))
 REMOVED_IN_QT6 = {
     "exec_",

@@ -313,7 +313,7 @@ def test_names_of_outputs(target: str, stem: str) -> None:
         assert paths["points"].name == f"{stem}.tif.points"
 
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 WRITTEN_OUT = {"name": "<target file name>", "stem": "<target>", "ending": "tif"}
 
 

@@ -19,7 +19,7 @@ from pcwlad_geo.bandqa.bands import Band
 from pcwlad_geo.bandqa.pairs import Leg, PairResult, close, close_triangles, standard_error
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid, apply, apply_inverse
-from tests.stacks.stack import UTM, make_band, make_mapped_pair, make_pair, refused
+from tests.bandqa.measured_bands import UTM, make_band, make_mapped_pair, make_pair, refused
 
 Array = NDArray[np.float64]
 NAMES = ("a", "b", "c")

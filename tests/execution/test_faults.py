@@ -32,8 +32,8 @@ from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from tests.cli.process import command, environment
 from tests.cluster import Cluster, cluster
+from tests.execution.calls import wait_for_end
 from tests.patience import PATIENCE_S
-from tests.registration.calls import wait_for_end
 from tests.scenes import make_grid, render, write
 from tests.tables import read_table
 

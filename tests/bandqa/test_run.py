@@ -22,8 +22,8 @@ from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run as run_pair
 from pcwlad_geo.report.rendering import check_pdf
+from tests.bandqa.measured_bands import schema_file
 from tests.scenes import make_grid, render, write
-from tests.stacks.stack import schema_file
 
 OPTIONS: Any = {"features": 60, "tile_size": 256, "jobs": 1}
 TRUTH_PX = {"b4": (0.0, 0.0), "b5": (0.3, -0.1), "b10": (-0.3, 0.5)}

@@ -14,7 +14,7 @@ import pytest
 
 from tests.patience import PATIENCE_S
 
-CORPUS: Final = Path(__file__).resolve().parents[1] / "fuzz" / "corpus"
+CORPUS: Final = Path(__file__).resolve().parents[2] / "fuzz" / "corpus"
 CASES: Final = sorted((CORPUS / "capabilities").glob("*/case.json"))
 MAX_BYTES: Final = 3 * 2**30
 """Of memory that a run may have in use."""

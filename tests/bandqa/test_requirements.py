@@ -18,7 +18,7 @@ from pcwlad_geo.bandqa.summary import (
 )
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.requirements import Requirement
-from tests.stacks.stack import make_band, make_pair, refused
+from tests.bandqa.measured_bands import make_band, make_pair, refused
 
 RED, NIR = make_band("red"), make_band("nir")
 THERMAL, THERMAL_2 = make_band("b10", native_m=100.0), make_band("b11", native_m=100.0)

@@ -90,7 +90,7 @@ def test_the_report_says_what_the_files_were(made: Path) -> None:
 
 def test_the_reports_agree_with_their_schema(made: Path) -> None:
     jsonschema = pytest.importorskip("jsonschema")
-    schema = Path(__file__).resolve().parents[1] / "docs" / "report.schema.json"
+    schema = Path(__file__).resolve().parents[2] / "docs" / "report.schema.json"
     report = json.loads((made / "out" / "report.json").read_text())
     jsonschema.validate(report, json.loads(schema.read_text(encoding="utf-8")))
 

@@ -18,8 +18,8 @@ from pcwlad_geo.bandqa.run import qa_folder
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.events import Event, Warned
-from tests.products import LANDSAT, SAFE, packed, write_landsat, write_safe
-from tests.stacks.stack import schema_file
+from tests.bandqa.measured_bands import schema_file
+from tests.product_files import LANDSAT, SAFE, packed, write_landsat, write_safe
 
 SMALL: Any = {"template": 61, "window": 41, "features": 100, "jobs": 1}
 

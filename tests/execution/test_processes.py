@@ -21,8 +21,7 @@ from pcwlad_geo.execution import processes
 from pcwlad_geo.execution.processes import ATTEMPTS, OwnProcesses, available_cores
 from pcwlad_geo.execution.runner import InThisProcess, OnExecutor, gdal_settings
 from pcwlad_geo.outputs.folder import OutputFolder
-from tests.patience import PATIENCE_S
-from tests.registration.calls import (
+from tests.execution.calls import (
     Shuffled,
     children_of,
     die,
@@ -40,6 +39,7 @@ from tests.registration.calls import (
     unpicklable,
     wait_for_end,
 )
+from tests.patience import PATIENCE_S
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 CALLS = [(value,) for value in range(8)]
@@ -116,7 +116,7 @@ import sys
 from pcwlad_geo.execution import processes
 processes.CAN_FORK &= sys.argv[1] != "fresh"
 from pcwlad_geo.execution.processes import OwnProcesses
-from tests.registration.calls import sleep
+from tests.execution.calls import sleep
 with OwnProcesses(2, preload="") as runner:
     runner.expect(2)
     print(*runner.process_ids, flush=True)
@@ -266,7 +266,7 @@ from pcwlad_geo.execution.processes import OwnProcesses
 from pcwlad_geo.outputs.folder import OutputFolder
 from pathlib import Path
 from tests.patience import FOR_EVER_S
-from tests.registration.calls import sleep
+from tests.execution.calls import sleep
 with OutputFolder(Path(sys.argv[1]), overwrite=True), OwnProcesses(2, preload="") as runner:
     runner.expect(2)
     runner.prepare(sleep, (FOR_EVER_S,))

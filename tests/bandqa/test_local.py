@@ -9,7 +9,7 @@ import pytest
 
 from pcwlad_geo.bandqa.page import displacement_maps
 from pcwlad_geo.bandqa.pairs import local_means
-from tests.stacks.stack import make_band, make_pair
+from tests.bandqa.measured_bands import make_band, make_pair
 
 A, B = make_band("a"), make_band("b", shape=(400, 200))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).resolve().parents[1] / "pcwlad_geo"
+PACKAGE = Path(__file__).resolve().parents[2] / "pcwlad_geo"
 MODULES = tuple(sorted(str(path.relative_to(PACKAGE)) for path in PACKAGE.rglob("*.py")))
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -792,7 +792,7 @@ from contextlib import suppress
 from pcwlad_geo.cli.interrupt import cancellable
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.outputs.folder import OutputFolder, abandon
-from tests.test_output_folder_faults import NEW, OLD, at_each_step, content, run, whole
+from tests.outputs.test_output_folder_faults import NEW, OLD, at_each_step, content, run, whole
 
 top, signals = Path(sys.argv[1]), [int(each) for each in sys.argv[2:]]
 
@@ -880,7 +880,7 @@ def in_children(script: str, folder: Path, *signals: int) -> None:
     """Run a script whose children are ended at every step; what is wrong, it prints."""
     ended = subprocess.run(
         [sys.executable, "-c", IN_CHILDREN + script, str(folder), *(str(int(number)) for number in signals)],
-        cwd=Path(__file__).resolve().parents[1],
+        cwd=Path(__file__).resolve().parents[2],
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,

@@ -23,8 +23,8 @@ from pcwlad_geo.cli.app import run
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster import warping
 from tests.cli.process import TIMERS_RUN_OUT, environment, run_cli
+from tests.execution.calls import wait_for_end_of_group
 from tests.patience import PATIENCE_S
-from tests.registration.calls import wait_for_end_of_group
 from tests.scenes import make_grid, render, write
 
 SMALL = ("--template", "61", "--window", "41", "--features", "60")

@@ -22,7 +22,7 @@ from pcwlad_geo import options as settings
 from pcwlad_geo.cli.outcome import Outcome
 from tests.registrations import json_of, make_registration
 
-FOLDER = Path(__file__).parents[1] / "qgis_plugin"
+FOLDER = Path(__file__).parents[2] / "qgis_plugin"
 PLUGIN = FOLDER / "pcwlad_geo_qgis"
 MODULES = sorted(PLUGIN.rglob("*.py"))
 

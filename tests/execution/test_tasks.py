@@ -16,8 +16,8 @@ from pcwlad_geo.execution.processes import OwnProcesses
 from pcwlad_geo.execution.runner import IN_FLIGHT, InThisProcess, OnExecutor, Runner, run_calls
 from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Settings
+from tests.execution.calls import Counting, Shuffled, die, fail_at_three, slow_square
 from tests.patience import PATIENCE_S
-from tests.registration.calls import Counting, Shuffled, die, fail_at_three, slow_square
 
 CALLS = [(value,) for value in range(40)]
 SQUARES = [value * value for value in range(40)]
