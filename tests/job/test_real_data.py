@@ -173,14 +173,6 @@ def test_the_same_bands_without_their_product_are_refused(clouded_landsat: Path,
     assert "2 different displacements" in str(found.reason)
 
 
-@pytest.mark.slow
-def test_a_stack_of_clouded_bands_follows_the_ground(clouded_landsat: Path, tmp_path: Path) -> None:
-    bands = [clouded_landsat / f"l8_{band}.tif" for band in ("B1", "B2", "B4", "B5", "B10")]
-    found = pcwlad_geo.stack(bands, out_dir=tmp_path / "stack")
-    for image in found.images:
-        assert np.hypot(*image.shift_px) < 0.3, image.name
-
-
 def sift_places(path: Path, sift: Any) -> tuple[Array, Any]:
     """Return the map coordinates (x, y) of SIFT's features in an orthoimage, and their descriptors."""
     with rasterio.open(path) as file:
