@@ -15,7 +15,11 @@ else:
 
 EQUIVALENT: Final = Path(__file__).with_name("equivalent.toml")
 
-STAGING: Final = ("tests/test_placing.py", "tests/test_staging.py", "tests/test_output_folder_faults.py")
+STAGING: Final = (
+    "tests/outputs/test_placing.py",
+    "tests/outputs/test_staging.py",
+    "tests/outputs/test_output_folder_faults.py",
+)
 TARGETS: Final[dict[str, tuple[str, ...]]] = {
     "pcwlad_geo/registration/judge.py": (
         "tests/registration/test_judge_figures.py",
@@ -27,7 +31,7 @@ TARGETS: Final[dict[str, tuple[str, ...]]] = {
         "tests/matching/test_outliers.py",
     ),
     "pcwlad_geo/cli/interrupt.py": ("tests/cli/test_interrupt.py",),
-    "pcwlad_geo/limits.py": ("tests/test_limit_checks.py",),
+    "pcwlad_geo/limits.py": ("tests/common/test_limit_checks.py",),
     "pcwlad_geo/raster/unread.py": ("tests/raster/test_unread.py",),
     "pcwlad_geo/outputs/folder.py": STAGING,
     "pcwlad_geo/outputs/stages.py": STAGING,

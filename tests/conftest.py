@@ -8,9 +8,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from tests.cli.process import Result, run_cli
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 COMPILE = "from pcwlad_geo.registration.tiles import compile_kernels; compile_kernels('oriented')"
@@ -50,3 +53,13 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real image pairs in {folder} (set PCWLAD_GEO_TEST_DATA)")
     return folder
+
+
+@pytest.fixture
+def cli(tmp_path: Path) -> Callable[..., Result]:
+    """Run the command line in an empty working folder."""
+
+    def run(*arguments: str | Path, work: str | None = None) -> Result:
+        return run_cli(tmp_path, arguments, work)
+
+    return run

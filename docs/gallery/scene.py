@@ -81,9 +81,12 @@ def write_band(
         Ground samples a pixel and axis; a pixel is their mean.
     """
     centres = (np.arange(side * samples) + 0.5) / samples
-    col, row = np.meshgrid(centres - shift_px[0] - side / 2, centres - shift_px[1] - side / 2)
-    cos, sin = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
-    x, y = (cos * col - sin * row + side / 2) * pixel_m, -(sin * col + cos * row + side / 2) * pixel_m
+    col = (centres - shift_px[0] - side / 2)[None, :]
+    row = (centres - shift_px[1] - side / 2)[:, None]
+    if turn_deg:
+        cos, sin = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
+        col, row = cos * col - sin * row, sin * col + cos * row
+    x, y = (col + side / 2) * pixel_m, -(row + side / 2) * pixel_m  # several times faster as two axes
     seen = ground(x, y, seed)
     values = {
         "red": seen.red,

@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
@@ -24,8 +25,8 @@ from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.outputs.places import HOST
 from pcwlad_geo.report.finished import read_report
+from tests.execution.calls import Counting
 from tests.patience import PATIENCE_S
-from tests.registration.calls import Counting
 from tests.scenes import make_grid, render, write
 
 OPTIONS: Any = {"template": 61, "window": 41, "features": 50, "tile_size": 128, "jobs": 1}
@@ -37,14 +38,18 @@ b4.tif,good.tif,60,points>=20; points>=9999
 """
 
 
+def write_images(folder: Path) -> None:
+    grid = make_grid((170, 170))
+    write(folder / "b4.tif", render(grid), grid)
+    write(folder / "good.tif", render(grid, displacement_px=(1.3, -0.6)), grid)
+    write(folder / "other.tif", render(grid, seed=9), grid)
+
+
 @pytest.fixture
 def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder with a pair that fits, one that does not, and a table."""
     monkeypatch.chdir(tmp_path)
-    grid = make_grid((170, 170))
-    write(tmp_path / "b4.tif", render(grid), grid)
-    write(tmp_path / "good.tif", render(grid, displacement_px=(1.3, -0.6)), grid)
-    write(tmp_path / "other.tif", render(grid, seed=9), grid)
+    write_images(tmp_path)
     (tmp_path / "pairs.csv").write_text(TABLE, encoding="utf-8")
     return tmp_path
 
@@ -259,13 +264,29 @@ def test_a_pipe_in_the_place_of_a_report_is_not_waited_for(tmp_path: Path) -> No
 # --- what is done before ---------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def done(work: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A table whose only pair is done; another registration of it is an error."""
-    (work / "pairs.csv").write_text("reference,target\nb4.tif,good.tif\n")
-    result = pcwlad_geo.batch("pairs.csv", out_dir="out", **OPTIONS)
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder whose only pair was registered into `kept`."""
+    folder = tmp_path_factory.mktemp("finished")
+    write_images(folder)
+    (folder / "pairs.csv").write_text("reference,target\nb4.tif,good.tif\n")
+    result = pcwlad_geo.batch(folder / "pairs.csv", out_dir=folder / "out", **OPTIONS)
     assert statuses(result) == [("registered", False)]
-    return work
+    (folder / "out").rename(folder / "kept")
+    return folder
+
+
+@pytest.fixture
+def done(finished: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A table whose only pair is done, into `out`; another registration of it is an error."""
+    target = finished / "good.tif"
+    as_read = target.stat()
+    (finished / "pairs.csv").write_text("reference,target\nb4.tif,good.tif\n")
+    shutil.copytree(finished / "kept", finished / "out")
+    monkeypatch.chdir(finished)
+    yield finished
+    shutil.rmtree(finished / "out")
+    os.utime(target, ns=(as_read.st_atime_ns, as_read.st_mtime_ns))
 
 
 def test_where_it_runs_does_not_matter(done: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,8 +15,8 @@ import pytest
 
 import pcwlad_geo
 from tests.cli.process import Result, command, environment
+from tests.execution.calls import wait_for_end
 from tests.patience import PATIENCE_S
-from tests.registration.calls import wait_for_end
 
 Cli = Callable[..., Result]
 

@@ -182,7 +182,7 @@ def choose_for(kind: str, seed: int) -> tuple[bool, list[float]]:
 
 @pytest.mark.parametrize("kind", FIELDS)
 def test_the_model_follows_the_field(kind: str) -> None:
-    """Once; below, in nine of ten cases."""
+    """Once; below, in nine of ten other cases."""
     right, (chosen, *simpler) = choose_for(kind, 0)
     assert right
     assert chosen < min(simpler) + 0.03
@@ -192,8 +192,8 @@ def test_the_model_follows_the_field(kind: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", FIELDS)
 def test_the_model_follows_the_field_and_is_never_worse_than_a_simpler_one(kind: str) -> None:
-    cases = [choose_for(kind, seed) for seed in range(20)]
-    assert sum(right for right, _ in cases) >= 18
+    cases = [choose_for(kind, seed) for seed in range(1, 11)]
+    assert sum(right for right, _ in cases) >= 9
     rmse = np.array([each for _, each in cases])
     chosen, simpler = rmse[:, 0], rmse[:, 1:].min(axis=1)
     assert (chosen < simpler + 0.03).all()

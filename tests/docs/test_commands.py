@@ -23,11 +23,16 @@ SHELL_PAGES = [page for page in PAGES if any(block.language == "sh" for block in
 RUN_PAGES = [page for page in PAGES if any(block.mark == "run" for block in blocks(page))]
 ITS_OWN_TEST = "docs/python.md"
 """Its blocks need optional libraries: `test_python_page` runs those that are possible."""
-PYTHON_PAGES = [
-    page
-    for page in PAGES
-    if name_of(page) != ITS_OWN_TEST and any(block.language == "python" for block in blocks(page))
-]
+
+
+def code_of(page: Path) -> str:
+    """Return the Python code of a page."""
+    return "\n".join(block.text for block in blocks(page) if block.language == "python")
+
+
+PYTHON_PAGES = [page for page in PAGES if name_of(page) != ITS_OWN_TEST and code_of(page)]
+BEGINNINGS = {"README.md": "docs/tutorial/python.md"}
+"""Pages with whose code another page begins, which runs it."""
 ROOTS = (REPOSITORY, REPOSITORY / "tests", REPOSITORY / "benchmarks")
 NOT_FOR_USERS: set[str] = set()
 QUICK = {"docs/coordinates.md", "sample_data/README.md"}
@@ -142,15 +147,25 @@ def test_the_commands_of_a_page_run_one_after_the_other(
     assert ended.returncode == 0, ended.stderr
 
 
+@pytest.mark.parametrize("page", BEGINNINGS)
+def test_the_code_of_a_page_is_the_beginning_of_another(page: str) -> None:
+    assert REPOSITORY / page in PYTHON_PAGES
+    assert REPOSITORY / BEGINNINGS[page] in RUN_BY_ITSELF
+    assert code_of(REPOSITORY / BEGINNINGS[page]).startswith(code_of(REPOSITORY / page))
+
+
+RUN_BY_ITSELF = [page for page in PYTHON_PAGES if name_of(page) not in BEGINNINGS]
+
+
 @pytest.mark.parametrize(
     "page",
-    [pytest.param(page, marks=() if name_of(page) in QUICK else pytest.mark.slow) for page in PYTHON_PAGES],
-    ids=[name_of(page) for page in PYTHON_PAGES],
+    [pytest.param(page, marks=() if name_of(page) in QUICK else pytest.mark.slow) for page in RUN_BY_ITSELF],
+    ids=[name_of(page) for page in RUN_BY_ITSELF],
 )
 def test_the_code_of_a_page_runs(page: Path, workplace: tuple[Path, dict[str, str]]) -> None:
     place, environment = workplace
     script = place / "page.py"
-    script.write_text("\n".join(block.text for block in blocks(page) if block.language == "python"))
+    script.write_text(code_of(page))
     ended = subprocess.run(
         [sys.executable, "-W", "error::DeprecationWarning:__main__", script.name],
         cwd=place,

@@ -28,7 +28,7 @@ from pcwlad_geo.registration.fitting import Quality, Reason
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.report.summary import summarise
-from tests.registration.calls import Shuffled
+from tests.execution.calls import Shuffled
 from tests.scenes import CRS_OF_SCENE, Array, make_grid, render, write
 
 SMALL = {"template": 61, "window": 41, "features": 60}

@@ -172,13 +172,11 @@ def seen_in_windows(
     """Tie points of windows matched over a wrong DEM: each has the median displacement in its window."""
     rng = np.random.default_rng(ends[0] + 10 * ends[1])
     first = rng.uniform((60.0, 60.0), (SHAPE[1] - 60.0, SHAPE[0] - 60.0), (300, 2))
-    aside = (np.arange(11) / 10 - 0.5) * window_px
+    aside = (np.arange(7) / 6 - 0.5) * window_px
     asides = np.stack(np.meshgrid(aside, aside), axis=-1).reshape(-1, 2)
-    off = [
-        map_px(first + each, grids[ends[0]], grids[ends[1]])
-        - map_px(first + each, wrong[ends[0]], wrong[ends[1]])
-        for each in asides
-    ]
+    around = (first + asides[:, None]).reshape(-1, 2)
+    true, seen = (map_px(around, each[ends[0]], each[ends[1]]) for each in (grids, wrong))
+    off = (true - seen).reshape(len(asides), -1, 2)
     second = map_px(first, wrong[ends[0]], wrong[ends[1]]) + np.median(off, axis=0)
     second += rng.normal(0.0, NOISE_PX, second.shape)
     covariance_px2 = np.tile(NOISE_PX**2 * np.eye(2), (300, 1, 1))

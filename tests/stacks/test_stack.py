@@ -6,6 +6,7 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jsonschema
 import numpy as np
@@ -26,6 +27,8 @@ from pcwlad_geo.stacks.run import stack
 from tests.scenes import make_grid, render, write
 
 GRID = make_grid((200, 220))
+FEW: Any = {"features": 100, "jobs": 1}
+FEW_WORDS = ("--features", "100", "--jobs", "1")
 SHIFTS_PX = np.array([[0.0, 0.0], [1.7, -2.4], [-0.6, 1.3], [2.2, 0.8]])
 
 
@@ -51,7 +54,7 @@ def content(folder: Path) -> dict[str, bytes]:
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with three images and their stack, in `out put`."""
     folder = tmp_path_factory.mktemp("a stack")
-    stack(write_images(folder), out_dir=folder / "out put", jobs=1)
+    stack(write_images(folder), out_dir=folder / "out put", **FEW)
     return folder
 
 
@@ -100,7 +103,7 @@ def test_a_second_run_matches_nothing_and_gives_the_same_bytes(
 
     before = content(done / "out put")
     monkeypatch.setattr("pcwlad_geo.stacks.pairs.match_files", fail)
-    stack([done / f"date{k}.tif" for k in range(3)], out_dir=done / "out put", jobs=1)
+    stack([done / f"date{k}.tif" for k in range(3)], out_dir=done / "out put", **FEW)
     assert content(done / "out put") == before
 
 
@@ -109,17 +112,17 @@ def test_an_image_that_cannot_be_read_is_named_and_the_rest_goes_on(done: Path, 
     broken.write_bytes(b"II*\0" + bytes(40))
     events: list[Event] = []
     images = [*(done / f"date{k}.tif" for k in range(3)), broken]
-    found = stack(images, out_dir=done / "out put", jobs=1, on_event=events.append)
+    found = stack(images, out_dir=done / "out put", on_event=events.append, **FEW)
     assert list(found.unreadable) == [str(broken)]
     assert any(isinstance(event, Warned) and "broken is left out" in event.message for event in events)
     assert any(isinstance(event, Progress) and event.stage == "pairs" for event in events)
-    assert run_command(["stack", *map(str, images), "-o", str(done / "out put"), "--jobs", "1"]) == 2
+    assert run_command(["stack", *map(str, images), "-o", str(done / "out put"), *FEW_WORDS]) == 2
 
 
 def test_the_command_prints_the_images(done: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = done / "images.csv"
     table.write_text("image\ndate0.tif\ndate1.tif\ndate2.tif\n")
-    arguments = ["stack", str(table), "-o", str(done / "out put"), "--jobs", "1", "--progress", "none"]
+    arguments = ["stack", str(table), "-o", str(done / "out put"), *FEW_WORDS, "--progress", "none"]
     assert run_command(arguments) == 0
     printed = capsys.readouterr().out
     assert "date1" in printed
@@ -176,7 +179,7 @@ def test_images_without_common_ground_are_refused(tmp_path: Path) -> None:
         write(tmp_path / "there.tif", render(far), far),
     ]
     with pytest.raises(RegistrationRejectedError, match=r"2 groups of images .* here; there"):
-        stack(images, out_dir=tmp_path / "out", jobs=1)
+        stack(images, out_dir=tmp_path / "out", **FEW)
     assert run_command(["stack", *map(str, images), "-o", str(tmp_path / "out")]) == 3
 
 

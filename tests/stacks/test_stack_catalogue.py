@@ -13,7 +13,7 @@ import pytest
 import rasterio
 
 from pcwlad_geo.stacks.run import stack
-from tests.products import BEFORE_COLLECTIONS, write_landsat
+from tests.product_files import BEFORE_COLLECTIONS, write_landsat
 from tests.scenes import make_grid, render, write
 
 GRID = make_grid((160, 180))

@@ -26,7 +26,8 @@ from pcwlad_geo.stacks import pairs as stack_pairs
 from pcwlad_geo.stacks.run import stack, stack_add
 from tests.cluster import cluster
 from tests.scenes import make_grid, render, write
-from tests.stacks.test_stack import GRID, SHIFTS_PX, content, write_images
+from tests.stacks.conftest import Placed
+from tests.stacks.test_stack import FEW, FEW_WORDS, GRID, SHIFTS_PX, content, write_images
 
 
 def numbers_of(folder: Path) -> dict[str, Any]:
@@ -48,14 +49,17 @@ def matched(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
 
 
 def test_an_added_image_costs_its_own_pairs_and_moves_no_other(
-    tmp_path: Path, matched: list[tuple[str, str]], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    matched_before: Placed,
+    four: Path,
+    matched: list[tuple[str, str]],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    images = write_images(tmp_path, 4)
     out = tmp_path / "out"
-    stack(images[:3], out_dir=out, jobs=1)
+    stack(matched_before(3), out_dir=out, **FEW)
     before, earlier = numbers_of(out), content(out)
-    matched.clear()
-    arguments = ["stack", "--add", str(images[3]), str(out), "--jobs", "1", "--progress", "none"]
+    assert matched == []
+    arguments = ["stack", "--add", str(four / "date3.tif"), str(out), *FEW_WORDS, "--progress", "none"]
     assert run_command(arguments) == 0
     assert "date3" in capsys.readouterr().out
     assert sorted(matched) == [(f"date{k}", "date3") for k in range(3)]
@@ -68,7 +72,7 @@ def test_an_added_image_costs_its_own_pairs_and_moves_no_other(
     assert all(now[name] == data for name, data in earlier.items() if name.endswith(("tif", "vrt")))
     assert (out / "date3_registered.tif").is_file()
     again = write(tmp_path / "date4.tif", render(GRID, displacement_px=(0.4, 0.3), noise=2.0), GRID)
-    stack_add([again], out, jobs=1)
+    stack_add([again], out, **FEW)
     last = numbers_of(out)
     assert last["added"] == [["date3"], ["date4"]]
     assert [image["model"] for image in last["images"][:4]] == [image["model"] for image in after["images"]]
@@ -82,10 +86,12 @@ def test_what_cannot_be_added_is_told(tmp_path: Path) -> None:
     assert run_command(["stack", "--add", str(image), str(tmp_path), "--max-pairs", "3"]) == 2
 
 
-def test_a_damaged_stack_takes_no_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    images = write_images(tmp_path, 3)
+def test_a_damaged_stack_takes_no_image(
+    tmp_path: Path, matched_before: Placed, four: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = [*matched_before(2), four / "date2.tif"]
     out = tmp_path / "out"
-    stack(images[:2], out_dir=out, jobs=1)
+    stack(images[:2], out_dir=out, **FEW)
     with pytest.raises(InputError, match=r"date1\.tif is named twice, or is in the stack already"):
         stack_add([images[1]], out)
     with pytest.raises(InputError, match=r"no image is left to be added: .*nowhere\.tif does not exist"):
@@ -116,13 +122,13 @@ def test_the_pairs_of_a_table_are_matched_and_no_others(
 ) -> None:
     images = write_images(tmp_path, 3)
     (tmp_path / "p.csv").write_text("reference,target\ndate0,date2\ndate2.tif,date1\n")
-    found = stack(images, out_dir=tmp_path / "out", pairs=tmp_path / "p.csv", jobs=1)
+    found = stack(images, out_dir=tmp_path / "out", pairs=tmp_path / "p.csv", **FEW)
     assert matched == [("date0", "date2"), ("date1", "date2")]
     assert found.chosen == "listed"
     assert found.closure.cycles == 0
     (tmp_path / "p.csv").write_text("reference,target\ndate0,date9\n")
     with pytest.raises(InputError, match="names date9, which is none of the images"):
-        stack(images, out_dir=tmp_path / "out", pairs=tmp_path / "p.csv", jobs=1)
+        stack(images, out_dir=tmp_path / "out", pairs=tmp_path / "p.csv", **FEW)
 
 
 def test_groups_without_a_connection_are_named_or_allowed(tmp_path: Path) -> None:
@@ -134,8 +140,8 @@ def test_groups_without_a_connection_are_named_or_allowed(tmp_path: Path) -> Non
         )
     ]  # fmt: skip
     with pytest.raises(RegistrationRejectedError, match=r"a \+ b; c \+ d"):
-        stack(images, out_dir=tmp_path / "out", jobs=1)
-    found = stack(images, out_dir=tmp_path / "out", jobs=1, allow_components=True)
+        stack(images, out_dir=tmp_path / "out", **FEW)
+    found = stack(images, out_dir=tmp_path / "out", allow_components=True, **FEW)
     assert [image.group for image in found.images] == [0, 0, 1, 1]
     assert any("2 groups" in warning for warning in found.warnings)
     np.testing.assert_allclose(found.images[3].shift_px, (-1.5, 0.5), atol=0.06)
@@ -146,7 +152,7 @@ def test_a_reference_without_a_pair_is_named(tmp_path: Path) -> None:
     far = make_grid((200, 220), offset_m=(60_000.0, 0.0))
     images = [write(tmp_path / "far.tif", render(far), far), *write_images(tmp_path, 2)]
     with pytest.raises(RegistrationRejectedError, match="far, the reference, has no pair at all"):
-        stack(images, out_dir=tmp_path / "out", jobs=1)
+        stack(images, out_dir=tmp_path / "out", **FEW)
 
 
 def test_images_of_other_crs_share_a_frame(tmp_path: Path) -> None:
@@ -158,16 +164,16 @@ def test_images_of_other_crs_share_a_frame(tmp_path: Path) -> None:
         write(tmp_path / "a.tif", render(GRID), GRID),
         write(tmp_path / "b.tif", render(zone, displacement_px=(1.5, -1.0)), zone),
     ]
-    found = stack(images, out_dir=tmp_path / "out", jobs=1)
+    found = stack(images, out_dir=tmp_path / "out", **FEW)
     np.testing.assert_allclose(found.images[1].shift_px, (1.5, -1.0), atol=0.1)
     with rasterio.open(tmp_path / "out/b_registered.tif") as file:
         assert file.crs == GRID.crs
         assert file.shape == GRID.shape
 
 
-def test_requirements_decide_on_the_corrected_images(tmp_path: Path) -> None:
-    images = [str(path) for path in write_images(tmp_path, 3)]
-    out = ["-o", str(tmp_path / "out"), "--jobs", "1", "--progress", "none"]
+def test_requirements_decide_on_the_corrected_images(tmp_path: Path, matched_before: Placed) -> None:
+    images = [str(path) for path in matched_before(3)]
+    out = ["-o", str(tmp_path / "out"), *FEW_WORDS, "--progress", "none"]
     assert run_command(["stack", *images, *out, "--require", "sigma<=0.001px"]) == 4
     assert numbers_of(tmp_path / "out")["passed"] is False
     assert not (tmp_path / "out/date1_registered.tif").exists()
@@ -178,8 +184,8 @@ def test_requirements_decide_on_the_corrected_images(tmp_path: Path) -> None:
         stack(images, require="CE90<=1px")
 
 
-def test_control_points_are_the_datum(tmp_path: Path) -> None:
-    images = write_images(tmp_path, 3)
+def test_control_points_are_the_datum(tmp_path: Path, matched_before: Placed) -> None:
+    *images, fourth = matched_before(4)
     true_px = np.array([[20.0, 30.0], [200.0, 25.0], [40.0, 180.0], [190.0, 170.0], [110.0, 90.0]])
     seen_px = true_px + SHIFTS_PX[1]
     lines = [
@@ -187,14 +193,14 @@ def test_control_points_are_the_datum(tmp_path: Path) -> None:
         for (col, row), (x, y) in zip(seen_px, GRID.to_xy(true_px), strict=True)
     ]
     (tmp_path / "g.csv").write_text("image,col,row,x,y,sigma\n" + "\n".join(lines) + "\n")
-    found = stack(images, out_dir=tmp_path / "out", gcps=tmp_path / "g.csv", jobs=1)
+    found = stack(images, out_dir=tmp_path / "out", gcps=tmp_path / "g.csv", **FEW)
     assert found.datum == "control points"
     shifts = np.array([image.shift_px for image in found.images])
     np.testing.assert_allclose(shifts, SHIFTS_PX[:3], atol=0.08)
     assert min(found.images[0].sigma_px) > 0
     (tmp_path / "g.csv").unlink()  # they are in stack.json
     before = numbers_of(tmp_path / "out")
-    added = stack_add([write_images(tmp_path, 4)[3]], tmp_path / "out", jobs=1)
+    added = stack_add([fourth], tmp_path / "out", **FEW)
     assert added.datum == "control points"
     assert numbers_of(tmp_path / "out")["control"] == before["control"]
     for old, new in zip(before["images"], numbers_of(tmp_path / "out")["images"], strict=False):
@@ -203,7 +209,7 @@ def test_control_points_are_the_datum(tmp_path: Path) -> None:
     assert min(added.images[3].sigma_px) > 0.5 * min(added.images[0].sigma_px)
     (tmp_path / "g.csv").write_text("image,col,row,x,y\ndate1,1,2,3,four\n")
     with pytest.raises(InputError, match=r"give 4|is no number"):
-        stack(images, out_dir=tmp_path / "out", gcps=tmp_path / "g.csv", jobs=1)
+        stack(images, out_dir=tmp_path / "out", gcps=tmp_path / "g.csv", **FEW)
 
 
 def test_masks_of_the_table_are_used(tmp_path: Path) -> None:
@@ -214,7 +220,7 @@ def test_masks_of_the_table_are_used(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text(
         "image,name,mask,date\ndate0.tif,one,,2020-01-02\ndate1.tif,two,mask.tif,\n"
     )
-    found = stack([tmp_path / "t.csv"], out_dir=tmp_path / "out", jobs=1)
+    found = stack([tmp_path / "t.csv"], out_dir=tmp_path / "out", **FEW)
     assert [image.name for image in found.images] == ["one", "two"]
     assert found.images[0].date == "2020-01-02"
     points = np.genfromtxt(
@@ -223,11 +229,11 @@ def test_masks_of_the_table_are_used(tmp_path: Path) -> None:
     assert points["tgt_col"].min() > 90
 
 
-def test_like_gives_all_images_another_grid(tmp_path: Path) -> None:
-    images = write_images(tmp_path, 2)
+def test_like_gives_all_images_another_grid(tmp_path: Path, matched_before: Placed) -> None:
+    images = matched_before(2)
     other = make_grid((50, 60), pixel_m=60.0, offset_m=(300.0, 300.0))
     write(tmp_path / "like.tif", np.ones((50, 60)), other)
-    stack(images, out_dir=tmp_path / "out", like=tmp_path / "like.tif", jobs=1)
+    stack(images, out_dir=tmp_path / "out", like=tmp_path / "like.tif", **FEW)
     with rasterio.open(tmp_path / "out/date1_registered.tif") as file:
         assert (file.shape, file.transform) == (other.shape, other.transform)
 
@@ -236,7 +242,7 @@ def test_an_image_of_damaged_pixels_is_named_and_the_rest_goes_on(tmp_path: Path
     images = write_images(tmp_path, 3)
     data = images[1].read_bytes()
     images[1].write_bytes(data[: len(data) // 3])
-    found = stack(images, out_dir=tmp_path / "out", jobs=1)
+    found = stack(images, out_dir=tmp_path / "out", **FEW)
     assert [image.name for image in found.images] == ["date0", "date2"]
     assert list(found.unreadable) == [str(images[1])]
 
@@ -257,7 +263,7 @@ def test_stac_items_go_in_and_a_collection_comes_out(tmp_path: Path) -> None:
     (tmp_path / "one.json").write_text(json.dumps(items[0]))
     (tmp_path / "more.json").write_text(json.dumps({"type": "FeatureCollection", "features": items[1:]}))
     out = tmp_path / "out"
-    found = stack([tmp_path / "one.json", tmp_path / "more.json"], out_dir=out, band="B04", jobs=1)
+    found = stack([tmp_path / "one.json", tmp_path / "more.json"], out_dir=out, band="B04", **FEW)
     assert [image.given.cloud for image in found.images] == [0.2, 0.2]
     collection = json.loads((out / "collection.json").read_text())
     assert collection["extent"]["temporal"]["interval"] == [dates]
@@ -269,7 +275,7 @@ def test_stac_items_go_in_and_a_collection_comes_out(tmp_path: Path) -> None:
             assert made["properties"]["proj:transform"] == list(file.transform)[:6]
             assert made["properties"]["proj:shape"] == list(file.shape)
             assert made["properties"]["proj:epsg"] == file.crs.to_epsg()
-    again = stack([out / href for href in hrefs], out_dir=tmp_path / "again", jobs=1)
+    again = stack([out / href for href in hrefs], out_dir=tmp_path / "again", **FEW)
     assert np.abs([image.shift_px for image in again.images]).max() < 0.06
     with pytest.raises(InputError, match="has the images B04"):
         stack([tmp_path / "one.json", tmp_path / "more.json"], band="B11")
@@ -278,9 +284,9 @@ def test_stac_items_go_in_and_a_collection_comes_out(tmp_path: Path) -> None:
         stack([tmp_path / "none.json"])
 
 
-def test_the_collection_is_one_for_pystac(tmp_path: Path) -> None:
+def test_the_collection_is_one_for_pystac(tmp_path: Path, matched_before: Placed) -> None:
     pystac = pytest.importorskip("pystac")
-    stack(write_images(tmp_path, 2), out_dir=tmp_path / "out", jobs=1)
+    stack(matched_before(2), out_dir=tmp_path / "out", **FEW)
     collection = pystac.Collection.from_file(str(tmp_path / "out/collection.json"))
     items = list(collection.get_items())
     assert [each.id for each in items] == ["date0", "date1"]
@@ -289,53 +295,49 @@ def test_the_collection_is_one_for_pystac(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL")
-def test_a_killed_stack_goes_on_where_it_was(tmp_path: Path, matched: list[tuple[str, str]]) -> None:
-    images = write_images(tmp_path, 4)
-    stack(images, out_dir=tmp_path / "whole", jobs=1)
-    command = [sys.executable, "-m", "pcwlad_geo", "stack", *map(str, images), "-o", str(tmp_path / "out")]
-    process = subprocess.Popen([*command, "--jobs", "1", "--progress", "none"])
-    pairs = tmp_path / "out/pairs"
+def test_a_killed_stack_goes_on_where_it_was(four: Path, matched: list[tuple[str, str]]) -> None:
+    images = [four / f"date{number}.tif" for number in range(4)]
+    command = [sys.executable, "-m", "pcwlad_geo", "stack", *map(str, images), "-o", str(four / "killed")]
+    process = subprocess.Popen([*command, *FEW_WORDS, "--progress", "none"])
+    pairs = four / "killed/pairs"
     while process.poll() is None and len(list(pairs.glob("[!.]*/report.json"))) < 3:
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
     process.wait()
     done = {path.parent.name for path in pairs.glob("[!.]*/report.json")}
-    matched.clear()
-    stack(images, out_dir=tmp_path / "out", jobs=1)
+    stack(images, out_dir=four / "killed", **FEW)
     assert {"__".join(pair) for pair in matched}.isdisjoint(done)
     assert len(matched) + len(done) == 6
-    assert content(tmp_path / "out") == content(tmp_path / "whole")
+    assert content(four / "killed") == content(four / "whole")
 
 
-def test_pairs_matched_side_by_side_are_those_matched_one_by_one(tmp_path: Path) -> None:
-    images = write_images(tmp_path, 4)
-    stack(images, out_dir=tmp_path / "one", jobs=1)
+def test_pairs_matched_side_by_side_are_those_matched_one_by_one(four: Path) -> None:
+    images = [four / f"date{number}.tif" for number in range(4)]
     events: list[Event] = []
-    stack(images, out_dir=tmp_path / "two", jobs=2, on_event=events.append)
-    assert content(tmp_path / "two") == content(tmp_path / "one")
+    stack(images, out_dir=four / "two", features=100, jobs=2, on_event=events.append)
+    assert content(four / "two") == content(four / "whole")
     assert [each.done for each in events if isinstance(each, Progress) and each.stage == "pairs"][-1] == 6
 
 
 def test_large_pairs_are_matched_tile_by_tile_with_the_same_result(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, matched_before: Placed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    images = write_images(tmp_path, 3)
-    stack(images, out_dir=tmp_path / "whole", jobs=1)
+    images = matched_before(3)
+    stack(images, out_dir=tmp_path / "out", **FEW)
     monkeypatch.setattr(stack_pairs, "SMALL_TILES", 0)
     events: list[Event] = []
-    stack(images, out_dir=tmp_path / "tiles", jobs=1, on_event=events.append)
-    assert content(tmp_path / "tiles") == content(tmp_path / "whole")
+    stack(images, out_dir=tmp_path / "tiles", on_event=events.append, **FEW)
+    assert content(tmp_path / "tiles") == content(tmp_path / "out")
     assert Progress("matching", 1, 1) in events
 
 
-def test_warnings_of_pairs_are_the_same_in_a_run_that_goes_on(tmp_path: Path) -> None:
+def test_warnings_of_pairs_are_the_same_in_a_run_that_goes_on(tmp_path: Path, matched_before: Placed) -> None:
     """What a pair's job warned of is read from its folder, whichever run has matched it."""
-    images = write_images(tmp_path, 2)
-    stack(images, out_dir=tmp_path / "out", jobs=1)
+    images = matched_before(2)
     report = tmp_path / "out/pairs/date0__date1/report.json"
     numbers = json.loads(report.read_text(encoding="utf-8"))
     report.write_text(json.dumps({**numbers, "warnings": ["few points"]}), encoding="utf-8")
-    found = stack(images, out_dir=tmp_path / "out", jobs=1)
+    found = stack(images, out_dir=tmp_path / "out", **FEW)
     assert "date0 – date1: few points" in found.warnings
 
 
@@ -344,10 +346,14 @@ def test_a_cluster_gives_the_same_stack(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     images = write_images(tmp_path, 4)
     blank = write(tmp_path / "flat.tif", np.full(GRID.shape, 7.0), GRID)
-    stack([*images, blank], out_dir=tmp_path / "here", jobs=1, allow_components=True)
+    stack([*images, blank], out_dir=tmp_path / "here", allow_components=True, **FEW)
     with cluster(tmp_path) as running:
         found = stack(
-            [*images, blank], out_dir=tmp_path / "there", scheduler=running.address, allow_components=True
+            [*images, blank],
+            out_dir=tmp_path / "there",
+            scheduler=running.address,
+            allow_components=True,
+            features=100,
         )
     assert [pair.status for pair in found.pairs].count("used") == 6
     assert content(tmp_path / "there") == content(tmp_path / "here")

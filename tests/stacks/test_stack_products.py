@@ -13,7 +13,7 @@ import rasterio
 from pcwlad_geo.cli.app import run as run_command
 from pcwlad_geo.raster.masks import accepted
 from pcwlad_geo.stacks.run import stack
-from tests.products import BEFORE_COLLECTIONS, write_landsat
+from tests.product_files import BEFORE_COLLECTIONS, write_landsat
 
 FAST: Any = {"window": 41, "template": 61, "features": 100, "jobs": 1}
 

@@ -1,0 +1,162 @@
+"""What can be told of the QGIS plugin without a QGIS; the rest is in tests_qgis, which runs apart."""
+
+from __future__ import annotations
+
+import ast
+import configparser
+import importlib
+import re
+import runpy
+import string
+import sys
+import types
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+import pcwlad_geo
+from pcwlad_geo import options as settings
+from pcwlad_geo.cli.outcome import Outcome
+from tests.registrations import json_of, make_registration
+
+FOLDER = Path(__file__).parents[2] / "qgis_plugin"
+PLUGIN = FOLDER / "pcwlad_geo_qgis"
+MODULES = sorted(PLUGIN.rglob("*.py"))
+
+
+def test_the_plugin_in_qgis() -> None:
+    pytest.skip("the QGIS plugin was not tested here: `tests_qgis/run PYTHON` does it, where there is a QGIS")
+
+
+def test_plugin_and_engine_have_one_version() -> None:
+    metadata = configparser.ConfigParser(interpolation=None)
+    metadata.read(PLUGIN / "metadata.txt", encoding="utf-8")
+    general = metadata["general"]
+    assert general["version"] == pcwlad_geo.__version__
+    assert (general["qgisMinimumVersion"], general["hasProcessingProvider"]) == ("3.22", "yes")
+    assert (PLUGIN / general["icon"]).is_file()
+    assert (PLUGIN / "LICENSE").read_bytes() == (FOLDER.parent / "LICENSE").read_bytes()
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.stem)
+def test_modules_are_python_39_and_import_qgis_and_the_standard_library_only(path: Path) -> None:
+    tree = ast.parse(path.read_text(encoding="utf-8"), feature_version=(3, 9))
+    imported = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            imported.add((node.module or "").split(".")[0])
+    # processing is a plugin that QGIS brings
+    assert imported <= {"qgis", "processing", *sys.stdlib_module_names}
+
+
+def test_the_choices_are_those_of_the_engine() -> None:
+    tree = ast.parse((PLUGIN / "algorithms" / "base.py").read_text(encoding="utf-8"))
+    lists = {
+        node.targets[0].id: ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and isinstance(node.value, ast.List)
+    }
+    assert lists == {
+        "METHODS": list(get_args(settings.Method)),
+        "MODELS": list(get_args(settings.Model)),
+        "PREALIGNMENTS": list(get_args(settings.Prealign)),
+        "RESAMPLINGS": list(get_args(settings.Resampling)),
+    }
+
+
+def test_advice_names_what_the_dialog_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    for_dialog = plugin_module("process.advice", monkeypatch).for_dialog
+    assert for_dialog("the CRS is odd - so what") == "the CRS is odd - so what"
+    assert for_dialog("raise --search-radius, or not") == "raise “Search radius”, or not"
+    assert for_dialog("give --prealign search") == "give “Rough alignment” search"
+    told = for_dialog("(raise --search-radius or give --features 9)")
+    assert told.startswith("(raise “Search radius” or give --features 9)")
+    assert told.endswith("(Options that begin with -- go into the advanced parameter “More options”.)")
+
+
+@pytest.mark.parametrize(("px_m", "size"), [((30.0, 30.0), "0.12 px (3.60 m)"), (None, "0.12 px")])
+def test_the_summary_ends_with_the_grade_as_on_the_command_line(
+    px_m: tuple[float, float] | None, size: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    summary = plugin_module("process.figures", monkeypatch).summary
+    outcome = Outcome(json_of(replace(make_registration(), px_m=px_m)), {"numbers": Path("report.json")})
+    line = f"uality: good; 90 % of the common ground is expected to lie within {size}"
+    assert summary(outcome.figures()).splitlines()[-1] == f"Q{line}"
+    assert f"q{line}\n" in outcome.text()
+
+
+def test_the_summary_of_tie_points_alone_has_no_grade(monkeypatch: pytest.MonkeyPatch) -> None:
+    summary = plugin_module("process.figures", monkeypatch).summary
+    outcome = Outcome(json_of(make_registration("matched")), {})
+    told = summary(outcome.figures())
+    assert told.startswith("Tie points: ")
+    assert "uality" not in told
+
+
+def test_points_have_the_signs_of_the_georeferencer_and_changes_are_undone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = "id,ref_col,ref_row,tgt_col,tgt_row,x,y,d_col,d_row,d_x_m,d_y_m,sigma_col,sigma_row,score"
+    lines = [f"{columns},residual_col,residual_row,status"]
+    lines += [
+        f"{k},1,2,3,4,5,6,0,0,,,0.3,0.4,1,{k}.0,-2.0,{'rejected' if k == 3 else 'fit'}" for k in (1, 2, 3)
+    ]
+    (tmp_path / "tiepoints.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    points = plugin_module("process.points", monkeypatch).Points.read(tmp_path)
+    assert points.points[1].residual_px == (-2.0, 2.0)  # predicted minus observed
+    assert points.points[1].sigma_px == pytest.approx(0.5)
+    assert points.off == {2}
+    assert points.above(2.5) == [1]
+    assert points.switch([0, 1], False)
+    assert not points.switch([1], False)
+    assert points.switch([1], True)
+    assert (points.off, points.status(0), points.status(1)) == ({0, 2}, "rejected", "fit")
+    assert points.undo()
+    assert points.undo()
+    assert (points.off, points.undo()) == ({2}, False)
+    points.take([[0.5, 0.25], [0, 0], [0, 0]])
+    assert points.points[0].residual_px == (-0.5, -0.25)
+
+
+def plugin_module(name: str, monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
+    """Import a module of the plugin for the duration of a test."""
+    monkeypatch.syspath_prepend(FOLDER)
+    names = ("", ".text", ".help", ".process", ".process.engine", ".process.child", f".{name}")
+    for module in (f"pcwlad_geo_qgis{each}" for each in names):
+        # noted as absent first, so that they are gone again after the test
+        monkeypatch.setitem(sys.modules, module, types.ModuleType(module))
+        del sys.modules[module]
+    return importlib.import_module(f"pcwlad_geo_qgis.{name}")
+
+
+def test_every_text_is_in_the_translation_with_its_placeholders() -> None:
+    tool = runpy.run_path(str(FOLDER / "translations.py"))
+    texts, translated = tool["texts"](), tool["translated"](PLUGIN / "i18n" / "pcwlad_geo_de.ts")
+    assert set(translated) == set(texts), "run python3 qgis_plugin/translations.py"
+    assert all(translated.values())
+    for text, translation in translated.items():
+        if translation:
+            assert placeholders(translation) == placeholders(text), text
+
+
+def placeholders(text: str) -> list[tuple[str | None, str | None]]:
+    """Return the fields of a format string, in order, but for text that is not one."""
+    try:
+        return [(name, spec) for _, name, spec, _ in string.Formatter().parse(text) if name is not None]
+    except ValueError:
+        return []
+
+
+def test_the_zip_has_one_folder(tmp_path: Path) -> None:
+    names = runpy.run_path(str(FOLDER / "build.py"))["build"](tmp_path / "dist" / "plugin.zip")
+    with zipfile.ZipFile(tmp_path / "dist" / "plugin.zip") as archive:
+        assert archive.namelist() == names
+    assert all(re.match(r"pcwlad_geo_qgis/[\w/]+(\.\w+)?$", name) for name in names)
+    assert {f"pcwlad_geo_qgis/{path.relative_to(PLUGIN)}" for path in MODULES} <= set(names)
