@@ -450,8 +450,8 @@ def seen_by_surroundings(
 ) -> Float64:
     """Return (1, n, 2) the displacement (col, row) that fits best right around each of n points.
 
-    It is the point's own, or that and `other_px` (col, row), or one of two as far away in other directions,
-    which fit as often by chance. The `points` are in pixel coordinates of the arrays of `pair`.
+    It is the point's own, or that and the (2,) `other_px` (col, row), or one of two as far away in other
+    directions, which fit as often by chance. The `points` are in pixel coordinates of the arrays of `pair`.
     """
     corners = to_index(points)
     there = corners + np.rint(points.displacement_px[:, ::-1]).astype(np.intp)

@@ -316,9 +316,10 @@ def share_structure(pair: ChannelPair, corners_rc: Index, shift_xy_px: Float64) 
 def correlations(
     pair: ChannelPair, reference_rc: Index, target_rc: Index, half_px: int, step_px: int = 1
 ) -> Float64:
-    """Return the (n,) correlations of the maps around (n, 2) pixels of the reference and of the target.
+    """Return the (n,) correlations of the maps around pixels of the reference and of the target.
 
-    The squares compared reach `half_px` from their pixels, and consist of the pixels `step_px` apart.
+    These are the (n, 2) `reference_rc` and the (n, 2) `target_rc` (row, col). The squares compared reach
+    `half_px` from their pixels, and consist of the pixels `step_px` apart.
     """
     steps = np.arange(-half_px, half_px + 1, step_px)
     result = np.zeros(len(reference_rc))

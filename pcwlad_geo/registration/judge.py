@@ -243,10 +243,10 @@ def other_displacement(matches: TiePoints, kept: Bool) -> tuple[Float64, Bool] |
 
 
 def share_displaced(beside_px: Float64, other_px: Float64) -> float:
-    """Return the share of the points whose surroundings lie at another displacement, beyond chance.
+    """Return the share of the points at whose surroundings another displacement fits, beyond chance.
 
-    The (n, 2) `beside_px` (col, row) are what fits best there beside the points' own displacements, see
-    `matcher.seen_by_surroundings`; NaN where nothing is known.
+    It is the (2,) `other_px` (col, row) beside the points' own. The (n, 2) `beside_px` (col, row) are what fits
+    best there beside these, see `matcher.seen_by_surroundings`; NaN where nothing is known.
     """
     known = beside_px[np.isfinite(beside_px).all(axis=1)]
     if len(known) < MIN_POINTS:
@@ -259,10 +259,10 @@ def share_displaced(beside_px: Float64, other_px: Float64) -> float:
 def patches(
     matches: TiePoints, kept: Bool, other: tuple[Float64, Bool], offset_px: Float64, window_px: int
 ) -> list[Motion]:
-    """Return the motion of the matches kept, and that of patches smaller than a window.
+    """Return the motion of the matches that are `kept`, an (n,) mask, and that of patches beside it.
 
-    The `other` displacement is that of `other_displacement`, of as many matches or fewer; the rest is as in
-    `motions_of`.
+    The `other` displacement, (2,), with the (m,) mask of the first m matches, is that of
+    `other_displacement`. The (2,) `offset_px` (col, row) and the window are those of `motions_of`.
     """
     cell_of, moved = _cells(matches, CELL_PER_WINDOW * window_px), matches.displacement_px - offset_px
     usual_px = np.median(moved[kept], axis=0)

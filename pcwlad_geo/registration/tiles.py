@@ -219,7 +219,10 @@ def compare_stripes(job: TileJob, points: TiePoints, guide: FieldGuide) -> Float
 
 
 def compare_surroundings(job: TileJob, points: TiePoints, guide: FieldGuide, other_px: Float64) -> Float64:
-    """Return (1, n, 2) what `matcher.seen_by_surroundings` does for `points` of the tile `job`."""
+    """Return (1, n, 2) what `matcher.seen_by_surroundings` does for `points` of the tile `job`.
+
+    The (2,) `other_px` (col, row) is the displacement beside their own that is tried.
+    """
     return _compared(job, points, guide, partial(seen_by_surroundings, other_px=other_px), 1)
 
 
