@@ -245,8 +245,8 @@ def other_displacement(matches: TiePoints, kept: Bool) -> tuple[Float64, Bool] |
 def share_displaced(beside_px: Float64, other_px: Float64) -> float:
     """Return the share of the points at whose surroundings another displacement fits, beyond chance.
 
-    It is the (2,) `other_px` (col, row) beside the points' own. The (n, 2) `beside_px` (col, row) are what fits
-    best there beside these, see `matcher.seen_by_surroundings`; NaN where nothing is known.
+    It is the (2,) `other_px` (col, row) beside the points' own. The (n, 2) `beside_px` (col, row) are what
+    fits best there beside these, see `matcher.seen_by_surroundings`; NaN where nothing is known.
     """
     known = beside_px[np.isfinite(beside_px).all(axis=1)]
     if len(known) < MIN_POINTS:
