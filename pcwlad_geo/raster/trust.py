@@ -15,13 +15,13 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 from xml.parsers import expat
 
-from rasterio.errors import RasterioError
-from rasterio.io import DatasetReader
-
 from pcwlad_geo.limits import VRT_BYTES
+
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
 
 
 @dataclass(frozen=True, slots=True)
@@ -651,6 +651,9 @@ def _kind(file: Place, _: Stamp) -> Kind:
 
 @lru_cache(maxsize=4096)
 def _tags_of(file: Place, _: Stamp) -> tuple[str, ...]:
+    from rasterio.errors import RasterioError  # slow to load, and options need the permissions only
+    from rasterio.io import DatasetReader
+
     try:
         with DatasetReader(file.uri, driver=list(SIGNED_DRIVERS)) as dataset:
             return _names_in_tags(dataset)

@@ -340,7 +340,7 @@ def test_the_last_boundary_names_the_cause(tmp_path: Path) -> None:
         ),
         ("from pyproj.exceptions import CRSError\nraise CRSError('odd CRS')", "cannot be used: odd CRS"),
     ):
-        ended = run_cli(tmp_path, ["register", "a.tif", "b.tif", "--progress", "none"], work)
+        ended = run_cli(tmp_path, ["register", "/vsimem/a.tif", "/vsimem/b.tif", "--progress", "none"], work)
         assert ended.returncode == 2, ended.stderr
         assert ended.stderr.startswith("error: ")
         assert ended.stderr.count("\n") == 1
