@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from statistics import median, median_low
+from statistics import median
 from typing import Final, Literal
 
 import numpy as np
@@ -226,13 +226,15 @@ def image_qualities(
             if share == worst
         }
     refused |= _cut_off(among, shares, anchors, refused)
-    found = {}
+    found, jitter_px = {}, _jitter(pairs, sigma_px, anchors)
     for name, sigma in sigma_px.items():
         about = [
             pair for pair in (measured if name in refused else among) if name in (pair.reference, pair.target)
         ]
         share = {limit: off(name, about, limit) for limit in (FAIR_PX, GOOD_PX)}
-        expected, reasons = _judged(about, sigma, unit_px[name], share, heights_px.get(name, 0.0))
+        expected, reasons = _judged(
+            about, sigma, unit_px[name], share, jitter_px[name], heights_px.get(name, 0.0)
+        )
         reasons.sort(key=lambda each: GRADES.index(each.grade))
         grade = "refused" if name in refused else reasons[0].grade if reasons else "good"
         texts = [refused[name]] if name in refused else []
@@ -260,11 +262,31 @@ def _cut_off(
     return {name: reason for name in names if name not in reached and name not in refused}
 
 
+def _jitter(pairs: Sequence[StackPair], names: Collection[str], anchors: Collection[str]) -> dict[str, float]:
+    """Return the jitter of every image against those that stay, px of the frame.
+
+    Two images may share it, so that their pair shows none. It is the least along the pairs that lead to an
+    image that stays, their variances added; where none stays, the least of the image's own pairs.
+    """
+    used = [pair for pair in pairs if pair.status == "used"]
+    least = {name: 0.0 if name in anchors else math.inf for name in names}
+    for _ in range(len(names) if anchors else 0):
+        for pair in used:
+            for one, other in ((pair.reference, pair.target), (pair.target, pair.reference)):
+                least[one] = min(least[one], math.hypot(least[other], pair.jitter_px))
+    own = {
+        name: min((pair.jitter_px for pair in used if name in (pair.reference, pair.target)), default=0.0)
+        for name in names
+    }
+    return {name: size if math.isfinite(size) else own[name] for name, size in least.items()}
+
+
 def _judged(
     pairs: Sequence[StackPair],
     sigma_px: float,
     unit_px: float,
     off: Mapping[float, float],
+    jitter_px: float,
     heights_px: float,
 ) -> tuple[float, list[Reason]]:
     """Return the expected CE90 of an image, its px, and what keeps it from being good.
@@ -273,12 +295,10 @@ def _judged(
     """
     used, reasons = [pair for pair in pairs if pair.status == "used"], []
     left_px = median([pair.ce90_px or 0.0 for pair in used] or [0.0]) / unit_px
-    # jitter of an image is in all of its pairs, that of another in one: half of them must show it
-    jitter_px = median_low([pair.jitter_px for pair in used] or [0.0]) / unit_px
     causes = {
         f"the sigma of its position ({sigma_px:.2f} px)": SIGMA_90 * sigma_px,
         "what its pairs leave": left_px,
-        "rows or columns that move within matching windows (jitter)": SIGMA_90 / 2**0.5 * jitter_px,
+        "rows or columns that move within matching windows (jitter)": SIGMA_90 / 2**0.5 * jitter_px / unit_px,
         "heights of a DEM that lies beside its relief": heights_px,
     }
     expected = math.hypot(*causes.values())

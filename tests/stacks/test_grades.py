@@ -96,11 +96,12 @@ def test_jitter_is_of_the_image_all_of_whose_pairs_show_it() -> None:
     assert "1.06 px by rows or columns that move" in found["e"].reasons[0]
 
 
-def test_a_pair_that_shows_little_of_the_jitter_does_not_hide_it() -> None:
-    weak = [pair(*ends, jitter_px=(0.1 if "a" in ends else 0.7) if "e" in ends else 0.0) for ends in ALL]
-    assert letters(grades(weak)) == "good good good good poor"
-    triangle = [pair("a", "b"), pair("a", "c", jitter_px=0.7), pair("b", "c", jitter_px=0.7)]
-    assert letters(grades(triangle)) == "good good poor"
+def test_jitter_that_two_images_share_is_told_against_the_datum() -> None:
+    """The pair of d and e shows none, and b and c, which have none, are in pairs that do."""
+    pairs = [pair(*ends, jitter_px=0.7 if len({"d", "e"} & set(ends)) == 1 else 0.0) for ends in ALL]
+    assert letters(grades(pairs)) == "good good good poor poor"
+    mean = image_qualities(pairs, dict.fromkeys("abcde", 0.05), dict.fromkeys("abcde", 1.0), "", {})
+    assert letters(mean) == "good good good good good"
 
 
 def test_what_a_dem_beside_its_place_does_to_an_image_counts() -> None:
