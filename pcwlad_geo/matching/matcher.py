@@ -31,7 +31,12 @@ from pcwlad_geo.matching.guidance import (
 )
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.matching.maps import scene_epsilon
-from pcwlad_geo.matching.mutual_structure import correlations, passes_paper, share_structure, shared_structure
+from pcwlad_geo.matching.mutual_structure import (
+    alike_beyond_chance,
+    correlations,
+    passes_paper,
+    shared_structure,
+)
 from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, measure_noise, prepare, rounding_of
 from pcwlad_geo.matching.refinement import STEP_PX, Refined, Start, refine
@@ -379,7 +384,7 @@ def try_again(
     good &= _is_seen(pair, corners, refined.shift_xy_px)
     index = np.flatnonzero(good)
     # a window that is so large sees across a cloud, but nothing was measured in the middle of it
-    index = index[share_structure(pair, corners[index], refined.shift_xy_px[index])]
+    index = index[alike_beyond_chance(pair, corners[index], refined.shift_xy_px[index])]
     points = _points(
         corners[index],
         refined.shift_xy_px[index],

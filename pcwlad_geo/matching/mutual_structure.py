@@ -298,7 +298,7 @@ def passes_paper(
     return result
 
 
-def share_structure(pair: ChannelPair, corners_rc: Index, shift_xy_px: Float64) -> Bool:
+def alike_beyond_chance(pair: ChannelPair, corners_rc: Index, shift_xy_px: Float64) -> Bool:
     """Return the (n,) mask of the matches around which the two images are more alike than by chance.
 
     The (n, 2) `corners_rc` are pixels of the reference, `shift_xy_px` where they are in the target beside

@@ -38,7 +38,7 @@ from pcwlad_geo.stacks.inputs import StackInput, number_of, read_table
 from pcwlad_geo.stacks.network import Edge, basis_over, components
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.readers import read_point_file
-from pcwlad_geo.types import Float64, PathLike
+from pcwlad_geo.types import Bool, Float64, PathLike
 
 if TYPE_CHECKING:
     from pcwlad_geo.registration.result import Registration
@@ -206,9 +206,7 @@ def _motions_of(report: Mapping[str, Any], place: Path) -> tuple[Motion, ...]:
 
 def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
     """Return a pair with the grade that its points and its report give it."""
-    smooth = basis_over([edge.first_xy], "polynomial2").values(edge.first_xy)
-    moved = edge.second_xy - edge.first_xy
-    left = moved - smooth @ least_squares(smooth, moved)
+    left = _off_smooth(edge.first_xy, edge.second_xy, np.ones(len(edge), bool))
     off_px, counts = float(np.percentile(np.hypot(*left.T), 90)), report.get("tie_points", {})
     jitter_px = float(report.get("jitter_px", 0.0))
     kept = 1 - counts.get("rejected", 0) / max(counts.get("total", 0), 1)
@@ -227,10 +225,14 @@ def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
 def _displaced_otherwise(place: Path) -> Iterator[Reason]:
     """Yield a reason where many of the matches that a pair rejected agree on one other displacement."""
     points = read_point_file(place / "tiepoints.csv")
-    basis = basis_over([points.reference[points.enabled]], "polynomial2")
-    moved, smooth = points.target - points.reference, basis.values(points.reference)
-    left = moved - smooth @ least_squares(smooth[points.enabled], moved[points.enabled])
-    return displaced_otherwise(left[~points.enabled], len(points.enabled))
+    off_px = _off_smooth(points.reference, points.target, points.enabled)
+    return displaced_otherwise(off_px[~points.enabled], len(points.enabled))
+
+
+def _off_smooth(first_xy: Float64, second_xy: Float64, kept: Bool) -> Float64:
+    """Return how far (n, 2) displacements lie off a polynomial of those that are `kept`, an (n,) mask."""
+    moved, values = second_xy - first_xy, basis_over([first_xy[kept]], "polynomial2").values(first_xy)
+    return moved - values @ least_squares(values[kept], moved[kept])
 
 
 @dataclass(frozen=True, slots=True)
