@@ -62,6 +62,8 @@ class Graded:
     expected_ce90_px: float
     true_ce90_px: float
     """NaN where there is no result."""
+    open_question: str = ""
+    """What the images cannot tell: `fair` is as right as `good` there, as among the pairs."""
 
     @property
     def wrong(self) -> bool:
@@ -73,11 +75,17 @@ class Graded:
 def _table(what: str, found: Sequence[Graded]) -> Table:
     """Return the table of images or captures, and the checks that hold for all kinds of them."""
     rows: list[list[Cell]] = [
-        [each.name, each.grade, each.expected_ce90_px, each.true_ce90_px, "WRONG" if each.wrong else ""]
+        [
+            each.name,
+            each.grade,
+            each.expected_ce90_px,
+            each.true_ce90_px,
+            "WRONG" if each.wrong else each.open_question,
+        ]
         for each in found
     ]
     good = [each for each in found if each.grade == "good"]
-    fine = [each for each in found if each.true_ce90_px < FINE_PX]
+    fine = [each for each in found if each.true_ce90_px < FINE_PX and not each.open_question]
     share = 100 * sum(each.grade == "good" for each in fine) / max(len(fine), 1)
     off = sum(each.true_ce90_px > OFF_PX for each in good)
     unexpected = sum(each.true_ce90_px > TIMES * each.expected_ce90_px for each in good)
@@ -90,14 +98,14 @@ def _table(what: str, found: Sequence[Graded]) -> Table:
     return Table(f"Grades of {len(found)} {what} ({len(fine)} truly fine)", header, rows, checks)
 
 
-def _graded(name: str, told: object, errors: Array) -> Graded:
+def _graded(name: str, told: object, errors: Array, question: str = "") -> Graded:
     """Return what a result tells of itself, where it does, beside its (n, 2) errors."""
     off = errors[np.isfinite(errors).all(axis=1)]
     true = float(np.percentile(np.linalg.norm(off, axis=1), 90)) if len(off) else float("nan")
     quality = getattr(told, "quality", None)
     grade = getattr(quality, "grade", quality) or "none"
     expected = getattr(quality, "expected_ce90_px", getattr(told, "expected_ce90_px", None))
-    return Graded(name, grade, float("nan") if expected is None else expected, true)
+    return Graded(name, grade, float("nan") if expected is None else expected, true, question)
 
 
 # --- stacks
@@ -191,6 +199,9 @@ def _ce90(errors: Array) -> float:
 # --- blocks
 
 
+MOVING_CLOUDS: Final = "clouds that move"
+
+
 def blocks(_data: Path, scratch: Path, _runner: Runner) -> Iterator[Table]:
     """Yield the grades of images with RPCs over one ground, with elevation models and images ever worse."""
     true = write_dem(scratch / "true.tif")
@@ -204,7 +215,7 @@ def blocks(_data: Path, scratch: Path, _runner: Runner) -> Iterator[Table]:
         "DEM upside down": 2 * middle - heights,
     }
     spoils: dict[str, Callable[[Image, int], Image]] = {
-        "clouds that move": lambda image, seed: clouded(image, 0.3, SEED, (3.0 * seed, -2.0 * seed))[0],
+        MOVING_CLOUDS: lambda image, seed: clouded(image, 0.3, SEED, (3.0 * seed, -2.0 * seed))[0],
         "half flooded": _flooded,
     }
     found: list[Graded] = []
@@ -212,7 +223,9 @@ def blocks(_data: Path, scratch: Path, _runner: Runner) -> Iterator[Table]:
         dem = write_dem(scratch / f"dem_{number}.tif", values)
         found += _block_of(name, true, dem, scratch / f"block_{number}", None)
     for number, (name, spoil) in enumerate(spoils.items()):
-        found += _block_of(name, true, true, scratch / f"spoilt_{number}", spoil)
+        # whether the clouds stand and the ground moves, two displacements alone cannot tell
+        question = "clouds or ground" if name == MOVING_CLOUDS else ""
+        found += _block_of(name, true, true, scratch / f"spoilt_{number}", spoil, question)
     yield _table("images of blocks", found)
 
 
@@ -224,7 +237,12 @@ def _flooded(image: Image, seed: int) -> Image:
 
 
 def _block_of(
-    name: str, true: Path, dem: Path, folder: Path, spoil: Callable[[Image, int], Image] | None
+    name: str,
+    true: Path,
+    dem: Path,
+    folder: Path,
+    spoil: Callable[[Image, int], Image] | None,
+    question: str = "",
 ) -> list[Graded]:
     folder.mkdir(parents=True)
     rng = np.random.default_rng(SEED)
@@ -241,7 +259,8 @@ def _block_of(
     errors = np.stack(_block_errors(result, true, dem, biases))
     errors = errors - np.nanmean(errors, axis=0)  # where the block lies as a whole is the datum's
     return [
-        _graded(f"{name}: {each.name}", each, own) for each, own in zip(result.images, errors, strict=True)
+        _graded(f"{name}: {each.name}", each, own, question)
+        for each, own in zip(result.images, errors, strict=True)
     ]
 
 
