@@ -73,24 +73,15 @@ def match_coarsely(
 ) -> CoarseMatches:
     """Find the offset of highest SSIM within a radius for each corner.
 
-    Parameters
-    ----------
-    reference, target : MaskedMap
-        Maps of the same shape.
-    corners_rc : (n, 2) intp array
-        Row, column array indices of corners whose template window lies inside the reference.
-    template_px : int
-        Side of the template, odd.
-    radius_px : int
-        Largest offset per axis.
-    least_valid : float
-        Share of the template that must be valid in both maps.
+    The maps have the same shape; the (n, 2) intp `corners_rc` are row, column of corners whose template, an
+    odd number of px wide, lies inside the reference. A share of `least_valid` of it must be valid in both
+    maps, and the offset is at most `radius_px` per axis.
     """
     n = len(corners_rc)
     found = CoarseMatches(
         np.zeros((n, 2), np.intp), np.full(n, -1.0), np.zeros(n), np.zeros(n, bool), np.zeros((n, 2))
     )
-    search = _Search(reference, target, template_px, radius_px, least_valid)
+    search = _SsimSearch(reference, target, template_px, radius_px, least_valid)
     at_once = max(1, min(MAX_AT_ONCE, VALUES_AT_ONCE // (2 * radius_px + 1) ** 2))
     for begin in range(0, n, at_once):
         some = np.arange(begin, min(begin + at_once, n))
@@ -149,7 +140,7 @@ def peak_distinctness(surfaces: Float32, row: Index, col: Index) -> Float64:
     return np.where(height > 0, (peak - second) / np.where(height > 0, height, 1.0), 0.0)
 
 
-class _Search:
+class _SsimSearch:
     """Computes the SSIM of templates at all offsets; holds the memory that this needs."""
 
     def __init__(
@@ -252,11 +243,7 @@ def ssim(first: Float64, second: Float64) -> Float64:
 
 
 def _combine(
-    mean_f: Float64,
-    mean_s: Float64,
-    var_f: Float64,
-    var_s: Float64,
-    covariance: Float64,
+    mean_f: Float64, mean_s: Float64, var_f: Float64, var_s: Float64, covariance: Float64
 ) -> Float64:
     """Return luminance^α · contrast^β · structure^γ, the sign of the structure kept."""
     deviation = np.sqrt(var_f * var_s)

@@ -120,16 +120,8 @@ def parallax_evidence(points: TiePoints, planar: Bool, window_px: int) -> float:
     their neighbours have moved like them, and which lie more than 2 px from where one plane puts them: wrong
     matches are displaced from there in any direction, and come within a tolerance of a line by chance. Two of
     them determine the lines beside the plane. It is 0 where they are few, or of one and the same parallax, as
-    is a layer of clouds that moved.
-
-    Parameters
-    ----------
-    points : TiePoints
-        All matches, each found on its own.
-    planar : (n,) bool array
-        Those that agree with their neighbours.
-    window_px : int
-        Side of the matching window.
+    is a layer of clouds that moved. The `points` are all matches, each found on its own, and the (n,) bool
+    array `planar` tells those that agree with their neighbours.
     """
     geometry = _geometry_of(points)
     plane = plane_residual_px(points.reference_xy_px, points.target_xy_px, planar)
@@ -192,14 +184,8 @@ def epipolar_evidence(points: TiePoints, window_px: int, radius_px: int) -> floa
 def plane_residual_px(reference_xy_px: Float64, target_xy_px: Float64, kept: Bool) -> Float64 | None:
     """Return (n, 2) target positions less those of one plane; None where none is found.
 
-    The plane, a homography between two perspective views, is fitted robustly to some of the matches.
-
-    Parameters
-    ----------
-    reference_xy_px, target_xy_px : (n, 2) array
-        Positions (col, row).
-    kept : (n,) bool array
-        The matches that it is fitted to.
+    The plane, a homography between two perspective views, is fitted robustly to the matches of the (n,) mask
+    `kept`, at the (n, 2) `reference_xy_px` and `target_xy_px`, (n, 2), both (col, row).
     """
     if np.count_nonzero(kept) < MIN_EPIPOLAR_MATCHES:
         return None

@@ -102,7 +102,7 @@ def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, surface
     tree = cKDTree(others)
     step = max(1, CHUNK_VALUES // max(min(len(others), thinned.count), 1))
     parts = [
-        _Search.of(tree, at_xy_px[begin : begin + step], thinned.count).predict(moved, thinned)
+        _NeighbourSearch.of(tree, at_xy_px[begin : begin + step], thinned.count).predict(moved, thinned)
         for begin in range(0, max(len(at_xy_px), 1), step)
     ]
     return Prediction.concatenate(parts)
@@ -136,22 +136,11 @@ def independent_residual(
 ) -> tuple[Float64, float]:
     """Compare a sample of points with the prediction of neighbours that share no pixels with them.
 
-    Parameters
-    ----------
-    xy_px, displacement_px : (m, 2) arrays
-        Positions and displacements (col, row) of the tie points.
-    window_px : int
-        Side of the matching window.
-    surface : Surface
-        The surface that predicts.
-
-    Returns
-    -------
-    residual_px : (m, 2) array
-        Displacement minus prediction, px, scaled down by the expected error of the prediction: as large as
-        the point's own error. NaN outside the sample and where there are no such neighbours.
-    own : float
-        Typical share of the point's own error in the variance of the difference before that, 0 to 1.
+    For the (m, 2) positions `xy_px` and displacements `displacement_px` (col, row), return the (m, 2)
+    displacement minus the prediction of the surface, px, scaled down by the expected error of the prediction:
+    as large as the point's own error, NaN outside the sample and where there are no such neighbours. The
+    second result is the typical share of the point's own error in the variance of the difference before that,
+    0 to 1.
     """
     ((residual, share),) = _against_neighbours(xy_px, displacement_px, window_px, [surface])
     known = share[np.isfinite(share)]
@@ -168,7 +157,7 @@ def _against_neighbours(
     sample = np.unique(np.linspace(0, len(xy) - 1, min(SAMPLE, len(xy))).astype(np.intp))
     steps = {_step(surface) for surface in surfaces}
     searches = {
-        step: _Search.of(
+        step: _NeighbourSearch.of(
             cKDTree(xy[::step]),
             xy[sample],
             max(surface.count // step for surface in surfaces if _step(surface) == step),
@@ -211,17 +200,9 @@ def _typical(residual: Float64) -> float:
 def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Float64]:
     """Fit displacement = offset + linear · (xy - centre) robustly.
 
-    Parameters
-    ----------
-    xy_px, displacement_px : (m, 2) arrays
-        Positions and displacements (col, row) of the tie points.
-
-    Returns
-    -------
-    linear : (2, 2) array
-        The deformation of the target against the reference (component, by x and y), px per px.
-    linear_sigma : (2, 2) array
-        Its standard error if the errors of the points are independent.
+    For the (m, 2) positions `xy_px` and displacements `displacement_px` (col, row) of tie points, return the
+    (2, 2) deformation of the target against the reference (component, by x and y), px per px, and its (2, 2)
+    standard error if the errors of the points are independent.
     """
     design = np.c_[np.ones(len(xy_px)), xy_px - xy_px.mean(axis=0)]
     weight = np.ones(len(xy_px))
@@ -239,7 +220,7 @@ def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Fl
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Search:
+class _NeighbourSearch:
     """Points near each of n places, the nearest first."""
 
     tree: cKDTree
@@ -256,13 +237,13 @@ class _Search:
     """Largest number of such points at a place."""
 
     @staticmethod
-    def of(tree: cKDTree, at: Float64, count: int, excluded_px: float = 0.0) -> _Search:
+    def of(tree: cKDTree, at: Float64, count: int, excluded_px: float = 0.0) -> _NeighbourSearch:
         """Search the nearest `count` points that count."""
         at, nearer = np.ascontiguousarray(at, np.float64), 0
         if excluded_px and tree.n > 1 and len(at):
             nearer = int(tree.query_ball_point(at, excluded_px, return_length=True).max())
         distance, index = tree.query(at, k=np.arange(1, min(tree.n, count + nearer) + 1))
-        return _Search(tree, at, distance, index.astype(np.intp), excluded_px, nearer)
+        return _NeighbourSearch(tree, at, distance, index.astype(np.intp), excluded_px, nearer)
 
     def typical_count(self, radius_px: float) -> float:
         """Return the median number of points within a radius of the places; 1 if there is no place."""

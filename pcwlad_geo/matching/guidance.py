@@ -64,19 +64,9 @@ def shared_variance(xy_px: Float64, residual_px: Float64, window_px: int, neighb
 def calibrated(covariance_px2: Float64, scale: float, shared_variance_px2: float | Float64 = 0.0) -> Float64:
     """Return calibrated covariances: scaled formal ones, plus shared variance, plus the least variance.
 
-    Parameters
-    ----------
-    covariance_px2 : (n, 2, 2) array
-        Formal covariances, px².
-    scale : float
-        Factor of the sigmas, see `sigma_scale`.
-    shared_variance_px2 : float or (n,) array
-        Variance per axis of errors shared with neighbours, px².
-
-    Returns
-    -------
-    (n, 2, 2) array
-        px².
+    The formal (n, 2, 2) `covariance_px2` get the factor `scale` of the sigmas, see `sigma_scale`, and
+    `shared_variance_px2`, the variance per axis of errors shared with neighbours, one or (n,), px². The
+    result is of shape (n, 2, 2), px².
     """
     common = np.asarray(shared_variance_px2 + MIN_SIGMA_PX**2)
     result: Float64 = covariance_px2 * scale**2 + common[..., None, None] * np.eye(2)
@@ -290,20 +280,10 @@ def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> Window
     """Estimate the errors of windows from the displacements that they give at the same points.
 
     Of two windows, one inside the other, the larger knows what the smaller does: the variance of the
-    difference of their results is a (w₁⁻ᵖ - w₂⁻ᵖ) + c (w₂² - w₁²)², with p = 1.1, the noise a and the bend
-    c, for which the differences of three or more windows are solved.
-
-    Parameters
-    ----------
-    displacement_px : (k, n, 2) array
-        Displacements (col, row) of n points by each window, NaN where one failed.
-    windows_px : sequence of k int
-        Sides of the windows, the smallest first.
-
-    Returns
-    -------
-    WindowErrors or None
-        None for fewer than three windows or too few points.
+    difference of their results is a (w₁⁻ᵖ - w₂⁻ᵖ) + c (w₂² - w₁²)², with p = 1.1, the noise a and the bend c,
+    for which the differences of three or more windows are solved. The (k, n, 2) `displacement_px` (col, row)
+    are those of n points by each window, the smallest of the sides `windows_px` first, NaN where one failed.
+    None for fewer than three windows or too few points.
     """
     sides = np.asarray(windows_px, np.float64)
     known = np.isfinite(displacement_px).all(axis=(0, 2))
@@ -345,16 +325,9 @@ def expect_lost(
     settings: MatchSettings,
     predict: Predictor = field.predict,
 ) -> Lost:
-    """Predict where candidates without a match lie, from the consistent points.
+    """Predict where the (n, 2) candidates `xy_px` (col, row) without a match lie, from the consistent points.
 
-    Parameters
-    ----------
-    xy_px : (n, 2) array
-        Positions of the candidates (col, row).
-    points, guide : TiePoints, FieldGuide
-        The consistent points, and the guide that they make.
-    predict : callable, optional
-        Does as `field.predict`.
+    The `guide` is what these points make; `predict` does as `field.predict`.
     """
     xy, moved = points.reference_xy_px, points.displacement_px
     if len(points) < MIN_FOR_FIELD:

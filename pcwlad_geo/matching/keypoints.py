@@ -115,17 +115,9 @@ def contrast_weight(
 def detect_corners(moment: Float32, usable: Bool, weight: Float32) -> tuple[Index, Float32]:
     """Find FAST corners (type 9-16, non-maximum suppression).
 
-    Parameters
-    ----------
-    moment, weight : (rows, cols) float32 arrays
-        Maximum moment of the phase congruency; what multiplies the response.
-    usable : (rows, cols) bool array
-        Where a corner may lie.
-
-    Returns
-    -------
-    corners_rc, response : (n, 2) intp array and (n,) float32 array
-        Row, column array index of each corner, and its FAST response times the weight.
+    The (rows, cols) float32 `moment` is that of the phase congruency, and `weight`, of its shape (rows,
+    cols), multiplies the response; corners lie where the (rows, cols) bool array `usable` is true. Return the
+    (n, 2) intp row and column of each corner, and its (n,) float32 FAST response times the weight.
     """
     scaled = np.clip(moment * np.float32(255 / FULL_SCALE), 0, 255).astype(np.uint8)
     detector = cv2.FastFeatureDetector.create(THRESHOLD, True, cv2.FAST_FEATURE_DETECTOR_TYPE_9_16)
@@ -153,11 +145,7 @@ def cell_side_px(features: int, per_cell: int, area_px2: float) -> int:
 
 
 def by_cell(
-    corners_rc: Index,
-    response: Float32,
-    cell_px: int,
-    origin_rc: tuple[int, int],
-    per_cell: int,
+    corners_rc: Index, response: Float32, cell_px: int, origin_rc: tuple[int, int], per_cell: int
 ) -> Index:
     """Return the (m, 2) strongest corners of every cell of a lattice fixed to the scene.
 
@@ -173,19 +161,9 @@ def rank_in_cell(
 ) -> tuple[Index, Index]:
     """Sort corners by cell, the strongest of each cell first.
 
-    Parameters
-    ----------
-    corners_rc, response : (n, 2) intp array and (n,) array
-        Row, column array indices in the window; what the corners of a cell are ranked by.
-    cell_px : int
-        Side of a cell.
-    origin_rc : (int, int)
-        Row, column of the window's first pixel in the scene, so that the cells do not depend on the tile.
-
-    Returns
-    -------
-    order, rank : (n,) intp arrays
-        Indices that sort the corners; the rank of each corner so sorted in its cell, from 0.
+    The (n, 2) intp `corners_rc` are row, column in a window whose first pixel is `origin_rc` of the scene, so
+    that the cells, `cell_px` wide, do not depend on the tile; the (n,) `response` ranks them. Return (n,)
+    intp indices that sort the corners, and the (n,) intp rank of each corner so sorted in its cell, from 0.
     """
     cells = (corners_rc + np.asarray(origin_rc)) // cell_px
     order = np.lexsort((corners_rc[:, 1], corners_rc[:, 0], -response, cells[:, 1], cells[:, 0]))

@@ -19,7 +19,7 @@ from pcwlad_geo.matching.kernels.phase_congruency import (
     filter_rows,
     wedge,
 )
-from pcwlad_geo.types import Bool, Float32
+from pcwlad_geo.types import Bool, Complex64, Float32
 
 EPSILON_OF_BYTE_RANGE: Final = 1e-4
 """The ε of the phase congruency for an image of range 255, as in the authors' maps."""
@@ -31,8 +31,6 @@ COLS_AT_ONCE: Final = 32
 """Number of columns transformed at once, so that a block stays in the processor's cache."""
 STRIDE_MARGIN: Final = 8
 """Number of elements added to each row, so that rows of 2^k elements do not fall on the same cache lines."""
-
-Complex64 = NDArray[np.complex64]
 
 
 def scene_epsilon(image: NDArray[np.floating], valid: Bool | None = None) -> float:

@@ -39,7 +39,7 @@ from pcwlad_geo.matching.mutual_structure import (
 )
 from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, measure_noise, prepare, rounding_of
-from pcwlad_geo.matching.refinement import STEP_PX, Refined, Start, refine
+from pcwlad_geo.matching.refinement import STEP_PX, InitialEstimate, Refined, refine
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, MethodTraits, TiePoints
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -94,6 +94,7 @@ def match_arrays(
     reference_valid: Bool | None = None,
     target_valid: Bool | None = None,
     settings: MatchSettings | None = None,
+    also: Index | None = None,
 ) -> TiePoints:
     """Match two images of the same ground on the same grid.
 
@@ -104,6 +105,8 @@ def match_arrays(
     reference_valid, target_valid : (rows, cols) bool arrays, optional
         Pixels that count; non-finite values never do.
     settings : MatchSettings, optional
+    also : (n, 2) array of int, optional
+        Pixels (row, col) of the reference that are matched as well, corners or not.
 
     Returns
     -------
@@ -134,7 +137,7 @@ def match_arrays(
         channels=_traits(settings).channels,
     )
     core = Core(margin, margin, margin + rows, margin + cols, (-margin, -margin))
-    first, _ = match_candidates(pair, core, settings)
+    first, _ = match_candidates(pair, core, settings, None if also is None else also + margin)
     kept = first[consistent_points(first, settings)]
     final = second_pass(pair.channels, kept, settings)
     return final.shifted(np.array([-margin, -margin]), np.array([-margin, -margin]))
@@ -150,23 +153,17 @@ def margin_px(settings: MatchSettings) -> int:
     return max(settings.template, *settings.windows) // 2 + settings.search_radius + 16
 
 
-def match_candidates(pair: PreparedPair, core: Core, settings: MatchSettings) -> tuple[TiePoints, Candidates]:
+def match_candidates(
+    pair: PreparedPair, core: Core, settings: MatchSettings, also: Index | None = None
+) -> tuple[TiePoints, Candidates]:
     """Run the first pass: match every candidate independently.
 
-    Parameters
-    ----------
-    core : Core
-        Where corners are taken.
-
-    Returns
-    -------
-    points : TiePoints
-        In pixel coordinates of the two arrays; not yet checked against one another, covariances formal.
-    candidates : Candidates
-        All corners that were searched, and the stage that rejected each.
+    Corners are taken in the `core`; the (n, 2) int array `also` holds more candidates (row, col), which need
+    be no corners. Return the matches in pixel coordinates of the two arrays, not yet checked against one
+    another, covariances formal, and all corners that were searched, with the stage that rejected each.
     """
     traits = _traits(settings)
-    corners = _corners(pair, core, settings)
+    corners = np.concatenate([*([] if also is None else [also]), _corners(pair, core, settings)])
     coarse = match_coarsely(
         pair.reference_map,
         pair.target_map,
@@ -193,19 +190,19 @@ def match_candidates(pair: PreparedPair, core: Core, settings: MatchSettings) ->
         return points, Candidates(_centres(corners), outcome)
 
     def match(some: Index) -> tuple[TiePoints, Bool]:
-        start = Start(shift[some], np.zeros((len(some), 2, 2)))
+        start = InitialEstimate(shift[some], np.zeros((len(some), 2, 2)))
         refined, agree, forward_backward = _refine_both(
             pair.channels, corners[some], start, settings, settings.backward
         )
-        seen = _is_seen(pair.channels, corners[some], refined.shift_xy_px)
+        valid = _on_valid_target(pair.channels, corners[some], refined.shift_xy_px)
         outcome[some] = np.select(
-            [~refined.converged, ~agree, ~seen],
+            [~refined.converged, ~agree, ~valid],
             [OUTCOMES.index(name) for name in ("not_converged", "directions_disagree", "not_comparable")],
         )
         points = _points(
             corners[some], refined.shift_xy_px, refined.covariance_px2, score[some], forward_backward
         )
-        found = refined.converged & agree & seen
+        found = refined.converged & agree & valid
         return points[found], found
 
     if settings.spare == 0 or settings.features_area_px2 is None:
@@ -222,20 +219,8 @@ def _match_in_turns(
 ) -> tuple[TiePoints, Index]:
     """Match the best candidates of every cell, then, where there is one, another for each that fails.
 
-    Parameters
-    ----------
-    match : callable
-        Matches some candidates; returns the points found, and a mask of the candidates they belong to.
-    candidates, rank : (n,) intp arrays
-        Candidates by cell, the best of each cell first, and the rank in the cell.
-    wanted : int
-        Number of matches wanted of a cell.
-
-    Returns
-    -------
-    points : TiePoints
-    unneeded : (m,) intp array
-        Candidates that were not tried.
+    The candidates are sorted by cell, the best of each first, with their rank in it. Returned are the points
+    and the candidates that were not tried.
     """
     first, cell = rank < wanted, np.cumsum(rank == 0) - 1
     points, found = match(candidates[first])
@@ -265,19 +250,9 @@ def rematch(
 ) -> TiePoints:
     """Run the second pass: match points again, with the deformation and structure given by the field.
 
-    Parameters
-    ----------
-    points : TiePoints
-        In pixel coordinates of the arrays.
-    guide : FieldGuide
-        Guidance of these points.
-    window_px : int, optional
-        Window that matches all points; None: that of the settings, for those with something new to say.
-
-    Returns
-    -------
-    TiePoints
-        The same points in their order, covariances formal; a point that fails keeps its first position.
+    The points are in pixel coordinates of the arrays, and the guidance is theirs. The window `window_px`
+    matches all points; None: that of the settings, for those with something new to say. The result has the
+    same points in their order, covariances formal; a point that fails keeps its first position.
     """
     target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
     again, led = matched_again(guide, settings), guide.leads
@@ -292,7 +267,7 @@ def rematch(
         structure = None if structure is None else structure[index]
         if structure is not None and settings.window >= SPARSE_FROM_PX:
             begin = structure  # nearer to what a large window sees, and its structure is needed there anyway
-        start = Start(begin, guide.linear[index], structure, is_match=structure is not None)
+        start = InitialEstimate(begin, guide.linear[index], structure, is_match=structure is not None)
         corners = to_index(points[index])
         refined, agree, _ = _refine_both(pair, corners, start, settings, back, step_of(settings.window))
         good = refined.converged & agree
@@ -313,15 +288,15 @@ def rematch_with(
     """
     if scales.windows_px == (settings.window,):
         return rematch(pair, points, guide, settings)
-    seen = [_by_window(pair, points, guide, settings, window_px) for window_px in scales.windows_px]
-    good = np.all([found for _, found in seen], axis=0)
+    tries = [_by_window(pair, points, guide, settings, window_px) for window_px in scales.windows_px]
+    good = np.all([moved for _, moved in tries], axis=0)
     target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
     target[good] = sum(
-        weight * again.target_xy_px[good] for weight, (again, _) in zip(scales.weights, seen, strict=True)
+        weight * again.target_xy_px[good] for weight, (again, _) in zip(scales.weights, tries, strict=True)
     )
     # of two windows, one inside the other, the errors share those of the larger one
     own = min(scales.weights[0] ** 2, 1.0)
-    covariance[good] = own * seen[0][0].covariance_px2[good] + (1 - own) * seen[-1][0].covariance_px2[good]
+    covariance[good] = own * tries[0][0].covariance_px2[good] + (1 - own) * tries[-1][0].covariance_px2[good]
     smaller = [each for each in settings.windows if settings.window <= each < scales.windows_px[-1]]
     failed = np.flatnonzero(~good)
     for window_px in reversed(smaller):
@@ -350,38 +325,27 @@ def try_again(
 ) -> tuple[TiePoints, Index]:
     """Match candidates without a match once more, where their neighbours predict, in a larger window.
 
-    The structure is taken where the match is, not where it is predicted: a match that is led there returns
-    to where it was led, right or wrong. Both directions must agree, with each other and with the prediction.
-
-    Parameters
-    ----------
-    lost : Lost
-        In pixel coordinates of the arrays.
-    scales : Scales
-        Those of the second pass, with which the matches found are then measured.
-
-    Returns
-    -------
-    points : TiePoints
-        Those found, in pixel coordinates of the arrays; not yet checked against one another.
-    index : (m,) intp array
-        Which of the lost they are.
+    The structure is taken where the match is, not where it is predicted: a match that is led there returns to
+    where it was led, right or wrong. Both directions must agree, with each other and with the prediction. The
+    `scales` are those of the second pass, with which the matches found are then measured. Return those found,
+    in pixel coordinates of the arrays as the lost are, not yet checked against one another, and the (m,) intp
+    index of the lost that they are.
     """
     widest = max(settings.template, *settings.windows)  # the arrays reach as far
     largest = max(scales.windows_px)
     window_px = widest if largest >= MEASURED_UP_TO_PX else max(min(AGAIN_PX, widest), largest)
     corners = np.floor(lost.reference_xy_px[:, ::-1]).astype(np.intp)
-    refined, _, apart_px = _refine_both(
+    refined, _, difference_px = _refine_both(
         pair,
         corners,
-        Start(lost.guide.structure_xy_px, lost.guide.linear),
+        InitialEstimate(lost.guide.structure_xy_px, lost.guide.linear),
         replace(settings, window=window_px),
         "always",
         step_of(window_px),
     )
     off_px = np.linalg.norm(refined.shift_xy_px - lost.guide.structure_xy_px, axis=1)
-    good = refined.converged & (apart_px < RETURNS_PX) & (off_px < lost.limit_px)
-    good &= _is_seen(pair, corners, refined.shift_xy_px)
+    good = refined.converged & (difference_px < RETURNS_PX) & (off_px < lost.limit_px)
+    good &= _on_valid_target(pair, corners, refined.shift_xy_px)
     index = np.flatnonzero(good)
     # a window that is so large sees across a cloud, but nothing was measured in the middle of it
     index = index[alike_beyond_chance(pair, corners[index], refined.shift_xy_px[index])]
@@ -390,13 +354,13 @@ def try_again(
         refined.shift_xy_px[index],
         refined.covariance_px2[index],
         np.zeros(len(index)),
-        apart_px[index],
+        difference_px[index],
     )
     guide = replace(lost.guide, one_way=False).part(index)
     return rematch_with(pair, points, guide, settings, scales), index
 
 
-def _is_seen(pair: ChannelPair, corners: Index, shift_xy_px: Float64) -> Bool:
+def _on_valid_target(pair: ChannelPair, corners: Index, shift_xy_px: Float64) -> Bool:
     """Return whether matches lie on valid pixels of the target: a large window sees across a small cloud."""
     valid = pair.target.valid
     there = np.floor(np.nan_to_num(_centres(corners) + shift_xy_px)).astype(np.intp)[:, ::-1]
@@ -410,22 +374,14 @@ def can_try_again(settings: MatchSettings) -> bool:
     return traits.refined and traits.structure == "local" and settings.consensus != "off"
 
 
-def seen_by_windows(
+def displacement_by_windows(
     pair: ChannelPair,
     points: TiePoints,
     guide: FieldGuide,
     settings: MatchSettings,
     windows_px: Sequence[int],
 ) -> Float64:
-    """Return (k, n, 2) displacements (col, row) of the n points by each of k windows, NaN for failures.
-
-    Parameters
-    ----------
-    pair, points, guide, settings
-        Those of `rematch`.
-    windows_px : sequence of k int
-        Sides of the windows.
-    """
+    """Return (k, n, 2) displacements (col, row) of the n points by each of k windows, NaN for failures."""
     moved = []
     for window_px in windows_px:
         again = rematch(pair, points, guide, settings, window_px)
@@ -433,7 +389,7 @@ def seen_by_windows(
     return np.stack(moved)
 
 
-def seen_by_stripes(pair: ChannelPair, points: TiePoints, guide: FieldGuide) -> Float64:
+def displacement_by_stripes(pair: ChannelPair, points: TiePoints, guide: FieldGuide) -> Float64:
     """Return (2, n, 2) displacements (col, row) by windows of few rows, then of few columns, NaN if lost.
 
     The n `points` and their `guide` are in pixel coordinates of the arrays of `pair`.
@@ -442,15 +398,15 @@ def seen_by_stripes(pair: ChannelPair, points: TiePoints, guide: FieldGuide) -> 
     corners = to_index(points)
     rows = np.zeros((len(points), STRIPE_PX, STRIPE_PX), np.float32)
     rows[:, STRIPE_PX // 2 - STRIPE_WIDTH_PX // 2 :][:, :STRIPE_WIDTH_PX] = 1.0
-    seen = []
+    found_by = []
     for weight in (rows, np.ascontiguousarray(rows.transpose(0, 2, 1))):
-        start = Start(begin, guide.linear, structure=weight)
+        start = InitialEstimate(begin, guide.linear, structure=weight)
         found = refine(pair.reference, pair.target, corners, start, window_px=STRIPE_PX, threads=pair.threads)
-        seen.append(np.where(found.converged[:, None], found.shift_xy_px, np.nan))
-    return np.stack(seen)
+        found_by.append(np.where(found.converged[:, None], found.shift_xy_px, np.nan))
+    return np.stack(found_by)
 
 
-def seen_by_surroundings(
+def displacement_by_surroundings(
     pair: ChannelPair, points: TiePoints, guide: FieldGuide, other_px: Float64
 ) -> Float64:
     """Return (1, n, 2) the displacement (col, row) that fits best right around each of n points.
@@ -460,15 +416,15 @@ def seen_by_surroundings(
     """
     corners = to_index(points)
     there = corners + np.rint(points.displacement_px[:, ::-1]).astype(np.intp)
-    beside = np.array([np.zeros(2), other_px, -other_px, other_px[::-1] * (1, -1)])
+    offsets = np.array([np.zeros(2), other_px, -other_px, other_px[::-1] * (1, -1)])
     alike = np.stack(
         [
             correlations(pair, corners, there + np.rint(each[::-1]).astype(np.intp), SURROUNDINGS_PX)
-            for each in beside
+            for each in offsets
         ]
     )
     alike[0] += CLEARLY_ALIKE
-    best: Float64 = points.displacement_px + beside[alike.argmax(axis=0)]
+    best: Float64 = points.displacement_px + offsets[alike.argmax(axis=0)]
     return best[None]
 
 
@@ -496,8 +452,8 @@ def second_pass(pair: ChannelPair, points: TiePoints, settings: MatchSettings) -
     """Guide, match again, check and calibrate the `points` of one `pair` with `settings`."""
     guide = guide_by_field(points, settings)
     sample = window_sample(guide, settings)
-    seen = partial(seen_by_windows, pair, points[sample], guide.part(sample), settings)
-    scales, errors = choose_scales(seen, settings) if len(sample) else (Scales.of(settings.window), None)
+    measured = partial(displacement_by_windows, pair, points[sample], guide.part(sample), settings)
+    scales, errors = choose_scales(measured, settings) if len(sample) else (Scales.of(settings.window), None)
     again = rematch_with(pair, points, guide, settings, scales)
     settings = replace(settings, window=scales.window_px)
     good = again[consistent_points(again, settings)]
@@ -506,7 +462,7 @@ def second_pass(pair: ChannelPair, points: TiePoints, settings: MatchSettings) -
 
 
 def choose_scales(
-    seen: Callable[[Sequence[int]], Float64], settings: MatchSettings
+    measured: Callable[[Sequence[int]], Float64], settings: MatchSettings
 ) -> tuple[Scales, WindowErrors | None]:
     """Choose the windows of the second pass, where they are open, and tell the errors of all that were tried.
 
@@ -514,11 +470,11 @@ def choose_scales(
 
     Parameters
     ----------
-    seen : callable
-        Gives the (k, n, 2) displacements of n points by k windows, as `seen_by_windows` does.
+    measured : callable
+        Gives the (k, n, 2) displacements of n points by k windows, as `displacement_by_windows` does.
     """
     tried = settings.windows[:TRIED_FIRST]
-    moved = seen(tried)
+    moved = measured(tried)
     open_to = [window for window in settings.windows[TRIED_FIRST:] if window <= MEASURED_UP_TO_PX]
     while True:
         errors = window_errors(moved, tried)
@@ -528,7 +484,7 @@ def choose_scales(
         if not open_to or not tries_larger(scales, tried):
             return scales, errors
         tried = (*tried, open_to.pop(0))
-        moved = np.concatenate([moved, seen(tried[-1:])])
+        moved = np.concatenate([moved, measured(tried[-1:])])
 
 
 def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
@@ -538,18 +494,17 @@ def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
 
 
 def _refine_both(
-    pair: ChannelPair, corners: Index, start: Start, settings: MatchSettings, back: Back, step_px: int = 1
+    pair: ChannelPair,
+    corners: Index,
+    start: InitialEstimate,
+    settings: MatchSettings,
+    back: Back,
+    step_px: int = 1,
 ) -> tuple[Refined, Bool, Float64]:
     """Refine forward and, where the method asks for it, backward.
 
-    Returns
-    -------
-    refined : Refined
-        The mean of both directions where there are two.
-    agree : (n,) bool array
-        Whether the two agree.
-    forward_backward_px : (n,) array
-        Their difference; infinite where the backward match failed, NaN where it was not made.
+    Returned are the mean of the directions, whether they agree, and their (n,) difference: infinite where the
+    backward match failed, NaN where it was not made.
     """
     forward = _refine_one_way(pair, corners, start, settings, step_px)
     forward_backward = np.full(len(corners), np.nan)
@@ -600,7 +555,7 @@ def _refine_back(
     # field differs by deformation times the remainder
     remainder = (landed - corners)[:, ::-1] - shift_xy
     deformation = np.einsum("nij,nj->ni", linear, remainder)
-    start = Start(
+    start = InitialEstimate(
         -(shift_xy + deformation),
         inverse(np.eye(2) + linear) - np.eye(2),
         None if structure_xy is None else -(structure_xy + deformation),
@@ -611,7 +566,7 @@ def _refine_back(
 
 
 def _refine_one_way(
-    pair: ChannelPair, corners: Index, start: Start, settings: MatchSettings, step_px: int
+    pair: ChannelPair, corners: Index, start: InitialEstimate, settings: MatchSettings, step_px: int
 ) -> Refined:
     traits = _traits(settings)
     if traits.structure == "filter":
@@ -631,7 +586,7 @@ def _refine_one_way(
     result = refined(start, use_structure=traits.structure == "local", robust=traits.robust)
     if traits.structure == "filter":
         # taken once, at the whole-pixel match, the structure would pull the answer towards that pixel
-        moved = Start(result.shift_xy_px, result.linear)
+        moved = InitialEstimate(result.shift_xy_px, result.linear)
         moved = replace(moved, structure=shared_structure(pair, corners, moved, settings.window))
         result = refined(moved)
     return result
@@ -645,7 +600,7 @@ def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
     reach = margin_px(settings) - 8
     usable[:reach], usable[-reach:], usable[:, :reach], usable[:, -reach:] = False, False, False, False
     usable &= pair.contrast >= 0
-    corners, response = keypoints.detect_corners(pair.reference_moment, usable, pair.contrast)
+    corners, response = keypoints.detect_corners(pair.reference_map.values, usable, pair.contrast)
     inside = (corners >= (core.row, core.col)).all(axis=1) & (corners < (core.row_stop, core.col_stop)).all(
         axis=1
     )

@@ -26,7 +26,7 @@ from pcwlad_geo.matching.coarse import ssim
 from pcwlad_geo.matching.kernels.compiled import compiled, compiled_part
 from pcwlad_geo.matching.keypoints import FULL_SCALE
 from pcwlad_geo.matching.prepare import ChannelPair
-from pcwlad_geo.matching.refinement import Refined, Start
+from pcwlad_geo.matching.refinement import InitialEstimate, Refined
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 ITERATIONS: Final = 20
@@ -43,7 +43,7 @@ EPSILON_TARGET: Final = 1e-4
 """ε_I, the variance below which the target window counts as flat, as published [1]_."""
 AROUND_PX: Final = 40
 """Half side of what must be alike around a match, about the first window of refinement."""
-BESIDE_PX: Final = 24
+CHANCE_OFFSET_PX: Final = 24
 """Offset (row and column) of the places that are alike by chance only, beyond the reach of the filters."""
 MORE_THAN_CHANCE: Final = 2.0
 """Least correlation of a match, in standard deviations of those by chance."""
@@ -121,20 +121,22 @@ def _filter_windows(
     count, rows, cols = g.shape
     area = _box_sums(np.ones((rows, cols)), radius, np.empty((rows, cols)), np.empty(cols))
     sums = np.empty((8, rows, cols))
-    products = np.empty((3, rows, cols))
+    products = np.empty((5, rows, cols))
     for k in range(count):
         for _ in range(iterations):
             _local_lines(g[k], i[k], area, radius, epsilon_g, epsilon_i, sums, products)
             _update_images(g0[k], i0[k], area, lambda_g, lambda_i, sums, g[k], i[k])
-        _correlate(g[k], i0[k], area, radius, epsilon_g, epsilon_i, sums, products, weight[k], False)
-        _correlate(g0[k], i[k], area, radius, epsilon_g, epsilon_i, sums, products, weight[k], True)
+        for again in (False, True):  # one call: what is inlined twice is compiled twice
+            first, second = (g0[k], i[k]) if again else (g[k], i0[k])
+            _correlate(first, second, area, radius, epsilon_g, epsilon_i, sums, products, weight[k], again)
 
 
-@compiled_part()
+@compiled_part(called=True)
 def _box_sums(values: Float64, radius: int, out: Float64, column: Float64) -> Float64:
     """Sum over the (2·radius + 1)² neighbourhood of each pixel, cut off at the border, into `out`."""
     rows, cols = values.shape
-    column[:] = 0.0
+    for c in range(cols):
+        column[c] = 0.0
     for r in range(min(radius, rows)):
         for c in range(cols):
             column[c] += values[r, c]
@@ -145,7 +147,8 @@ def _box_sums(values: Float64, radius: int, out: Float64, column: Float64) -> Fl
         if r - radius > 0:
             for c in range(cols):
                 column[c] -= values[r - radius - 1, c]
-        out[r, :] = column
+        for c in range(cols):
+            out[r, c] = column[c]
         for step in range(1, radius + 1):
             for c in range(step, cols):
                 out[r, c] += column[c - step]
@@ -161,13 +164,13 @@ def _moments(g: Float64, i: Float64, radius: int, sums: Float64, products: Float
     column = np.empty(cols)
     for r in range(rows):
         for c in range(cols):
-            products[0, r, c] = g[r, c] * g[r, c]
-            products[1, r, c] = i[r, c] * i[r, c]
-            products[2, r, c] = g[r, c] * i[r, c]
-    _box_sums(g, radius, sums[0], column)
-    _box_sums(i, radius, sums[1], column)
-    for n in range(3):
-        _box_sums(products[n], radius, sums[2 + n], column)
+            products[0, r, c] = g[r, c]
+            products[1, r, c] = i[r, c]
+            products[2, r, c] = g[r, c] * g[r, c]
+            products[3, r, c] = i[r, c] * i[r, c]
+            products[4, r, c] = g[r, c] * i[r, c]
+    for n in range(5):
+        _box_sums(products[n], radius, sums[n], column)
 
 
 @compiled_part()
@@ -201,7 +204,9 @@ def _local_lines(
             sums[6, r, c] = b1 * b1
             sums[7, r, c] = b1 * sums[3, r, c]
     for n in range(8):
-        products[0] = sums[n]
+        for r in range(rows):
+            for c in range(cols):
+                products[0, r, c] = sums[n, r, c]
         _box_sums(products[0], radius, sums[n], column)
 
 
@@ -262,7 +267,7 @@ CHUNK: Final = 128
 """Number of windows that are filtered at once, which limits the memory."""
 
 
-def shared_structure(pair: ChannelPair, corners_rc: Index, start: Start, window_px: int) -> Float32:
+def shared_structure(pair: ChannelPair, corners_rc: Index, start: InitialEstimate, window_px: int) -> Float32:
     """Return the mutual structure of the windows of every corner at the position of the start.
 
     It is an (n, window_px, window_px) float32 array of weights, 0 to 1, see `mutual_structure`. The (n, 2)
@@ -279,7 +284,12 @@ def shared_structure(pair: ChannelPair, corners_rc: Index, start: Start, window_
 
 
 def passes_paper(
-    pair: ChannelPair, corners_rc: Index, start: Start, refined: Refined, window_px: int, gate: float
+    pair: ChannelPair,
+    corners_rc: Index,
+    start: InitialEstimate,
+    refined: Refined,
+    window_px: int,
+    gate: float,
 ) -> Bool:
     """Return the (n,) mask of the windows whose SSIM is above the gate and above that of the coarse match.
 
@@ -306,10 +316,11 @@ def alike_beyond_chance(pair: ChannelPair, corners_rc: Index, shift_xy_px: Float
     beside their matches.
     """
     whole = np.rint(shift_xy_px[:, ::-1]).astype(np.intp)
-    right, beside = (
-        correlations(pair, corners_rc, corners_rc + whole + offset, AROUND_PX, 2) for offset in (0, BESIDE_PX)
+    right, elsewhere = (
+        correlations(pair, corners_rc, corners_rc + whole + offset, AROUND_PX, 2)
+        for offset in (0, CHANCE_OFFSET_PX)
     )
-    by_chance = float(np.sqrt(np.mean(beside**2))) if len(beside) else 0.0
+    by_chance = float(np.sqrt(np.mean(elsewhere**2))) if len(elsewhere) else 0.0
     return right > MORE_THAN_CHANCE * by_chance
 
 
@@ -325,7 +336,7 @@ def correlations(
     result = np.zeros(len(reference_rc))
     for begin in range(0, len(reference_rc), CHUNK):
         part = slice(begin, begin + CHUNK)
-        seen = []
+        centred = []
         for maps, centre_rc in (
             (pair.reference.maps, reference_rc[part]),
             (pair.target.maps, target_rc[part]),
@@ -335,8 +346,8 @@ def correlations(
                 for centre, length in zip(centre_rc.T, maps.shape[1:], strict=True)
             )
             values = maps[:, rows[:, :, None], cols[:, None, :]]
-            seen.append(values - values.mean(axis=(2, 3), keepdims=True))
-        reference, target = seen
+            centred.append(values - values.mean(axis=(2, 3), keepdims=True))
+        reference, target = centred
         both, first, second = (
             np.einsum("knij,knij->n", one, other)
             for one, other in ((reference, target), (reference, reference), (target, target))

@@ -70,22 +70,11 @@ _REWEIGHTED: Final = 30
 
 
 def consistent(xy_px: Float64, displacement_px: Float64, sigma_px: Float64, window_px: int) -> Bool:
-    """Return a mask of the matches that agree with their neighbours.
+    """Return the (n,) mask of the matches that agree with their neighbours.
 
-    Parameters
-    ----------
-    xy_px : (n, 2) array
-        Positions (col, row).
-    displacement_px : (n, 2) array
-        Displacements (col, row).
-    sigma_px : (n,) array
-        Radial standard deviation of each displacement.
-    window_px : int
-        Side of the matching window: points nearer than that share pixels and can share errors.
-
-    Returns
-    -------
-    (n,) bool array
+    They are at the (n, 2) positions `xy_px`, with the (n, 2) displacements `displacement_px` (col, row) and
+    their (n,) radial standard deviations `sigma_px`. Points nearer to each other than the side of the
+    matching window share pixels and can share errors.
     """
     kept = np.ones(len(xy_px), bool)
     for narrow in (False, True):
@@ -100,25 +89,12 @@ def consistent(xy_px: Float64, displacement_px: Float64, sigma_px: Float64, wind
 def confirmed(
     xy_px: Float64, displacement_px: Float64, index: Index, predicted_px: Float64, window_px: int
 ) -> Bool:
-    """Tell which inconsistent matches others next to them confirm, against the prediction of the field.
+    """Return the (m,) mask of inconsistent matches that others next to them confirm, against the field.
 
-    Such ground has moved by itself: a slide, a cloud, another depth.
-
-    Parameters
-    ----------
-    xy_px, displacement_px : (n, 2) arrays
-        Positions and displacements (col, row) of all matches.
-    index : (m,) intp array
-        The inconsistent ones.
-    predicted_px : (m, 2) array
-        Displacements that are predicted for them.
-    window_px : int
-        Side of the matching window: matches nearer than a quarter of it err alike, if not by the same.
-
-    Returns
-    -------
-    (m,) bool array
-        Whether at least three of the nearest matches are nearer to the match than to the prediction, by far.
+    Such ground has moved by itself: a slide, a cloud, another depth. At least three of the nearest matches
+    are nearer to the match than to the prediction, by far; matches nearer than a quarter of the window err
+    alike, if not by the same. All matches are at the (n, 2) `xy_px` with the (n, 2) `displacement_px` (col,
+    row); the inconsistent ones are those of the (m,) intp `index`, with the (m, 2) `predicted_px`.
     """
     if len(xy_px) <= CONFIRMING or len(index) == 0:
         return np.zeros(len(index), bool)
@@ -198,24 +174,10 @@ def contradicted_clusters(
     A cluster is a minority of neighbours that have moved alike, several pixels and many scatters beside a
     plane (and, where there are enough matches, a quadratic surface) fitted robustly to all others, with a
     step all around: a smooth bend of the ground is none. Wrong matches of a repeated structure are like that,
-    and so is a landslide: the displacements alone cannot tell them apart.
-
-    Parameters
-    ----------
-    xy_px : (n, 2) array
-        Positions (col, row).
-    displacement_px : (n, 2) array
-        Displacements (col, row).
-    window_px : float
-        Side of the matching window: an island farther than two of them (and than three typical distances of
-        neighbours) from all others contradicts nobody.
-    unit_px : float
-        Size of a pixel of the matching in px of the arrays.
-
-    Returns
-    -------
-    list of Cluster
-        Empty where more than a fifth of the matches are in clusters.
+    and so is a landslide: the displacements alone cannot tell them apart. The (n, 2) `xy_px` and
+    `displacement_px`, also (n, 2), are (col, row). An island farther than two windows (and than three typical
+    distances of neighbours) from all others contradicts nobody; `unit_px` is the size of a pixel of the
+    matching in px of the arrays. There are none where more than a fifth of the matches are in clusters.
     """
     n = len(xy_px)
     if n < 2 * NEIGHBOURS:

@@ -1,15 +1,19 @@
-"""Search for the pose between two images of different modality: any rotation, scale and shift.
+"""Search for the pose between two images of different modality: any rotation, scale, shift, and some shear.
 
 Rotating an image rotates its orientation channels and shifts them cyclically, so that the channels of one
 resolution serve all rotations. With harmonics of the orientation the cyclic shift is a product with a phase.
+The search knows similarities. From the best of them patches, each looked for within a wide reach, vote for an
+affine transformation: a patch is hardly changed by what moves the border of the whole image by many pixels.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from threading import Lock
 from typing import Any, Final
 
 import cv2
@@ -17,10 +21,16 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from pcwlad_geo.estimation.solving import inverse
+from pcwlad_geo.estimation.solving import inverse, least_squares, solve
+from pcwlad_geo.matching.coarse import window_sums
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
-from pcwlad_geo.matching.shift_search import Patches, normalised_channels, patches_against_chance
-from pcwlad_geo.types import Bool, Float32, Float64
+from pcwlad_geo.matching.refinement import in_threads
+from pcwlad_geo.matching.shift_search import (
+    MIN_PATCHES,
+    Patches,
+    normalised_channels,
+)
+from pcwlad_geo.types import Bool, Complex64, Float32, Float64
 
 CORRELATION_CELLS: Final = 112
 """Longer side of the larger image, in cells of the correlation."""
@@ -30,6 +40,8 @@ ANGLE_STEP_DEG: Final = 4.0
 """Step of the rotations; half of it moves the border of the image by two cells."""
 SCALE_STEP: Final = 1.08
 """Ratio of one scale to the next; half of it moves the border of the image by two cells."""
+SMALL: Final = 0.5
+"""Up to this share of the larger image, both steps may be twice as large: the border moves no farther."""
 SCALES: Final = (0.25, 4.0)
 """Smallest and largest scale, target px per reference px."""
 MIN_OVERLAP: Final = 0.25
@@ -60,6 +72,56 @@ MAX_EVIDENCE: Final = 4.0
 """Largest evidence that a score can give by itself: the tie points must give the rest."""
 MIN_EVIDENCE: Final = 2.0
 """Least evidence of a pose that is worth a match; tie points alone would accept a chance pose of many."""
+VOTING_SIDE_PX: Final = 192
+"""Longer side of the reference where patches vote for an affine pose."""
+VOTER_PX: Final = 36
+"""Side of such a patch."""
+VOTER_STEP_PX: Final = 12
+"""Distance between the patches, which overlap."""
+VOTER_REACH_PX: Final = 30
+"""Largest displacement of such a patch from the pose that it starts from, per axis."""
+VOTER_BLUR_PX: Final = 0.75
+"""Sigma of the Gaussian that smooths their channels further."""
+VOTER_VALID: Final = 0.5
+"""Least share of such a patch that must be valid, and of its displacements at which it is."""
+VOTER_CLEARANCE_PX: Final = 4
+"""Displacements this close to a peak, per axis, belong to it."""
+VOTE_TOLERANCE_PX: Final = 2.25
+"""A patch agrees with an affine pose if its displacement is this close to it."""
+VOTE_SAMPLES: Final = 600
+"""Number of affine poses that are tried, each of three patches."""
+CONSENSUS_ROUNDS: Final = 3
+"""Number of times that the best of these is fitted again to the patches that agree with it."""
+STRETCH_LIMITS: Final = (0.55, 1.9)
+"""Smallest and largest singular value of an affine change of a pose."""
+MAX_ANISOTROPY: Final = 1.7
+"""Largest ratio of these singular values."""
+LEAST_TRIANGLE_PX2: Final = 1000.0
+"""Least area of the triangle of three patches that determine an affine pose."""
+STRETCH: Final = 1.3
+"""Ratio of the axes of a stretched reference; similarities tell what it misses by up to some 1.2."""
+STRETCH_DIRECTIONS: Final = 4
+"""Number of directions in which it is stretched."""
+STRETCHED_SCALES: Final = (0.5, 2.0)
+"""Smallest and largest scale of these, target px per reference px."""
+COARSE: Final = (56, 8.0, 1.16)
+"""Cells, step of the rotations and of the scales of these: coarse cells tolerate the rest of the stretch."""
+SAMPLED: Final = 8
+"""Number of the best of these from which a sample of the patches votes."""
+GROWN: Final = 3
+"""Number of those, with which most of the sample agree, from which the sample votes again."""
+MIN_SAMPLED: Final = 7
+"""Least number of patches of the sample that agree, so that all vote; of unrelated images 3 to 8 do."""
+FULLY_GROWN: Final = 2
+"""Number of these poses from which all patches vote."""
+SAMPLED_VOTERS: Final = 2
+"""In the sample is every so-manieth patch along each axis."""
+GROWTH_ROUNDS: Final = 5
+"""Largest number of times that patches vote, each time from the pose that they agreed on."""
+BY_CHANCE: Final = 14.0
+"""Number of these patches that agree in unrelated images (median of 63 pairs; the most were 24)."""
+PER_EVIDENCE: Final = 7.5
+"""Number of patches beyond it that are ten times as rare by chance."""
 
 _ROOT_2 = math.sqrt(2.0)
 _ANGLES = np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS
@@ -74,34 +136,28 @@ _HARMONICS = np.stack(
 ).astype(np.float32)
 """Mean, second and fourth harmonic of the orientations; the sixth has no phase."""
 
-Complex64 = NDArray[np.complex64]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseProposal:
-    """A similarity that the search proposes, and its support."""
+    """A similarity or an affine transformation that the search proposes, and its support."""
 
     matrix: Float64
     """(2, 3): target px (col, row) = matrix · (col, row, 1) of the reference, array indices."""
     score: float
     """Correlation times the root of the overlap in cells, which is fair between large and small overlaps."""
     evidence: float
-    """-log10 of the probability, as measured, that the score of unrelated images stands out as much."""
+    """-log10 of the probability, as measured, that unrelated images give as much: a score that stands out as
+    far, or as many patches that agree."""
     patches: int = 0
     """Number of patches that were compared."""
     agreeing: int = 0
-    """Number of patches that agree on the similarity."""
+    """Number of patches that agree on the transformation."""
     spread_px: float = 0.0
-    """Distance from the similarity within which 95 % of the agreeing patches lie, reference px."""
-
-    @property
-    def significance(self) -> float:
-        """-log10 of the probability that as many patches agree by chance; 0 for a few patches."""
-        return patches_against_chance(self.agreeing, self.patches)
+    """Distance from it within which 95 % of the agreeing patches lie, reference px."""
 
     @property
     def accepted(self) -> bool:
-        """Whether the score stands out of all others."""
+        """Whether the score stands out of all others, or more patches agree than by chance."""
         return self.evidence >= MIN_EVIDENCE
 
     @property
@@ -126,6 +182,10 @@ class _Trial:
     """Shift (row, col) of the moving image, cells."""
     cycle: int | None
     """Size of the cycle that the shift is known in, cells; None where it is known."""
+    stride: int
+    """Steps to the next rotation and ratio that were tried."""
+    to_stretched: Float64 | None = None
+    """(3, 3) px of the reference to those of the stretched one that was tried; None where it is as it is."""
 
     @cached_property
     def matrix(self) -> Float64:
@@ -134,7 +194,8 @@ class _Trial:
         from_px = np.diag([-1.0, -1.0, 1.0]) @ self.fixed.from_px if self.opposite else self.fixed.from_px
         shift = _affine(np.eye(2), np.array([col, row], np.float64))
         found = inverse(from_px) @ shift @ self.moving.from_px
-        return inverse(found) if self.scan.from_target else found
+        found = inverse(found) if self.scan.from_target else found
+        return found if self.to_stretched is None else found @ self.to_stretched
 
     def _nearest_cycle(self, axis: int) -> int:
         """Return the shift along an axis, of those that are one in the cycle, with the largest overlap."""
@@ -168,6 +229,7 @@ class _Image:
     values: Float32
     valid: Bool
     _levels: dict[int, tuple[Float32, Float32, Float64]] = field(default_factory=dict)
+    _lock: Lock = field(default_factory=Lock)  # threads that need the same level compute it once
 
     @property
     def side_px(self) -> int:
@@ -189,7 +251,8 @@ class _Image:
             rows = cols = self.canvas_side(side_cells)
         middle_px, from_map = (np.array(self.values.shape[::-1]) - 1) / 2, inverse(to_map)
         for angle_rad in angles_rad or (0.0,):
-            linear = per_px * _rotation(angle_rad)
+            cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+            linear = per_px * np.array([[cos, -sin], [sin, cos]])
             from_px = _affine(linear, (np.array([cols, rows]) - 1) / 2 - linear @ middle_px)
             warp = from_px @ from_map
             known = (_warped(usable, warp, (rows, cols)) > 0.5).astype(np.float32)
@@ -205,13 +268,14 @@ class _Image:
     def _level(self, side_cells: float) -> tuple[Float32, Float32, Float64]:
         """Return channels, usable px and the (3, 3) matrix from px, at the nearest half octave."""
         step = round(2 * math.log2(side_cells / CORRELATION_CELLS))
-        if step not in self._levels:
-            factor = min(1.0, PIXELS_PER_CELL * CORRELATION_CELLS * 2 ** (step / 2) / self.side_px)
-            values, valid, to_map = _shrunk(self.values, self.valid, factor)
-            channels, usable = normalised_channels(values, valid)
-            maps = np.einsum("rco,ho->hrc", channels, _HARMONICS / ORIENTATIONS)
-            self._levels[step] = np.ascontiguousarray(maps), usable, to_map
-        return self._levels[step]
+        with self._lock:
+            if step not in self._levels:
+                factor = min(1.0, PIXELS_PER_CELL * CORRELATION_CELLS * 2 ** (step / 2) / self.side_px)
+                values, valid, to_map = _shrunk(self.values, self.valid, factor)
+                channels, usable = normalised_channels(values, valid)
+                maps = np.einsum("rco,ho->hrc", channels, _HARMONICS / ORIENTATIONS)
+                self._levels[step] = np.ascontiguousarray(maps), usable, to_map
+            return self._levels[step]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,24 +288,26 @@ class _Scan:
     """Whether the target is the moving image."""
     cells: int = CORRELATION_CELLS
     """Longer side of the fixed image, cells."""
+    angle_step_deg: float = ANGLE_STEP_DEG
+    scale_step: float = SCALE_STEP
 
-    def everywhere(self, scales: tuple[float, float]) -> Iterator[_Trial]:
+    def everywhere(self, scales: tuple[float, float]) -> list[_Trial]:
         """Try all rotations and ratios of the sizes; two equal sizes count for the reference as moving."""
         largest = self.fixed.side_px / self.moving.side_px
         limits = (1 / scales[1], 1 / scales[0]) if self.from_target else scales
         steps = range(
             int(self.from_target),
-            1 + math.ceil(math.log(max(largest / limits[0], 1.0)) / math.log(SCALE_STEP)),
+            1 + math.ceil(math.log(max(largest / limits[0], 1.0)) / math.log(self.scale_step)),
         )
-        ratios = [
-            SCALE_STEP**-step for step in steps if SCALE_STEP**-step * largest <= limits[1] * SCALE_STEP
-        ]
-        angles = np.radians(np.arange(0.0, 180.0, ANGLE_STEP_DEG)).tolist()
-        return self._trials(ratios, angles, both_halves=True)
+        ratios = [self.scale_step**-step for step in steps]
+        ratios = [ratio for ratio in ratios if ratio * largest <= limits[1] * self.scale_step]
+        ratios = [ratio for number, ratio in enumerate(ratios) if number % _stride(ratio) == 0]
+        angles = np.radians(np.arange(0.0, 180.0, self.angle_step_deg)).tolist()
+        return list(self._trials(ratios, angles, both_halves=True))
 
     def around(self, trial: _Trial) -> _Trial:
         """Return the best of finer steps around a trial."""
-        steps = np.arange(-(FINER // 2), FINER // 2 + 1) / FINER
+        steps = trial.stride * np.arange(-(FINER // 2), FINER // 2 + 1) / FINER
         angles = trial.angle_rad + np.radians(ANGLE_STEP_DEG) * steps
         ratios = trial.ratio * SCALE_STEP**steps
         fine = replace(self, cells=FINE_CELLS)
@@ -271,15 +337,18 @@ class _Scan:
         for ratio in ratios:
             (moving,) = self.moving.in_cells(self.cells * ratio, size)
             least = max(MIN_OVERLAP * min(fixed_area, moving.area), MIN_CELLS)
+            stride = _stride(ratio) if near is None else 1
             for opposite in (False, True) if both_halves else (False,):
-                scores = _scores(moving, spectra, masks, opposite, size, least)
-                for angle, cells, score in zip(angles, rotated, scores, strict=True):
+                scores = _scores(moving, spectra[:, ::stride], masks[:, ::stride], opposite, size, least)
+                for angle, cells, score in zip(angles[::stride], rotated[::stride], scores, strict=True):
                     shift_rc = _highest(score, self._expected(moving, cells, near))
                     best = float(score[shift_rc[0] % size, shift_rc[1] % size])
                     turned = angle + np.pi * opposite
                     cycle = size if near is None else None
                     if best > 0:
-                        yield _Trial(best, turned, ratio, self, moving, cells, opposite, shift_rc, cycle)
+                        yield _Trial(
+                            best, turned, ratio, self, moving, cells, opposite, shift_rc, cycle, stride
+                        )
 
     def _expected(self, moving: _Cells, fixed: _Cells, near: Float64 | None) -> tuple[int, int] | None:
         """Return the shift (col, row), cells, at which a pose places the middle of the moving image."""
@@ -291,6 +360,10 @@ class _Scan:
         return round(col), round(row)
 
 
+def _stride(ratio: float) -> int:
+    return 2 if ratio <= SMALL else 1
+
+
 def search_pose(
     reference: NDArray[np.floating[Any]],
     target: NDArray[np.floating[Any]],
@@ -298,8 +371,10 @@ def search_pose(
     target_valid: Bool,
     *,
     scales: tuple[float, float] = SCALES,
+    stretched: bool = True,
+    threads: int = 1,
 ) -> PoseProposal | None:
-    """Find the similarity between two images whose structure agrees best.
+    """Find the similarity, or the affine transformation, between two images whose structure agrees best.
 
     Parameters
     ----------
@@ -309,6 +384,10 @@ def search_pose(
         True where a pixel of the image is valid.
     scales : (float, float)
         Smallest and largest scale that is tried, target px per reference px.
+    stretched : bool
+        Whether the search goes on with a stretched reference where no similarity is found.
+    threads : int
+        Number of threads that share the search; the result does not depend on it.
 
     Returns
     -------
@@ -321,31 +400,35 @@ def search_pose(
     """
     first = _Image(np.asarray(reference, np.float32), reference_valid)
     second = _Image(np.asarray(target, np.float32), target_valid)
-    trials = [
-        trial
-        for scan in (_Scan(first, second, from_target=False), _Scan(second, first, from_target=True))
-        for trial in scan.everywhere(scales)
-    ]
-    finer = [trial.scan.around(trial) for trial in _distinct(trials, reference.shape)]
-    ranked = _distinct(finer, reference.shape)
-    if not ranked:
+    scans = _Scan(first, second, from_target=False), _Scan(second, first, from_target=True)
+    trials = in_threads([partial(scan.everywhere, scales) for scan in scans], threads)
+    coarse = _distinct(itertools.chain(*trials), reference.shape)
+    if not coarse:
         return None
+    voters = _Voters(first, second, threads)
+    grown = _grown(voters, coarse[:1], scales)
+    if grown is not None:
+        return grown
+    similarity = _best_similarity(first, second, coarse, threads)
+    if similarity.accepted or not stretched:
+        return similarity
+    return _grown(voters, _stretched(first, second, scales, threads)[:SAMPLED], scales) or similarity
+
+
+def _best_similarity(first: _Image, second: _Image, coarse: Sequence[_Trial], threads: int) -> PoseProposal:
+    """Return the best of the similarities around those of the coarse search, and how it stands out."""
+    shape = first.values.shape
+    ranked = _distinct(in_threads([partial(trial.scan.around, trial) for trial in coarse], threads), shape)
     best, rival = ranked[0], ranked[1].score if len(ranked) > 1 else 0.0
     stands_out = EVIDENCE_PER_RATIO * (best.score / rival - 1) if rival > 0 else MAX_EVIDENCE
-    return _moved_to_consensus(
-        first, second, PoseProposal(best.matrix[:2], best.score, min(stands_out, MAX_EVIDENCE))
-    )
+    proposal = PoseProposal(best.matrix[:2], best.score, min(stands_out, MAX_EVIDENCE))
+    return _moved_to_consensus(first, second, proposal)
 
 
 def mean_distance_px(first: Float64, second: Float64, shape: tuple[int, ...]) -> float:
     """Return how far apart two transformations place the pixels of an image on average.
 
-    Parameters
-    ----------
-    first, second : (2, 3) or (3, 3) array
-        Affine, of px (col, row).
-    shape : (int, int)
-        Rows and columns of the image.
+    The affine `first` and `second`, (2, 3) or (3, 3), are of px (col, row).
     """
     row, col = np.mgrid[0 : shape[0] : 9j, 0 : shape[1] : 9j]
     places = np.stack([col.ravel(), row.ravel(), np.ones(row.size)])
@@ -369,14 +452,8 @@ def _scores(
 ) -> Float32:
     """Return the (rotations, size, size) scores of all shifts against every rotation of the fixed image.
 
-    Parameters
-    ----------
-    spectra : (harmonics, rotations, size, half the size) complex64 array
-        Of the fixed image; turned by half, it has the conjugate.
-    masks : (1, rotations, rows, half the cols) complex64 array
-        The same of its mask.
-    least : float
-        Least overlap, cells.
+    Its `spectra` are (harmonics, rotations, size, half the size), those of its mask (1, rotations, rows, half
+    the cols); `least` is the least overlap, cells.
     """
     blocks = (size // MASK_STEP, MASK_STEP) * 2
     scores = scipy.fft.irfft2(_cross_spectra(moving.spectra, spectra, opposite), (size, size))
@@ -416,6 +493,203 @@ def _mask_spectrum(known: Float32, size: int) -> Complex64:
     return np.asarray(scipy.fft.rfft2(blocks.sum(axis=(1, 3))), np.complex64)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Votes:
+    """What patches of the reference tell of an affine change of a pose."""
+
+    matrix: Float64
+    """(3, 3) of most support, voting px of the reference to those of the target as the pose places it."""
+    agrees: Bool
+    """(n,) mask of the patches that agree with it."""
+    spread_px: float
+    """Distance from it within which 95 % of these lie, voting px."""
+
+    @property
+    def agreeing(self) -> int:
+        return int(np.count_nonzero(self.agrees))
+
+    @property
+    def evidence(self) -> float:
+        """-log10 of the probability, as measured, that as many patches of unrelated images agree."""
+        return max(0.0, min((self.agreeing - BY_CHANCE) / PER_EVIDENCE, MAX_EVIDENCE))
+
+
+class _Voters:
+    """Patches of the reference, which are looked for in the target as poses place it."""
+
+    def __init__(self, reference: _Image, target: _Image, threads: int) -> None:
+        self.threads = threads
+        self._factor = min(1.0, VOTING_SIDE_PX / reference.side_px)
+        values, self._valid, self._to_voting = _shrunk(reference.values, reference.valid, self._factor)
+        self._channels, usable = _voting_channels(values, self._valid)
+        self._target = target
+        rows, cols = (range(0, n - VOTER_PX + 1, VOTER_STEP_PX) for n in usable.shape)
+        self._corners = [
+            (row, col, not (i % SAMPLED_VOTERS or j % SAMPLED_VOTERS))
+            for i, row in enumerate(rows)
+            for j, col in enumerate(cols)
+            if usable[row : row + VOTER_PX, col : col + VOTER_PX].mean() >= VOTER_VALID
+        ]
+
+    def vote(self, pose: Float64, *, sample: bool = False) -> tuple[_Votes, Float64]:
+        """Let the patches, or a sample of them, vote; the second result is the (3, 3) pose they agree on."""
+        small, known, to_small = _shrunk(
+            self._target.values, self._target.valid, min(1.0, self._factor / _scale_of(pose))
+        )
+        to_placed = to_small @ pose @ inverse(self._to_voting)
+        placed = _warped_image(small, known, to_placed, self._valid.shape, VOTER_REACH_PX)
+        votes = _consensus(*self._displacements(*_voting_channels(*placed), sample=sample))
+        return votes, inverse(to_small) @ to_placed @ votes.matrix @ self._to_voting
+
+    def px(self, voting_px: float) -> float:
+        """Return a length in px of the reference."""
+        return voting_px / self._factor
+
+    def _displacements(
+        self, channels: Float32, usable: Float32, *, sample: bool
+    ) -> tuple[Float64, Float64, Float64]:
+        """Return (n, 2) middles and displacements (col, row) of the patches, and how distinct each is."""
+        side = 2 * VOTER_REACH_PX + 1
+        energy, count = (
+            window_sums(np.asarray(cv2.integral(plane, sdepth=cv2.CV_64F), np.float64), VOTER_PX)
+            for plane in ((channels**2).sum(axis=2), usable)
+        )
+        norm = np.where(count >= VOTER_VALID * VOTER_PX**2, 1 / np.sqrt(np.maximum(energy, 1e-6)), 0)
+        found = []
+        for row, col, sampled in self._corners:
+            shifts = np.s_[row : row + side, col : col + side]
+            if (sample and not sampled) or np.count_nonzero(norm[shifts]) < VOTER_VALID * side**2:
+                continue
+            patch = self._channels[row : row + VOTER_PX, col : col + VOTER_PX]
+            search = channels[row : row + VOTER_PX + side - 1, col : col + VOTER_PX + side - 1]
+            surface = cv2.matchTemplate(search, patch, cv2.TM_CCORR) * norm[shifts]
+            found.append((col + (VOTER_PX - 1) / 2, row + (VOTER_PX - 1) / 2, *_peak(surface)))
+        table = np.array(found, np.float64).reshape(-1, 5)
+        return table[:, :2], table[:, 2:4] - VOTER_REACH_PX, table[:, 4]
+
+
+def _voting_channels(values: Float32, valid: Bool) -> tuple[Float32, Float32]:
+    channels, usable = normalised_channels(values, valid)
+    return np.asarray(cv2.GaussianBlur(channels, (0, 0), VOTER_BLUR_PX), np.float32), usable
+
+
+def _peak(surface: NDArray[Any]) -> tuple[int, int, float]:
+    """Return (col, row) of the highest value, and that over the highest of those apart from it, minus 1."""
+    row, col = divmod(int(surface.argmax()), surface.shape[1])
+    highest, k = float(surface[row, col]), VOTER_CLEARANCE_PX
+    surface[max(row - k, 0) : row + k + 1, max(col - k, 0) : col + k + 1] = 0
+    return col, row, highest / max(float(surface.max()), 1e-6) - 1
+
+
+def _consensus(middles: Float64, displacements: Float64, distinct: Float64) -> _Votes:
+    """Return the affine change with which most of (n, 2) patches agree (doi:10.1145/358669.358692).
+
+    The distinct ones are drawn more often.
+    """
+    n, moved = len(middles), middles + displacements
+    nobody = _Votes(np.eye(3), np.zeros(n, bool), 0.0)
+    if n < MIN_PATCHES:
+        return nobody
+    weights = np.clip(distinct, 0, 1) + 0.02
+    # three different ones a sample, by the exponential race of their weights
+    race = np.random.default_rng(0).exponential(size=(VOTE_SAMPLES, n)) / weights
+    drawn = np.argpartition(race, 3, axis=1)[:, :3]
+    places = np.column_stack([middles, np.ones(n)])
+    drawn = drawn[np.abs(np.linalg.det(places[drawn])) >= 2 * LEAST_TRIANGLE_PX2]
+    changes = solve(places[drawn], moved[drawn])
+    changes = changes[_is_plausible(changes[:, :2])]
+    if not len(changes):
+        return nobody
+    near = np.hypot(*np.moveaxis(places @ changes - moved, -1, 0)) <= VOTE_TOLERANCE_PX
+    agrees = near[int(near.sum(axis=1).argmax())]
+    for _ in range(CONSENSUS_ROUNDS):
+        change = least_squares(places[agrees], moved[agrees])
+        off = np.hypot(*(places @ change - moved).T)
+        if np.count_nonzero(off <= VOTE_TOLERANCE_PX) < 3:
+            break
+        agrees = off <= VOTE_TOLERANCE_PX
+    if not _is_plausible(change[None, :2])[0]:
+        return nobody
+    return _Votes(_affine(change[:2].T, change[2]), agrees, float(np.percentile(off[agrees], 95)))
+
+
+def _is_plausible(linear: Float64) -> Bool:
+    """Return the (n,) mask of (n, 2, 2) matrices that do not mirror, and stretch within the limits."""
+    values = np.linalg.svd(linear, compute_uv=False)
+    smallest, largest = values[:, 1], values[:, 0]
+    least, most = STRETCH_LIMITS
+    within = (smallest >= least) & (largest <= most) & (largest <= MAX_ANISOTROPY * smallest)
+    return np.asarray(within & (np.linalg.det(linear) > 0))
+
+
+def _grown(voters: _Voters, trials: Sequence[_Trial], scales: tuple[float, float]) -> PoseProposal | None:
+    """Let affine poses grow from those of trials; None where patches agree on none.
+
+    A sample of the patches tells which are worth trying. What grows beyond the `scales` is left out.
+    """
+
+    def tried(trial: _Trial) -> tuple[_Votes, Float64, float]:
+        return *voters.vote(trial.matrix, sample=True), trial.score
+
+    def climbed(votes: _Votes, pose: Float64, score: float) -> tuple[_Votes, Float64, float]:
+        return *_climbed(voters, votes, pose, sample=True), score
+
+    tries = in_threads([partial(tried, trial) for trial in trials], voters.threads)
+    tries.sort(key=lambda each: -each[0].agreeing)
+    sampled = in_threads([partial(climbed, *each) for each in tries[:GROWN]], voters.threads)
+    sampled.sort(key=lambda each: -each[0].agreeing)
+    for few, start, score in sampled[:FULLY_GROWN]:
+        if few.agreeing < MIN_SAMPLED:
+            break
+        votes, pose = _climbed(voters, *voters.vote(start), sample=False)
+        within = scales[0] / SCALE_STEP <= _scale_of(pose) <= scales[1] * SCALE_STEP
+        if votes.evidence >= MIN_EVIDENCE and within:
+            spread_px, of = voters.px(votes.spread_px), len(votes.agrees)
+            return PoseProposal(pose[:2], score, votes.evidence, of, votes.agreeing, spread_px)
+    return None
+
+
+def _climbed(voters: _Voters, votes: _Votes, pose: Float64, *, sample: bool) -> tuple[_Votes, Float64]:
+    """Let patches vote again from the (3, 3) pose that they agreed on, until no more agree."""
+    for _ in range(GROWTH_ROUNDS):
+        again, moved = voters.vote(pose, sample=sample)
+        if again.agreeing <= votes.agreeing:
+            break
+        votes, pose = again, moved
+    return votes, pose
+
+
+def _stretched(reference: _Image, target: _Image, scales: tuple[float, float], threads: int) -> list[_Trial]:
+    """Search similarities between the target and the reference stretched in several directions.
+
+    Return those that differ, the best first.
+    """
+    limits = max(scales[0], STRETCHED_SCALES[0]), min(scales[1], STRETCHED_SCALES[1])
+
+    def along(angle_rad: float) -> list[_Trial]:
+        image, matrix = _stretched_image(reference, angle_rad)
+        scans = _Scan(image, target, False, *COARSE), _Scan(target, image, True, *COARSE)
+        trials = (trial for scan in scans for trial in scan.everywhere(limits))
+        return [replace(trial, to_stretched=matrix) for trial in trials]
+
+    angles_rad = (np.arange(STRETCH_DIRECTIONS) * np.pi / STRETCH_DIRECTIONS).tolist()
+    found = in_threads([partial(along, angle_rad) for angle_rad in angles_rad], threads)
+    return _distinct(itertools.chain(*found), reference.values.shape)
+
+
+def _stretched_image(image: _Image, angle_rad: float) -> tuple[_Image, Float64]:
+    """Stretch an image along a direction and shrink it across, with the (3, 3) matrix from its px."""
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+    turn = np.array([[cos, -sin], [sin, cos]])
+    linear = turn @ np.diag([math.sqrt(STRETCH), 1 / math.sqrt(STRETCH)]) @ turn.T
+    size = np.array(image.values.shape[::-1])
+    cols, rows = np.abs(linear) @ size
+    shape = round(float(rows)), round(float(cols))
+    matrix = _affine(linear, (np.array(shape[::-1]) - 1 - linear @ (size - 1)) / 2)
+    values = _warped(np.where(image.valid, image.values, np.float32(0)), matrix, shape)
+    return _Image(values, _warped(image.valid.astype(np.float32), matrix, shape) > 0.99), matrix
+
+
 def _moved_to_consensus(reference: _Image, target: _Image, proposal: PoseProposal) -> PoseProposal:
     """Compare patches of both images, the target warped by a proposal, and move that to where they agree."""
     factor = min(1.0, proposal.scale, FRAME_PX / reference.side_px)
@@ -425,10 +699,8 @@ def _moved_to_consensus(reference: _Image, target: _Image, proposal: PoseProposa
     margin = np.array([FRAME_MARGIN_PX, FRAME_MARGIN_PX])
     best = proposal
     for _ in range(ROUNDS):
-        warp = to_small @ _square(best.matrix) @ inverse(to_frame)
-        warped = _warped_image(
-            small, known, warp @ _affine(np.eye(2), -margin.astype(np.float64)), valid.shape
-        )
+        warp = to_small @ _affine(best.matrix[:, :2], best.matrix[:, 2]) @ inverse(to_frame)
+        warped = _warped_image(small, known, warp, valid.shape, FRAME_MARGIN_PX)
         patches = Patches.matched(channels, normalised_channels(*warped), margin)
         if patches.agreeing <= best.agreeing:
             break
@@ -441,13 +713,14 @@ def _moved_to_consensus(reference: _Image, target: _Image, proposal: PoseProposa
 
 
 def _warped_image(
-    values: Float32, known: Bool, frame_to_image: Float64, shape: tuple[int, int]
+    values: Float32, known: Bool, frame_to_image: Float64, shape: tuple[int, int], margin_px: int
 ) -> tuple[Float32, Bool]:
     """Resample an image onto a frame with a margin, and tell where its pixels are valid."""
-    size = (shape[1] + 2 * FRAME_MARGIN_PX, shape[0] + 2 * FRAME_MARGIN_PX)
+    to_image = (frame_to_image @ _affine(np.eye(2), np.full(2, -float(margin_px))))[:2]
+    size = (shape[1] + 2 * margin_px, shape[0] + 2 * margin_px)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    total = cv2.warpAffine(values, frame_to_image[:2], size, flags=flags)
-    weight = cv2.warpAffine(known.astype(np.float32), frame_to_image[:2], size, flags=flags)
+    total = cv2.warpAffine(values, to_image, size, flags=flags)
+    weight = cv2.warpAffine(known.astype(np.float32), to_image, size, flags=flags)
     return np.asarray(total / np.maximum(weight, 1e-3), np.float32), np.asarray(weight > 0.9)
 
 
@@ -474,17 +747,8 @@ def _turned(maps: Float32, angle_rad: float) -> Float32:
     return result
 
 
-def _rotation(angle_rad: float) -> Float64:
-    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
-    return np.array([[cos, -sin], [sin, cos]])
-
-
 def _affine(linear: Float64, origin: Float64) -> Float64:
     return np.vstack([np.column_stack([linear, origin]), [0.0, 0.0, 1.0]])
-
-
-def _square(matrix: Float64) -> Float64:
-    return np.vstack([matrix, [0.0, 0.0, 1.0]])
 
 
 def _scale_of(matrix: Float64) -> float:

@@ -209,28 +209,15 @@ class PreparedPair:
     contrast: Float32
     """(rows, cols) contrast weight of the reference, see `keypoints.contrast_weight`."""
 
-    @property
-    def reference_moment(self) -> Float32:
-        """(rows, cols) float32 map of the reference in which corners are found."""
-        return self.reference_map.values
-
 
 def prepare(
     reference: Image, target: Image, *, channels: Channels, halo_px: int = 0, threads: int = 1
 ) -> PreparedPair:
-    """Compute the maps of both images.
+    """Compute the maps of both images, of the same shape.
 
-    Parameters
-    ----------
-    reference, target : Image
-        Images of the same shape.
-    channels : {"orientations", "gradients", "moment"}
-        Maps that are matched: the six oriented maps of phase congruency, six oriented gradients, or the one
-        map M of the paper.
-    halo_px : int
-        Number of rows and columns along all four edges that the filters need and the result leaves out.
-    threads : int
-        Number of threads that may compute the maps, and refine points on them.
+    The `channels` that are matched are six oriented maps of phase congruency, six oriented gradients, or the
+    one map M of the paper. The filters need `halo_px` rows and columns along all four edges, which the result
+    leaves out; `threads` may compute the maps, and refine points on them.
     """
     smooth = 0.0 if channels == "moment" else smoothing_px(reference.noise, target.noise)
 
@@ -262,7 +249,9 @@ def _maps(
             maps[:, rows, cols] = used
         whole = maximum_moment(maps)
     maps, whole = _inside(maps, halo_px), _inside(whole, halo_px)
-    valid = _inside(_eroded(image.valid), halo_px)
+    kernel = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
+    eroded = cv2.erode(image.valid.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=1)
+    valid = _inside(np.asarray(eroded, bool), halo_px)
     stack = ChannelMaps(whole[None] if channels == "moment" else maps, valid)
     weight = valid.astype(np.float32)
     return stack, MaskedMap(whole * weight, weight, np.float32(FULL_SCALE))
@@ -301,9 +290,3 @@ def fast_even(n: int) -> int:
     while length % 2:
         length = int(scipy.fft.next_fast_len(length + 1, real=False))
     return length
-
-
-def _eroded(valid: Bool) -> Bool:
-    kernel = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
-    result = cv2.erode(valid.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=1)
-    return np.asarray(result, bool)

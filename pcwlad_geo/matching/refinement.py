@@ -86,24 +86,29 @@ class ChannelMaps:
     @cached_property
     def maps_by_phase(self) -> Float32:
         """(channels, rows, cols) the maps with their columns sorted by phase, as `sampling` reads them."""
-        return np.stack([_by_phase(plane) for plane in self.maps])
+        channels, rows, cols = self.maps.shape
+        sorted_planes = np.empty((channels, rows, cols // STEP_PX * STEP_PX), np.float32)
+        for plane, out in zip(self.maps, sorted_planes, strict=True):
+            _sort_by_phase(plane, out)
+        return sorted_planes
 
     @cached_property
     def coefficients_by_phase(self) -> Float32:
         """(channels, rows, cols) the coefficients in the same order."""
-        if "coefficients" in self.__dict__:
-            return np.stack([_by_phase(plane) for plane in self.coefficients])
         sorted_planes, plane = np.empty_like(self.maps_by_phase), np.empty_like(self.maps[0])
-        for values, out in zip(self.maps, sorted_planes, strict=True):
-            spline_coefficients(values, plane)
-            out[:] = _by_phase(plane)
+        known = self.__dict__.get("coefficients")
+        for index, out in enumerate(sorted_planes):
+            if known is None:
+                spline_coefficients(self.maps[index], plane)
+            _sort_by_phase(plane if known is None else known[index], out)
         return sorted_planes
 
 
-def _by_phase(plane: Float32) -> Float32:
-    """Return a plane with its even columns before its odd ones; an odd last column is left out."""
-    cols = plane.shape[1] // STEP_PX * STEP_PX
-    return np.concatenate([plane[:, phase:cols:STEP_PX] for phase in range(STEP_PX)], axis=1)
+def _sort_by_phase(plane: Float32, out: Float32) -> None:
+    """Copy a plane with its even columns before its odd ones; an odd last column is left out."""
+    cols = out.shape[1]
+    for phase in range(STEP_PX):
+        out[:, phase * cols // STEP_PX : (phase + 1) * cols // STEP_PX] = plane[:, phase:cols:STEP_PX]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +126,7 @@ class Refined:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Start:
+class InitialEstimate:
     """Where the refinement of n points begins."""
 
     shift_xy_px: Float64
@@ -138,7 +143,7 @@ class Start:
     This does not hold where the structure follows the position: there many short moves may follow.
     """
 
-    def part(self, some: slice) -> Start:
+    def part(self, some: slice) -> InitialEstimate:
         """Return the start of some of the points."""
         return replace(
             self,
@@ -158,7 +163,7 @@ def refine(
     reference: ChannelMaps,
     target: ChannelMaps,
     corners_rc: Index,
-    start: Start,
+    start: InitialEstimate,
     *,
     window_px: int,
     step_px: int = 1,
@@ -177,7 +182,7 @@ def refine(
         Maps of both images.
     corners_rc : (n, 2) intp array
         Row, column of the window centres in the reference.
-    start : Start
+    start : InitialEstimate
         Initial shifts and deformations.
     window_px : int
         Side of the window, odd.
@@ -200,7 +205,7 @@ def refine(
     structure_mode = _structure_mode(start, use_structure)
     half = window_px // 2 // step_px
     correlation_half = correlation_half_px(2 * half + 1)
-    options = state.Options(
+    options = state.RefinementOptions(
         half=half,
         step=step_px,
         correlation_half=correlation_half,
@@ -256,7 +261,7 @@ def _images(reference: ChannelMaps, target: ChannelMaps, step_px: int) -> state.
     )
 
 
-def _starts(corners_rc: Index, start: Start) -> state.Starts:
+def _starts(corners_rc: Index, start: InitialEstimate) -> state.Starts:
     """Return the start in the types that the compiled loop takes."""
     unused = np.zeros((len(corners_rc), 2)), np.zeros((1, 1, 1), np.float32)
     return state.Starts(
@@ -280,7 +285,7 @@ def first_relaxation(robust: bool, structure_follows: bool) -> float:
     return (RELAXATION_ROBUST if robust else 1.0) * (RELAXATION_STRUCTURE if structure_follows else 1.0)
 
 
-def _structure_mode(start: Start, use_structure: bool) -> int:
+def _structure_mode(start: InitialEstimate, use_structure: bool) -> int:
     if start.structure is not None:
         return state.STRUCTURE_GIVEN
     if not use_structure:

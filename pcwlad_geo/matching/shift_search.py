@@ -166,7 +166,8 @@ def search_shift(
     ----------
     .. [1] Padfield, D. (2012), doi:10.1109/TIP.2011.2181402 (masked normalised cross-correlation).
     """
-    factor = _finest_factor(max(reference.shape), max(target.shape))
+    sides = max(reference.shape), max(target.shape)
+    factor = max(1, round(min(sides) / FINEST_SIDE_PX), -(-max(sides) // LARGEST_SIDE_PX))
     finest = _channels(reference, reference_valid, factor), _channels(target, target_valid, factor)
     candidates: list[tuple[float, float]] = []
     for level in range(1, LEVELS):
@@ -178,10 +179,6 @@ def search_shift(
     return _judge(votes, factor)
 
 
-def _finest_factor(*sides: int) -> int:
-    return max(1, round(min(sides) / FINEST_SIDE_PX), -(-max(sides) // LARGEST_SIDE_PX))
-
-
 def _channels(image: NDArray[np.floating[Any]], valid: Bool, factor: int) -> _Channels:
     """Decimate an image and compute its locally normalised orientation channels."""
     return _Channels(*normalised_channels(*_decimate(image, valid, factor)))
@@ -190,18 +187,9 @@ def _channels(image: NDArray[np.floating[Any]], valid: Bool, factor: int) -> _Ch
 def normalised_channels(values: Float32, known: NDArray[np.bool_]) -> tuple[Float32, Float32]:
     """Compute the orientation channels of an image, normalised by those around them.
 
-    Parameters
-    ----------
-    values : (rows, cols) float32 array
-    known : (rows, cols) bool array
-        Mask of the valid pixels.
-
-    Returns
-    -------
-    channels : (rows, cols, 6) float32 array
-        Zero where not usable.
-    usable : (rows, cols) float32 array
-        1 where a channel is not disturbed by the border or by invalid pixels, else 0.
+    For the (rows, cols) float32 `values`, of which those in the (rows, cols) bool array `known` are valid,
+    return the (rows, cols, 6) float32 channels, zero where not usable, and a (rows, cols) float32 array that
+    is 1 where a channel is not disturbed by the border or by invalid pixels, else 0.
     """
     rows, cols = values.shape
     epsilon = scene_epsilon(values, known)
@@ -364,12 +352,9 @@ class Patches:
     ) -> Patches:
         """Match all patches of the reference within a few pixels of a start.
 
-        Parameters
-        ----------
-        reference, target : ((rows, cols, 6) float32 array, (rows, cols) float32 array)
-            Channels, and 1 or 0 where they are usable or not, see `normalised_channels`.
-        start_xy : (2,) int array
-            (col, row) target px minus reference px.
+        The `reference` and the `target` are (rows, cols, 6) channels, and a (rows, cols) array of 1 or 0
+        where they are usable or not, see `normalised_channels`. The (2,) `start_xy` is (col, row) target px
+        minus reference px.
         """
         centres, displacements = _match_patches(_Channels(*reference), _Channels(*target), start_xy)
         agrees = _agreement(centres, displacements) if len(centres) else np.zeros(0, bool)
@@ -378,12 +363,8 @@ class Patches:
     def similarity(self) -> tuple[Float64, float]:
         """Fit a similarity to the patches that agree.
 
-        Returns
-        -------
-        matrix : (3, 3) array
-            Target px minus the start = matrix · reference px, array indices.
-        left_px : float
-            Distance from it within which 95 % of the agreeing patches lie, px.
+        Return the (3, 3) matrix that gives target px minus the start for reference px, array indices, and the
+        distance from it within which 95 % of the agreeing patches lie, px.
         """
         z = (self.centres_px[self.agrees] - 0.5) @ (1, 1j)
         moved = z + self.displacements_px[self.agrees] @ (1, 1j)

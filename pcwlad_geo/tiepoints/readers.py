@@ -5,12 +5,15 @@ from __future__ import annotations
 import csv
 import math
 import re
+import sqlite3
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError, TrustError
@@ -20,9 +23,9 @@ from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo, open_raster, open_written_raster
-from pcwlad_geo.raster.trust import gcps_alone
+from pcwlad_geo.raster.trust import gcps_only
 from pcwlad_geo.text import check_regular, read_bytes
-from pcwlad_geo.tiepoints.table import TiePointTable, ground_xy, place, predict_target_px
+from pcwlad_geo.tiepoints.table import COLUMNS, TiePointTable, ground_xy, place, predict_target_px
 from pcwlad_geo.types import Bool, Float64
 
 CRS_LINE: Final = "#CRS:"
@@ -34,6 +37,7 @@ _ENVI_SIDE: Final = re.compile(r"(base|warp|map|image)(?:\s+image)?\s*\(([^()]*)
 _ENVI_FILE: Final = re.compile(r";\s*(base|warp) file\s*:\s*(.*\S)", re.IGNORECASE)
 _QGIS_SOURCE: Final = (("sourcex", "sourcey"), ("pixelx", "pixely"))
 _OWN: Final = ("ref_col", "ref_row", "tgt_col", "tgt_row")
+_SQLITE: Final = b"SQLite format 3\0"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +56,8 @@ class PointFile:
     """CRS of map coordinates, if the file states it."""
     sigma_px: Float64 | None = None
     """(n, 2) standard deviations (col, row), px, if the file states them; NaN for empty cells."""
+    correlation: Float64 | None = None
+    """(n,) correlations of the errors along columns and rows, if the file states them."""
     score: Float64 | None = None
     """(n,) scores, if the file states them."""
     xy: Float64 | None = None
@@ -60,12 +66,15 @@ class PointFile:
     """(n, 2) displacements (col, row), px, given besides the pixels, for a consistency check."""
     shape: tuple[int, int] | None = None
     """Rows, columns of the raster that holds the points."""
+    status: NDArray[np.str_] | None = None
+    """(n,) statuses, if the file states them."""
 
 
 def read_point_file(path: Path | str, *, reference_name: str = "", target_name: str = "") -> PointFile:
     """Read a file of tie points; its format is recognised by its content.
 
     - `tiepoints.csv`, or any CSV with the columns ref_col, ref_row, tgt_col, tgt_row (GDAL's px);
+    - `tiepoints.gpkg`: the layer tie_points, with the same columns;
     - QGIS Georeferencer `.points`: columns by name (sourceX or pixelX), commas or tabs, `enable` or not;
     - ENVI `.pts`, image to image or image to map: the header's line "Base Image (x,y), Warp Image (x,y)"
       gives the order; without it the base comes first;
@@ -83,7 +92,7 @@ def read_point_file(path: Path | str, *, reference_name: str = "", target_name: 
     path = str(path)
     text = _text_of(Path(path))
     if text is None:
-        points = _read_gcps(path)
+        points = _read_geopackage(path) if _begins_with(path, _SQLITE) else _read_gcps(path)
     else:
         lines = text.splitlines()
         first = next((line for line in lines if line.strip() and not line.startswith("#")), "").lower()
@@ -128,10 +137,17 @@ def _may_be_text(path: Path) -> bool:
         return b"\0" not in file.read(_HEAD_BYTES)
 
 
+def _begins_with(path: str, signature: bytes) -> bool:
+    if not Path(path).is_file():
+        return False
+    with Path(path).open("rb") as file:
+        return file.read(len(signature)) == signature
+
+
 def _unknown(path: str) -> InputError:
     return InputError(
-        f"{path} is no file of tie points: give a tiepoints.csv (columns {', '.join(_OWN)}), a QGIS .points "
-        "file, an ENVI .pts file or a raster with ground control points"
+        f"{path} is no file of tie points: give a tiepoints.csv (columns {', '.join(_OWN)}), a "
+        "tiepoints.gpkg, a QGIS .points file, an ENVI .pts file or a raster with ground control points"
     )
 
 
@@ -140,19 +156,41 @@ def _only_numbers(line: str, least: int) -> bool:
     return len(cells) >= least and all(re.fullmatch(r"[-+.\deE]+", cell) for cell in cells)
 
 
+def _read_geopackage(path: str) -> PointFile:
+    """Read the columns of the layer tie_points, without its geometries."""
+    names = ", ".join(f'"{name}"' for name in COLUMNS)
+    try:
+        with closing(sqlite3.connect(f"{Path(path).absolute().as_uri()}?mode=ro", uri=True)) as database:
+            cells = database.execute(f"SELECT {names} FROM tie_points").fetchmany(POINTS + 1)
+    except sqlite3.Error as error:
+        raise InputError(f"{path} holds no layer tie_points as pcwlad-geo writes it: {error}") from error
+    check_count(path, len(cells), POINTS, "points")
+    rows = [
+        (number, {name: "" if cell is None else str(cell) for name, cell in zip(COLUMNS, row, strict=True)})
+        for number, row in enumerate(cells, start=1)
+    ]
+    return _own_columns(_Table(path, COLUMNS, rows))
+
+
 def _read_csv(path: str, lines: Sequence[str]) -> PointFile:
-    table = _Table.read(path, lines)
+    return _own_columns(_Table.read(path, lines))
+
+
+def _own_columns(table: _Table) -> PointFile:
+    statuses = table.texts("status")
     sides = {name: table.pair(f"{name}_col", f"{name}_row") for name in ("ref", "tgt")}
     return PointFile(
         sides["ref"],
         sides["tgt"],
-        np.array([text != "rejected" for text in table.texts("status")]),
+        np.array([text != "rejected" for text in statuses]),
         "px",
         "px",
         sigma_px=table.sigmas(),
+        correlation=table.correlations(),
         score=table.numbers("score") if "score" in table.columns else None,
         xy=table.pair("x", "y", optional=True),
         displacement_px=table.pair("d_col", "d_row", optional=True),
+        status=np.array(statuses, dtype="<U8") if "status" in table.columns else None,
     )
 
 
@@ -220,7 +258,7 @@ def _name(path: str) -> str:
 
 def _read_gcps(path: str) -> PointFile:
     """Read the ground control points of a raster: pixel and line are those of the target."""
-    bare = gcps_alone(Path(path))
+    bare = gcps_only(Path(path))
     try:
         # the pixels are not needed, so the sources of a VRT are not opened
         with open_written_raster(bare) if bare else open_raster(path) as dataset:
@@ -241,6 +279,10 @@ def _read_gcps(path: str) -> PointFile:
         crs,
         shape=shape,
     )
+
+
+MOST_CORRELATED: Final = 0.999999
+"""Largest correlation that is taken: at 1 no error would be left across."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,6 +333,16 @@ class _Table:
                     check_sigma(self.path, line, column, text, value)
         return sigma_px
 
+    def correlations(self) -> Float64 | None:
+        """Return (n,) correlations, 0 for empty cells; None without that column."""
+        if "correlation" not in self.columns:
+            return None
+        values = np.nan_to_num(self.numbers("correlation"))
+        if (np.abs(values) > 1).any():
+            line = self.rows[int(np.argmax(np.abs(values)))][0]
+            raise InputError(f"{self.path}, line {line}: correlation lies beyond -1 to 1: correct it")
+        return np.clip(values, -MOST_CORRELATED, MOST_CORRELATED)
+
     def pair(self, first: str, second: str, *, optional: bool = False) -> Float64:
         if optional and not {first, second} <= set(self.columns):
             return np.full((len(self.rows), 2), np.nan)
@@ -308,16 +360,8 @@ def _number(path: str, line: int, name: str, text: str) -> float:
 def check_sigma(path: Path | str, line: int, column: str, text: str, value: float) -> None:
     """Check that a cell with a standard deviation is empty or a positive number within `SIGMA_PX`.
 
-    Raises `InputError` if the cell is neither empty nor such a number.
-
-    Parameters
-    ----------
-    path : path
-        The file, for messages.
-    line, column : int and str
-        Number of the line and name of the column, for messages.
-    text, value : str and float
-        Content of the cell; NaN for an empty one.
+    Raises `InputError`, with the path, line and column, if the cell is neither; `value` is NaN for an empty
+    one.
     """
     least, most = SIGMA_PX
     if text and not least <= value <= most:
@@ -342,25 +386,14 @@ OTHER_PX: Final = 0.5
 """Tolerated difference of redundant columns, px; a larger one indicates other rasters."""
 
 
-def read_tie_points(path: Path | str, pair: ViewPair) -> TiePointTable:
-    """Read a file of tie points for a pair.
+def read_tie_points(path: Path | str, pair: ViewPair, *, as_stated: bool = False) -> TiePointTable:
+    """Read a file of tie points for a pair, in one of the formats of `read_point_file`.
 
-    Raises `InputError` if the file cannot be read, or most points are outside a raster, as with swapped
-    columns, another CRS or other rasters.
-
-    Parameters
-    ----------
-    path : path or GDAL URI
-        A file in one of the formats of `read_point_file`. Map coordinates without a CRS are taken to be in
-        the reference's.
-    pair : ViewPair
-        The pair of rasters.
-
-    Returns
-    -------
-    TiePointTable
-        Status ``matched``, or ``rejected`` where the file disables a point; covariance NaN without a sigma in
-        the file, score 1 without a score.
+    Map coordinates without a CRS are taken to be in the reference's. The statuses of the table are those that
+    the file states if `as_stated`, or else ``matched``, ``rejected`` where it disables a point; the
+    covariance is NaN without a sigma in the file, the score 1 without one. Raises `InputError` if the file
+    cannot be read, or most points are outside a raster, as with swapped columns, another CRS or other
+    rasters.
     """
     reference, target = pair.reference.info, pair.target.info
     points = read_point_file(path, reference_name=reference.uri, target_name=target.uri)
@@ -374,7 +407,9 @@ def read_tie_points(path: Path | str, pair: ViewPair) -> TiePointTable:
     _check_against_itself(path, points, reference_px, target_px, pair)
     count = len(reference_px)
     sigma_px = np.full((count, 2), np.nan) if points.sigma_px is None else points.sigma_px
-    covariance_px2 = sigma_px[:, :, None] ** 2 * np.eye(2)
+    covariance_px2 = sigma_px[:, :, None] * sigma_px[:, None, :]
+    correlation = np.zeros(count) if points.correlation is None else points.correlation
+    covariance_px2[:, [0, 1], [1, 0]] *= correlation[:, None]
     score = np.ones(count) if points.score is None else np.nan_to_num(points.score, nan=1.0)
     table = place(reference_px, target_px, covariance_px2, score, pair)
     if not np.isfinite(table.predicted_px).all():
@@ -384,7 +419,8 @@ def read_tie_points(path: Path | str, pair: ViewPair) -> TiePointTable:
             f"{path}: some points lie where {name_of(reference.grid.crs)} cannot be transformed to "
             f"{name_of(target.grid.crs)}: remove them"
         )
-    return replace(table, status=np.where(points.enabled, "matched", "rejected").astype("<U8"))
+    status = np.where(points.enabled, "matched", "rejected").astype("<U8")
+    return replace(table, status=points.status if as_stated and points.status is not None else status)
 
 
 def _on_raster(
@@ -447,14 +483,15 @@ def _check_against_itself(
     path: Path | str, points: PointFile, reference_px: Float64, target_px: Float64, pair: ViewPair
 ) -> None:
     """Raise if redundant columns contradict each other for this pair."""
-    if points.xy is not None:
-        grid = pair.reference.info.grid
-        difference = points.xy - ground_xy(reference_px, pair)
-        in_px = np.asarray(grid.to_px(points.xy) - reference_px) if grid.located else difference
-        _check_same(path, in_px, "x, y and ref_col, ref_row", pair.reference.info)
-    if points.displacement_px is not None:
-        difference = target_px - points.displacement_px - predict_target_px(reference_px, pair)
-        _check_same(path, difference, "d_col, d_row and tgt_col, tgt_row", pair.target.info)
+    with np.errstate(over="ignore", invalid="ignore"):  # 1e308 contradicts like any other number
+        if points.xy is not None:
+            grid = pair.reference.info.grid
+            difference = points.xy - ground_xy(reference_px, pair)
+            in_px = np.asarray(grid.to_px(points.xy) - reference_px) if grid.located else difference
+            _check_same(path, in_px, "x, y and ref_col, ref_row", pair.reference.info)
+        if points.displacement_px is not None:
+            difference = target_px - points.displacement_px - predict_target_px(reference_px, pair)
+            _check_same(path, difference, "d_col, d_row and tgt_col, tgt_row", pair.target.info)
 
 
 def _check_same(path: Path | str, difference_px: Float64, columns: str, info: RasterInfo) -> None:

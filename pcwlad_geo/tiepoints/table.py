@@ -12,8 +12,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.types import TiePoints
-from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.geodesy import displacement_m
+from pcwlad_geo.raster.crs import displacement_m, transform_xy
 from pcwlad_geo.raster.grid import jacobian, map_px
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.grid import at_mean_height
@@ -121,6 +120,13 @@ class TiePointTable:
         return np.sqrt(np.diagonal(self.covariance_px2, axis1=1, axis2=2))
 
     @property
+    def correlation(self) -> Float64:
+        """(n,) correlation of the errors of target_px (col, row); 0 where one of them has none."""
+        product = self.sigma_px.prod(axis=1)
+        none = np.where(np.isnan(product), np.nan, 0.0)
+        return np.asarray(np.divide(self.covariance_px2[:, 0, 1], product, out=none, where=product > 0))
+
+    @property
     def placed(self) -> TiePointTable:
         """The rows with positions in both files and on the map, usable as ground control points."""
         places = np.column_stack([self.reference_px, self.target_px, self.xy])
@@ -138,7 +144,7 @@ class TiePointTable:
 
 COLUMNS: Final = (
     *("id", "ref_col", "ref_row", "tgt_col", "tgt_row", "x", "y", "d_col", "d_row", "d_x_m", "d_y_m"),
-    *("sigma_col", "sigma_row", "score", "residual_col", "residual_row", "status"),
+    *("sigma_col", "sigma_row", "correlation", "score", "residual_col", "residual_row", "status"),
 )
 """Of `tiepoints.csv`, in order."""
 
@@ -156,6 +162,7 @@ def columns_of(table: TiePointTable) -> dict[str, NDArray[np.generic]]:
     }
     columns: dict[str, NDArray[np.generic]] = {
         "id": np.arange(1, len(table) + 1),
+        "correlation": table.correlation,
         "score": table.score,
         "status": table.status,
     }
@@ -164,24 +171,21 @@ def columns_of(table: TiePointTable) -> dict[str, NDArray[np.generic]]:
     return {name: columns[name] for name in COLUMNS}
 
 
+def joined(table: TiePointTable, more: TiePointTable) -> TiePointTable:
+    """Return the rows of one table and then those of another of the same pair."""
+    names = [each.name for each in fields(table) if each.name != "crs"]
+    values = {name: np.concatenate([getattr(table, name), getattr(more, name)]) for name in names}
+    return TiePointTable(**values, crs=table.crs)
+
+
 def locate(
     points: TiePoints, pair: ViewPair, originals: tuple[RasterInfo, RasterInfo] | None = None
 ) -> TiePointTable:
-    """Express tie points in the original files and on the ground.
+    """Express tie points, in px of both views of a pair, in the original files and on the ground.
 
-    Parameters
-    ----------
-    points : TiePoints
-        Reference positions in reference-view px, target positions in target-view px.
-    pair : ViewPair
-        The views that were matched.
-    originals : (RasterInfo, RasterInfo), optional
-        Reference and target with their own georeferencing, if the matching started from a better one.
-
-    Returns
-    -------
-    TiePointTable
-        Status ``matched``, residuals NaN; the covariance is in pixels of the target file.
+    The `originals` are reference and target with their own georeferencing, if the matching started from a
+    better one. The status is ``matched``, residuals are NaN, and the covariance is in pixels of the target
+    file.
     """
     target_view = pair.target
     reference_px = pair.reference.to_file_px(points.reference_xy_px)
@@ -198,21 +202,11 @@ def locate(
 def place(
     reference_px: Float64, target_px: Float64, covariance_px2: Float64, score: Float64, pair: ViewPair
 ) -> TiePointTable:
-    """Build the table of tie points from positions in the two original files.
+    """Build the table of tie points from (n, 2) positions in the two original files, px (col, row).
 
-    Parameters
-    ----------
-    reference_px, target_px : (n, 2) arrays
-        Positions (col, row) in the reference and in the target file, px.
-    covariance_px2 : (n, 2, 2) array
-        Covariance of target_px, (col, row), px².
-    score : (n,) array
-        Match quality, 0 to 1.
-
-    Returns
-    -------
-    TiePointTable
-        Status ``matched``, residuals NaN.
+    They are `reference_px`, (n, 2), and `target_px`, (n, 2), with the (n, 2, 2) covariance `covariance_px2`
+    of the latter and the (n,) `score`, match quality from 0 to 1. The status is ``matched``, residuals are
+    NaN.
     """
     predicted_px = predict_target_px(reference_px, pair)
     count = len(score)
@@ -239,18 +233,10 @@ def predict_target_px(reference_px: Float64, pair: ViewPair) -> Float64:
 
 
 def predict_px(reference_px: Float64, reference: RasterInfo, target: RasterInfo) -> Float64:
-    """Map pixels of one file to those of the same ground in another by their georeferencing.
+    """Map the (n, 2) `reference_px` (col, row) to the (n, 2) pixels of the same ground in the target.
 
-    Parameters
-    ----------
-    reference_px : (n, 2) array
-        Pixels (col, row) of the reference.
-
-    Returns
-    -------
-    (n, 2) array
-        Pixels (col, row) of the target; reference_px itself if either file is not georeferenced, NaN where
-        the transformation between the CRSs is not defined.
+    They are themselves if either file is not georeferenced, and NaN where the transformation between the CRSs
+    is not defined.
     """
     if not (reference.georeferenced and target.georeferenced):
         return np.asarray(reference_px, dtype=np.float64)

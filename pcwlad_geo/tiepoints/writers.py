@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import shapely
@@ -19,7 +19,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.raster import vrt
-from pcwlad_geo.raster.geodesy import moved_xy
+from pcwlad_geo.raster.crs import moved_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.tiepoints.table import COLUMNS, TiePointTable, columns_of
 from pcwlad_geo.types import Float64
@@ -28,28 +28,23 @@ from pcwlad_geo.types import Float64
 def write_csv(table: TiePointTable, path: Path) -> None:
     """Write the table as UTF-8 CSV, one row a tie point; NaN becomes an empty cell.
 
-    Parameters
-    ----------
-    table : TiePointTable
-        Pixels and metres are written to 1e-6, map coordinates to 15 significant digits.
-    path : pathlib.Path
-        The file to write.
+    Pixels and metres are written to 1e-6, map coordinates to 15 significant digits.
     """
-    columns = columns_of(table)
-    cells = [[_cell(name, value) for value in values.tolist()] for name, values in columns.items()]
+    cells = [_cells(name, values.tolist()) for name, values in columns_of(table).items()]
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows(zip(*cells, strict=True))
 
 
-def _cell(name: str, value: object) -> str:
-    if not isinstance(value, float):
-        return str(value)
-    if not math.isfinite(value):
-        return ""
-    # Adding zero converts -0.0 to 0.0.
-    return f"{value:.15g}" if name in ("x", "y") else f"{round(value, 6) + 0.0:.6f}"
+def _cells(name: str, values: list[Any]) -> list[str]:
+    """Return the texts of a column."""
+    if not values or not isinstance(values[0], float):
+        return list(map(str, values))
+    form = "{:.15g}" if name in ("x", "y") else "{:.6f}"
+    zero = form.format(-0.0)
+    texts = ["" if text in ("nan", "inf", "-inf") else text for text in map(form.format, values)]
+    return [text[1:] if text == zero else text for text in texts]
 
 
 # ENVI counts from (1, 1) at the top-left corner of the first pixel, GDAL from (0, 0).
@@ -62,18 +57,9 @@ def write_points(
     """Write a `.points` file of the QGIS Georeferencer; rejected points are included, but not enabled.
 
     Points without a position in both files and on the map are left out, as in all files of control points.
-
-    Parameters
-    ----------
-    table : TiePointTable
-        mapX, mapY = `xy`; dX, dY = -`residual_px`, 0 where unknown: QGIS defines residuals as predicted minus
-        observed, in pixels, columns to the right and rows down.
-    path : pathlib.Path
-        `<target file name>.points`: QGIS loads it with the raster beside it.
-    target_info_georeferenced : bool
-        Whether the target is georeferenced: QGIS then expects layer coordinates, otherwise (col, -row).
-    target_grid : Grid
-        Original grid of the target.
+    mapX, mapY = `xy`; dX, dY = -`residual_px`, 0 where unknown: QGIS defines residuals as predicted minus
+    observed, in pixels, columns to the right and rows down. It loads `<target file name>.points` with the
+    raster beside it, and expects layer coordinates where that is georeferenced, otherwise (col, -row).
     """
     table = table.placed
     if target_info_georeferenced:
@@ -95,14 +81,8 @@ def write_points(
 def write_envi(table: TiePointTable, path: Path, reference_name: str, target_name: str) -> None:
     """Write an ENVI image-to-image `.pts` file; rejected points are left out.
 
-    Parameters
-    ----------
-    table : TiePointTable
-        Base = `reference_px`, warp = `target_px`, both + 1 because ENVI counts from 1.
-    path : pathlib.Path
-        The file to write.
-    reference_name, target_name : str
-        Names of the base and the warp file, for the header.
+    Base = `reference_px`, warp = `target_px`, both + 1 because ENVI counts from 1. The names are those of the
+    base and the warp file, for the header.
     """
     used = table[table.status != "rejected"].placed
     lines = [
@@ -136,18 +116,8 @@ def write_gcps_vrt(
 ) -> None:
     """Write a VRT of the target with the tie points as ground control points; rejected ones are left out.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Path to which the file is written now.
-    target_path : str or pathlib.Path
-        The original target: a path or a GDAL URI.
-    table : TiePointTable
-        Pixel, line = `target_px`; X, Y = `xy`.
-    crs : rasterio.crs.CRS or None
-        The CRS of `xy`; None for the pixel plane, y = -row.
-    final_path : pathlib.Path
-        Final path of the file: the path to the target is relative to its folder.
+    Pixel, line = `target_px`; X, Y = `xy`, in the CRS, without one in the pixel plane, y = -row. The path to
+    the target in it is relative to the folder of its `final_path`.
     """
     tree = vrt.describe_file(target_path, final_path)
     # Copies of a file with GCPs and AREA_OR_POINT=Point would be shifted by a pixel.
@@ -320,17 +290,10 @@ def write_geopackage(table: TiePointTable, path: Path, target_grid: Grid | None 
     """Write the layers `tie_points` and `displacements`, each with the columns of tiepoints.csv.
 
     Displacements are lines from the predicted to the observed position on the map, true to scale; their style
-    draws them longer. Without a CRS the map is the plane shared by both geotransforms, or else the pixel
-    plane of the reference, y = -row. Raises `OutputError` if the file cannot be written.
-
-    Parameters
-    ----------
-    table : TiePointTable
-        All points are written, including rejected ones; those without map coordinates have no geometry.
-    path : pathlib.Path
-        The file to write.
-    target_grid : Grid, optional
-        Grid of the target, for a plane shared by both rasters.
+    draws them longer. Without a CRS the map is the plane shared by both geotransforms, for which the target's
+    grid is needed, or else the pixel plane of the reference, y = -row. All points are written, including
+    rejected ones; those without map coordinates have no geometry. Raises `OutputError` if the file cannot be
+    written.
     """
     # imported here: GDAL's messages are suppressed in the thread that loads it
     import pyogrio.raw

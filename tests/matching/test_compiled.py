@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -65,6 +67,23 @@ def test_a_kernel_is_compiled_again_when_its_file_has_changed(package: Path) -> 
     (package / "kernel.py").write_text(KERNEL.replace("1.0", "10.0"))
     assert run(package) == "True False 16.0"
     assert run(package) == "True True 16.0"
+
+
+@pytest.mark.slow
+def test_a_kernel_is_compiled_again_when_another_file_has_changed(package: Path) -> None:
+    run(package)
+    (package / "part.py").write_text(PART.replace("2.0", "3.0"))
+    assert run(package) == "True False 10.0"
+    assert run(package) == "True True 10.0"
+
+
+def test_an_index_that_names_what_is_gone_counts_for_nothing(package: Path) -> None:
+    assert run(package) == "True False 7.0"
+    (index,) = package.rglob("kernel.kernel-*.nbi")
+    version, end = pickle.dumps(numba.__version__, protocol=-1), b"."
+    index.write_bytes(version + b"cpcwlad_geo.matching.kernels.compiled\nGone\n" + end)
+    assert run(package) == "True False 7.0"
+    assert run(package) == "True True 7.0"
 
 
 def test_kernels_run_where_no_folder_can_be_written(package: Path) -> None:

@@ -116,14 +116,14 @@ def test_strongest_takes_no_more_than_asked() -> None:
     assert 10 <= len(points) <= 30
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(gain=st.sampled_from([-1.0, -0.02, 30.0]), offset=st.floats(-500, 500))
 def test_radiometry_of_the_target_does_not_matter(gain: float, offset: float) -> None:
     again = match_arrays(image(0), gain * image(1, SHIFT_XY) + offset, settings=SMALL)
     assert_same_points(again, cross_modal_points(), 1e-3)
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(dtype=st.sampled_from(["uint8", "uint16", "int16", "float32"]))
 def test_data_types_of_the_same_numbers_give_the_same_points(dtype: str) -> None:
     whole = [np.clip(np.round(im), 0, 255) for im in (image(0), image(1, SHIFT_XY))]
@@ -138,7 +138,7 @@ def _of_whole_numbers() -> TiePoints:
     )
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(dx=st.floats(-4, 4), dy=st.floats(-4, 4))
 def test_any_shift_within_reach_comes_back(dx: float, dy: float) -> None:
     points = match_arrays(image(0), image(0, (dx, dy)), settings=SMALL)
@@ -227,9 +227,9 @@ def test_lost_candidates_are_found_where_they_are_expected_and_nowhere_else() ->
 def test_every_second_pixel_gives_nearly_the_same_match(monkeypatch: pytest.MonkeyPatch) -> None:
     points = cross_modal_points().shifted(np.full(2, MARGIN_PX), np.full(2, MARGIN_PX))
     guide = guide_by_field(points, LARGER)
-    coarse = matcher.seen_by_windows(channels(), points, guide, LARGER, [121])[0]
+    coarse = matcher.displacement_by_windows(channels(), points, guide, LARGER, [121])[0]
     monkeypatch.setattr(matcher, "SPARSE_FROM_PX", 999)
-    fine = matcher.seen_by_windows(channels(), points, guide, LARGER, [121])[0]
+    fine = matcher.displacement_by_windows(channels(), points, guide, LARGER, [121])[0]
     both = np.isfinite(fine).all(axis=1) & np.isfinite(coarse).all(axis=1)
     assert both.sum() > 0.7 * len(points)
     assert np.linalg.norm(coarse - fine, axis=1)[both].max() < 0.15
@@ -239,7 +239,7 @@ def test_every_second_pixel_gives_nearly_the_same_match(monkeypatch: pytest.Monk
 def test_two_windows_are_combined_by_their_weights() -> None:
     points = cross_modal_points().shifted(np.full(2, MARGIN_PX), np.full(2, MARGIN_PX))
     guide = guide_by_field(points, LARGER)
-    seen = matcher.seen_by_windows(channels(), points, guide, LARGER, [61, 121])
+    seen = matcher.displacement_by_windows(channels(), points, guide, LARGER, [61, 121])
     both = np.isfinite(seen).all(axis=(0, 2))
     assert both.sum() > 0.7 * len(points)
     scales = Scales((61, 121), (1.5, -0.5))

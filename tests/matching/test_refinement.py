@@ -8,7 +8,7 @@ from scipy.fft import fft2, fftfreq, ifft2
 
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
-from pcwlad_geo.matching.refinement import ChannelMaps, Start, correlation_half_px, refine
+from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, correlation_half_px, refine
 from tests.matching.landscape import Field, Landscape, constant
 from tests.oracles.refinement import refine_plain
 
@@ -26,8 +26,8 @@ def prepared(
     return prepare(*images, channels="orientations" if oriented else "moment").channels
 
 
-def start_at(shift_xy: tuple[float, float], n: int, **more: NDArray) -> Start:
-    return Start(np.tile(np.asarray(shift_xy, float), (n, 1)), np.zeros((n, 2, 2)), **more)
+def start_at(shift_xy: tuple[float, float], n: int, **more: NDArray) -> InitialEstimate:
+    return InitialEstimate(np.tile(np.asarray(shift_xy, float), (n, 1)), np.zeros((n, 2, 2)), **more)
 
 
 def fourier_shift(image: NDArray, dx: float, dy: float) -> NDArray:
@@ -73,11 +73,11 @@ def test_the_compiled_loop_equals_its_plain_twin(
         start = start_at((1.0, -1.0), n, structure=given)
     elif structure == "deformed":
         linear = np.tile([[0.01, 0.004], [-0.006, 0.008]], (n, 1, 1))
-        start = Start(start.shift_xy_px, linear)
+        start = InitialEstimate(start.shift_xy_px, linear)
     options = {"window_px": 61, "robust": robust, "affine": affine, "use_structure": structure != "none"}
     if structure == "a match":
         found = refine(pair.reference, pair.target, CORNERS, start, **options)
-        start = Start(found.shift_xy_px + np.array([0.012, -0.004]), found.linear, is_match=True)
+        start = InitialEstimate(found.shift_xy_px + np.array([0.012, -0.004]), found.linear, is_match=True)
     fast = refine(pair.reference, pair.target, CORNERS, start, **options)
     plain = refine_plain(pair.reference, pair.target, CORNERS, start, **options)
     np.testing.assert_array_equal(fast.converged, plain.converged)
@@ -97,7 +97,7 @@ def test_one_short_move_confirms_a_match_and_nothing_else() -> None:
     start = start_at((1.0, -1.0), n, structure_xy_px=structure)
     options = {"window_px": 61, "iterations": 1}
     found = refine(pair.reference, pair.target, CORNERS, start, window_px=61)
-    near = Start(found.shift_xy_px, found.linear, structure)
+    near = InitialEstimate(found.shift_xy_px, found.linear, structure)
     assert not refine(pair.reference, pair.target, CORNERS, near, **options).converged.any()
     again = refine(pair.reference, pair.target, CORNERS, replace(near, is_match=True), **options)
     np.testing.assert_array_equal(again.converged, found.converged)
@@ -122,7 +122,9 @@ def test_every_second_pixel_equals_the_plain_twin(structure: str, window_px: int
     if structure == "deformed":
         linear[:] = [[0.03, 0.004], [-0.006, -0.02]]
     place = {"fixed": [0.7, -0.6], "fixed where it starts": [1.0, -1.0]}.get(structure)
-    start = Start(np.tile([1.0, -1.0], (4, 1)), linear, None if place is None else np.tile(place, (4, 1)))
+    start = InitialEstimate(
+        np.tile([1.0, -1.0], (4, 1)), linear, None if place is None else np.tile(place, (4, 1))
+    )
     fast = refine(*images, corners, start, window_px=window_px, step_px=2)
     plain = refine_plain(*images, corners, start, window_px=window_px, step_px=2)
     assert plain.converged.any()
@@ -215,7 +217,7 @@ def test_a_given_deformation_is_held() -> None:
         pair.reference,
         pair.target,
         np.array([[100, 100]]),
-        Start(np.zeros((1, 2)), LINEAR[None]),
+        InitialEstimate(np.zeros((1, 2)), LINEAR[None]),
         window_px=81,
     )
     np.testing.assert_array_equal(found.linear[0], LINEAR)

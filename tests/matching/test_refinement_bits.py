@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.matching.refinement import Refined, Start, refine
+from pcwlad_geo.matching.refinement import InitialEstimate, Refined, refine
 from tests.matching.test_refinement import SIDE, cross_modal
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -20,7 +20,7 @@ DIGEST = """
 import hashlib
 import cv2
 import numpy as np
-from pcwlad_geo.matching.refinement import ChannelMaps, Start, refine
+from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, refine
 
 rng = np.random.default_rng(1)
 noise = rng.normal(size=(3, 150, 150)).astype(np.float32)
@@ -32,7 +32,8 @@ digest = hashlib.sha256()
 for window, linear, affine, fixed in (
     (41, 0.0, False, False), (81, 0.0, False, False), (61, 0.01, False, True), (61, 0.0, True, False)
 ):
-    start = Start(np.full((40, 2), -0.8), np.full((40, 2, 2), linear), np.zeros((40, 2)) if fixed else None)
+    structure = np.zeros((40, 2)) if fixed else None
+    start = InitialEstimate(np.full((40, 2), -0.8), np.full((40, 2, 2), linear), structure)
     found = refine(*stacks, corners, start, window_px=window, affine=affine, use_structure=not affine)
     for array in (found.shift_xy_px, found.linear, found.covariance_px2, found.converged):
         digest.update(array.tobytes())
@@ -59,7 +60,7 @@ def test_a_point_does_not_depend_on_the_points_beside_it(how: str) -> None:
     structure = shift - 0.3 if how == "fixed" else None
 
     def some(rows: np.ndarray) -> Refined:
-        start = Start(shift[rows], linear[rows], None if structure is None else structure[rows])
+        start = InitialEstimate(shift[rows], linear[rows], None if structure is None else structure[rows])
         return refine(pair.reference, pair.target, corners[rows], start, window_px=61)
 
     together = some(np.arange(24))

@@ -11,7 +11,7 @@ from pcwlad_geo.matching.mutual_structure import (
     shared_structure,
 )
 from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
-from pcwlad_geo.matching.refinement import Refined, Start
+from pcwlad_geo.matching.refinement import InitialEstimate, Refined
 from tests.matching.landscape import Landscape, constant
 
 SIDE, WINDOW = 160, 41
@@ -27,8 +27,8 @@ def pair() -> ChannelPair:
     ).channels
 
 
-def start_at(dx: float, dy: float) -> Start:
-    return Start(np.tile([dx, dy], (3, 1)), np.zeros((3, 2, 2)))
+def start_at(dx: float, dy: float) -> InitialEstimate:
+    return InitialEstimate(np.tile([dx, dy], (3, 1)), np.zeros((3, 2, 2)))
 
 
 def refined_at(dx: float, dy: float) -> Refined:
@@ -56,7 +56,7 @@ def test_the_structure_is_shared_only_where_the_windows_fit() -> None:
 
 def test_more_points_than_one_chunk_are_each_their_own() -> None:
     many = np.tile(CORNERS, (50, 1))
-    start = Start(np.tile([2.0, -3.0], (150, 1)), np.zeros((150, 2, 2)))
+    start = InitialEstimate(np.tile([2.0, -3.0], (150, 1)), np.zeros((150, 2, 2)))
     found = shared_structure(pair(), many, start, WINDOW)
     np.testing.assert_array_equal(found[-3:], found[:3])
 

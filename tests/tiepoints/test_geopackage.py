@@ -17,7 +17,7 @@ from pyproj import Geod
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import OutputError
-from pcwlad_geo.raster.geodesy import displacement_m
+from pcwlad_geo.raster.crs import displacement_m
 from pcwlad_geo.tiepoints import writers
 from pcwlad_geo.tiepoints.table import TiePointTable
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from rasterio.crs import CRS
 
+from pcwlad_geo.errors import InputError
 from pcwlad_geo.tiepoints import writers
+from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable
 from tests.tables import read_table
 
 HEADER = (
     "id,ref_col,ref_row,tgt_col,tgt_row,x,y,d_col,d_row,d_x_m,d_y_m,"
-    "sigma_col,sigma_row,score,residual_col,residual_row,status"
+    "sigma_col,sigma_row,correlation,score,residual_col,residual_row,status"
 )
 
 
@@ -62,10 +66,23 @@ def test_the_text_is_exactly_this(tmp_path: Path) -> None:
     writers.write_csv(one, tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_bytes().decode() == (
         HEADER + "\n1,10.500000,20.250000,11.000000,19.000000,500000.1,-33.123456789012,0.250000,0.000000,,,"
-        "0.200000,0.300000,0.500000,0.000000,,matched\n"
+        "0.200000,0.300000,0.166667,0.500000,0.000000,,matched\n"
     )
 
 
 def test_an_empty_table_is_a_header(tmp_path: Path) -> None:
     writers.write_csv(table()[:0], tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_text() == HEADER + "\n"
+
+
+def test_correlations_are_read_back_and_lie_within_one(tmp_path: Path) -> None:
+    covariance_px2 = np.array([[[0.04, -0.03], [-0.03, 0.09]], [[0.01, 0.0], [0.0, 0.04]]])
+    writers.write_csv(replace(table(2), covariance_px2=covariance_px2), tmp_path / "t.csv")
+    np.testing.assert_allclose(read_point_file(tmp_path / "t.csv").correlation, [-0.5, 0.0], atol=1e-6)
+    text = "ref_col,ref_row,tgt_col,tgt_row,sigma_col,sigma_row,correlation\n1,2,3,4,.1,.1,{}\n"
+    for cell, value in (("", 0.0), ("1", 0.999999)):
+        (tmp_path / "a.csv").write_text(text.format(cell))
+        assert read_point_file(tmp_path / "a.csv").correlation == pytest.approx([value])
+    (tmp_path / "a.csv").write_text(text.format("1.5"))
+    with pytest.raises(InputError, match=r"line 2: correlation lies beyond -1 to 1"):
+        read_point_file(tmp_path / "a.csv")

@@ -11,10 +11,9 @@ from typing import Final
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from pcwlad_geo.matching.kernels.compiled import compiled, compiled_part
-from pcwlad_geo.types import Float32, Float64
+from pcwlad_geo.types import Complex64, Float32, Float64
 
 SCALES: Final = 4
 """Number of scales of the filters."""
@@ -120,8 +119,6 @@ SPREAD_GAIN: Final = 3.0
 MOMENT_EPSILON: Final = 1e-4
 """The ε that is added to the maximum moment, as in the authors' maps."""
 
-Complex64 = NDArray[np.complex64]
-
 
 @compiled(fastmath=True)
 def filter_rows(
@@ -156,8 +153,8 @@ def filter_rows(
         for col in range(m):
             cosine = (across[start + row] + along[col]) * mirrored[col]
             # (1 + cos 3Δ) / 2 up to Δ = 60°, as a polynomial in cos Δ
-            beyond = max(np.float32(2.0) * cosine - np.float32(1.0), np.float32(0.0))
-            angular[col] = np.float32(0.5) * (np.float32(1.0) + cosine) * beyond * beyond
+            cosine_part = max(np.float32(2.0) * cosine - np.float32(1.0), np.float32(0.0))
+            angular[col] = np.float32(0.5) * (np.float32(1.0) + cosine) * cosine_part * cosine_part
         for scale in range(out.shape[0]):
             _mirror(radial[scale, start + row], mirrored)
             source = spectrum[start + row]

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple, get_type_hints
 import numpy as np
 from numba import typeof, types
 
-from pcwlad_geo.matching.kernels.compiled import Apart, compiled, compiled_apart, compiled_part
+from pcwlad_geo.matching.kernels.compiled import SeparateKernel, compiled, compiled_part, compiled_separately
 from pcwlad_geo.matching.kernels.equations import (
     SIGMA_PER_MEAN_DEVIATION,
     add_block_scores,
@@ -22,11 +22,7 @@ from pcwlad_geo.matching.kernels.equations import (
     sum_of_deviations,
     weighted_moments,
 )
-from pcwlad_geo.matching.kernels.sampling import (
-    load_window,
-    sample_deformed,
-    sample_shift,
-)
+from pcwlad_geo.matching.kernels.sampling import load_window, sample_deformed, sample_shift
 from pcwlad_geo.matching.kernels.steps import (
     CONVERGED,
     DIVERGED,
@@ -42,7 +38,7 @@ from pcwlad_geo.matching.kernels.steps import (
     STRUCTURE_NONE,
     UNDETERMINED,
     Images,
-    Options,
+    RefinementOptions,
     Results,
     Starts,
     Workspace,
@@ -60,9 +56,9 @@ from pcwlad_geo.types import Float32, Float64
 class Parts(NamedTuple):
     """What `refine_points` calls by address for every channel: fewer lines are compiled at a time."""
 
-    load: Apart
-    correlate: Apart
-    add_channel: Apart
+    load: SeparateKernel
+    correlate: SeparateKernel
+    add_channel: SeparateKernel
 
 
 NEAR_PX: Final = 0.1
@@ -71,7 +67,12 @@ NEAR_PX: Final = 0.1
 
 @compiled()
 def refine_points(
-    images: Images, starts: Starts, options: Options, work: Workspace, results: Results, parts: Parts
+    images: Images,
+    starts: Starts,
+    options: RefinementOptions,
+    work: Workspace,
+    results: Results,
+    parts: Parts,
 ) -> None:
     """Refine every corner of `starts` on the maps of `images` and fill `results`; `work` is scratch memory.
 
@@ -95,7 +96,7 @@ def refine_points(
 
 @compiled_part()
 def _valid_share(
-    images: Images, shift_xy: Float64, row: int, col: int, options: Options, valid: Float32
+    images: Images, shift_xy: Float64, row: int, col: int, options: RefinementOptions, valid: Float32
 ) -> float:
     """Fill the flat window of validity in both images and return the share of valid pixels."""
     side, step = 2 * options.half + 1, options.step
@@ -115,7 +116,7 @@ def _valid_share(
     return float(good / (side * side))
 
 
-NO_OPTIONS: Final = Options(*(kind() for kind in get_type_hints(Options).values()))
+NO_OPTIONS: Final = RefinementOptions(*(kind() for kind in get_type_hints(RefinementOptions).values()))
 """All 0: their types are what counts."""
 _FLAG, _INT, _OPTIONS = types.boolean, types.int64, typeof(NO_OPTIONS)  # type: ignore[no-untyped-call]
 _FLAT, _PLANE = types.float32[::1], types.float32[:, ::1]
@@ -126,7 +127,7 @@ _PLACE = _PLANE, _PLANE, _INT, _INT, _NUMBERS, _MATRIX, _FLAG, _FLAG
 Flats = tuple[Float32, ...]
 
 
-@compiled_apart(_FLAG(*_PLACE, _OPTIONS, _FLATS_4, _FLATS_4))
+@compiled_separately(_FLAG(*_PLACE, _OPTIONS, _FLATS_4, _FLATS_4))
 def _load(
     plane: Float32,
     image: Float32,
@@ -136,7 +137,7 @@ def _load(
     linear: Float64,
     deformed: bool,
     first: bool,
-    options: Options,
+    options: RefinementOptions,
     scratch: Flats,
     window: Flats,
 ) -> bool:
@@ -159,10 +160,10 @@ def _load(
     return bool(sample_shift(plane, top, left, *places, *window[1:]))
 
 
-@compiled_apart(types.void(_FLAG, _OPTIONS, _FLAT, _FLAT, _FLAT, _FLATS_4, _FLATS_4))
+@compiled_separately(types.void(_FLAG, _OPTIONS, _FLAT, _FLAT, _FLAT, _FLATS_4, _FLATS_4))
 def _correlate(
     first: bool,
-    options: Options,
+    options: RefinementOptions,
     value: Float32,
     reference: Float32,
     columns: Float32,
@@ -187,7 +188,7 @@ def _correlate(
 
 
 @compiled_part(inline=True)
-def _set_structure(starts: Starts, p: int, options: Options, work: Workspace) -> None:
+def _set_structure(starts: Starts, p: int, options: RefinementOptions, work: Workspace) -> None:
     """Fill weights that are not computed from the images: 1, or the given structure; 0 where not valid."""
     side = 2 * options.half + 1
     for k in range(work.structure.shape[0]):
@@ -205,7 +206,7 @@ def _refine_point(
     images: Images,
     starts: Starts,
     p: int,
-    options: Options,
+    options: RefinementOptions,
     work: Workspace,
     results: Results,
     parts: Parts,
@@ -274,7 +275,7 @@ def _measure(
     first: bool,
     looks: bool,
     near: bool,
-    options: Options,
+    options: RefinementOptions,
     work: Workspace,
     parts: Parts,
 ) -> bool:
@@ -300,11 +301,11 @@ def _measure(
     return True
 
 
-@compiled_apart(types.void(_FLAG, _FLAG, _OPTIONS, _FLATS_4, _FLATS_3, _PLANE, _MATRICES, _NUMBERS))
+@compiled_separately(types.void(_FLAG, _FLAG, _OPTIONS, _FLATS_4, _FLATS_3, _PLANE, _MATRICES, _NUMBERS))
 def _add_channel(
     scored: bool,
     inverted_too: bool,
-    options: Options,
+    options: RefinementOptions,
     window: Flats,
     weights: Flats,
     monomials: Float32,

@@ -49,7 +49,7 @@ class Images(NamedTuple):
 
 
 class Starts(NamedTuple):
-    """Where n points start; see `refinement.Start`."""
+    """Where n points start; see `refinement.InitialEstimate`."""
 
     corners_rc: Int64
     """(n, 2) row, column array indices in the reference."""
@@ -63,7 +63,7 @@ class Starts(NamedTuple):
     """(n, window, window), or (1, 1, 1) where it is not given."""
 
 
-class Options(NamedTuple):
+class RefinementOptions(NamedTuple):
     """Settings of the refinement; see `refinement.refine`."""
 
     half: int
@@ -142,7 +142,7 @@ def flat_width(extended: int) -> int:
     return -(-(extended + TAPS_BEYOND) // LANES) * LANES
 
 
-def make_workspace(channels: int, options: Options) -> Workspace:
+def make_workspace(channels: int, options: RefinementOptions) -> Workspace:
     """Allocate the memory that `refine_points` reuses for every point, for `channels` and `options`."""
     side = 2 * options.half + 1
     extended = side + 2 * options.correlation_half
@@ -188,7 +188,7 @@ def make_workspace(channels: int, options: Options) -> Workspace:
     )
 
 
-def _monomials(options: Options) -> Float32:
+def _monomials(options: RefinementOptions) -> Float32:
     """Return x, y, x², xy, y² of a flat window's pixels, (5, side · width)."""
     step = np.arange(-options.half, options.half + 1) / options.half
     x = np.zeros((len(step), options.width))
@@ -236,16 +236,9 @@ def invert(matrix: Float64) -> bool:
 def plain_step(inverse: Float64, right: Float64, half: int, step: Float64, linear: Float64) -> None:
     """Fill in the plain Gauss-Newton step of the shift, and add that of the deformation.
 
-    Parameters
-    ----------
-    inverse, right : (k, k) and (k,) arrays
-        Inverse normal matrix and right side, see `equations.add_equations`.
-    half : int
-        Half side of the window, px.
-    step : (2,) array
-        Filled with the step (col, row), px.
-    linear : (2, 2) array
-        Deformation, changed in place.
+    The (k, k) `inverse` normal matrix and the (k,) right side `right` are those of `equations.add_equations`;
+    the window is 2 `half` + 1 px wide. The (2,) `step` (col, row) is filled, px, and the (2, 2) deformation
+    `linear` changed in place.
     """
     count = len(right) // 2
     for axis in range(2):
@@ -258,14 +251,9 @@ def plain_step(inverse: Float64, right: Float64, half: int, step: Float64, linea
 def learn_slopes(step: Float64, before: Float64, moved: Float64, first: bool, slopes: Float64) -> None:
     """Update the slopes of the plain step from the last move (Broyden's update).
 
-    Parameters
-    ----------
-    step, before, moved : (2,) arrays
-        The plain step now, that before the move, and the move (col, row), px.
-    first : bool
-        Whether this is the first move, which gives one slope for all directions; later ones give their own.
-    slopes : (2, 2) array
-        Minus the derivative of the plain step by the shift, changed in place.
+    The (2,) arrays `step`, `before` and `moved` (col, row) are the plain step now, that before the move, and
+    the move, px. The `first` move gives one slope for all directions, later ones their own. The (2, 2)
+    `slopes`, minus the derivative of the plain step by the shift, are changed in place.
     """
     length2 = moved[0] ** 2 + moved[1] ** 2
     if length2 == 0.0:
@@ -281,23 +269,10 @@ def learn_slopes(step: Float64, before: Float64, moved: Float64, first: bool, sl
 
 @compiled_part()
 def move(step: Float64, slopes: Float64, moved: Float64, shift: Float64) -> float:
-    """Move the shift to where the plain step is expected to vanish.
+    """Move the shift to where the plain step is expected to vanish; return how long the move would be, px.
 
-    Parameters
-    ----------
-    step : (2,) array
-        The plain step (col, row), px.
-    slopes : (2, 2) array
-        See `learn_slopes`.
-    moved : (2,) array
-        Filled with the move, px, at most `LONGEST_STEP_PX` long.
-    shift : (2,) array
-        The shift, px, moved in place.
-
-    Returns
-    -------
-    float
-        Length of the move, px, before it is limited.
+    For the (2,) plain `step` (col, row), px, and the (2, 2) `slopes` of `learn_slopes`, the (2,) `moved` is
+    filled with the move, at most `LONGEST_STEP_PX` long, and the (2,) `shift` moved in place.
     """
     determinant = slopes[0, 0] * slopes[1, 1] - slopes[0, 1] * slopes[1, 0]
     x, y = step[0], step[1]
@@ -337,14 +312,8 @@ def _dot(first: Float64, second: Float64) -> float:
 def sandwich(inverse: Float64, scores: Float64, covariance: Float64) -> None:
     """Fill the sandwich covariance of the shift: the scatter of the blocks' scores between two inverses.
 
-    Parameters
-    ----------
-    inverse : (k, k) array
-        Inverse normal matrix.
-    scores : (blocks * blocks, 2) array
-        See `equations.add_block_scores`.
-    covariance : (2, 2) array
-        Filled, px².
+    They are the (k, k) `inverse` normal matrix and the (blocks * blocks, 2) `scores` of
+    `equations.add_block_scores`; the (2, 2) `covariance` is filled, px².
     """
     other = inverse.shape[0] // 2
     covariance[:] = 0.0
