@@ -20,9 +20,8 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError, OutputError
-from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring
+from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring, open_own
 from pcwlad_geo.raster.grid import apply, apply_inverse
-from pcwlad_geo.raster.opening import open_own
 from pcwlad_geo.text import html_table, one_line_of
 from pcwlad_geo.types import PathLike
 
@@ -311,20 +310,15 @@ def _from_data_array(data: DataArrayLike) -> Raster:
             f"a DataArray with the dimensions {', '.join(map(str, data.dims)) or 'none'} is no raster: they "
             "must be (y, x) or (band, y, x) (transpose, isel)"
         )
-    place = _grid_mapping(data)
+    name = _mapping_name(data)
+    place: Mapping[Any, Any] = data.coords[name].attrs if name in data.coords else {}
     text = place.get("crs_wkt") or place.get("spatial_ref")
     nodata = data.attrs.get("_FillValue", data.attrs.get("missing_value"))
     return Raster(values, _transform_of(data, place), text, None if nodata is None else float(nodata))
 
 
-def _grid_mapping(data: DataArrayLike) -> Mapping[Any, Any]:
-    """Return the attributes of the coordinate that holds the CRS."""
-    name = _mapping_name(data)
-    found: Mapping[Any, Any] = data.coords[name].attrs if name in data.coords else {}
-    return found
-
-
 def _mapping_name(data: DataArrayLike) -> str:
+    """Return the name of the coordinate that holds the CRS."""
     return str(data.encoding.get("grid_mapping", data.attrs.get("grid_mapping", "spatial_ref")))
 
 
@@ -358,12 +352,8 @@ def _transform_of(data: DataArrayLike, place: Mapping[Any, Any]) -> Affine | Non
 def like_the_source(raster: Raster, source: object) -> object:
     """Return a warped raster as its source was given: `Raster`, DataArray or masked array.
 
-    Parameters
-    ----------
-    raster : Raster
-        Of (bands, rows, cols), masked where nothing is known.
-    source : object
-        One for a band more: an array of (rows, cols) comes back as such.
+    The raster is of (bands, rows, cols), masked where nothing is known; of an array of (rows, cols) it comes
+    back as such.
     """
     pixels = source.array if isinstance(source, Raster) else source
     if not is_dataset(source) and len(getattr(pixels, "shape", ())) == 2:

@@ -29,7 +29,7 @@ HEIGHT_M: Final = (0.5, 2e4)
 """Smallest and largest height above the ground that is believed."""
 RATIO: Final = (1 / 64, 64.0)
 """Smallest and largest ratio of the pixels of two frames that is believed."""
-WORTH_SAYING: Final = 1.05
+STATED_FROM: Final = 1.05
 """Ratio of the pixels from which it is told."""
 _DRONE: Final = "http://www.dji.com/drone-dji/1.0/"
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns# "
@@ -57,20 +57,21 @@ def camera_of(dataset: DatasetReader) -> Camera | None:
     Read are EXIF tags (FocalLength with the resolution of the focal plane, FocalLengthIn35mmFilm,
     GPSAltitude) and the attribute or element RelativeAltitude of DJI's XMP.
     """
-    exif = _tags(dataset, "EXIF")
-    relative = _relative_altitude(_tags(dataset, "xml:XMP"))
+    exif = tags_of(dataset, "EXIF")
+    match = _NUMBER.match(xmp_of(dataset).get(f"{_DRONE} RelativeAltitude", ("",))[0][:40])
+    relative = _within(float(match[1]), HEIGHT_M) if match else None
     if not exif and relative is None:
         return None
     focal = [each for each in (_by_focal_plane(exif, dataset.shape), _by_35_mm(exif, dataset.shape)) if each]
     contradicts = len(focal) == 2 and max(focal) > AGREE * min(focal)
     believed = focal[0] if focal and not contradicts else None
-    camera = Camera(believed, relative, _number(exif, "GPSAltitude"), contradicts)
+    camera = Camera(believed, relative, number_of(exif, "GPSAltitude"), contradicts)
     known = (believed, camera.height_m, camera.altitude_m)
     return camera if contradicts or any(each is not None for each in known) else None
 
 
-def _tags(dataset: DatasetReader, domain: str) -> Mapping[str, str]:
-    """Return the tags of a domain; none where GDAL cannot read them, as the pixels may be sound."""
+def tags_of(dataset: DatasetReader, domain: str) -> Mapping[str, str]:
+    """Return the tags of a `domain` of an open raster by name; none where GDAL cannot read them."""
     found: Mapping[str, str] = {}
     with suppress(*LIBRARY_ERRORS):
         found = dataset.tags(ns=domain)
@@ -88,23 +89,16 @@ def expected_scale(reference: Camera | None, target: Camera | None) -> tuple[flo
     lacking = _lacking(reference, target)
     if lacking is not None:
         return None, f"{lacking}: their data are ignored, and the pair is searched as any other"
-    scale = _focal_ratio(reference, target) * _height_ratio(reference, target)
+    lengths = [each.focal_px if each and each.focal_px else 1.0 for each in (reference, target)]
+    heights = [each.height_m if each else None for each in (reference, target)]
+    higher = 1.0 if heights[0] is None or heights[1] is None else heights[0] / heights[1]
+    scale = lengths[1] / lengths[0] * higher
     if not RATIO[0] <= scale <= RATIO[1]:
         return None, f"by the cameras' data the pixels differ by a factor of {scale:.3g}: they are ignored"
-    if 1 / WORTH_SAYING < scale < WORTH_SAYING:
+    if 1 / STATED_FROM < scale < STATED_FROM:
         return scale, None
     size, word = (1 / scale, "large") if scale <= 1 else (scale, "small")
     return scale, f"by the cameras' data the target's pixels are {size:.1f} times as {word}"
-
-
-def _focal_ratio(reference: Camera | None, target: Camera | None) -> float:
-    lengths = [each.focal_px if each and each.focal_px else 1.0 for each in (reference, target)]
-    return lengths[1] / lengths[0]
-
-
-def _height_ratio(reference: Camera | None, target: Camera | None) -> float:
-    heights = [each.height_m if each else None for each in (reference, target)]
-    return 1.0 if heights[0] is None or heights[1] is None else heights[0] / heights[1]
 
 
 def _lacking(reference: Camera | None, target: Camera | None) -> str | None:
@@ -125,24 +119,24 @@ def _lacking(reference: Camera | None, target: Camera | None) -> str | None:
 
 
 def _by_focal_plane(exif: Mapping[str, str], shape: tuple[int, int]) -> float | None:
-    focal_mm, per_unit = _number(exif, "FocalLength"), _number(exif, "FocalPlaneXResolution")
+    focal_mm, per_unit = number_of(exif, "FocalLength"), number_of(exif, "FocalPlaneXResolution")
     unit_mm = MM_PER_UNIT.get(exif.get("EXIF_FocalPlaneResolutionUnit", "2").strip())
     if focal_mm is None or per_unit is None or unit_mm is None:
         return None
-    cols = _number(exif, "PixelXDimension")
+    cols = number_of(exif, "PixelXDimension")
     reduction = shape[1] / cols if cols else 1.0
     return _within(focal_mm * per_unit / unit_mm * reduction, FOCAL_PX)
 
 
 def _by_35_mm(exif: Mapping[str, str], shape: tuple[int, int]) -> float | None:
-    equivalent_mm = _number(exif, "FocalLengthIn35mmFilm")
+    equivalent_mm = number_of(exif, "FocalLengthIn35mmFilm")
     if equivalent_mm is None:
         return None
     return _within(equivalent_mm / FULL_FRAME_MM * math.hypot(*shape), FOCAL_PX)
 
 
-def _number(exif: Mapping[str, str], name: str) -> float | None:
-    """Return a value as GDAL writes it, such as (5.5); None unless it is one positive number."""
+def number_of(exif: Mapping[str, str], name: str) -> float | None:
+    """Return the positive number of an EXIF tag, by its `name` without EXIF; None where there is none."""
     found = _NUMBER.match(exif.get(f"EXIF_{name}", "")[:40])
     return _within(float(found[1]), (1e-9, 1e9)) if found else None
 
@@ -155,27 +149,13 @@ class _StopReadingError(Exception):
     """The document holds what is not read."""
 
 
-def exif_of(dataset: DatasetReader) -> Mapping[str, str]:
-    """Return the EXIF tags of an open raster, by their names as GDAL writes them."""
-    return _tags(dataset, "EXIF")
-
-
-def number_of(exif: Mapping[str, str], name: str) -> float | None:
-    """Return the positive number of an EXIF tag, by its name without EXIF; None where there is none."""
-    return _number(exif, name)
-
-
 def xmp_of(dataset: DatasetReader) -> dict[str, tuple[str, ...]]:
     """Return what the XMP packet of an open raster says: values by ``namespace name``.
 
     Attributes and elements count alike, and the items of a list in their order. Packets of more than
     `XMP_BYTES` are not parsed, nor is anything after a document type, where entities would be declared.
     """
-    return _xmp_values(_tags(dataset, "xml:XMP"))
-
-
-def _xmp_values(tags: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
-    text = next(iter(tags.values()), "")
+    text = next(iter(tags_of(dataset, "xml:XMP").values()), "")
     if not text or len(text) > XMP_BYTES:
         return {}
     found: dict[str, list[str]] = {}
@@ -202,10 +182,3 @@ def _xmp_values(tags: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
     with suppress(expat.ExpatError, _StopReadingError, UnicodeEncodeError):
         parser.Parse(text.strip("\x00\ufeff \r\n\t"), True)
     return {name: tuple(values) for name, values in found.items()}
-
-
-def _relative_altitude(tags: Mapping[str, str]) -> float | None:
-    """Return RelativeAltitude of an XMP packet, m; None where there is none."""
-    values = _xmp_values(tags).get(f"{_DRONE} RelativeAltitude", ("",))
-    match = _NUMBER.match(values[0][:40])
-    return _within(float(match[1]), HEIGHT_M) if match else None

@@ -144,13 +144,10 @@ def _members(archive: _Archive) -> Mapping[str, _Member]:
             if archive.unpacks:  # before what follows is unpacked
                 check_unpacked(str(archive.path), member.offset_data + member.size, archive.size)
             if member.isfile() and _counts(member.name):
-                members[member.name.removeprefix("./")] = _Member(member.name, _place(member))
+                # names of more than 100 characters are in pax headers, which GDAL does not read
+                place = f"{member.offset_data}_{member.size}" if "path" in member.pax_headers else None
+                members[member.name.removeprefix("./")] = _Member(member.name, place)
     return members
-
-
-def _place(member: tarfile.TarInfo) -> str | None:
-    # Python's tarfile puts names of more than 100 characters into pax headers, which GDAL does not read
-    return f"{member.offset_data}_{member.size}" if "path" in member.pax_headers else None
 
 
 @lru_cache(maxsize=16)

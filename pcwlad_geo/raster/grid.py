@@ -14,7 +14,7 @@ from rasterio.crs import CRS
 from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.estimation.solving import inverse, solve
-from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.crs import displacement_m, transform_xy
 from pcwlad_geo.types import Float64
 
 
@@ -123,20 +123,10 @@ _FLATTEST: Final = 1e-6
 
 
 def geotransform_of(gcps: Sequence[GroundControlPoint]) -> tuple[Affine, float] | None:
-    """Fit a geotransform to ground control points by least squares.
+    """Fit a geotransform to ground control points by least squares; None if fewer than three, or on a line.
 
-    Parameters
-    ----------
-    gcps : sequence of GroundControlPoint
-        Pixel and line are corner-based: (0, 0) is the top-left corner of the first pixel.
-
-    Returns
-    -------
-    transform : Affine
-    misfit_px : float
-        Largest residual of a control point, px; infinite for a geotransform that cannot be inverted.
-    None
-        Returned instead for fewer than three points, or points on a line.
+    Pixel and line are corner-based: (0, 0) is the top-left corner of the first pixel. The second result is
+    the largest residual of a control point, px; infinite for a geotransform that cannot be inverted.
     """
     if len(gcps) < MIN_GCPS:
         return None
@@ -263,19 +253,10 @@ def composed(
 
 
 def map_px(points_px: Float64, from_grid: Grid, to_grid: Grid) -> Float64:
-    """Map pixel coordinates of one grid to those of the same ground in another.
+    """Map the (n, 2) `points_px` of one grid to the (n, 2) pixels of the same ground in another.
 
-    Raises `InputError` if no transformation exists between the CRSs, or only one grid has a CRS.
-
-    Parameters
-    ----------
-    points_px : (n, 2) array
-        Pixels (col, row) of `from_grid`, corner-based.
-
-    Returns
-    -------
-    (n, 2) array
-        Pixels (col, row) of `to_grid`; NaN where the transformation between the CRSs is not defined.
+    They are (col, row), corner-based; NaN where the transformation between the CRSs is not defined. Raises
+    `InputError` if no transformation exists between the CRSs, or only one grid has a CRS.
     """
     points_px = np.asarray(points_px, dtype=np.float64)
     plain = type(from_grid) is Grid and type(to_grid) is Grid
@@ -285,20 +266,10 @@ def map_px(points_px: Float64, from_grid: Grid, to_grid: Grid) -> Float64:
 
 
 def jacobian(points_px: Float64, from_grid: Grid, to_grid: Grid) -> Float64:
-    """Return the Jacobian of `map_px`, by central differences over one pixel.
+    """Return the (n, 2, 2) Jacobian of `map_px` at the (n, 2) `points_px`, by differences over one pixel.
 
-    Raises `InputError` if no transformation exists between the CRSs, or only one grid has a CRS.
-
-    Parameters
-    ----------
-    points_px : (n, 2) array
-        Pixels (col, row) of `from_grid`, corner-based.
-
-    Returns
-    -------
-    (n, 2, 2) array
-        Element [i, j] is the derivative of coordinate i in `to_grid` by coordinate j in `from_grid`, px per
-        px, in the order (col, row); NaN where `map_px` is.
+    Element [i, j] is the derivative of coordinate i in `to_grid` by coordinate j in `from_grid`, px per px,
+    in the order (col, row); NaN where `map_px` is. Errors are those of `map_px`.
     """
     points_px = np.asarray(points_px, dtype=np.float64)
     steps = np.array([[0.5, 0.0], [0.0, 0.5]])
@@ -307,3 +278,33 @@ def jacobian(points_px: Float64, from_grid: Grid, to_grid: Grid) -> Float64:
         for step in steps
     ]
     return np.stack(sides, axis=2)
+
+
+def pixel_size_m(grid: Grid, at_px: tuple[float, float] | Float64) -> tuple[float, float] | None:
+    """Measure the ground length of one pixel along the column and the row axis.
+
+    Metres are returned, None without a CRS. The scale of a map varies, so they hold at `at_px`, a (2,)
+    position (col, row).
+    """
+    sizes = pixel_sizes_m(grid, np.asarray(at_px, dtype=np.float64).reshape(1, 2))
+    return None if sizes is None else (float(sizes[0, 0]), float(sizes[0, 1]))
+
+
+def pixel_sizes_m(grid: Grid, at_px: Float64) -> Float64 | None:
+    """Return the (n, 2) sizes of the pixels of a grid at the (n, 2) `at_px` (col, row), see `pixel_size_m`.
+
+    They are metres per step of one column and of one row; None without a CRS.
+    """
+    if grid.crs is None:
+        return None
+    at_px = np.asarray(at_px, dtype=np.float64)
+    sides = []
+    for step in np.array([[0.5, 0.0], [0.0, 0.5]]):
+        across = displacement_m(grid.to_xy(at_px - step), grid.to_xy(at_px + step), grid.crs)
+        sides.append(np.hypot(across[:, 0], across[:, 1]))
+    return np.column_stack(sides)
+
+
+def middle_pixel_size_m(grid: Grid) -> tuple[float, float] | None:
+    """Return the pixel size in the middle of a grid, metres (column, row), see `pixel_size_m`."""
+    return pixel_size_m(grid, grid.middle_px)

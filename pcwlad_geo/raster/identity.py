@@ -69,19 +69,10 @@ class FileIdentity:
 def identify(uri: str | os.PathLike[str], *, raster: bool = True) -> tuple[FileIdentity, ...]:
     """Identify the files that an input is read from.
 
-    Raises `InputError` if the raster, or one that a VRT names, cannot be opened.
-
-    Parameters
-    ----------
-    raster : bool
-        Whether it is a raster. Then the files that belong to it are included (headers, overviews, masks, the
-        sources of a VRT and of the VRTs among them), except statistics beside it (.aux.xml), which hold no
-        pixels and which other programs may rewrite at any time.
-
-    Returns
-    -------
-    tuple of FileIdentity
-        Empty for inputs that are neither files nor on a web server (databases, object stores).
+    With `raster`, the files that belong to it are included (headers, overviews, masks, the sources of a VRT
+    and of the VRTs among them), except statistics beside it (.aux.xml), which hold no pixels and which other
+    programs may rewrite at any time. Inputs that are neither files nor on a web server (databases, object
+    stores) have none. Raises `InputError` if the raster, or one that a VRT names, cannot be opened.
     """
     uri = os.fspath(uri)
     found: dict[str, FileIdentity] = {}

@@ -15,7 +15,7 @@ from pcwlad_geo.limits import check_pixel_ratio
 from pcwlad_geo.raster.crs import name_of, transform_xy, transformation_warnings
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.raster.view import Resampling, View
+from pcwlad_geo.raster.view import View, ViewResampling
 from pcwlad_geo.types import Float64
 
 TURN: float = 360.0
@@ -45,13 +45,9 @@ def moved_across_antimeridian(reference: RasterInfo, target: RasterInfo) -> Rast
             f"{reference.uri} and {target.uri} count longitudes differently across 180 degrees, and the mask "
             f"{reference.mask_uri} has other pixels than {reference.uri}: give a mask of the same pixels"
         )
-    moved = _moved(reference.grid, turns)
+    a, b, c, d, e, f = tuple(reference.grid.transform)[:6]
+    moved = replace(reference.grid, transform=Affine(a, b, c + turns * TURN, d, e, f))
     return replace(reference, grid=moved, mask_grid=moved if mask == reference.grid else mask)
-
-
-def _moved(grid: Grid, turns: int) -> Grid:
-    a, b, c, d, e, f = tuple(grid.transform)[:6]
-    return replace(grid, transform=Affine(a, b, c + turns * TURN, d, e, f))
 
 
 MIN_SHARED: Final = 0.1
@@ -192,10 +188,7 @@ def limited(pair: ViewPair, extent: tuple[float, float, float, float]) -> ViewPa
             f"the extent x {extent[0]:.10g} to {extent[2]:.10g}, y {extent[1]:.10g} to {extent[3]:.10g} lies "
             f"outside of what both rasters show: give one in the CRS of {view.info.uri}"
         )
-    offset = (
-        pair.offset_px[0] + window.col - around.col,
-        pair.offset_px[1] + window.row - around.row,
-    )
+    offset = (pair.offset_px[0] + window.col - around.col, pair.offset_px[1] + window.row - around.row)
     covered = pair.overlap.moved(-window.row, -window.col).clipped(window.shape)
     return replace(
         pair,
@@ -275,7 +268,7 @@ def _resampled(finer: RasterInfo, coarser: Grid, box: Window, common: shapely.Ge
     grid = coarser.part((around.col, around.row), around.shape)
     scale = _axis_scale(grid, finer.grid, shapely.box(0, 0, grid.shape[1], grid.shape[0]))
     averaged = scale is not None and np.abs(scale).min() >= _AVERAGE_FROM
-    resampling: Resampling = "average" if averaged else "cubic"
+    resampling: ViewResampling = "average" if averaged else "cubic"
     return View(finer, grid, resampling)
 
 
@@ -318,18 +311,15 @@ def _overlap(reference: RasterInfo, target: RasterInfo) -> shapely.Geometry:
             )
         common = _mapped(covered.intersection(_rectangle(target.grid)), target.grid, reference.grid)
     if common.area < 1.0:
+        plane = name_of(reference.grid.crs) if reference.grid.crs else "the plane of their geotransforms"
         raise InputError(
-            f"the rasters do not overlap: in {_plane(reference.grid)}, {reference.uri} covers "
+            f"the rasters do not overlap: in {plane}, {reference.uri} covers "
             f"{_extent(reference.grid, reference.grid)} and {target.uri} covers "
             f"{_extent(target.grid, reference.grid)}: "
             "give two rasters of the same ground, or correct their georeferencing"
             + ("" if reference.grid.crs else " (gdal_edit.py -unsetgt removes it)")
         )
     return common
-
-
-def _plane(grid: Grid) -> str:
-    return name_of(grid.crs) if grid.crs else "the plane of their geotransforms"
 
 
 def _footprint(grid: Grid, onto: Grid) -> shapely.Geometry | None:

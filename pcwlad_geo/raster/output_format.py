@@ -29,9 +29,16 @@ from rasterio.windows import Window
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.limits import check_created_block
 from pcwlad_geo.raster import vrt
-from pcwlad_geo.raster.gdal import GDAL_ERRORS, gdal_log, ignoring, question, raising_gdal_reports, root_cause
+from pcwlad_geo.raster.gdal import (
+    GDAL_ERRORS,
+    gdal_log,
+    ignoring,
+    open_own,
+    question,
+    raising_gdal_reports,
+    root_cause,
+)
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.opening import open_own
 from pcwlad_geo.raster.source import open_raster, open_written_raster
 from pcwlad_geo.text import joined
 
@@ -111,11 +118,6 @@ class OutputFormat:
             options.pop("BLOCKXSIZE", None)
             options.pop("BLOCKYSIZE", None)
         return options | dict(self.options)
-
-
-def raster_extensions() -> frozenset[str]:
-    """Return the file extensions of raster formats that GDAL writes, without the dot, in lower case."""
-    return frozenset({*raster_driver_extensions(), *_EXTENSIONS.values()})
 
 
 def files_of(path: Path) -> list[Path]:
@@ -217,25 +219,9 @@ def write_described(
 ) -> list[Path]:
     """Write an output raster: GDAL copies a VRT that combines new pixels with the source's metadata.
 
-    Parameters
-    ----------
-    source : DatasetReader
-        The raster whose tags, colours, scales and units are kept.
-    pixels : PixelFile
-        The pixels to write, in the folder `scratch`.
-    grid : Grid
-        The grid of the pixels.
-    scratch : pathlib.Path
-        The folder in which the files are written.
-    name : str
-        Name of the file to write.
-    interpolated : bool
-        Whether overviews may be means; otherwise they are nearest neighbours.
-
-    Returns
-    -------
-    list of pathlib.Path
-        The file, and the files that GDAL has written beside it.
+    Its tags, colours, scales and units are kept. The `pixels`, of the grid, lie in the folder `scratch`, in
+    which the file gets its `name`. Overviews may be means if `interpolated`; otherwise they are nearest
+    neighbours. Return the file, and the files that GDAL has written beside it.
     """
     description, path = scratch / "described.vrt", scratch / "made" / name
     path.parent.mkdir()
@@ -318,8 +304,6 @@ _TEXTS: Final = (".csv", ".html", ".points", ".txt")
 """Suffixes of the text files that are written."""
 _HEADERS: Final = (".hdr", ".xml")
 """Suffixes of text files beside a raster; some formats use them for the raster itself."""
-_TEXT_PART: Final = 2**20
-"""Number of characters that are read at a time."""
 
 
 def verify_output(path: Path) -> None:
@@ -330,11 +314,11 @@ def verify_output(path: Path) -> None:
     be opened on its own (a header, an index) must not be empty. Raises `OutputError` if the file is not
     complete.
     """
-    checks: dict[str, Callable[[Path], None]] = {
+    checks: dict[str, Callable[[Path], object]] = {
         ".tif": _verify_raster,
         ".gpkg": _verify_database,
-        ".vrt": _verify_xml,
-        ".json": _verify_json,
+        ".vrt": ET.parse,  # not opened: its relative path is valid from its final folder only
+        ".json": lambda path: json.loads(path.read_text(encoding="utf-8")),
         ".pdf": _verify_pdf,
         **dict.fromkeys((*_TEXTS, *_HEADERS), _verify_text),
     }
@@ -364,15 +348,6 @@ def _verify_database(path: Path) -> None:
         raise ValueError(found)
 
 
-def _verify_xml(path: Path) -> None:
-    # Not opened: its relative path is valid from its final folder only.
-    ET.parse(path)
-
-
-def _verify_json(path: Path) -> None:
-    json.loads(path.read_text(encoding="utf-8"))
-
-
 def _verify_pdf(path: Path) -> None:
     if not path.read_bytes().rstrip().endswith(b"%%EOF"):
         raise ValueError("it has no end")
@@ -380,7 +355,7 @@ def _verify_pdf(path: Path) -> None:
 
 def _verify_text(path: Path) -> None:
     with path.open(encoding="utf-8") as file:
-        while file.read(_TEXT_PART):
+        while file.read(2**20):
             pass
 
 
@@ -389,5 +364,5 @@ def _verify_other(path: Path) -> None:
     try:
         _verify_raster(path)
     except (InputError, RasterioError):
-        if path.suffix.lower().removeprefix(".") in raster_extensions():
+        if path.suffix.lower().removeprefix(".") in {*raster_driver_extensions(), *_EXTENSIONS.values()}:
             raise

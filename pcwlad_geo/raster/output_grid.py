@@ -145,7 +145,7 @@ def _lengths(grid: Grid) -> Float64:
 Box = tuple[Float64, Float64]
 """Lowest and highest (x, y), two (2,) arrays in lattice px."""
 
-_SLIVER_PX: Final = 1e-3
+SLIVER_PX: Final = 1e-3
 """A strip of the footprint thinner than this adds no row or column of pixels."""
 _WHOLE: Final = 1e-6
 """Ratios of pixel sizes this close to a whole number count as that number."""
@@ -199,18 +199,10 @@ def output_grids(
     By default they have the CRS, the axes and the pixel corners of the reference and the sizes of
     `pixel_sizes`, and cover the corrected footprint of the target, rounded outwards to whole pixels of the
     coarsest raster. A raster that extends beyond that by more than such a pixel enlarges it. Where the
-    reference or the target has no map coordinates, the outputs have the reference's grid. Raises `InputError`
-    if a footprint cannot be transformed to the CRS of the output or by the correction, or the requested grid
-    has no pixel, or too many.
-
-    Parameters
-    ----------
-    reference_grid, target_grid : Grid
-        The original grids.
-    correction : Correction
-        Maps predicted to observed target pixels.
-    rasters : sequence of Grid
-        Grids of the target itself, or of other rasters of its geometry.
+    reference or the target has no map coordinates, the outputs have the reference's grid. The `rasters` are
+    the grids of the target itself, or of others of its geometry; the correction maps predicted to observed
+    target pixels. Raises `InputError` if a footprint cannot be transformed to the CRS of the output or by the
+    correction, or the requested grid has no pixel, or too many.
     """
     request = request or GridRequest()
     fixed = request.fixed(reference_grid)
@@ -274,27 +266,20 @@ def lay_out(
     for other_low, other_high in boxes[1:]:
         low = np.where(other_low < low - step, other_low, low)
         high = np.where(other_high > high + step, other_high, high)
-    first = np.floor(low / step + _SLIVER_PX)
-    steps = np.maximum(np.ceil(high / step - _SLIVER_PX) - first, 1)
+    first = np.floor(low / step + SLIVER_PX)
+    steps = np.maximum(np.ceil(high / step - SLIVER_PX) - first, 1)
     return [_laid(lattice, first * step, size, _count(steps, step, size)) for size in sizes[1:]]
 
 
 def check_covered(
-    grid: Grid, footprint_xy: Float64, footprint_crs: CRS | None, *, beyond: float = 0.0
+    grid: Grid, footprint_xy: Float64, footprint_crs: CRS | None, *, tolerance: float = 0.0
 ) -> None:
     """Check that an output grid overlaps a raster.
 
-    Raises `InputError` if the two do not overlap.
-
-    Parameters
-    ----------
-    footprint_xy : (n, 2) array
-        Outline of the raster, map coordinates (x, y).
-    footprint_crs : CRS or None
-        CRS of the outline. Nothing is checked if only one of this and the grid's CRS is None, the grid has no
-        map coordinates, or the outline cannot be transformed.
-    beyond : float
-        Tolerated distance between the two, as a share of the raster's larger side.
+    Its outline is the (n, 2) `footprint_xy`, map coordinates (x, y). Nothing is checked if only one of its
+    CRS and the grid's is None, the grid has no map coordinates, or the outline cannot be transformed. A
+    distance between the two of `tolerance`, as a share of the raster's larger side, is tolerated. Raises
+    `InputError` if the two do not overlap.
     """
     if (footprint_crs is None) != (grid.crs is None) or not grid.located or not len(footprint_xy):
         return
@@ -303,7 +288,7 @@ def check_covered(
     if not np.isfinite(outline_px).all():
         return
     low, high = outline_px.min(axis=0), outline_px.max(axis=0)
-    around = shapely.Polygon(outline_px).buffer(beyond * float((high - low).max()))
+    around = shapely.Polygon(outline_px).buffer(tolerance * float((high - low).max()))
     rows, cols = grid.shape
     if around.intersection(shapely.box(0, 0, cols, rows)).area > 0:
         return
@@ -324,23 +309,10 @@ def original_pixels(
 ) -> Callable[[Float64], Float64]:
     """Return the mapping from output pixels to the original pixels that show the same ground.
 
-    Output pixel → predicted target pixel → observed target pixel → pixel of the raster.
-
-    Parameters
-    ----------
-    own_grid : Grid
-        Grid of the raster: the target, or another one of its geometry.
-    target_grid : Grid
-        The grid whose pixels the correction maps.
-    correction : Correction
-        Maps predicted to observed target pixels.
-    grid : Grid
-        The output grid. Where it or the raster has no map coordinates, its pixels are the predicted ones.
-
-    Returns
-    -------
-    callable
-        Maps (n, 2) output pixels (col, row) to (n, 2) pixels (col, row) of the raster.
+    Output pixel → predicted target pixel → observed target pixel → pixel of the raster. `own_grid` is that of
+    the raster: the target, or another one of its geometry; the correction maps pixels of `target_grid`. Where
+    the output `grid` or the raster has no map coordinates, its pixels are the predicted ones. The callable
+    maps (n, 2) output pixels (col, row) to (n, 2) pixels (col, row) of the raster.
     """
     placed = own_grid.located and grid.located
 
@@ -376,7 +348,7 @@ def _count(steps: Float64, step: Float64, size: Float64) -> Float64:
     ratio = step / size
     whole = np.rint(ratio)
     exact = np.abs(ratio / whole - 1.0) <= _WHOLE
-    return np.where(exact, steps * whole, np.ceil(steps * ratio - _SLIVER_PX))
+    return np.where(exact, steps * whole, np.ceil(steps * ratio - SLIVER_PX))
 
 
 def _within(lattice: Grid, request: GridRequest, size: Float64, step: Float64) -> Grid:
@@ -385,12 +357,10 @@ def _within(lattice: Grid, request: GridRequest, size: Float64, step: Float64) -
         raise TypeError("there is no extent")
     x_min, y_min, x_max, y_max = request.extent
     sides = np.array([x_max - x_min, y_max - y_min])
-    if request.pixel_size is not None:
-        counts = np.floor(sides / size + 0.5)
-        corner = Grid(lattice.shape, Affine(1.0, 0.0, x_min, 0.0, -1.0, y_max), lattice.crs)
-        return _laid(corner, np.zeros(2), size, counts)
-    counts = _count(np.maximum(np.floor(sides / step + 0.5), 1), step, size)
     corner = Grid(lattice.shape, Affine(1.0, 0.0, x_min, 0.0, -1.0, y_max), lattice.crs)
+    if request.pixel_size is not None:
+        return _laid(corner, np.zeros(2), size, np.floor(sides / size + 0.5))
+    counts = _count(np.maximum(np.floor(sides / step + 0.5), 1), step, size)
     return _laid(corner, np.zeros(2), sides / counts, counts)
 
 

@@ -55,19 +55,10 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
                 values = dataset.read(bands, window=file_window)
                 inside = valid_in_file(dataset, bands[0], values[0], file_window)
                 return inside & accepted(info.mask_kind, values)
-            rows, cols = info.grid.shape
-            with WarpedVRT(
-                dataset,
-                src_crs=info.mask_grid.crs,
-                src_transform=info.mask_grid.transform,
-                crs=info.grid.crs,
-                transform=info.grid.transform,
-                height=rows,
-                width=cols,
-                resampling=Resampling.nearest,
-                tolerance=0.02,
-                add_alpha=True,
-            ) as warped:
+            mask, grid, (rows, cols) = info.mask_grid, info.grid, info.grid.shape
+            place = {"crs": grid.crs, "transform": grid.transform, "height": rows, "width": cols}
+            place |= {"src_crs": mask.crs, "src_transform": mask.transform, "resampling": Resampling.nearest}
+            with WarpedVRT(dataset, **place, tolerance=0.02, add_alpha=True) as warped:
                 inside = warped.read(warped.count, window=file_window) != 0
                 return np.asarray(inside & accepted(info.mask_kind, warped.read(bands, window=file_window)))
         except GDAL_ERRORS as error:
@@ -98,20 +89,10 @@ def box_average(
 ) -> tuple[Float64, Float64]:
     """Average the valid pixels below each cell of a grid with the same axes, by area.
 
-    Parameters
-    ----------
-    values : (rows, cols) array
-        Finite everywhere, in the unit of the band.
-    valid : (rows, cols) array of bool
-    row_edges, col_edges : (m + 1,) and (n + 1,) arrays
-        Edges of the cells, corner-based rows and columns of `values` in px, increasing or decreasing.
-
-    Returns
-    -------
-    average : (m, n) array
-        0 where nothing is valid.
-    fraction : (m, n) array
-        The valid share of each cell's area, 0 to 1.
+    The (rows, cols) `values` are finite everywhere, and `valid` is a (rows, cols) bool array. The (m + 1,)
+    `row_edges` and (n + 1,) `col_edges` of the cells are corner-based rows and columns in px, increasing or
+    decreasing. Return the (m, n) averages, 0 where nothing is valid, and the (m, n) valid share of each
+    cell's area, 0 to 1.
     """
     row_weights = _overlaps(row_edges, values.shape[0])
     col_weights = _overlaps(col_edges, values.shape[1])
@@ -167,20 +148,10 @@ def spline_samples(values: Float64, fraction: Float64, positions_rc: Float64) ->
 def sample_positions(window: Window, per_px: int, mapping: Callable[[Float64], Float64]) -> Float64:
     """Map the centres of the per_px x per_px cells of every pixel of a window.
 
-    The mapping is evaluated on nodes 16 px apart, whose positions do not depend on the window, and
-    interpolated by a cubic spline: the curvature of map projections over 16 px is far below 0.001 px.
-
-    Parameters
-    ----------
-    per_px : int
-        Number of cells along each side of a pixel.
-    mapping : callable
-        Maps (n, 2) pixel coordinates (col, row) to (n, 2) others (col, row), NaN where undefined.
-
-    Returns
-    -------
-    (2, rows * per_px, cols * per_px) array
-        Mapped rows and columns, px, corner-based.
+    The mapping, of (n, 2) pixel coordinates (col, row) to (n, 2) others, NaN where undefined, is evaluated on
+    nodes 16 px apart, whose positions do not depend on the window, and interpolated by a cubic spline: the
+    curvature of map projections over 16 px is far below 0.001 px. The result, (2, rows * per_px, cols *
+    per_px), holds mapped rows and columns, px, corner-based.
     """
     rows = _cell_centres(window.row, window.rows, per_px)
     cols = _cell_centres(window.col, window.cols, per_px)

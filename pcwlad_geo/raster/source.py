@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -25,12 +26,20 @@ from pcwlad_geo.limits import check_coordinates, check_gcp_misfit, check_geotran
 from pcwlad_geo.raster.cameras import Camera, camera_of
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
 from pcwlad_geo.raster.file_tree import name_of_uri
-from pcwlad_geo.raster.gdal import GDAL_ERRORS, LIBRARY_ERRORS, ignoring, reading
+from pcwlad_geo.raster.gdal import (
+    GDAL_ERRORS,
+    LIBRARY_ERRORS,
+    check_dataset,
+    ignoring,
+    open_for_reading,
+    open_own,
+    reading,
+)
 from pcwlad_geo.raster.grid import Grid, Window, geotransform_of, is_invertible, linear_part
-from pcwlad_geo.raster.masks import Collar, MaskKind, find_collar, kind_of
-from pcwlad_geo.raster.opening import check_dataset, network_settings, open_for_reading, open_own
+from pcwlad_geo.raster.masks import Areas, Collar, MaskKind, find_collar, kind_of, read_areas
+from pcwlad_geo.raster.trust import current_trust
 from pcwlad_geo.text import check_regular, check_sidecars, is_uri, joined
-from pcwlad_geo.types import Bool, Float64
+from pcwlad_geo.types import Bool, Float64, PathLike
 
 MAX_READ_PX: Final = 2**25
 """Largest number of pixels of a file without overviews that is read for an overview of it."""
@@ -48,6 +57,10 @@ SAMPLE_PX: Final = 256
 """Side of the samples in which blocks are looked for."""
 SAMPLES_ACROSS: Final = 3
 """Number of samples along rows and along columns."""
+
+
+AREA_CELLS: Final = 1024
+"""Number of cells along the longer side in which areas must leave one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +84,14 @@ class RasterInfo:
     """Grid of the mask file."""
     mask_kind: MaskKind = "zeros"
     """Meaning of the values of the mask."""
+    areas: Areas | None = None
+    """The ground that counts, see `with_areas`."""
     gcp_misfit_px: float | None = None
     """Largest residual of the control points that the grid is fitted to, px; None without such a fit."""
     plane_transform: Affine | None = None
     """The geotransform of a file that has one but no CRS."""
+    brightness: bytes | None = None
+    """Of a band with a colour table: the brightness of each of its indices, see `_brightness_of`."""
     collar: Collar | None = None
     """A constant border that counts as nodata, see `without_collar`."""
     shows_blocks: bool = False
@@ -123,6 +140,7 @@ def describe(
             gcp_misfit_px=misfit_px,
             plane_transform=_plane_transform(uri, dataset),
             camera=camera_of(dataset) if grid.crs is None else None,
+            brightness=_brightness_of(dataset, band),
         )
     if info.mask_uri is not None:
         described = describe(info.mask_uri)
@@ -155,6 +173,28 @@ def without_collar(info: RasterInfo) -> tuple[RasterInfo, tuple[str, ...]]:
         "for nodata; if it is data, declare another nodata value, or give a mask"
     )
     return replace(info, collar=collar), (note,)
+
+
+def with_areas(info: RasterInfo, aoi: PathLike | None, exclude: PathLike | None) -> RasterInfo:
+    """Return a band of which only the areas of the vector file `aoi` count, and those of `exclude` do not.
+
+    Raises `InputError` if a file cannot be used, the band is not georeferenced, or nothing of it is left.
+    """
+    named = " and ".join(os.fspath(path) for path in (aoi, exclude) if path is not None)
+    if not named:
+        return info
+    if info.grid.crs is None:
+        raise InputError(
+            f"{info.uri} has no georeferencing, so that the areas of {named} have no place: give a mask"
+        )
+    found = (None if path is None else read_areas(path, info.grid) for path in (aoi, exclude))
+    areas = Areas(*found)
+    rows, cols = info.grid.shape
+    factor = max(1.0, max(rows, cols) / AREA_CELLS)
+    coarse = info.grid.scaled((math.ceil(rows / factor), math.ceil(cols / factor)))
+    if not areas.valid(Window.whole(coarse.shape), coarse).any():
+        raise InputError(f"{named} leaves nothing of {info.uri}: check the areas, and their CRS")
+    return replace(info, areas=areas)
 
 
 def with_compression_blocks(info: RasterInfo) -> RasterInfo:
@@ -233,7 +273,7 @@ def mask_on_pixels(info: RasterInfo, mask_grid: Grid) -> bool:
 def open_raster(uri: str, **options: object) -> Iterator[DatasetReader]:
     """Open a raster for reading within the context, with GDAL on one thread.
 
-    The files that an untrusted raster may make GDAL open are restricted, see `opening`. Nothing is written
+    The files that an untrusted raster may make GDAL open are restricted, see `gdal`. Nothing is written
     beside it (GDAL would store properties of a .gz file there). Raises `InputError` if it cannot be opened,
     or reading within the context fails. The `uri` is a path or a GDAL URI; the options are GDAL's.
     """
@@ -244,8 +284,13 @@ def open_raster(uri: str, **options: object) -> Iterator[DatasetReader]:
 
 @contextmanager
 def open_written_raster(uri: str) -> Iterator[DatasetReader]:
-    """Open a raster that this program has written, as `open_raster` does, wherever its sources are."""
-    with _opened(open_own, uri, {}) as dataset:
+    """Open a raster that this program has written, as `open_raster` does, wherever its sources are.
+
+    Temporary files of GDAL (of a warp by a table of positions) lie beside it. GDAL itself would choose the
+    working folder, which need not be one that can be written.
+    """
+    beside = {} if uri.startswith("<") else {"CPL_TMPDIR": str(Path(uri).parent)}
+    with rasterio.Env(**beside), _opened(open_own, uri, {}) as dataset:
         yield dataset
 
 
@@ -253,7 +298,12 @@ def open_written_raster(uri: str) -> Iterator[DatasetReader]:
 def _opened(
     opener: Callable[..., DatasetReader], uri: str, options: Mapping[str, object]
 ) -> Iterator[DatasetReader]:
-    with rasterio.Env(GDAL_NUM_THREADS="1", CPL_VSIL_GZIP_WRITE_PROPERTIES="NO", **network_settings()):
+    settings = {"GDAL_NUM_THREADS": "1", "CPL_VSIL_GZIP_WRITE_PROPERTIES": "NO"}
+    if not current_trust().remote:  # a suffix that no file on a server has
+        settings["CPL_VSIL_CURL_ALLOWED_EXTENSIONS"] = "{none}"
+    if current_trust().vrt:  # GDAL 3.12 refuses raw bands of files elsewhere by itself
+        settings["GDAL_VRT_RAWRASTERBAND_ALLOWED_SOURCE"] = "ALL"
+    with rasterio.Env(**settings):
         try:
             with ignoring(NotGeoreferencedWarning):
                 dataset = opener(uri, **options)
@@ -312,6 +362,19 @@ def _check_band(uri: str, dataset: DatasetReader, band: int) -> None:
     dtype = dataset.dtypes[band - 1]
     if "complex" in dtype:
         raise InputError(f"{uri}: band {band} is {dtype}: give its magnitude, or another band")
+
+
+def _brightness_of(dataset: DatasetReader, band: int) -> bytes | None:
+    """Return the brightness (luma of ITU-R BT.601, 0 to 255) of the indices of a colour table, if any.
+
+    Indices themselves are in no order: neighbours of a scanned map or a classification are unlike.
+    """
+    if dataset.colorinterp[band - 1] != ColorInterp.palette or dataset.dtypes[band - 1] != "uint8":
+        return None
+    colours = np.zeros((256, 3))
+    for index, colour in dataset.colormap(band).items():
+        colours[index] = colour[:3]
+    return np.rint(colours @ [0.299, 0.587, 0.114]).astype(np.uint8).tobytes()
 
 
 def _has_transform(dataset: DatasetReader) -> bool:
@@ -402,16 +465,12 @@ def _steps(values: NDArray[Any]) -> NDArray[Any]:
     return slopes[1:-1] - (slopes[:-2] + slopes[2:]) / 2
 
 
-def _all_valid(valid: Bool) -> Bool:
-    """Return (rows - 3, cols), whether the four pixels of each step are valid."""
-    return valid[:-3] & valid[1:-2] & valid[2:-1] & valid[3:]
-
-
 def _mean_steps(samples: Iterable[tuple[NDArray[Any], Bool, int]]) -> Float64:
     """Return the (8,) mean absolute steps into rows of each number modulo 8; the scene's edges are capped."""
     total, count = np.zeros(BLOCK_PX), np.zeros(BLOCK_PX)
     for values, valid, first in samples:
-        size, good = np.abs(_steps(values.astype(np.float64))), _all_valid(valid)
+        size = np.abs(_steps(values.astype(np.float64)))
+        good = valid[:-3] & valid[1:-2] & valid[2:-1] & valid[3:]  # the four pixels of each step
         if not good.any():
             continue
         size = np.minimum(size, np.percentile(size[good], COMMON)) * good

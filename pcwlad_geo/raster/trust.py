@@ -34,8 +34,7 @@ class Trust:
     """All files that a raster names, wherever they are, and formats whose files name others."""
 
 
-_NOTHING: Final = Trust()
-_current: Final[ContextVar[Trust]] = ContextVar("pcwlad_geo_trust", default=_NOTHING)
+_current: Final[ContextVar[Trust]] = ContextVar("pcwlad_geo_trust", default=Trust())  # noqa: B039  # frozen
 
 
 def current_trust() -> Trust:
@@ -98,7 +97,8 @@ def destination(uri: str) -> Destination:
         archive = schemes <= _ARCHIVE_SCHEMES
         return destination(gdal_name(uri)) if archive else Destination("network", uri)
     if uri.startswith("/vsi"):
-        return _in_virtual_file_system(uri, handlers)
+        packed = handlers in (["zip"], ["tar"], ["gzip"], ["subfile"], ["subfile", "gzip"])
+        return Destination("memory" if handlers == ["mem"] else "archive" if packed else "unknown", uri)
     inside = _SUBDATASET.fullmatch(uri)
     if inside is not None:
         return destination(inside["quoted"] or inside["plain"])
@@ -122,14 +122,6 @@ def _exists(path: str) -> bool:
         return Path(path).exists()
     except (OSError, ValueError):  # too long or odd for a path
         return False
-
-
-def _in_virtual_file_system(uri: str, handlers: list[str]) -> Destination:
-    if handlers == ["mem"]:
-        return Destination("memory", uri)
-    if handlers in (["zip"], ["tar"], ["gzip"], ["subfile"], ["subfile", "gzip"]):
-        return Destination("archive", uri)
-    return Destination("unknown", uri)
 
 
 def split_archive(uri: str) -> tuple[Path, str] | None:
@@ -412,7 +404,7 @@ def named_files(text: bytes) -> list[Named]:
     return list(dict.fromkeys(_names(_parse(text))))
 
 
-def gcps_alone(path: Path) -> str | None:
+def gcps_only(path: Path) -> str | None:
     """Return the text of a VRT with the size and the ground control points of another, without its pixels.
 
     None where the file has no control points or is not a readable VRT.

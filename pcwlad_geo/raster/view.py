@@ -26,7 +26,7 @@ from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, positions_on
 from pcwlad_geo.raster.source import RasterInfo, open_raster
 from pcwlad_geo.types import Bool, Float32, Float64
 
-Resampling = Literal["none", "nearest", "average", "cubic"]
+ViewResampling = Literal["none", "nearest", "average", "cubic"]
 
 MIN_VALID_AVERAGE = 0.5
 """Least share of valid area from which an averaged pixel is valid."""
@@ -53,14 +53,14 @@ class View:
     """One band on a grid, which may be the file's own; picklable, holds no open file.
 
     A pixel is valid where its value is finite and the file's nodata value, masks and alpha band, the user's
-    mask file and the raster's collar all allow it. An averaged pixel is valid where half of its area is (the
-    mean is that of the valid part), an interpolated one where 90 % of the pixels around it are.
+    mask file and areas, and the raster's collar all allow it. An averaged pixel is valid where half of its
+    area is (the mean is that of the valid part), an interpolated one where 90 % of the pixels around it are.
     """
 
     info: RasterInfo
     grid: Grid
     """The grid of the view's pixels; in the file's own coordinates where nothing is georeferenced."""
-    resampling: Resampling
+    resampling: ViewResampling
     """How the pixels are made. none: own pixels; nearest: own pixels with flipped axes; average: a coarser
     grid with the same axes; cubic: any other grid."""
 
@@ -74,27 +74,22 @@ class View:
     def read_decimated(self, max_side_px: int) -> tuple[Patch, tuple[float, float]]:
         """Read the whole view, averaged to at most `max_side_px` pixels a side, from overviews if possible.
 
-        Unreadable parts of the file are not valid. Raises `InputError` if nothing of the file can be read
+        Unreadable parts of the file are not valid. The second result is by how much (columns, rows) px of the
+        patch are multiplied for those of the view. Raises `InputError` if nothing of the file can be read
         (truncated, corrupt).
-
-        Returns
-        -------
-        patch : Patch
-        factor_xy : tuple of float
-            View pixels per pixel of the patch (columns, rows): view px = patch px · factor.
         """
         rows, cols = self.grid.shape
         factor = max(1.0, max(rows, cols) / max_side_px)
         shape = (max(1, round(rows / factor)), max(1, round(cols / factor)))
         coarse, overview = self, None
         if shape != self.grid.shape:
-            resampling: Resampling = "cubic" if self.resampling == "cubic" else "average"
+            resampling: ViewResampling = "cubic" if self.resampling == "cubic" else "average"
             coarse = View(self.info, self.grid.scaled(shape), resampling)
             overview = _overview_for(self.info, file_px_per_px(coarse).min())
         try:
             values, valid = _read(coarse, Window.whole(shape), overview)
         except InputError:
-            values, valid = _read_what_can_be(coarse, Window.whole(shape), overview, _Tries())
+            values, valid = _read_what_can_be(coarse, Window.whole(shape), overview, _UnreadParts())
             if not valid.any():
                 raise
         return _patch(self.info.dtype, values, valid), (cols / shape[1], rows / shape[0])
@@ -126,14 +121,14 @@ def _read(view: View, window: Window, overview: int | None) -> tuple[NDArray[np.
 
 
 @dataclass(slots=True)
-class _Tries:
+class _UnreadParts:
     """Counts the parts of a file that could not be read."""
 
     failed: int = 0
 
 
 def _read_what_can_be(
-    view: View, window: Window, overview: int | None, tries: _Tries
+    view: View, window: Window, overview: int | None, tries: _UnreadParts
 ) -> tuple[NDArray[np.generic], Bool]:
     """Read a window by ever smaller parts; the smallest unreadable parts are not valid."""
     try:
@@ -222,7 +217,10 @@ def _around(positions_rc: Float64, factor: int, shape: tuple[int, int]) -> Windo
 
 
 def _read_file(info: RasterInfo, window: Window, overview: int | None) -> tuple[NDArray[np.generic], Bool]:
-    """Read own pixels in the band's dtype, with their validity; pixels outside the raster are not valid."""
+    """Read own pixels in the band's dtype, with their validity; pixels outside the raster are not valid.
+
+    Indices of a colour table become the brightness of their colours.
+    """
     inside = window.clipped(info.grid.shape)
     values = np.zeros(window.shape, dtype=info.dtype)
     valid = np.zeros(window.shape, dtype=bool)
@@ -241,8 +239,12 @@ def _read_file(info: RasterInfo, window: Window, overview: int | None) -> tuple[
                 f"columns {inside.col} to {inside.col_stop}: the file may be truncated or corrupt"
             ) from error
     valid[here] &= valid_in_mask_file(info, inside)
+    if info.areas is not None:
+        valid[here] &= info.areas.valid(inside, info.grid)
     if info.collar is not None:
         valid[here] &= info.collar.valid(inside, info.grid.shape)
+    if info.brightness is not None:
+        values = np.frombuffer(info.brightness, np.uint8)[values]
     values[~valid] = 0
     return values, valid
 

@@ -73,11 +73,7 @@ def is_paletted(source: DatasetReader) -> bool:
 
 
 # Where GDAL's names of colour interpretations differ from rasterio's by more than case.
-_COLOUR_NAMES = {
-    ColorInterp.Y: "YCbCr_Y",
-    ColorInterp.Cb: "YCbCr_Cb",
-    ColorInterp.Cr: "YCbCr_Cr",
-}
+_COLOUR_NAMES = {ColorInterp.Y: "YCbCr_Y", ColorInterp.Cb: "YCbCr_Cb", ColorInterp.Cr: "YCbCr_Cr"}
 # The axes of the pixel plane of files without georeferencing: x = col, y = -row, as QGIS shows them.
 _PIXEL_PLANE = Affine.scale(1.0, -1.0)
 
@@ -111,28 +107,16 @@ def corrected_transform(target_grid: Grid, correction: AffineCorrection) -> Affi
     A pixel observed at p shows the ground that the original geotransform T places at A⁻¹(p), where A maps
     predicted to observed target pixels. The corrected geotransform is therefore T · A⁻¹.
     """
-    (a, b, c), (d, e, f) = np.asarray(correction.matrix, dtype=np.float64)
-    return compose(target_grid.transform, ~Affine(a, b, c, d, e, f))
+    return compose(target_grid.transform, Affine.from_gdal(*correction.to_gdal()))
 
 
 def write_corrected_vrt(
     path: Path, target_path: str | Path, correction: AffineCorrection, target_grid: Grid, *, final_path: Path
 ) -> None:
-    """Write a VRT of the target's pixels with their corrected geotransform.
+    """Write a VRT of the target's pixels with their corrected geotransform, now to `path`.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Path to which the file is written now.
-    target_path : str or pathlib.Path
-        The original target: a path or a GDAL URI.
-    correction : AffineCorrection
-        Maps predicted to observed target pixels.
-    target_grid : Grid
-        The target's grid. Without a CRS and with the identity transform the result is in the pixel plane of
-        the reference, y = -row.
-    final_path : pathlib.Path
-        Final path of the file: the path to the target is relative to its folder.
+    Without a CRS and with the identity transform the result is in the pixel plane of the reference, y = -row.
+    The path to the target in it is relative to the folder of its `final_path`.
     """
     transform = corrected_transform(target_grid, correction)
     if target_grid.crs is None and target_grid.transform == Affine.identity():
@@ -200,9 +184,12 @@ def _band(source: DatasetReader, band: int, pixels: PixelFile, shape: tuple[int,
     element = ET.Element("VRTRasterBand", dataType=typename_fwd[dtype_rev[source.dtypes[index]]])
     element.set("band", str(band))
     nodata = usable_nodata(source, band) if pixels.nodata is None else pixels.nodata[index]
+    # so that GDAL reads it back exactly, 64-bit integers included
+    whole = nodata is not None and float(nodata).is_integer()
+    nodata_text = None if nodata is None else str(int(nodata)) if whole else repr(float(nodata))
     texts = {
         "Description": source.descriptions[index],
-        "NoDataValue": None if nodata is None else _number(nodata),
+        "NoDataValue": nodata_text,
         "UnitType": source.units[index],
         "Offset": repr(float(source.offsets[index])) if source.offsets[index] != 0.0 else None,
         "Scale": repr(float(source.scales[index])) if source.scales[index] != 1.0 else None,
@@ -218,11 +205,6 @@ def _band(source: DatasetReader, band: int, pixels: PixelFile, shape: tuple[int,
             ET.SubElement(table, "Entry", {f"c{i}": str(value) for i, value in enumerate(colour, start=1)})
     element.append(_pixels_of(str(band), pixels, shape))
     return element
-
-
-def _number(value: float) -> str:
-    """Write a nodata value so that GDAL reads it back exactly, 64-bit integers included."""
-    return str(int(value)) if float(value).is_integer() else repr(float(value))
 
 
 def _pixels_of(band: str, pixels: PixelFile, shape: tuple[int, int]) -> ET.Element:
@@ -279,19 +261,20 @@ def reference_to(source: DatasetReader, final_path: Path) -> PixelFile:
     mask = has_mask_band(source)
     # vrt:// and remote files: the name that GDAL opened
     name = source.files[0] if "://" in source.name and source.files else source.name
+    return PixelFile(*referred(name, final_path), mask)
+
+
+def referred(name: str, final_path: Path) -> tuple[str, bool]:
+    """Return how a file at `final_path` names a raster, and whether that is relative to its folder."""
     file = Path(name)
     if not file.exists():  # a GDAL URI: a subdataset, an archive, a remote file
-        return PixelFile(name, False, mask)
+        return name, False
     folder = final_path.parent.resolve()
     file = file.parent.resolve() / file.name
-    if not _share_a_parent(file.parent, folder):
-        return PixelFile(str(file), False, mask)
-    return PixelFile(Path(os.path.relpath(file, folder)).as_posix(), True, mask)
-
-
-def _share_a_parent(first: Path, second: Path) -> bool:
-    """Return whether two folders have a common parent other than the root of the file system."""
-    return len(first.parts) > 1 and len(second.parts) > 1 and first.parts[:2] == second.parts[:2]
+    # a common parent other than the root of the file system
+    if min(len(file.parent.parts), len(folder.parts)) < 2 or file.parts[:2] != folder.parts[:2]:
+        return str(file), False
+    return Path(os.path.relpath(file, folder)).as_posix(), True
 
 
 def write(tree: ET.Element, path: Path) -> None:

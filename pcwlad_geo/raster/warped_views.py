@@ -1,4 +1,4 @@
-"""Rasters that GDAL warps while they are read: VRTs, lattices of positions, blocks read by threads."""
+"""Rasters that GDAL warps while they are read: VRTs, lattices of positions, blocks of damaged files too."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from contextvars import copy_context
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 import rasterio
 import rasterio.shutil
+from numpy.typing import NDArray
 from rasterio.enums import ColorInterp
 from rasterio.io import DatasetReader
 from rasterio.vrt import WarpedVRT
@@ -25,17 +27,117 @@ from pcwlad_geo.correction.dense import DenseMapping
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
-from pcwlad_geo.raster.unread import Block, UnreadableParts, filled
+from pcwlad_geo.raster.grid import Window as PixelWindow
 
-_ELEMENTS: Final = (
-    "Metadata",
-    "Description",
-    "UnitType",
-    "Offset",
-    "Scale",
-    "ColorInterp",
-    "ColorTable",
+MIN_PART: Final = (64, 64)
+"""Rows and columns of the smallest part that is read on its own."""
+MAX_LOST: Final = 0.5
+"""Largest share of a raster that may be unreadable; beyond it the file cannot be used."""
+MAX_PARTS: Final = 2000
+"""Largest number of unreadable parts, beyond which the file cannot be used."""
+REMOTE: Final = (
+    *(f"/vsi{kind}" for kind in ("curl", "s3", "gs", "az", "adls", "oss", "swift")),
+    *("http:", "https:"),
 )
+"""Prefixes of remote files, whose failures may be temporary and are therefore errors, not gaps."""
+_STRIDE: Final = 8
+
+Block = NDArray[np.generic]
+ReadBlock = Callable[[Window], Block]
+
+
+@dataclass(slots=True)
+class UnreadableParts:
+    """Counts the unreadable pixels of a raster; safe to use from several threads."""
+
+    name: str
+    """Name of the raster, for messages."""
+    area_px2: int
+    """Number of all pixels to be read."""
+    lost_px2: int = 0
+    read_px2: int = 0
+    """Approximate number of readable pixels with data."""
+    _parts: int = 0
+    _reason: str = ""
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def warning(self) -> str | None:
+        """Return the warning to show after all is read; None if everything was readable.
+
+        Raises `InputError` if fewer pixels have data than are unreadable.
+        """
+        if self.lost_px2 == 0:
+            return None
+        if self.lost_px2 > self.read_px2:
+            raise self._error()
+        share = 100 * self.lost_px2 / (self.lost_px2 + self.read_px2)
+        return (
+            f"about {share:.2g} % of the warped raster is empty, as {self.name} cannot be read there: it may "
+            f"be damaged ({self._reason})"
+        )
+
+    def read(
+        self, read: ReadBlock, window: Window, nothing: ReadBlock, least: tuple[int, int] = MIN_PART
+    ) -> Block:
+        """Read a block; unreadable parts of it are filled by `nothing`.
+
+        Both it and `read` return the (bands, rows, cols) block of a window; `read` may raise one of
+        `GDAL_ERRORS`. Parts of the `least` rows and columns are not divided any further. The result is a
+        (bands, rows, cols) array. Raises `InputError` if too much of the raster is unreadable, or the raster
+        is remote.
+        """
+        try:
+            block = read(window)
+        except GDAL_ERRORS as error:
+            self._fail(root_cause(error))
+            if window.height <= least[0] and window.width <= least[1]:
+                self._lose(window)
+                return nothing(window)
+        else:
+            self._count_read(block, nothing(Window(0, 0, 1, 1)))
+            return block
+        col, row, cols, rows = (int(each) for each in window.flatten())
+        halves = [
+            Window(half.col, half.row, half.cols, half.rows)
+            for half in PixelWindow(row, col, rows, cols).halves()
+        ]
+        parts = [self.read(read, half, nothing, least) for half in halves]
+        return np.concatenate(parts, 1 if rows >= cols else 2)
+
+    def _count_read(self, block: Block, nothing: Block) -> None:
+        some = block[:, ::_STRIDE, ::_STRIDE]
+        same = (some == nothing) | ((some != some) & (nothing != nothing))  # NaN counts as equal to NaN
+        with self._lock:
+            self.read_px2 += int((~same.all(axis=0)).sum()) * _STRIDE**2
+
+    def _fail(self, reason: str) -> None:
+        with self._lock:
+            self._reason = self._reason or reason
+            self._parts += 1
+        if self._parts > MAX_PARTS or self.name.startswith(REMOTE):
+            raise self._error()
+
+    def _lose(self, window: Window) -> None:
+        with self._lock:
+            self.lost_px2 += int(window.width * window.height)
+        if self.lost_px2 > MAX_LOST * self.area_px2:
+            raise self._error()
+
+    def _error(self) -> InputError:
+        return InputError(f"{self.name} cannot be read: {self._reason}")
+
+
+def filled(values: list[float], dtype: np.dtype[Any]) -> ReadBlock:
+    """Return a function that fills a (bands, rows, cols) block of `dtype` with one of `values` per band."""
+
+    def nothing(window: Window) -> Block:
+        column = np.array(values).astype(dtype)[:, None, None]
+        return np.broadcast_to(column, (len(values), int(window.height), int(window.width))).copy()
+
+    return nothing
+
+
+_ELEMENTS: Final = ("Metadata", "Description", "UnitType", "Offset", "Scale", "ColorInterp", "ColorTable")
 """Elements of a band beside its pixels, in the order of the VRT's schema."""
 
 
@@ -135,23 +237,9 @@ def warped_blocks(
 ) -> Generator[tuple[Window, Block], None, None]:
     """Yield the windows of a warped raster, each row of windows read by one thread from left to right.
 
-    GDAL works without Python's lock, and each thread opens the file for itself. At most one block per thread
-    waits to be consumed. Raises `InputError` if the raster cannot be opened, or too much of it cannot be
-    read.
-
-    Parameters
-    ----------
-    unreadable : UnreadableParts
-        Counts the parts that cannot be read.
-    view : callable
-        Opens the warped raster.
-
-    Yields
-    ------
-    Window
-        The windows, in no defined order.
-    (bands, rows, cols) array
-        The pixels of the window, in the dtype and the units of the raster.
+    GDAL works without Python's lock, and each thread opens the file for itself, by `view`. At most one block
+    per thread waits to be consumed. The windows come in no defined order, each with its (bands, rows, cols)
+    array of pixels. Raises `InputError` if the raster cannot be opened, or too much of it cannot be read.
     """
     rows = [list(row) for _, row in groupby(windows, key=lambda window: window.row_off)]
     count = min(os.cpu_count() or 1, MAX_THREADS, len(rows))

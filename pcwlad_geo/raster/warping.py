@@ -40,26 +40,25 @@ from pcwlad_geo.raster.matching_grid import grid_on_plane_of
 from pcwlad_geo.raster.output_format import OutputFormat, write_described
 from pcwlad_geo.raster.output_grid import original_pixels
 from pcwlad_geo.raster.source import describe, open_raster, open_written_raster
-from pcwlad_geo.raster.unread import Block, UnreadableParts
 from pcwlad_geo.raster.vrt import has_alpha, has_mask_band, is_paletted, usable_nodata
-from pcwlad_geo.raster.warped_views import warped_blocks, write_dense_view, write_warped_vrt
+from pcwlad_geo.raster.warped_views import (
+    Block,
+    UnreadableParts,
+    warped_blocks,
+    write_dense_view,
+    write_warped_vrt,
+)
 from pcwlad_geo.types import Bool, Float64
 
 
 def validity(source: DatasetReader) -> tuple[float | None, bool, bool]:
     """Return the nodata value of the output, whether it is filled in here, and whether a mask is written."""
-    nodata = _output_nodata(source)
+    nodata = usable_nodata(source)
+    if nodata is None and not has_alpha(source) and not has_mask_band(source):
+        nodata = math.nan if np.result_type(*source.dtypes).kind == "f" else None
     # GDAL's warper is almost three times as slow if it fills in nodata itself, but does so band by band
     fills = nodata is not None and source.count == 1 and not has_alpha(source)
     return nodata, fills, nodata is None and not has_alpha(source)
-
-
-def _output_nodata(source: DatasetReader) -> float | None:
-    nodata = usable_nodata(source)
-    if nodata is None and not has_alpha(source) and not has_mask_band(source):
-        floating = np.result_type(*source.dtypes).kind == "f"
-        return math.nan if floating else None
-    return nodata
 
 
 def fill(values: NDArray[Any], valid: Bool, nodata: float) -> None:
@@ -92,7 +91,7 @@ _DENSE_TOLERANCE_PX = 0.01
 # Pixels as map units, for mappings between pixels; rasterio takes unit pixels without a flip for none.
 _PIXELS = Affine.scale(1.0, -1.0)
 # A view of the warped raster that a thread opens for itself.
-View = Callable[[], AbstractContextManager[DatasetReader]]
+OpenView = Callable[[], AbstractContextManager[DatasetReader]]
 Blocks = Generator[tuple[Window, Block], None, None]
 
 
@@ -198,21 +197,10 @@ def write_warped(
 ) -> str | None:
     """Write the blocks of a warped raster with the metadata of its source.
 
-    Raises `InputError` if the source, or half of it, cannot be read, and `OutputError` if the result cannot
-    be written.
-
-    Parameters
-    ----------
-    source_path, out_path, grid, resampling, progress, made
-        As for `warp`; the format is not a VRT.
-    blocks_of : callable
-        Yields windows of the output with their (bands, rows, cols) blocks, given the open source, the
-        resampling and a `BlockRequest`.
-
-    Returns
-    -------
-    str or None
-        A warning where parts of the source could not be read.
+    `blocks_of` yields windows of the output with their (bands, rows, cols) blocks, given the open source, the
+    resampling and a `BlockRequest`. The rest is as for `warp`, but that the format is no VRT. Return a
+    warning where parts of the source could not be read. Raises `InputError` if the source, or half of it,
+    cannot be read, and `OutputError` if the result cannot be written.
     """
     with (
         open_raster(os.fspath(source_path)) as source,
@@ -260,7 +248,7 @@ def _view(
     correction: Correction,
     method: Resampling,
     request: BlockRequest,
-) -> View:
+) -> OpenView:
     """Return a function that opens the warped raster; the grids are those of source, target and output."""
     uri = source.name
     if isinstance(correction, AffineCorrection):
@@ -370,21 +358,10 @@ def _write_pixels(
     """Write the resampled pixels without metadata, block by block."""
     nodata, fills, needs_mask = validity(source)
     dtype = np.result_type(*source.dtypes)
-    profile = {
-        "driver": "GTiff",
-        "dtype": dtype.name,
-        "count": source.count,
-        "height": shape[0],
-        "width": shape[1],
-        "nodata": nodata,
-        "tiled": True,
-        "blockxsize": 256,
-        "blockysize": 256,
-        "interleave": "band",
-        "BIGTIFF": "IF_SAFER",
-        # Not unit pixels, for which rasterio issues a warning; the true transform is in the VRT.
-        "transform": Affine.scale(2.0, -2.0),
-    }
+    profile = {"driver": "GTiff", "dtype": dtype.name, "count": source.count, "nodata": nodata}
+    profile |= {"height": shape[0], "width": shape[1], "tiled": True, "blockxsize": 256, "blockysize": 256}
+    # Not unit pixels, for which rasterio issues a warning; the true transform is in the VRT.
+    profile |= {"interleave": "band", "BIGTIFF": "IF_SAFER", "transform": Affine.scale(2.0, -2.0)}
     windows = list(_blocks(shape, (source.count + 1) * dtype.itemsize))
     request = BlockRequest(windows, nodata, needs_mask or fills, path.parent, unreadable)
     with (
@@ -409,17 +386,10 @@ def _warp_options(
     source: DatasetReader, placed: Grid, grid: Grid, method: Resampling, step: Float64
 ) -> dict[str, object]:
     """Return the options of GDAL's warper; `step` is the (2, 2) source px per output px."""
-    return {
-        "src_transform": placed.transform,
-        "src_crs": placed.crs,
-        "crs": grid.crs,
-        "transform": grid.transform,
-        "height": grid.shape[0],
-        "width": grid.shape[1],
-        "tolerance": _TOLERANCE_PX,
-        "dtype": np.result_type(*source.dtypes).name,
-        **kernel(method, step),
-    }
+    source_place = {"src_transform": placed.transform, "src_crs": placed.crs}
+    place = {"crs": grid.crs, "transform": grid.transform, "height": grid.shape[0], "width": grid.shape[1]}
+    how = {"tolerance": _TOLERANCE_PX, "dtype": np.result_type(*source.dtypes).name}
+    return source_place | place | how | kernel(method, step)
 
 
 def kernel(method: Resampling, step: Float64) -> dict[str, object]:

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rasterio.crs import CRS
 
-from pcwlad_geo.raster.crs import transform_xy, with_arrays
-from pcwlad_geo.raster.geodesy import displacement_m, moved_xy, pixel_size_m, pixel_sizes_m
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.crs import displacement_m, moved_xy, transform_xy, with_arrays
+from pcwlad_geo.raster.grid import Grid, pixel_size_m, pixel_sizes_m
 
 ONE = np.array([[1.0, 1.0]])
 WGS84 = CRS.from_epsg(4326)
@@ -64,7 +63,7 @@ def geodesic_m(xy_from: np.ndarray, xy_to: np.ndarray, crs: CRS) -> float:
     return float(geod.inv(*ends[0], *ends[1])[2])
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(
     name=st.sampled_from(sorted(PROJECTED)),
     share=st.tuples(st.floats(0.02, 0.98), st.floats(0.02, 0.98)),
@@ -82,7 +81,7 @@ def test_a_displacement_is_as_long_as_its_geodesic(
     assert moved_xy(at, found, crs) == pytest.approx(end, abs=1e-5 * length_m * unit)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     name=st.sampled_from(["Web Mercator", "polar stereographic", "oblique Mercator", "US survey feet"]),
     share=st.tuples(st.floats(0.1, 0.9), st.floats(0.1, 0.9)),

@@ -272,7 +272,7 @@ def test_trust_ends() -> None:
 
 
 def test_nothing_else_opens_rasters() -> None:
-    """A raster is opened for reading in `opening` alone, so that no other place can forget the checks."""
+    """A raster is opened for reading in `gdal` alone, so that no other place can forget the checks."""
     package = Path(pcwlad_geo.__file__).parent
     found = []
     for path in package.rglob("*.py"):
@@ -285,4 +285,4 @@ def test_nothing_else_opens_rasters() -> None:
                 ("DatasetReader", "DatasetWriter")
             ):
                 found.append(path.relative_to(package).as_posix())
-    assert set(found) == {"raster/opening.py", "raster/trust.py"}
+    assert set(found) == {"raster/gdal.py", "raster/trust.py"}

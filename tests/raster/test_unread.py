@@ -11,7 +11,7 @@ from rasterio.errors import RasterioIOError
 from rasterio.windows import Window
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.unread import MIN_PART, Block, UnreadableParts, filled
+from pcwlad_geo.raster.warped_views import MIN_PART, Block, UnreadableParts, filled
 
 SIDE = 700
 BAD = (310, 295)

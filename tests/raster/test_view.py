@@ -393,7 +393,7 @@ def test_cubic_never_mixes_nodata_in(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("resampling", ["average", "cubic"])
 def test_a_window_shows_what_the_whole_shows(
-    tmp_path: Path, resampling: view_module.Resampling, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, resampling: view_module.ViewResampling, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     values = np.random.default_rng(3).normal(size=(200, 200)).astype("float32")
     values[50:70, 90:99] = np.nan
@@ -448,7 +448,7 @@ def test_decimated_look_reads_overviews(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("resampling", ["average", "cubic", "nearest"])
-def test_decimated_look_at_a_resampled_view(tmp_path: Path, resampling: view_module.Resampling) -> None:
+def test_decimated_look_at_a_resampled_view(tmp_path: Path, resampling: view_module.ViewResampling) -> None:
     info = describe(write_ramp(tmp_path / "a.tif", (400, 400), north_up()))
     transforms = {
         "average": north_up(20),

@@ -14,8 +14,7 @@ from rasterio.windows import Window
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.source import open_raster
-from pcwlad_geo.raster.unread import UnreadableParts
-from pcwlad_geo.raster.warped_views import warped_blocks
+from pcwlad_geo.raster.warped_views import UnreadableParts, warped_blocks
 
 SHAPE = (130, 170)
 WINDOWS = [

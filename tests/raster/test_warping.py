@@ -103,6 +103,20 @@ def test_a_displaced_scene_comes_back_to_its_place(tmp_path: Path, correction: C
     assert np.abs(inner.mean(axis=(0, 1))).max() < 0.003
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="a folder where root cannot write either: /proc")
+def test_the_working_folder_need_not_be_writable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """GDAL puts temporary files there; a container's is often read-only."""
+    source = write(tmp_path / "a.tif", observed_scene(GRID, SPLINE), GRID)
+    for name in ("CPL_TMPDIR", "TMPDIR", "TEMP"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir("/proc/self")
+    warp(source, tmp_path / "out.tif", SPLINE, GRID, "cubic")
+    with rasterio.open(tmp_path / "out.tif") as out:
+        error_px = position_error_px(out.read(), pixel_centres(GRID.shape)).reshape(*GRID.shape, 2)
+    assert np.abs(error_px[8:-8, 8:-8]).max() < 0.02
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.tif", "out.tif"]
+
+
 @pytest.mark.parametrize("correction", [shift(0.27, 0.61), SPLINE], ids=["shift", "tps"])
 def test_across_crs_and_pixel_sizes_the_ground_stays_in_place(tmp_path: Path, correction: Correction) -> None:
     reference = Grid((200, 210), Affine(30.0, 0.0, 300_000.0, 0.0, -30.0, 4_905_000.0), UTM32)

@@ -76,16 +76,10 @@ class Undulation:
     def sampled(
         function: Callable[[Float64], Float64], bounds: tuple[float, float, float, float], step_deg: float
     ) -> Undulation:
-        """Sample a function on a lattice.
+        """Sample a function on a lattice over `bounds`, degrees: west, south, east, north.
 
-        Parameters
-        ----------
-        function : callable
-            Returns the (n,) undulations in metres at (n, 2) longitudes and latitudes in degrees.
-        bounds : (west, south, east, north)
-            Extent of the lattice, degrees.
-        step_deg : float
-            Largest spacing of the nodes; a lattice has at most 65 nodes a side.
+        The spacing of the nodes is at most `step_deg`, and there are at most 65 a side. The function returns
+        the (n,) undulations in metres at (n, 2) longitudes and latitudes in degrees.
         """
         west, south, east, north = bounds
         counts = [int(np.ceil((north - south) / step_deg)) + 1, int(np.ceil((east - west) / step_deg)) + 1]
@@ -250,37 +244,21 @@ _UNITS_M: Final = {
 def open_dem(path: str | os.PathLike[str], vertical: Vertical, bounds: Bounds) -> Dem:
     """Describe a DEM and determine its vertical datum.
 
-    Raises `InputError` if the DEM cannot be used, or its vertical datum is not known or cannot be
-    transformed.
-
-    Parameters
-    ----------
-    path : path-like or GDAL URI
-        Band 1 holds the heights, in metres unless its CRS or its unit says feet.
-    vertical : float, path-like or None
-        Height of the DEM's vertical datum above the ellipsoid in metres (a geoid's undulation; 0 for
-        ellipsoidal heights), a raster of such heights, or None: the vertical datum of the DEM's CRS.
-    bounds : (west, south, east, north)
-        Extent of the scene, degrees.
+    Band 1 holds the heights, in metres unless its CRS or its unit says feet. `vertical` is the height of the
+    DEM's vertical datum above the ellipsoid in metres (a geoid's undulation; 0 for ellipsoidal heights), a
+    raster of such heights, or None: the vertical datum of the DEM's CRS. The `bounds` of the scene are west,
+    south, east, north in degrees. Raises `InputError` if the DEM cannot be used, or its vertical datum is not
+    known or cannot be transformed.
     """
     info = describe(path)
     if not info.georeferenced or info.grid.crs is None:
         raise InputError(f"the DEM {info.uri} has no georeferencing (CRS and geotransform): assign it")
-    crs = to_pyproj(info.grid.crs)
-    return Dem(
-        info.uri,
-        Grid(info.grid.shape, info.grid.transform, _horizontal(info.grid.crs, crs)),
-        _metres_per_unit(info, crs),
-        _undulation(info, crs, vertical, bounds),
-    )
-
-
-def _horizontal(crs: CRS, described: pyproj.CRS) -> CRS:
-    if not described.is_compound:
-        return crs
-    horizontal = described.sub_crs_list[0]
-    code = horizontal.to_epsg()
-    return CRS.from_epsg(code) if code else CRS.from_wkt(horizontal.to_wkt())
+    crs, horizontal = to_pyproj(info.grid.crs), info.grid.crs
+    if crs.is_compound:
+        code = crs.sub_crs_list[0].to_epsg()
+        horizontal = CRS.from_epsg(code) if code else CRS.from_wkt(crs.sub_crs_list[0].to_wkt())
+    grid = Grid(info.grid.shape, info.grid.transform, horizontal)
+    return Dem(info.uri, grid, _metres_per_unit(info, crs), _undulation(info, crs, vertical, bounds))
 
 
 def _metres_per_unit(info: RasterInfo, crs: pyproj.CRS) -> float:

@@ -69,20 +69,11 @@ class RpcGrid(Grid):
         return self.file_to_own_px(self.rpc.to_px(np.column_stack([lon_lat, self.heights.at(lon_lat)])))
 
     def line_of_sight(self, pixel_xy_px: Float64) -> tuple[Float64, Float64]:
-        """Intersect lines of sight with the ground, starting at `level_m`.
+        """Intersect lines of sight of the (n, 2) `pixel_xy_px` (col, row) with the ground, from `level_m` on.
 
-        Parameters
-        ----------
-        pixel_xy_px : (n, 2) array
-            Pixels (col, row), corner-based.
-
-        Returns
-        -------
-        lon_lat : (n, 2) array
-            Longitude and latitude of the intersections, degrees.
-        height_m : (n,) array
-            Height of the ground there above the ellipsoid, metres; beyond the edge of a DEM that of the edge,
-            NaN in holes of the DEM.
+        Return the (n, 2) longitude and latitude of the intersections, degrees, and the (n,) height of the
+        ground there above the ellipsoid, metres; beyond the edge of a DEM that of the edge, NaN in holes of
+        the DEM.
         """
         file_px = apply(self.transform, pixel_xy_px)
         height = np.full(len(file_px), self.level_m)
@@ -91,7 +82,7 @@ class RpcGrid(Grid):
             found = self.heights.nearest(lon_lat)
             step = np.where(np.isnan(found), 0.0, found - height)  # a hole may be crossed
             height = height + step
-            lon_lat = self.rpc.to_ground(file_px, height)
+            lon_lat = self.rpc.to_ground(file_px, height, lon_lat)
             if not np.any(np.abs(step) > HEIGHT_TOLERANCE_M):
                 break
         return lon_lat, np.where(np.isnan(found), np.nan, height)
@@ -120,7 +111,7 @@ def at_mean_height(grid: Grid) -> Grid:
     return replace(grid, heights=ConstantHeight(grid.level_m))
 
 
-def with_ground_raised(grid: Grid, by_m: float) -> Grid:
+def with_height_offset(grid: Grid, by_m: float) -> Grid:
     """Return a grid with ground higher by so many metres; a grid without heights is unchanged."""
     if not isinstance(grid, RpcGrid):
         return grid
@@ -152,23 +143,9 @@ def positions_on(grid: RpcGrid, view_grid: Grid, window: Window, per_px: int) ->
     """Return the positions in an RPC raster of the pixels of a view's window.
 
     The map projections are interpolated between nodes; heights and the RPC are evaluated at every position,
-    because relief displaces the image from pixel to pixel.
-
-    Parameters
-    ----------
-    grid : RpcGrid
-        Grid of the raster.
-    view_grid : Grid
-        Grid of the view.
-    window : Window
-        Window of the view.
-    per_px : int
-        Number of positions along a side of a view pixel.
-
-    Returns
-    -------
-    (2, rows * per_px, cols * per_px) array
-        Rows and columns in the raster, px, corner-based; NaN where no height is known.
+    `per_px` along a side of a view pixel, because relief displaces the image from pixel to pixel. The result,
+    (2, rows * per_px, cols * per_px), holds rows and columns in the raster, px, corner-based; NaN where no
+    height is known.
     """
     # in strips: heights and the RPC need many times the memory of the positions
     step = max(1, MAX_POSITIONS // (window.cols * per_px**2))

@@ -1,0 +1,154 @@
+"""Areas of vector files: which pixels they leave, in any CRS, on any grid, and files that are none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyogrio.raw
+import pytest
+import shapely
+from rasterio.crs import CRS
+
+import pcwlad_geo
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.raster.masks import Areas
+from pcwlad_geo.raster.source import describe, with_areas
+from pcwlad_geo.raster.view import View
+from tests.rpc_scene import rpc_grid, write_dem
+from tests.scenes import CRS_OF_SCENE, make_grid, render, write
+
+WGS84 = CRS.from_epsg(4326)
+GRID = make_grid((120, 150))
+QUICK: dict[str, Any] = {"template": 31, "window": 31, "features": 200, "jobs": 1}
+LEFT_PX = ((0.0, 0.0), (60.0, 0.0), (60.0, 120.0), (0.0, 120.0))
+HOLE_PX = ((20.0, 30.0), (40.0, 30.0), (40.0, 50.0), (20.0, 50.0))
+
+
+def polygon(*rings_px: tuple[tuple[float, float], ...], crs: CRS = CRS_OF_SCENE) -> shapely.Polygon:
+    """Return a polygon whose rings, the first the outer one, are pixels (col, row) of `GRID`."""
+    dense = [shapely.get_coordinates(shapely.segmentize(shapely.LinearRing(each), 1.0)) for each in rings_px]
+    outer, *inner = (transform_xy(GRID.to_xy(each), CRS_OF_SCENE, crs) for each in dense)
+    return shapely.Polygon(outer, inner)
+
+
+def save(path: Path, *shapes: shapely.Geometry, crs: CRS | None = CRS_OF_SCENE, layer: str = "areas") -> Path:
+    pyogrio.raw.write(
+        path,
+        shapely.to_wkb(np.array(shapes, object)),
+        [],
+        [],
+        geometry_type="Unknown",
+        crs=None if crs is None else crs.to_wkt(),
+        driver={".gpkg": "GPKG", ".geojson": "GeoJSON", ".fgb": "FlatGeobuf"}[path.suffix],
+        layer=layer,
+        append=path.exists(),
+    )
+    return path
+
+
+def valid(path: Path, *, aoi: Path | None = None, exclude: Path | None = None) -> np.ndarray:
+    info = with_areas(describe(path), aoi, exclude)
+    return View(info, info.grid, "none").read(Window.whole(info.grid.shape)).valid
+
+
+@pytest.fixture
+def raster(tmp_path: Path) -> Path:
+    return write(tmp_path / "raster.tif", render(GRID), GRID)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "crs"), [(".gpkg", CRS_OF_SCENE), (".geojson", WGS84), (".fgb", CRS.from_epsg(3857))]
+)
+def test_the_pixels_whose_centres_lie_in_the_areas_count(
+    raster: Path, tmp_path: Path, suffix: str, crs: CRS
+) -> None:
+    areas = save(tmp_path / f"areas{suffix}", polygon(LEFT_PX, HOLE_PX, crs=crs), crs=crs)
+    expected = np.zeros(GRID.shape, bool)
+    expected[:, :60] = True
+    expected[30:50, 20:40] = False
+    np.testing.assert_array_equal(valid(raster, aoi=areas), expected)
+    np.testing.assert_array_equal(valid(raster, exclude=areas), ~expected)
+    right = save(tmp_path / "right.gpkg", polygon(tuple((col + 50, row) for col, row in LEFT_PX)))
+    both = valid(raster, aoi=areas, exclude=right)
+    np.testing.assert_array_equal(both, expected & (np.arange(150) < 50))
+
+
+def test_a_window_is_a_part_of_the_whole_on_any_grid(tmp_path: Path) -> None:
+    by_rpc = rpc_grid(write_dem(tmp_path / "dem.tif"))
+    rows, cols = by_rpc.shape
+    ring = np.array([[0.2, 0.3], [0.7, 0.2], [0.6, 0.8]]) * [cols, rows]
+    areas = Areas(bytes(shapely.to_wkb(shapely.Polygon(by_rpc.to_xy(ring)))), None)
+    whole = areas.valid(Window.whole(by_rpc.shape), by_rpc)
+    edges = np.roll(ring, -1, axis=0) - ring
+    row, col = np.mgrid[:rows, :cols] + 0.5
+    cross = [dx * (row - y) - dy * (col - x) for (x, y), (dx, dy) in zip(ring, edges, strict=True)]
+    inside = np.all(np.sign(cross) == np.sign(cross)[0], axis=0)
+    assert np.count_nonzero(whole != inside) < 0.02 * np.count_nonzero(inside)  # lines of sight meet hills
+    window = Window(rows // 3, cols // 4, rows // 3, cols // 2)
+    np.testing.assert_array_equal(
+        areas.valid(window, by_rpc), whole[window.slices_in(Window.whole(by_rpc.shape))]
+    )
+
+
+def test_overviews_have_the_same_areas(raster: Path, tmp_path: Path) -> None:
+    areas = with_areas(describe(raster), save(tmp_path / "areas.gpkg", polygon(LEFT_PX)), None).areas
+    assert areas is not None
+    half = GRID.scaled((60, 75))
+    np.testing.assert_array_equal(
+        areas.valid(Window.whole(half.shape), half), np.broadcast_to(np.arange(75) < 30, (60, 75))
+    )
+
+
+@pytest.mark.filterwarnings("ignore:'crs' was not provided")
+def test_what_cannot_be_used_is_said(raster: Path, tmp_path: Path) -> None:
+    far = polygon(tuple((col + 5000, row) for col, row in LEFT_PX))
+    several = save(tmp_path / "several.gpkg", polygon(LEFT_PX))
+    save(several, far, layer="more")
+    vrt = tmp_path / "areas.vrt"
+    vrt.write_text("<OGRVRTDataSource></OGRVRTDataSource>")
+    broken = tmp_path / "broken.geojson"
+    broken.write_text('{"type": "FeatureCollection", "features": [')
+    empty = tmp_path / "empty.geojson"
+    empty.write_text(json.dumps({"type": "FeatureCollection", "features": []}))
+    cases = {
+        save(tmp_path / "far.gpkg", far): "leaves nothing of .*raster.tif",
+        save(
+            tmp_path / "lines.gpkg", shapely.LineString(GRID.to_xy(np.array(LEFT_PX)))
+        ): "holds other than polygons",
+        save(tmp_path / "without.gpkg", polygon(LEFT_PX), crs=None): "has no CRS",
+        several: "has 2 layers",
+        vrt: "is no GeoPackage",
+        broken: "cannot be read as a vector file",
+        empty: "leaves nothing of .*raster.tif",
+        tmp_path / "absent.gpkg": "cannot be opened",
+    }
+    for path, message in cases.items():
+        with pytest.raises(InputError, match=message):
+            with_areas(describe(raster), path, None)
+    plain = write(tmp_path / "plain.tif", render(GRID), None)
+    with pytest.raises(InputError, match="no georeferencing"):
+        with_areas(describe(plain), tmp_path / "far.gpkg", None)
+
+
+def test_areas_of_the_world_are_clipped(raster: Path, tmp_path: Path) -> None:
+    world = save(tmp_path / "world.geojson", shapely.box(-180, -90, 180, 90), crs=WGS84)
+    assert valid(raster, aoi=world).all()
+
+
+def test_tie_points_lie_in_the_areas_and_the_error_of_all_ground_is_told(
+    raster: Path, tmp_path: Path
+) -> None:
+    target = write(tmp_path / "target.tif", render(GRID, displacement_px=(0.4, -0.3)), GRID)
+    areas = save(tmp_path / "areas.gpkg", polygon(LEFT_PX))
+    found = pcwlad_geo.register(raster, target, aoi=areas, out_dir=tmp_path / "out", **QUICK)
+    points = found.tie_points
+    assert len(points) > 20
+    assert points.reference_px[:, 0].max() <= 60.0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["settings"]["aoi"] == str(areas)
+    assert [each["role"] for each in report["inputs"]] == ["reference", "target", "aoi"]
