@@ -32,20 +32,9 @@ def invert(
 ) -> Float64:
     """Return the predicted pixels that `forward` maps to the observed ones.
 
-    Parameters
-    ----------
-    forward : callable
-        Maps (n, 2) predicted to observed px.
-    slopes : callable
-        Maps (n, 2) predicted px to (n, 2, 2) derivatives of the observed px (last axis: by col, row).
-    observed_px : (n, 2) array of float
-        Observed positions (col, row).
-
-    Returns
-    -------
-    (n, 2) array of float
-        Predicted positions (col, row), good to 1e-8 px; NaN where the iteration does not converge, as where
-        the correction has a foldover.
+    It maps (n, 2) predicted px to observed ones, and `slopes` to their (n, 2, 2) derivatives (last axis: by
+    col, row). For the (n, 2) `observed_px` (col, row) the result is of shape (n, 2), good to 1e-8 px; NaN
+    where the iteration does not converge, as where the correction has a foldover.
     """
     observed = np.asarray(observed_px, dtype=np.float64)
     predicted = observed.copy()

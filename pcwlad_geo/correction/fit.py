@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 
@@ -218,7 +220,7 @@ def _correction(
     name: str, basis: PolynomialBasis, parameters_px: Float64, columns: tuple[int, ...]
 ) -> Correction:
     if basis.order > 1:
-        return PolynomialCorrection(basis, parameters_px)
+        return PolynomialCorrection(name, basis, parameters_px)
     terms = np.zeros((3, 2))
     terms[list(columns)] = parameters_px
     matrix = np.zeros((2, 3))
@@ -232,21 +234,52 @@ def _jacobian(at_px: Float64, *, basis: PolynomialBasis, columns: tuple[int, ...
     return design(basis.values(at_px)[:, columns], np.broadcast_to(np.eye(2), (len(at_px), 2, 2)))
 
 
-FITS: Mapping[str, FitFunction] = MappingProxyType(
+@dataclass(frozen=True, slots=True)
+class ModelFamily:
+    """A family of corrections: all that the package knows of it by its name."""
+
+    fit: FitFunction
+    words: str
+    """What such a correction is, for messages."""
+    order: int | None = None
+    """Order of the polynomial that has all terms; None for other models."""
+    terms: tuple[int, ...] = ()
+    """Numbers of its terms among 1, column and row, which an RPC can absorb and a geotransform without drift
+    can hold, so that nothing is resampled; empty for other models."""
+    of_lines: bool = False
+    """Whether it is tried for sensors with lines alone."""
+
+
+def _polynomial(
+    name: str, words: str, order: int, terms: tuple[int, ...] = (), *, of_lines: bool = False
+) -> ModelFamily:
+    fit = partial(fit_polynomial, name=name, order=order, columns=terms or None)
+    return ModelFamily(fit, words, None if of_lines else order, terms, of_lines)
+
+
+MODELS: Final[Mapping[str, ModelFamily]] = MappingProxyType(
     {
-        "shift": partial(fit_polynomial, name="shift", order=0),
-        "drift": partial(fit_polynomial, name="drift", order=1, columns=(0, 2)),
-        "affine": partial(fit_polynomial, name="affine", order=1),
-        "projective": fit_projective,
-        "polynomial2": partial(fit_polynomial, name="polynomial2", order=2),
-        "polynomial3": partial(fit_polynomial, name="polynomial3", order=3),
-        "jitter": fit_jitter,
-        "tps": fit_tps,
-        "field": fit_field,
+        "shift": _polynomial("shift", "a shift", 0, (0,)),
+        "drift": _polynomial("drift", "a drift", 1, (0, 2), of_lines=True),
+        "affine": _polynomial("affine", "an affine", 1, (0, 1, 2)),
+        "projective": ModelFamily(fit_projective, "a homography"),
+        "polynomial2": _polynomial("polynomial2", "a polynomial of order 2", 2),
+        "polynomial3": _polynomial("polynomial3", "a polynomial of order 3", 3),
+        "jitter": ModelFamily(fit_jitter, "an affine with waves", of_lines=True),
+        "tps": ModelFamily(fit_tps, "a smooth spline"),
+        "field": ModelFamily(fit_field, "the measured field"),
     }
 )
-"""The fit function of every model by its name, the simplest model first. The drift is a shift that changes
-from line to line, the effect of a drifting attitude on a pushbroom image (Fraser & Hanley 2005,
-doi:10.14358/PERS.71.8.909)."""
-CANDIDATES = tuple(name for name in FITS if name not in ("drift", "jitter"))
-"""Names of the models tried for any image; `drift` and `jitter` belong to sensors with lines."""
+"""Every model by its name, the simplest first. The drift is a shift that changes from line to line, the
+effect of a drifting attitude on a pushbroom image (Fraser & Hanley 2005, doi:10.14358/PERS.71.8.909)."""
+LOSSLESS: Final = {name: model.terms for name, model in MODELS.items() if model.terms}
+"""Terms of the models that need no resampling, by their names."""
+CANDIDATES: Final = tuple(name for name, model in MODELS.items() if not model.of_lines)
+"""Names of the models tried for any image."""
+VRT_MODELS: Final = tuple(name for name in CANDIDATES if name in LOSSLESS)
+"""Models that the geotransform of a VRT can hold."""
+
+
+def of_option(option: str) -> tuple[str, ...]:
+    """Return the models that a value of the option ``--model`` names: a polynomial is of order 2 or 3."""
+    return tuple(name for name in MODELS if name.rstrip("23") == option.rstrip("23"))

@@ -184,23 +184,11 @@ class ParametricFit(Fit):
 def checked(
     name: str, least: int, predicted_px: Float64, observed_px: Float64, covariance_px2: Float64
 ) -> tuple[Float64, Float64, Float64]:
-    """Return the arrays that every model is fitted to, as float64.
+    """Return the arrays that every model is fitted to, (n, 2), (n, 2) and (n, 2, 2), as float64.
 
-    Raises `InputError` if there are fewer points than `least`, or an array has a wrong shape or values that
-    are not finite.
-
-    Parameters
-    ----------
-    name : str
-        Name of the model, for messages.
-    least : int
-        Least number of points.
-    predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays
-        See `fit.fit_polynomial`; any real dtype.
-
-    Returns
-    -------
-    predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays of float
+    They are the (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2) `covariance_px2` of
+    `fit.fit_polynomial`, of any real dtype. Raises `InputError`, with the `name` of the model, if there are
+    fewer points than `least`, or an array has a wrong shape or values that are not finite.
     """
     arrays = tuple(np.asarray(a, dtype=np.float64) for a in (predicted_px, observed_px, covariance_px2))
     n = len(arrays[0])

@@ -82,17 +82,9 @@ def peaks(at_px: Float64, rest_px: Float64, footprint_px: float) -> tuple[Peak, 
     """Return the highest peak of the periodogram along each coordinate, of each component: four or none.
 
     The power of errors, also of those that windows share and of smooth displacements, depends on the length
-    of a wave and not on its direction: the mean power in other directions is that of chance, whose powers
-    are distributed exponentially about it.
-
-    Parameters
-    ----------
-    at_px : (n, 2) array of float
-        Positions (col, row) in the target, px.
-    rest_px : (n, 2) array of float
-        What a smooth model leaves of the displacements (col, row), px.
-    footprint_px : float
-        Side of the matching window, px.
+    of a wave and not on its direction: the mean power in other directions is that of chance, whose powers are
+    distributed exponentially about it. The (n, 2) `rest_px` (col, row) are what a smooth model leaves of the
+    displacements at the (n, 2) `at_px`, target px; the matching window is `footprint_px` wide.
     """
     every = max(1, -(-len(at_px) // MAX_SEARCHED))
     at_px, rest_px = at_px[::every], rest_px[::every]
@@ -225,7 +217,7 @@ def _correction(
         JitterWave(ALONG[along], period, float(centre_px[along]), parameters_px[3 + 2 * k : 5 + 2 * k])
         for k, (along, period) in enumerate(waves)
     )
-    return JitterCorrection(AffineCorrection("affine", matrix), fitted)
+    return JitterCorrection("jitter", AffineCorrection("affine", matrix), fitted)
 
 
 BINS: Final = 48
@@ -249,16 +241,10 @@ class Profile:
 
 
 def profile(along: Float64, across: Float64, rest_px: Float64, least_step: float) -> Profile:
-    """Return the profile of (n, 2) values along one quantity.
+    """Return the profile of the (n, 2) `rest_px` (col, row), which a smooth model leaves, along one quantity.
 
-    Parameters
-    ----------
-    along, across : (n,) arrays of float
-        The quantity, and another that divides the points into parts whose errors are independent.
-    rest_px : (n, 2) array of float
-        What a smooth model leaves of the displacements (col, row), px.
-    least_step : float
-        Least length of an interval, unit of `along`.
+    The (n,) `along` is that quantity, in intervals of `least_step` of its unit or more; the (n,) `across`
+    divides the points into parts whose errors are independent.
     """
     known = np.isfinite(along)
     along, across, rest_px = along[known], across[known], rest_px[known]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal
 
 import numpy as np
 import scipy.sparse
+from numpy.typing import ArrayLike
 
 from pcwlad_geo.correction.dense import Lattice, in_chunks, invert, positions
 from pcwlad_geo.errors import InputError
@@ -18,8 +20,150 @@ MAX_ORDER: Final = 3
 """Largest order of a polynomial."""
 MAX_WAVES: Final = 100
 """Largest number of waves of a correction that is read."""
+MAX_STEPS: Final = 20
+"""Largest number of steps of a composition that is read."""
 MAX_STRETCH: Final = 1e6
 """Largest factor by which an affine correction may stretch or shrink the image; real ones have about one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction(ABC):
+    """Maps the target pixel that the original georeferencing predicts to the one observed.
+
+    Pixel coordinates are (col, row), corner-based, of the original target file. ``later @ first`` is the
+    correction that applies `first`, then `later`.
+    """
+
+    name: str
+    """The model, a key of `fit.MODELS`; of a composition those of its steps."""
+
+    @property
+    def homogeneous(self) -> Float64 | None:
+        """(3, 3) matrix of a mapping (w·col, w·row, w) = matrix · (col, row, 1); None for other mappings."""
+        return None
+
+    @abstractmethod
+    def forward(self, predicted_px: Float64) -> Float64:
+        """Map the (n, 2) `predicted_px` to observed target pixels; NaN where the model has none."""
+
+    @abstractmethod
+    def inverse(self, observed_px: Float64) -> Float64:
+        """Map the (n, 2) `observed_px` to predicted target pixels; NaN where the model has none."""
+
+    @abstractmethod
+    def _parameters(self) -> dict[str, object]:
+        """Return the type and the parameters of the mapping as report.json holds them."""
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the model as report.json holds it, which alone is enough to warp (see `from_json`)."""
+        return {"name": self.name, "forward": self._parameters()}
+
+    def invert(self) -> Correction:
+        """Return the correction that maps observed to predicted pixels."""
+        return Composition(self.name, ((self, True),))
+
+    def __matmul__(self, first: Correction) -> Correction:
+        one, other = self.homogeneous, first.homogeneous
+        if one is not None and other is not None:
+            if isinstance(self, AffineCorrection) and isinstance(first, AffineCorrection):
+                return AffineCorrection(self.name if self.name == first.name else "affine", (one @ other)[:2])
+            return ProjectiveCorrection("projective", one @ other)
+        steps = [each.steps if isinstance(each, Composition) else ((each, False),) for each in (first, self)]
+        return Composition(f"{first.name}, {self.name}", (*steps[0], *steps[1]))
+
+    def to_gdal(self) -> tuple[float, float, float, float, float, float]:
+        """Return the geotransform, in GDAL's order, that places observed at predicted pixels.
+
+        The corrected geotransform of a target is this one followed by its own. Raises `InputError` for a
+        model that is no affine.
+        """
+        raise InputError(f"a geotransform holds no {self.name} model: use GCPs, or warp the raster")
+
+    def to_skimage(self) -> Any:  # noqa: ANN401  # of scikit-image, which has no types
+        """Return the correction as a transform of scikit-image, in its coordinates.
+
+        scikit-image counts from the centre of the first pixel, this package from its corner: what `forward`
+        maps from (0.5, 0.5) to (1.5, 0.5), the transform maps from (0, 0) to (1, 0). It takes and returns
+        (n, 2) arrays of (col, row), and ``skimage.transform.warp(target, transform)`` is the corrected target
+        on its own pixels.
+
+        Returns
+        -------
+        skimage.transform.AffineTransform, ProjectiveTransform, or a callable like these
+            Shift, drift and affine; projective; other models, exactly, with the attribute `inverse`.
+        """
+        from skimage.transform import AffineTransform, ProjectiveTransform  # slow to load
+
+        to_corner = AffineCorrection("shift", np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5]]))
+        centred = to_corner.invert() @ self @ to_corner
+        if centred.homogeneous is None:
+            return CallableTransform(centred)
+        affine = isinstance(centred, AffineCorrection)
+        return (AffineTransform if affine else ProjectiveTransform)(matrix=centred.homogeneous)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CallableTransform:
+    """A correction as scikit-image calls a transform."""
+
+    correction: Correction
+
+    def __call__(self, coords: ArrayLike) -> Float64:
+        """Map (n, 2) coordinates (col, row)."""
+        return self.correction.forward(np.asarray(coords, dtype=np.float64))
+
+    @property
+    def inverse(self) -> CallableTransform:
+        """The transform the other way."""
+        return CallableTransform(self.correction.invert())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Composition(Correction):
+    """Corrections one after another."""
+
+    steps: tuple[tuple[Correction, bool], ...]
+    """Each with whether it is inverted, the one that is applied first in front."""
+
+    def forward(self, predicted_px: Float64) -> Float64:
+        """Map the (n, 2) `predicted_px` to observed target pixels; NaN where a step has none."""
+        for step, inverted in self.steps:
+            predicted_px = step.inverse(predicted_px) if inverted else step.forward(predicted_px)
+        return predicted_px
+
+    def inverse(self, observed_px: Float64) -> Float64:
+        """Map the (n, 2) `observed_px` to predicted target pixels; NaN where a step has none."""
+        return self.invert().forward(observed_px)
+
+    def invert(self) -> Correction:
+        """Return the correction that maps observed to predicted pixels."""
+        steps = tuple((step, not inverted) for step, inverted in reversed(self.steps))
+        return steps[0][0] if len(steps) == 1 and not steps[0][1] else Composition(self.name, steps)
+
+    def _parameters(self) -> dict[str, object]:
+        steps = [{"inverted": inverted, **step.to_dict()} for step, inverted in self.steps]
+        return {"type": "composition", "steps": steps}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothCorrection(Correction):
+    """A correction of known slopes, which Newton's method inverts."""
+
+    def forward(self, predicted_px: Float64) -> Float64:
+        """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
+        return in_chunks(self._forward, predicted_px)
+
+    def inverse(self, observed_px: Float64) -> Float64:
+        """Map the (n, 2) `observed_px` to predicted target pixels, to 1e-8 px; NaN where there is none."""
+        return in_chunks(lambda at_px: invert(self._forward, self._slopes, at_px), observed_px)
+
+    @abstractmethod
+    def _forward(self, at_px: Float64) -> Float64:
+        """Map (n, 2) predicted px to observed ones."""
+
+    @abstractmethod
+    def _slopes(self, at_px: Float64) -> Float64:
+        """Return the (n, 2, 2) derivatives of the observed px (last axis: by col, row)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,40 +215,26 @@ class PolynomialBasis:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PolynomialCorrection:
+class PolynomialCorrection(SmoothCorrection):
     """observed = predicted + Σ coefficient · term."""
 
     basis: PolynomialBasis
     coefficients_px: Float64
     """(terms, 2): displacement (col, row) per term."""
 
-    @property
-    def name(self) -> str:
-        """polynomial2 or polynomial3."""
-        return f"polynomial{self.basis.order}"
-
-    def forward(self, predicted_px: Float64) -> Float64:
-        """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
-        return in_chunks(lambda at_px: at_px + self.basis.values(at_px) @ self.coefficients_px, predicted_px)
-
-    def inverse(self, observed_px: Float64) -> Float64:
-        """Map the (n, 2) `observed_px` to predicted target pixels, to 1e-8 px; NaN where there is none."""
-        return in_chunks(lambda at_px: invert(self.forward, self._slopes, at_px), observed_px)
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the model as report.json holds it, which alone is enough to warp."""
+    def _parameters(self) -> dict[str, object]:
         return {
-            "name": self.name,
-            "forward": {
-                "type": "polynomial",
-                "order": self.basis.order,
-                "centre": list(self.basis.centre_px),
-                "radius": self.basis.radius_px,
-                "box": [list(self.basis.low_px), list(self.basis.high_px)],
-                "exponents": [list(pair) for pair in self.basis.exponents],
-                "coefficients": self.coefficients_px.tolist(),
-            },
+            "type": "polynomial",
+            "order": self.basis.order,
+            "centre": list(self.basis.centre_px),
+            "radius": self.basis.radius_px,
+            "box": [list(self.basis.low_px), list(self.basis.high_px)],
+            "exponents": [list(pair) for pair in self.basis.exponents],
+            "coefficients": self.coefficients_px.tolist(),
         }
+
+    def _forward(self, at_px: Float64) -> Float64:
+        return at_px + self.basis.values(at_px) @ self.coefficients_px
 
     def _slopes(self, at_px: Float64) -> Float64:
         slopes = np.einsum("itb,ta->iab", self.basis.slopes(at_px), self.coefficients_px)
@@ -128,24 +258,11 @@ class SplineGrid:
         return self.cells[1] + 3, self.cells[0] + 3
 
     def taps(self, at_px: Float64) -> tuple[Index, Float64, Float64]:
-        """Return the indices, values and slopes of the B-splines that are not zero at positions.
+        """Return indices, values and slopes of the B-splines that are not zero at (n, 2) positions `at_px`.
 
         Beyond the rectangle each direction is continued by its tangent, so a spline is once continuously
-        differentiable everywhere.
-
-        Parameters
-        ----------
-        at_px : (n, 2) array of float
-            Positions (col, row).
-
-        Returns
-        -------
-        first : (n, 2) array of int
-            Index of the first of four coefficients along (col, row).
-        values : (n, 2, 4) array of float
-            Values of the four B-splines along (col, row).
-        slopes : (n, 2, 4) array of float
-            Their derivatives, 1/px.
+        differentiable everywhere. The results are, along (col, row), the (n, 2) int index of the first of
+        four coefficients, the (n, 2, 4) values of the four B-splines, and their (n, 2, 4) derivatives, 1/px.
         """
         place = (np.asarray(at_px, dtype=np.float64) - self.origin_px) / self.spacing_px
         inside = np.clip(place, 0.0, np.array(self.cells, dtype=np.float64))
@@ -177,14 +294,7 @@ class SplineGrid:
 def cubic_b_splines(fraction: Float64) -> tuple[Float64, Float64, Float64]:
     """Return value, first and second derivative of the four uniform cubic B-splines in a cell of side 1.
 
-    Parameters
-    ----------
-    fraction : (...,) array of float
-        Position in the cell, 0 to 1.
-
-    Returns
-    -------
-    Three (..., 4) arrays of float.
+    The (...,) `fraction` is the position in the cell, 0 to 1; the results are three (..., 4) arrays.
     """
     t, s = fraction, 1 - fraction
     values = np.stack([s**3, 4 - 3 * t**2 * (1 + s), 4 - 3 * s**2 * (1 + t), t**3], axis=-1) / 6
@@ -193,34 +303,20 @@ def cubic_b_splines(fraction: Float64) -> tuple[Float64, Float64, Float64]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SplineCorrection:
+class SplineCorrection(SmoothCorrection):
     """observed = predicted + bicubic spline."""
 
-    name: str
-    """tps or field."""
     grid: SplineGrid
     coefficients_px: Float64
     """(rows, columns, 2) displacement coefficients (col, row)."""
 
-    def forward(self, predicted_px: Float64) -> Float64:
-        """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
-        return in_chunks(self._forward, predicted_px)
-
-    def inverse(self, observed_px: Float64) -> Float64:
-        """Map the (n, 2) `observed_px` to predicted target pixels, to 1e-8 px; NaN where there is none."""
-        return in_chunks(lambda at_px: invert(self._forward, self._slopes, at_px), observed_px)
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the model as report.json holds it, which alone is enough to warp."""
+    def _parameters(self) -> dict[str, object]:
         return {
-            "name": self.name,
-            "forward": {
-                "type": "bicubic_spline",
-                "origin": list(self.grid.origin_px),
-                "spacing": self.grid.spacing_px,
-                "cells": list(self.grid.cells),
-                "coefficients": self.coefficients_px.tolist(),
-            },
+            "type": "bicubic_spline",
+            "origin": list(self.grid.origin_px),
+            "spacing": self.grid.spacing_px,
+            "cells": list(self.grid.cells),
+            "coefficients": self.coefficients_px.tolist(),
         }
 
     def _forward(self, at_px: Float64) -> Float64:
@@ -243,34 +339,17 @@ class SplineCorrection:
         return total
 
 
-class Correction(Protocol):
-    """Maps the target pixel that the original georeferencing predicts to the one observed.
-
-    Pixel coordinates are (col, row), corner-based, of the original target file.
-    """
-
-    @property
-    def name(self) -> str:
-        """The model's name, such as shift or affine."""
-
-    def forward(self, predicted_px: Float64) -> Float64:
-        """Map the (n, 2) `predicted_px` to observed target pixels; NaN where the model has none."""
-
-    def inverse(self, observed_px: Float64) -> Float64:
-        """Map the (n, 2) `observed_px` to predicted target pixels; NaN where the model has none."""
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the model as report.json holds it, which alone is enough to warp (see `from_json`)."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class AffineCorrection:
+class AffineCorrection(Correction):
     """observed = matrix · (predicted col, predicted row, 1); a shift is the affine with identity."""
 
-    name: str
-    """shift, drift or affine."""
     matrix: Float64
     """(2, 3); the last column in px."""
+
+    @property
+    def homogeneous(self) -> Float64:
+        """(3, 3) matrix of the mapping."""
+        return np.vstack([self.matrix, [0.0, 0.0, 1.0]])
 
     def forward(self, predicted_px: Float64) -> Float64:
         """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
@@ -281,9 +360,20 @@ class AffineCorrection:
         moved = np.asarray(observed_px, dtype=np.float64) - self.matrix[:, 2]
         return moved @ inverse(self.matrix[:, :2]).T
 
-    def to_dict(self) -> dict[str, object]:
-        """Return the model as report.json holds it, which alone is enough to warp."""
-        return {"name": self.name, "forward": {"type": "affine", "matrix": self.matrix.tolist()}}
+    def invert(self) -> AffineCorrection:
+        """Return the affine that maps observed to predicted pixels."""
+        c, a, b, f, d, e = self.to_gdal()
+        return AffineCorrection(self.name, np.array([[a, b, c], [d, e, f]]))
+
+    def to_gdal(self) -> tuple[float, float, float, float, float, float]:
+        """Return the geotransform, in GDAL's order, that places observed at predicted pixels."""
+        (a, b, c), (d, e, f) = self.matrix.tolist()
+        scale = 1 / (a * e - b * d)
+        a, b, d, e = e * scale, -b * scale, -d * scale, a * scale
+        return -c * a - f * b, a, b, -c * d - f * e, d, e
+
+    def _parameters(self) -> dict[str, object]:
+        return {"type": "affine", "matrix": self.matrix.tolist()}
 
 
 def affine_between(from_xy: Float64, to_xy: Float64) -> Float64:
@@ -295,13 +385,16 @@ def affine_between(from_xy: Float64, to_xy: Float64) -> Float64:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ProjectiveCorrection:
+class ProjectiveCorrection(Correction):
     """(w·observed col, w·observed row, w) = matrix · (predicted col, predicted row, 1)."""
 
-    name: str
-    """projective."""
     matrix: Float64
     """(3, 3), of positive w where the tie points are."""
+
+    @property
+    def homogeneous(self) -> Float64:
+        """(3, 3) matrix of the mapping."""
+        return self.matrix
 
     def forward(self, predicted_px: Float64) -> Float64:
         """Map the (n, 2) `predicted_px` to observed target pixels; NaN beyond the horizon."""
@@ -311,9 +404,12 @@ class ProjectiveCorrection:
         """Map the (n, 2) `observed_px` to predicted target pixels; NaN beyond the horizon."""
         return _homogeneous(inverse(self.matrix), observed_px)
 
-    def to_dict(self) -> dict[str, object]:
-        """Return the model as report.json holds it, which alone is enough to warp."""
-        return {"name": self.name, "forward": {"type": "projective", "matrix": self.matrix.tolist()}}
+    def invert(self) -> ProjectiveCorrection:
+        """Return the projective that maps observed to predicted pixels."""
+        return ProjectiveCorrection(self.name, inverse(self.matrix))
+
+    def _parameters(self) -> dict[str, object]:
+        return {"type": "projective", "matrix": self.matrix.tolist()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -352,7 +448,7 @@ class JitterWave:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JitterCorrection:
+class JitterCorrection(SmoothCorrection):
     """observed = affine(predicted) + waves along the rows or the columns."""
 
     affine: AffineCorrection
@@ -360,28 +456,13 @@ class JitterCorrection:
     """None where no wave was more than chance."""
 
     @property
-    def name(self) -> str:
-        """The model's name."""
-        return "jitter"
-
-    @property
     def variance_px2(self) -> float:
         """Variance of the waves, of both components, px²."""
         return sum(float((wave.coefficients_px**2).sum()) / 2 for wave in self.waves)
 
-    def forward(self, predicted_px: Float64) -> Float64:
-        """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
-        return in_chunks(self._forward, predicted_px)
-
-    def inverse(self, observed_px: Float64) -> Float64:
-        """Map the (n, 2) `observed_px` to predicted target pixels, to 1e-8 px; NaN where there is none."""
-        return in_chunks(lambda at_px: invert(self.forward, self._slopes, at_px), observed_px)
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the model as report.json holds it, which alone is enough to warp."""
+    def _parameters(self) -> dict[str, object]:
         waves = [wave.to_dict() for wave in self.waves]
-        forward = {"type": "jitter", "matrix": self.affine.matrix.tolist(), "waves": waves}
-        return {"name": self.name, "forward": forward}
+        return {"type": "jitter", "matrix": self.affine.matrix.tolist(), "waves": waves}
 
     def _forward(self, at_px: Float64) -> Float64:
         moved = self.affine.forward(at_px)
@@ -451,7 +532,7 @@ def _polynomial(name: str, forward: Mapping[str, Any]) -> Correction:
         low_px=(float(low[0]), float(low[1])),
         high_px=(float(high[0]), float(high[1])),
     )
-    return PolynomialCorrection(basis, _numbers(forward["coefficients"], (len(basis.exponents), 2)))
+    return PolynomialCorrection(name, basis, _numbers(forward["coefficients"], (len(basis.exponents), 2)))
 
 
 def _spline(name: str, forward: Mapping[str, Any]) -> Correction:
@@ -474,7 +555,14 @@ def _jitter(name: str, forward: Mapping[str, Any]) -> Correction:
             raise ValueError("expected few waves along columns or rows, with a finite origin")
         coefficients = _numbers(wave["coefficients"], (2, 2))
         waves.append(JitterWave(along, _length(wave["period"]), origin, coefficients))
-    return JitterCorrection(affine, tuple(waves))
+    return JitterCorrection(name, affine, tuple(waves))
+
+
+def _composition(name: str, forward: Mapping[str, Any]) -> Correction:
+    steps = forward["steps"]
+    if not 1 <= len(steps) <= MAX_STEPS or any(each["forward"]["type"] == "composition" for each in steps):
+        raise ValueError(f"expected 1 to {MAX_STEPS} steps, none of them a composition")
+    return Composition(name, tuple((from_json(each), bool(each["inverted"])) for each in steps))
 
 
 def _length(value: float | str) -> float:
@@ -497,6 +585,7 @@ _READERS = {
     "polynomial": _polynomial,
     "bicubic_spline": _spline,
     "jitter": _jitter,
+    "composition": _composition,
 }
 
 

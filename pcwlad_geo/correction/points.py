@@ -174,19 +174,8 @@ def thin(xy_px: Float64, sigma: Float64, count: int | None) -> Bool:
 def cells(xy_px: Float64, most_occupied: int) -> tuple[Index, Float64]:
     """Divide the bounding box of the points into the finest grid with at most `most_occupied` occupied cells.
 
-    Parameters
-    ----------
-    xy_px : (n, 2) array of float
-        Positions (col, row), px; n ≥ 1.
-    most_occupied : int
-        Largest number of occupied cells, ≥ 1.
-
-    Returns
-    -------
-    cell : (n,) array of int
-        Index of the cell in which each point lies.
-    centre_distance : (n,) array of float
-        Distance of each point from the centre of its cell, in cell sides (the larger of the two axes).
+    For the (n, 2) positions `xy_px` (col, row), at least one, return the (n,) int index of the cell in which
+    each lies, and its (n,) distance from the centre of that cell, in cell sides (the larger of the two axes).
     """
     low = xy_px.min(axis=0)
     extent = np.maximum(xy_px.max(axis=0) - low, 1e-9)

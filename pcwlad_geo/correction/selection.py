@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import chdtri
 
-from pcwlad_geo.correction.fit import CANDIDATES, FITS
+from pcwlad_geo.correction.fit import CANDIDATES, LOSSLESS, MODELS
 from pcwlad_geo.correction.fitted import Fit
 from pcwlad_geo.correction.models import has_foldover
 from pcwlad_geo.correction.points import SharedNoise, cross_validation_blocks, left_out_errors
@@ -34,8 +34,6 @@ distances than a block."""
 PERSPECTIVE_SHARE = 0.5
 """Largest part of a projective's mean squared error that a more flexible model of two frames may leave: flat
 ground is seen so, and what a polynomial predicts better beyond is mostly an error that the matches share."""
-LOSSLESS = ("shift", "drift", "affine")
-"""Models that need no resampling."""
 RESAMPLING_SIGNIFICANCE = 2.5
 """Number of standard errors by which a model that needs resampling must predict better than one without."""
 MIN_GAIN_PX = 0.05
@@ -121,7 +119,7 @@ class _Points:
 
     def fit(self, name: str) -> Fit:
         given = self.predicted_px, self.observed_px, self.covariance_px2
-        return FITS[name](*given, footprint_px=self.footprint_px)
+        return MODELS[name].fit(*given, footprint_px=self.footprint_px)
 
     def covariance(self, fit: Fit) -> Float64:
         """Return the (m, 2, 2) covariance of a fit at the sample, which takes long the first time."""
@@ -168,7 +166,7 @@ def choose(
     footprint_px : float
         Side of the matching window, px.
     candidates : sequence of str
-        Names in `FITS`, the simplest first.
+        Names in `fit.MODELS`, the simplest first.
     box_px : ((2,) array, (2,) array), optional
         Corners (col, row) of the box of predicted px in which no model may have a foldover; by default the
         box of the points.
@@ -348,8 +346,8 @@ def _misfit(points: _Points, fits: dict[str, Fit], name: str) -> tuple[float, fl
         except InputError:
             return 0.0, 0.0
     change = chosen.correction.forward(points.sample_px) - flexible.correction.forward(points.sample_px)
-    beyond_px2 = (points.covariance(flexible) - points.covariance(chosen)).mean(axis=0)
-    by_chance = np.maximum(np.diagonal(beyond_px2), 0.0)
+    added_px2 = (points.covariance(flexible) - points.covariance(chosen)).mean(axis=0)
+    by_chance = np.maximum(np.diagonal(added_px2), 0.0)
     col, row = np.maximum((change**2).mean(axis=0) - by_chance, 0.0).tolist()
     return col, row
 

@@ -15,7 +15,7 @@ from pcwlad_geo.correction.models import SplineCorrection, SplineGrid, cubic_b_s
 from pcwlad_geo.correction.points import cross_validation_blocks, local_surface
 from pcwlad_geo.estimation.robust import Estimate, Solution, estimate, reweighted
 from pcwlad_geo.estimation.shared_errors import Overlaps, SharedErrors, probes_of, random_signs
-from pcwlad_geo.estimation.solving import factorised
+from pcwlad_geo.estimation.solving import BandedFactor
 from pcwlad_geo.types import Bool, Float64
 
 Sparse: TypeAlias = scipy.sparse.csc_array
@@ -30,8 +30,6 @@ FIELD_CELL_PER_WINDOW = 0.5
 """Likewise, of a field, whose displacements are means over the windows and show finer detail."""
 WINDOW_NODES = 4
 """Number of places along the side of a window whose mean stands for that over the window."""
-BATCH = 4
-"""Number of right sides solved at once; with more, BLAS threads wait for each other longer than they work."""
 MAX_STEPS = 12
 """Largest number of conjugate gradient steps before the system is factorised again."""
 REST = 1e-7
@@ -162,37 +160,14 @@ class ThinPlateSystem:
         """Return λ for the (n,) `precision`, 1/px²: `stiffness` times the mean total precision of a cell."""
         return stiffness * float(precision.sum()) / float(np.prod(self.grid.cells))
 
-    def factor(self, normal: Sparse, smoothing: float) -> Factor:
+    def factor(self, normal: Sparse, smoothing: float) -> BandedFactor:
         """Factorise the matrix `normal` plus `smoothing` times the bending energy."""
-        energy = self.energy if normal.shape == self.energy.shape else self.energy_of_both
-        return Factor(
-            factorised(
-                scipy.sparse.csc_array(normal + smoothing * energy),
-                "the thin-plate spline needs tie points of finite sigma",
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-        )
-
-
-class Factor:
-    """A factorised symmetric positive matrix."""
-
-    def __init__(self, factor: object) -> None:
-        self._solve = factor.solve  # type: ignore[attr-defined]  # SuperLU has no type
-
-    def solve(self, right: Float64) -> Float64:
-        """Return the (k, m) solutions for the columns of the (k, m) right sides `right`."""
-        parts = [
-            self._solve(np.ascontiguousarray(right[:, start : start + BATCH]))
-            for start in range(0, right.shape[1], BATCH)
-        ]
-        return np.concatenate(parts, axis=1)
-
-    def solve_one(self, right: Float64) -> Float64:
-        """Return the (k,) solution for the (k,) right side `right`."""
-        return self.solve(right.reshape(-1, 1))[:, 0]
+        of_one = self.energy.shape[0]
+        axes = normal.shape[0] // of_one
+        energy = self.energy if axes == 1 else self.energy_of_both
+        order = np.arange(axes * of_one).reshape(of_one, axes).T.ravel()  # the axes of a node side by side
+        matrix = scipy.sparse.csc_array(normal + smoothing * energy)
+        return BandedFactor(matrix, order, "the thin-plate spline needs tie points of finite sigma")
 
 
 class Successive:
@@ -211,7 +186,7 @@ class Successive:
 
     def __init__(self, system: ThinPlateSystem, values_px: Float64) -> None:
         self._system, self._values_px = system, values_px
-        self._factor: Factor | None = None
+        self._factor: BandedFactor | None = None
         self._found: Float64 | None = None
 
     def solve(self, precision: Float64, smoothing: float) -> Float64:
@@ -227,13 +202,13 @@ class Successive:
 
         right, rests = pulled(self._values_px), False
         if self._factor is not None:
-            before = LinearOperator(energy.shape, matvec=self._factor.solve_one, dtype=np.float64)
+            before = LinearOperator(energy.shape, matvec=self._factor.solve, dtype=np.float64)
             system = LinearOperator(energy.shape, matvec=times, dtype=np.float64)
             self._found, left = cg(system, right, self._found, rtol=REST, maxiter=MAX_STEPS, M=before)
             rests = left == 0
         if not rests:
             self._factor = self._system.factor(self._system.normal(precision), smoothing)
-            self._found = self._factor.solve_one(right)
+            self._found = self._factor.solve(right)
         return np.asarray(self._found).reshape(2, -1).T
 
 
@@ -257,7 +232,7 @@ SETTLED = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class SmoothingTrial:
     """A spline fitted with a given smoothing."""
 
     smoothing: float
@@ -280,7 +255,7 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trials:
+class SmoothingTrials:
     """Weighted points to which splines of any smoothing can be fitted; col and row have the same weights."""
 
     system: ThinPlateSystem
@@ -309,7 +284,7 @@ class Trials:
         values_px: Float64,
         whitener: Float64,
         weight: Float64,
-    ) -> Trials:
+    ) -> SmoothingTrials:
         """Return trials of a spline with given weights.
 
         Inliers have weight 1: weights that follow the residuals would make these look small. The (n, m)
@@ -332,7 +307,7 @@ class Trials:
         """Return the λ of a stiffness."""
         return self.system.smoothing(stiffness, self.precision)
 
-    def at(self, smoothing: float) -> Trial:
+    def at(self, smoothing: float) -> SmoothingTrial:
         """Fit the spline, and estimate how it follows independent and shared errors."""
         factor = self.system.factor(self.normal, smoothing)
         whitened = np.column_stack([self.probes, self.shared, self.planes, self.root * self.values_px])
@@ -358,13 +333,13 @@ class Trials:
             float(part + (smoothed * noise).sum() / count) / float(self.inlier.sum())
             for part, noise in zip(straight, (own, self.shared), strict=True)
         ]
-        return Trial(smoothing, squares, (used[0], used[1]), errors)
+        return SmoothingTrial(smoothing, squares, (used[0], used[1]), errors)
 
     def _shared(self, vectors: Float64) -> Float64:
         return self.inlier * self.overlaps.times(self.inlier * vectors)
 
 
-def best(trials: list[Trial], alpha: float) -> tuple[int, float]:
+def best(trials: list[SmoothingTrial], alpha: float) -> tuple[int, float]:
     """Return the index of the best of several smoothings, and α, which says how far errors are shared.
 
     The two depend on each other: the residuals of the spline determine α, and α the smoothing. The iteration
@@ -431,7 +406,7 @@ class SplineFit(Fit):
         ]
         return np.concatenate(parts) if parts else np.empty((0, 2, 2))
 
-    def _covariance_of_places(self, factor: Factor, at_px: Float64) -> Float64:
+    def _covariance_of_places(self, factor: BandedFactor, at_px: Float64) -> Float64:
         m = len(at_px)
         design = self.system.grid.design(at_px).toarray().T
         k = len(design)
@@ -454,7 +429,7 @@ class SplineFit(Fit):
         return self.errors.scale * (noise + missed)
 
 
-def _factor(system: ThinPlateSystem, estimate: Estimate, smoothing: float) -> Factor:
+def _factor(system: ThinPlateSystem, estimate: Estimate, smoothing: float) -> BandedFactor:
     whitener = estimate.whitener
     precision = estimate.weight[:, None, None] * (whitener.transpose(0, 2, 1) @ whitener)
     return system.factor(system.normal(precision), smoothing)
@@ -473,7 +448,7 @@ def _pairs(left: Float64, right: Float64) -> Float64:
 
 MIN_SPLINE_POINTS = 12
 """Least number of tie points of a thin-plate spline."""
-STIFF = 0.02
+SOFTEST = 0.02
 """Stiffness over side⁴ at which the softest mode of a square plate is reduced to a tenth."""
 FACTOR = 4.0
 """Ratio of successive stiffnesses tried, which doubles the effective number of parameters."""
@@ -549,7 +524,7 @@ def _fit_spline(
     displacement = observed - predicted
     affine = estimate(plane(predicted), displacement, covariance)
     overlaps, rest = Overlaps.of(predicted, footprint_px), displacement - affine.fitted_px
-    task = _Task(system, overlaps, probes_of(predicted), rest, covariance)
+    task = _SplineTask(system, overlaps, probes_of(predicted), rest, covariance)
     start = local_surface(predicted, rest)
     stiffness = (
         _validated_stiffness(task, start, footprint_px, predicted)
@@ -574,7 +549,7 @@ def _fit_spline(
     )
 
 
-def _validated_stiffness(task: _Task, start_px: Float64, footprint_px: float, xy_px: Float64) -> float:
+def _validated_stiffness(task: _SplineTask, start_px: Float64, footprint_px: float, xy_px: Float64) -> float:
     """Return the stiffness with the least error at blocks left out.
 
     Generalised cross-validation, which smooths too much where errors are shared, says where to begin. A block
@@ -609,7 +584,7 @@ def _validated_stiffness(task: _Task, start_px: Float64, footprint_px: float, xy
     return finer[int(np.argmin(scores))]
 
 
-def _stiffness(task: _Task, start_px: Float64) -> float:
+def _stiffness(task: _SplineTask, start_px: Float64) -> float:
     """Return the stiffness of the best score.
 
     While stiffnesses are compared, the robust weights are those about the points' own neighbours, as a stiff
@@ -623,13 +598,13 @@ def _stiffness(task: _Task, start_px: Float64) -> float:
     return between[best(near, alpha)[0]]
 
 
-def _tried(task: _Task) -> list[float]:
+def _tried(task: _SplineTask) -> list[float]:
     """Return the stiffnesses that are tried, the largest first."""
     side = float(max(task.system.grid.cells))
-    return [STIFF * side**4 / FACTOR**step for step in range(MAX_TRIES)]
+    return [SOFTEST * side**4 / FACTOR**step for step in range(MAX_TRIES)]
 
 
-def _best(trials: Trials, tried: list[float]) -> tuple[int, float]:
+def _best(trials: SmoothingTrials, tried: list[float]) -> tuple[int, float]:
     """Return the step of the best score, and how far errors are shared."""
     done = []
     for stiffness in tried:
@@ -640,7 +615,7 @@ def _best(trials: Trials, tried: list[float]) -> tuple[int, float]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Task:
+class _SplineTask:
     """The data to which a spline is fitted."""
 
     system: ThinPlateSystem
@@ -650,9 +625,11 @@ class _Task:
     """(n, 2) displacement beyond the affine."""
     covariance_px2: Float64
 
-    def trials(self, pilot: Estimate) -> Trials:
+    def trials(self, pilot: Estimate) -> SmoothingTrials:
         """Return trials with the weights of a fit."""
-        return Trials.of(self.system, self.overlaps, self.probes, self.rest_px, pilot.whitener, pilot.weight)
+        return SmoothingTrials.of(
+            self.system, self.overlaps, self.probes, self.rest_px, pilot.whitener, pilot.weight
+        )
 
     def weighted(self, start_px: Float64) -> Estimate:
         """Return the robust weights about a first fit."""

@@ -11,12 +11,13 @@ from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
+import scipy.linalg
 from scipy.sparse import csc_array, eye_array
 from scipy.sparse.linalg import SuperLU, splu
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import COORDINATE
-from pcwlad_geo.types import Float64
+from pcwlad_geo.types import Float64, Index
 
 INVERSE_STEPS: Final = 4
 """Steps of the inverse iteration; a singular matrix shows after one or two."""
@@ -81,6 +82,42 @@ def factorised(matrix: csc_array, needs: str, **options: object) -> SuperLU:
         return splu(matrix, **options)
     except RuntimeError as error:
         raise InputError(f"{needs} (what is given is singular)") from error
+
+
+class BandedFactor:
+    """The Cholesky factor of a symmetric positive sparse matrix whose entries lie near its diagonal.
+
+    Where the band is narrow, as of unknowns on a lattice in the order of its rows, dense rows of it are
+    factorised several times as fast as sparse ones.
+
+    Parameters
+    ----------
+    matrix : (k, k) sparse array
+    order : (k,) array of int
+        Place of each unknown in the band.
+    needs : str
+        The sentence of the error if the matrix is singular.
+    """
+
+    def __init__(self, matrix: csc_array, order: Index, needs: str) -> None:
+        entries = matrix.tocoo()
+        row, col = order[entries.row], order[entries.col]
+        below = row - col
+        band = np.zeros((int(below.max()) + 1, matrix.shape[0]))
+        lower = below >= 0
+        band[below[lower], col[lower]] = entries.data[lower]
+        self._order = order
+        try:
+            self._factor = scipy.linalg.cholesky_banded(band, True, lower=True)
+        except (ValueError, np.linalg.LinAlgError) as error:
+            raise InputError(f"{needs} (what is given is singular, or beyond measure)") from error
+
+    def solve(self, right: Float64) -> Float64:
+        """Return the (k, m) or (k,) solutions for right sides `right` of that shape."""
+        placed = np.empty_like(right)
+        placed[self._order] = right
+        found = scipy.linalg.cho_solve_banded((self._factor, True), placed, True, check_finite=False)
+        return np.asarray(found[self._order], np.float64)
 
 
 def undetermined(normal: csc_array, factor: SuperLU | None = None) -> int | None:

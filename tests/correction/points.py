@@ -67,7 +67,7 @@ def polynomial(order: int, seed: int = 0, side_px: float = 512, size_px: float =
     basis = PolynomialBasis(order, centre, side_px / 2, (0.0, 0.0), (side_px, side_px))
     terms = len(basis.exponents)
     return PolynomialCorrection(
-        basis, np.random.default_rng([4, seed]).uniform(-size_px, size_px, (terms, 2))
+        f"polynomial{order}", basis, np.random.default_rng([4, seed]).uniform(-size_px, size_px, (terms, 2))
     )
 
 

@@ -18,7 +18,7 @@ def gap(points: NDArray[np.float64], status: NDArray[np.str_]) -> float:
 
 
 @given(st.integers(0, 400), st.integers(0, 200), st.integers(0, 50), st.floats(64, 4000))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_numbers_of_points(n: int, footprint: int, seed: int, side: float) -> None:
     status = hold_out(scattered(seed, n, side), footprint)
     check, fit = np.sum(status == "check"), np.sum(status == "fit")

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.points import SharedNoise, cross_validation_blocks, left_out_errors
 
 from .points import affine, isotropic, noise, scattered, window_noise
@@ -14,10 +14,10 @@ def test_blocks_are_predicted_by_a_fit_to_the_others() -> None:
     observed = affine(1.0).forward(points) + noise(0, 200, 0.1)
     has_foldover = cross_validation_blocks(points, 0.0)
     for name in ("shift", "affine"):
-        fit = FITS[name](points, observed, isotropic(200, 0.1))
+        fit = MODELS[name].fit(points, observed, isotropic(200, 0.1))
         found = left_out_errors(fit, has_foldover, SharedNoise.of(fit, points, 0.0, has_foldover))
         for test in has_foldover.tests:
-            again = FITS[name](points[~test], observed[~test], isotropic(int((~test).sum()), 0.1))
+            again = MODELS[name].fit(points[~test], observed[~test], isotropic(int((~test).sum()), 0.1))
             plain = ((observed[test] - again.correction.forward(points[test])) ** 2).sum(axis=1)
             # Robust weights stay those of all points: hence not equal to the last digit.
             np.testing.assert_allclose(np.sqrt(found[test]), np.sqrt(plain), atol=0.01)
@@ -28,9 +28,9 @@ def test_a_projective_is_predicted_by_one_step() -> None:
     observed = affine(1.0).forward(points) + noise(1, 300, 0.1)
     has_foldover = cross_validation_blocks(points, 0.0)
     test = has_foldover.tests[3]
-    fit = FITS["projective"](points, observed, isotropic(300, 0.1))
+    fit = MODELS["projective"].fit(points, observed, isotropic(300, 0.1))
     found = left_out_errors(fit, has_foldover, SharedNoise.of(fit, points, 0.0, has_foldover))[test]
-    again = FITS["projective"](points[~test], observed[~test], isotropic(int((~test).sum()), 0.1))
+    again = MODELS["projective"].fit(points[~test], observed[~test], isotropic(int((~test).sum()), 0.1))
     plain = ((observed[test] - again.correction.forward(points[test])) ** 2).sum(axis=1)
     np.testing.assert_allclose(np.sqrt(found), np.sqrt(plain), atol=0.01)
 
@@ -43,7 +43,7 @@ def test_errors_shared_with_the_others_do_not_flatter(name: str) -> None:
         points = scattered(seed, 400)
         observed = points + 0.1 * window_noise(seed, points, 512, 81)
         has_foldover = cross_validation_blocks(points, 81)
-        fit = FITS[name](points, observed, isotropic(400, 0.1), footprint_px=81)
+        fit = MODELS[name].fit(points, observed, isotropic(400, 0.1), footprint_px=81)
         noise = SharedNoise.of(fit, points, 81, has_foldover)
         corrected.append(left_out_errors(fit, has_foldover, noise).mean())
         silent = SharedNoise(noise.probes, tuple(np.zeros_like(part) for part in noise.shared))
@@ -59,7 +59,7 @@ def test_errors_shared_with_the_others_do_not_flatter(name: str) -> None:
 
 def test_exact_points_leave_nothing() -> None:
     points = scattered(2, 60)
-    fit = FITS["shift"](points, points, isotropic(60, 0.1), footprint_px=81)
+    fit = MODELS["shift"].fit(points, points, isotropic(60, 0.1), footprint_px=81)
     has_foldover = cross_validation_blocks(points, 81)
     found = left_out_errors(fit, has_foldover, SharedNoise.of(fit, points, 81, has_foldover))
     np.testing.assert_allclose(found, 0, atol=1e-3)

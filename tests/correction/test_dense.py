@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pcwlad_geo.correction.dense import Lattice, dense_mapping
@@ -56,7 +56,6 @@ def test_where_the_mapping_has_no_value_the_grid_has_none_and_the_rest_is_as_goo
 @given(
     st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.floats(1, 3000), st.floats(1, 3000), st.floats(0.5, 500)
 )
-@settings(deadline=None)
 def test_a_lattice_interpolates_bilinear_functions_exactly(
     col: float, row: float, width: float, height: float, step: float
 ) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.models import SplineGrid
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.correction.thin_plate import grid_of, windowed_design
@@ -42,7 +42,7 @@ def rms(errors: Array) -> float:
 def error_of(name: str, seed: int) -> float:
     points, places = scattered(seed, 850, SIDE), inside(SIDE, 40)
     observed = observed_in(seed, points, seen_by_windows(points))
-    fit = FITS[name](points, observed, isotropic(850, 0.05), footprint_px=WINDOW)
+    fit = MODELS[name].fit(points, observed, isotropic(850, 0.05), footprint_px=WINDOW)
     return rms(fit.correction.forward(places) - places - ripples(places))
 
 
@@ -77,7 +77,7 @@ def test_a_wide_hole_is_filled_by_the_affine() -> None:
     points, bump = points[from_middle > 800], bump[from_middle > 800]
     observed = truth.forward(points) + bump + 0.03 * np.random.default_rng(3).normal(size=points.shape)
     fit, plain = (
-        FITS[name](points, observed, isotropic(len(points), 0.03), footprint_px=WINDOW)
+        MODELS[name].fit(points, observed, isotropic(len(points), 0.03), footprint_px=WINDOW)
         for name in ("field", "affine")
     )
     middle = 1500 + inside(100, 5) - 50
@@ -112,7 +112,7 @@ def test_its_sigma_holds(seeds: int) -> None:
     for seed in range(seeds):
         points = scattered(seed, 600, SIDE)
         observed = observed_in(seed, points, seen_by_windows(points, 500.0), 0.1)
-        fit = FITS["field"](points, observed, isotropic(600, 0.1), footprint_px=WINDOW)
+        fit = MODELS["field"].fit(points, observed, isotropic(600, 0.1), footprint_px=WINDOW)
         missed = fit.correction.forward(places) - places - ripples(places, 500.0)
         ratios.append(missed / predicted_sigma(fit, places))
     size = np.abs(np.concatenate(ratios))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.fit import CANDIDATES, FITS
+from pcwlad_geo.correction.fit import CANDIDATES, MODELS
 from pcwlad_geo.correction.jitter import Peak, peaks, profile, smooth_rest
 from pcwlad_geo.correction.models import JitterCorrection, from_json
 from pcwlad_geo.errors import InputError
@@ -66,8 +66,8 @@ def test_no_jitter_is_found_where_there_is_none(seeds: int, beside: float) -> No
 
 def test_the_model_takes_it_out() -> None:
     at, moved = points(3, AMPLITUDE)
-    fit = FITS["jitter"](at, at + moved, isotropic(len(at), 0.05), footprint_px=WINDOW)
-    plain = FITS["affine"](at, at + moved, isotropic(len(at), 0.05), footprint_px=WINDOW)
+    fit = MODELS["jitter"].fit(at, at + moved, isotropic(len(at), 0.05), footprint_px=WINDOW)
+    plain = MODELS["affine"].fit(at, at + moved, isotropic(len(at), 0.05), footprint_px=WINDOW)
     rows = np.linspace(100, 1900, 300)
     places = np.stack([np.full_like(rows, 1000.0), rows], axis=1)
     truth = places + jitter(rows, seen=False) + np.array([1.3, -0.4])
@@ -83,7 +83,7 @@ def test_the_model_takes_it_out() -> None:
 def test_without_jitter_the_model_is_the_affine() -> None:
     at, moved = points(4, 0.0)
     fit, plain = (
-        FITS[name](at, at + moved, isotropic(len(at), 0.05), footprint_px=WINDOW)
+        MODELS[name].fit(at, at + moved, isotropic(len(at), 0.05), footprint_px=WINDOW)
         for name in ("jitter", "affine")
     )
     assert isinstance(fit.correction, JitterCorrection)

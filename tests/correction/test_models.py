@@ -26,7 +26,6 @@ ALL = {
 
 
 @given(small, small, small, small, offset, offset)
-@settings(deadline=None)
 def test_inverse_of_an_affine_undoes_forward(
     a: float, b: float, c: float, d: float, col: float, row: float
 ) -> None:
@@ -38,7 +37,7 @@ def test_inverse_of_an_affine_undoes_forward(
 
 @pytest.mark.parametrize("kind", ["projective", "polynomial2", "polynomial3", "tps"])
 @given(seed=seed, side=st.floats(200, 40000))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_forward_and_inverse_undo_each_other(kind: str, seed: int, side: float) -> None:
     made = {
         "projective": lambda: projective(side),

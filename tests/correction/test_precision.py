@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.selection import COMMON_SIGMA, choose
 from pcwlad_geo.correction.thin_plate import fit_tps
 
@@ -63,7 +63,7 @@ def test_sigma_of_a_true_model_holds(
     for seed in range(seeds):
         points = scattered(seed, 350, SIDE)
         observed = points + field(seed, points) + errors_px(seed, points, shared)
-        fit = FITS[name](points, observed, isotropic(350, 0.1), footprint_px=81)
+        fit = MODELS[name].fit(points, observed, isotropic(350, 0.1), footprint_px=81)
         missed = fit.correction.forward(places) - places - field(seed, places)
         ratios.append(missed / predicted_sigma(fit, places))
     one_sigma, two_sigma = coverage(ratios)
@@ -78,7 +78,7 @@ def test_sigma_holds_where_that_of_the_points_does_not(name: str, formal_px: flo
     for seed in range(16):
         points, truth = scattered(seed, 350, SIDE), polynomial(2, seed, SIDE)
         observed = truth.forward(points) + errors_px(seed, points, 0.5)
-        fit = FITS[name](points, observed, isotropic(350, formal_px), footprint_px=81)
+        fit = MODELS[name].fit(points, observed, isotropic(350, formal_px), footprint_px=81)
         missed = fit.correction.forward(places) - truth.forward(places)
         ratios.append(missed / predicted_sigma(fit, places))
     one_sigma, two_sigma = coverage(ratios)
@@ -105,7 +105,7 @@ def test_sigma_of_the_model_chosen_holds_whatever_the_field() -> None:
 @pytest.mark.parametrize("name", ["affine", "polynomial2", "polynomial3", "tps"])
 def test_sigma_grows_beyond_the_points(name: str) -> None:
     points = scattered(0, 300)
-    found = FITS[name](points, points + noise(0, 300, 0.1), isotropic(300, 0.1), footprint_px=41)
+    found = MODELS[name].fit(points, points + noise(0, 300, 0.1), isotropic(300, 0.1), footprint_px=41)
     centre, corner, beyond, far = predicted_sigma(
         found, np.array([[256.0, 256.0], [510.0, 510.0], [700.0, 700.0], [1500.0, 1500.0]])
     ).mean(axis=1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.selection import COMMON_SIGMA, choose
 from pcwlad_geo.errors import InputError
 
@@ -175,7 +175,7 @@ def choose_for(kind: str, seed: int) -> tuple[bool, list[float]]:
     observed = points + FIELDS[kind](seed, points) + error
     selection = choose(points, observed, isotropic(300, 0.1), 81)
     truth = places + FIELDS[kind](seed, places)
-    models = [selection.fit, *(FITS[name](points, observed, isotropic(300, 0.1)) for name in SIMPLE)]
+    models = [selection.fit, *(MODELS[name].fit(points, observed, isotropic(300, 0.1)) for name in SIMPLE)]
     squared = [((fit.correction.forward(places) - truth) ** 2).sum(axis=1).mean() for fit in models]
     return selection.name in EXPECTED.get(kind, LOCAL), [float(np.sqrt(each)) for each in squared]
 

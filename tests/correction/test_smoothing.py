@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.thin_plate import ThinPlateSystem, Trials, fit_tps
+from pcwlad_geo.correction.thin_plate import SmoothingTrials, ThinPlateSystem, fit_tps
 from pcwlad_geo.estimation.shared_errors import Overlaps, probes_of
 
 from .points import inside, isotropic, noise, scattered, waves, window_noise
@@ -13,11 +13,11 @@ Array = NDArray[np.float64]
 slow = pytest.mark.slow
 
 
-def trials_of(points: Array, values: Array, side_px: float, outliers: int = 0) -> Trials:
+def trials_of(points: Array, values: Array, side_px: float, outliers: int = 0) -> SmoothingTrials:
     whitener = np.broadcast_to(10 * np.eye(2), (len(points), 2, 2))
     weight = np.where(np.arange(len(points)) < outliers, 0.0, 0.7)
     overlaps, probes = Overlaps.of(points, side_px), probes_of(points)
-    return Trials.of(ThinPlateSystem.of(points, 81), overlaps, probes, values, whitener, weight)
+    return SmoothingTrials.of(ThinPlateSystem.of(points, 81), overlaps, probes, values, whitener, weight)
 
 
 @pytest.mark.parametrize("stiffness", [0.3, 30.0, 3e3])

@@ -11,7 +11,7 @@ from .points import scattered
 
 
 @given(st.integers(0, 200), st.integers(0, 250), st.integers(0, 100))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_as_many_as_asked_for_and_there_are(n: int, count: int, seed: int) -> None:
     assert thin(scattered(seed, n), np.ones(n), count).sum() == min(n, count)
 

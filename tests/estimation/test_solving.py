@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from pcwlad_geo.correction.dense import invert
-from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.points import agreement
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import (
+    BandedFactor,
     check_observations,
     check_rank,
     factorised,
@@ -25,10 +26,9 @@ from pcwlad_geo.estimation.solving import (
     triangular,
     undetermined,
 )
+from pcwlad_geo.multi.adjustment import adjust, homographies
+from pcwlad_geo.multi.network import Edge, UndeterminedImageError, named
 from pcwlad_geo.rigs.rig import homography_residual
-from pcwlad_geo.stacks.adjustment import adjust
-from pcwlad_geo.stacks.models import homographies
-from pcwlad_geo.stacks.network import Edge, UndeterminedImageError, named
 
 Array = NDArray[np.float64]
 
@@ -57,6 +57,7 @@ def test_regular_equations_are_solved_to_the_bits_of_numpy() -> None:
         lambda: inverse(REGULAR * 1e-310, NEEDS),
         lambda: triangular(-REGULAR, NEEDS),
         lambda: factorised(csc_array(SINGULAR), NEEDS),
+        lambda: BandedFactor(csc_array(-REGULAR), np.arange(2), NEEDS),
         lambda: check_rank(np.ones((5, 2)), 1e-6, NEEDS),
         lambda: check_rank(np.ones((1, 2)), 1e-6, NEEDS),
         lambda: check_rank(np.zeros((3, 2)), 1e-6, NEEDS),
@@ -65,6 +66,17 @@ def test_regular_equations_are_solved_to_the_bits_of_numpy() -> None:
 def test_what_is_open_names_the_observation_that_is_missing(solved: Callable[[], object]) -> None:
     with pytest.raises(InputError, match=NEEDS):
         solved()
+
+
+@pytest.mark.parametrize("width", [1, 3, 12])
+def test_a_banded_factor_solves_as_a_dense_one_whatever_the_order(width: int) -> None:
+    random = np.random.default_rng(width)
+    root = np.tril(np.triu(random.normal(size=(12, 12)), 1 - width)) + 4 * np.eye(12)
+    order = random.permutation(12)
+    matrix = (root @ root.T)[np.ix_(order, order)]
+    factor = BandedFactor(csc_array(matrix), order, NEEDS)
+    for right in (random.normal(size=12), random.normal(size=(12, 3))):
+        np.testing.assert_allclose(factor.solve(right), np.linalg.solve(matrix, right), rtol=1e-10)
 
 
 def test_the_rank_that_was_found_is_told() -> None:
@@ -152,12 +164,12 @@ def names_what_is_missing(message: str) -> bool:
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("control", CONTROLS)
-@pytest.mark.parametrize("model", FITS)
+@pytest.mark.parametrize("model", MODELS)
 def test_a_fit_to_singular_control_is_finite_or_an_error(model: str, control: str) -> None:
     at = np.array([[500.0, 500.0]])
 
     def fitted() -> None:
-        found = FITS[model](*CONTROLS[control], footprint_px=51.0)
+        found = MODELS[model].fit(*CONTROLS[control], footprint_px=51.0)
         assert np.isfinite(found.correction.forward(at)).all()
         assert found.correction.inverse(at).shape == (1, 2)
 
