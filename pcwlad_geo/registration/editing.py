@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.execution.runner import one_blas_thread
 from pcwlad_geo.matching.matcher import margin_px, match_arrays
 from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.raster.grid import Window
@@ -18,16 +19,18 @@ from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.fitting import footprint_px, user_points
 from pcwlad_geo.registration.result import Pair
-from pcwlad_geo.tiepoints.table import TiePointTable, place
-from pcwlad_geo.tiepoints.writers import write_points
+from pcwlad_geo.tiepoints.table import joined, place
+from pcwlad_geo.tiepoints.writers import write_csv, write_points
 from pcwlad_geo.types import Float64, PathLike
 
 FAR_PX: Final = 1e7
 """Largest coordinate of a point in a file, px, either way."""
 AROUND_PX: Final = 48
-"""Distance from a place that a user shows up to which a corner is taken for it, matching-grid px."""
-RADIUS_PX: Final = 16
-"""Search radius around it, matching-grid px."""
+"""Distance from a place that a user shows up to which others are matched too, matching-grid px."""
+RADIUS_PX: Final = 16.0
+"""Distance from the two places shown within which a point is refined, matching-grid px."""
+MIN_SPACING_PX: Final = 3.0
+"""Two tie points do not lie nearer to each other in the reference, matching-grid px."""
 CANDIDATES: Final = 60
 """Number of corners tried around it, so that they can be checked against one another."""
 
@@ -40,9 +43,11 @@ class Trial:
     residual_px: Float64
     """(n, 2) observed minus model (col, row) of all points, on or off, target px."""
     rmse_px: float
-    """Radial, of the points that are on."""
+    """Radial, at the check points; at the points that are on where there are none."""
     points: int
     """Number of points that are on."""
+    checked: int
+    """Number of check points, which no fit uses."""
 
 
 class Editor:
@@ -53,7 +58,10 @@ class Editor:
         self.files: tuple[PathLike, ...] = (path, *(file.identity.path for file in pair.inputs))
         """What has been read: the tie points, and the files of both rasters."""
         with trusting(pair.settings.trust):
-            self.table, _, _ = user_points(path, pair.views)
+            given = user_points(path, pair.views)
+        self.table = given.table
+        self._roles = np.full(len(given.table), "fit", "<U8") if given.roles is None else given.roles
+        self._side = given.origin.window_px or pair.settings.window or MatchSettings().window
         self.off = np.flatnonzero(self.table.status == "rejected").tolist()
         """Rows that are off at first: those that the file disables or their neighbours contradict."""
 
@@ -63,27 +71,40 @@ class Editor:
         self.table = replace(self.table, residual_px=trial.residual_px)
         return trial
 
+    @one_blas_thread()
     def compare(self, model: str, off: Collection[int]) -> Trial:
         """Fit a model to all points but those `off`, numbered from 0 by their rows.
 
+        Check points and points beside them stay out of the fit, as they did before.
         Raises `InputError` if the model is unknown or the points do not determine it.
         """
-        if model not in FITS:
-            raise InputError(f"there is no model {model}: give one of {', '.join(FITS)}")
+        if model not in MODELS:
+            raise InputError(f"there is no model {model}: give one of {', '.join(MODELS)}")
         on = np.ones(len(self.table), dtype=bool)
         on[[index for index in off if 0 <= index < len(on)]] = False
-        table = self.table
+        table, fitted, check = self.table, on & (self._roles == "fit"), self._roles == "check"
         footprint = footprint_px(replace(table, status=np.where(on, "matched", "rejected")), self._window_px)
-        given = (table.predicted_px[on], table.target_px[on], table.covariance_px2[on])
-        correction = FITS[model](*given, footprint_px=footprint).correction
+        given = (table.predicted_px[fitted], table.target_px[fitted], table.covariance_px2[fitted])
+        correction = MODELS[model].fit(*given, footprint_px=footprint).correction
         residual = table.target_px - correction.forward(table.predicted_px)
-        return Trial(model, residual, float(np.sqrt((residual[on] ** 2).sum(axis=1).mean())), int(on.sum()))
+        judged = residual[check if check.any() else on]
+        rmse_px = float(np.sqrt((judged**2).sum(axis=1).mean()))
+        return Trial(model, residual, rmse_px, int(on.sum()), int(check.sum()))
 
-    def add(self, reference_xy: tuple[float, float], target_xy: tuple[float, float]) -> bool:
-        """Add a point near two places, each on its own map; return whether matching has refined it.
+    def add(
+        self,
+        reference_xy: tuple[float, float],
+        target_xy: tuple[float, float],
+        radius_px: float = RADIUS_PX,
+        gone: Collection[int] = (),
+    ) -> bool:
+        """Add a point at two places, each on its own map; return whether matching has refined it.
 
-        The place in the reference becomes that of the nearest corner that can be matched. Where there is
-        none, the point is as it was shown, with a sigma of a pixel.
+        The pixel shown in the reference is sought in the target, or else the nearest corner that no other
+        point is at, within `radius_px` (matching-grid px) of either place. Where there is none, the point is
+        as it was shown, with a sigma of a pixel. The map coordinates (x, y) are in the CRS of each raster;
+        `gone` are rows that were taken away, numbered from 0. Raises `InputError` where a point lies already,
+        or neither raster is.
         """
         views, far = self._pair.views, f"a point at {reference_xy}, {target_xy} lies nowhere near the images"
         if not np.isfinite([*reference_xy, *target_xy]).all():
@@ -94,45 +115,55 @@ class Editor:
         )
         if not np.abs(np.concatenate(given)).max() <= FAR_PX:
             raise InputError(far)
+        others = np.delete(self.table.reference_px, list(gone), axis=0)
+        taken_px = views.reference.from_file_px(others)
+        off_px = np.abs(taken_px - views.reference.from_file_px(given[0])).max(axis=1)
+        if (off_px < MIN_SPACING_PX).any():
+            raise InputError("there is a tie point already: move or delete that one")
         with trusting(self._pair.settings.trust):
-            found = self._refined(given[0], given[1])
+            found = self._refined(given[0], given[1], radius_px, taken_px)
         reference_px, target_px, covariance_px2, score = found or (
             given[0],
             given[1],
             np.eye(2)[None],
             np.ones(1),
         )
-        self.table = _joined(self.table, place(reference_px, target_px, covariance_px2, score, views))
+        self._roles = np.append(self._roles, "fit")
+        self.table = joined(self.table, place(reference_px, target_px, covariance_px2, score, views))
         return found is not None
 
-    def save(self, path: Path, off: Collection[int]) -> None:
-        """Write the points for the QGIS Georeferencer, those `off` not enabled."""
+    def save(self, path: Path, off: Collection[int], gone: Collection[int] = ()) -> None:
+        """Write the points but those `gone`; those `off` are not enabled.
+
+        The file is one of the QGIS Georeferencer, or by its name the CSV, which keeps their sigmas.
+        """
         status = np.full(len(self.table), "matched", dtype="<U8")
         status[list(off)] = "rejected"
-        target = self._pair.target
-        write_points(replace(self.table, status=status), path, target.georeferenced, target.grid)
+        left = np.delete(np.arange(len(status)), list(gone))
+        table, target = replace(self.table, status=status)[left], self._pair.target
+        if path.suffix == ".csv":
+            write_csv(table, path)
+        else:
+            write_points(table, path, target.georeferenced, target.grid)
 
     @property
     def _window_px(self) -> float:
         return self._side * float(file_px_per_px(self._pair.views.target)[0])
 
-    @property
-    def _side(self) -> int:
-        """Side of the matching window, matching-grid px."""
-        window = self._pair.settings.window
-        return window if isinstance(window, int) else MatchSettings().window
-
     def _refined(
-        self, reference_px: Float64, target_px: Float64
+        self, reference_px: Float64, target_px: Float64, radius_px: float, taken_px: Float64
     ) -> tuple[Float64, Float64, Float64, Float64] | None:
-        """Return positions in both files, covariance and score of the best corner near two file positions."""
+        """Return positions in both files, covariance and score of the match of two file positions.
+
+        The (n, 2) `taken_px` (col, row) of the reference view are those of other points.
+        """
         views, settings = self._pair.views, self._pair.settings
         matching = MatchSettings(
             method=settings.method,
             features=CANDIDATES,
             template=settings.template,
             window=self._side,
-            search_radius=RADIUS_PX,
+            search_radius=max(1, int(np.ceil(radius_px))),
         )
         reach = margin_px(matching) + AROUND_PX
         middles = (views.reference.from_file_px(reference_px)[0], views.target.from_file_px(target_px)[0])
@@ -150,11 +181,18 @@ class Editor:
                 reference_valid=patches[0].valid,
                 target_valid=patches[1].valid,
                 settings=matching,
+                also=np.array([[reach, reach]], dtype=np.intp),
             )
         except InputError:  # nothing to see there
             return None
-        far = np.abs(points.reference_xy_px + corners[0] - middles[0]).max(axis=1)
-        if len(far) == 0 or far.min() > AROUND_PX:
+        here, there = points.reference_xy_px + corners[0], points.target_xy_px + corners[1]
+        far = np.hypot(*(here - middles[0]).T)
+        moved = np.maximum(far, np.hypot(*(there - middles[1]).T))
+        occupied = np.array(
+            [(np.abs(taken_px - each).max(axis=1) < MIN_SPACING_PX).any() for each in here], bool
+        )
+        far[occupied | (moved > radius_px + 1)] = np.inf
+        if len(far) == 0 or np.isinf(far.min()):
             return None
         nearest = int(far.argmin())
         best = points[nearest : nearest + 1]
@@ -164,12 +202,3 @@ class Editor:
         )
         scale = float(file_px_per_px(views.target)[0])
         return *found_px, best.covariance_px2 * scale**2, best.score
-
-
-def _joined(table: TiePointTable, more: TiePointTable) -> TiePointTable:
-    fields: dict[str, Any] = {
-        name: np.concatenate([getattr(table, name), getattr(more, name)])
-        for name in TiePointTable.__dataclass_fields__
-        if name != "crs"
-    }
-    return TiePointTable(**fields, crs=table.crs)

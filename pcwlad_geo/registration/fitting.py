@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pcwlad_geo.correction.error_statistics import SIGMA_90, UNSURPRISING, Accuracy, Residuals, expected_ce90
-from pcwlad_geo.correction.fit import CANDIDATES
+from pcwlad_geo.correction.fit import CANDIDATES, of_option
 from pcwlad_geo.correction.models import Correction, JitterCorrection
 from pcwlad_geo.correction.points import agreement, hold_out
 from pcwlad_geo.correction.selection import Selection, choose
@@ -20,10 +20,12 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.registration.judge import Verdict
+from pcwlad_geo.raster.view import file_px_per_px
+from pcwlad_geo.registration.judge import Motion, Verdict, describe_motions
+from pcwlad_geo.text import read_json
 from pcwlad_geo.tiepoints.readers import read_tie_points
-from pcwlad_geo.tiepoints.table import TiePointTable
-from pcwlad_geo.types import Bool, Float64
+from pcwlad_geo.tiepoints.table import TiePointTable, joined
+from pcwlad_geo.types import Bool, Float64, Index
 
 SIGMA_PX: Final = 1.0
 """Taken for points without a sigma that are too few to tell."""
@@ -33,17 +35,82 @@ DENSE: Final = 100
 """From so many on, points are taken to come from overlapping matching windows; fewer were set one by one."""
 
 
-def user_points(path: Path | str, pair: ViewPair) -> tuple[TiePointTable, Verdict, dict[str, int]]:
+UNKNOWN_ORIGIN: Final = (
+    "nothing beside the file of tie points tells how they were found: whether they were chosen by their "
+    "residuals, and how large their own errors are, is not known, so that all figures may be too good"
+)
+"""Why tie points without a history make no good registration."""
+SAME_PX: Final = 0.002
+"""A point of a file that lies within this distance of one of a table, in both rasters, is that one."""
+GENERATIONS: Final = 16
+"""Largest number of registrations that are followed back to the one that has matched."""
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """What is known of the tie points of a file, beside their positions."""
+
+    folder: str | None = None
+    """Results of the matching that found them; null where nothing tells."""
+    left_out: Annotated[int, ("minimum", 0)] = 0
+    """Points which that matching had kept, and the file lacks or disables."""
+    added: Annotated[int, ("minimum", 0)] = 0
+    """Points that are not in its table, all where there is none."""
+    window_px: int | None = None
+    """Side of the window that it refined them with, matching-grid px; null where that is not known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GivenPoints:
+    """The tie points of a file, with what the registration that they come from knew of them."""
+
+    table: TiePointTable
+    """Status ``matched`` or ``rejected``; also check points that the file lacks."""
+    every: TiePointTable
+    """All points which that registration had, with its statuses, and those added; the same without one."""
+    roles: NDArray[np.str_] | None
+    """(n,) of the table's rows ``fit``, ``check`` or ``unused``; None where check points are to be chosen."""
+    verdict: Verdict
+    counts: dict[str, int]
+    origin: Origin
+    motions: tuple[Motion, ...] = ()
+    jitter_px: float = 0.0
+
+
+def user_points(path: Path | str, pair: ViewPair) -> GivenPoints:
     """Return the tie points of a file, those that their neighbours contradict ``rejected``.
 
-    Points without a sigma get the one that their agreement with their neighbours shows. Raises `InputError`
-    if the file cannot be read, is of another pair, or its points mirror the target.
+    Points that the table of a registration in the same folder has too keep what they were there: their sigma,
+    and whether they are check points. Others without a sigma get the one that their agreement with their
+    neighbours shows. Raises `InputError` if the file cannot be read, is of another pair, or its points mirror
+    the target.
     """
     table = read_tie_points(path, pair)
     enabled = np.flatnonzero(table.status == "matched")
     counts = {"in_the_file": len(table), "switched_off": len(table) - len(enabled)}
     if len(enabled) == 0:
         raise InputError(f"{path}: all {len(table)} points are switched off: enable some")
+    earlier = _earlier(path, pair)
+    row_of = None if earlier is None else _rows_of(table, earlier.table)
+    if earlier is not None and row_of is not None:
+        known = row_of >= 0
+        covariance_px2, score = table.covariance_px2.copy(), table.score.copy()
+        covariance_px2[known] = earlier.table.covariance_px2[row_of[known]]
+        score[known] = earlier.table.score[row_of[known]]
+        table = replace(table, covariance_px2=covariance_px2, score=score)
+    table, reason = _contradicted(path, table, enabled, known_origin=row_of is not None)
+    kept = int(np.count_nonzero(table.status == "matched"))
+    counts |= {"inconsistent": len(enabled) - kept, "tie_points": kept}
+    verdict = Verdict(reason is None, reason, 0, 0, 0.0)
+    if earlier is None or row_of is None:
+        return GivenPoints(table, table, None, verdict, counts, Origin(added=len(table)))
+    return _with_history(GivenPoints(table, table, None, verdict, counts, Origin()), earlier, row_of, pair)
+
+
+def _contradicted(
+    path: Path | str, table: TiePointTable, enabled: Index, *, known_origin: bool
+) -> tuple[TiePointTable, str | None]:
+    """Reject points that their neighbours contradict, complete the sigmas, and tell why none can be used."""
     found = agreement(
         table.predicted_px[enabled], table.target_px[enabled], np.hypot(*table.sigma_px[enabled].T)
     )
@@ -53,28 +120,114 @@ def user_points(path: Path | str, pair: ViewPair) -> tuple[TiePointTable, Verdic
         )
     status = table.status.copy()
     status[enabled[~found.kept]] = "rejected"
-    kept = status == "matched"
-    counts |= {"inconsistent": int((~found.kept).sum()), "tie_points": int(kept.sum())}
     reason = None
     if found.unexplained > MAX_UNEXPLAINED:
         reason = (
             f"the {len(enabled)} points of {path} describe no common displacement (they scatter "
             f"by {found.unexplained:.0%} of their spread): check their columns, and whose they are"
         )
-    verdict = Verdict(reason is None, reason, 0, 0, 0.0)
-    sigma_px = SIGMA_PX if np.isnan(found.sigma_px) else found.sigma_px
     known = np.asarray(np.isfinite(table.covariance_px2).all(axis=(1, 2), keepdims=True))
+    sigma_px = SIGMA_PX if np.isnan(found.sigma_px) else found.sigma_px
+    if known_origin and known.any():  # a point set by hand is no better than one that was matched
+        variances_px2 = np.diagonal(table.covariance_px2[known.ravel()], axis1=1, axis2=2)
+        sigma_px = max(sigma_px, float(np.sqrt(variances_px2.mean())))
     covariance_px2 = np.where(known, table.covariance_px2, sigma_px**2 * np.eye(2))
-    return replace(table, status=status, covariance_px2=covariance_px2), verdict, counts
+    return replace(table, status=status, covariance_px2=covariance_px2), reason
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Earlier:
+    """The registration that a file of tie points comes from."""
+
+    folder: Path
+    table: TiePointTable
+    """With its own statuses."""
+    window_px: int | None
+    motions: tuple[Motion, ...]
+    jitter_px: float
+
+
+def _earlier(path: Path | str, pair: ViewPair) -> _Earlier | None:
+    """Return the matching whose results lie in the folder of a file; None where there is none of this pair.
+
+    Points that were given to a registration, too, are followed back to the one that has matched them.
+    """
+    folder = Path(path).absolute().parent
+    for _ in range(GENERATIONS):
+        try:
+            report = read_json(folder / "report.json")
+            given = report["settings"].get("tie_points")
+            if given is not None:
+                folder = Path(given).absolute().parent
+                continue
+            window_px, counts = report["window_px"], dict(report["tie_points"])
+            motions = tuple(Motion(**each) for each in report["motions"])
+            describe_motions(motions, taken=True)  # fails where a value is of a wrong type
+            table = _table_of(folder, counts, pair)
+            window_px = None if window_px is None else int(window_px)
+            jitter_px = float(report["jitter_px"])
+            return None if table is None else _Earlier(folder, table, window_px, motions, jitter_px)
+        except (OSError, InputError, KeyError, TypeError, ValueError, AttributeError):
+            return None
+    return None
+
+
+def _table_of(folder: Path, counts: dict[str, object], pair: ViewPair) -> TiePointTable | None:
+    """Return the tie points of a folder as its report counts them; None where they were changed."""
+    for name in ("tiepoints.csv", "tiepoints.gpkg"):
+        if not (folder / name).is_file():
+            continue
+        table = read_tie_points(folder / name, pair, as_stated=True)
+        found = {status: np.count_nonzero(table.status == status) for status in counts}
+        if {**found, "total": len(table)} == counts:
+            return table
+    return None
+
+
+def _rows_of(table: TiePointTable, earlier: TiePointTable) -> Index | None:
+    """Return the (n,) row of each point in the earlier table, -1 where it is in none; None if most are."""
+    tree = cKDTree(np.hstack([earlier.reference_px, earlier.target_px]))
+    distance, row = tree.query(np.hstack([table.reference_px, table.target_px]))
+    same = distance <= SAME_PX
+    return np.where(same, row, -1) if 2 * np.count_nonzero(same) >= len(table) else None
+
+
+def _with_history(given: GivenPoints, earlier: _Earlier, row_of: Index, pair: ViewPair) -> GivenPoints:
+    """Return points with the roles that they had, and all others that were known of."""
+    before, table = earlier.table, given.table
+    window_px = float(earlier.window_px or 0) * float(file_px_per_px(pair.target)[0])
+    roles = before.status.astype("<U8")
+    matched = np.flatnonzero(roles == "matched")  # by the command match: divided as its fit would have been
+    roles[matched] = hold_out(before.predicted_px[matched], window_px)
+    known = np.flatnonzero(row_of >= 0)
+    on = np.zeros(len(before), bool)
+    on[row_of[known]] = table.status[known] == "matched"
+    missing = np.flatnonzero(roles == "check")
+    missing = missing[~np.isin(missing, row_of)]
+    role_of = np.full(len(table), "fit", dtype="<U8")
+    role_of[known] = roles[row_of[known]]
+    role_of[role_of == "rejected"] = "fit"  # who knows better has switched it on
+    statuses = np.where(before.status == "rejected", "rejected", "matched").astype("<U8")
+    before = replace(before, status=statuses)
+    return replace(
+        given,
+        table=joined(table, before[missing]),
+        every=joined(before, table[row_of < 0]),
+        roles=np.concatenate([role_of, roles[missing]]) if (roles == "check").any() else None,
+        origin=Origin(
+            str(earlier.folder),
+            int(np.count_nonzero((statuses == "matched") & ~on)),
+            int(np.count_nonzero(row_of < 0)),
+            earlier.window_px,
+        ),
+        motions=earlier.motions,
+        jitter_px=earlier.jitter_px,
+    )
 
 
 def footprint_px(table: TiePointTable, window_px: float) -> float:
     """Return the side of the window that neighbouring points share, target px; 0 for a few set by hand."""
     return window_px if np.count_nonzero(table.status == "matched") >= DENSE else 0.0
-
-
-ORDERS: Mapping[str, tuple[str, ...]] = MappingProxyType({"polynomial": ("polynomial2", "polynomial3")})
-"""Candidates of the option that leaves the order open."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +270,7 @@ def fit_correction(
     candidates: tuple[str, ...] = CANDIDATES,
     smooth: Bool | None = None,
     perspective: bool = False,
+    roles: NDArray[np.str_] | None = None,
 ) -> Fitted:
     """Fit a correction to the matched points of a table.
 
@@ -136,15 +290,20 @@ def fit_correction(
         The rows that are fitted and checked; other matched ones are ``unused``. By default all are.
     perspective : bool
         Whether both rasters are frames of a camera, see `selection.choose`.
+    roles : (n,) array of str, optional
+        What earlier fits used the rows for: check points stay so, also ``rejected`` ones.
     """
     status = table.status.astype("<U8")
     if smooth is not None:
         status[(status == "matched") & ~smooth] = "unused"
     matched = np.flatnonzero(status == "matched")
-    status[matched] = hold_out(table.predicted_px[matched], footprint_px)
+    if roles is None:
+        status[matched] = hold_out(table.predicted_px[matched], footprint_px)
+    else:
+        status[matched] = roles[matched]
+        status[roles == "check"] = "check"
     fit_points = table[status == "fit"]
-    named = ORDERS.get(settings.model, (settings.model,))
-    models = candidates if settings.model in ("auto", "rpc") else named
+    models = candidates if settings.model in ("auto", "rpc") else of_option(settings.model)
     selection = choose(
         fit_points.predicted_px,
         fit_points.target_px,
@@ -221,11 +380,14 @@ class Quality:
     reasons: tuple[Reason, ...]
     """Why it is not good; empty if it is."""
     expected_ce90_px: float
-    """Error within which 90 % of the common ground is expected to lie in the corrected raster, target px."""
+    """Error within which 90 % of the common ground is expected to lie in the corrected raster, target px; of
+    the part that an extent or a mask leaves where there is one."""
     extrapolated_share: float
-    """Share of the common ground that lies beyond the tie points."""
+    """Share of that ground that lies beyond the tie points."""
     kept_share: float
     """Share of the matches that agree with their neighbours."""
+    whole: tuple[float, float] | None = None
+    """Both figures for all common ground, where an extent or a mask leaves a part of it out."""
 
     def at_most(self, grade: Grade, text: str) -> Quality:
         """Return the quality with one more reason why it is not good."""
@@ -269,6 +431,8 @@ def assess(
     places_px: Float64,
     footprint_px: float,
     jitter_px: float = 0.0,
+    whole_px: Float64 | None = None,
+    of_all: Selection | None = None,
 ) -> Quality:
     """Grade a registration.
 
@@ -287,6 +451,11 @@ def assess(
         Side of the matching window, target px.
     jitter_px : float
         By how much rows and columns move within it, RMS, target px.
+    whole_px : (k, 2) array of float, optional
+        The like of `places_px`, where these are a part of the common ground.
+    of_all : Selection, optional
+        The same model, fitted to all matches, where some were left out: the residuals of chosen points tell
+        too small an error, which is that of this one and the difference of the two at least.
     """
     if len(places_px) == 0:
         places_px = matches.predicted_px
@@ -295,8 +464,21 @@ def assess(
     if isinstance(correction, JitterCorrection):
         jitter_px = max(0.0, jitter_px**2 - correction.variance_px2) ** 0.5
     kept = matches.status != "rejected"
-    residuals = Residuals(matches.predicted_px, left_px, kept, matches.sigma_px)
-    expected_px = expected_ce90(selection, residuals, places_px, footprint_px, jitter_px)
+
+    def expected(at_px: Float64) -> float:
+        def told(by: Selection, residual_px: Float64) -> float:
+            residuals = Residuals(matches.predicted_px, residual_px, kept, matches.sigma_px)
+            return expected_ce90(by, residuals, at_px, footprint_px, jitter_px)
+
+        of_these = told(selection, left_px)
+        if of_all is None:
+            return of_these
+        whole = of_all.fit.correction
+        of_others = told(of_all, matches.target_px - whole.forward(matches.predicted_px))
+        apart_px = np.hypot(*(correction.forward(at_px) - whole.forward(at_px)).T)
+        return max(of_these, float(np.hypot(of_others, np.percentile(apart_px, 90))))
+
+    expected_px = expected(places_px)
     extrapolated = float(selection.extrapolated(places_px).mean())
     reasons = (
         *_inaccurate(expected_px, selection.name, jitter_px),
@@ -306,7 +488,10 @@ def assess(
     )
     worst_first = tuple(sorted(reasons, key=lambda reason: GRADES.index(reason.grade)))
     grade: Grade = worst_first[0].grade if worst_first else "good"
-    return Quality(grade, worst_first, expected_px, extrapolated, float(kept.mean()))
+    whole = None
+    if whole_px is not None:
+        whole = expected(whole_px), float(selection.extrapolated(whole_px).mean())
+    return Quality(grade, worst_first, expected_px, extrapolated, float(kept.mean()), whole)
 
 
 def shared_residual_px(table: TiePointTable, footprint_px: float) -> float:
@@ -343,16 +528,10 @@ def _typical_sigma_px(points: TiePointTable) -> float:
 
 
 def displaced_otherwise(left_px: Float64, matches: int) -> Iterator[Reason]:
-    """Yield a reason where many rejected matches agree on one other displacement.
+    """Yield a reason where many rejected matches, of all `matches`, agree on one other displacement.
 
     It may be that of a tenth of the ground, in parts smaller than a window, in which some matches find it.
-
-    Parameters
-    ----------
-    left_px : (n, 2) array
-        What the correction leaves of the rejected matches, target px.
-    matches : int
-        Number of all matches.
+    The (n, 2) `left_px` are what the correction leaves of the rejected ones, target px.
     """
     far_px = left_px[np.hypot(*left_px.T) > 2 * ALIKE_PX]
     if len(far_px) < OTHERWISE * matches:

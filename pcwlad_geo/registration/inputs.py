@@ -23,7 +23,7 @@ from pcwlad_geo.raster.matching_grid import share_plane
 from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_lattice
 from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.rpc.view import ground_grid
+from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
 from pcwlad_geo.registration.rpc import place_reference, place_target
 from pcwlad_geo.types import PathLike
@@ -119,7 +119,7 @@ def identify_inputs(inputs: Inputs) -> tuple[InputFile, ...]:
     return tuple(
         InputFile(role, identity)
         for role, uri in read
-        for identity in identify(uri, raster=role != "tie_points")
+        for identity in identify(uri, raster=role not in ("tie_points", "aoi", "exclude"))
     )
 
 
@@ -154,7 +154,7 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
     return _Side(band.opened_as(), band.uri, changes, product.notes(given is not None), product)
 
 
-BEYOND = 1.0
+MAX_OFF = 1.0
 """Largest distance of a target from the position of its georeferencing, as a share of its size."""
 
 
@@ -248,7 +248,7 @@ def check_placed(request: GridRequest, georeferenced: Mapping[str, bool], refere
 def check_near(request: GridRequest, reference: Grid, target: Grid) -> None:
     """Raise an error if the grid of `request` lies far from the position of `target` by its georeferencing.
 
-    Raises `InputError` if the distance is more than `BEYOND` times the size of the target. `reference` gives
+    Raises `InputError` if the distance is more than `MAX_OFF` times the size of the target. `reference` gives
     the alignment.
     """
     grid, place = request.fixed(reference), output_lattice(reference, request)
@@ -259,4 +259,4 @@ def check_near(request: GridRequest, reference: Grid, target: Grid) -> None:
         one = ((right - left, 0.0), (0.0, bottom - top))
         grid = place.resampled_grid(one, (left, top), (1, 1))
     if grid is not None:
-        check_covered(grid, target.to_xy(target.boundary_px()), target.crs, beyond=BEYOND)
+        check_covered(grid, target.to_xy(target.boundary_px()), target.crs, tolerance=MAX_OFF)

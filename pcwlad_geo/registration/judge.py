@@ -19,8 +19,11 @@ MIN_POINTS: Final = 12
 """Least number of consistent tie points of an accepted pair."""
 MIN_CELLS: Final = 4
 """Least number of separate cells that must agree in an accepted pair."""
+APART_WINDOWS: Final = 0.5
+"""Distance along an axis from which matches count as independent evidence, in window sides: of radar over
+optical two wrong poses, each of three clusters, had 0.2 and 2.0 by it, and the right ones 11.5 and 14."""
 CELL_PER_WINDOW: Final = 0.75
-"""Side of the cells that count as independent witnesses, in window sides."""
+"""Side of the cells in which several motions of an accepted pair are told apart, in window sides."""
 AGREE_PX: Final = 2.0
 """Largest distance of a cell's displacement from the common one with which it agrees."""
 MIN_SIGNIFICANCE: Final = 6.0
@@ -75,7 +78,7 @@ class Motion:
         col, row = self.displacement_px
         return f"({col:+.1f}, {row:+.1f}) px by {self.points} points in {self.places} separate places"
 
-    def odds(self, error_px: float | None) -> float:
+    def evidence(self, error_px: float | None) -> float:
         """Return how much speaks for it, where a georeferencing errs by so much, if there is one."""
         far = np.hypot(*self.displacement_px) / error_px if error_px else 0.0
         return float(self.places / (1 + far**2))
@@ -115,7 +118,7 @@ def judge(
     start, see `Prealignment.net_evidence`, counts if the points say something themselves.
     """
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
-    cells, agreeing, found = _best_witnesses(matches, kept, CELL_PER_WINDOW * window_px, share)
+    cells, agreeing, found = _best_agreement(matches, kept, APART_WINDOWS * window_px, share)
     # the common displacement is the best of 1 / share different ones
     significance = max(0.0, found + float(np.log10(share)))
     enough = kept.sum() >= MIN_POINTS and agreeing >= MIN_CELLS
@@ -135,8 +138,8 @@ def judge(
     return Verdict(False, by_chance, cells, agreeing, significance, beyond)
 
 
-def _best_witnesses(matches: TiePoints, kept: Bool, cell_px: float, share: float) -> tuple[int, int, float]:
-    """Count cells with matches, and those that agree with the common displacement, which may be a plane.
+def _best_agreement(matches: TiePoints, kept: Bool, apart_px: float, share: float) -> tuple[int, int, float]:
+    """Count places with matches, and those that agree with the common displacement, which may be a plane.
 
     The third value is -log10 of the probability that as many agree by chance with the better of the two.
     """
@@ -144,24 +147,42 @@ def _best_witnesses(matches: TiePoints, kept: Bool, cell_px: float, share: float
         return 0, 0, 0.0
     chance = min(0.5, CHANCE_FACTOR * share)
     middle_px = np.median(matches.displacement_px[kept if kept.any() else slice(None)], axis=0)
-    cells, agreeing = _witnesses(matches, middle_px, cell_px)
+    place_of = _places(matches, apart_px)
+    cells, agreeing = _agreement(matches, middle_px, place_of)
     level = cells, agreeing, evidence_against_chance(agreeing, cells, chance)
     if kept.sum() < 3 * MIN_POINTS:
         return level
     plane_px, planes = _common_plane(matches, kept)
-    cells, agreeing = _witnesses(matches, plane_px, cell_px)
+    cells, agreeing = _agreement(matches, plane_px, place_of)
     tilted = cells, agreeing, evidence_against_chance(agreeing, cells, chance) - float(np.log10(planes))
     cells, agreeing, found = max(level, tilted, key=lambda each: each[2])
     return cells, agreeing, found - float(np.log10(2))
 
 
-def _witnesses(matches: TiePoints, common_px: Float64, cell_px: float) -> tuple[int, int]:
-    """Count cells with matches, and those whose typical match agrees with a (2,) or (n, 2) displacement."""
-    cell_of = _cells(matches, cell_px)
+def _agreement(matches: TiePoints, common_px: Float64, place_of: Index) -> tuple[int, int]:
+    """Count places with matches, and those whose typical match agrees with a (2,) or (n, 2) displacement."""
     agrees = np.linalg.norm(matches.displacement_px - common_px, axis=1) < AGREE_PX
-    total = np.bincount(cell_of)
-    share = np.bincount(cell_of, weights=agrees) / total
+    total = np.bincount(place_of)
+    share = np.bincount(place_of, weights=agrees) / total
     return len(total), int((share >= 0.5).sum())
+
+
+def _places(matches: TiePoints, apart_px: float) -> Index:
+    """Return the (n,) number of the place of each match; the middles of places lie `apart_px` apart.
+
+    The densest come first, so that a cluster, whose windows show the same pixels, is one place: cells of a
+    fixed grid cut clusters, and three clusters of chance, through which there is always a plane, counted as
+    nine cells that agree.
+    """
+    xy = matches.reference_xy_px
+    tree = cKDTree(xy)
+    around = tree.query_ball_point(xy, apart_px / 2, p=np.inf, return_length=True)
+    free, middles = np.ones(len(xy), bool), []
+    for index in np.argsort(-around, kind="stable").tolist():
+        if free[index]:
+            middles.append(index)
+            free[tree.query_ball_point(xy[index], apart_px, p=np.inf)] = False
+    return np.asarray(cKDTree(xy[middles]).query(xy, p=np.inf)[1], np.intp)
 
 
 def _cells(matches: TiePoints, cell_px: float) -> Index:
@@ -218,7 +239,7 @@ def motions_of(
             break
         col, row = np.median(moved[near], axis=0).tolist()
         motion = Motion((col, row), int(near.sum()), float(near.mean()), places, significance)
-        if all(_apart(moved, motion, other) for other, _ in found):
+        if all(_are_distinct(moved, motion, other) for other, _ in found):
             found.append((motion, near))
     return found
 
@@ -232,23 +253,23 @@ def other_displacement(matches: TiePoints, kept: Bool) -> tuple[Float64, Bool] |
     if len(off) < MIN_REJECTED or not kept.any():
         return None
     xy, moved = matches.reference_xy_px, matches.displacement_px
-    beside = moved[off] - moved[kept][cKDTree(xy[kept]).query(xy[off])[1]]
-    far = np.hypot(*beside.T) > AGREE_PX
+    offset = moved[off] - moved[kept][cKDTree(xy[kept]).query(xy[off])[1]]
+    far = np.hypot(*offset.T) > AGREE_PX
     if far.sum() < MIN_REJECTED:
         return None
-    middle_px, count = _most_frequent(beside[far])
+    middle_px, count = _most_frequent(offset[far])
     near = np.zeros(len(kept), bool)
-    near[off[np.linalg.norm(beside - middle_px, axis=1) < AGREE_PX]] = True
+    near[off[np.linalg.norm(offset - middle_px, axis=1) < AGREE_PX]] = True
     return (middle_px, near) if count >= MIN_REJECTED else None
 
 
-def share_displaced(beside_px: Float64, other_px: Float64) -> float:
+def share_displaced(best_fit_px: Float64, other_px: Float64) -> float:
     """Return the share of the points at whose surroundings another displacement fits, beyond chance.
 
-    It is the (2,) `other_px` (col, row) beside the points' own. The (n, 2) `beside_px` (col, row) are what
-    fits best there beside these, see `matcher.seen_by_surroundings`; NaN where nothing is known.
+    It is the (2,) `other_px` (col, row) beside the points' own. The (n, 2) `best_fit_px` (col, row) are what
+    fits best there beside these, see `matcher.displacement_by_surroundings`; NaN where nothing is known.
     """
-    known = beside_px[np.isfinite(beside_px).all(axis=1)]
+    known = best_fit_px[np.isfinite(best_fit_px).all(axis=1)]
     if len(known) < MIN_POINTS:
         return 0.0
     other = float((np.linalg.norm(known - other_px, axis=1) < AGREE_PX).mean())
@@ -282,13 +303,13 @@ def _most_frequent(moved: Float64) -> tuple[Float64, int]:
     return np.median(around, axis=0), int(count.max())
 
 
-def _apart(moved: Float64, one: Motion, other: Motion) -> bool:
+def _are_distinct(moved: Float64, one: Motion, other: Motion) -> bool:
     """Whether hardly any match lies halfway between two motions."""
     begin = np.asarray(other.displacement_px)
     way = np.asarray(one.displacement_px) - begin
     along = (moved - begin) @ way / (way @ way)
-    aside = np.linalg.norm(moved - begin - along[:, None] * way, axis=1)
-    halfway = (np.abs(along - 0.5) < 1 / 6) & (aside < AGREE_PX)
+    across = np.linalg.norm(moved - begin - along[:, None] * way, axis=1)
+    halfway = (np.abs(along - 0.5) < 1 / 6) & (across < AGREE_PX)
     return bool(halfway.sum() <= BETWEEN * min(one.points, other.points))
 
 
@@ -304,12 +325,16 @@ def motion_of_the_ground(
     if not motions:
         return [], None, None
     usual = max(motions, key=lambda each: np.count_nonzero(each[1] & kept))
-    likely = sorted(motions, key=lambda each: -each[0].odds(error_px))
-    odds = [motion.odds(error_px) for motion, _ in likely]
-    least = CLEARER * max(odds[1:], default=0.0) if likely[0] is usual else DECISIVE * usual[0].odds(error_px)
+    likely = sorted(motions, key=lambda each: -each[0].evidence(error_px))
+    evidence = [motion.evidence(error_px) for motion, _ in likely]
+    least = (
+        CLEARER * max(evidence[1:], default=0.0)
+        if likely[0] is usual
+        else DECISIVE * usual[0].evidence(error_px)
+    )
     best, reason = likely[0][0], None
-    if odds[0] < least:
-        reason = told_of([motion for motion, _ in likely], taken=False)
+    if evidence[0] < least:
+        reason = describe_motions([motion for motion, _ in likely], taken=False)
     elif error_px and of_one_product and np.hypot(*best.displacement_px) > IMPOSSIBLE * error_px:
         reason = (
             f"bands of a product lie within metres of each other, and the matches agree on {best}, probably "
@@ -318,18 +343,18 @@ def motion_of_the_ground(
     return likely, usual, reason
 
 
-def told_of(motions: Sequence[Motion], taken: bool) -> str:
+def describe_motions(motions: Sequence[Motion], taken: bool) -> str:
     """Return what is told of a pair of several motions: that the first was taken, or why it is refused."""
     each = "; ".join(map(str, motions))
-    seen = f"the matches agree on {len(motions)} different displacements ({each})"
+    message = f"the matches agree on {len(motions)} different displacements ({each})"
     if taken:
         return (
-            f"{seen}: the first was taken for that of the ground, the rest for clouds, what else moves or "
+            f"{message}: the first was taken for that of the ground, the rest for clouds, what else moves or "
             "lies at another depth; there the correction does not hold"
         )
     return (
-        f"{seen}, and nothing tells which is that of the ground: give a mask (--ref-mask, --tgt-mask) with 0 "
-        "on clouds and what else moves, or --prealign georef with a small --search-radius"
+        f"{message}, and nothing tells which is that of the ground: give a mask (--ref-mask, --tgt-mask) "
+        "with 0 on clouds and what else moves, or --prealign georef with a small --search-radius"
     )
 
 

@@ -262,22 +262,11 @@ def plan(
     """Decide which windows of the overlap are matched.
 
     A scene of one tile is matched whole, as is one of which all points are wanted; where they are wanted
-    dense, with one candidate of every square of a quarter of a window. Otherwise as many
-    candidates as the points need are spread over tiles that cover the scene, or over small windows,
-    whichever has fewer pixels to filter.
-
-    Parameters
-    ----------
-    pair : ViewPair
-        Both bands on the matching grid.
-    overviews : Overviews
-        Overviews of both bands.
-    target_offset_px : (int, int)
-        (col, row) from reference view to target view, pre-alignment included.
-    matching : MatchSettings
-        Its `features_area_px2` is the usable area; the plan replaces the number and spread of candidates.
-    settings : Settings
-        Its `points`, `features` and `tile_size` are used.
+    dense, with one candidate of every square of a quarter of a window. Otherwise as many candidates as the
+    points need are spread over tiles that cover the scene, or over small windows, whichever has fewer pixels
+    to filter. The `target_offset_px` (col, row) leads from reference view to target view, pre-alignment
+    included. The usable area is `features_area_px2` of `matching`, whose number and spread of candidates the
+    plan replaces; `points`, `features` and `tile_size` are those of `settings`.
     """
     region = common_region(pair, target_offset_px)
     area = matching.features_area_px2 or float(max(region.area_px2, 1))

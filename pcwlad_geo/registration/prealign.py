@@ -122,7 +122,7 @@ class Prealignment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Start:
+class StartingAlignment:
     """What the matching may start from: an alignment, and the views that it is of."""
 
     prealignment: Prealignment
@@ -184,14 +184,8 @@ def by_search(
 ) -> tuple[Prealignment | None, SearchResult]:
     """Search the shift on the overviews; the alignment is None if no shift is accepted.
 
-    Parameters
-    ----------
-    pair : ViewPair
-        Both bands on the matching grid.
-    overviews : Overviews
-        Their overviews.
-    search_radius : int, optional
-        Radius of the coarse match afterwards; by default it follows from the precision of the search.
+    The radius of the coarse match afterwards, `search_radius`, follows by default from the precision of the
+    search.
     """
     found = search_shift(
         overviews.reference.values.astype(np.float64),
@@ -208,17 +202,12 @@ def by_search(
     return Prealignment("search", (float(shift[0]), float(shift[1])), radius), found
 
 
-def by_pose_search(pair: ViewPair, overviews: Overviews, search_radius: int | None) -> Start | None:
-    """Search the pose on the overviews; None if no pose is accepted.
+def by_pose_search(
+    pair: ViewPair, overviews: Overviews, search_radius: int | None, threads: int = 1
+) -> StartingAlignment | None:
+    """Search the pose on the overviews, with `search_radius` as for `by_search`; None if none is accepted.
 
-    Parameters
-    ----------
-    pair : ViewPair
-        Both bands on the matching grid.
-    overviews : Overviews
-        Their overviews.
-    search_radius : int, optional
-        Radius of the coarse match afterwards; by default it follows from the precision of the search.
+    The `threads` share the search.
     """
     expected, _ = expected_scale(pair.reference.info.camera, pair.target.info.camera)
     if expected is None or pair.georeferenced:
@@ -234,6 +223,8 @@ def by_pose_search(pair: ViewPair, overviews: Overviews, search_radius: int | No
         reference.valid,
         target.valid,
         scales=(SCALES[0] * by_px, SCALES[1] * by_px),
+        stretched=not pair.georeferenced,  # a geotransform that errs is seldom stretched
+        threads=threads,
     )
     if found is None or not found.accepted:
         return None
@@ -266,23 +257,14 @@ def _overviews_of_each(pair: ViewPair) -> tuple[tuple[Patch, Patch], tuple[float
     return (reference, target), (factors[0], factors[1])
 
 
-def posed_start(pair: ViewPair, matrix: Float64, search_radius_px: int, evidence: float = 0.0) -> Start:
+def posed_start(
+    pair: ViewPair, matrix: Float64, search_radius_px: int, evidence: float = 0.0
+) -> StartingAlignment:
     """Return a start from a pose, the target placed by it and both on a new matching grid.
 
-    Parameters
-    ----------
-    pair : ViewPair
-        Of two rasters with plain geotransforms, or none.
-    matrix : (3, 3) array
-        Target-view px = matrix · reference-view px, corner-based (col, row).
-    search_radius_px : int
-    evidence : float
-        See `Prealignment`.
-
-    Raises
-    ------
-    InputError
-        If the two do not overlap in this pose, or an overview cannot be read.
+    The rasters of the pair have plain geotransforms, or none. Target-view px are the (3, 3) `matrix` times
+    reference-view px, corner-based (col, row); for the `evidence` see `Prealignment`. Raises `InputError` if
+    the two do not overlap in this pose, or an overview cannot be read.
     """
     reference, target = pair.reference.info, pair.target.info
     grid = _posed_grid(target.grid, pair, matrix)
@@ -295,7 +277,7 @@ def posed_start(pair: ViewPair, matrix: Float64, search_radius_px: int, evidence
     views = plan_views(replace(reference, georeferenced=True), placed)
     pose = Pose.of(_between(reference.grid, grid), reference.grid.shape)
     start = Prealignment("pose", (0.0, 0.0), search_radius_px, True, pose, evidence)
-    return Start(start, views, read_overviews(views))
+    return StartingAlignment(start, views, read_overviews(views))
 
 
 def _posed_grid(grid: Grid, pair: ViewPair, matrix: Float64) -> Grid:
@@ -413,23 +395,12 @@ def load_start_matcher(name: str) -> StartMatcher:
 
 def proposed_start(
     pair: ViewPair, matcher: StartMatcher, name: str, search_radius: int | None
-) -> Start | None:
+) -> StartingAlignment | None:
     """Return a start from what a matcher finds in both images; None if that is no common transformation.
 
-    Parameters
-    ----------
-    pair : ViewPair
-        Of two rasters with plain geotransforms, or none.
-    matcher : StartMatcher
-    name : str
-        Of the matcher, for messages.
-    search_radius : int, optional
-        Radius of the coarse match afterwards; by default it follows from the size of the images given.
-
-    Raises
-    ------
-    InputError
-        If the matcher fails or returns something else, or a raster cannot be read.
+    The rasters of the pair have plain geotransforms, or none; `name` is that of the matcher, for messages.
+    The radius of the coarse match afterwards, `search_radius`, follows by default from the size of the images
+    given. Raises `InputError` if the matcher fails or returns something else, or a raster cannot be read.
     """
     decimated = [view.read_decimated(SIDE_PX) for view in (pair.reference, pair.target)]
     reference_xy, target_xy = _found(matcher, name, [_grey(patch) for patch, _ in decimated])
@@ -459,7 +430,9 @@ def _found(
     try:
         reference_xy, target_xy = matcher(*images)
         points = [np.asarray(xy, np.float64).reshape(-1, 2) for xy in (reference_xy, target_xy)]
-    except (Exception, SystemExit) as error:  # whatever a stranger's function raises
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a stranger's function raises, also to end a loop
         raise InputError(
             f"the start matcher {name} failed: {type(error).__name__}: {error}; it takes two images and "
             "returns two (n, 2) arrays"

@@ -12,19 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.dense import positions
-from pcwlad_geo.correction.error_statistics import Accuracy
+from pcwlad_geo.correction.error_statistics import Accuracy, Proof
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.epipolar import EpipolarGeometry, plane_residual_px
+from pcwlad_geo.matching.guidance import Scales
 from pcwlad_geo.matching.keypoints import Candidates
 from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.rpc.view import RpcPlacement
+from pcwlad_geo.raster.rpc.ortho import RpcPlacement
 from pcwlad_geo.raster.source import RasterInfo, file_name, has_quick_overview
-from pcwlad_geo.registration.fitting import Quality
+from pcwlad_geo.registration.fitting import Origin, Quality
 from pcwlad_geo.registration.inputs import InputFile
 from pcwlad_geo.registration.judge import Motion, Verdict
 from pcwlad_geo.registration.planning import MIN_TEXTURE, texture_of
@@ -86,16 +87,9 @@ def record_matching(
 ) -> MatchRecord:
     """Record the first pass of a scene.
 
-    Parameters
-    ----------
-    overviews : Overviews
-        Overviews of both bands.
-    target_offset_px : (int, int)
-        (col, row) from reference view to target view, pre-alignment included.
-    without_structure : sequence of Window
-        Parts of the reference view without a tile, for want of structure.
-    jobs, results : sequences of TileJob, TileResult
-        Of the same order.
+    The `target_offset_px` (col, row) leads from reference view to target view, pre-alignment included;
+    `without_structure` are parts of the reference view without a tile. The results are in the order of the
+    jobs.
     """
     side = max(settings.template, settings.window)  # of the first pass
     contents = [
@@ -256,7 +250,7 @@ def _rms(values: Float64) -> float:
     return float(np.sqrt((values**2).mean()))
 
 
-Status = Literal["registered", "rejected", "matched"]
+RegistrationStatus = Literal["registered", "rejected", "matched"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -347,6 +341,14 @@ class Matches:
     """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
     jitter_px: float = 0.0
     """By how much rows and columns move within a window, RMS, target px; 0 where that is not seen."""
+    job: TileJob | None = None
+    """One of the tiles, as all were matched; None for points of a file."""
+    scales: Scales | None = None
+    """The windows of the last pass; None where there was none."""
+    origin: Origin | None = None
+    """Of points of a file; None of those that were matched here."""
+    roles: NDArray[np.str_] | None = None
+    """(n,) what an earlier fit used the points of a file for; None where that is to be chosen."""
     warnings: tuple[str, ...] = ()
     """Of all steps up to this one."""
     seconds: dict[str, float] = field(default_factory=dict)
@@ -397,7 +399,7 @@ def _band_text(info: RasterInfo) -> str:
 class Registration:
     """What a job found, written or not."""
 
-    status: Status
+    status: RegistrationStatus
     reason: str | None
     """Why it was rejected; None otherwise."""
     warnings: tuple[str, ...]
@@ -436,7 +438,11 @@ class Registration:
     inputs: tuple[InputFile, ...] = ()
     """The files that the job read, as they were before it opened any of them."""
     window_px: int | None = None
-    """Side of the window that the tie points were refined with, matching-grid px; None: a file's."""
+    """Side of the window that the tie points were refined with, matching-grid px; None: not known."""
+    origin: Origin | None = None
+    """Of tie points of a file; None of those that were matched."""
+    proof: Proof | None = None
+    """The tool's own error on the pair, where that was asked for."""
     outputs: Mapping[str, Path] = field(default_factory=dict)
     """The files written, by kind: raster, report, tiepoints, and so on; none where nothing was."""
 

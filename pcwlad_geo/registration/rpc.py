@@ -9,25 +9,26 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from rasterio.crs import CRS
 
+from pcwlad_geo.correction.fit import LOSSLESS
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.crs import utm_zone_of
-from pcwlad_geo.raster.geodesy import middle_pixel_size_m
-from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster.grid import Grid, map_px, middle_pixel_size_m
 from pcwlad_geo.raster.rpc.dem import Dem, Vertical
-from pcwlad_geo.raster.rpc.files import RpcSource, read_rpc
-from pcwlad_geo.raster.rpc.grid import RpcGrid, with_ground_raised
+from pcwlad_geo.raster.rpc.grid import RpcGrid, with_height_offset
 from pcwlad_geo.raster.rpc.model import (
     BIAS_TOLERANCE_PX,
     RpcModel,
+    RpcSource,
     apply_bias,
     bias_error_px,
     carried,
     covered_range,
     parallax,
+    read_rpc,
 )
-from pcwlad_geo.raster.rpc.view import RpcPlacement, place_by_rpc
+from pcwlad_geo.raster.rpc.ortho import RpcPlacement, place_by_rpc
 from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64
@@ -35,8 +36,6 @@ from pcwlad_geo.types import Float64
 if TYPE_CHECKING:  # slow to load; workers are started before
     from pcwlad_geo.registration.prealign import Prealignment
 
-MODELS: Final = ("shift", "drift", "affine")
-"""Corrections in image space that an RPC can absorb, the simplest first."""
 MAX_BIAS_M: Final = 500.0
 """Largest error of an RPC on the ground; no sensor errs by more, so beyond it the RPC is of another image."""
 ALONG: Final = 2.0
@@ -154,7 +153,7 @@ def place_target(
 
 def check_model(model: str) -> None:
     """Raise `SettingsError` where an RPC cannot take corrections of a model."""
-    if model not in ("auto", "rpc", *MODELS):
+    if model not in ("auto", "rpc", *LOSSLESS):
         raise SettingsError(
             f"model = {model!r}: an RPC takes a shift, a drift or an affine; give --model auto"
         )
@@ -246,7 +245,7 @@ def wrong_heights(reference: Grid, target: Grid, points: TiePointTable) -> str |
     """
     if not (isinstance(target, RpcGrid) and isinstance(target.heights, Dem)):
         return None
-    grids = [(with_ground_raised(reference, m), with_ground_raised(target, m)) for m in (0.5, -0.5)]
+    grids = [(with_height_offset(reference, m), with_height_offset(target, m)) for m in (0.5, -0.5)]
     up, down = (map_px(points.reference_px, *each) for each in grids)
     rate_px = np.nanmedian(up - down, axis=0)  # by a metre of height
     size_px = float(np.hypot(*rate_px))

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from pcwlad_geo.correction.fit import CANDIDATES
+from pcwlad_geo.correction.error_statistics import Proof
+from pcwlad_geo.correction.fit import CANDIDATES, LOSSLESS, VRT_MODELS
 from pcwlad_geo.correction.points import thin
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
-from pcwlad_geo.execution.runner import InThisProcess, Runner
+from pcwlad_geo.execution.runner import InThisProcess, Runner, one_blas_thread
 from pcwlad_geo.matching.outliers import consistent, contradicted_clusters
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
-from pcwlad_geo.options import VRT_MODELS, Settings
+from pcwlad_geo.options import Effort, Settings
 from pcwlad_geo.products import of_one_product
 from pcwlad_geo.raster.cameras import expected_scale
-from pcwlad_geo.raster.geodesy import pixel_size_m, pixel_sizes_m
+from pcwlad_geo.raster.grid import pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.identity import digest
 from pcwlad_geo.raster.matching_grid import (
     ViewPair,
@@ -26,14 +28,22 @@ from pcwlad_geo.raster.matching_grid import (
     plan_views,
     share_plane,
 )
-from pcwlad_geo.raster.rpc.grid import at_mean_height
-from pcwlad_geo.raster.rpc.view import plan_rpc_views
-from pcwlad_geo.raster.source import RasterInfo, describe, same_band, with_compression_blocks, without_collar
+from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
+from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
+from pcwlad_geo.raster.source import (
+    RasterInfo,
+    describe,
+    same_band,
+    with_areas,
+    with_compression_blocks,
+    without_collar,
+)
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.fitting import (
     FAIR_PX,
     GOOD_PX,
+    UNKNOWN_ORIGIN,
     AssessedFit,
     Quality,
     Reason,
@@ -43,20 +53,20 @@ from pcwlad_geo.registration.fitting import (
     user_points,
 )
 from pcwlad_geo.registration.inputs import identify_inputs, resolve
-from pcwlad_geo.registration.judge import PRODUCT_M, told_of
+from pcwlad_geo.registration.judge import PRODUCT_M, describe_motions
 from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Prealignment, read_overviews
+from pcwlad_geo.registration.proof import prove
 from pcwlad_geo.registration.result import (
     Matches,
     MatchRecord,
     Pair,
     PairGeometry,
     Registration,
-    Status,
+    RegistrationStatus,
     record_ground,
 )
 from pcwlad_geo.registration.rpc import (
-    MODELS,
     check_start,
     corrected_rpc,
     place_reference,
@@ -70,6 +80,8 @@ from pcwlad_geo.types import Bool, Float64, PathLike
 
 COMMON_STEP = 3
 """One of so many places of the common ground is asked what error is expected there."""
+LATTICE = 64
+"""Places along each axis of the reference that stand for all of it where its pixels are not read."""
 LEAST_OF_A_SURFACE = 1 / 3
 """Least share of the tie points that are a main surface, to which the correction is fitted."""
 SURFACE_ROUNDS = 2
@@ -93,25 +105,74 @@ def run(
 ) -> Registration:
     """Register the target to the reference, or only match them: open, match, fit, conclude.
 
-    Raises `InputError` if the input cannot be used.
-
-    Parameters
-    ----------
-    reference, target : path
-        Rasters, or products (see `inputs.resolve`).
-    on_event : callable
-        Receives progress and warnings; an exception that it raises ends the job.
-    runner : Runner, optional
-        Runs the tiles; None: this process.
-    match_only : bool
-        Stop at the tie points.
+    Both are rasters, or products (see `inputs.resolve`). The `runner` runs the tiles; None: this process. An
+    exception that `on_event` raises ends the job. Raises `InputError` if the input cannot be used.
     """
     with trusting(settings.trust):
         pair = open_pair(reference, target, settings, on_event=on_event, all_bands=not match_only)
         matches = match(pair, runner or InThisProcess(), on_event=on_event)
+        if settings.prove != "off" and matches.accepted:
+            return _proved(matches, settings, on_event, runner or InThisProcess(), match_only=match_only)
         if match_only or not matches.accepted:
             return conclude(matches)
         return conclude(matches, fit(matches, on_event=on_event))
+
+
+def _proved(
+    matches: Matches, settings: Settings, on_event: EventCallback, runner: Runner, *, match_only: bool
+) -> Registration:
+    """Conclude with a proof, and with sigmas that hold for what it has seen, if that is asked for."""
+    fitted, proof, seconds = _fit_and_prove(
+        matches, "full" if settings.prove == "full" else "quick", on_event, runner
+    )
+    if settings.calibrate_sigma:
+        matches = _with_sigmas(matches, proof.sigma.calibration)
+        fitted = fit(matches, on_event=ignore)
+    done = conclude(matches, None if match_only else fitted)
+    return replace(done, proof=proof, seconds=done.seconds | {"proving": seconds["proving"]})
+
+
+def _fit_and_prove(
+    matches: Matches, effort: Effort, on_event: EventCallback, runner: Runner
+) -> tuple[AssessedFit, Proof, dict[str, float]]:
+    """Fit the correction and measure the error of the matching; return both and the seconds of the stages."""
+    fitted = fit(matches, on_event=on_event)
+    log = JobLog(on_event, list(fitted.warnings), dict(fitted.seconds))
+    with log.stage("proving"):
+        proof = prove(matches, fitted, effort, log, runner.threads, register=run)
+    return fitted, proof, log.seconds
+
+
+def _with_sigmas(matches: Matches, factor: float) -> Matches:
+    """Return tie points whose sigmas are multiplied by a factor."""
+    tables = [
+        replace(table, covariance_px2=table.covariance_px2 * factor**2)
+        for table in (matches.tie_points, matches.every)
+    ]
+    return replace(matches, tie_points=tables[0], every=tables[1])
+
+
+def prove_pair(
+    reference: PathLike,
+    target: PathLike,
+    settings: Settings,
+    effort: Effort,
+    *,
+    on_event: EventCallback = ignore,
+    runner: Runner | None = None,
+) -> tuple[Registration, Proof]:
+    """Register a pair, and measure the error of its matching, see `proof.prove`.
+
+    Raises `InputError` if the input cannot be used, and `RegistrationRejectedError` if the pair cannot be
+    matched reliably.
+    """
+    runner = runner or InThisProcess()
+    pair = open_pair(reference, target, settings, on_event=on_event)
+    matches = match(pair, runner, on_event=on_event)
+    if not matches.accepted:
+        raise RegistrationRejectedError(f"nothing can be proved: {matches.reason}", conclude(matches))
+    fitted, proof, seconds = _fit_and_prove(matches, effort, on_event, runner)
+    return replace(conclude(matches, fitted), seconds=seconds), proof
 
 
 def open_pair(
@@ -156,6 +217,7 @@ def open_pair(
         elif not reference_by_rpc:
             ref, tgt, shared = share_plane(moved_across_antimeridian(ref, tgt), tgt)
             warnings = (*warnings, *shared)
+        ref = with_areas(ref, settings.aoi, settings.exclude)
         notes = (
             *inputs.notes,
             *_camera_notes(ref, tgt),
@@ -182,6 +244,7 @@ def open_pair(
     return Pair(ref, tgt, views, settings, tuple(log.warnings), files, log.seconds, placed)
 
 
+@one_blas_thread()
 def match(pair: Pair, runner: Runner, *, on_event: EventCallback = ignore) -> Matches:
     """Find the tie points of a pair, or read those of the file that its settings name.
 
@@ -200,6 +263,7 @@ def match(pair: Pair, runner: Runner, *, on_event: EventCallback = ignore) -> Ma
     return replace(_only_wanted(found), warnings=tuple(log.warnings), seconds=log.seconds)
 
 
+@one_blas_thread()
 def fit(
     matches: Matches, settings: Settings | None = None, *, on_event: EventCallback = ignore
 ) -> AssessedFit:
@@ -222,17 +286,28 @@ def fit(
         footprint = matches.window_px * float(file_px_per_px(matches.views.target)[0])
         if settings.tie_points:
             footprint = footprint_px(matches.every, footprint)
-        candidates = (
-            MODELS if matches.pair.rpc else VRT_MODELS if settings.of.upper() == "VRT" else CANDIDATES
-        )
+        candidates = VRT_MODELS if settings.of.upper() == "VRT" else CANDIDATES
+        candidates = tuple(LOSSLESS) if matches.pair.rpc else candidates
         sizes_m = pixel_sizes_m(at_mean_height(target.grid), table.predicted_px)
         smooth = _of_the_main_surface(matches, footprint)
         shape, frames = target.grid.shape, not matches.pair.georeferenced
-        fitted = fit_correction(table, settings, footprint, sizes_m, shape, candidates, smooth, frames)
+        fitted = fit_correction(
+            table, settings, footprint, sizes_m, shape, candidates, smooth, frames, matches.roles
+        )
         places = _common_px(matches.record, matches.views, target)
-        quality = assess(fitted.table, matches.every, fitted.selection, places, footprint, matches.jitter_px)
+        whole = _whole_px(matches.pair)
+        of_all = None
+        if matches.origin is not None and matches.origin.left_out:
+            model, auto = (fitted.selection.name,), replace(settings, model="auto")
+            with suppress(InputError):  # all of them may fold the image
+                of_all = fit_correction(matches.every, auto, footprint, None, shape, model).selection
+        quality = assess(
+            fitted.table, matches.every, fitted.selection, places, footprint, matches.jitter_px, whole, of_all
+        )
         if matches.motions:
-            quality = quality.at_most("fair", told_of(matches.motions, taken=True))
+            quality = quality.at_most("fair", describe_motions(matches.motions, taken=True))
+        if matches.origin is not None and matches.origin.folder is None:
+            quality = quality.at_most("fair", UNKNOWN_ORIGIN)
         if sizes_m is not None and of_one_product(matches.pair.reference.uri, target.uri):
             quality = _with_prior(quality, table[table.status == "matched"], float(sizes_m.max()))
         heights = wrong_heights(
@@ -295,7 +370,7 @@ def conclude(matches: Matches, fit: AssessedFit | None = None) -> Registration:
     """
     pair = matches.pair
     rejected = not matches.accepted or (fit is not None and fit.refusal is not None)
-    status: Status = "rejected" if rejected else "registered" if fit else "matched"
+    status: RegistrationStatus = "rejected" if rejected else "registered" if fit else "matched"
     fitted = None if fit is None or rejected else fit.fitted
     correction = fitted.correction if fitted else None
     grid = at_mean_height(pair.target.grid)
@@ -322,7 +397,8 @@ def conclude(matches: Matches, fit: AssessedFit | None = None) -> Registration:
         record=matches.record,
         rpc=corrected_rpc(pair.rpc, correction) if pair.rpc else None,
         inputs=pair.inputs,
-        window_px=None if pair.settings.tie_points else matches.window_px,
+        window_px=matches.window_px if matches.origin is None else matches.origin.window_px,
+        origin=matches.origin,
     )
 
 
@@ -384,7 +460,10 @@ def _only_wanted(found: Matches) -> Matches:
     wanted, table = found.pair.settings.points, found.tie_points
     if not isinstance(wanted, int) or not found.accepted:
         return found
-    agreeing = np.flatnonzero(table.status == "matched")
+    thinned = table.status == "matched"
+    if found.roles is not None:  # check points are not fitted, and stay
+        thinned &= found.roles != "check"
+    agreeing = np.flatnonzero(thinned)
     taken = thin(table.predicted_px[agreeing], np.hypot(*table.sigma_px[agreeing].T), int(wanted))
     surplus = agreeing[~taken]
     counts = {**found.counts, "thinned": len(surplus), "tie_points": int(taken.sum())}
@@ -393,16 +472,35 @@ def _only_wanted(found: Matches) -> Matches:
         record = replace(record, thinned_px=table.reference_px[surplus])
     kept = np.ones(len(table), dtype=bool)
     kept[surplus] = False
-    return replace(found, tie_points=table[kept], counts=counts, record=record)
+    roles = None if found.roles is None else found.roles[kept]
+    return replace(found, tie_points=table[kept], counts=counts, record=record, roles=roles)
 
 
 def _from_file(pair: Pair, path: Path | str, log: JobLog) -> Matches:
     with log.stage("reading"):
-        table, verdict, counts = user_points(path, pair.views)
+        given = user_points(path, pair.views)
         record = record_ground(pair.views)
-    start = Prealignment("tie points of a file", (0.0, 0.0), 0)
-    window_px = pair.settings.window or FIRST_WINDOW_PX
-    return Matches(pair, table, verdict, counts, start, record, pair.views, table, window_px)
+    origin = given.origin
+    if origin.left_out:
+        log.warn(
+            f"{origin.left_out} points that the matching had kept are left out of {path}: residuals of the "
+            "fit are those of chosen points; the check points are still all that were held out before"
+        )
+    return Matches(
+        pair,
+        given.table,
+        given.verdict,
+        given.counts,
+        Prealignment("tie points of a file", (0.0, 0.0), 0),
+        record,
+        pair.views,
+        given.every,
+        origin.window_px or pair.settings.window or FIRST_WINDOW_PX,
+        motions=given.motions,
+        jitter_px=given.jitter_px,
+        origin=origin,
+        roles=given.roles,
+    )
 
 
 def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
@@ -426,7 +524,7 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
     several = len(matched.motions) > 1
     motions = tuple(motion for motion, _ in matched.motions) if several else tuple(matched.patches)
     if motions and verdict.accepted:
-        log.warn(told_of(motions, taken=True))
+        log.warn(describe_motions(motions, taken=True))
     jitter_px = matched.jitter_px * float(file_px_per_px(views.target).max())
     if jitter_px > 0:
         log.warn(
@@ -447,6 +545,8 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
         geometry,
         motions,
         jitter_px,
+        matched.job,
+        matched.scales,
     )
 
 
@@ -454,10 +554,41 @@ def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo) -
     """Return (n, 2) target px that the original georeferencing predicts for the ground in common."""
     if record is None:
         return np.empty((0, 2))
-    original = replace(pair, target=replace(pair.target, info=target))
-    reference = pair.reference.info.grid.shape
-    predicted = predict_target_px(record.common_px(reference)[::COMMON_STEP], original)
+    return _predicted_px(record.common_px(pair.reference.info.grid.shape)[::COMMON_STEP], pair, target)
+
+
+def _predicted_px(reference_px: Float64, pair: ViewPair, target: RasterInfo) -> Float64:
+    """Return (k, 2) target px that the original georeferencing predicts for (n, 2) ones of the reference."""
+    predicted = predict_target_px(reference_px, replace(pair, target=replace(pair.target, info=target)))
     return predicted[np.isfinite(predicted).all(axis=1)]
+
+
+def _whole_px(pair: Pair) -> Float64 | None:
+    """Return the places of all ground that both show; None where nothing leaves out a part, or not known.
+
+    Masks of a product tell what is no ground; one of zeros may be an area of interest, beyond which the
+    correction is applied too. Beyond an extent nothing is read: there all places of both rasters count.
+    """
+    infos = pair.reference, pair.target
+    masked = [
+        info.areas is not None or (info.mask_uri is not None and info.mask_kind == "zeros") for info in infos
+    ]
+    if pair.settings.extent is None and not any(masked):
+        return None
+    ref, tgt = (
+        replace(info, mask_uri=None, areas=None) if is_masked else info
+        for info, is_masked in zip(infos, masked, strict=True)
+    )
+    by_rpc = isinstance(ref.grid, RpcGrid) or isinstance(tgt.grid, RpcGrid)
+    views = plan_rpc_views(ref, tgt) if by_rpc else plan_views(ref, tgt)
+    if pair.settings.extent is None:
+        places = _common_px(record_ground(views), views, pair.target)
+    else:
+        (rows, cols), size = ref.grid.shape, np.array(tgt.grid.shape[::-1])
+        lattice = np.meshgrid(*(np.linspace(0.5, n - 0.5, LATTICE) for n in (cols, rows)))
+        places = _predicted_px(np.stack(lattice, axis=-1).reshape(-1, 2), views, pair.target)
+        places = places[((places >= 0) & (places <= size)).all(axis=1)]
+    return places if len(places) else None
 
 
 def _camera_notes(reference: RasterInfo, target: RasterInfo) -> list[str]:

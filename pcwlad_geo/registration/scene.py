@@ -53,9 +53,9 @@ from pcwlad_geo.matching.types import (
 )
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products import of_one_product
-from pcwlad_geo.raster.geodesy import middle_pixel_size_m
+from pcwlad_geo.raster.grid import middle_pixel_size_m
 from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.rpc.view import plan_rpc_views
+from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.judge import (
     DISPLACED,
@@ -76,7 +76,7 @@ from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, p
 from pcwlad_geo.registration.prealign import (
     Overviews,
     Prealignment,
-    Start,
+    StartingAlignment,
     by_georeferencing,
     by_pose_search,
     by_search,
@@ -154,6 +154,10 @@ class Matched:
     """The motion taken, and that of parts smaller than a window; none where there are none."""
     jitter_px: float = 0.0
     """By how much rows and columns move within a window, RMS, view px."""
+    job: TileJob | None = None
+    """One of the tiles, as all were matched."""
+    scales: Scales | None = None
+    """The windows of the last pass; None where there was none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,12 +224,13 @@ def match_scene(
     radius_px, evidence = prealignment.search_radius_px, prealignment.net_evidence
     verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=evidence)
     kept, verdict, epipolar = _by_geometry(matches, kept, verdict, pair, prealignment, settings, matching)
-    window_px, jitter, other = matching.window, 0.0, None
+    window_px, jitter, other, scales = matching.window, 0.0, None, None
     motions: Sequence[tuple[Motion, Bool]] = ()
     if verdict.accepted:
         with log.stage("refining"):
             again = _second_pass(first, matches, kept, matching, not planned.sites, log, runner)
-            window_px, jitter, other = again.scales.window_px, again.jitter_px, again.other
+            scales, jitter, other = again.scales, again.jitter_px, again.other
+            window_px = scales.window_px
             chosen = replace(matching, window=window_px)
             matches, kept, checked = _checked(again, matches, chosen, epipolar)
         first = first.without(checked.lost_of[checked.lost_of >= 0])
@@ -243,7 +248,19 @@ def match_scene(
         pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results
     )
     return Matched(
-        matches, kept, counts, verdict, prealignment, record, window_px, epipolar, motions, moved, jitter
+        matches,
+        kept,
+        counts,
+        verdict,
+        prealignment,
+        record,
+        window_px,
+        epipolar,
+        motions,
+        moved,
+        jitter,
+        first.jobs[0] if first.jobs else None,
+        scales,
     )
 
 
@@ -328,7 +345,7 @@ class _SecondPass:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Tries:
+class _Retried:
     """Candidates that the second pass tries once more: lost ones, and matches that were inconsistent."""
 
     lost: Lost
@@ -343,14 +360,8 @@ def _checked(
 ) -> tuple[TiePoints, Bool, _SecondPass]:
     """Check and calibrate what the second pass gave.
 
-    Returns
-    -------
-    matches : TiePoints
-        Those given, then the lost candidates that were saved. Rejected ones are where the first pass put
-        them, with their formal covariance.
-    kept : (n,) bool array
-    again : _SecondPass
-        The kept ones only.
+    Return the matches given, then the lost candidates that were saved, rejected ones where the first pass put
+    them, with their formal covariance; the (n,) mask of those that are kept; and the pass of these alone.
     """
     points = again.points
     again = again.part(on_their_lines(points) if epipolar else consistent_points(points, matching))
@@ -433,7 +444,7 @@ def _tries(
     guide: FieldGuide,
     matching: MatchSettings,
     predict_there: Predictor,
-) -> _Tries | None:
+) -> _Retried | None:
     """Return what is tried once more; None where the neighbours cannot tell where to."""
     if np.count_nonzero(kept) < MIN_FOR_FIELD or not can_try_again(matching):
         return None
@@ -443,7 +454,7 @@ def _tries(
     predicted = lost.guide.structure_xy_px[len(candidates) :]
     moved = confirmed(matches.reference_xy_px, matches.displacement_px, off, predicted, matching.window)
     tried = np.concatenate([np.ones(len(candidates), bool), ~moved])
-    return _Tries(
+    return _Retried(
         lost.part(np.flatnonzero(tried)),
         np.concatenate([first.lost_tile_of, first.tile_of[off]])[tried],
         np.concatenate([np.full(len(candidates), -1), off])[tried],
@@ -588,15 +599,12 @@ def match_from_best_start(
 ) -> tuple[Matched, ViewPair]:
     """Match from the best start known; where that fails and the user left it open, from searches.
 
-    Returns
-    -------
-    matched : Matched
-    pair : ViewPair
-        The views that were matched: those given, or others where the target was found in another pose.
+    The second result are the views that were matched: those given, or others where the target was found in
+    another pose.
     """
-    best: tuple[Matched, Start] | None = None
+    best: tuple[Matched, StartingAlignment] | None = None
     searched, tried = False, 0
-    for start in _starts(pair, overviews, settings, log):
+    for start in _starts(pair, overviews, settings, log, runner.threads):
         searched |= start is None or start.prealignment.searched
         if start is None:
             continue
@@ -625,10 +633,12 @@ def match_from_best_start(
     return replace(result, prealignment=final, verdict=replace(result.verdict, reason=reason)), used.pair
 
 
-def _starts(pair: ViewPair, overviews: Overviews, settings: Settings, log: JobLog) -> Iterator[Start | None]:
+def _starts(
+    pair: ViewPair, overviews: Overviews, settings: Settings, log: JobLog, threads: int
+) -> Iterator[StartingAlignment | None]:
     """Yield what to start from, the best first; None where a search finds nothing credible."""
     radius = settings.search_radius
-    direct = Start(direct_start(pair, settings), pair, overviews)
+    direct = StartingAlignment(direct_start(pair, settings), pair, overviews)
     search_first = searches_first(pair, settings)
     if not search_first:
         yield direct
@@ -643,18 +653,18 @@ def _starts(pair: ViewPair, overviews: Overviews, settings: Settings, log: JobLo
         log.on_event(Progress("prealignment", 0, 1))
         found, _ = by_search(pair, overviews, radius)
         log.on_event(Progress("prealignment", 1, 1))
-    yield None if found is None else Start(found, pair, overviews)
+    yield None if found is None else StartingAlignment(found, pair, overviews)
     if can_be_posed(pair):
         with log.stage("prealignment"):
-            posed = by_pose_search(pair, overviews, radius)
+            posed = by_pose_search(pair, overviews, radius, threads)
         yield posed
     if search_first:
         yield direct
 
 
 def _match_again_in_pose(
-    matched: Matched, start: Start, settings: Settings, log: JobLog, runner: Runner
-) -> tuple[Matched, Start]:
+    matched: Matched, start: StartingAlignment, settings: Settings, log: JobLog, runner: Runner
+) -> tuple[Matched, StartingAlignment]:
     """Match a target again in the pose that the tie points tell, until that no longer moves.
 
     The first pose is only as good as the search: in it the windows are turned and scaled by some percent.
@@ -681,7 +691,7 @@ def _match_again_in_pose(
 
 
 def _of_the_ground(
-    matched: Matched, start: Start, settings: Settings, log: JobLog, runner: Runner
+    matched: Matched, start: StartingAlignment, settings: Settings, log: JobLog, runner: Runner
 ) -> Matched:
     """Return the matches of the motion that the ground has, refused where nothing tells which that is."""
     pair, before = start.pair, start.prealignment
@@ -752,12 +762,8 @@ def match_again_from_shifted_rpc(
 def located(matched: Matched, pair: ViewPair, originals: tuple[RasterInfo, RasterInfo]) -> TiePointTable:
     """Return the matches in px of the original files, those that were not kept ``rejected``.
 
-    Parameters
-    ----------
-    pair : ViewPair
-        The views that they were found on.
-    originals : (RasterInfo, RasterInfo)
-        Reference and target as their own georeferencing places them.
+    The pair are the views that they were found on, the `originals` reference and target as their own
+    georeferencing places them.
     """
     table = locate(matched.matches, pair, originals)
     return replace(table, status=np.where(matched.kept, "matched", "rejected"))

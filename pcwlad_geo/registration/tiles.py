@@ -23,13 +23,13 @@ from pcwlad_geo.matching.keypoints import Candidates
 from pcwlad_geo.matching.maps import maximum_moment, oriented_phase_congruency
 from pcwlad_geo.matching.matcher import (
     Core,
+    displacement_by_stripes,
+    displacement_by_surroundings,
+    displacement_by_windows,
     margin_px,
     match_arrays,
     match_candidates,
     rematch_with,
-    seen_by_stripes,
-    seen_by_surroundings,
-    seen_by_windows,
     try_again,
 )
 from pcwlad_geo.matching.prepare import ChannelPair, Image, Noise, PreparedPair, prepare
@@ -209,21 +209,21 @@ def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide, windows_
 
     The other parameters are those of `rematch_tile`, which may follow. NaN where a window gives no match.
     """
-    see = partial(seen_by_windows, settings=job.settings, windows_px=windows_px)
+    see = partial(displacement_by_windows, settings=job.settings, windows_px=windows_px)
     return _compared(job, points, guide, see, len(windows_px))
 
 
 def compare_stripes(job: TileJob, points: TiePoints, guide: FieldGuide) -> Float64:
     """Return (2, n, 2) what `compare_windows` does, by windows of few rows, then of few columns."""
-    return _compared(job, points, guide, seen_by_stripes, 2)
+    return _compared(job, points, guide, displacement_by_stripes, 2)
 
 
 def compare_surroundings(job: TileJob, points: TiePoints, guide: FieldGuide, other_px: Float64) -> Float64:
-    """Return (1, n, 2) what `matcher.seen_by_surroundings` does for `points` of the tile `job`.
+    """Return (1, n, 2) what `matcher.displacement_by_surroundings` does for `points` of the tile `job`.
 
     The (2,) `other_px` (col, row) is the displacement beside their own that is tried.
     """
-    return _compared(job, points, guide, partial(seen_by_surroundings, other_px=other_px), 1)
+    return _compared(job, points, guide, partial(displacement_by_surroundings, other_px=other_px), 1)
 
 
 def _compared(
@@ -282,14 +282,8 @@ COMPILED_ALWAYS: Final = (
 def load_kernels(method: Method, runner: Runner, on_event: EventCallback) -> None:
     """Have the workers load the kernels of a method, after they have compiled those not on disk.
 
-    Parameters
-    ----------
-    method : str
-        Matching method.
-    runner : Runner
-        Has the workers. They share the kernels to compile, as threads of one process cannot.
-    on_event : callable
-        Receives a warning before anything is compiled, and the progress of that.
+    They share the kernels to compile, as threads of one process cannot. `on_event` receives a warning before
+    anything is compiled, and the progress of that.
     """
     if not kernels_are_cached(method):
         kept = kernels_can_be_cached(method)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import io
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 import pcwlad_geo
 from pcwlad_geo.cli.app import run
@@ -38,13 +41,27 @@ def editor_of(folder: Path) -> Editor:
 
 def test_a_point_that_is_off_does_not_count(folder: Path) -> None:
     editor = editor_of(folder)
-    first = next(row for row in range(len(editor.table)) if row not in editor.off)
-    editor.table.target_px[first] += 40.0
-    on, off = (editor.try_model("shift", [*editor.off, *more]) for more in ([], [first]))
-    assert on.points == off.points + 1 == len(editor.table) - len(editor.off)
+    moved = np.flatnonzero(editor._roles == "fit")[::2].tolist()
+    editor.table.target_px[moved] += 40.0
+    on, off = (editor.try_model("shift", [*editor.off, *more]) for more in ([], moved))
+    assert on.points == off.points + len(moved) == len(editor.table) - len(editor.off)
     assert on.rmse_px > 3.0
     assert off.rmse_px < 0.2
-    assert np.hypot(*off.residual_px[first]) == pytest.approx(40 * np.sqrt(2), abs=0.3)
+    assert np.hypot(*off.residual_px[moved].T) == pytest.approx(40 * np.sqrt(2), abs=0.3)
+
+
+def test_models_are_told_by_the_check_points(folder: Path) -> None:
+    editor = editor_of(folder)
+    check, fitted = (np.flatnonzero(editor._roles == role) for role in ("check", "fit"))
+    shift, spline = (editor.compare(model, editor.off) for model in ("shift", "tps"))
+    for trial in (shift, spline):
+        assert trial.checked == len(check) >= 10
+        told = np.sqrt((trial.residual_px[check] ** 2).sum(axis=1).mean())
+        assert trial.rmse_px == pytest.approx(told)
+    longest = fitted[np.argsort(np.hypot(*shift.residual_px[fitted].T))[len(fitted) // 2 :]]
+    chosen = editor.compare("shift", [*editor.off, *longest.tolist(), *check.tolist()])
+    assert chosen.checked == len(check)
+    assert chosen.rmse_px > 0.8 * shift.rmse_px
     with pytest.raises(InputError, match="no model magic"):
         editor.compare("magic", [])
     with pytest.raises(InputError, match="needs at least"):
@@ -53,13 +70,61 @@ def test_a_point_that_is_off_does_not_count(folder: Path) -> None:
 
 def test_an_added_point_is_refined_to_the_true_displacement(folder: Path) -> None:
     editor = editor_of(folder)
-    shown_px = np.array([[160.5, 150.5], [160.5 + 6.0, 150.5 - 6.0]])
-    reference_xy, target_xy = (tuple(xy) for xy in GRID.to_xy(shown_px).tolist())
+    place_px = free_place(editor)
+    reference_xy, target_xy = on_the_maps(place_px, place_px + SHIFT_PX + (1.4, -1.1))
     count = len(editor.table)
-    assert editor.add(reference_xy, target_xy)
+    assert editor.add(reference_xy, target_xy, radius_px=4.0)
     assert len(editor.table) == count + 1
     assert editor.table.displacement_px[-1] == pytest.approx(SHIFT_PX, abs=0.15)
-    assert np.abs(editor.table.reference_px[-1] - shown_px[0]).max() <= 48
+    assert np.hypot(*(editor.table.reference_px[-1] - place_px)) <= 4.0
+
+
+def free_place(editor: Editor, apart_px: float = 4.5) -> NDArray[np.float64]:
+    """Return a place (col, row) in the middle of the reference that is far from all tie points, px."""
+    tree = cKDTree(editor.table.reference_px)
+    places = np.stack(np.meshgrid(np.arange(130.5, 190), np.arange(130.5, 190)), axis=-1).reshape(-1, 2)
+    return np.asarray(places[tree.query(places)[0] > apart_px][0])
+
+
+def on_the_maps(*places_px: NDArray[np.float64]) -> list[tuple[float, float]]:
+    """Return where pixels (col, row) lie on the map."""
+    return [tuple(xy) for xy in GRID.to_xy(np.array(places_px)).tolist()]
+
+
+def test_a_point_is_never_put_onto_another(folder: Path) -> None:
+    """Also where the nearest corners are taken: a place without a match of its own moves to none of them."""
+    editor = editor_of(folder)
+    there_px = editor.table.reference_px[40]
+    count = len(editor.table)
+    with pytest.raises(InputError, match="there is a tie point already"):
+        editor.add(*on_the_maps(np.add(there_px, (1.5, -1.0)), there_px + SHIFT_PX))
+    assert len(editor.table) == count
+    for place_px in np.add(editor.table.reference_px[:count:9], (4.0, 0.0)):
+        with suppress(InputError):
+            editor.add(*on_the_maps(place_px, place_px + SHIFT_PX), radius_px=4.0)
+    others, added = cKDTree(editor.table.reference_px[:count]), editor.table.reference_px[count:]
+    assert len(added) > 3
+    assert others.query(added, p=np.inf)[0].min() >= 2.9
+    assert editor.add(*on_the_maps(there_px, there_px + SHIFT_PX), gone=[40])  # that one was taken away
+
+
+def test_a_point_moves_no_farther_than_the_radius(folder: Path) -> None:
+    editor = editor_of(folder)
+    place_px = free_place(editor)
+    shown_px = place_px + SHIFT_PX + (9.0, 0.0)
+    assert not editor.add(*on_the_maps(place_px, shown_px), radius_px=3.0)
+    assert editor.table.target_px[-1] == pytest.approx(shown_px, abs=1e-6)
+    assert editor.table.reference_px[-1] == pytest.approx(place_px, abs=1e-6)
+
+
+def test_points_that_are_gone_are_not_written_and_sigmas_are_kept(folder: Path, tmp_path: Path) -> None:
+    editor = editor_of(folder)
+    count = len(editor.table)
+    editor.save(tmp_path / "p.csv", off=[3], gone=[1, 2])
+    lines = [line.split(",") for line in (tmp_path / "p.csv").read_text().splitlines()[1:]]
+    assert len(lines) == count - 2
+    assert [line[-1] for line in lines[:2]] == ["matched", "rejected"]
+    assert float(lines[1][11]) == pytest.approx(editor.table.sigma_px[3, 0], abs=1e-6)
 
 
 def test_a_point_beyond_the_image_is_kept_as_shown(folder: Path) -> None:
@@ -134,7 +199,7 @@ def test_a_folder_without_a_registration_is_told(tmp_path: Path, capfd: pytest.C
 
 
 def test_a_report_does_not_say_whom_to_trust(folder: Path, tmp_path: Path) -> None:
-    from pcwlad_geo.cli.edit import _open
+    from pcwlad_geo.cli.finished import _open
 
     report = json.loads((folder / "report.json").read_text())
     report["settings"]["trust_vrt"] = report["settings"]["allow_remote"] = True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.tiepoints import writers
 from pcwlad_geo.tiepoints.table import TiePointTable, place
+from tests.registrations import json_of
 from tests.scenes import make_grid, render, write
 
 GRID = make_grid((240, 320))
@@ -43,14 +45,14 @@ def make_table(
     return place(reference_px, target_px, np.tile(np.eye(2) * noise_px**2, (n, 1, 1)), np.ones(n), pair)
 
 
-def write_table(table: TiePointTable, path: Path, columns: int = 17) -> Path:
+def write_table(table: TiePointTable, path: Path, columns: int = 18) -> Path:
     writers.write_csv(table, path)
     lines = [line.split(",") for line in path.read_text().splitlines()]
     path.write_text("".join(",".join(cells[:columns]) + "\n" for cells in lines))
     return path
 
 
-@pytest.mark.parametrize("columns", [17, 5], ids=["all columns", "positions only"])
+@pytest.mark.parametrize("columns", [18, 5], ids=["all columns", "positions only"])
 @pytest.mark.parametrize("outliers", [0.0, 0.1])
 def test_the_fit_is_that_of_the_points(
     outliers: float, columns: int, rasters: tuple[Path, Path], tmp_path: Path
@@ -136,3 +138,47 @@ def test_the_file_of_points_is_not_replaced_by_an_output(rasters: tuple[Path, Pa
     pcwlad_geo.register(*rasters, tie_points=path, out_dir=out_dir)
     with pytest.raises(pcwlad_geo.OutputError, match="is an input too"):
         pcwlad_geo.register(*rasters, tie_points=out_dir / "tiepoints.csv", out_dir=out_dir, overwrite=True)
+
+
+@pytest.mark.parametrize("restricted_by", ["mask", "extent"])
+def test_a_part_of_the_ground_and_all_of_it_are_told_each(
+    rasters: tuple[Path, Path], tmp_path: Path, restricted_by: str
+) -> None:
+    """Ground that is stretched, seen in its left half and only shifted: the right half is off by more."""
+    table = make_table(rasters, 600, noise_px=0.02)
+    stretch_px = np.column_stack([0.6 * table.reference_px[:, 0] / 160, np.zeros(len(table))])
+    table = replace(table, target_px=table.target_px + stretch_px)
+    path = write_table(table[table.reference_px[:, 0] < 155], tmp_path / "half.csv", 5)
+    part = np.zeros(GRID.shape, "uint8")
+    part[:, :160] = 255
+    (x_min, y_max), (x_max, y_min) = GRID.to_xy(np.array([[0.0, 0], [160, 240]])).tolist()
+    restrictions: dict[str, Any] = {
+        "mask": {"ref_mask": write(tmp_path / "part.tif", part, GRID, dtype="uint8")},
+        "extent": {"extent": (x_min, y_min, x_max, y_max)},
+    }
+    settings = Settings(tie_points=path, model="shift", **restrictions[restricted_by])
+    found = run(*rasters, settings)
+    assert found.correction is not None
+    assert found.quality is not None
+    assert found.quality.whole is not None
+    col, row = np.meshgrid(np.arange(2.5, 320, 5), np.arange(2.5, 240, 5))
+    places = np.column_stack([col.ravel(), row.ravel()])
+    truth = places + SHIFT_PX + np.column_stack([0.6 * places[:, 0] / 160, np.zeros(len(places))])
+    off_px = np.hypot(*(found.correction.forward(places) - truth).T)
+    inside = places[:, 0] < 160
+    assert found.quality.expected_ce90_px == pytest.approx(np.percentile(off_px[inside], 90), rel=0.25)
+    whole_px, extrapolated = found.quality.whole
+    assert whole_px > 1.5 * found.quality.expected_ce90_px
+    assert whole_px == pytest.approx(np.percentile(off_px, 90), rel=0.6)
+    assert extrapolated == pytest.approx(0.4, abs=0.12)
+    told = json_of(found)["quality"]
+    assert told["extrapolated_share"] == pytest.approx(extrapolated, abs=1e-3)
+    assert told["whole_ce90_px"] == pytest.approx(whole_px, abs=1e-4)
+    assert told["expected_ce90_px"] == pytest.approx(found.quality.expected_ce90_px, abs=1e-4)
+
+
+def test_all_of_the_ground_is_told_once(rasters: tuple[Path, Path], tmp_path: Path) -> None:
+    found = run(*rasters, Settings(tie_points=write_table(make_table(rasters), tmp_path / "p.csv")))
+    assert found.quality is not None
+    assert found.quality.whole is None
+    assert json_of(found)["quality"]["whole_ce90_px"] is None

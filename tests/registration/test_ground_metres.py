@@ -10,12 +10,12 @@ import pytest
 from affine import Affine
 from rasterio.crs import CRS
 
-from pcwlad_geo.bandqa.bands import list_bands, statistics_by_unit
+from pcwlad_geo.multi.bands import list_bands, statistics_by_unit
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.report.summary import summarise
+from pcwlad_geo.report.content import summarise
 from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, render, write
 
 MERCATOR = CRS.from_epsg(3857)

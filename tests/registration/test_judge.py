@@ -53,6 +53,20 @@ def test_many_points_in_one_place_are_one_witness() -> None:
     assert not found.accepted
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_a_plane_through_three_clusters_is_chance(seed: int) -> None:
+    """Windows of a cluster show the same pixels; there is always a plane through three."""
+    rng = np.random.default_rng(seed)
+    middles = np.array([[30.0, 30.0], [110.0, 40.0], [60.0, 110.0]])
+    xy = np.concatenate([middle + rng.uniform(-14, 14, (25, 2)) for middle in middles])
+    moved = np.repeat(rng.uniform(-4, 4, (3, 2)), 25, axis=0) + rng.normal(0, 0.1, (75, 2))
+    others = rng.uniform(0, 140, (25, 2)), rng.uniform(-RADIUS_PX, RADIUS_PX, (25, 2))
+    xy, moved = np.concatenate([xy, others[0]]), np.concatenate([moved, others[1]])
+    covariance = np.tile(0.01 * np.eye(2), (100, 1, 1))
+    points = TiePoints(xy, xy + moved, covariance, np.full(100, 0.5), np.zeros(100))
+    assert not verdict((points, np.arange(100) < 75)).accepted
+
+
 def test_too_few_points_are_refused_however_well_they_agree() -> None:
     assert verdict(matches(MIN_POINTS, 300, right=1.0)).accepted
     assert not verdict(matches(MIN_POINTS - 1, 300, right=1.0)).accepted

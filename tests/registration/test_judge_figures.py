@@ -13,7 +13,7 @@ from pcwlad_geo.registration import judge as judging
 from pcwlad_geo.registration.judge import Verdict, judge
 
 WINDOW_PX, CELL_PX = 40, 30.0
-"""Cells are three quarters of a window."""
+"""Places lie more than half a window apart."""
 RIGHT, WRONG = (3.0, -2.0), (-9.0, 9.0)
 
 Moves = Iterable[tuple[float, float]]
@@ -22,7 +22,7 @@ Moves = Iterable[tuple[float, float]]
 def verdict(cells: Iterable[Moves], *, radius_px: int = 12, kept: Moves = (RIGHT,), **counts: int) -> Verdict:
     """Judge matches of these displacements, cell by cell; those listed as kept are the consistent ones."""
     placed = [
-        ((CELL_PX * (number + i / len(list(moves))), 0.0), move)
+        ((CELL_PX * number + 0.1 * i, 0.0), move)
         for number, moves in enumerate(map(list, cells))
         for i, move in enumerate(moves)
     ]

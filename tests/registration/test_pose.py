@@ -12,7 +12,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.prealign import Pose, Start, posed_start
+from pcwlad_geo.registration.prealign import Pose, StartingAlignment, posed_start
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from tests.scenes import Array, make_grid, render, tag_frame, write
@@ -100,7 +100,7 @@ def test_another_scene_is_refused_in_every_pose(tmp_path: Path) -> None:
 def test_a_first_match_stands_where_a_second_finds_too_little_in_common(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object) -> Start:
+    def refuse(*_: object) -> StartingAlignment:
         raise InputError("the common area is 12 x 12 px")
 
     monkeypatch.setattr("pcwlad_geo.registration.scene.posed_start", refuse)

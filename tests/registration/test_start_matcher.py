@@ -29,6 +29,8 @@ def of_nothing(reference, target):
     return np.empty((0, 2)), []
 def of_chance(reference, target):
     return np.random.default_rng(1).uniform(0, 300, (2, 500, 2))
+def leaving(reference, target):
+    raise GeneratorExit
 def failing(reference, target):
     raise RuntimeError("no weights found")
 def of_one_side(reference, target):
@@ -98,7 +100,11 @@ def test_proposals_that_agree_on_nothing_change_nothing(
 
 @pytest.mark.parametrize(
     ("matcher", "message"),
-    [("failing", "no weights found"), ("of_one_side", "3 positions .* 2 in the target")],
+    [
+        ("failing", "no weights found"),
+        ("leaving", "GeneratorExit"),
+        ("of_one_side", "3 positions .* 2 in the target"),
+    ],
 )
 def test_a_matcher_that_fails_is_named(
     matcher: str, message: str, tmp_path: Path, stand_in: tuple[str, Array, Array]
