@@ -1,1 +1,0 @@
-"""Band-to-band QA: displacements of all pairs of bands, closure of triangles, requirements, report."""

@@ -1,0 +1,879 @@
+"""The joint adjustment of the RPCs of many images from tie points intersected with a DEM.
+
+The place that one image of a pair observes is followed through its RPC to the DEM, and from there through
+the RPC of the other image to its pixels. What is observed there beside it is the bias of the second RPC less
+that of the first carried along, plus what an error of the DEM's height makes. The height of every tie point
+is an unknown with the DEM as its prior, eliminated point by point: a point counts fully across the epipolar
+line, and along it as far as the DEM is known (Grodecki & Dial 2003, doi:10.14358/PERS.69.1.59).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from pcwlad_geo.correction.fit import LOSSLESS
+from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.estimation.robust import MEASURED, jackknife, larger, outlier_factors, reliability, sigma_of
+from pcwlad_geo.estimation.solving import inverse, solve
+from pcwlad_geo.execution.runner import one_blas_thread
+from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.grid import Grid, jacobian, map_px, middle_pixel_size_m
+from pcwlad_geo.raster.rpc.dem import WGS84, Dem
+from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, with_height_offset
+from pcwlad_geo.types import Bool, Float64, Index
+
+LINEARISED: Final = 10
+"""Largest number of times that lines of sight are intersected with the DEM anew."""
+STILL_PX: Final = 0.1
+"""They are not, once the DEM moves by less, its px."""
+REWEIGHTED: Final = 5
+"""Number of times that the points are weighted anew by how far they lie off."""
+GROUND_CELLS: Final = 5
+"""The ground is divided into so many cells along each axis, which are left out in turn: fewer where they
+would be smaller than a pixel of the DEM, whose error neighbours would share."""
+MIN_CELLS: Final = 6
+"""In fewer cells with points no model is chosen: it is the simplest."""
+MIN_GAIN_PX: Final = 0.05
+"""Least error that a model must take out of points left out to replace a simpler one."""
+USUAL_PX: Final = 0.03
+"""Standard deviation of the error that the points of a pair share, where no cycle tells it."""
+MIN_REDUNDANCY: Final = 0.3
+"""Sum of the redundancies of the pairs from which their cycles tell that error."""
+UNCHECKED: Final = 0.1
+"""Of an offset that the other pairs check less, the rest is of the arithmetic."""
+NO_DATUM: Final = 1e-5
+"""Combinations of biases of less information than this share of the best known one are a matter of datum."""
+NO_PARALLAX: Final = 1e-3
+"""Pairs that a metre of height displaces by fewer px tell nothing of heights."""
+LEAST_PX: Final = 0.01
+"""Least standard deviation of the error that the points of a pair share."""
+OUTLIER_SIGMAS: Final = 5.0
+"""A pair that lies off all others by more sigmas may be an outlier."""
+OUTLIER_SHARE: Final = 0.5
+"""It is, if without it the others contradict each other by less than this share."""
+NO_ERROR_PX: Final = 1e-6
+"""Standard deviation of a shared error that there is not."""
+UNOBSERVED_PX: Final = 1e3
+"""What is unobservable stays as it is, with this standard deviation."""
+DATUM_FACTOR: Final = 1e3
+"""Weight of the datum, in that of the best known parameter."""
+DEM_PLACE_M: Final = 100.0
+"""Standard deviation of the horizontal place of a DEM, as weak as errors of a datum are large."""
+PLACE_SIGMAS: Final = 5.0
+"""A DEM stays where it is, unless the relief tells by more sigmas that it lies elsewhere."""
+HEIGHT_LIMIT: Final = 0.2
+"""Heights off by more of their standard deviations count by their sign: what the ground of most points tells
+is their median, whatever lies on the rest (forest, cliffs, cells of a coarse DEM)."""
+WORSE_PX: Final = 0.1
+"""Points left aside that lie farther off by less after an adjustment are no worse than before."""
+WORSE_SIGMAS: Final = 2.0
+"""Nor are they within so many standard errors."""
+SLOPE_STEP_PX: Final = 1.0
+"""Least step of the slope of the DEM, its px."""
+PARTS: Final = 5
+"""Heights are compared at so many by so many places of a window."""
+NEEDS: Final = "the correction of an RPC needs tie points or control points of each image"
+"""What its equations ask for."""
+HEIGHT_STEP_M: Final = 1.0
+"""Step of the derivatives by the height of the DEM."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockPair:
+    """Tie points of two images in the pixels of their files; the ground itself may be one of the two."""
+
+    first: int
+    second: int
+    first_px: Float64
+    """(n, 2) observed pixels (col, row) of the first image."""
+    second_px: Float64
+    """(n, 2) those of the same places in the second image."""
+    covariance_px2: Float64
+    """(n, 2, 2) covariance of the second, given the first, px²."""
+    height_m: Float64 | None = None
+    """(n,) heights of control points above the ellipsoid; NaN, and None for tie points: those of the DEM."""
+    window_px: float = 0.0
+    """Side of the windows in which they were matched, px of the frame; 0: points tell of their own places."""
+
+    def __len__(self) -> int:
+        return len(self.first_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearisation:
+    """The linearised observations of a pair: its points as predicted in the second image, and derivatives."""
+
+    left_px: Float64
+    """(n, 2) observed less predicted."""
+    first_rate: Float64
+    """(n, 2, 2) derivatives of the predicted px by those of the first image, through the terrain: the mean of
+    all points, as windows average what slopes change from point to point."""
+    first_terms: Float64
+    """(n, 3) terms 1, column, row of the first image's correction."""
+    second_terms: Float64
+    height_rate: Float64
+    """(n, 2) derivative of the predicted px by the height of the DEM, px per metre."""
+    dem_rate: Float64
+    """(n, 2, 2) that by a shift of the DEM (col, row) in its own px, less what is like a change of height."""
+    ground_px: Float64
+    """(n, 2) px of the frame."""
+    crowding: float
+    """Number of points per pixel of the DEM that holds any: they share its error of height."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockFit:
+    """How the points of a pair agree with the adjustment."""
+
+    used: bool
+    offset_px: tuple[float, float]
+    """Their weighted mean distance from the adjustment (col, row), px of the second image."""
+    sigma_px: float
+    """Standard deviation of that along an axis, if the pair is right."""
+    redundancy: float
+    """Share of the offset that other pairs check."""
+    scatter_px: float
+    """Robust standard deviation of its points along an axis, heights free as far as the DEM is uncertain."""
+    left_px: Float64
+    """(n, 2) residuals."""
+    weight: Float64
+    """(n, 2, 2) weights of the points, 1/px²; 0 for those not used."""
+    linear: Linearisation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockAdjustment:
+    """The corrections of all RPCs of a block, in one frame, and their covariance."""
+
+    model: str
+    """shift, drift or affine."""
+    scores: Mapping[str, float]
+    """RMSE (px) by model of points that were left out."""
+    corrections: tuple[AffineCorrection, ...]
+    """Of each image; the identity for one that stays."""
+    edges: tuple[BlockFit, ...]
+    shared_px: float
+    """Standard deviation of the error that all points of a pair share."""
+    sigma_height_m: float
+    """Robust standard deviation of the DEM's heights at the tie points, where parallax tells it."""
+    free: tuple[int, ...]
+    """Numbers of the images with a correction."""
+    shapes: tuple[tuple[int, int], ...]
+    """Rows and columns of each image."""
+    covariance_px2: Float64
+    """(p, p) covariance of the parameters of the free images: image by image, term by term, (col, row)."""
+    spread_px: Float64
+    """(cells, p) changes of the parameters without a cell of the ground, scaled as a jackknife asks for."""
+    datum_rank: int
+    """Number of combinations of the parameters that only the datum tells."""
+    by_height_px: Float64
+    """(images, 2) mean corrections (col, row) that a DEM one metre too high would bring about, px."""
+    dem_shift_px: Float64
+    """(2,) by which the DEM must be moved (col, row) for its relief to fit the points, its px."""
+    dem_sigma_px: Float64
+    """(2,) standard deviation of that."""
+    hold_out: HoldOutCheck | None
+    """What points left aside say of the adjustment; None where all lie in one place."""
+
+    @property
+    def dem_moved(self) -> bool:
+        """Whether the relief tells that the DEM lies elsewhere: corrections are those of its true place."""
+        return bool(np.hypot(*self.dem_shift_px) > PLACE_SIGMAS * np.hypot(*self.dem_sigma_px))
+
+    def covariance(self, image: int, at_px: Float64) -> Float64:
+        """Return the (n, 2, 2) covariance of an image's correction at its (n, 2) `at_px`, px²."""
+        if image not in self.free:
+            return np.zeros((len(at_px), 2, 2))
+        terms = LOSSLESS[self.model]
+        size = 2 * len(terms)
+        begin = self.free.index(image) * size
+        own = slice(begin, begin + size)
+        design = _design(ImageTerms.over(self.shapes[image]).values(at_px)[:, terms])
+        formal = design @ self.covariance_px2[own, own] @ design.transpose(0, 2, 1)
+        changes = np.einsum("nap,kp->nak", design, self.spread_px[:, own])
+        return larger(np.asarray(formal), np.asarray(changes @ changes.transpose(0, 2, 1)))
+
+
+@dataclass(frozen=True, slots=True)
+class HoldOutCheck:
+    """How far points lie off over the DEM as it is, cell by cell predicted from all others."""
+
+    before_px: float
+    """Mean distance with the RPCs as they came, px of the second image of a pair."""
+    after_px: float
+    """With the corrected ones."""
+    sigma_px: float
+    """Standard error of the difference, from cell to cell."""
+
+    @property
+    def worse(self) -> bool:
+        """Whether the adjustment did harm."""
+        return self.after_px - self.before_px > max(WORSE_PX, WORSE_SIGMAS * self.sigma_px)
+
+
+@dataclass(frozen=True, slots=True)
+class ImageTerms:
+    """Terms 1, column, row, the last two from -1 to 1 over an image."""
+
+    centre_px: tuple[float, float]
+    radius_px: float
+
+    @staticmethod
+    def over(shape: tuple[int, int]) -> ImageTerms:
+        """Return the basis of an image of `shape` (rows, columns)."""
+        rows, cols = shape
+        return ImageTerms((cols / 2, rows / 2), max(rows, cols) / 2)
+
+    def values(self, at_px: Float64) -> Float64:
+        """Return the (n, 3) terms at the (n, 2) `at_px` (col, row)."""
+        return np.column_stack([np.ones(len(at_px)), (at_px - self.centre_px) / self.radius_px])
+
+    def correction(self, parameters: Float64, model: str) -> AffineCorrection:
+        """Return the correction of the (terms, 2) `parameters` of a model, px."""
+        full = np.zeros((3, 2))
+        full[list(LOSSLESS[model])] = parameters
+        slope = full[1:].T / self.radius_px
+        shift = full[0] - slope @ np.array(self.centre_px)
+        return AffineCorrection(model, np.column_stack([np.eye(2) + slope, shift]))
+
+
+@dataclass(frozen=True, slots=True)
+class RpcBlock:
+    """The images of a block and the frame in which the ground is given."""
+
+    grids: tuple[Grid, ...]
+    """RPC grids of the images; plain ones of a reference, and of the ground for control points."""
+    frame: Grid
+    fixed: frozenset[int] = field(default_factory=frozenset)
+    """Numbers of the images with an RPC that stay."""
+
+    @property
+    def dem(self) -> Dem | None:
+        """The DEM of the RPC grids."""
+        found = (grid.heights for grid in self.grids if isinstance(grid, RpcGrid))
+        return next((each for each in found if isinstance(each, Dem)), None)
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """The images whose RPC is corrected."""
+        placed = [number for number, grid in enumerate(self.grids) if isinstance(grid, RpcGrid)]
+        return tuple(number for number in placed if number not in self.fixed)
+
+
+def pixel_in_frame(block: RpcBlock, image: int) -> float:
+    """Return the size of a pixel in the middle of an image, px of the frame."""
+    grid = at_mean_height(block.grids[image])
+    return float(np.sqrt(abs(np.linalg.det(jacobian(grid.middle_px, grid, block.frame)[0]))))
+
+
+@one_blas_thread()
+def adjust_block(
+    block: RpcBlock,
+    pairs: Sequence[BlockPair],
+    models: Sequence[str] = tuple(LOSSLESS),
+    simpler: BlockAdjustment | None = None,
+) -> BlockAdjustment:
+    """Estimate the biases of all RPCs of a block together.
+
+    The simplest model is taken that no other beats in predicting cells of the ground that were left out, by
+    more than a standard error and 0.05 px. Where neither reference nor control points fix them, the biases
+    are those of the smallest sum of squares on the ground (inner constraints). The DEM stays in its place
+    unless its relief clearly tells another; that place is that of the `simpler` adjustment, where it was
+    estimated before. The pairs connect all images, and of the `models` to choose from the simplest is first.
+    """
+    rates = tuple(_linearised(block, pair) for pair in pairs)
+    if simpler is None:
+        free = _BlockProblem(block, tuple(pairs), models[0], rates, dem_moves=True)
+        simpler = _result(free, _solved(free), {})
+    problems = {
+        model: _BlockProblem(block, tuple(pairs), model, rates, simpler.dem_moved) for model in models
+    }
+    solved = {model: _solved(problem) for model, problem in problems.items()}
+    judge = next(reversed(solved.values())).weights
+    errors = {model: _left_out_px2(problems[model], solved[model], judge) for model in models}
+    chosen = models[0]
+    for model in models[1:]:
+        gain = errors[chosen] - errors[model]
+        clear = len(gain) >= MIN_CELLS and gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain))
+        if clear and gain.mean() > MIN_GAIN_PX**2:
+            chosen = model
+    scores = {model: float(np.sqrt(each.mean())) for model, each in errors.items() if len(each)}
+    result = _result(problems[chosen], solved[chosen], scores)
+    return replace(result, dem_shift_px=simpler.dem_shift_px, dem_sigma_px=simpler.dem_sigma_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """An adjustment as it proceeds."""
+
+    start: Float64
+    """(images, terms, 2) parameters with which the lines of sight were followed."""
+    parameters: Float64
+    start_dem_px: Float64
+    """(2,) shift of the DEM with which they were."""
+    linearised: tuple[Linearisation, ...]
+    weights: tuple[Float64, ...]
+    """(n, 2, 2) of each pair."""
+    scatters: tuple[float, ...]
+    """Of each pair, px."""
+    offsets: Float64
+    """(pairs, 2) error that the points of each pair share, px of its second image."""
+    used: Bool
+    dem_px: Float64
+    """(2,) shift of the DEM (col, row), its px."""
+    shared_px: float = USUAL_PX
+    sigma_height_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _BlockProblem:
+    """The unknowns of an adjustment with one model: images, then terms, then (col, row)."""
+
+    block: RpcBlock
+    pairs: tuple[BlockPair, ...]
+    model: str
+    rates: tuple[Linearisation, ...]
+    """Of each pair by the RPCs as they are: the derivatives hardly change."""
+    dem_moves: bool = False
+    """Whether the place of the DEM is an unknown."""
+
+    @property
+    def terms(self) -> list[int]:
+        """Numbers of the terms of the model."""
+        return list(LOSSLESS[self.model])
+
+    @property
+    def size(self) -> int:
+        """Number of parameters of an image."""
+        return 2 * len(self.terms)
+
+    @property
+    def dem_prior_px(self) -> float:
+        """Standard deviation of the place of the DEM, its px."""
+        dem = self.block.dem if self.dem_moves else None
+        return DEM_PLACE_M / max(middle_pixel_size_m(dem.grid) or (DEM_PLACE_M,)) if dem else NO_ERROR_PX
+
+    @property
+    def unknowns(self) -> int:
+        """Number of parameters of all free images."""
+        return len(self.block.free) * self.size
+
+    def correction(self, image: int, parameters: Float64) -> AffineCorrection:
+        """Return the correction of an image, given those of all, (images, terms, 2)."""
+        return ImageTerms.over(self.block.grids[image].shape).correction(parameters[image], self.model)
+
+    def flat(self, parameters: Float64) -> Float64:
+        """Return the (unknowns,) of the (images, terms, 2) `parameters`."""
+        return parameters[list(self.block.free)].reshape(-1)
+
+    def design(self, pair: BlockPair, linear: Linearisation) -> tuple[Float64, Index]:
+        """Return the (n, 2, q) design of a pair and the (q,) numbers of its unknowns."""
+        blocks, places = [np.zeros((len(pair), 2, 0))], [np.zeros(0, np.intp)]
+        for image, terms, rate in (
+            (pair.second, linear.second_terms, np.eye(2)),
+            (pair.first, linear.first_terms, -linear.first_rate),
+        ):
+            if image in self.block.free:
+                begin = self.block.free.index(image) * self.size
+                blocks.append(rate @ _design(terms[:, self.terms]))
+                places.append(np.arange(begin, begin + self.size))
+        return np.concatenate(blocks, axis=2), np.concatenate(places)
+
+    def left_px(self, number: int, state: _State) -> Float64:
+        """Return the (n, 2) distances of a pair's points from the adjustment."""
+        linear = state.linearised[number]
+        design, places = self.design(self.pairs[number], linear)
+        step = self.flat(state.parameters - state.start)[places]
+        return linear.left_px - design @ step - linear.dem_rate @ (state.dem_px - state.start_dem_px)
+
+
+def _design(terms: Float64) -> Float64:
+    """Return the (n, 2, 2 k) design of (n, k) terms: each has a parameter of columns and one of rows."""
+    n, count = terms.shape
+    return np.asarray(np.einsum("nk,ab->nakb", terms, np.eye(2)).reshape(n, 2, 2 * count))
+
+
+def _solved(problem: _BlockProblem) -> _State:
+    """Iterate until lines of sight, weights and the pairs in use no longer change."""
+    count = len(problem.pairs)
+    zero = np.zeros((len(problem.block.grids), len(problem.terms), 2))
+    state = _State(
+        zero, zero, np.zeros(2), (), (), (), np.zeros((count, 2)), np.ones(count, bool), np.zeros(2)
+    )
+    datum = _datum(problem)
+    for turn in range(LINEARISED):
+        before_px = state.dem_px
+        linearised = _without_mean_slope(
+            [_linearised_again(problem, number, state) for number in range(count)]
+        )
+        state = replace(state, start=state.parameters, start_dem_px=state.dem_px, linearised=linearised)
+        state = _reweighted(problem, state, datum)
+        if turn and np.abs(state.dem_px - before_px).max() < STILL_PX:
+            break
+    for _ in range(count):
+        better = _without_the_worst(problem, state, datum)
+        if better is None:
+            break
+        state = _reweighted(problem, better, datum)
+    return state
+
+
+def _reweighted(problem: _BlockProblem, state: _State, datum: Float64) -> _State:
+    for _ in range(REWEIGHTED):
+        state = _step(problem, _weighted(problem, state), datum)
+    return state
+
+
+def _linearised_again(problem: _BlockProblem, number: int, state: _State) -> Linearisation:
+    """Follow the points of a pair with the corrections and the place of the DEM so far.
+
+    The images were matched over the DEM where it was given: a place elsewhere changes what a window shows by
+    the median change of height in it.
+    """
+    pair, frame = problem.pairs[number], problem.block.frame
+    one, other = (problem.correction(image, state.parameters) for image in (pair.first, pair.second))
+    grids = [problem.block.grids[image] for image in (pair.first, pair.second)]
+    predicted_px = one.inverse(pair.first_px)
+    ground_px = map_px(predicted_px, grids[0], frame)
+    at_px = image_px(grids[1], frame, ground_px, pair.height_m)
+    rate = problem.rates[number].height_rate
+    higher_m, slope = relief(problem.block, ground_px, pair.window_px, state.dem_px)
+    return replace(
+        problem.rates[number],
+        left_px=pair.second_px - other.forward(at_px + rate * higher_m[:, None]),
+        dem_rate=np.nan_to_num(-rate[:, :, None] * slope[:, None, :]),
+        first_terms=ImageTerms.over(grids[0].shape).values(predicted_px),
+        second_terms=ImageTerms.over(grids[1].shape).values(at_px),
+        ground_px=ground_px,
+    )
+
+
+def _linearised(block: RpcBlock, pair: BlockPair, *, level: bool = False) -> Linearisation:
+    """Follow the points of a pair through the first image, the ground (`level` or not), the second image.
+
+    The DEM stays where it is: `dem_rate` is 0.
+    """
+    grids, frame = [block.grids[image] for image in (pair.first, pair.second)], block.frame
+    if level:
+        grids = [at_mean_height(grid) for grid in grids]
+
+    def predict(px: Float64, higher_m: float = 0.0) -> Float64:
+        first, second = (with_height_offset(grid, higher_m) if higher_m else grid for grid in grids)
+        return image_px(second, frame, map_px(px, first, frame), pair.height_m)
+
+    at_px, ground_px = predict(pair.first_px), map_px(pair.first_px, grids[0], frame)
+    sides = [predict(pair.first_px + step) - predict(pair.first_px - step) for step in np.eye(2) / 2]
+    rate = np.stack(sides, axis=2)
+    height_rate = (predict(pair.first_px, HEIGHT_STEP_M) - at_px) / HEIGHT_STEP_M
+    return Linearisation(
+        pair.second_px - at_px,
+        np.broadcast_to(np.nanmean(rate, axis=0), rate.shape),
+        ImageTerms.over(grids[0].shape).values(pair.first_px),
+        ImageTerms.over(grids[1].shape).values(at_px),
+        height_rate,
+        np.zeros((len(pair), 2, 2)),
+        ground_px,
+        _crowding(block, ground_px),
+    )
+
+
+def _crowding(block: RpcBlock, ground_px: Float64) -> float:
+    """Return `Sight.crowding` of points at the (n, 2) `ground_px` of the frame."""
+    if block.dem is None:
+        return 1.0
+    at_px = np.floor(map_px(ground_px, block.frame, block.dem.grid))
+    return len(at_px) / max(1, len(np.unique(at_px, axis=0)))
+
+
+def relief(block: RpcBlock, ground_px: Float64, window_px: float, dem_px: Float64) -> tuple[Float64, Float64]:
+    """Return what moving the DEM does to the heights at the (n, 2) `ground_px` of the frame.
+
+    Returned are the (n,) metres by which it is higher there once moved by the (2,) `dem_px` (col, row), its
+    px, and its (n, 2) slope then, m per px of the DEM. Both are medians over windows of `window_px`: the
+    place of least absolute deviation is that of most of a window.
+    """
+    dem, frame = block.dem, block.frame
+    if dem is None:
+        return np.zeros(len(ground_px)), np.zeros((len(ground_px), 2))
+    lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
+    rate = jacobian(frame.middle_px, frame, dem.grid)[0]
+    at_px = map_px(ground_px, frame, dem.grid)
+    count = PARTS if window_px > 0 else 1
+    parts = (np.arange(count) + 0.5) / count - 0.5
+    asides = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 2) * window_px @ rate.T
+    step_px = max(SLOPE_STEP_PX, 0.5 * window_px / count * float(np.sqrt(abs(np.linalg.det(rate)))))
+    given = [dem.at_px(at_px + aside, lon_lat) for aside in asides]
+
+    def higher(by_px: Float64) -> Float64:
+        moved = [dem.at_px(at_px + aside - by_px, lon_lat) for aside in asides]
+        change = np.stack(moved) - np.stack(given)
+        known = np.isfinite(change).any(axis=0)
+        result = np.zeros(len(at_px))
+        result[known] = np.nanmedian(change[:, known], axis=0)
+        return result
+
+    # higher where the ground rises against the direction in which the DEM is moved
+    ends = [higher(dem_px - step) - higher(dem_px + step) for step in step_px * np.eye(2)]
+    return higher(dem_px), np.stack(ends, axis=1) / (2 * step_px)
+
+
+def _without_mean_slope(linearised: Sequence[Linearisation]) -> tuple[Linearisation, ...]:
+    """Take off the effect of moving the DEM what is like a change of its height."""
+    rate = np.nan_to_num(np.concatenate([linear.height_rate for linear in linearised]))
+    moving = np.concatenate([linear.dem_rate for linear in linearised])
+    alike = np.einsum("na,nab->b", rate, moving) / max(float((rate**2).sum()), NO_PARALLAX**2)
+    return tuple(
+        replace(linear, dem_rate=linear.dem_rate - np.nan_to_num(linear.height_rate)[:, :, None] * alike)
+        for linear in linearised
+    )
+
+
+def image_px(grid: Grid, frame: Grid, ground_px: Float64, height_m: Float64 | None) -> Float64:
+    """Return the (n, 2) px of an image that see the (n, 2) `ground_px` of the frame, at its own heights.
+
+    The (n,) `height_m` are known ones above the ellipsoid; NaN where they are not.
+    """
+    at_px = map_px(ground_px, frame, grid)
+    if height_m is None or not isinstance(grid, RpcGrid):
+        return at_px
+    lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
+    from_heights = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height_m])))
+    return np.where(np.isfinite(height_m)[:, None], from_heights, at_px)
+
+
+def _weighted(problem: _BlockProblem, state: _State) -> _State:
+    """Weight all points by their residuals, and estimate the uncertainty of the DEM."""
+    left = [problem.left_px(number, state) - state.offsets[number] for number in range(len(problem.pairs))]
+    sigma_m = _height_sigma(problem, state.linearised, left)
+    weights, scatters = [], []
+    for pair, linear, residual in zip(problem.pairs, state.linearised, left, strict=True):
+        weight = _weights(pair, linear, _height_variance(pair, linear, residual, sigma_m))
+        known = np.asarray(weight.any(axis=(1, 2)))
+        # control points are a few, set one by one: a wrong one must not pull at all
+        power = 1 if pair.height_m is None else 3
+        weight[known] *= outlier_factors(residual[known], weight[known], power)[:, None, None]
+        weights.append(weight)
+        scatters.append(sigma_of(residual[known]) if known.any() else 0.0)
+    return replace(state, weights=tuple(weights), scatters=tuple(scatters), sigma_height_m=sigma_m)
+
+
+def _height_variance(pair: BlockPair, linear: Linearisation, residual_px: Float64, sigma_m: float) -> Float64:
+    """Return the (n,) variances of the DEM's heights, m²: all points of one of its pixels count as one."""
+    height, _ = implied_heights(pair, linear, residual_px)
+    off = np.abs(np.nan_to_num(height)) / (HEIGHT_LIMIT * max(sigma_m, NO_ERROR_PX))
+    return sigma_m**2 * linear.crowding * np.maximum(1.0, off)
+
+
+def _weights(pair: BlockPair, linear: Linearisation, variance_m2: Float64 | float = 0.0) -> Float64:
+    """Return the (n, 2, 2) inverse covariances of points, heights eliminated; 0 where unknown."""
+    rate = linear.height_rate
+    covariance = pair.covariance_px2 + (variance_m2 * (rate[:, :, None] * rate[:, None, :]).T).T
+    known = np.isfinite(linear.left_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+    known &= np.isfinite(linear.first_rate).all(axis=(1, 2))
+    weight = np.zeros_like(covariance)
+    weight[known] = inverse(covariance[known], MEASURED)
+    return weight
+
+
+def implied_heights(pair: BlockPair, linear: Linearisation, residual_px: Float64) -> tuple[Float64, Float64]:
+    """Return by how much (n,) points lie above the DEM, and the (n,) variance of that, metres and m².
+
+    NaN where there is no parallax. The (n, 2) `residual_px` are distances from an adjustment.
+    """
+    weight = inverse(pair.covariance_px2, MEASURED)
+    information = np.einsum("na,nab,nb->n", linear.height_rate, weight, linear.height_rate)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        height = np.einsum("na,nab,nb->n", linear.height_rate, weight, residual_px) / information
+        visible = np.hypot(*linear.height_rate.T) >= NO_PARALLAX
+        return np.where(visible, height, np.nan), np.where(visible, 1 / information, np.nan)
+
+
+def _height_sigma(
+    problem: _BlockProblem, linearised: Sequence[Linearisation], left: Sequence[Float64]
+) -> float:
+    """Return the robust standard deviation of the DEM at the points, beyond their own errors, metres."""
+    found = [implied_heights(*each) for each in zip(problem.pairs, linearised, left, strict=True)]
+    height, variance = (np.concatenate(each) for each in zip(*found, strict=True))
+    known = np.isfinite(height) & np.isfinite(variance)
+    if not known.any():
+        return 0.0
+    typical = sigma_of(height[known])
+    return float(np.sqrt(max(typical**2 - float(np.median(variance[known])), 0.0)))
+
+
+def _equations(
+    problem: _BlockProblem, state: _State, datum: Float64, keep: Sequence[Float64] | None = None
+) -> tuple[Float64, Float64]:
+    """Return the normal matrix and the right-hand side of the parameters, the shared errors, the DEM's shift.
+
+    The (unknowns, d) combinations of the parameters that are the `datum` are zero. The points of each pair
+    may have (n,) factors `keep`.
+    """
+    unknowns, size = problem.unknowns, problem.unknowns + 2 * len(problem.pairs) + 2
+    whole, right = np.zeros((size, size)), np.zeros(size)
+    whole[[-1, -2], [-1, -2]] = problem.dem_prior_px**-2
+    right[-2:] = -state.start_dem_px * problem.dem_prior_px**-2
+    for number, pair in enumerate(problem.pairs):
+        at = unknowns + 2 * number
+        # control points are seen one by one
+        prior = state.shared_px**-2 if pair.height_m is None else 1.0 / NO_ERROR_PX**2
+        whole[[at, at + 1], [at, at + 1]] += prior
+        if not state.used[number]:
+            continue
+        linear, weight = state.linearised[number], state.weights[number]
+        known = weight.any(axis=(1, 2))
+        design, places = problem.design(pair, linear)
+        alike = np.broadcast_to(np.eye(2), (len(pair), 2, 2))
+        design = np.concatenate([design, alike, linear.dem_rate], axis=2)[known]
+        weight = weight[known] if keep is None else weight[known] * keep[number][known, None, None]
+        places = np.concatenate([places, [at, at + 1, size - 2, size - 1]])
+        weighted = weight @ design
+        whole[np.ix_(places, places)] += np.einsum("nap,naq->pq", design, weighted)
+        right[places] += np.einsum("nap,na->p", weighted, linear.left_px[known])
+    own = np.diag_indices(unknowns)
+    factor = DATUM_FACTOR * max(float(whole[own].max(initial=0.0)), 1.0)
+    whole[:unknowns, :unknowns] += factor * datum @ datum.T
+    whole[own] += UNOBSERVED_PX**-2
+    return whole, right
+
+
+def _datum(problem: _BlockProblem) -> Float64:
+    """Return the (unknowns, d) orthonormal combinations of the parameters that are a matter of datum.
+
+    They are those that hardly change anything on level ground: the DEM's own relief is no datum.
+    """
+    block = problem.block
+    zero = np.zeros((len(block.grids), len(problem.terms), 2))
+    linearised = tuple(_linearised(block, pair, level=True) for pair in problem.pairs)
+    pairs = zip(problem.pairs, linearised, strict=True)
+    known: list[Bool] = [np.asarray(_weights(*each).any(axis=(1, 2))) for each in pairs]
+    # all pairs count alike: what few or uncertain control points say is known, and no matter of datum
+    weights = tuple(each[:, None, None] * np.eye(2) / max(each.sum(), 1) for each in known)
+    none, used = np.zeros(2), np.ones(len(linearised), bool)
+    state = _State(
+        zero, zero, none, linearised, weights, (), np.zeros((len(linearised), 2)), used, none, NO_ERROR_PX
+    )
+    whole, _ = _equations(problem, state, np.zeros((problem.unknowns, 0)))
+    normal = whole[: problem.unknowns, : problem.unknowns]
+    # in lengths on the ground, so that none but the smallest biases there are of the smallest sum of squares
+    scale = np.repeat([pixel_in_frame(block, image) for image in block.free], problem.size)
+    value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
+    free = vector[:, value < NO_DATUM * value[-1]] * scale[:, None] if len(value) else vector
+    return np.linalg.qr(free)[0]
+
+
+def _step(problem: _BlockProblem, state: _State, datum: Float64) -> _State:
+    """Solve the equations, and estimate the error that the points of a pair share by the cycles."""
+    whole, right = _equations(problem, state, datum)
+    solution = solve(whole, right, NEEDS)
+    parameters = state.start.copy()
+    free = list(problem.block.free)
+    parameters[free] += solution[: problem.unknowns].reshape(len(free), len(problem.terms), 2)
+    offsets = np.asarray(solution[problem.unknowns : -2].reshape(-1, 2), np.float64)
+    counted = state.used & np.array([pair.height_m is None for pair in problem.pairs])
+    redundancy = float(_redundancy(problem, state, whole)[counted].sum())
+    shared_px = USUAL_PX
+    if redundancy >= MIN_REDUNDANCY:
+        shared_px = max(float(np.sqrt((offsets[counted] ** 2).sum() / (2 * redundancy))), LEAST_PX)
+    dem_px = state.start_dem_px + solution[-2:]
+    return replace(state, parameters=parameters, offsets=offsets, shared_px=shared_px, dem_px=dem_px)
+
+
+def _redundancy(problem: _BlockProblem, state: _State, whole: Float64) -> Float64:
+    """Return for each of the (pairs,) how much of its shared error the other pairs check, from 0 to 1."""
+    posterior = np.diagonal(inverse(whole, NEEDS))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
+    return np.asarray(np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0))
+
+
+def _without_the_worst(problem: _BlockProblem, state: _State, datum: Float64) -> _State | None:
+    """Return the state without the pair that contradicts all others; None if none does, or none can tell.
+
+    Without it the others must still check each other, and contradict each other much less.
+    """
+    found: list[tuple[float, _State]] = []
+    for number in np.flatnonzero(state.used).tolist():
+        used = state.used.copy()
+        used[number] = False
+        if not _connected(problem, used):
+            continue
+        trial = replace(state, used=used, shared_px=USUAL_PX)
+        for _ in range(3):
+            trial = _step(problem, trial, datum)
+        off = float(np.hypot(*_mean_left(problem, trial, number)[0]))
+        if (
+            off > OUTLIER_SIGMAS * max(trial.shared_px, USUAL_PX)
+            and OUTLIER_SHARE * state.shared_px > trial.shared_px
+        ):
+            found.append((trial.shared_px, trial))
+    if not found:
+        return None
+    best = min(found, key=lambda each: each[0])[1]
+    whole, _ = _equations(problem, best, datum)
+    # do the pairs in use form cycles, which tell that they agree?
+    return best if _redundancy(problem, best, whole)[best.used].sum() >= MIN_REDUNDANCY else None
+
+
+def _connected(problem: _BlockProblem, used: Bool) -> bool:
+    ends = [(pair.first, pair.second) for pair, good in zip(problem.pairs, used, strict=True) if good]
+    links = coo_array(
+        (np.ones(len(ends)), np.array(ends).reshape(-1, 2).T), shape=(len(problem.block.grids),) * 2
+    )
+    _, group = connected_components(links, directed=False)
+    every = {image for pair in problem.pairs for image in (pair.first, pair.second)}
+    return len({int(group[image]) for image in every}) == 1
+
+
+def _mean_left(problem: _BlockProblem, state: _State, number: int) -> tuple[Float64, Float64, Float64]:
+    """Return the (2,) weighted mean distance of a pair's points, its (2, 2) formal covariance, its design."""
+    weight = state.weights[number]
+    total = inverse(weight.sum(axis=0) + 1e-12 * np.eye(2), MEASURED)
+    known = weight.any(axis=(1, 2))
+    design, places = problem.design(problem.pairs[number], state.linearised[number])
+    mean = np.zeros((2, problem.unknowns))
+    mean[:, places] = total @ np.einsum("nab,nbp->ap", weight[known], design[known])
+    left = problem.left_px(number, state)[known]
+    return np.asarray(total @ np.einsum("nab,nb->a", weight[known], left)), total, mean
+
+
+def _cells(dem: Dem | None, frame: Grid, linearised: Sequence[Linearisation]) -> list[Index]:
+    """Return the (n,) cell of the ground, no smaller than a pixel of a DEM, of the points of each pair."""
+    every = np.concatenate([linear.ground_px for linear in linearised])
+    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    size = np.maximum(high - low, 1e-9)
+    count = np.full(2, GROUND_CELLS)
+    if dem is not None:
+        rate = inverse(jacobian(frame.middle_px, frame, dem.grid)[0])
+        count = np.clip(size / np.abs(rate).max(axis=1), 1, GROUND_CELLS).astype(np.intp)
+    found = []
+    for linear in linearised:
+        place = np.clip(np.nan_to_num((linear.ground_px - low) / size) * count, 0, count - 1).astype(np.intp)
+        found.append(place[:, 1] * GROUND_CELLS + place[:, 0])
+    return found
+
+
+def _without_cells(
+    problem: _BlockProblem, state: _State, dem: Dem | None
+) -> Iterator[tuple[list[Bool], Float64]]:
+    """Yield the points of each cell of the ground, pair by pair, and the (unknowns,) step without them."""
+    datum, cells = _datum(problem), _cells(dem, problem.block.frame, state.linearised)
+    for number in np.unique(np.concatenate(cells)).tolist():
+        inside = [cell == number for cell in cells]
+        if sum(int(each.sum()) for each in inside) * 2 > sum(len(each) for each in inside):
+            continue  # what is left of it tells nothing
+        whole, right = _equations(problem, state, datum, [(~each).astype(np.float64) for each in inside])
+        yield [np.asarray(each) for each in inside], solve(whole, right, NEEDS)
+
+
+def _left_out_px2(problem: _BlockProblem, state: _State, judge: Sequence[Float64]) -> Float64:
+    """Return the (cells,) mean squared error, px², of points that were predicted without their cell.
+
+    Weighted by the (n, 2, 2) weights `judge` of each pair.
+    """
+    found = []
+    unit = sum(float(np.trace(each.sum(axis=0))) for each in judge) / sum(len(each) for each in judge)
+    for inside, solution in _without_cells(problem, state, problem.block.dem):
+        squares, count = 0.0, 0
+        for number, chosen in enumerate(inside):
+            design, places = problem.design(problem.pairs[number], state.linearised[number])
+            known = chosen & judge[number].any(axis=(1, 2)) & state.weights[number].any(axis=(1, 2))
+            at = problem.unknowns + 2 * number
+            left = state.linearised[number].left_px[known] - design[known] @ solution[places]
+            left = left - solution[at : at + 2] - state.linearised[number].dem_rate[known] @ solution[-2:]
+            squares += float(np.einsum("na,nab,nb->", left, judge[number][known], left))
+            count += int(known.sum())
+        if count:
+            found.append(2 * squares / count / unit)
+    return np.array(found)
+
+
+def _result(problem: _BlockProblem, state: _State, scores: Mapping[str, float]) -> BlockAdjustment:
+    """Return the adjustment with its covariance and what it says of each pair."""
+    datum, unknowns = _datum(problem), problem.unknowns
+    whole, _ = _equations(problem, state, datum)
+    covariance = inverse(whole, NEEDS)
+    steps = np.array([step for _, step in _without_cells(problem, state, problem.block.dem)])
+    spread = np.zeros((1, len(whole)))
+    if len(steps) > 1:
+        spread = jackknife(steps)
+    dem_px2 = np.maximum(np.diagonal(covariance)[-2:], (spread[:, -2:] ** 2).sum(axis=0))
+    own = np.ascontiguousarray(covariance[:unknowns, :unknowns])
+    return BlockAdjustment(
+        model=problem.model,
+        scores=dict(scores),
+        corrections=tuple(
+            problem.correction(image, state.parameters) for image in range(len(problem.block.grids))
+        ),
+        edges=tuple(_fit(problem, state, number, own) for number in range(len(problem.pairs))),
+        shared_px=state.shared_px,
+        sigma_height_m=state.sigma_height_m,
+        free=problem.block.free,
+        shapes=tuple(grid.shape for grid in problem.block.grids),
+        covariance_px2=own,
+        spread_px=np.asarray(spread[:, :unknowns]),
+        datum_rank=datum.shape[1],
+        by_height_px=_response_to_height(problem, state, datum),
+        dem_shift_px=state.dem_px,
+        dem_sigma_px=np.sqrt(dem_px2),
+        hold_out=_hold_out_check(problem, state),
+    )
+
+
+def _hold_out_check(problem: _BlockProblem, state: _State) -> HoldOutCheck | None:
+    """Compare the points of each cell before and after an adjustment without them.
+
+    Images are written over the DEM as it is, so that it is in its place here, wherever it may belong.
+    """
+    as_it_is, begun = replace(state, dem_px=np.zeros(2)), problem.flat(state.parameters - state.start)
+    pairs = [number for number in range(len(problem.pairs)) if state.used[number]]
+    linearised = {number: _linearised_again(problem, number, as_it_is) for number in pairs}
+    sums = [np.zeros((0, 3))]
+    for inside, solution in _without_cells(problem, state, None):
+        for number in pairs:
+            known = inside[number] & state.weights[number].any(axis=(1, 2))
+            design, places = problem.design(problem.pairs[number], linearised[number])
+            step = (solution[: problem.unknowns] - begun)[places]
+            after = linearised[number].left_px[known] - design[known] @ step
+            before = problem.rates[number].left_px[known]
+            sums.append(np.array([[known.sum(), np.hypot(*before.T).sum(), np.hypot(*after.T).sum()]]))
+    count, before_px, after_px = (np.concatenate(sums) / max(1.0, np.concatenate(sums)[:, 0].sum())).T
+    if not count.any():
+        return None
+    worse = after_px - before_px
+    spread = worse - worse.sum() * count
+    return HoldOutCheck(float(before_px.sum()), float(after_px.sum()), float(np.sqrt((spread**2).sum())))
+
+
+def _response_to_height(problem: _BlockProblem, state: _State, datum: Float64) -> Float64:
+    """Return `BlockAdjustment.by_height_px`, of level ground: its relief is told by the other unknowns."""
+    level = [_linearised(problem.block, pair, level=True) for pair in problem.pairs]
+    linearised = tuple(replace(linear, left_px=-linear.height_rate) for linear in level)
+    whole, right = _equations(problem, replace(state, linearised=linearised, start_dem_px=np.zeros(2)), datum)
+    found = np.zeros((len(problem.block.grids), 2))
+    step = solve(whole, right, NEEDS)[: problem.unknowns].reshape(-1, len(problem.terms), 2)
+    found[list(problem.block.free)] = step[:, 0]
+    return found
+
+
+def _fit(problem: _BlockProblem, state: _State, number: int, covariance: Float64) -> BlockFit:
+    offset, formal, mean = _mean_left(problem, state, number)
+    own = float(np.trace(formal)) / 2
+    own += state.shared_px**2 if problem.pairs[number].height_m is None else 0.0
+    adjusted = float(np.trace(mean @ covariance @ mean.T)) / 2
+    used = bool(state.used[number])
+    sigma_px, redundancy = reliability(own, adjusted, used, UNCHECKED)
+    return BlockFit(
+        used=used,
+        offset_px=(float(offset[0]), float(offset[1])),
+        sigma_px=sigma_px,
+        redundancy=redundancy,
+        scatter_px=state.scatters[number],
+        left_px=problem.left_px(number, state),
+        weight=state.weights[number],
+        linear=state.linearised[number],
+    )

@@ -1,0 +1,760 @@
+"""The pairs of a stack: which are worth measuring, and what the matching of each gives."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+import shapely
+from rasterio.enums import Resampling
+from scipy import ndimage
+
+from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
+from pcwlad_geo.estimation.solving import least_squares, pseudo_inverse
+from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
+from pcwlad_geo.execution.runner import InThisProcess, Runner
+from pcwlad_geo.job import match_elsewhere, match_files, write_match
+from pcwlad_geo.limits import check_coordinates
+from pcwlad_geo.multi.network import Edge, basis_over, components
+from pcwlad_geo.multi.stack_inputs import StackInput, number_of, read_table
+from pcwlad_geo.options import Settings
+from pcwlad_geo.products import of_one_product
+from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px, middle_pixel_size_m
+from pcwlad_geo.raster.source import RasterInfo, has_quick_overview, open_raster
+from pcwlad_geo.registration.fitting import (
+    FAIR_PX,
+    FEW_KEPT,
+    GOOD_PX,
+    GRADES,
+    Grade,
+    Reason,
+    displaced_otherwise,
+)
+from pcwlad_geo.registration.inputs import estimate_tile_count
+from pcwlad_geo.registration.judge import GEOREFERENCED_PX, Motion, describe_motions
+from pcwlad_geo.report.finished import read_report, report_of_same_job
+from pcwlad_geo.text import joined
+from pcwlad_geo.tiepoints.readers import read_point_file
+from pcwlad_geo.types import Bool, Float64, PathLike
+
+if TYPE_CHECKING:
+    from pcwlad_geo.registration.result import Registration
+
+PAIRS: Final = "pairs"
+"""Folder of the pairs that were measured."""
+SMALL_TILES: Final = 4
+"""Pairs of so many tiles or fewer are matched as a whole, several at a time."""
+MIN_PAIR_POINTS: Final = 12
+"""Least number of tie points of a pair."""
+MIN_CONTROL: Final = 4
+"""Least number of control points of an image."""
+LEAST_CONTROL_SIGMA_PX: Final = 1e-3
+"""Least standard deviation of a control point: no position in an image is known better, px of the frame."""
+CONTROL_COLUMNS: Final = ("image", "col", "row", "x", "y")
+"""Columns that a table of control points must have."""
+CONTROL_SIGMA_PX: Final = 0.5
+"""Standard deviation of a control point where the table tells none, px of the frame."""
+
+PLACE_PX: Final = 60.0
+"""Side of the squares that count as separate places of a pair, px of the frame: as the pair's own verdict."""
+PRODUCT_SIGMA_M: Final = 5.0
+"""Standard deviation of a band of a product beside another along an axis, metres: what Landsat 8 requires of
+its bands (LE90 4.5 m, thermal ones 30 m), and Sentinel-2 (0.3 px at three sigmas), is on both sides of it."""
+CONTROL_EVIDENCE: Final = 50.0
+"""Evidence of control points: as of a pair with points in so many places."""
+
+PairStatus = Literal["used", "left out", "refused"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StackPair:
+    """A pair of images, and how it agrees with all others."""
+
+    reference: str
+    target: str
+    status: PairStatus
+    """`left out`: its points contradict the other pairs; `refused`: it could not be matched."""
+    reason: str | None
+    folder: Path
+    """Its tie points and report; in stack.json relative to that file."""
+    points: int = 0
+    offset_px: tuple[float, float] | None = None
+    """By how much its points lie off the adjustment on average (col, row), px of the frame."""
+    sigma_px: float | None = None
+    """Standard deviation of that along an axis, if the pair is right."""
+    redundancy: float | None = None
+    """Share of the offset that other pairs check; nothing tells whether a pair of 0 is wrong."""
+    scatter_px: float | None = None
+    """Robust standard deviation of its points along an axis, px of the frame."""
+    quality: Grade | None = None
+    """Of the pair by itself: how far its matches agree with one smooth displacement; null where refused."""
+    quality_reasons: tuple[str, ...] = ()
+    """Why it is not good."""
+    motions: tuple[Motion, ...] = ()
+    """What parts of its matches agree on, where that is more than one displacement: that used comes first."""
+    ce90_px: float | None = None
+    """Distance from the adjustment within which 90 % of its points lie, five neighbours averaged, px of the
+    frame."""
+    empty_share: float | None = None
+    """Of the squares of its reference in which both images have data, the part without a tie point."""
+    jitter_px: float = 0.0
+    """By how much rows and columns move within a window that matched it, RMS, target px; 0 where not seen."""
+
+    @property
+    def off_px(self) -> float:
+        """Length of its offset, px of the frame; 0 of one that was refused."""
+        return math.hypot(*self.offset_px or (0.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StackFrame:
+    """The images, and the grid in whose px all are compared."""
+
+    names: list[str]
+    infos: list[RasterInfo]
+    grid: Grid
+    placed: bool
+    """Whether all images are georeferenced; otherwise their pixels are compared."""
+    inputs: tuple[StackInput, ...] = ()
+    """The images as they were named; none: the files of `infos`."""
+    reference: int = 0
+    """Number of the image whose grid it is."""
+
+    def given(self, image: int) -> StackInput:
+        """Return an image as it was named."""
+        info = self.infos[image]
+        return self.inputs[image] if self.inputs else StackInput(info.uri, info.band, self.names[image])
+
+    def from_image(self, image: int, px: Float64) -> Float64:
+        """Map the (n, 2) `px` of an image to px of the frame by its georeferencing."""
+        return map_px(px, self.infos[image].grid, self.grid) if self.placed else px
+
+    def to_image(self, image: int, px: Float64) -> Float64:
+        """Map the (n, 2) `px` of the frame to px of an image."""
+        return map_px(px, self.grid, self.infos[image].grid) if self.placed else px
+
+    def scale(self, image: int, px: Float64) -> Float64:
+        """Return the (n, 2, 2) derivatives of the frame's px by an image's, at its (n, 2) `px`."""
+        if not self.placed:
+            return np.broadcast_to(np.eye(2), (len(px), 2, 2))
+        return jacobian(px, self.infos[image].grid, self.grid)
+
+
+Measured = tuple[Edge | None, StackPair]
+
+
+def measure(
+    frame: StackFrame,
+    chosen: Sequence[tuple[int, int]],
+    folder: Path,
+    settings: Settings,
+    overwrite: bool,
+    on_event: EventCallback,
+    runner: Runner,
+) -> Iterator[Measured]:
+    """Yield what each pair gave, matched now or by an earlier run on the same files.
+
+    Pairs of few tiles are matched each as a whole, several at a time; of larger ones, one after another, the
+    tiles are.
+    """
+    tasks = [_task(frame, pair, folder, settings) for pair in chosen]
+    on_event(Progress("pairs", 0, len(tasks)))
+    todo = [number for number, task in enumerate(tasks) if overwrite or not task.finished()]
+    small = [number for number in todo if tasks[number].small]
+    refused = _match_whole([tasks[number] for number in small], len(tasks), len(todo), on_event, runner)
+    reasons = dict(zip(small, refused, strict=True))
+    for done, number in enumerate(sorted(set(todo) - set(small)), len(tasks) - len(todo) + len(small)):
+        on_event(Progress("pairs", done, len(tasks)))
+        reasons[number] = match_pair(*tasks[number].arguments, on_event, runner)
+    for number, (pair, task) in enumerate(zip(chosen, tasks, strict=True)):
+        yield measured_pair(frame, pair, task.place, reasons.get(number), on_event)
+    on_event(Progress("pairs", len(tasks), len(tasks)))
+
+
+def measured_pair(
+    frame: StackFrame, pair: tuple[int, int], place: Path, reason: str | None, on_event: EventCallback
+) -> Measured:
+    """Return what a matched pair gave, from its folder unless there is a reason that it gave nothing."""
+    names = frame.names[pair[0]], frame.names[pair[1]]
+    edge, report = None, {}
+    if reason is None:
+        report = read_report(place)  # also its warnings: a run that was killed and goes on tells the same
+        for warning in report.get("warnings", ()):
+            on_event(Warned(f"{names[0]} – {names[1]}: {warning}"))
+        reason = str(report.get("reason")) if report.get("status") == "rejected" else None
+        edge = edge_of(frame, *pair, place) if reason is None else None
+    if edge is None:
+        reason = reason or f"fewer than {MIN_PAIR_POINTS} tie points"
+        on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
+    status: PairStatus = "refused" if edge is None else "used"
+    found = StackPair(*names, status, reason, place, motions=_motions_of(report, place))
+    return edge, found if edge is None else graded(found, edge, report)
+
+
+def _motions_of(report: Mapping[str, Any], place: Path) -> tuple[Motion, ...]:
+    """Return the motions in the report of a pair; raises `OutputError` if they are damaged."""
+    try:
+        motions = tuple(Motion(**each) for each in report.get("motions", ()))
+        describe_motions(motions, taken=True)  # fails where a value is of a wrong type
+    except (TypeError, ValueError) as error:
+        raise OutputError(
+            f"{place} has a damaged report ({error}): remove the folder, and run again"
+        ) from error
+    return motions
+
+
+def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
+    """Return a pair with the grade that its points and its report give it."""
+    left = _off_smooth(edge.first_xy, edge.second_xy, np.ones(len(edge), bool))
+    off_px, counts = float(np.percentile(np.hypot(*left.T), 90)), report.get("tie_points", {})
+    jitter_px = float(report.get("jitter_px", 0.0))
+    kept = 1 - counts.get("rejected", 0) / max(counts.get("total", 0), 1)
+    reasons: list[tuple[Grade, str]] = (
+        [("fair", describe_motions(pair.motions, taken=True))] if pair.motions else []
+    )
+    if off_px > GOOD_PX:
+        text = f"a tenth of its points lie more than {off_px:.2f} px off a smooth displacement"
+        reasons.append(("fair" if off_px <= FAIR_PX else "poor", text))
+    if kept < FEW_KEPT:
+        reasons.append(("poor", f"only {100 * kept:.0f} % of the matches agree with their neighbours"))
+    reasons += [(each.grade, each.text) for each in _displaced_otherwise(pair.folder)]
+    grade: Grade = min((grade for grade, _ in reasons), key=GRADES.index, default="good")
+    texts = tuple(text for _, text in reasons)
+    return replace(pair, quality=grade, quality_reasons=texts, jitter_px=jitter_px)
+
+
+def _displaced_otherwise(place: Path) -> Iterator[Reason]:
+    """Yield a reason where many of the matches that a pair rejected agree on one other displacement."""
+    points = read_point_file(place / "tiepoints.csv")
+    off_px = _off_smooth(points.reference, points.target, points.enabled)
+    return displaced_otherwise(off_px[~points.enabled], len(points.enabled))
+
+
+def _off_smooth(first_xy: Float64, second_xy: Float64, kept: Bool) -> Float64:
+    """Return how far (n, 2) displacements lie off a polynomial of those that are `kept`, an (n,) mask."""
+    moved, values = second_xy - first_xy, basis_over([first_xy[kept]], "polynomial2").values(first_xy)
+    return moved - values @ least_squares(values[kept], moved[kept])
+
+
+@dataclass(frozen=True, slots=True)
+class _PairTask:
+    """A pair to be matched."""
+
+    inputs: tuple[str, str]
+    settings: Settings
+    place: Path
+
+    @property
+    def arguments(self) -> tuple[tuple[str, str], Settings, Path]:
+        """What `match_pair` and `match_elsewhere` are called with."""
+        return self.inputs, self.settings, self.place
+
+    @property
+    def small(self) -> bool:
+        """Whether it has few tiles, so that its processes would wait for each other."""
+        return 0 < estimate_tile_count(*self.inputs, self.settings) <= SMALL_TILES
+
+    def finished(self) -> bool:
+        """Return whether an earlier run has matched it."""
+        return bool(report_of_same_job("match", self.inputs, self.settings, self.place))
+
+
+def _task(frame: StackFrame, pair: tuple[int, int], folder: Path, settings: Settings) -> _PairTask:
+    first, second = (frame.given(image) for image in pair)
+    own = {"ref_band": first.band, "tgt_band": second.band, "ref_mask": first.mask, "tgt_mask": second.mask}
+    place = folder / PAIRS / f"{frame.names[pair[0]]}__{frame.names[pair[1]]}"
+    matching = replace(settings, **PAIR_DEFAULTS, **own)  # type: ignore[arg-type]  # by name
+    return _PairTask((first.path, second.path), matching, place)
+
+
+def _match_whole(
+    tasks: Sequence[_PairTask], count: int, left: int, on_event: EventCallback, runner: Runner
+) -> list[str | None]:
+    """Match pairs, several at a time; return why each was refused, None where the folder tells.
+
+    `count` is the number of all pairs, of which `left` are not finished.
+    """
+
+    def of_all(event: Event) -> None:
+        if isinstance(event, Progress):
+            event = Progress("pairs", event.done + count - left, count)
+        on_event(event)
+
+    calls = [task.arguments for task in tasks]
+    if not tasks:
+        return []
+    if runner.shares_kernels:  # on this machine: each is written where it is matched
+        return runner.run(match_pair, calls, "pairs", of_all).results
+    found = runner.run(match_elsewhere, calls, "pairs", of_all).results
+    return [
+        each if isinstance(each, str) else _kept(partial(write_match, each, *task.inputs), task)
+        for task, each in zip(tasks, found, strict=True)
+    ]
+
+
+def match_pair(
+    inputs: tuple[str, str],
+    settings: Settings,
+    place: Path,
+    on_event: EventCallback = ignore,
+    runner: Runner | None = None,
+) -> str | None:
+    """Match a pair of files into the folder `place`; return why it could not be, None where the folder tells.
+
+    The runner, this process by default, runs the tiles. Warnings are told later, from the folder.
+    """
+
+    def of_this(event: Event) -> None:
+        if not isinstance(event, Warned):
+            on_event(event)
+
+    task = _PairTask(inputs, settings, place)
+    return _kept(partial(match_files, *inputs, on_event=of_this, executor=runner or InThisProcess()), task)
+
+
+def _kept(job: Callable[..., Registration], task: _PairTask) -> str | None:
+    """Call a job that writes the folder of a pair; return why it could not be matched."""
+    given: dict[str, Any] = {name: getattr(task.settings, name) for name in asdict(task.settings)}
+    try:
+        job(out_dir=task.place, overwrite=True, **given)
+    except RegistrationRejectedError:
+        return None
+    except InputError as error:
+        return joined(error)
+    return None
+
+
+PAIR_DEFAULTS: Final[dict[str, Any]] = {
+    "model": "auto", "like": None, "require": (), "keep": False,
+    "of": "COG", "co": (), "resampling": "lanczos",
+}  # fmt: skip
+"""Options of the corrected images, which say nothing of a pair."""
+
+
+def edge_of(frame: StackFrame, one: int, other: int, place: Path) -> Edge | None:
+    """Read the tie points of a pair, as all runs find them; None if they are too few."""
+    points = read_point_file(place / "tiepoints.csv")
+    sigma_px = points.sigma_px
+    if sigma_px is None:
+        raise OutputError(f"{place} has tie points without sigma: remove the folder, and run again")
+    good = points.enabled & np.isfinite(sigma_px).all(axis=1) & (sigma_px > 0).all(axis=1)
+    reference_px, target_px, sigma_px = points.reference[good], points.target[good], sigma_px[good]
+    scale = frame.scale(other, target_px)
+    covariance = np.einsum("nab,nb,ncb->nac", scale, sigma_px**2, scale)
+    first, second = frame.from_image(one, reference_px), frame.from_image(other, target_px)
+    known = np.isfinite(np.column_stack([first, second])).all(axis=1)
+    if known.sum() < MIN_PAIR_POINTS:
+        return None
+    first, second = first[known], second[known]
+    places = len(np.unique(np.floor(first / PLACE_PX), axis=0))
+    far = float(np.hypot(*np.median(second - first, axis=0))) / GEOREFERENCED_PX if frame.placed else 0.0
+    return Edge(one, other, first, second, covariance[known], evidence=places / (1 + far**2))
+
+
+def sigma_known(frame: StackFrame, datum: int | None, count: int) -> Float64 | None:
+    """Return the (count,) sigmas, px of the frame, by which images lie as the datum does: of its product."""
+    sizes_m = middle_pixel_size_m(frame.grid)
+    if datum is None or datum >= len(frame.infos) or sizes_m is None or not frame.placed:
+        return None
+    found = np.full(count, np.inf)
+    same_product = [of_one_product(frame.infos[datum].uri, info.uri) for info in frame.infos[:count]]
+    found[: len(same_product)][same_product] = PRODUCT_SIGMA_M / max(sizes_m)
+    return found if any(same_product) else None
+
+
+@dataclass(frozen=True, slots=True)
+class ControlPoint:
+    """A place of an image whose ground is known."""
+
+    image: str
+    """Name of the image."""
+    col: float
+    """Position in the file, px, corner-based."""
+    row: float
+    x: float
+    """Position on the ground, CRS of the reference."""
+    y: float
+    sigma: float | None = None
+    """Standard deviation along an axis, units of x and y; null: half a pixel of the reference."""
+
+
+def control_points(table: PathLike) -> tuple[ControlPoint, ...]:
+    """Read control points from a table with the columns image, col, row, x, y and, if known, sigma.
+
+    Raises `InputError` if it cannot be used.
+    """
+    rows = read_table(Path(table), CONTROL_COLUMNS)
+    return tuple(control_point(row, str(table)) for row in rows)
+
+
+def control_point(row: Mapping[str, str], origin: str) -> ControlPoint:
+    """Return the control point of a line of the table `origin`; raises `InputError` if it cannot be used."""
+    col_px, row_px, x, y = (number_of(row, column) for column in CONTROL_COLUMNS[1:])
+    sigma = number_of(row, "sigma") if row.get("sigma") else None
+    point = ControlPoint(row["image"], col_px, row_px, x, y, sigma)
+    check_control(point, origin)
+    return point
+
+
+def check_control(point: ControlPoint, origin: str) -> None:
+    """Raise `InputError` if a control point of the file `origin` holds no usable numbers."""
+    values = (point.col, point.row, point.x, point.y, 1.0 if point.sigma is None else point.sigma)
+    if not all(math.isfinite(each) for each in values) or values[4] <= 0:
+        raise InputError(
+            f"{origin}: the control points of {point.image} need finite numbers and sigmas above 0"
+        )
+    check_coordinates(origin, values)
+
+
+def control_edges(points: Sequence[ControlPoint], frame: StackFrame, ground: int | None = None) -> list[Edge]:
+    """Return control points, image by image, as pairs with the ground itself.
+
+    The number of the `ground` among the images is that after the last image by default. Raises `InputError`
+    if they name no image of the frame or are too few, or the images are not georeferenced.
+    """
+    if points and not frame.placed:
+        raise InputError("images without georeferencing have no place for control points")
+    unit = abs(float(np.linalg.det(linear_part(frame.grid.transform)))) ** 0.5
+    found = []
+    for name in dict.fromkeys(point.image for point in points):
+        if name not in frame.names:
+            raise InputError(
+                f"control points are of {name}, which is none of the images {', '.join(frame.names)}"
+            )
+        own = [point for point in points if point.image == name]
+        if len(own) < MIN_CONTROL:
+            raise InputError(f"there are {len(own)} control points of {name}: give {MIN_CONTROL}")
+        at_px = np.array([(point.col, point.row) for point in own])
+        on_ground = frame.grid.to_px(np.array([(point.x, point.y) for point in own]))
+        sigma = np.array([point.sigma / unit if point.sigma else CONTROL_SIGMA_PX for point in own])
+        sigma = np.maximum(sigma, LEAST_CONTROL_SIGMA_PX)
+        image = frame.names.index(name)
+        size_px = sum(frame.grid.shape) + sum(frame.infos[image].grid.shape)
+        check_place(name, frame.from_image(image, at_px), on_ground, size_px)
+        covariance = sigma[:, None, None] ** 2 * np.eye(2)
+        number = len(frame.names) if ground is None else ground
+        found.append(
+            Edge(number, image, on_ground, frame.from_image(image, at_px), covariance, None, CONTROL_EVIDENCE)
+        )
+    return found
+
+
+def check_place(name: str, at_px: Float64, placed_px: Float64, size_px: int) -> None:
+    """Raise `InputError` if control points lie nowhere near the image `name` that they are of.
+
+    Their (n, 2) places in it are `at_px`, and the (n, 2) `placed_px` are those of the same ground by its
+    georeferencing; `size_px` is by how much these may differ.
+    """
+    check = "check the order of x and y, their CRS, which is that of the reference, and heights"
+    for col, row in at_px[~np.isfinite(placed_px).all(axis=1)][:1]:
+        raise InputError(
+            f"the ground of the control point at ({col:.1f}, {row:.1f}) px (col, row) of {name} is nowhere "
+            f"in it by its georeferencing: {check}"
+        )
+    off_px = float(np.hypot(*np.median(placed_px - at_px, axis=0)))
+    if not off_px <= size_px:
+        raise InputError(
+            f"the control points of {name} lie {off_px:.3g} px of the frame from where its georeferencing "
+            f"places them: {check}"
+        )
+
+
+def check_connected(
+    frame: StackFrame, edges: Sequence[Edge], reference: int, folder: Path, split: bool
+) -> str:
+    """Return a warning where the pairs that were matched do not connect all images; empty where they do.
+
+    Raises `RegistrationRejectedError` unless it may be `split` into groups, or where no pair could be
+    matched.
+    """
+    _, group = components(edges, len(frame.names) + 1, np.ones(len(edges), bool))
+    groups = [
+        " + ".join(name for name, of in zip(frame.names, group, strict=False) if of == number)
+        for number in dict.fromkeys(group[: len(frame.names)].tolist())
+    ]
+    if len(groups) == 1 and edges:
+        return ""
+    alone = (
+        f"; {frame.names[reference]}, the reference, has no pair at all: give another with --reference"
+        if (group == group[reference]).sum() == 1
+        else ""
+    )
+    message = f"{len(groups)} groups of images are not connected by any pair: {'; '.join(groups)}{alone}"
+    if split and edges:
+        return f"{message}: each group has a datum of its own, the first of its images"
+    raise RegistrationRejectedError(
+        f"{message}; give images that share ground with both, stack each group for itself, or give "
+        f"--allow-components (pairs: {folder / PAIRS})"
+    )
+
+
+ALL_PAIRS: Final = 8
+"""Of so many images every pair is measured."""
+SPANNING_TREES: Final = 3
+"""Beyond, so many spanning trees without a common pair: each gives every image a pair, and two close
+a cycle with every pair."""
+MIN_OVERLAP: Final = 0.1
+"""Least common ground of a pair, as a share of the smaller image."""
+OVERVIEW_PX: Final = 128
+"""Longer side of an overview, px."""
+OVERLAP_CELLS: Final = 64
+"""The common ground of all images is compared at so many places along each axis."""
+MIN_CELLS: Final = 64
+"""Least number of common places at which overviews are compared."""
+FAR: Final = 0.75
+"""An image whose position has a larger variance, in those of a usual pair, gets one more pair."""
+LEAST_COST: Final = 0.2
+"""The variance of a pair is taken as the square of this and its cost."""
+MOST: Final = 4
+"""Pairs an image, at most."""
+UNSURE: Final = 1.5
+"""An image of a sigma larger than so many medians gets further pairs."""
+DIRECT_IMAGES: Final = 300
+"""Of more images the variances are not asked for, which take dense matrices."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A pair with common ground, and how little promising it is."""
+
+    pair: tuple[int, int]
+    cost: float
+
+
+def read_overview(info: RasterInfo) -> Float64 | None:
+    """Return a (rows, cols) image of where an image shows edges; NaN where it shows nothing.
+
+    It has at most `OVERVIEW_PX` px a side; None where reading it would take as long as reading a large image.
+    Raises `InputError` if the pixels cannot be read.
+    """
+    if not has_quick_overview(info):
+        return None
+    rows, cols = info.grid.shape
+    shape = tuple(max(2, min(side, round(side * OVERVIEW_PX / max(rows, cols)))) for side in (rows, cols))
+    with open_raster(info.uri) as dataset:
+        read = dataset.read(info.band, out_shape=shape, masked=True, resampling=Resampling.average)
+    valid = ~np.ma.getmaskarray(read) & np.isfinite(read.data)
+    if not valid.any():
+        return np.full(shape, np.nan)
+    values = np.where(valid, read.data, np.median(read.data[valid])).astype(np.float64)
+    edges = ndimage.gaussian_gradient_magnitude(values, 1.0)
+    return np.where(ndimage.binary_erosion(valid, border_value=1), edges, np.nan)
+
+
+def candidates(
+    frame: StackFrame, inputs: Sequence[StackInput], overviews: Sequence[Float64 | None]
+) -> list[Candidate]:
+    """Return all pairs with common ground, the most promising first.
+
+    The `overviews` of the images are those of `read_overview`, each (rows, cols) or None. What counts is how
+    alike their edges are (bands of one kind, one season, without clouds), then season, sun, years between
+    them, clouds told by the metadata, common ground and pixels of one size.
+    """
+    outlines = [
+        shapely.Polygon(frame.from_image(number, info.grid.boundary_px()))
+        for number, info in enumerate(frame.infos)
+    ]
+    alike = _likeness(frame, overviews)
+    pixel = [
+        abs(float(np.linalg.det(frame.scale(number, info.grid.middle_px)[0]))) ** 0.5
+        for number, info in enumerate(frame.infos)
+    ]
+    found = []
+    for one, other in combinations(range(len(outlines)), 2):
+        overlap = _overlap(outlines[one], outlines[other])
+        if overlap >= MIN_OVERLAP:
+            cost = 1.5 - alike[one, other] - 0.5 * overlap + _metadata_cost(inputs[one], inputs[other])
+            cost += 0.2 * abs(float(np.log2(pixel[one] / pixel[other])))
+            found.append(Candidate((one, other), round(cost + 1e-6 * (other - one), 9)))
+    return sorted(found, key=lambda each: (each.cost, each.pair))
+
+
+def _overlap(one: shapely.Polygon, other: shapely.Polygon) -> float:
+    smaller = min(one.area, other.area)
+    return float(one.intersection(other).area / smaller) if smaller > 0 else 0.0
+
+
+def _metadata_cost(one: StackInput, other: StackInput) -> float:
+    """Return what dates, sun and clouds of the metadata say against a pair."""
+    cost = 0.25 * ((one.cloud or 0.0) + (other.cloud or 0.0))
+    if one.day is not None and other.day is not None:
+        days = abs((one.day - other.day).days)
+        season = min(days % 365.25, 365.25 - days % 365.25) / 182.6
+        cost += 0.3 * season + 0.1 * min(1.0, days / 3650)
+    if one.sun_elevation is not None and other.sun_elevation is not None:
+        cost += 0.3 * min(1.0, abs(one.sun_elevation - other.sun_elevation) / 60)
+    return cost
+
+
+def _likeness(frame: StackFrame, overviews: Sequence[Float64 | None]) -> Float64:
+    """Return the (images, images) correlation of the overviews on common ground; 0.5 where unknown."""
+    corners = [frame.from_image(number, info.grid.boundary_px()) for number, info in enumerate(frame.infos)]
+    low, high = np.min(np.vstack(corners), axis=0), np.max(np.vstack(corners), axis=0)
+    step = (np.arange(OVERLAP_CELLS) + 0.5) / OVERLAP_CELLS
+    at = low + np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2) * (high - low)
+    samples = np.stack([_sampled(frame, number, overview, at) for number, overview in enumerate(overviews)])
+    valid = np.isfinite(samples)
+    values = np.where(valid, samples, 0.0)
+    weight = valid.astype(np.float64)
+    count = weight @ weight.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = (values @ weight.T) / count  # of the first over what both show
+        square = ((values**2) @ weight.T) / count - mean**2
+        found = ((values @ values.T) / count - mean * mean.T) / np.sqrt(square * square.T)
+    known = (count >= MIN_CELLS) & np.isfinite(found)
+    return np.where(known, np.clip(found, 0.0, 1.0), 0.5)
+
+
+def _sampled(frame: StackFrame, image: int, overview: Float64 | None, at: Float64) -> Float64:
+    """Return the overview of an image at (n, 2) positions of the frame, scaled; NaN outside."""
+    found = np.full(len(at), np.nan)
+    if overview is None or not np.isfinite(overview).any():
+        return found
+    rows, cols = frame.infos[image].grid.shape
+    per_px = np.array([overview.shape[1] / cols, overview.shape[0] / rows])
+    with np.errstate(invalid="ignore"):
+        index = np.floor(frame.to_image(image, at) * per_px)
+    inside = ((index >= 0) & (index < overview.shape[::-1])).all(axis=1)
+    col, row = index[inside].astype(int).T
+    found[inside] = overview[row, col] / np.nanstd(overview) if np.nanstd(overview) > 0 else np.nan
+    return found
+
+
+def choose_pairs(
+    found: Sequence[Candidate], images: int, most: int | None = None, before: Sequence[tuple[int, int]] = ()
+) -> list[tuple[int, int]]:
+    """Return the pairs to measure, at `most` so many, those without which the rest is worth less first.
+
+    The candidates are `found` the most promising first, for so many `images`. Pairs measured `before`, by an
+    earlier run, stay, and only images that have none get others.
+    """
+    known = {image for pair in before for image in pair}
+    chosen = dict.fromkeys(before)
+    for _ in range(SPANNING_TREES):
+        chosen |= dict.fromkeys(_spanning_tree(found, images, known, chosen))
+    if images <= ALL_PAIRS:
+        chosen |= dict.fromkeys(each.pair for each in found if not known.issuperset(each.pair))
+    elif images <= DIRECT_IMAGES and not before:
+        chosen |= dict.fromkeys(_strengthening(found, images, list(chosen)))
+    return list(chosen)[:most]
+
+
+def _spanning_tree(
+    found: Sequence[Candidate], images: int, known: set[int], taken: Mapping[tuple[int, int], None]
+) -> Iterator[tuple[int, int]]:
+    """Yield the cheapest pairs not taken that connect all images (Kruskal); those known are connected."""
+    tree = list(range(images))
+    for image in known:
+        tree[image] = min(known)
+    for each in found:
+        one, other = (tree[image] for image in each.pair)
+        if one != other and each.pair not in taken:
+            tree = [one if root == other else root for root in tree]
+            yield each.pair
+
+
+def _strengthening(
+    found: Sequence[Candidate], images: int, chosen: list[tuple[int, int]]
+) -> Iterator[tuple[int, int]]:
+    """Yield further pairs for the images that are least well connected to the first."""
+    taken = set(chosen)
+    weight = {each.pair: (LEAST_COST + each.cost) ** -2 for each in found}
+    usual = float(np.median([weight[pair] for pair in chosen]))
+    laplace = np.zeros((images, images))
+    for pair in chosen:
+        _connect(laplace, pair, weight[pair] / usual)
+    while len(taken) < MOST * images:
+        variance = np.diag(pseudo_inverse(laplace[1:, 1:], hermitian=True))
+        variance = np.concatenate([[0.0], variance])
+        another = _another(found, taken, variance)
+        if another is None:
+            return
+        taken.add(another)
+        _connect(laplace, another, weight[another] / usual)
+        yield another
+
+
+def _another(
+    found: Sequence[Candidate], taken: set[tuple[int, int]], variance: Float64
+) -> tuple[int, int] | None:
+    """Return a pair for the image of the largest variance that can get one; None where none needs it."""
+    for worst in np.argsort(-variance, kind="stable").tolist():
+        if variance[worst] <= FAR:
+            return None
+        for each in found:
+            other = sum(each.pair) - worst
+            if worst in each.pair and each.pair not in taken and variance[other] < variance[worst] / 2:
+                return each.pair
+    return None
+
+
+def _connect(laplace: Float64, pair: tuple[int, int], weight: float) -> None:
+    """Add a pair to the matrix whose inverse tells how well images are connected."""
+    one, other = pair
+    laplace[[one, other], [one, other]] += weight
+    laplace[[one, other], [other, one]] -= weight
+
+
+def asked_by_sigma(
+    found: Sequence[Candidate],
+    chosen: Sequence[tuple[int, int]],
+    sigma: Float64,
+    kinds: Sequence[object] | None = None,
+) -> list[tuple[int, int]]:
+    """Return further pairs, two an image, for images of an unusually large sigma.
+
+    What one kind of image sees otherwise than another is the same in all pairs of the two kinds, and only
+    pairs with a third kind average it: kinds with which an image has the fewest pairs come first. The
+    candidates are `found` the most promising first, and those `chosen` are there already. The (images,) array
+    `sigma` has the standard deviation of the position of each; all are of one of the `kinds` by default.
+    """
+    limit = UNSURE * float(np.median(sigma[sigma > 0])) if (sigma > 0).any() else np.inf
+    kinds = kinds if kinds is not None else [None] * len(sigma)
+    taken, more = dict.fromkeys(chosen), []
+    for image in np.flatnonzero(sigma > limit).tolist():
+        for _ in range(2):
+            with_kind = Counter(kinds[sum(pair) - image] for pair in taken if image in pair)
+            free = [
+                each.pair
+                for each in found
+                if image in each.pair and each.pair not in taken and sigma[sum(each.pair) - image] <= limit
+            ]
+            if free:
+                pair = min(free, key=lambda pair: with_kind[kinds[sum(pair) - image]])
+                taken[pair] = None
+                more.append(pair)
+    return more
+
+
+def listed_pairs(table: PathLike, frame: StackFrame, inputs: Sequence[StackInput]) -> list[tuple[int, int]]:
+    """Return the pairs of a CSV table with columns reference and target, names or paths of images.
+
+    Raises `InputError` if it cannot be read or names an image that the stack does not have.
+    """
+    number = {name: index for index, name in enumerate(frame.names)}
+    for index, given in enumerate(inputs):
+        with suppress(OSError):
+            number.setdefault(str(Path(given.path).resolve()), index)
+    chosen: dict[tuple[int, int], None] = {}
+    for row in read_table(Path(table), ("reference", "target")):
+        ends = []
+        for column in ("reference", "target"):
+            text = row[column]
+            place = str((Path(table).parent / text).resolve())
+            if text not in number and place not in number:
+                raise InputError(
+                    f"{table} names {text}, which is none of the images {', '.join(frame.names)}"
+                )
+            ends.append(number.get(text, number.get(place, 0)))
+        if ends[0] == ends[1]:
+            raise InputError(f"{table} has a pair of {row['reference']} with itself")
+        chosen[min(ends), max(ends)] = None
+    return list(chosen)

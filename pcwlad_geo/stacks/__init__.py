@@ -1,1 +1,0 @@
-"""Many images of one ground: the pairs worth measuring, and one adjustment of all of them."""

@@ -1,0 +1,36 @@
+"""A stack that is there already: what is not about matching need not match again."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pcwlad_geo.multi.stack import stack
+from tests.multi.test_stack import FEW, write_images
+
+Placed = Callable[[int], list[Path]]
+
+
+@pytest.fixture(scope="session")
+def four(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the images date0 to date3, and their stack in `whole`."""
+    folder = tmp_path_factory.mktemp("four")
+    stack(write_images(folder, 4), out_dir=folder / "whole", **FEW)
+    return folder
+
+
+@pytest.fixture
+def matched_before(four: Path, tmp_path: Path) -> Placed:
+    """Put the pairs of the first images into `out`, as a run has left them that was broken off."""
+
+    def put(count: int) -> list[Path]:
+        names = [f"date{number}" for number in range(count)]
+        for pair in (four / "whole/pairs").iterdir():
+            if set(pair.name.split("__")) <= set(names):
+                shutil.copytree(pair, tmp_path / "out/pairs" / pair.name)
+        return [four / f"{name}.tif" for name in names]
+
+    return put

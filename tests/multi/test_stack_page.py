@@ -1,0 +1,94 @@
+"""The page of a stack: the net drawn, wrong pairs first, names of strangers escaped."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pcwlad_geo.multi.adjustment import adjust
+from pcwlad_geo.multi.pages import stack_page
+from pcwlad_geo.multi.stack_pairs import StackFrame, StackPair
+from pcwlad_geo.multi.stack_result import Stack, stack_of
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.source import describe
+from tests.multi.test_adjustment import make, ring
+from tests.scenes import make_grid, render, write
+
+GRID = make_grid((200, 200))
+
+
+def make_stack(folder: Path, names: list[str]) -> Stack:
+    """A stack of simulated tie points, in which the first pair is wrong and one was refused."""
+    rng = np.random.default_rng(4)
+    truth, pairs = make(rng, len(names)), ring(len(names))
+    edges = [
+        truth.edge(rng, *pair, shared=0.02, sigma=0.05, off=2.0 if number == 0 else 0.0)
+        for number, pair in enumerate(pairs)
+    ]
+    info = describe(write(folder / "image.tif", render(GRID), GRID))
+    blank = StackPair(names[0], names[3], "refused", "no better than chance", folder / "x")
+    measured = [
+        (
+            edge,
+            replace(
+                blank,
+                reference=names[one],
+                target=names[other],
+                reason=None,
+                folder=folder / f"{one}_{other}",
+            ),
+        )
+        for edge, (one, other) in zip(edges, pairs, strict=True)
+    ]
+    frame = StackFrame(names, [info] * len(names), GRID, True)
+    found = adjust(edges, len(names))
+    return stack_of(
+        frame, [*measured, (None, blank)], found, folder, Settings(), [], {"late.tif": "no raster"}
+    )
+
+
+def test_the_net_is_drawn_and_what_does_not_fit_comes_first(tmp_path: Path) -> None:
+    names = [f"date{number}" for number in range(9)]
+    text = stack_page(make_stack(tmp_path, names))
+    drawing = text.partition('<svg class="net')[2].partition("</svg>")[0]
+    assert drawing.count("<circle") == 9
+    assert drawing.count("<line") == len(ring(9)) + 1
+    assert drawing.count('class="left-out"') == 1
+    assert drawing.count('class="refused"') == 1
+    rows = re.findall(r'<a href="pairs/[^"]*/report.html">([^<]*)</a>', text)
+    assert rows[:2] == ["date0 – date1", "date0 – date3"]
+    assert "1 pair contradicts" in text
+    assert "late.tif could not be read" in text
+    assert "of each is an affine." in text
+
+
+def test_dates_are_drawn_as_a_series_and_cycles_name_the_pair_to_blame(tmp_path: Path) -> None:
+    found = make_stack(tmp_path, [f"date{number}" for number in range(9)])
+    assert "Shifts in time" not in stack_page(found)
+    assert "Pair to blame" in stack_page(found)
+    images = tuple(
+        replace(image, given=replace(image.given, date=f"2020-0{number + 1}-05"))
+        for number, image in enumerate(found.images)
+    )
+    text = stack_page(replace(found, images=images))
+    drawing = text.partition('<svg class="series')[2].partition("</svg>")[0]
+    assert drawing.count("<circle") == 9
+    assert "2020-01-05" in drawing
+    assert "2020-09-05" in drawing
+
+
+def test_names_of_strangers_are_text(tmp_path: Path) -> None:
+    names = ["<script>alert(1)</script>", *(f"date{number}" for number in range(8))]
+    text = stack_page(make_stack(tmp_path, names))
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+
+
+def test_long_names_are_shortened_in_the_drawing_alone(tmp_path: Path) -> None:
+    long = "LC08_L1TP_198030_20200809_20200918_02_T1_B5"
+    text = stack_page(make_stack(tmp_path, [long, *(f"date{number}" for number in range(8))]))
+    assert f"<title>{long}</title>" in text
+    assert ">LC08_L1TP_198030_202008…</text>" in text
