@@ -88,7 +88,7 @@ def place_file(staged: Path, final: str | os.PathLike[str], *, overwrite: bool =
     moved across file systems; missing folders are made.
     """
     place = absolute(final)
-    beside = place.with_name(f".{place.name}.{HOST}-{os.getpid()}")
+    temporary = place.with_name(f".{place.name}.{HOST}-{os.getpid()}")
     verify_output(staged)
     with disk_errors(place):
         check_outputs([place], overwrite=overwrite)
@@ -96,11 +96,11 @@ def place_file(staged: Path, final: str | os.PathLike[str], *, overwrite: bool =
         for left in of_dead_processes(place.parent, f".{place.name}.{HOST}-"):
             left.unlink(missing_ok=True)
         try:
-            shutil.move(staged, beside)
-            seal(beside)
-            beside.replace(place)
+            shutil.move(staged, temporary)
+            seal(temporary)
+            temporary.replace(place)
         finally:
-            beside.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
         sync_folder(place.parent)
 
 
@@ -110,9 +110,9 @@ def place_with_files(staged: Path, final: str | os.PathLike[str], *, overwrite: 
     The parameters `staged`, `final` and `overwrite` and the errors are those of `place_file`.
     """
     place = absolute(final)
-    beside = files_of(staged)[1:]
+    attached = files_of(staged)[1:]
     place_file(staged, place, overwrite=overwrite)  # verified first, while its other files are beside it
-    for file in beside:
+    for file in attached:
         # X.hdr belongs to X.dat by its stem, X.dat.aux.xml by its full name
         whole = file.name.startswith(staged.name)
         ending = file.name[len(staged.name if whole else staged.stem) :]
@@ -131,10 +131,10 @@ def stage_inside(folder: str | os.PathLike[str]) -> Iterator[Path]:
         Parent of the hidden folder; missing folders are made, and removed again if they remain empty.
     """
     place = absolute(folder)
-    made: list[Path] = []
+    created: list[Path] = []
     try:
         with disk_errors(place):
-            made = make_folders(place)
+            created = make_folders(place)
             sweep(place)
         stage = stage_of(place)
         try:
@@ -144,7 +144,7 @@ def stage_inside(folder: str | os.PathLike[str]) -> Iterator[Path]:
         finally:
             shutil.rmtree(stage, ignore_errors=True)
     finally:
-        remove_empty(made)
+        remove_empty(created)
 
 
 @contextmanager
@@ -155,15 +155,15 @@ def lock_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
     """
     place = absolute(folder)
     lock = FolderLock(place)
-    made: list[Path] = []
+    created: list[Path] = []
     try:
         with disk_errors(place):
-            made = make_folders(place.parent)
+            created = make_folders(place.parent)
             lock.acquire()
         yield
     finally:
         lock.release()
-        remove_empty(made)
+        remove_empty(created)
 
 
 class OutputFolder:
@@ -202,19 +202,21 @@ class OutputFolder:
         self._overwrite = overwrite
         self._results = results
         self._inputs = tuple(inputs)
-        self._made: list[Path] = []
+        self._new_folders: list[Path] = []
         self._lock = FolderLock(self.out_dir)
         self._stage: Path | None = None
+        self._ours: frozenset[str] = frozenset()
 
     def __enter__(self) -> OutputFolder:
         check_output_folder(self.out_dir, overwrite=True, results=self._results)
         try:
             with disk_errors(self.out_dir):
-                self._made = make_folders(self.out_dir.parent)
+                self._new_folders = make_folders(self.out_dir.parent)
                 self._lock.acquire()
                 sweep(self.out_dir)
                 check_output_folder(self.out_dir, self._overwrite, self._results)
                 self.protect(self._inputs)
+                self._ours = self._replaceable()
                 self._stage = stage_of(self.out_dir)  # set first: an interrupt may come at any moment
                 self._stage.mkdir(FOLDER_MODE)
         except BaseException:
@@ -263,7 +265,7 @@ class OutputFolder:
         """
         if not plain_names([name]):
             raise ValueError(f"'{name}' is no plain file name")
-        self._check_free([name])
+        self._check_free([name], self._ours)
         return self.stage / name
 
     def final_path(self, name: str) -> Path:
@@ -321,8 +323,9 @@ class OutputFolder:
 
         The old results file is removed first and the new one added last, so that all files it names exist.
         """
-        self._check_free(names)
-        replaced = [name for name in self._replaceable() if _is_file(self.out_dir / name)]
+        ours = self._replaceable()
+        self._check_free(names, ours)
+        replaced = [name for name in ours if _is_file(self.out_dir / name)]
         old = sorted(replaced, key=lambda name: (name != self._results, name))
         (self.stage / OLD).mkdir()
         write_journal(self.stage, self.out_dir, old=old, new=names)
@@ -335,8 +338,7 @@ class OutputFolder:
         with suppress(OSError):  # they are in place already
             sync_folder(self.stage)
 
-    def _check_free(self, names: Iterable[str]) -> None:
-        ours = self._replaceable()
+    def _check_free(self, names: Iterable[str], ours: frozenset[str]) -> None:
         for name in names:
             if name not in ours and os.path.lexists(self.out_dir / name):
                 raise OutputError(
@@ -358,7 +360,7 @@ class OutputFolder:
                 self._stage = None
         finally:
             self._lock.release()
-            remove_empty(self._made)
+            remove_empty(self._new_folders)
 
 
 def abandon(out_dir: str | os.PathLike[str]) -> None:

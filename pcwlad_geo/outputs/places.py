@@ -38,20 +38,10 @@ def check_outputs(
 ) -> None:
     """Check every path that a command will write, before any work.
 
-    Parameters
-    ----------
-    places : sequence of pathlib.Path
-        The files that will be written.
-    inputs : iterable of path
-        The files that are read; names that are no files, such as URIs of GDAL, and None are passed over.
-    overwrite : bool
-        Whether files that exist may be replaced.
-
-    Raises
-    ------
-    OutputError
-        If no file can have such a name, two outputs have one path (also where names that differ in case alone
-        are one), an output is an input under whatever name, or what lies there may not be replaced.
+    The `inputs` are the files that are read; names that are no files, such as URIs of GDAL, and None are
+    passed over. Files that exist may be replaced if `overwrite`. Raises `OutputError` if no file can have
+    such a name, two outputs have one path (also where names that differ in case alone are one), an output is
+    an input under whatever name, or what lies there may not be replaced.
     """
     read = {(about.st_dev, about.st_ino) for about in map(_about, inputs) if about is not None}
     taken: dict[str, Path] = {}
@@ -116,15 +106,15 @@ def alive(process: int) -> bool:
 
 def make_folders(folder: Path) -> list[Path]:
     """Make a folder and its parents, and return those that were missing, outermost first."""
-    made: list[Path] = []
+    created: list[Path] = []
     try:
         for place in [each for each in (folder, *folder.parents) if not each.exists()][::-1]:
-            made.append(place)
+            created.append(place)
             place.mkdir(FOLDER_MODE, exist_ok=True)
     except BaseException:
-        remove_empty(made)
+        remove_empty(created)
         raise
-    return made
+    return created
 
 
 def remove_empty(folders: list[Path]) -> None:

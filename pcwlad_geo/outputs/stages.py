@@ -50,8 +50,8 @@ class FolderLock:
         Raises `OutputError` if another run holds the lock, or another file has its name; `OSError` if the
         lock cannot be written.
         """
-        beside, inside = lock_paths(self._out_dir)
-        self._path = beside if os.access(beside.parent, os.W_OK | os.X_OK) else inside
+        outside, inside = lock_paths(self._out_dir)
+        self._path = outside if os.access(outside.parent, os.W_OK | os.X_OK) else inside
         while self._descriptor is None:
             self._create()
             if self._descriptor is None:
@@ -227,8 +227,8 @@ _discarding = threading.Lock()
 def stage_of(out_dir: Path) -> Path:
     """Return the stage of this process: beside a folder that does not exist, inside one that does."""
     process = f"{HOST}-{os.getpid()}"
-    inside, beside = stage_prefixes(out_dir)
-    return Path(f"{inside if out_dir.is_dir() else beside}{process}")
+    inside, outside = stage_prefixes(out_dir)
+    return Path(f"{inside if out_dir.is_dir() else outside}{process}")
 
 
 def stage_prefixes(out_dir: Path) -> tuple[Path, Path]:

@@ -1,4 +1,4 @@
-"""The content of report.json as types, from which docs/make_schemas.py makes its schema too, and its JSON.
+"""The content of report.json: its types, from which docs/make_schemas.py makes the schema, and its making.
 
 Docstrings of fields are the descriptions of the schema, pairs in `Annotated` keywords of it and their values.
 """
@@ -7,27 +7,61 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+import platform
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from datetime import datetime, timezone
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar
 
-from pcwlad_geo.correction.error_statistics import Accuracy, Amount, Pair, UnitStatistics
-from pcwlad_geo.correction.jitter import Peak, Profile
+import numpy as np
+import rasterio
+
+from pcwlad_geo.correction.error_statistics import (
+    Accuracy,
+    Amount,
+    Count,
+    FloatPair,
+    Proof,
+    Share,
+    UnitStatistics,
+)
+from pcwlad_geo.correction.jitter import MIN_WAVE_POINTS, Peak, Profile, peaks, profile, smooth_rest
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.rpc.dem import Dem
+from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.model import RpcModel
-from pcwlad_geo.registration.fitting import Grade
+from pcwlad_geo.raster.rpc.ortho import ground_grid
+from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.registration.fitting import Grade, Origin
 from pcwlad_geo.registration.inputs import INLINE, InputFile
 from pcwlad_geo.registration.judge import Motion
 from pcwlad_geo.registration.prealign import Prealignment
-from pcwlad_geo.registration.result import PairGeometry, Status
-from pcwlad_geo.report.statistics import DIGITS, REASONS, Group
-from pcwlad_geo.requirements import Requirement
+from pcwlad_geo.registration.result import PairGeometry, Registration, RegistrationStatus
+from pcwlad_geo.registration.rpc import RpcRegistration
+from pcwlad_geo.report.statistics import (
+    DIGITS,
+    GROUPS,
+    KEPT,
+    REASONS,
+    SHARE_DIGITS,
+    PointGroup,
+    PrecisionMap,
+    When,
+    coverage_of,
+    heights_m,
+    native_size_m,
+    precision_of,
+    statistics_of,
+    target_px_m,
+)
+from pcwlad_geo.requirements import Requirement, RequirementResult
+from pcwlad_geo.types import Float64
 
-Count = Annotated[int, ("minimum", 0)]
 Positive = Annotated[int, ("minimum", 1)]
-Share = Annotated[float, ("minimum", 0), ("maximum", 1)]
-Reason = Annotated[str, ("enum", REASONS)]
+RejectionReason = Annotated[str, ("enum", REASONS)]
 Versions = Annotated[Mapping[str, str], ("required", ["pcwlad-geo"])]
 
 
@@ -88,9 +122,9 @@ class ReferenceEntry(RasterEntry):
 class AxisSummary:
     """Per axis; std of the population."""
 
-    mean: Pair
-    median: Pair
-    std: Pair
+    mean: FloatPair
+    median: FloatPair
+    std: FloatPair
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +138,7 @@ class RpcEntry:
     told)."""
     undulation_m: float | None
     height_m: float | None
-    height_range_m: Pair
+    height_range_m: FloatPair
     original: RpcModel
     corrected: RpcModel | None
     fold_error_px: float | None
@@ -114,8 +148,8 @@ class RpcEntry:
 class PredictedSigma:
     """Sigma of the correction over the target."""
 
-    median: Pair
-    largest: Pair
+    median: FloatPair
+    largest: FloatPair
     extrapolated_share: Share
 
 
@@ -153,9 +187,14 @@ class QualityEntry:
     reasons: tuple[str, ...]
     """Why it is not good, the worst first."""
     expected_ce90_px: Amount
-    """Error within which 90 % of the ground that both show is expected to lie, target px."""
+    """Error within which 90 % of the ground that both show is expected to lie, target px; within the extent
+    and the masks where such are given."""
     expected_ce90_m: Amount | None
     """The same in metres; null without a CRS."""
+    whole_ce90_px: Amount | None
+    """The same of all ground that both show; null where neither an extent nor a mask leaves out a part."""
+    whole_ce90_m: Amount | None
+    """The same in metres."""
     extrapolated_share: Share
     """Share of the ground that both show beyond the tie points."""
     kept_share: Share
@@ -183,9 +222,9 @@ class StatisticsEntry:
 
     native_px_m: float | None
     """The coarser pixel that the two sensors recorded, as the file names tell; metres."""
-    before: Mapping[Group, GroupStatistics | None]
+    before: Mapping[PointGroup, GroupStatistics | None]
     """Of all points that were not rejected, of those of the fit, of the check points; null without any."""
-    after: Mapping[Group, GroupStatistics | None]
+    after: Mapping[PointGroup, GroupStatistics | None]
 
     @property
     def judged(self) -> GroupStatistics | None:
@@ -218,7 +257,7 @@ class CoverageEntry:
     """How many there are down and across."""
     points: tuple[tuple[Count, ...], ...]
     """Tie points that agree with the others, of each square."""
-    reason: tuple[tuple[Reason | None, ...], ...]
+    reason: tuple[tuple[RejectionReason | None, ...], ...]
     """Why a square has no tie point; null where it has. edge: within a matching window of an edge or of
     masked pixels; unread: the file could not be read there; not_asked: no window was laid there; no_texture:
     faint contrast at most in one of the two, or no corner; not_comparable to directions_disagree: the stage
@@ -240,7 +279,7 @@ class Report:
     """
 
     schema_version: Literal[1]
-    status: Status
+    status: RegistrationStatus
     reason: str | None
     """Why the pair was rejected."""
     warnings: tuple[str, ...]
@@ -255,7 +294,7 @@ class Report:
     """The files that the job read, as they were before it opened any of them; compared before the results are
     put in place. Of a raster, those that belong to it and the sources of a VRT too (the first 200 of an
     input), save statistics beside it (.aux.xml)."""
-    px_m: Pair | None
+    px_m: FloatPair | None
     """Size of a target pixel (col, row) on the ground in the middle of the overlap, metres on the ellipsoid;
     null without a CRS."""
     output_grid: GridEntry | None
@@ -270,8 +309,10 @@ class Report:
     jitter_px: Amount
     """By how much rows and columns move within a window, RMS, target px; 0 where that is not seen."""
     window_px: int | None
-    """Side of the window that the tie points were refined with, matching-grid px; null for those of a
-    file."""
+    """Side of the window that the tie points were refined with, matching-grid px; null where it is not
+    known."""
+    origin: Origin | None
+    """What is known of tie points of a file; null for those that were matched."""
     tie_points: Annotated[Mapping[str, Count], ("required", ["total", "rejected"])]
     """By status, and in all."""
     counts: Mapping[str, int]
@@ -299,6 +340,8 @@ class Report:
     settings: Settings
     """By option name."""
     versions: Versions
+    proof: Proof | None
+    """The tool's own error on this pair; null where it was not asked for."""
     outputs: tuple[str, ...]
     """Names of the files in the folder."""
 
@@ -346,3 +389,328 @@ def rounded(value: T, digits: int = DIGITS) -> T:
             value, **{each.name: rounded(getattr(value, each.name), digits) for each in fields(value)}
         )
     return found  # type: ignore[no-any-return]
+
+
+SCHEMA_VERSION: Final = 1
+"""Version of the structure of report.json."""
+LIBRARIES = ("numpy", "scipy", "cv2", "numba", "rasterio", "pyproj")
+"""Libraries whose versions the report states."""
+PX_DIGITS, M_DIGITS, SECONDS_DIGITS = 5, 4, 3
+"""Numbers of decimal places of pixels, metres and seconds."""
+
+
+def summarise(
+    registration: Registration,
+    outputs: Sequence[str],
+    precision: PrecisionMap | None = None,
+    output_grid: Grid | None = None,
+) -> Report:
+    """Return the content of `report.json`.
+
+    The `outputs` are names of the files in the output folder; the predicted sigma `precision` is given if it
+    is already computed, and the grid of the registered raster if there is one.
+    """
+    table = registration.tie_points
+    kept = table.select(*KEPT)
+    rpc = registration.rpc
+    return Report(
+        schema_version=SCHEMA_VERSION,
+        status=registration.status,
+        reason=registration.reason,
+        warnings=registration.warnings,
+        passed=registration.passed,
+        requirements=tuple(_requirement(each) for each in registration.requirements),
+        reference=reference_entry(registration.reference),
+        target=raster_entry(registration.target),
+        inputs=registration.inputs,
+        px_m=registration.px_m,
+        output_grid=_grid(output_grid) if output_grid else None,
+        prealignment=registration.prealignment,
+        geometry=registration.geometry,
+        motions=registration.motions,
+        jitter_px=registration.jitter_px,
+        window_px=registration.window_px,
+        origin=registration.origin,
+        tie_points=_tie_point_counts(registration),
+        counts=registration.counts,
+        displacement_px=_statistics(kept.displacement_px, PX_DIGITS),
+        displacement_m=_statistics(kept.displacement_m, M_DIGITS),
+        rpc=_rpc(rpc, registration.settings) if rpc else None,
+        model=_model(registration, precision or precision_of(registration)),
+        accuracy={"fit": _accuracy(registration, "fit"), "check": _accuracy(registration, "check")},
+        quality=_quality(registration),
+        statistics=error_statistics(registration),
+        profiles=_profiles(registration),
+        coverage=_coverage(registration),
+        seconds=rounded(registration.seconds, SECONDS_DIGITS),
+        settings=registration.settings,
+        versions=versions(),
+        proof=rounded(registration.proof, PROOF_DIGITS),
+        outputs=tuple(outputs),
+    )
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this package, Python, GDAL and the numerical libraries."""
+    return {
+        # of the code that runs, which need not be what is installed
+        "pcwlad-geo": str(import_module("pcwlad_geo").__version__),
+        "python": platform.python_version(),
+        "gdal": rasterio.__gdal_version__,
+        **{name: str(import_module(name).__version__) for name in LIBRARIES},
+    }
+
+
+def error_statistics(registration: Registration) -> StatisticsEntry:
+    """Return the statistics of displacements (before) and residuals (after) of all, fit and check points."""
+    sizes_m = target_px_m(registration)
+
+    def groups(when: When) -> dict[PointGroup, GroupStatistics | None]:
+        return {group: _group(registration, when, group, sizes_m) for group in GROUPS}
+
+    native_m = native_size_m(registration.reference, registration.target)
+    return StatisticsEntry(native_m, groups("before"), groups("after"))
+
+
+def _group(
+    registration: Registration, when: When, group: PointGroup, sizes_m: Float64 | None
+) -> GroupStatistics | None:
+    found = statistics_of(registration, when, group, sizes_m)
+    px, native_px, m = (found[unit] for unit in ("px", "native_px", "m"))
+    if px is None:
+        return None
+    return rounded(GroupStatistics(px.n, px.of_unit, native_px and native_px.of_unit, m and m.of_unit))
+
+
+def _grid(grid: Grid) -> GridEntry:
+    a, b, col_off, d, e, row_off = (float(value) for value in grid.transform[:6])
+    crs = grid.crs.to_string() if grid.crs and not isinstance(grid, RpcGrid) else None
+    return GridEntry(grid.shape, (a, b, col_off, d, e, row_off), crs)
+
+
+def reference_entry(info: RasterInfo) -> ReferenceEntry:
+    """Return the reference; with an RPC, also the grid onto which it is orthorectified."""
+    ground = _grid(ground_grid(info.grid)) if isinstance(info.grid, RpcGrid) else None
+    raster = raster_entry(info)
+    return ReferenceEntry(**{each.name: getattr(raster, each.name) for each in fields(raster)}, ground=ground)
+
+
+def _requirement(result: RequirementResult) -> RequirementEntry:
+    requirement = result.requirement
+    return RequirementEntry(
+        requirement.text, requirement, result.value, result.met, result.reason, result.text
+    )
+
+
+def raster_entry(info: RasterInfo) -> RasterEntry:
+    """Return the entry of a band of an input."""
+    return RasterEntry(
+        path=info.uri,
+        band=info.band,
+        band_count=info.band_count,
+        grid=_grid(info.grid),
+        georeferenced=info.georeferenced and not isinstance(info.grid, RpcGrid),
+        dtype=info.dtype,
+        nodata=info.nodata,
+        mask=info.mask_uri,
+        mask_kind=info.mask_kind if info.mask_uri else None,
+    )
+
+
+def _rpc(rpc: RpcRegistration, settings: Settings) -> RpcEntry:
+    """Return the RPCs before and after and the heights used, sufficient to correct other rasters."""
+    heights = rpc.original.heights
+    dem = heights if isinstance(heights, Dem) else None
+    return RpcEntry(
+        origin=rpc.origin,
+        dem=str(_found_again(dem.uri)) if dem else None,
+        dem_vertical=_found_again(settings.dem_vertical) if dem else None,
+        undulation_m=round(dem.undulation.mean_m, M_DIGITS) if dem else None,
+        height_m=None if isinstance(heights, Dem) else heights.height_m,
+        height_range_m=rounded(rpc.heights_m, 1),
+        original=rpc.original.rpc,
+        corrected=rpc.corrected.rpc if rpc.corrected else None,
+        fold_error_px=rpc.bias_error_px,
+    )
+
+
+def _found_again(file: float | Path | str | None) -> float | str | None:
+    """Return an absolute path for the name of an existing file; other values are unchanged."""
+    if not isinstance(file, str | Path):
+        return file
+    return str(Path(file).absolute() if Path(file).exists() else file)
+
+
+def _tie_point_counts(registration: Registration) -> dict[str, int]:
+    status = registration.tie_points.status
+    names = ["fit", "check", "unused", "rejected"]
+    if registration.status == "matched":
+        names = ["matched", "rejected"]
+    return {"total": len(status), **{name: int(np.count_nonzero(status == name)) for name in names}}
+
+
+def _model(registration: Registration, precision: PrecisionMap | None) -> ModelEntry | None:
+    """Return the correction in full precision, and the candidates from which it was chosen."""
+    if registration.correction is None:
+        return None
+    found: Any = registration.correction.to_dict()
+    candidates = registration.selection.candidates if registration.selection else ()
+    return ModelEntry(
+        found["name"],
+        found["forward"],
+        _predicted_sigma(precision) if precision else None,
+        tuple(
+            CandidateEntry(
+                each.name,
+                _known(each.parameters, 1),
+                _known(each.rmse_px, PX_DIGITS),
+                _known(each.rmse_standard_error_px, PX_DIGITS),
+                each.chosen,
+                each.note,
+            )
+            for each in candidates
+        ),
+    )
+
+
+def _known(value: float, digits: int) -> float | None:
+    return round(value, digits) if math.isfinite(value) else None
+
+
+def _quality(registration: Registration) -> QualityEntry | None:
+    quality, px_m = registration.quality, registration.px_m
+    if quality is None:
+        return None
+    expected = quality.expected_ce90_px
+    whole, extrapolated = quality.whole or (None, quality.extrapolated_share)
+    size_m = None if px_m is None else math.sqrt(px_m[0] * px_m[1])
+    return QualityEntry(
+        grade=quality.grade,
+        reasons=tuple(reason.text for reason in quality.reasons),
+        expected_ce90_px=round(expected, PX_DIGITS),
+        expected_ce90_m=None if size_m is None else round(expected * size_m, M_DIGITS),
+        whole_ce90_px=None if whole is None else round(whole, PX_DIGITS),
+        whole_ce90_m=None if whole is None or size_m is None else round(whole * size_m, M_DIGITS),
+        extrapolated_share=round(extrapolated, SHARE_DIGITS),
+        kept_share=round(quality.kept_share, SHARE_DIGITS),
+    )
+
+
+def _predicted_sigma(precision: PrecisionMap) -> PredictedSigma:
+    """Return the sigma of the correction over the target, and the share that is extrapolated."""
+    sigma = precision.sigma_px.reshape(-1, 2)
+    return PredictedSigma(
+        median=_pair(np.median(sigma, axis=0), PX_DIGITS),
+        largest=_pair(sigma.max(axis=0), PX_DIGITS),
+        extrapolated_share=round(float(precision.extrapolated.mean()), SHARE_DIGITS),
+    )
+
+
+def _profiles(registration: Registration) -> ProfilesEntry | None:
+    """Return the displacement along rows and columns of the target beyond its cubic trend."""
+    points = registration.tie_points.select("fit", "check", "unused")
+    if registration.selection is None or len(points) < MIN_WAVE_POINTS:
+        return None
+    window_px, at_px = registration.selection.footprint_px, points.predicted_px
+    rest = smooth_rest(at_px, points.displacement_px)
+    col, row = at_px.T
+    heights = heights_m(registration, at_px)
+    step = window_px / 2
+    found = ProfilesEntry(
+        peaks(at_px, rest, window_px),
+        profile(col, row, rest, step),
+        profile(row, col, rest, step),
+        None if heights is None else profile(heights, row, rest, 0.0),
+    )
+    return rounded(found, PX_DIGITS)
+
+
+def _coverage(registration: Registration) -> CoverageEntry:
+    """Return the tie points by square of the reference, and the reasons where there are none."""
+    found = coverage_of(registration.tie_points, registration.reference.grid.shape, registration.record)
+    rows, cols = found.points.shape
+    return CoverageEntry(
+        squares=(rows, cols),
+        points=tuple(map(tuple, found.points.tolist())),
+        reason=tuple(tuple(name or None for name in row) for row in found.reason.tolist()),
+        without_points=found.without,
+        empty_share=round(found.empty_share, SHARE_DIGITS),
+    )
+
+
+def _statistics(values: Float64, digits: int) -> AxisSummary | None:
+    """Return mean, median and population standard deviation per axis; None without points."""
+    values = values[np.isfinite(values).all(axis=1)]
+    if len(values) == 0:
+        return None
+    found = values.mean(axis=0), np.median(values, axis=0), values.std(axis=0)
+    return AxisSummary(*(_pair(each, digits) for each in found))
+
+
+def _accuracy(registration: Registration, group: str) -> dict[Literal["px", "m"], Accuracy | None]:
+    def accuracy(unit: str, digits: int) -> Accuracy | None:
+        found = registration.accuracy.get(f"{group}_{unit}")
+        return rounded(found, digits) if found and found.n else None
+
+    return {"px": accuracy("px", PX_DIGITS), "m": accuracy("m", M_DIGITS)}
+
+
+def _pair(values: Float64, digits: int) -> FloatPair:
+    col, row = np.round(values, digits).tolist()
+    return col, row
+
+
+PROOF_VERSION: Final = 1
+"""Version of the structure of proof.json."""
+PROOF_DIGITS: Final = 5
+"""Number of decimal places of its figures."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProofNumbers:
+    """The content of proof.json."""
+
+    schema_version: Literal[1]
+    kind: Literal["proof"]
+    created: Annotated[str, ("format", "date-time")]
+    """ISO 8601, UTC."""
+    reference: ReferenceEntry
+    target: RasterEntry
+    inputs: tuple[InputFile, ...]
+    """The files that were read, as they were before."""
+    px_m: FloatPair | None
+    """Size of a target pixel (col, row) on the ground, metres; null without a CRS."""
+    proof: Proof = field(metadata=INLINE)
+    seconds: Mapping[str, float]
+    """By stage."""
+    settings: Settings
+    """By option name."""
+    versions: Versions
+    outputs: tuple[str, ...]
+    """Names of the files in the folder."""
+
+
+def proof_numbers(registration: Registration, proof: Proof, outputs: Sequence[str]) -> ProofNumbers:
+    """Return the content of `proof.json`.
+
+    Parameters
+    ----------
+    registration : Registration
+        The pair that the proof is of.
+    outputs : sequence of str
+        Names of the files in the output folder.
+    """
+    return ProofNumbers(
+        schema_version=PROOF_VERSION,
+        kind="proof",
+        created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        reference=reference_entry(registration.reference),
+        target=raster_entry(registration.target),
+        inputs=registration.inputs,
+        px_m=registration.px_m,
+        proof=rounded(proof, PROOF_DIGITS),
+        seconds=rounded(registration.seconds, SECONDS_DIGITS),
+        settings=registration.settings,
+        versions=versions(),
+        outputs=tuple(outputs),
+    )

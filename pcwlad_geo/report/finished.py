@@ -23,13 +23,12 @@ from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.raster.rpc.dem import Dem, Vertical
 from pcwlad_geo.raster.rpc.model import RpcModel
-from pcwlad_geo.raster.rpc.view import ground_grid
+from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.registration.inputs import Inputs, grid_request, identify_inputs, requested_grid, resolve
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.rpc import CorrectedRpc, RpcRegistration
-from pcwlad_geo.report.content import plain
-from pcwlad_geo.report.summary import SCHEMA_VERSION
+from pcwlad_geo.report.content import SCHEMA_VERSION, plain
 from pcwlad_geo.text import read_json
 
 NUMBERS = "report.json"

@@ -1,4 +1,4 @@
-"""The report page: the verdict in words, the figures, and the rendering by templates."""
+"""The report page: the verdict in words, the figures, the rendering by templates, and the page as PDF."""
 
 from __future__ import annotations
 
@@ -7,32 +7,31 @@ import hashlib
 import io
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from contextlib import redirect_stdout
+from dataclasses import dataclass, field, fields
 from functools import cache, partial
-from typing import Final, Literal
+from types import ModuleType
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
-from jinja2 import Environment
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image
 
+from pcwlad_geo.correction.error_statistics import CorrectionEntry, Difficulty, LimitEntry, Proof
+from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, NOTICEABLE_PX, Grade
-from pcwlad_geo.registration.result import Registration, Status
-from pcwlad_geo.report.charts import (
-    Kind,
-    candidate_figure,
-    coverage_figure,
-    missing_kinds,
-    profile_figure,
-    trend_figure,
-)
-from pcwlad_geo.report.content import GroupStatistics, Report, plain
-from pcwlad_geo.report.figures import displacement_figure, distribution_figure, residual_figure, sigma_figure
-from pcwlad_geo.report.rendering import templates_of
+from pcwlad_geo.registration.proof import LOCKING_PX
+from pcwlad_geo.registration.result import Registration, RegistrationStatus
+from pcwlad_geo.report.content import GroupStatistics, Report, plain, raster_entry, reference_entry
 from pcwlad_geo.report.statistics import PrecisionMap, heights_m, precision_of
 from pcwlad_geo.report.views import PairView, checkered, pair_views, read_backdrop
+
+if TYPE_CHECKING:
+    from pcwlad_geo.report.figures import GapStyle
 
 ENOUGH_CHECK_POINTS: Final = 30
 """Least number of check points of the ASPRS Positional Accuracy Standards (2023)."""
@@ -73,7 +72,7 @@ HEADLINES: Final[Mapping[Grade, Headline]] = {
 """Headlines by the grade of a registered pair."""
 
 
-def headline(status: Status, grade: Grade | None, passed: bool | None = None) -> Headline:
+def headline(status: RegistrationStatus, grade: Grade | None, passed: bool | None = None) -> Headline:
     """Return the verdict by `status`, and for a registered pair by `grade`.
 
     `passed` is whether the requirements are met, None if there are none.
@@ -92,10 +91,14 @@ def answers(report: Report) -> list[Answer]:
     judged, before = report.statistics.judged, report.statistics.before["all"]
     if report.status != "registered" or judged is None or before is None:
         return []
-    return [_how_well(report, judged, before.px.radial.ce90), _where_not(report), _trust(report)]
+    return [
+        _accuracy_answer(report, judged, before.px.radial.ce90),
+        _coverage_answer(report),
+        _reliability_answer(report),
+    ]
 
 
-def _how_well(report: Report, judged: GroupStatistics, before: float) -> Answer:
+def _accuracy_answer(report: Report, judged: GroupStatistics, before: float) -> Answer:
     ce90, net = judged.px.radial.ce90, judged.px.net.ce90
     text = f"CE90 {_px(before)} before, {_px(ce90)} after the correction"
     if judged.m:
@@ -105,8 +108,10 @@ def _how_well(report: Report, judged: GroupStatistics, before: float) -> Answer:
     else:
         text += f"; {_px(net)} of it once the noise of the matching is taken out."
     if report.quality:
-        expected = _px(report.quality.expected_ce90_px)
-        text += f" 90 % of the common ground is expected to lie within {expected}."
+        expected, whole = report.quality.expected_ce90_px, report.quality.whole_ce90_px
+        ground = "common ground" if whole is None else "ground that was compared"
+        text += f" 90 % of the {ground} is expected to lie within {_px(expected)}"
+        text += "." if whole is None else f", and of all that both show within {_px(whole)}."
     state: State = "good" if ce90 <= GOOD_PX else "caution" if ce90 <= FAIR_PX else "bad"
     if ce90 >= before:
         state = "bad" if state == "bad" else "caution"
@@ -114,24 +119,26 @@ def _how_well(report: Report, judged: GroupStatistics, before: float) -> Answer:
     return Answer("How well?", text, state)
 
 
-def _where_not(report: Report) -> Answer:
+def _coverage_answer(report: Report) -> Answer:
     empty_share = report.coverage.empty_share
     sigma = report.model and report.model.predicted_sigma_px
-    beyond = sigma.extrapolated_share if sigma else 0.0
+    extrapolated = sigma.extrapolated_share if sigma else 0.0
     parts = []
-    if beyond > 0:
-        parts.append(f"{percent(beyond)} of the target lies beyond the tie points (hatched below)")
+    if extrapolated > 0:
+        parts.append(f"{percent(extrapolated)} of the target lies beyond the tie points (hatched below)")
     if empty_share > 0:
         parts.append(f"{percent(empty_share)} of the image has no tie point near (see Coverage)")
     if not parts:
         return Answer("Where not?", "Tie points cover the whole common area.", "good")
     text = "; ".join(parts) + "."
     return Answer(
-        "Where not?", text[0].upper() + text[1:], "caution" if max(beyond, empty_share) > MUCH else "good"
+        "Where not?",
+        text[0].upper() + text[1:],
+        "caution" if max(extrapolated, empty_share) > MUCH else "good",
     )
 
 
-def _trust(report: Report) -> Answer:
+def _reliability_answer(report: Report) -> Answer:
     fit, check = report.statistics.after["fit"], report.statistics.after["check"]
     if check is None:
         return Answer(
@@ -175,11 +182,13 @@ class Drawings:
     reference_name: str
     figures: Mapping[str, bytes | None]
     """PNG by name; None for figures without data."""
-    missing: list[tuple[Kind, int]]
+    missing: list[tuple[GapStyle, int]]
     """Kinds of squares without tie points, and their numbers."""
     views: list[PairView]
     warp_line: str | None
     """Shell command that warps the target by a thin-plate spline."""
+    proved: Mapping[str, object] = field(default_factory=dict)
+    """What the section on the tool's own error needs; empty without a proof."""
 
 
 def on_screen(report: Report, drawings: Drawings) -> str:
@@ -198,7 +207,9 @@ def _page(report: Report, drawings: Drawings, *, paper: bool) -> str:
     grade = report.quality.grade if report.quality else None
     verdict = headline(report.status, grade, report.passed)
     template = page_environment("pcwlad_geo.report").get_template("report.html.j2")
-    return template.render(names, headline=verdict, answers=answers(report), paper=paper)
+    return template.render(
+        {**names, **drawings.proved}, headline=verdict, answers=answers(report), paper=paper
+    )
 
 
 def compose(
@@ -209,17 +220,12 @@ def compose(
 ) -> Drawings:
     """Draw the figures of the page.
 
-    Parameters
-    ----------
-    registration : Registration
-        Its files are read for small views, which are left out if that fails.
-    report : Report
-        The result of `summarise` for it.
-    gcps_vrt : str, optional
-        Name of the VRT with the GCPs, for the gdalwarp line; None if none was written.
-    precision : PrecisionMap, optional
-        Predicted sigma of the registration, if already computed.
+    The files of the registration are read for small views, which are left out if that fails. `gcps_vrt` is
+    the name of the VRT with the GCPs, for the gdalwarp line; None if none was written. The predicted sigma
+    `precision` is given if it is already computed.
     """
+    from pcwlad_geo.report.figures import missing_kinds
+
     image = read_backdrop(registration.reference)
     return Drawings(
         target_name=file_name(registration.target.uri),
@@ -228,6 +234,7 @@ def compose(
         missing=missing_kinds(report.coverage),
         views=pair_views(registration),
         warp_line=warp_line(gcps_vrt) if gcps_vrt else None,
+        proved=proof_section(registration, registration.proof) if registration.proof else {},
     )
 
 
@@ -247,15 +254,20 @@ def page_environment(package: str) -> Environment:
     environment.filters["plain"] = plain
     environment.filters["png"] = partial(_data_uri, "png")
     environment.filters["jpeg"] = _jpeg
-    script = _source(environment, "slider.js")
     environment.globals |= {
         "style": _source(environment, "style.css"),
-        "script": script,
         "checkered": checkered,
         "marks": MARKS,
-        "script_hash": "sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
+        **page_script(environment, "slider.js"),
     }
     return environment
+
+
+def page_script(environment: Environment, name: str) -> dict[str, str]:
+    """Return the script of a page, and the hash by which the page allows it to run."""
+    script = _source(environment, name)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    return {"script": script, "script_hash": f"sha256-{digest}"}
 
 
 def _source(environment: Environment, name: str) -> Markup:
@@ -272,26 +284,28 @@ def _figures(
     image: NDArray[np.uint8] | None,
 ) -> dict[str, bytes | None]:
     """Return the figures as PNG by name; None for figures without data."""
+    from pcwlad_geo.report import figures as draw  # slow to load: matplotlib
+
     table, shape = registration.tie_points, registration.reference.grid.shape
     judged = report.statistics.judged
     figures: dict[str, bytes | None] = dict.fromkeys(OPTIONAL)
-    figures["displacements"] = displacement_figure(table, shape, image)
-    figures["coverage"] = coverage_figure(report.coverage, shape, image)
+    figures["displacements"] = draw.displacement_figure(table, shape, image)
+    figures["coverage"] = draw.coverage_figure(report.coverage, shape, image)
     if judged:
-        figures["residuals"] = residual_figure(table, shape, image)
-        figures["distribution"] = distribution_figure(table, judged.px.radial.ce90)
+        figures["residuals"] = draw.residual_figure(table, shape, image)
+        figures["distribution"] = draw.distribution_figure(table, judged.px.radial.ce90)
         points = table.select("fit", "check")
         heights = heights_m(registration, points.predicted_px)
-        figures["trends"] = trend_figure(points, registration.target.grid.shape, heights)
+        figures["trends"] = draw.trend_figure(points, registration.target.grid.shape, heights)
     if report.profiles and any(part.place for part in report.profiles.parts):
-        figures["profiles"] = profile_figure(report.profiles)
+        figures["profiles"] = draw.profile_figure(report.profiles)
     candidates = [
         each for each in (report.model.candidates if report.model else ()) if each.rmse_px is not None
     ]
     if len(candidates) > 1:
-        figures["candidates"] = candidate_figure(candidates)
+        figures["candidates"] = draw.candidate_figure(candidates)
     if precision is not None:
-        figures["sigma"] = sigma_figure(precision, table.select("fit").predicted_px)
+        figures["sigma"] = draw.sigma_figure(precision, table.select("fit").predicted_px)
     return figures
 
 
@@ -318,3 +332,189 @@ def _pair(statistics: object, name: str, digits: int = 3) -> str:
     if statistics is None:
         return "–"
     return ", ".join(_figure(float(value), digits) for value in getattr(statistics, name))
+
+
+def templates_of(package: str) -> Environment:
+    """Return the templates of a subpackage and what pages share; undefined names in them raise errors."""
+    return Environment(
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader("pcwlad_geo.report")]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def check_pdf() -> None:
+    """Check, before the work, that PDF files can be made.
+
+    Raises `SettingsError` if WeasyPrint or Pango is missing, or WeasyPrint is too old.
+    """
+    _weasyprint()
+
+
+def to_pdf(page: str) -> bytes:
+    """Return an HTML page as PDF. Nothing outside the page is read.
+
+    Raises `SettingsError` if WeasyPrint or Pango is missing, or WeasyPrint is too old.
+
+    Parameters
+    ----------
+    page : str
+        Text of the page, with its images embedded.
+    """
+    weasyprint = _weasyprint()
+    only_inside = weasyprint.urls.URLFetcher(allowed_protocols=["data"])
+    document = weasyprint.HTML(string=page, url_fetcher=only_inside).write_pdf()
+    return bytes(document)
+
+
+def _weasyprint() -> ModuleType:
+    try:
+        # it prints advice if Pango is missing, and deprecation warnings
+        with redirect_stdout(io.StringIO()), ignoring(DeprecationWarning):
+            import weasyprint
+    except ImportError as error:
+        raise SettingsError(
+            f"pdf = true needs WeasyPrint: pip install 'pcwlad-geo[pdf]', or leave it out ({error})"
+        ) from error
+    except OSError as error:  # one of the libraries that it loads
+        raise SettingsError(
+            "pdf = true: WeasyPrint finds no Pango: install it (Debian, Ubuntu: apt install libpango-1.0-0 "
+            "libpangoft2-1.0-0 libharfbuzz-subset0; Fedora: dnf install pango; macOS: brew install pango; "
+            f"conda install pango), or leave it out ({error})"
+        ) from error
+    module: ModuleType = weasyprint
+    if not hasattr(module.urls, "URLFetcher"):
+        raise SettingsError(
+            f"pdf = true needs WeasyPrint 68 or newer, and {module.__version__} is installed: "
+            "pip install 'pcwlad-geo[pdf]', or leave it out"
+        )
+    return module
+
+
+SIGMA_HOLDS: Final = 0.6
+"""Least share of errors within one sigma at which sigmas count as holding."""
+WRONG_SHARE: Final = 0.002
+"""Share of wrong matches up to which none to speak of get through."""
+
+
+def seen_and_unseen(proof: Proof) -> str:
+    """Return the sentence that tells what the proof sees from what no image tells."""
+    unseen = proof.unseen
+    return (
+        "Seen, by moving the target: pixel locking, interpolation and noise, which these figures are of. Not "
+        "seen: structure that lies elsewhere in the other band; halves of the evidence differ by "
+        f"{unseen.at_least_px:.3f} px or more in it (a lower bound, not the error), and up to "
+        f"{unseen.up_to_px:.2f} px have to be allowed for unless a third band closes a triangle."
+    )
+
+
+def proof_answers(proof: Proof) -> list[Answer]:
+    """Return the answers to the questions at the top of the section."""
+    locking, sigma = max(proof.locking_px), proof.sigma
+    told = f"{100 * sigma.within_68:.0f} % of the errors lie within sigma (68 is right)"
+    if sigma.within_68 < SIGMA_HOLDS:
+        told += f": they would have to be {sigma.factor:.1f} times as large."
+    else:
+        told += ", which leaves room for what is not seen." if sigma.factor < 1 else "."
+    wrong = proof.wrong / max(proof.wrong + proof.matches, 1)
+    correction = proof.correction
+    error = f"90 % of the points lie within {proof.ce90_px:.3f} px"
+    error += f", 90 % of the correction within {correction.ce90_px:.3f} px." if correction else "."
+    return [
+        Answer("How large is its own error?", error, _state(proof.ce90_px, GOOD_PX, FAIR_PX)),
+        Answer(
+            "Does it lock to whole pixels?",
+            f"By {locking:.3f} px, beside a scatter of {max(proof.scatter_px):.3f} px.",
+            _state(locking, LOCKING_PX, 5 * LOCKING_PX),
+        ),
+        Answer("Do the sigmas hold?", told, "good" if sigma.within_68 >= SIGMA_HOLDS else "caution"),
+        Answer(
+            "Do wrong matches get through?",
+            f"{proof.wrong} of {proof.wrong + proof.matches}, with every test passed.",
+            _state(wrong, WRONG_SHARE, 10 * WRONG_SHARE),
+        ),
+        *_answer_of_blind_spot(correction),
+        *_answers_of_trials(proof),
+    ]
+
+
+def _answer_of_blind_spot(correction: CorrectionEntry | None) -> list[Answer]:
+    """Return what a part without tie points would cost, where that was measured."""
+    if correction is None or correction.blind_spot_px is None:
+        return []
+    text = (
+        f"Without the tie points of a ninth of the scene the {correction.model} there would change by up to "
+    )
+    cost_px = correction.blind_spot_px
+    state = _state(cost_px, GOOD_PX, FAIR_PX)
+    return [Answer("What would a blind spot cost?", f"{text}{cost_px:.3f} px (RMS).", state)]
+
+
+BORNE: Final[dict[Difficulty, str]] = {
+    "displacement": "a displacement of {:.0f} px",
+    "rotation": "a rotation of {:.3g} degrees",
+    "noise": "fresh noise of {:.2g} times the standard deviation of the images",
+    "clouds": "clouds over a share of {:.2g} of the target",
+}
+"""What is borne, with its level."""
+
+
+def borne_text(limit: LimitEntry) -> str:
+    """Return how much of a difficulty a pair bears, in words."""
+    if limit.borne is None:
+        return f"not even {BORNE[limit.name].format(limit.failed)}"
+    return BORNE[limit.name].format(limit.borne) + (" or more" if limit.failed is None else "")
+
+
+def _answers_of_trials(proof: Proof) -> list[Answer]:
+    """Return what a full proof answers beside: what the pair bears, and whether both directions agree."""
+    found = proof.sensitivity
+    if found is None:
+        return []
+    wrong = sum(each.outcome == "wrong" for limit in found.limits for each in limit.trials)
+    said = [borne_text(limit) for limit in found.limits]
+    if wrong:
+        said.append(f"{wrong} results beyond were accepted, and wrong")
+    elif any(limit.failed is not None for limit in found.limits):
+        said.append("beyond, it was refused")
+    answers = [Answer("What does it bear?", "; ".join(said).capitalize() + ".", "bad" if wrong else "good")]
+    back = found.reversal
+    if back is not None:
+        text = f"Points return to {back.rms_px:.3f} px (RMS) from where they began."
+        answers.append(Answer("Do both directions agree?", text, _state(back.rms_px, GOOD_PX, FAIR_PX)))
+    return answers
+
+
+def _state(value: float, good: float, fair: float) -> State:
+    return "good" if value <= good else "caution" if value <= fair else "bad"
+
+
+def proof_page(registration: Registration, proof: Proof) -> str:
+    """Return the text of `proof.html`."""
+    template = page_environment("pcwlad_geo.report").get_template("prove.html.j2")
+    return template.render(
+        **proof_section(registration, proof),
+        target=raster_entry(registration.target),
+        reference=reference_entry(registration.reference),
+        target_name=file_name(registration.target.uri),
+        reference_name=file_name(registration.reference.uri),
+    )
+
+
+def proof_section(registration: Registration, proof: Proof) -> dict[str, object]:
+    """Return what the template of the section needs."""
+    from pcwlad_geo.report.figures import errors_figure, places_figure, trials_figure  # slow to load
+
+    reference = registration.reference
+    return {
+        "proof": proof,
+        "proof_answers": proof_answers(proof),
+        "proof_sentence": seen_and_unseen(proof),
+        "proof_figures": {
+            "errors": errors_figure(proof),
+            "places": places_figure(proof, reference.grid.shape, read_backdrop(reference)),
+            "trials": trials_figure(proof.sensitivity) if proof.sensitivity else None,
+        },
+    }

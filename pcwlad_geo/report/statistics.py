@@ -17,7 +17,7 @@ from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.products import native_per_px, native_px_m
-from pcwlad_geo.raster.geodesy import pixel_sizes_m
+from pcwlad_geo.raster.grid import pixel_sizes_m
 from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import at_mean_height
 from pcwlad_geo.raster.source import RasterInfo, file_name
@@ -28,8 +28,8 @@ from pcwlad_geo.types import Bool, Float64
 
 KEPT: Final = ("fit", "check", "unused", "matched")
 """Statuses of the tie points that are included in displacement statistics."""
-Group = Literal["all", "fit", "check"]
-GROUPS: Final[Mapping[Group, tuple[str, ...]]] = {"all": KEPT, "fit": ("fit",), "check": ("check",)}
+PointGroup = Literal["all", "fit", "check"]
+GROUPS: Final[Mapping[PointGroup, tuple[str, ...]]] = {"all": KEPT, "fit": ("fit",), "check": ("check",)}
 """Statuses of the tie points of a group, by its name."""
 DIGITS: Final = 5
 """Number of decimal places of statistics."""
@@ -38,7 +38,7 @@ When = Literal["before", "after"]
 
 
 def statistics_of(
-    registration: Registration, when: When, group: Group, sizes_m: Float64 | None
+    registration: Registration, when: When, group: PointGroup, sizes_m: Float64 | None
 ) -> dict[str, ErrorStatistics | None]:
     """Return the statistics by unit of a `group` of `GROUPS` of a `registration`; `when`: before or after.
 
@@ -156,17 +156,10 @@ class Coverage:
 
 
 def coverage_of(table: TiePointTable, shape_px: tuple[int, int], record: MatchRecord | None) -> Coverage:
-    """Count the tie points of each square, and determine the reason where there are none.
+    """Count the tie points of each square of a reference of (rows, cols) `shape_px`; tell why there are none.
 
-    The reason is the first that applies: no data in one of the images, too near to an edge, no structure,
-    an unreadable part, no window or fewer points requested, the stage that rejected most candidates.
-
-    Parameters
-    ----------
-    shape_px : (rows, cols)
-        Size of the reference, px.
-    record : MatchRecord, optional
-        Spatial record of the matching.
+    The reason is the first that applies: no data in one of the images, too near to an edge, no structure, an
+    unreadable part, no window or fewer points requested, the stage that rejected most candidates.
     """
     step = max(max(shape_px) / SQUARES, _spacing_px(record))
     frame = _Frame(shape_px, (max(1, round(shape_px[0] / step)), max(1, round(shape_px[1] / step))))
@@ -254,6 +247,10 @@ def _share(mask: Bool, squares: tuple[int, int]) -> Float64:
 
 NO_CHECK_POINTS: Final = "there are too few tie points to keep some out of the fit as check points"
 """Reason why the accuracy at check points is not known."""
+CHOSEN: Final = "the points of the fit were chosen, perhaps by their residuals"
+"""Reason why the residuals of a fit say nothing."""
+OF_UNKNOWN_ORIGIN: Final = "nothing tells whether the points of the file were chosen by their residuals"
+"""Reason why errors at points of a file are not known."""
 NO_METRES: Final = "metres are not known without a CRS"
 """Reason why a length in metres is not known."""
 NO_NATIVE_PX: Final = "the native pixel is not known: the file names do not tell it"
@@ -274,15 +271,7 @@ def heights_m(registration: Registration, predicted_px: Float64) -> Float64 | No
 def judge_requirements(
     registration: Registration, requirements: Sequence[Requirement]
 ) -> tuple[RequirementResult, ...]:
-    """Compare a finished job with its requirements.
-
-    Parameters
-    ----------
-    registration : Registration
-        With status ``registered`` or ``matched``; a rejected one meets no requirement.
-    requirements : sequence of Requirement
-        Requirements for the command ``register`` or ``match``.
-    """
+    """Compare a finished job with the requirements for its command; a rejected one meets none."""
     return tuple(_judge(registration, requirement) for requirement in requirements)
 
 
@@ -295,6 +284,16 @@ def _judge(registration: Registration, requirement: Requirement) -> RequirementR
         return RequirementResult(requirement, value, reason)
     figure = _figure(registration, requirement.statistic)
     return RequirementResult(requirement, figure, None if figure is not None else "it is not known")
+
+
+def _chosen(registration: Registration, requirement: Requirement) -> str:
+    """Return why points of a file do not tell a length; empty where they do."""
+    origin = registration.origin
+    if origin is None or requirement.statistic == "displacement":
+        return ""
+    if origin.folder is None:
+        return OF_UNKNOWN_ORIGIN
+    return CHOSEN if requirement.group == "fit" and origin.left_out else ""
 
 
 def _figure(registration: Registration, name: str) -> float | str | None:
@@ -313,8 +312,11 @@ def _figure(registration: Registration, name: str) -> float | str | None:
 def _length(registration: Registration, requirement: Requirement) -> float | str:
     """Return a figure in its unit, of displacements or of residuals, or the reason why it is not known."""
     name, unit = requirement.statistic, str(requirement.unit).replace(" ", "_")
+    unknown = _chosen(registration, requirement)
+    if unknown:
+        return unknown
     of_all = name in ("displacement", "sigma")
-    group: Group = "all" if of_all else requirement.group or "check"
+    group: PointGroup = "all" if of_all else requirement.group or "check"
     by_unit = statistics_of(registration, "before" if of_all else "after", group, target_px_m(registration))
     if by_unit["px"] is None:
         return NO_CHECK_POINTS if group == "check" else "there are no tie points"

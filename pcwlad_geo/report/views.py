@@ -48,7 +48,7 @@ MOSTLY_VALID: Final = 0.99
 WHOLE_PX: Final = 1024
 """Largest side of a raster that is read as a whole for its views: opening it for each takes longer."""
 
-Image = NDArray[np.uint8]
+Picture = NDArray[np.uint8]
 Reader = Callable[[Window], Patch]
 Readers = tuple[Reader, Reader]
 """Of the reference and of the target."""
@@ -64,16 +64,16 @@ class PairView:
     """Middle of the view (col, row), reference px."""
     shown_px: float
     """Length of a side, target px."""
-    reference: Image
-    before: Image
+    reference: Picture
+    before: Picture
     """The target placed by its georeferencing."""
-    after: Image | None
+    after: Picture | None
     """The target corrected; None without a correction."""
     moved: Float64 | None = None
     """(2,) displacement (col, row) in the middle, target px; None without a correction."""
 
 
-def read_backdrop(info: RasterInfo) -> Image | None:
+def read_backdrop(info: RasterInfo) -> Picture | None:
     """Return a reduced raster as a (rows, cols) array of uint8 grey values, 0 where it has no data.
 
     The longer side has at most `BACKDROP_PX` pixels. The result is None if reading fails or would take long.
@@ -104,7 +104,7 @@ def pair_views(registration: Registration) -> list[PairView]:
     return shown[:1] if same else shown
 
 
-def stretched(values: Float64, valid: Bool) -> Image:
+def stretched(values: Float64, valid: Bool) -> Picture:
     """Return (rows, cols) uint8 grey values from 1 to 255, 0 where not valid.
 
     The middle 96 % of the (rows, cols) `values` where the (rows, cols) bool `valid` is True fill the range.
@@ -116,7 +116,7 @@ def stretched(values: Float64, valid: Bool) -> Image:
     return np.where(valid, grey, 0).astype(np.uint8)
 
 
-def checkered(one: Image, other: Image) -> Image:
+def checkered(one: Picture, other: Picture) -> Picture:
     """Return the (n, n) uint8 images `one` and `other` in alternate squares, the first in the corner."""
     rows, cols = (np.arange(side) * SQUARES // side for side in one.shape)
     return np.where((rows[:, None] + cols) % 2 == 0, one, other)
@@ -188,7 +188,7 @@ def _step(view: PairView | None) -> tuple[float, Float64]:
     return float(steps[row, col]), (np.array([col, row]) + 0.5) / len(one) - 0.5
 
 
-def _squared_gradient(image: Image) -> NDArray[np.complex64]:
+def _squared_gradient(image: Picture) -> NDArray[np.complex64]:
     """Return the squared gradient of an image as complex numbers; 0 where it lacks data."""
     soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
     gradient = cv2.Sobel(soft, cv2.CV_32F, 1, 0) + 1j * cv2.Sobel(soft, cv2.CV_32F, 0, 1)
@@ -219,8 +219,8 @@ def _view(
     if not before[1].any() and (after is None or not after[1].any()):
         return None
     col, row = centre_px.tolist()
-    seen = None if after is None else stretched(*after)
-    return PairView(title, (col, row), shown_px, grey, stretched(*before), seen, moved)
+    corrected = None if after is None else stretched(*after)
+    return PairView(title, (col, row), shown_px, grey, stretched(*before), corrected, moved)
 
 
 def _prediction(registration: Registration) -> Callable[[Float64], Float64]:

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import cv2
 import numpy as np
 from scipy import sparse
 
+from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.robust import huber, sigma_of
 from pcwlad_geo.estimation.solving import inverse, solve
 from pcwlad_geo.rigs.rig import LensModel, project, rays
@@ -55,7 +56,15 @@ RELIEF_PX: Final = 0.1
 """Standard deviation of a point from its capture's plane, as parallax of the lens of the longest baseline."""
 RELIEF: Final = (0.02, 0.3)
 """Smallest and largest of it, in nearness."""
-NEEDS: Final = "the adjustment of a rig needs tie points of all lenses, with sigmas above 0"
+MOST_RELIEF: Final = 0.5
+"""Largest relief of a point, in nearness."""
+MOST_RELIEF_SIGMAS: Final = 3.0
+"""Largest relief of a point, in standard deviations of the relief of all."""
+FARTHEST_PX: Final = 1e6
+"""No number of a tie point is larger."""
+NEEDS: Final = (
+    "the adjustment of a rig needs tie points of all lenses, within their frames, with sigmas above 0"
+)
 """What its equations ask for."""
 MEAN_SIGMA: Final = 1e-3
 """With this standard deviation the mean nearness of all captures is 1: the unit of the baselines."""
@@ -84,8 +93,12 @@ class Observations:
     @staticmethod
     def joined(parts: Sequence[Observations]) -> Observations:
         """Return the observations of all parts."""
-        names = ("capture", "pose", "lens", "reference_px", "lens_px", "sigma_px")
+        names = [each.name for each in fields(Observations)]
         return Observations(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def part(self, some: Bool) -> Observations:
+        """Return those of the (n,) mask `some`."""
+        return Observations(*(getattr(self, each.name)[some] for each in fields(self)))
 
     def points(self) -> Index:
         """Return the (n,) number of the point that each observation is of."""
@@ -94,7 +107,7 @@ class Observations:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class RigState:
     """What is adjusted."""
 
     models: tuple[LensModel, ...]
@@ -112,7 +125,7 @@ class State:
         """(parameters,) all of them, one after another."""
         return np.concatenate([self.lenses.ravel(), self.poses.ravel(), self.planes.ravel()])
 
-    def with_vector(self, vector: Float64) -> State:
+    def with_vector(self, vector: Float64) -> RigState:
         """Return the state of a (parameters,) `vector` of all of them."""
         first, second = self.lenses.size, self.lenses.size + self.poses.size
         return replace(
@@ -127,9 +140,9 @@ class State:
 class Adjusted:
     """The result of an adjustment."""
 
-    state: State
+    state: RigState
     covariance: Float64
-    """Of all parameters in the order of `State.vector`."""
+    """Of all parameters in the order of `RigState.vector`."""
     residual_px: Float64
     """(n, 2) observed minus predicted."""
     kept: Bool
@@ -139,9 +152,9 @@ class Adjusted:
 
 
 def adjust(
-    first: State,
-    expected: State,
-    sigma: State,
+    first: RigState,
+    expected: RigState,
+    sigma: RigState,
     observed: Observations,
     overlap: float,
     *,
@@ -152,11 +165,11 @@ def adjust(
 
     Parameters
     ----------
-    first : State
+    first : RigState
         Where to begin.
-    expected : State
+    expected : RigState
         What is expected without the tie points.
-    sigma : State
+    sigma : RigState
         How far each parameter may be from there; 0 holds it where it begins.
     observed : Observations
         Tie points.
@@ -166,20 +179,29 @@ def adjust(
         Whether the mean nearness of the captures is 1; otherwise it is free, as the baselines are known.
     by_lens : bool
         Whether the points of each lens, and those between captures, have the sigma that their residuals say.
+
+    Raises
+    ------
+    InputError
+        If there are no tie points, or numbers that are none of frames.
     """
+    _check(observed)
     state, point = first, observed.points()
     observed = replace(observed, sigma_px=np.hypot(observed.sigma_px, MODEL_SIGMA_PX))
     given_px, alike = observed.sigma_px, max(overlap, 1.0)
     relief = np.zeros(point.max() + 1)
     scale, before = sigma.vector, expected.vector
     free = np.flatnonzero(scale > 0)
-    kept = np.ones(len(observed), bool)
     damping, normal = 1e-3, np.eye(len(free))
-    # linear at no relief: where it is, longer baselines would be drawn towards less of it
-    level = np.zeros(len(observed))
-    residual, by_relief = _misfit(state, observed, level)
+    # along the parallax linear at no relief: where it is, longer baselines would be drawn towards less of it.
+    # Captures see many px of it, so that across it the prediction is that of the relief found so far
+    between = observed.pose >= len(state.lenses)
     for turn in range(ROUNDS):
-        jacobian = _jacobian(state, observed, level, set(free.tolist()))
+        level = np.where(between, relief[point], 0.0)
+        by_relief, along = _by_relief(state, observed, level)
+        residual = observed.lens_px - _predicted(state, observed, level, along)
+        relief = _relief_of(state, observed, point, residual, by_relief)
+        jacobian = _jacobian(state, observed, level, along, set(free.tolist()))
         if by_lens and turn >= PATIENT:
             observed = replace(
                 observed, sigma_px=given_px * _share_by_lens(state, observed, residual, by_relief, given_px)
@@ -188,33 +210,46 @@ def adjust(
         weight = weight / alike
         columns = jacobian[:, free] @ sparse.diags(scale[free])
         problem = _Problem(weight, point, _relief_sigma(state), before, scale, free, unit)
+        # the parallax of relief stays as it is: a step would else be drawn to where more of it is allowed
         least, moved = problem.cost(state, residual, by_relief), 0.0
         for _ in range(TRIES):
-            step, relief, normal = _step(
+            step, normal = _step(
                 columns, by_relief.ravel(), residual, weight, point, problem.relief_sigma,
                 (before - state.vector)[free] / scale[free], _mean_row(state, free, scale * unit), damping,
             )  # fmt: skip
             change = np.zeros(len(scale))
             change[free] = scale[free] * step
             there = state.with_vector(state.vector + change)
-            misfit = _misfit(there, observed, level)
-            if problem.cost(there, *misfit) <= least * (1 + 1e-9):
+            misfit = observed.lens_px - _predicted(there, observed, level, along)
+            if problem.cost(there, misfit, by_relief) <= least * (1 + 1e-9):
                 state, moved = there, np.abs(columns @ step).max(initial=0.0)
-                residual, by_relief = misfit
                 damping = damping / 10 if damping > 1e-9 else 0.0
                 break
             damping = max(10 * damping, 1e-6)  # too far for what is linear
         if moved < STILL_PX and turn > PATIENT:
             break
-    residual = observed.lens_px - predict(state, observed, np.clip(relief, -0.5, 0.5)[point])
+    residual = _left(state, observed, point, level)
     weight, kept = _weights(residual, observed, ROUNDS)
     # robust standard deviation of the residuals over that expected
     factor = sigma_of(residual[kept] / observed.sigma_px[kept, None]) if kept.any() else 1.0
-    covariance = np.zeros((len(scale), len(scale)))
-    covariance[np.ix_(free, free)] = (
-        inverse(normal, NEEDS) * np.outer(scale[free], scale[free]) * max(factor, 1.0) ** 2
-    )
-    return Adjusted(state, covariance, residual, kept, factor)
+    deviation = np.zeros((len(scale), len(free)))
+    deviation[free, np.arange(len(free))] = scale[free] * max(factor, 1.0)
+    return Adjusted(state, deviation @ inverse(normal, NEEDS) @ deviation.T, residual, kept, factor)
+
+
+def _check(observed: Observations) -> None:
+    """Raise `InputError` if there are no tie points, or numbers that are none of frames."""
+    for each in (observed.reference_px, observed.lens_px, observed.sigma_px):
+        if not len(observed) or not np.abs(each).max() <= FARTHEST_PX:  # NaN is not
+            raise InputError(NEEDS)
+
+
+def _left(state: RigState, observed: Observations, point: Index, level: Float64) -> Float64:
+    """Return the (n, 2) residuals, each point at its own relief, which is about `level`."""
+    by_relief, along = _by_relief(state, observed, level)
+    residual = observed.lens_px - _predicted(state, observed, level, along)
+    relief = _relief_of(state, observed, point, residual, by_relief)
+    return observed.lens_px - predict(state, observed, relief[point])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,7 +264,7 @@ class _Problem:
     free: Index
     unit: bool
 
-    def cost(self, state: State, residual: Float64, by_relief: Float64) -> float:
+    def cost(self, state: RigState, residual: Float64, by_relief: Float64) -> float:
         """Return the sum of squares of a state, each point at its best relief; infinite if it has none."""
         count = int(self.point.max()) + 1
         weight = self.weight
@@ -243,26 +278,56 @@ class _Problem:
         return total if math.isfinite(total) else math.inf
 
 
-def _misfit(state: State, observed: Observations, relief: Float64) -> tuple[Float64, Float64]:
-    """Return the (n, 2) residuals of a state, and their derivatives by relief."""
-    first = rays(observed.reference_px, state.lenses[0], state.models[0])
-    now = _projected(state, observed, first, relief)
-    return observed.lens_px - now, (_projected(state, observed, first, relief + 1e-4) - now) / 1e-4
+def _by_relief(state: RigState, observed: Observations, level: Float64) -> tuple[Float64, Float64]:
+    """Return the (n, 2) derivatives of predictions by relief, at the (n,) `level`, and their directions."""
+    by_relief = (predict(state, observed, level + 1e-4) - predict(state, observed, level)) / 1e-4
+    return by_relief, by_relief / np.maximum(np.hypot(*by_relief.T), 1e-12)[:, None]
 
 
-def predict(state: State, observed: Observations, relief: Float64) -> Float64:
+def _predicted(
+    state: RigState, observed: Observations, level: Float64, along: Float64, moved: Float64 | None = None
+) -> Float64:
+    """Return the (n, 2) predictions: along the parallax those of no relief, across it those of a relief.
+
+    The (n,) `level` is that relief, the (n, 2) `along` are the directions of the parallax, and `moved` may be
+    another (8,) reference lens than that of the state.
+    """
+    first = rays(observed.reference_px, state.lenses[0] if moved is None else moved, state.models[0])
+    found = _projected(state, observed, first, np.zeros(len(observed)))
+    some = level != 0
+    with_relief = _projected(state, observed.part(some), first[some], level[some]) - found[some]
+    found[some] += with_relief - (with_relief * along[some]).sum(axis=1)[:, None] * along[some]
+    return found
+
+
+def _relief_of(
+    state: RigState, observed: Observations, point: Index, residual: Float64, by_relief: Float64
+) -> Float64:
+    """Return the relief of each point, as all observations of it say, good or bad: then bad ones show.
+
+    Given are the (n, 2) residuals at no relief, and their derivatives by it.
+    """
+    sigma = _relief_sigma(state)
+    weight = observed.sigma_px**-2
+    along = np.bincount(point, weight * (residual * by_relief).sum(axis=1))
+    own = np.bincount(point, weight * (by_relief**2).sum(axis=1))
+    most = min(MOST_RELIEF_SIGMAS * sigma, MOST_RELIEF)
+    return np.asarray(np.clip(along / (own + sigma**-2), -most, most))
+
+
+def predict(state: RigState, observed: Observations, relief: Float64) -> Float64:
     """Return the (n, 2) px at which lenses see the points; `relief` is the (n,) share beside the plane."""
     first = rays(observed.reference_px, state.lenses[0], state.models[0])
     return _projected(state, observed, first, relief)
 
 
-def _projected(state: State, observed: Observations, first: Float64, relief: Float64) -> Float64:
+def _projected(state: RigState, observed: Observations, first: Float64, relief: Float64) -> Float64:
     axes = np.column_stack([first, np.ones(len(first))])
     plane = state.planes[observed.capture]
-    nearness = plane[:, 0] + plane[:, 1] * first[:, 0] + plane[:, 2] * first[:, 1] + relief
+    inverse_depth = plane[:, 0] + plane[:, 1] * first[:, 0] + plane[:, 2] * first[:, 1] + relief
     matrices = np.stack([cv2.Rodrigues(pose[:3])[0] for pose in state.poses])
     turned = np.einsum("nij,nj->ni", matrices[observed.pose], axes)
-    turned += nearness[:, None] * state.poses[observed.pose, 3:]
+    turned += inverse_depth[:, None] * state.poses[observed.pose, 3:]
     direction = turned[:, :2] / np.maximum(turned[:, 2:], 0.05)
     result = np.empty_like(first)
     for number, model in enumerate(state.models):
@@ -284,7 +349,7 @@ def _weights(residual: Float64, observed: Observations, turn: int) -> tuple[Floa
 
 
 def _share_by_lens(
-    state: State, observed: Observations, residual: Float64, by_relief: Float64, sigma_px: Float64
+    state: RigState, observed: Observations, residual: Float64, by_relief: Float64, sigma_px: Float64
 ) -> Float64:
     """Return the (n,) sigma of the points of a lens, or between captures, over that expected of them.
 
@@ -300,37 +365,36 @@ def _share_by_lens(
     return share
 
 
-def _jacobian(state: State, observed: Observations, relief: Float64, free: set[int]) -> sparse.csr_matrix:
-    """Return the (2 n, parameters) derivatives of the predictions.
+def _jacobian(
+    state: RigState, observed: Observations, level: Float64, along: Float64, free: set[int]
+) -> sparse.csr_matrix:
+    """Return the (2 n, parameters) derivatives of `_predicted`.
 
     Columns of parameters that are not `free` are left empty.
     """
     n, lenses, poses = len(observed), state.lenses.size, state.poses.size
-    first = rays(observed.reference_px, state.lenses[0], state.models[0])
-    now = _projected(state, observed, first, relief)
+    now = _predicted(state, observed, level, along)
     entries: list[tuple[Index, Float64]] = []
     for k in range(OF_LENS):
         step = float(_steps(state.lenses[0, 0])[k])
         moved = state.lenses.copy()
         moved[:, k] += step
         if free.intersection(range(k, lenses, OF_LENS)):
-            own = replace(state, lenses=moved)
-            entries.append(
-                (observed.lens * OF_LENS + k, (_projected(own, observed, first, relief) - now) / step)
-            )
+            own = _predicted(replace(state, lenses=moved), observed, level, along, state.lenses[0])
+            entries.append((observed.lens * OF_LENS + k, (own - now) / step))
         if k in free:
-            other = rays(observed.reference_px, moved[0], state.models[0])
-            entries.append((np.full(n, k), (_projected(state, observed, other, relief) - now) / step))
+            other = _predicted(state, observed, level, along, moved[0])
+            entries.append((np.full(n, k), (other - now) / step))
     for k in range(OF_POSE):
         if free.intersection(range(lenses + k, lenses + poses, OF_POSE)):
             moved = state.poses.copy()
             moved[:, k] += 1e-6
-            change = (_projected(replace(state, poses=moved), observed, first, relief) - now) / 1e-6
+            change = (_predicted(replace(state, poses=moved), observed, level, along) - now) / 1e-6
             entries.append((lenses + observed.pose * OF_POSE + k, change))
     for k in range(OF_PLANE):
         moved = state.planes.copy()
         moved[:, k] += 1e-4
-        change = (_projected(replace(state, planes=moved), observed, first, relief) - now) / 1e-4
+        change = (_predicted(replace(state, planes=moved), observed, level, along) - now) / 1e-4
         entries.append((lenses + poses + observed.capture * OF_PLANE + k, change))
     columns = np.concatenate([np.repeat(column, 2) for column, _ in entries])
     values = np.concatenate([change.ravel() for _, change in entries])
@@ -338,7 +402,7 @@ def _jacobian(state: State, observed: Observations, relief: Float64, free: set[i
     return sparse.csr_matrix((values, (rows, columns)), (2 * n, lenses + poses + state.planes.size))
 
 
-def _relief_sigma(state: State) -> float:
+def _relief_sigma(state: RigState) -> float:
     """Return the standard deviation of a point's nearness from the plane of its capture."""
     base = float(np.hypot(*state.poses[: len(state.lenses), 3:5].T).max())
     return float(np.clip(RELIEF_PX / max(base * state.lenses[0, 0], 1e-9), *RELIEF))
@@ -350,7 +414,7 @@ def _steps(focal_px: float) -> Float64:
     return np.array([*lengths, *ratios])
 
 
-def _mean_row(state: State, free: Index, scale: Float64) -> tuple[Float64, float]:
+def _mean_row(state: RigState, free: Index, scale: Float64) -> tuple[Float64, float]:
     """Return the derivatives of the mean nearness of the captures, and how far it is from 1."""
     row = np.zeros(len(scale))
     begin = state.lenses.size + state.poses.size
@@ -368,8 +432,8 @@ def _step(
     expected: Float64,
     mean: tuple[Float64, float],
     damping: float,
-) -> tuple[Float64, Float64, Float64]:
-    """Return the step of the parameters, the relief of each point, and the normal matrix without relief.
+) -> tuple[Float64, Float64]:
+    """Return the step of the parameters, and the normal matrix without relief.
 
     The parameters are in units of their expected deviation, so that what is expected of them adds 1 to the
     diagonal.
@@ -387,4 +451,4 @@ def _step(
     inner = sparse.diags(1 / own)
     reduced = normal - (cross @ inner @ cross.T).toarray()
     step = solve(reduced + damping * np.diag(np.diag(reduced)), right - cross @ (pull / own), NEEDS)
-    return step, (pull - cross.T @ step) / own, reduced
+    return step, reduced

@@ -16,14 +16,13 @@ from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.maps import oriented_gradients, scene_epsilon
-from pcwlad_geo.matching.refinement import ChannelMaps, Start, refine
-from pcwlad_geo.raster.gdal import ignoring, reading
-from pcwlad_geo.raster.opening import check_dataset
+from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, refine
+from pcwlad_geo.raster.gdal import check_dataset, ignoring, reading
 from pcwlad_geo.raster.source import open_raster
 from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, Grade
-from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust, predict
+from pcwlad_geo.rigs.adjustment import Adjusted, Observations, RigState, adjust, predict
 from pcwlad_geo.rigs.captures import Capture, Frame, panel_shown, read_frame
-from pcwlad_geo.rigs.learning import NEAR_SIGMA, measure_sharpness
+from pcwlad_geo.rigs.learning import INVERSE_DEPTH_SIGMA, measure_sharpness
 from pcwlad_geo.rigs.rig import (
     Rig,
     RigLens,
@@ -37,7 +36,7 @@ from pcwlad_geo.rigs.rig import (
 )
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
-Status = Literal["corrected", "rejected", "unusable", "failed"]
+CaptureStatus = Literal["corrected", "rejected", "unusable", "failed"]
 
 CAPTURE_TAG: Final = "PCWLAD_GEO_CAPTURE"
 """Tag of a raster with the name of its capture."""
@@ -98,7 +97,7 @@ class CaptureOutcome:
     """What became of a capture."""
 
     name: str
-    status: Status
+    status: CaptureStatus
     """`rejected`: a bad capture; `unusable`: its files cannot be used; `failed`: an unexpected error."""
     reason: str | None = None
     file: str | None = None
@@ -215,7 +214,10 @@ def tested(placed: Placed, values: Sequence[Float32]) -> Placed:
         one, other = (np.dstack(list(some.maps[::2])) for some in maps)
         start = np.array([_displaced(one, other, row, col, window // 2) for row, col in corners.tolist()])
         found = refine(
-            *maps, corners, Start(start.reshape(-1, 2), np.zeros((len(corners), 2, 2))), window_px=window
+            *maps,
+            corners,
+            InitialEstimate(start.reshape(-1, 2), np.zeros((len(corners), 2, 2))),
+            window_px=window,
         )
         own_px = _factor(placed.rig, each) * min(1.0, each.lens.focal_px / placed.rig.reference.lens.focal_px)
         off.append(own_px * np.hypot(*found.shift_xy_px[found.converged].T))
@@ -328,7 +330,7 @@ def _measured(rig: Rig, values: Sequence[Float32], plane: Float64) -> Observatio
         if len(corners) < LEAST_PLACES:
             raise BadCaptureError(f"lens {each.name} has too little structure where {rig.names[0]} sees it")
         maps = _channels(first, first_valid), _channels(second, second_valid)
-        start = Start(np.zeros((len(corners), 2)), np.zeros((len(corners), 2, 2)))
+        start = InitialEstimate(np.zeros((len(corners), 2)), np.zeros((len(corners), 2, 2)))
         found = refine(maps[0], maps[1], corners, start, window_px=window)
         good = found.converged
         variance = np.trace(found.covariance_px2[good], axis1=1, axis2=2) / 2
@@ -422,14 +424,14 @@ def _adjusted(
     count = len(rig.lenses)
     poses = np.stack([np.concatenate([each.rotation, each.baseline]) for each in rig.lenses])
     lenses = np.stack([each.lens.vector for each in rig.lenses])
-    first = State(tuple(each.lens.model for each in rig.lenses), lenses, poses, np.array([[near, 0, 0]]))
+    first = RigState(tuple(each.lens.model for each in rig.lenses), lenses, poses, np.array([[near, 0, 0]]))
     turn = rig.wander_px / rig.reference.lens.focal_px
     free = np.zeros_like(poses)
     free[1:, :2], free[1:, 2] = turn, turn / rig.reference.lens.corner
-    slack = NEAR_SIGMA[0 if height_known else 1] * near
+    slack = INVERSE_DEPTH_SIGMA[0 if height_known else 1] * near
     planes = np.array([[slack, rig.tilt * near, rig.tilt * near]])
     begin = replace(first, planes=plane[None])
-    sigma = State(first.models, np.zeros_like(lenses), free, planes)
+    sigma = RigState(first.models, np.zeros_like(lenses), free, planes)
     result = adjust(begin, first, sigma, observed, _overlap(rig, observed), unit=False)
     scale = rig.reference.lens.focal_px / lenses[observed.lens, 0]
     length = np.hypot(*result.residual_px.T) * scale
@@ -449,7 +451,7 @@ def _adjusted(
     return placed, float(np.percentile(moved / factor, 90))
 
 
-def _shift(state: State, observed: Observations) -> Float64:
+def _shift(state: RigState, observed: Observations) -> Float64:
     return predict(state, observed, np.zeros(len(observed)))
 
 

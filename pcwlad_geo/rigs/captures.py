@@ -15,9 +15,9 @@ import numpy as np
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.estimation.solving import least_squares
-from pcwlad_geo.raster.cameras import MM_PER_UNIT, camera_of, exif_of, number_of, xmp_of
+from pcwlad_geo.raster.cameras import MM_PER_UNIT, camera_of, number_of, tags_of, xmp_of
 from pcwlad_geo.raster.file_tree import is_folder
-from pcwlad_geo.raster.opening import check_dataset
+from pcwlad_geo.raster.gdal import check_dataset
 from pcwlad_geo.raster.source import open_raster, plain_name
 from pcwlad_geo.rigs.rig import Lens
 from pcwlad_geo.types import Float32, Float64, PathLike
@@ -55,7 +55,7 @@ class Frame:
     dtype: str
     camera: str
     """Make, model and serial number of the camera, as far as they are told."""
-    told: Lens | None
+    calibrated: Lens | None
     """The calibration that the frame holds; None where it holds none."""
     focal_px: float | None
     """Focal length, px, where only that is told."""
@@ -113,20 +113,9 @@ def find_frames(captures: Iterable[PathLike]) -> list[Path]:
 def group(files: Sequence[Path], pattern: str | None = None) -> tuple[list[Capture], list[tuple[str, str]]]:
     """Group frames to captures, by the identities in XMP or by the names of the files.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        Of `find_frames`.
-    pattern : str, optional
-        Regular expression for the file names without ending, with the groups `capture` and `lens`; by default
-        `PATTERN`, and identities in XMP win.
-
-    Returns
-    -------
-    captures : list of Capture
-        By name; not each need have all lenses.
-    unread : list of (str, str)
-        Files that are no frames, and why.
+    The `pattern` is a regular expression for the file names without ending, with the groups `capture` and
+    `lens`; by default `PATTERN`, and identities in XMP win. Return the captures by name, of which not each
+    need have all lenses, and the files that are no frames, and why.
     """
     found = _compiled(pattern or PATTERN)
     read: list[tuple[str, str, Frame]] = []
@@ -197,7 +186,7 @@ def read_frame_facts(path: PathLike, lens: str = "") -> Frame:
         check_dataset(uri, dataset, 1)
         if np.dtype(dataset.dtypes[0]).kind not in "uif":
             raise InputError(f"{uri} has values of type {dataset.dtypes[0]}: frames hold real numbers")
-        exif, xmp = exif_of(dataset), xmp_of(dataset)
+        exif, xmp = tags_of(dataset, "EXIF"), xmp_of(dataset)
         shape, dtype, camera = dataset.shape, dataset.dtypes[0], camera_of(dataset)
     plain = {name.rpartition(" ")[2]: values for name, values in xmp.items()}
     stated = stated_lens(plain, exif, shape)
@@ -209,7 +198,7 @@ def read_frame_facts(path: PathLike, lens: str = "") -> Frame:
         shape=shape,
         dtype=dtype,
         camera=" ".join(_camera_words(exif)),
-        told=stated,
+        calibrated=stated,
         focal_px=camera.focal_px if camera else None,
         height_m=camera.height_m if camera else None,
         order=order[0] if order else 1e9,
@@ -365,8 +354,8 @@ def first_lens(frame: Frame, fisheye: bool, focal_px: float) -> Lens:
 
     Of a lens of which nothing is told, `fisheye` and `focal_px` say whether it is one, and its focal length.
     """
-    if frame.told is not None:
-        return frame.told
+    if frame.calibrated is not None:
+        return frame.calibrated
     rows, cols = frame.shape
     vector: Float64 = np.zeros(8)
     vector[:3] = frame.focal_px or focal_px, cols / 2, rows / 2

@@ -13,11 +13,11 @@ from scipy.optimize import least_squares
 
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback
-from pcwlad_geo.execution.runner import Runner
+from pcwlad_geo.execution.runner import Runner, one_blas_thread
 from pcwlad_geo.matching.matcher import match_arrays
 from pcwlad_geo.matching.pose import search_pose
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
-from pcwlad_geo.rigs.adjustment import Adjusted, Observations, State, adjust
+from pcwlad_geo.rigs.adjustment import Adjusted, Observations, RigState, adjust
 from pcwlad_geo.rigs.captures import Capture, Frame, first_lens, panel_shown, read_frame
 from pcwlad_geo.rigs.rig import (
     Lens,
@@ -47,16 +47,16 @@ ROUND_RADII_PX: Final = (7, 4, 3)
 """Radius of the search in each of the rounds after it: near the edges of a frame windows see to one side, and
 are led by where the round before has put them."""
 WINDOW_SHARE: Final = (0.2, 0.1)
-"""Side of the windows as a share of the frame's shorter side: usually, and in the last round where captures
-overlap. Smaller ones reach nearer to the corners, where distortion is largest, and are noisier: one capture
-does not do for them."""
+"""Side of the windows as a share of the frame's shorter side: usually, and after the first round where
+captures overlap. Smaller ones reach nearer to the corners, where distortion is largest, and are noisier: one
+capture does not do for them."""
 TRIES: Final = 4
 """Captures in which a start is looked for."""
 SCALE_SPREAD: Final = (1.3, 2.2)
 """Factor within which the ratio of two focal lengths is searched: where both are told, and elsewhere."""
-MARGIN_SHARE: Final = 0.5
-"""Points between captures, and in the last round all, are not nearer to an edge of a frame than this share of
-their window: what is seen obliquely deforms windows, and those that are cut are drawn inwards."""
+MARGIN_SHARE: Final = 0.3
+"""Points between captures, and in small windows all, are not nearer to an edge of a frame than this share of
+their window: what is seen obliquely deforms windows, and those that are cut by more are drawn inwards."""
 SCALES: Final = tuple(float(1.08**step) for step in sorted(range(-9, 10), key=abs))
 """Factors on a focal length that nothing tells, the likely ones first."""
 MIN_START: Final = 16
@@ -67,6 +67,12 @@ MIN_OVERLAPPING: Final = 25
 """Least number of features that agree on how two captures overlap."""
 MIN_LENS_POINTS: Final = 20
 """Least number of tie points of a lens in a capture."""
+CAPTURE_SIGMA_PX: Final = 0.05
+"""Standard deviation of points between captures, across their parallax. What their matching says is mostly
+the relief in their windows, which moves them along it, where they tell of nothing but relief."""
+LEAST_BEND_PX: Final = 0.03
+"""Standard deviation per axis, of distortion, that no number of points lessens: frames sampled without a blur
+hold detail that is finer than their px, which moves with these."""
 FOCAL_SIGMA: Final = (0.01, 0.15)
 """Expected relative deviation of the focal length: where the frame tells it, and elsewhere."""
 CENTRE_SIGMA: Final = (0.004, 0.02)
@@ -83,7 +89,7 @@ BASE_SIGMA: Final = (0.004, 0.004, 0.001)
 """Of the baseline over the mean distance; the lenses of a rig stand in one plane, nearly."""
 TILT_SIGMA: Final = 0.2
 """Of the slopes of nearness per direction."""
-NEAR_SIGMA: Final = (0.15, 0.6)
+INVERSE_DEPTH_SIGMA: Final = (0.15, 0.6)
 """Of the nearness of a capture: where the frames tell their height, and elsewhere."""
 
 
@@ -110,6 +116,7 @@ class _Task:
         return _between(first, second, self.pose_vector, self.plane, reference_px)
 
 
+@one_blas_thread()
 def learn(
     captures: Sequence[Capture],
     sharpness: Sequence[Mapping[str, Sharpness]],
@@ -143,22 +150,22 @@ def learn(
         expected = replace(expected, poses=state.poses * _between_captures(state), overlaps=state.overlaps)
     for radius in ROUND_RADII_PX:
         lenses = [replace(lens, vector=v) for lens, v in zip(lenses, state.lenses, strict=True)]
-        last = radius == ROUND_RADII_PX[-1] and len(state.overlaps) > 0
-        side, share = measured_side(order[0].shape), WINDOW_SHARE[last]
+        later = radius != ROUND_RADII_PX[0] and len(state.overlaps) > 0
+        side, share = measured_side(order[0].shape), WINDOW_SHARE[later]
         observed = _matched(state, captures, names, lenses, side, radius, share, runner, on_event)
         found = adjust(state, expected, sigma, observed, _overlap(observed, order, share), by_lens=True)
         state = found.state
     return _rig_of(found, observed, captures, sharpness, order)
 
 
-def _first_state(chosen: Sequence[Capture], names: Sequence[str], lenses: Sequence[Lens]) -> State:
+def _first_state(chosen: Sequence[Capture], names: Sequence[str], lenses: Sequence[Lens]) -> RigState:
     heights = np.array([each.height_m or np.nan for each in chosen])
     planes = np.zeros((len(chosen), 3))
     planes[:, 0] = 1.0
     if np.isfinite(heights).all():
         planes[:, 0] = 1 / heights / np.mean(1 / heights)
     models = tuple(each.model for each in lenses)
-    return State(models, np.stack([each.vector for each in lenses]), np.zeros((len(names), 6)), planes)
+    return RigState(models, np.stack([each.vector for each in lenses]), np.zeros((len(names), 6)), planes)
 
 
 def evenly(captures: Sequence[Capture], most: int) -> list[Capture]:
@@ -170,16 +177,16 @@ def _all_heights(chosen: Sequence[Capture]) -> bool:
     return all(each.height_m is not None for each in chosen)
 
 
-def _between_captures(state: State) -> Float64:
+def _between_captures(state: RigState) -> Float64:
     """Return the (poses, 1) mask of poses between captures: only of these a start is an expectation."""
     return np.asarray(np.arange(len(state.poses)) >= len(state.lenses), np.float64)[:, None]
 
 
-def _sigmas(state: State, order: Sequence[Frame], heights: bool) -> State:
+def _sigmas(state: RigState, order: Sequence[Frame], heights: bool) -> RigState:
     """Return how far each parameter is expected from its start."""
     lenses = np.empty_like(state.lenses)
     for number, frame in enumerate(order):
-        calibrated = frame.told is not None
+        calibrated = frame.calibrated is not None
         focal_known = calibrated or frame.focal_px is not None
         focal_px, side = state.lenses[number, 0], max(frame.shape)
         corner = math.hypot(*frame.shape) / 2 / focal_px
@@ -192,8 +199,8 @@ def _sigmas(state: State, order: Sequence[Frame], heights: bool) -> State:
     poses = np.zeros_like(state.poses)
     poses[1:, :3], poses[1:, 3:] = TURN_SIGMA, BASE_SIGMA
     planes = np.empty_like(state.planes)
-    planes[:, 0], planes[:, 1:] = NEAR_SIGMA[0 if heights else 1], TILT_SIGMA
-    return State(state.models, lenses, poses, planes)
+    planes[:, 0], planes[:, 1:] = INVERSE_DEPTH_SIGMA[0 if heights else 1], TILT_SIGMA
+    return RigState(state.models, lenses, poses, planes)
 
 
 def _between(first: Lens, second: Lens, pose: Float64, plane: Float64, reference_px: Float64) -> Float64:
@@ -205,13 +212,13 @@ def _between(first: Lens, second: Lens, pose: Float64, plane: Float64, reference
 
 
 def _started(
-    state: State,
+    state: RigState,
     chosen: Sequence[Capture],
     names: Sequence[str],
     lenses: list[Lens],
     runner: Runner,
     on_event: EventCallback,
-) -> State:
+) -> RigState:
     """Return the state with a rotation, and where it is not told a focal length, of every lens."""
     poses, vectors = state.poses.copy(), state.lenses.copy()
     left = list(range(1, len(names)))
@@ -237,7 +244,7 @@ def _started(
 
 
 def _has_focal(frame: Frame) -> bool:
-    return frame.told is not None or frame.focal_px is not None
+    return frame.calibrated is not None or frame.focal_px is not None
 
 
 def find_start(
@@ -330,7 +337,7 @@ def _as_rotation(first: Lens, second: Lens, matrix: Float64, focal_known: bool) 
 
 
 def _matched(
-    state: State,
+    state: RigState,
     chosen: Sequence[Capture],
     names: Sequence[str],
     lenses: Sequence[Lens],
@@ -383,6 +390,8 @@ def match_task(task: _Task) -> Observations | None:
     if found is None or len(found[0]) < MIN_LENS_POINTS:
         return None
     reference_px, lens_px, sigma_px = found
+    if task.lens == 0:  # of another capture
+        sigma_px = np.full_like(sigma_px, CAPTURE_SIGMA_PX)
     capture, pose, lens = (np.full(len(reference_px), k) for k in (task.capture, task.pose, task.lens))
     return Observations(capture, pose, lens, reference_px, lens_px, sigma_px)
 
@@ -403,9 +412,11 @@ def _matched_here(
         return None
     points = points[np.asarray((points.sigma_px < 1.0).all(axis=1))]
     found = _in_frames(task, points, factor_xy)
-    if task.lens != 0 and task.share != WINDOW_SHARE[1]:
+    # a lens of few px has no small windows, and hardly a point beyond the margin of those that it has
+    small = task.share == WINDOW_SHARE[1] and settings.window <= WINDOW_SHARE[1] * min(rows, cols) + 1
+    if task.lens != 0 and not small:
         return found
-    margin_px = MARGIN_SHARE * settings.window * factor  # another capture of the reference, or the last round
+    margin_px = MARGIN_SHARE * settings.window * factor  # another capture of the reference, or small windows
     inside = _inside(found[0], whole, margin_px) & _inside(found[1], whole, margin_px)
     return found[0][inside], found[1][inside], found[2][inside]
 
@@ -443,11 +454,20 @@ def _pair_in_view(
 
 
 def match_settings(shape: tuple[int, ...], radius_px: int, share: float) -> MatchSettings:
-    """Return settings for frames of a `shape`: windows that are small enough for it."""
+    """Return settings for frames of a `shape`: windows that are small enough for it.
+
+    A smooth field must not lead the points: near the corners, where the distortion that is looked for bends
+    most, it takes half of that away.
+    """
     side = int(np.clip(share * min(shape), 31, 81)) // 2 * 2 + 1
     template = min(101, side + 20)
     return MatchSettings(
-        features=FEATURES, search_radius=radius_px, window=side, template=template, ssim_min=0.0
+        features=FEATURES,
+        search_radius=radius_px,
+        window=side,
+        template=template,
+        ssim_min=0.0,
+        consensus="off",
     )
 
 
@@ -459,7 +479,7 @@ def _overlap(observed: Observations, order: Sequence[Frame], share: float) -> fl
 
 
 def _overlapping(
-    state: State, chosen: Sequence[Capture], name: str, lens: Lens, runner: Runner, on_event: EventCallback
+    state: RigState, chosen: Sequence[Capture], name: str, lens: Lens, runner: Runner, on_event: EventCallback
 ) -> list[tuple[int, int, Float64]]:
     """Return captures whose reference frames overlap with the next two's, and the poses between them."""
     lens = replace(lens, vector=state.lenses[0])
@@ -534,7 +554,9 @@ def _fitted_pose(
     return pose
 
 
-def _with_poses(state: State, sigma: State, extra: Sequence[tuple[int, int, Float64]]) -> tuple[State, State]:
+def _with_poses(
+    state: RigState, sigma: RigState, extra: Sequence[tuple[int, int, Float64]]
+) -> tuple[RigState, RigState]:
     """Return state and expected deviations with the poses between captures added."""
     if not extra:
         return state, sigma
@@ -574,7 +596,7 @@ def _rig_of(
                 sigma=np.concatenate([deviation[first : first + 8], deviation[pose : pose + 6]]),
                 mapping_sigma_px=mapping,
                 distortion_sigma_px=distortion,
-                told=frame.told,
+                told=frame.calibrated,
                 sharpness=replace(usual_of(own), detail=min(each.detail for each in own)),
                 wavelength_nm=frame.wavelength_nm,
             )
@@ -634,7 +656,7 @@ def _precision(found: Adjusted, number: int, shape: tuple[int, int]) -> tuple[tu
     sigma = np.sqrt(np.nanmean(np.square(moved), axis=0).mean(axis=1))
     shortest = min(map(len, bent))
     bend = np.sqrt(np.mean([np.square(each[:shortest]) for each in bent], axis=0).mean(axis=1))
-    return (float(np.nanmedian(sigma)), float(np.nanmax(sigma))), float(bend.max())
+    return (float(np.nanmedian(sigma)), float(np.nanmax(sigma))), float(np.hypot(bend.max(), LEAST_BEND_PX))
 
 
 def usual_of(sharpness: Sequence[Sharpness]) -> Sharpness:

@@ -144,16 +144,9 @@ def homography_residual(source: Float64, target: Float64) -> Float64:
 
 
 def project(rays: Float64, vector: Float64, model: LensModel) -> Float64:
-    """Return the (n, 2) px of (n, 2) directions.
+    """Return the (n, 2) px of the (n, 2) directions `rays`, by the (8,) parameters `vector` of a lens.
 
-    Parameters
-    ----------
-    rays : (n, 2) array
-        Directions.
-    vector : (8,) or (8, n) array
-        Parameters of the lens, or of one for each direction.
-    model : {"brown", "fisheye"}
-        Of the lens.
+    They may be of shape (8, n), one lens for each direction.
     """
     x, y = rays.T
     radius = np.hypot(x, y)
@@ -166,15 +159,7 @@ def project(rays: Float64, vector: Float64, model: LensModel) -> Float64:
 
 
 def rays(xy_px: Float64, vector: Float64, model: LensModel) -> Float64:
-    """Return the (n, 2) directions of px, the inverse of `project`.
-
-    Parameters
-    ----------
-    xy_px : (n, 2) array
-        Positions.
-    vector, model : (8,) array and {"brown", "fisheye"}
-        Of the lens.
-    """
+    """Return (n, 2) directions of the (n, 2) px `xy_px` by the (8,) `vector`, the inverse of `project`."""
     distorted_x = (xy_px[:, 0] - vector[1]) / vector[0]
     distorted_y = (xy_px[:, 1] - vector[2]) / vector[0]
     direction = _undo_radial(distorted_x, distorted_y, vector[3:6], model)

@@ -23,10 +23,8 @@ import rasterio
 import pcwlad_geo
 from pcwlad_geo import ExecutionError, InputError
 from pcwlad_geo.events import Event, Progress, Warned
-from pcwlad_geo.execution.cluster import _inspection, connected
-from pcwlad_geo.execution.processes import OwnProcesses
-from pcwlad_geo.execution.runner import OnExecutor
-from pcwlad_geo.execution.worker import CAN_FORK
+from pcwlad_geo.execution.processes import CAN_FORK, OwnProcesses
+from pcwlad_geo.execution.runner import OnExecutor, _inspection, connected
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run

@@ -13,7 +13,7 @@ from affine import Affine
 
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.correction.selection import Selection, choose
-from pcwlad_geo.outputs import maps
+from pcwlad_geo.outputs import write as maps
 from pcwlad_geo.raster.grid import Grid, apply
 from pcwlad_geo.registration.result import Registration
 from tests.registrations import make_registration, without_crs

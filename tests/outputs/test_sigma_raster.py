@@ -7,7 +7,7 @@ import rasterio
 from affine import Affine
 from rasterio.crs import CRS
 
-from pcwlad_geo.outputs import maps as sigma_raster
+from pcwlad_geo.outputs import write as sigma_raster
 from pcwlad_geo.raster.grid import Grid, apply
 
 UTM33 = CRS.from_epsg(32633)

@@ -8,9 +8,9 @@ import pytest
 
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.registration.result import GROUND, MatchRecord, Registration
-from pcwlad_geo.report.charts import KINDS, coverage_figure, missing_kinds
+from pcwlad_geo.report.content import summarise
+from pcwlad_geo.report.figures import KINDS, coverage_figure, missing_kinds
 from pcwlad_geo.report.statistics import REASONS, Coverage, coverage_of
-from pcwlad_geo.report.summary import summarise
 
 Make = Callable[..., Registration]
 SHAPE = (400, 600)

@@ -15,8 +15,8 @@ import pytest
 
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report.content import summarise
 from pcwlad_geo.report.page import MARKS, compose, headline, on_screen, warp_line
-from pcwlad_geo.report.summary import summarise
 from tests.chromium import show
 from tests.registrations import of_files, write_pair
 

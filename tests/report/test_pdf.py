@@ -19,9 +19,8 @@ import pcwlad_geo
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.raster.output_format import verify_output
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.page import compose, on_paper, on_screen
-from pcwlad_geo.report.rendering import check_pdf, to_pdf
-from pcwlad_geo.report.summary import summarise
+from pcwlad_geo.report.content import summarise
+from pcwlad_geo.report.page import check_pdf, compose, on_paper, on_screen, to_pdf
 from pcwlad_geo.report.views import checkered
 from pcwlad_geo.tiepoints import writers
 from tests.registrations import of_files, write_pair

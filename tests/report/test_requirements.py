@@ -11,9 +11,8 @@ import pytest
 
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report import page
-from pcwlad_geo.report.content import plain
+from pcwlad_geo.report.content import plain, summarise
 from pcwlad_geo.report.statistics import judge_requirements
-from pcwlad_geo.report.summary import summarise
 from pcwlad_geo.requirements import Command, RequirementResult, parse_requirement
 from tests.registrations import without_crs
 

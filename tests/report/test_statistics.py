@@ -15,9 +15,8 @@ import pytest
 
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.content import to_json
+from pcwlad_geo.report.content import error_statistics, summarise, to_json
 from pcwlad_geo.report.statistics import KEPT
-from pcwlad_geo.report.summary import error_statistics, summarise
 
 Make = Callable[..., Registration]
 SCHEMA = Path(__file__).resolve().parents[2] / "docs" / "report.schema.json"
@@ -97,7 +96,7 @@ def test_the_json_is_what_its_schema_says(registration: Make, status: str, n: in
         jsonschema.validate(report | {"statistics": {**report["statistics"], "before": {}}}, schema)
 
 
-@pytest.mark.parametrize("name", ["report", "stack"])
+@pytest.mark.parametrize("name", ["report", "stack", "qa"])
 def test_the_published_schema_is_made_from_the_types(name: str) -> None:
     made = runpy.run_path(str(SCHEMA.with_name("make_schemas.py")))
     published = SCHEMA.with_name(f"{name}.schema.json").read_text(encoding="utf-8")

@@ -14,8 +14,7 @@ from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.raster.identity import FileIdentity
 from pcwlad_geo.registration.inputs import InputFile
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.content import plain, to_json
-from pcwlad_geo.report.summary import summarise
+from pcwlad_geo.report.content import plain, summarise, to_json
 from tests.registrations import json_of
 
 Make = Callable[..., Registration]
@@ -27,8 +26,9 @@ def test_holds_what_the_file_promises_and_is_strict_json(registration: Make) -> 
     assert list(read) == [
         "schema_version", "status", "reason", "warnings", "passed", "requirements", "reference", "target",
         "inputs", "px_m", "output_grid", "prealignment", "geometry", "motions", "jitter_px", "window_px",
-        "tie_points", "counts", "displacement_px", "displacement_m", "rpc", "model", "accuracy", "quality",
-        "statistics", "profiles", "coverage", "seconds", "settings", "versions", "outputs",
+        "origin", "tie_points", "counts", "displacement_px", "displacement_m", "rpc", "model", "accuracy",
+        "quality", "statistics", "profiles", "coverage", "seconds", "settings", "versions", "proof",
+        "outputs",
     ]  # fmt: skip
     assert read["schema_version"] == 1
     assert read["outputs"] == ["report.json", "tiepoints.csv"]

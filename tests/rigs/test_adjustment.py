@@ -7,14 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcwlad_geo.rigs.adjustment import Observations, State, adjust, predict
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.rigs.adjustment import Observations, RigState, adjust, predict
 from pcwlad_geo.rigs.rig import Lens, lattice
 
 SHAPE = (480, 640)
 SIGMA_PX = 0.1
 
 
-def truth(captures: int = 4) -> State:
+def truth(captures: int = 4) -> RigState:
     lenses = np.array(
         [
             [720.0, 318.0, 243.0, -0.1, 0.14, -0.02, 3e-4, -2e-4],
@@ -25,10 +26,10 @@ def truth(captures: int = 4) -> State:
     poses = np.array([[0] * 6, [0.006, -0.004, 0.003, 1e-3, 0, 0], [-0.005, 0.002, -0.002, 0, 1e-3, 0]])
     near = np.linspace(0.5, 1.5, captures)
     planes = np.column_stack([near, 0.02 * np.sin(np.arange(captures)), 0.02 * np.cos(np.arange(captures))])
-    return State(("brown",) * 3, lenses, poses.astype(float), planes)
+    return RigState(("brown",) * 3, lenses, poses.astype(float), planes)
 
 
-def observed(state: State, random: np.random.Generator, relief: float = 0.03) -> Observations:
+def observed(state: RigState, random: np.random.Generator, relief: float = 0.03) -> Observations:
     """Return noisy tie points of every lens in every capture."""
     parts = []
     for capture in range(len(state.planes)):
@@ -45,9 +46,9 @@ def observed(state: State, random: np.random.Generator, relief: float = 0.03) ->
     return Observations.joined(parts)
 
 
-def started(true: State, random: np.random.Generator) -> tuple[State, State]:
+def started(true: RigState, random: np.random.Generator) -> tuple[RigState, RigState]:
     """Return a start off the truth, and how far off it may be."""
-    sigma = State(
+    sigma = RigState(
         true.models,
         np.tile([4.0, 2.0, 2.0, 0.01, 0.02, 0.02, 2e-4, 2e-4], (3, 1)),
         np.vstack([np.zeros(6), np.tile([0.01] * 3 + [2e-3] * 3, (2, 1))]),
@@ -57,7 +58,7 @@ def started(true: State, random: np.random.Generator) -> tuple[State, State]:
     return true.with_vector(vector), sigma
 
 
-def mapped(state: State, lens: int) -> np.ndarray:
+def mapped(state: RigState, lens: int) -> np.ndarray:
     places = lattice(SHAPE, 40)
     full = np.full(len(places), lens)
     seen = Observations(np.zeros(len(places), int), full, full, places, places, np.ones(len(places)))
@@ -90,6 +91,42 @@ def test_sigma_of_the_parameters_holds() -> None:
     assert np.mean(np.abs(spread) < 2) > 0.85
 
 
+@pytest.mark.parametrize("wild", [np.nan, np.inf, 1e10, 1e308])
+@pytest.mark.parametrize("field", ["reference_px", "lens_px", "sigma_px"])
+def test_tie_points_beyond_all_frames_are_refused(field: str, wild: float) -> None:
+    true = truth()
+    seen = observed(true, np.random.default_rng(7))
+    values = getattr(seen, field).copy()
+    values[3] = wild
+    first, sigma = started(true, np.random.default_rng(8))
+    with pytest.raises(InputError, match="needs tie points of all lenses"):
+        adjust(first, first, sigma, replace(seen, **{field: values}), 1.0)
+
+
+def test_no_tie_points_are_refused() -> None:
+    true = truth()
+    first, sigma = started(true, np.random.default_rng(8))
+    seen = observed(true, np.random.default_rng(7))
+    with pytest.raises(InputError, match="needs tie points of all lenses"):
+        adjust(first, first, sigma, seen.part(np.zeros(len(seen), bool)), 1.0)
+
+
+@pytest.mark.parametrize("places", ["on a line", "in one place", "sigma 0"])
+def test_what_singular_tie_points_leave_open_is_as_uncertain_as_expected(places: str) -> None:
+    true, random = truth(), np.random.default_rng(9)
+    seen = observed(true, random)
+    line = seen.reference_px.mean(axis=1, keepdims=True) * [0.8, 0.6]
+    at = {"on a line": line, "in one place": np.full_like(line, 100.0)}.get(places, seen.reference_px)
+    part = replace(seen, reference_px=at)
+    noisy = predict(true, part, np.zeros(len(seen))) + SIGMA_PX * random.normal(size=at.shape)
+    sigma_px = np.zeros(len(seen)) if places == "sigma 0" else seen.sigma_px
+    first, sigma = started(true, random)
+    found = adjust(first, first, sigma, replace(part, lens_px=noisy, sigma_px=sigma_px), 1.0)
+    free = sigma.vector > 0
+    off = (found.state.vector - true.vector)[free] / np.sqrt(np.diag(found.covariance)[free])
+    assert np.abs(off).max() < 5
+
+
 def test_gross_errors_do_not_count() -> None:
     random, true = np.random.default_rng(4), truth()
     first, sigma = started(true, random)
@@ -102,45 +139,73 @@ def test_gross_errors_do_not_count() -> None:
     assert max(np.median(np.abs(mapped(found.state, k) - mapped(true, k))) for k in (1, 2)) < 0.04
 
 
-def test_captures_that_overlap_tell_the_distortion_that_all_lenses_share() -> None:
-    random, true = np.random.default_rng(5), truth()
-    pair = np.array([[0.0, 0.0, 0.3, 0.15, 0.05, 0.0]])
-    with_pair = replace(true, poses=np.vstack([true.poses, pair]), overlaps=((0, 1),))
-    places = np.round(lattice(SHAPE, 24) * 8) / 8
-    part = Observations(
-        *(np.full(len(places), number) for number in (0, 3, 0)),
-        places,
-        places,
-        np.full(len(places), SIGMA_PX),
-    )
-    seen = predict(with_pair, part, 0.03 * random.normal(size=len(places)))
-    inside = Lens("brown", SHAPE, true.lenses[0]).inside(seen)
-    tied = replace(part, lens_px=seen + SIGMA_PX * random.normal(size=seen.shape))
-    tied = Observations(
-        *(getattr(tied, name)[inside] for name in ("capture", "pose", "lens", "reference_px", "lens_px")),
-        tied.sigma_px[inside],
-    )
-    first, sigma = started(true, random)
-    # all lenses bent alike: frames of one moment can hardly tell
-    bent = first.lenses.copy()
-    bent[:, 3:] = true.lenses[:, 3:] + np.array([0.03, -0.02, 0.01, 0, 0])
-    poses = np.vstack([first.poses, pair])
-    start = replace(first, lenses=bent, poses=poses, planes=true.planes, overlaps=((0, 1),))
-    loose = replace(sigma, poses=np.vstack([sigma.poses, [0.1] * 6]), overlaps=((0, 1),))
-    loose = replace(loose, lenses=np.tile([4.0, 2.0, 2.0, 0.05, 0.05, 0.05, 2e-4, 2e-4], (3, 1)))
-    found = adjust(start, start, loose, Observations.joined([observed(true, random), tied]), 1.0)
-    known = Lens("brown", SHAPE, true.lenses[0])
-    before = np.hypot(*known.distortion_px(Lens("brown", SHAPE, bent[0])).T).max()
-    after = np.hypot(*known.distortion_px(Lens("brown", SHAPE, found.state.lenses[0])).T).max()
-    assert before > 1.0
-    assert after < 0.5 * before
-
-
 def test_lenses_that_are_known_are_held_while_the_ground_is_found() -> None:
     random, true = np.random.default_rng(6), truth(1)
     seen = observed(true, random)
-    held = State(true.models, np.zeros((3, 8)), np.zeros((3, 6)), np.array([[0.3, 0.1, 0.1]]))
+    held = RigState(true.models, np.zeros((3, 8)), np.zeros((3, 6)), np.array([[0.3, 0.1, 0.1]]))
     off = replace(true, planes=true.planes + np.array([[0.2, 0.02, -0.02]]))
     found = adjust(off, off, held, seen, 1.0, unit=False)
     assert found.state.lenses == pytest.approx(true.lenses)
     assert found.state.planes[0, 0] == pytest.approx(true.planes[0, 0], abs=0.06)
+
+
+FLOWN = np.array(
+    [
+        [0.02, -0.03, 0.3, 0.2, 0.05, 0.05],
+        [-0.03, 0.02, -0.4, -0.04, 0.22, -0.06],
+        [0.01, 0.01, 0.2, 0.15, -0.2, 0.03],
+    ]
+)
+"""Poses between three captures that overlap."""
+
+
+def flown_over(relief: float, random: np.random.Generator) -> tuple[RigState, Observations]:
+    """Return three captures over ground of a relief, and their points, those between captures too."""
+    true = truth(len(FLOWN))
+    true = replace(true, poses=np.vstack([true.poses, FLOWN]), overlaps=((0, 1), (1, 2), (0, 2)))
+    parts = [observed(true, random, relief)]
+    for pose, (one, _) in enumerate(true.overlaps, len(true.models)):
+        places = lattice(SHAPE, 20) + random.uniform(-4, 4, (len(lattice(SHAPE, 20)), 2))
+        places = np.round(places * 8) / 8
+        numbers = (np.full(len(places), number) for number in (one, pose, 0))
+        part = Observations(*numbers, places, places, np.full(len(places), 0.03))
+        seen = predict(true, part, relief * random.normal(size=len(places)))
+        inside = Lens("brown", SHAPE, true.lenses[0]).inside(seen, 12.0)
+        noisy = seen + 0.03 * random.normal(size=seen.shape)
+        names = ("capture", "pose", "lens", "reference_px")
+        own = (getattr(part, name)[inside] for name in names)
+        parts.append(Observations(*own, noisy[inside], part.sigma_px[inside]))
+    return true, Observations.joined(parts)
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+@pytest.mark.parametrize(("relief", "within_px"), [(0.03, 0.3), (0.1, 0.12)])
+def test_captures_that_overlap_tell_the_distortion_that_all_lenses_share(
+    relief: float, within_px: float, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    true, seen = flown_over(relief, random)
+    first, sigma = started(replace(true, poses=true.poses[: len(true.models)], overlaps=()), random)
+    # all lenses bent alike: frames of one moment can hardly tell
+    bent = first.lenses.copy()
+    bent[:, 3:] = true.lenses[:, 3:] + np.array([0.03, -0.02, 0.01, 0, 0])
+    # the directions of the parallax, across which points tell of it, are known about
+    poses = np.vstack([first.poses, 1.02 * FLOWN])
+    start = replace(first, lenses=bent, poses=poses, overlaps=true.overlaps)
+    weak = np.tile([4.0, 2.0, 2.0, 0.05, 0.05, 0.05, 2e-4, 2e-4], (len(bent), 1))
+    sigma = replace(sigma, lenses=weak, poses=np.vstack([sigma.poses, np.full_like(FLOWN, 0.1)]))
+    found = adjust(start, start, sigma, seen, 1.0, by_lens=True)
+    assert largest_px(true, start) > 1.0
+    assert largest_px(true, found.state) < within_px
+    free = sigma.vector > 0
+    off = (found.state.vector - true.vector)[free] / np.sqrt(np.diag(found.covariance)[free])
+    assert np.abs(off).max() < 4
+
+
+def largest_px(true: RigState, found: RigState) -> float:
+    """Return the largest error of the distortion of any lens, px."""
+    pairs = [
+        [Lens("brown", SHAPE, vector) for vector in vectors]
+        for vectors in zip(true.lenses, found.lenses, strict=True)
+    ]
+    return max(float(np.hypot(*one.distortion_px(other).T).max()) for one, other in pairs)

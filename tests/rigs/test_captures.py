@@ -110,7 +110,7 @@ def test_what_a_frame_tells(tmp_path: Path) -> None:
     assert facts.order == 3
     assert facts.xmp["Irradiance"] == "0.9"
     assert "CentralWavelength" not in facts.xmp
-    assert facts.told is None
+    assert facts.calibrated is None
 
 
 @pytest.mark.parametrize(

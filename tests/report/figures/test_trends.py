@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcwlad_geo.report.charts import BINS, stretch_means, trend_figure
+from pcwlad_geo.report.figures import BINS, stretch_means, trend_figure
 from tests.registrations import make_registration
 
 
