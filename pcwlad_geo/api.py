@@ -19,13 +19,12 @@ from rasterio.io import DatasetReader
 
 from pcwlad_geo.band_warping import WarpOptions, WarpOutput, apply, requested_output
 from pcwlad_geo.correction.error_statistics import Accuracy
-from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
+from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
-from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.events import EventCallback, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
-from pcwlad_geo.job import PairOptions, open_job_runner
-from pcwlad_geo.options import Model, Resampling, Settings
+from pcwlad_geo.job import open_job_runner
+from pcwlad_geo.options import Model, PairOptions, Resampling, Settings
 from pcwlad_geo.raster.arrays import (
     DataArrayLike,
     Raster,
@@ -266,37 +265,8 @@ class FittedCorrection:
         ]
 
     def to_skimage(self) -> Any:  # noqa: ANN401  # of scikit-image, which has no types
-        """Return the correction as a transform of scikit-image, in its coordinates.
-
-        scikit-image counts from the centre of the first pixel, this package from its corner: what `forward`
-        maps from (0.5, 0.5) to (1.5, 0.5), the transform maps from (0, 0) to (1, 0). It takes and returns
-        (n, 2) arrays of (col, row), and ``skimage.transform.warp(target, transform)`` is the corrected target
-        on its own pixels.
-
-        Returns
-        -------
-        skimage.transform.AffineTransform, ProjectiveTransform, or a callable like these
-            Shift, drift and affine; projective; other models, exactly, with the attribute `inverse`.
-
-        Raises
-        ------
-        InputError
-            If scikit-image is not installed.
-        """
-        try:
-            from skimage import transform  # an optional dependency
-        except ImportError as error:
-            raise InputError(
-                f"to_skimage needs scikit-image: pip install 'pcwlad-geo[skimage]' ({error})"
-            ) from error
-        model = self.model
-        to_corner = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
-        if isinstance(model, AffineCorrection):
-            matrix = np.vstack([model.matrix, [0.0, 0.0, 1.0]])
-            return transform.AffineTransform(matrix=inverse(to_corner) @ matrix @ to_corner)
-        if isinstance(model, ProjectiveCorrection):
-            return transform.ProjectiveTransform(matrix=inverse(to_corner) @ model.matrix @ to_corner)
-        return PixelCentreTransform(model)
+        """Return the correction as a transform of scikit-image, see `Correction.to_skimage`."""
+        return self.model.to_skimage()
 
     @overload
     def warp(
@@ -438,25 +408,6 @@ class FittedCorrection:
         if self.quality is not None:
             facts["quality"] = f"quality {self.quality.grade}"
         return facts
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PixelCentreTransform:
-    """A correction in the coordinates of scikit-image: (col, row), (0, 0) the centre of the first pixel."""
-
-    model: Correction
-    inverted: bool = False
-    """Whether it maps observed to predicted px."""
-
-    def __call__(self, coords: ArrayLike) -> Float64:
-        """Map (n, 2) coordinates (col, row)."""
-        way = self.model.inverse if self.inverted else self.model.forward
-        return way(_points(coords) + 0.5) - 0.5
-
-    @property
-    def inverse(self) -> PixelCentreTransform:
-        """The transform the other way."""
-        return replace(self, inverted=not self.inverted)
 
 
 def _points(xy_px: ArrayLike) -> Float64:

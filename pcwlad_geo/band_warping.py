@@ -21,7 +21,7 @@ from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
 from pcwlad_geo.raster.matching_grid import grid_on_plane_of
 from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_grids
-from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
+from pcwlad_geo.raster.rpc.model import to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.ortho import requested_ortho_grids
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.trust import Trust, trusting
@@ -192,32 +192,10 @@ def apply(
     overwrite: bool,
     on_event: EventCallback,
 ) -> tuple[Path, ...]:
-    """Warp rasters of the target's geometry by a registration, each to its place.
+    """Warp rasters of the target's geometry by a registration, each to its place; return the files written.
 
-    Parameters
-    ----------
-    sources : sequence of str
-        Paths or GDAL URIs.
-    places : sequence of pathlib.Path
-        Where each goes.
-    wanted : WarpOutput
-        Grid, format and resampling.
-    rpc_sidecar : bool
-        Where the target has an RPC, write those of the rasters beside them.
-    overwrite : bool
-        Replace files that exist.
-    on_event : callable
-        Receives `Progress` and `Warned` events.
-
-    Returns
-    -------
-    tuple of pathlib.Path
-        The files written, in the order of the rasters.
-
-    Raises
-    ------
-    InputError, OutputError
-        As `warp` does.
+    The `sources` are paths or GDAL URIs, in the order of their `places`. With `rpc_sidecar`, those of a
+    target with an RPC get theirs beside them. Errors are those of `warp`.
     """
     if not sources:
         raise InputError("no raster to warp: give at least one")

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict, get_args
 
-from pcwlad_geo import options as s
-from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError
+from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, ignore
 from pcwlad_geo.execution.processes import open_runner
 from pcwlad_geo.execution.runner import InThisProcess, Runner
-from pcwlad_geo.options import Settings
+from pcwlad_geo.options import Effort, Settings
 from pcwlad_geo.outputs.folder import OutputFolder, place_file, place_with_files
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.outputs.write import OUTPUTS, write
@@ -28,7 +27,6 @@ from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.source import file_name, plain_name
 from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.registration.inputs import band_file, check_output, estimate_tile_count, resolve
-from pcwlad_geo.report.rendering import check_pdf
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import joined
 from pcwlad_geo.types import PathLike
@@ -37,65 +35,14 @@ if TYPE_CHECKING:
     from rasterio.io import DatasetReader
     from typing_extensions import Unpack
 
+    from pcwlad_geo.correction.error_statistics import Proof
+    from pcwlad_geo.options import Options
     from pcwlad_geo.products import ProductBand
     from pcwlad_geo.registration.result import Registration
 
 Job = Literal["registered", "matched"]
 TASKS_MODULE: Final = "pcwlad_geo.registration.tiles"
 """Worker processes import it before their first call."""
-
-
-class PairOptions(TypedDict, total=False):
-    """The fields of `Settings` but the masks, as keywords."""
-
-    ref_band: int | str
-    tgt_band: int | str
-    tie_points: Path | str | None
-    dem: Path | str | None
-    dem_vertical: float | Path | str | None
-    trust_rpc: bool
-    method: s.Method
-    points: int | Literal["all", "dense"] | None
-    features: int
-    keypoints: s.Keypoints
-    template: int
-    window: int | None
-    search_radius: int | None
-    ssim_min: float
-    iterations: int
-    consensus: s.Consensus
-    prealign: s.Prealign
-    start_matcher: str | None
-    geometry: s.Geometry
-    model: s.Model
-    grid: s.OutputGrid
-    like: Path | str | None
-    tr: tuple[float, float] | None
-    te: tuple[float, float, float, float] | None
-    extent: tuple[float, float, float, float] | None
-    t_srs: str | None
-    of: str
-    co: tuple[str, ...]
-    resampling: s.Resampling
-    write_sigma: bool
-    write_displacement: bool
-    displacement_spacing: int | None
-    displacement_unit: s.DisplacementUnit
-    pdf: bool
-    require: str | Sequence[str]
-    keep: bool
-    tile_size: int
-    allow_remote: bool
-    trust_vrt: bool
-    jobs: int | None
-    scheduler: str | None
-
-
-class Options(PairOptions, total=False):
-    """The fields of `Settings`, as keywords."""
-
-    ref_mask: Path | str | None
-    tgt_mask: Path | str | None
 
 
 class OutputPlaces(TypedDict, total=False):
@@ -268,23 +215,14 @@ def output_paths(
 ) -> dict[str, Path]:
     """Return where each kind of output goes that a job may write.
 
-    Parameters
-    ----------
-    target : path
-        Path or GDAL URI of the target, or a product.
-    job : {"registered", "matched"}
-        Ending of the default output folder.
-    tgt_band : int or str
-        Band of the target: the files are named after that of a product.
-    of : str
-        Format of the registered raster.
-    **places
-        `out_dir` and the paths of single outputs, as `register` takes them.
+    The default folder ends with the name of the `job`; files of a product are named after its band
+    `tgt_band`, and the registered raster has the format `of`. The `places` are `out_dir` and the paths of
+    single outputs, as `register` takes them.
     """
     name = plain_name(file_name(band_file(target, tgt_band)))
     stem = Path(name).stem
     given: dict[str, Any] = {**places}
-    folder = Path(given.pop("out_dir", None) or output_folder(target, job))
+    folder = output_folder(target, job, given.pop("out_dir", None))
     ending = OutputFormat(of).extension
     paths = {
         output.kind: folder / output.name.format(name=name, stem=stem, ending=ending)
@@ -294,9 +232,9 @@ def output_paths(
     return paths | {name.removeprefix("output_"): Path(path) for name, path in given.items() if path}
 
 
-def output_folder(target: PathLike, job: Job) -> Path:
-    """Return the default output folder of a job, in the working folder."""
-    return Path(f"{plain_name(stem_of(target))}_{job}")
+def output_folder(target: PathLike, job: Job | Literal["proof"], out_dir: PathLike | None = None) -> Path:
+    """Return `out_dir`, or the default output folder of a job, in the working folder."""
+    return Path(out_dir or f"{plain_name(stem_of(target))}_{job}")
 
 
 def open_job_runner(
@@ -304,19 +242,8 @@ def open_job_runner(
 ) -> AbstractContextManager[Runner]:
     """Open what runs the tiles of a job, or of many: the caller's executor, a cluster, or own processes.
 
-    Parameters
-    ----------
-    settings : Settings
-        `scheduler` and `jobs` choose it where there is no executor.
-    executor : concurrent.futures.Executor or Runner, optional
-        A runner is open already, and stays so.
-    on_event : callable
-        Receives warnings about it.
-
-    Raises
-    ------
-    ExecutionError
-        If the scheduler cannot be used.
+    `scheduler` and `jobs` of the settings choose it where there is no executor; a runner is open already, and
+    stays so. Warnings about it go to `on_event`. Raises `ExecutionError` if the scheduler cannot be used.
     """
     return open_runner(
         executor, on_event, jobs=settings.jobs, scheduler=settings.scheduler, preload=TASKS_MODULE
@@ -370,6 +297,8 @@ def _run_and_write(
 def _check_outputs(job: _Job) -> tuple[dict[str, Path], dict[str, Path]]:
     """Raise where an output cannot be made; return where each would be in the folder, and those elsewhere."""
     if job.settings.pdf:
+        from pcwlad_geo.report.page import check_pdf
+
         check_pdf()
     inside = output_paths(
         job.inputs[1],
@@ -439,6 +368,7 @@ def _preloading(on_event: EventCallback) -> EventCallback:
         with suppress(Exception):  # whoever needs it will say it
             import_module("pcwlad_geo.registration.tiles").load_own_kernel()
             import_module("pcwlad_geo.report.page")
+            import_module("pcwlad_geo.report.figures")
 
     def tell(event: Event) -> None:
         if isinstance(event, Progress) and event.stage == "matching" and not threads:
@@ -447,3 +377,83 @@ def _preloading(on_event: EventCallback) -> EventCallback:
         on_event(event)
 
     return tell
+
+
+PROOF_NAMES: Final = {"numbers": "proof.json", "report": "proof.html"}
+"""File names of a proof."""
+
+
+@products_found_once()
+def prove(
+    reference: PathLike | DatasetReader,
+    target: PathLike | DatasetReader,
+    *,
+    effort: Effort = "quick",
+    out_dir: PathLike | None = None,
+    overwrite: bool = False,
+    on_event: EventCallback = ignore,
+    executor: Executor | Runner | None = None,
+    **options: Unpack[Options],
+) -> Proof:
+    """Measure the tool's own error on a pair, and write `proof.json` and `proof.html`.
+
+    The target is moved by known amounts, by a resampling that adds no bias of its own, with fresh noise of
+    the level of each image, and matched again at tie points of the pair. Structure that lies elsewhere in the
+    other band cannot be seen by this.
+
+    Parameters
+    ----------
+    reference, target : path or rasterio dataset
+        As for `register`.
+    effort : {"quick", "full"}
+        quick: a sample of the points; full: more points and moves, and how much a part of the pair bears.
+    out_dir : path, optional
+        Output folder; ``<target stem>_proof`` in the working folder by default.
+    overwrite : bool
+        Replace the results of an earlier run in `out_dir`.
+    on_event : callable
+        Receives `Progress` and `Warned` events; an exception that it raises ends the job.
+    executor : concurrent.futures.Executor or Runner, optional
+        Runs the tiles of the matching; None = `jobs` processes, or the workers of `scheduler`.
+    **options
+        The fields of `Settings` that concern the matching, and `model`.
+
+    Returns
+    -------
+    Proof
+        Errors in target px (col, row).
+
+    Raises
+    ------
+    InputError
+        If a raster or an option cannot be used, or too few tie points are matched; nothing is written.
+    OutputError
+        If the results cannot be written.
+    ExecutionError
+        If what the matching runs on cannot be used or is lost.
+    RegistrationRejectedError
+        If the pair cannot be matched reliably; nothing is written.
+    """
+    inputs, settings = (file_of(reference), file_of(target)), Settings.from_options(options)
+    if effort not in get_args(Effort):
+        raise SettingsError(f"effort = {effort!r}: give one of {', '.join(get_args(Effort))}")
+    place = OutputFolder(
+        output_folder(inputs[1], "proof", out_dir),
+        overwrite=overwrite,
+        results=PROOF_NAMES["numbers"],
+        inputs=[*inputs, *settings.files],
+    )
+    with trusting(settings.trust), place as folder, open_job_runner(settings, executor, on_event) as runner:
+        from pcwlad_geo.registration.run import prove_pair  # slow to load
+        from pcwlad_geo.report.content import proof_numbers, to_json
+        from pcwlad_geo.report.page import proof_page
+
+        registration, proof = prove_pair(*inputs, settings, effort, on_event=on_event, runner=runner)
+        with folder.writing():
+            content = proof_numbers(registration, proof, sorted(PROOF_NAMES.values()))
+            texts = {"report": proof_page(registration, proof), "numbers": to_json(content)}
+            for kind, text in texts.items():
+                folder.path(PROOF_NAMES[kind]).write_text(text, encoding="utf-8", newline="")
+        check_unchanged(file.identity for file in registration.inputs)
+        folder.commit()
+    return proof

@@ -71,6 +71,8 @@ SIGMA_PX: Final = (1e-4, 1e4)
 """Least and largest sigma of a tie point of a file, px; 64-bit numbers cannot weigh others together."""
 POINTS: Final = 250_000
 """Largest number of tie points of a file; all are held in memory and used in each fit."""
+AREAS: Final = 100_000
+"""Largest number of areas of a vector file; all are held in memory and joined."""
 JSON_DEPTH: Final = 50
 """Levels of objects and lists within each other in a JSON file; those of STAC have about ten."""
 JSON_DIGITS: Final = 300
@@ -103,16 +105,10 @@ NAME_BYTES: Final = 255
 LATITUDE: Final = 90.0
 """Largest latitude in degrees; a pixel may be centred on the pole."""
 RPC_LIMITS: Final = {
-    "line_off": 1e7,
-    "samp_off": 1e7,
-    "line_scale": 1e7,
-    "samp_scale": 1e7,
-    "lat_off": 90.0,
-    "long_off": 360.0,
-    "lat_scale": 90.0,
-    "long_scale": 360.0,
-    "height_off": 2e4,
-    "height_scale": 2e4,
+    **dict.fromkeys(("line_off", "samp_off", "line_scale", "samp_scale"), 1e7),
+    **dict.fromkeys(("lat_off", "lat_scale"), 90.0),
+    **dict.fromkeys(("long_off", "long_scale"), 360.0),
+    **dict.fromkeys(("height_off", "height_scale"), 2e4),
 }
 """Largest absolute values of the offsets and scales of an RPC, in pixels, degrees or metres."""
 RPC_COEFFICIENT: Final = 1e6

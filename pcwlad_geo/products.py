@@ -99,11 +99,11 @@ class Product:
         """
         names = ",".join(band.name for band in self.bands)
         self._check_complete(f"name those to compare ({self.path}:{names})")
-        cirrus = tuple(band for band in self.bands if band.name in self.cirrus)
         notes = tuple(
             f"band {band.name} of {self.path} shows cirrus, not the ground, and is left out (name it to "
             "have it compared)"
-            for band in cirrus
+            for band in self.bands
+            if band.name in self.cirrus
         )
         return self.showing_ground(), notes
 
@@ -239,19 +239,8 @@ def _missing(text: str, identifier: str, files: dict[str, str]) -> tuple[str, ..
 
 
 SENTINEL2_BANDS: Final = (
-    "B01",
-    "B02",
-    "B03",
-    "B04",
-    "B05",
-    "B06",
-    "B07",
-    "B08",
-    "B8A",
-    "B09",
-    "B10",
-    "B11",
-    "B12",
+    *("B01", "B02", "B03", "B04", "B05", "B06", "B07", "B08", "B8A"),
+    *("B09", "B10", "B11", "B12"),
 )
 """Names of the bands in the order of their band_id in the metadata."""
 SAFE_METADATA: Final = re.compile(r"MTD_MSI(?P<level>L1C|L2A)\.xml", re.IGNORECASE)
@@ -395,13 +384,9 @@ def native_per_px(px_m: tuple[float, float], native_m: float | tuple[float, floa
 def native_px_m(stem: str, description: str | None) -> float | None:
     """Return the pixel size recorded by the sensor, in metres; None if the names do not determine it.
 
-    Parameters
-    ----------
-    stem : str
-        File name without its suffix: band files of Landsat and Sentinel-2 are recognised.
-    description : str, optional
-        Description of the band: surface temperature bands of Landsat are recognised (`ST_B10`; `ST_B6` of
-        Landsat 4 to 7 may be 60 or 120 m and gives None).
+    By the `stem`, the file name without its suffix, band files of Landsat and Sentinel-2 are recognised, by
+    the description of the band surface temperature bands of Landsat (`ST_B10`; `ST_B6` of Landsat 4 to 7 may
+    be 60 or 120 m and gives None).
     """
     if match := _LANDSAT.match(stem):
         return _landsat(match[1].upper(), int(match[2] or match[3]), match[4])
@@ -518,7 +503,8 @@ def _search(path: PathLike) -> Product | None:
         return None
     match = LANDSAT_METADATA.fullmatch(place.name)
     if match and match["id"]:
-        return find_landsat(_folder_of(place), match["id"])
+        files = sorted(entry.name for entry in place.parent.iterdir() if entry.is_file())
+        return find_landsat(FileTree(place.parent, tuple(files)), match["id"])
     if SAFE_METADATA.fullmatch(place.name):
         return find_sentinel2(tree_of(place.parent))
     if not is_archive(place):
@@ -548,11 +534,6 @@ def _found(tree: FileTree) -> Product | None:
     if len(found) > 1:
         raise InputError(f"{tree.path} holds a Landsat and a Sentinel-2 product: give the folder of one")
     return found[0] if found else None
-
-
-def _folder_of(file: Path) -> FileTree:
-    names = sorted(entry.name for entry in file.parent.iterdir() if entry.is_file())
-    return FileTree(file.parent, tuple(names))
 
 
 def _may_hold_product(folder: Path) -> bool:
@@ -585,11 +566,8 @@ def rasters_of(folder: PathLike) -> list[str]:
 def of_one_product(first: str, second: str) -> bool:
     """Whether two files are bands of one product, which were recorded and placed together.
 
-    Parameters
-    ----------
-    first, second : str
-        Paths or GDAL URIs. The names tell of Landsat and Sentinel-2, or those of renamed files in one folder
-        the metadata file beside them (``a_B4.tif``, ``a_B10.tif``, ``a_MTL.txt``).
+    The names tell of Landsat and Sentinel-2, or those of renamed files in one folder the metadata file beside
+    them (``a_B4.tif``, ``a_B10.tif``, ``a_MTL.txt``).
     """
     stems = [Path(file_name(uri)).stem for uri in (first, second)]
     one, other = map(BAND_OF.fullmatch, stems)

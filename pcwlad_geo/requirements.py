@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 from pcwlad_geo.correction.error_statistics import ErrorStatistics
+from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.errors import SettingsError
 
-Command = Literal["register", "match", "qa", "stack"]
+Command = Literal["register", "match", "qa", "stack", "watch"]
 Sign = Literal["<=", ">=", "="]
 Group = Literal["check", "fit"]
 Unit = Literal["px", "native px", "m"]
@@ -50,8 +51,9 @@ QUANTITIES: Final = (
         ("register",),
         ("=", "<="),
         "word",
-        ("shift", "drift", "affine", "projective", "polynomial", "jitter", "tps", "field"),
+        tuple(dict.fromkeys(name.rstrip("23") for name in MODELS)),
     ),
+    *(Quantity(name, ("watch",)) for name in ("step", "drift", "season", "latest", "offset", "motion")),
     Quantity("quality", ("register", "stack"), (">=", "="), "word", ("poor", "fair", "good")),
 )
 """All figures that can be required."""
@@ -61,6 +63,7 @@ EXAMPLES: Final[dict[Command, str]] = {
     "register": "'CE90<=0.5px', 'fit RMSE<=5m', 'points>=100', 'coverage>=0.8' or 'model=shift'",
     "match": "'points>=100', 'coverage>=0.8', 'sigma<=0.2px' or 'displacement<=3px'",
     "qa": "'CE90<=0.3px'",
+    "watch": "'step<0.2px', 'drift<0.1px', 'offset<3m' or 'motion<0.5px'",
     "stack": "'quality>=fair', 'sigma<=0.1px', 'closure<=0.05px' or 'points>=100'",
 }
 """Examples of requirements by command, for messages."""
@@ -165,17 +168,10 @@ def parse_requirement(text: str, command: Command) -> Requirement:
 
 
 def value_of(requirement: Requirement, statistics: ErrorStatistics) -> float:
-    """Return the figure that a requirement on errors limits.
+    """Return the figure that a requirement on errors limits, of statistics in its unit.
 
     It is the larger of both axes for std and LE90, the length of the vector for mean and median, and radial
     for the others.
-
-    Parameters
-    ----------
-    requirement : Requirement
-        A requirement on a statistic of `ErrorStatistics`.
-    statistics : ErrorStatistics
-        Statistics in the unit of the requirement.
     """
     name, net, radial = requirement.statistic, statistics.net, statistics.radial
     axes = (statistics.col, statistics.row)
@@ -240,8 +236,9 @@ def _limit(text: str, quantity: Quantity, right: str) -> tuple[float | str, Unit
 
 def _unit(text: str, quantity: Quantity, unit: str) -> Unit:
     found = _UNITS.get(unit)
-    if found is None or (quantity.name == "closure" and found == "native px"):
-        units = "px or m" if quantity.name == "closure" else "px, native px or m"
+    plain = quantity.name == "closure" or quantity.commands == ("watch",)
+    if found is None or (plain and found == "native px"):
+        units = "px or m" if plain else "px, native px or m"
         raise _error(text, f"give the unit {units}")
     return found
 

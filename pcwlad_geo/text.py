@@ -95,12 +95,8 @@ def read_bytes(path: Path, most: int = TEXT_BYTES) -> bytes:
 def read_text(path: Path, *, most: int = TEXT_BYTES, encoding: str = "utf-8", errors: str = "strict") -> str:
     r"""Read the whole text file `path` with all line ends as ``\n``; `encoding` and `errors` are as Python's.
 
-    Raises
-    ------
-    InputError
-        If it is no regular file, or larger than `most` bytes.
-    OSError, UnicodeDecodeError
-        If it cannot be read or decoded.
+    Raises `InputError` if it is no regular file, or larger than `most` bytes, and `OSError` or
+    `UnicodeDecodeError` if it cannot be read or decoded.
     """
     return read_bytes(path, most).decode(encoding, errors).replace("\r\n", "\n").replace("\r", "\n")
 
@@ -108,14 +104,8 @@ def read_text(path: Path, *, most: int = TEXT_BYTES, encoding: str = "utf-8", er
 def read_json(path: Path) -> Any:  # noqa: ANN401  # of any structure
     """Read a JSON file of at most `TEXT_BYTES`, which may be of any program and damaged.
 
-    Raises
-    ------
-    InputError
-        If it is no regular file, or larger than `TEXT_BYTES`.
-    OSError
-        If it cannot be read.
-    ValueError
-        If it is no JSON in UTF-8, or not as `parse_json` takes it.
+    Raises `InputError` if it is no regular file, or larger, `OSError` if it cannot be read, and `ValueError`
+    if it is no JSON in UTF-8, or not as `parse_json` takes it.
     """
     return parse_json(read_text(path))
 
@@ -200,14 +190,12 @@ TURNING: Final = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u20
 
 def visible(text: str) -> str:
     r"""Return a text with its control characters written like ``\x1b``, except line breaks and tabs."""
-    return "".join(_visible(each) for each in text)
-
-
-def _visible(character: str) -> str:
-    hidden = unicodedata.category(character) in HIDDEN or character in TURNING
-    if character in "\n\t" or not hidden:
-        return character
-    return character.encode("unicode_escape").decode("ascii")
+    return "".join(
+        each.encode("unicode_escape").decode("ascii")
+        if each not in "\n\t" and (unicodedata.category(each) in HIDDEN or each in TURNING)
+        else each
+        for each in text
+    )
 
 
 def one_line(message: object) -> str:

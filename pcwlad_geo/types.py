@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+Complex64 = NDArray[np.complex64]
 Bool = NDArray[np.bool_]
 Index = NDArray[np.intp]
 PathLike = str | os.PathLike[str]

@@ -1,90 +1,187 @@
-"""The ``pcwlad-geo`` command: ``register`` and ``match`` for one pair, the other commands, exit statuses."""
+"""The ``pcwlad-geo`` command: those for one pair, the other commands, their groups, exit statuses."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Final
 
 import typer
+from typer.core import TyperGroup
 
 import pcwlad_geo
 from pcwlad_geo.cli import options as o
-from pcwlad_geo.cli.batch import batch
-from pcwlad_geo.cli.edit import edit
-from pcwlad_geo.cli.job import run_job
+from pcwlad_geo.cli.finished import edit, warp
+from pcwlad_geo.cli.job import Ending, abandon_pair, do_pair, prove_pair, run_guarded, run_job
+from pcwlad_geo.cli.multi import batch, stack, watch
 from pcwlad_geo.cli.progress import show_error
 from pcwlad_geo.cli.qa import qa
 from pcwlad_geo.cli.rig import rig
-from pcwlad_geo.cli.stack import stack
-from pcwlad_geo.cli.warp import warp
 from pcwlad_geo.errors import InputError, PcwladGeoError
+from pcwlad_geo.events import EventCallback
+from pcwlad_geo.options import Effort
+
+PAIR: Final = "One pair"
+"""Title of the commands for one pair, in the help."""
+MANY: Final = "Many images"
+"""Title of the commands for many images."""
+AFTER: Final = "After a registration"
+"""Title of the commands for a finished registration."""
+EXAMPLES: Final = """\b
+Examples:
+  pcwlad-geo demo
+  pcwlad-geo register red.tif thermal.tif -o registered
+  pcwlad-geo register red.tif thermal.tif --require "CE90<=0.5px"
+  pcwlad-geo warp registered thermal_b11.tif
+  pcwlad-geo stack 2021.tif 2022.tif 2023.tif -o series
+  pcwlad-geo register --help
+"""
+"""End of the help; the first line keeps the others as they are."""
+
+
+class Commands(TyperGroup):
+    """The commands, listed in groups."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  # of typer's own click
+        """Write the commands, a section for each group."""
+        width = max(map(len, self.commands))
+        for title in (PAIR, MANY, AFTER):
+            lines = [
+                (name.ljust(width), command.get_short_help_str(formatter.width - width - 6))
+                for name, command in self.commands.items()
+                if getattr(command, "rich_help_panel", "") == title and not command.hidden
+            ]
+            with formatter.section(title):
+                formatter.write_dl(lines)
+
 
 app = typer.Typer(
     name="pcwlad-geo",
-    add_completion=False,
+    cls=Commands,
     rich_markup_mode=None,  # plain help, plain errors
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
-@app.command()
+@app.command(rich_help_panel=PAIR)
 @o.takes_settings("register")
 def register(
     context: typer.Context,
     reference: o.Reference,
     target: o.Target,
     out_dir: o.OutDir = None,
-    progress: o.ProgressOption = "auto",
-    watch_stdin: o.WatchStdin = False,
-    config: o.Config = None,
-    overwrite: o.Overwrite = False,
     output_raster: o.OutputRaster = None,
     output_tiepoints: o.OutputTiepoints = None,
     output_report: o.OutputReport = None,
     output_points: o.OutputPoints = None,
-    debug: o.Debug = False,
 ) -> None:
     """Register TARGET to REFERENCE: tie points, correction, registered raster, report."""
     run_job("register", context.params)
 
 
-@app.command()
+@app.command(rich_help_panel=PAIR)
 @o.takes_settings("match")
 def match(
     context: typer.Context,
     reference: o.Reference,
     target: o.Target,
     out_dir: o.OutDir = None,
-    progress: o.ProgressOption = "auto",
-    watch_stdin: o.WatchStdin = False,
-    config: o.Config = None,
-    overwrite: o.Overwrite = False,
     output_tiepoints: o.OutputTiepoints = None,
     output_report: o.OutputReport = None,
     output_points: o.OutputPoints = None,
-    debug: o.Debug = False,
 ) -> None:
     """Match TARGET to REFERENCE: tie points and report, no correction."""
     run_job("match", context.params)
 
 
-app.command()(warp)
-app.command()(qa)
-app.command()(batch)
-app.command()(stack)
-app.add_typer(rig, name="rig")
+EffortOption = Annotated[
+    Effort,
+    o.option(
+        "--effort",
+        help="quick: a sample of points; full: more, and what the pair bears.",
+        show_default=True,
+    ),
+]
+
+
+@app.command(rich_help_panel=PAIR)
+@o.takes_settings("prove")
+def prove(
+    context: typer.Context,
+    reference: o.Reference,
+    target: o.Target,
+    out_dir: o.OutDir = None,
+    effort: EffortOption = "quick",
+) -> None:
+    """Measure the tool's own error on a pair: move TARGET by known amounts, and match it again."""
+    params = context.params
+    run_guarded(params, lambda on_event: prove_pair(params, on_event), lambda: abandon_pair("proof", params))
+
+
+SAMPLE: Final = ("landsat_b4.tif", "landsat_b10.tif")
+"""Reference and target of the demonstration: parts of the synthetic pair of the repository."""
+NEXT: Final = """
+The pair is synthetic. The thermal band lies +1.15, -0.72 px (mean; column, row) from where its georeferencing
+says; the red band is right. Next, open that report, and register a pair of your own:
+  pcwlad-geo register REFERENCE TARGET
+"""
+"""What `demo` prints after the result."""
+
+DemoFolder = Annotated[Path, o.argument("FOLDER", "Folder to write into.  [default: pcwlad-geo-demo]")]
+
+
+@app.command(rich_help_panel=PAIR)
+@o.takes_settings("demo")
+def demo(context: typer.Context, folder: DemoFolder = Path("pcwlad-geo-demo")) -> None:
+    """Write a small synthetic pair into FOLDER, and register it: no data of your own are needed."""
+    reference, target = (str(folder / name) for name in SAMPLE)
+    params = {"reference": reference, "target": target, "out_dir": folder / "registered", **context.params}
+
+    def work(on_event: EventCallback) -> Ending:
+        _write_sample(params)
+        ending = do_pair("register", params, on_event)
+        return replace(ending, text=ending.text + NEXT)
+
+    run_guarded(params, work, lambda: abandon_pair("registered", params))
+
+
+def _write_sample(params: Mapping[str, Any]) -> None:
+    """Copy the sample pair to its places, after all that may refuse the run."""
+    from pcwlad_geo.outputs.folder import check_output_folder, place_file, stage_inside
+    from pcwlad_geo.outputs.places import check_outputs
+
+    places, overwrite = [params["folder"] / name for name in SAMPLE], params["overwrite"]
+    check_output_folder(params["out_dir"], overwrite)
+    check_outputs(places, overwrite=overwrite)
+    with stage_inside(params["folder"]) as stage:
+        for place in places:
+            shutil.copyfile(Path(__file__).parent / "sample" / place.name, stage / place.name)
+            place_file(stage / place.name, place, overwrite=overwrite)
+
+
+app.command(rich_help_panel=MANY)(batch)
+app.command(rich_help_panel=MANY)(stack)
+app.command(rich_help_panel=MANY)(watch)
+app.add_typer(rig, name="rig", rich_help_panel=MANY)
+app.command(rich_help_panel=MANY)(qa)
+app.command(rich_help_panel=AFTER)(warp)
 app.command(hidden=True)(edit)  # a conversation between programs
+
+
+PROTOCOL: Final = 1
+"""Number of the conversation with programs, JSON lines and ``edit``: programs of another cannot follow it."""
 
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"pcwlad-geo {pcwlad_geo.__version__}")
+        typer.echo(f"pcwlad-geo {pcwlad_geo.__version__} (protocol {PROTOCOL})")
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(epilog=EXAMPLES)
 def options(
     version: Annotated[
         bool,

@@ -26,16 +26,9 @@ else:
 def collect(given: Mapping[str, object], config: Path | None) -> dict[str, Any]:
     """Return the options for the API: those of the config file, replaced by those of the command line.
 
-    Raises `SettingsError` if the file cannot be read, names an option that does not exist, or a value has a
-    wrong type.
-
-    Parameters
-    ----------
-    given : mapping
-        Option names (with underscores) and values of the command line; None, or an empty list or tuple for a
-        repeatable option, if not given. Names that are not fields of `Settings` are ignored.
-    config : Path, optional
-        TOML file of options.
+    The names of those `given` have underscores; values are None, or an empty list or tuple for a repeatable
+    option, where they are not. Names that are not fields of `Settings` are ignored. Raises `SettingsError` if
+    the file, which is TOML, cannot be read, names an option that does not exist, or a value has a wrong type.
     """
     values = read_config(config) if config else {}
     values |= {name: value for name, value in given.items() if name in SETTINGS and _is_given(value)}
@@ -71,19 +64,23 @@ def read_config(path: Path) -> dict[str, object]:
     return values
 
 
+def option(*flags: str, **how: Any) -> Any:  # noqa: ANN401  # as typer's
+    """Return an option of a command, whose default is shown where its help says so, or `show_default`."""
+    return typer.Option(*flags, **{"show_default": False, **how})
+
+
+def argument(metavar: str, text: str) -> Any:  # noqa: ANN401  # as typer's
+    """Return an argument of a command, with its help."""
+    return typer.Argument(metavar=metavar, help=text, show_default=False)
+
+
 ProgressStyle = Literal["auto", "bar", "json", "none"]
 
 _DEFAULTS = {field.name: field.default for field in fields(Settings)}
 _HINTS = get_type_hints(Settings)
-_BEFORE = "progress"
-"""The options of `Settings` stand before this one in the help."""
 
-Reference = Annotated[
-    str, typer.Argument(metavar="REFERENCE", help="Raster that stays, or a product.", show_default=False)
-]
-Target = Annotated[
-    str, typer.Argument(metavar="TARGET", help="Raster that moves, or a product.", show_default=False)
-]
+Reference = Annotated[str, argument("REFERENCE", "Raster that stays, or a product.")]
+Target = Annotated[str, argument("TARGET", "Raster that moves, or a product.")]
 
 
 def takes_settings(command: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -99,25 +96,21 @@ def takes_settings(command: str) -> Callable[[Callable[..., None]], Callable[...
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
-        hints = get_type_hints(function, include_extras=True)
-        own = [
-            each.replace(annotation=hints[each.name])
-            for each in inspect.signature(function).parameters.values()
-        ]
+        # not get_type_hints: that of Python 3.10 hides the flags of what is None by default in an Optional
+        own = list(inspect.signature(function, eval_str=True).parameters.values())
         names = [each.name for each in own]
-        run = [] if _BEFORE in names else RUN_OPTIONS
+        run = [] if "progress" in names else RUN_OPTIONS
         given = [
             inspect.Parameter(name, _KIND, default=None, annotation=_annotation(name, option))
             for name, option in OPTIONS.items()
             if command in option.commands and name not in names
         ]
-        place = len(own) if run else names.index(_BEFORE)
 
         @functools.wraps(function)
         def decorated(**values: object) -> None:
             function(**{name: values[name] for name in names})
 
-        parameters = [*own[:place], *given, *own[place:], *run]
+        parameters = [*own, *given, *run]
         decorated.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         decorated.__annotations__ = {each.name: each.annotation for each in parameters}
         return decorated
@@ -151,39 +144,26 @@ def _type_of(name: str, option: Option) -> Any:  # noqa: ANN401  # of any type
     return kinds[0] if simple else str
 
 
-OutDir = Annotated[
-    Path | None,
-    typer.Option("-o", "--out-dir", metavar="OUT_DIR", help="Output folder.", show_default=False),
-]
-OutputRaster = Annotated[
-    Path | None,
-    typer.Option("--output-raster", metavar="FILE", help="Registered raster, here instead."),
-]
-OutputTiepoints = Annotated[
-    Path | None,
-    typer.Option("--output-tiepoints", metavar="FILE", help="Tie points CSV, here instead."),
-]
-OutputReport = Annotated[
-    Path | None, typer.Option("--output-report", metavar="FILE", help="Report page, here instead.")
-]
-OutputPoints = Annotated[
-    Path | None,
-    typer.Option("--output-points", metavar="FILE", help="QGIS Georeferencer points, here instead."),
-]
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace the results of an earlier run in OUT_DIR.")
-]
+OutDir = Annotated[Path | None, option("-o", "--out-dir", help="Output folder.", metavar="OUT_DIR")]
+OutputRaster = Annotated[Path | None, option(help="Registered raster, here instead.", metavar="FILE")]
+OutputTiepoints = Annotated[Path | None, option(help="Tie points CSV, here instead.", metavar="FILE")]
+OutputReport = Annotated[Path | None, option(help="Report page, here instead.", metavar="FILE")]
+OutputPoints = Annotated[Path | None, option(help="QGIS Georeferencer points, here instead.", metavar="FILE")]
+Overwrite = Annotated[bool, option("--overwrite", help="Replace the results of an earlier run in OUT_DIR.")]
 ProgressOption = Annotated[
     ProgressStyle,
-    typer.Option("--progress", help="auto: a bar on a terminal; json: one object a line on standard output."),
+    option(
+        "--progress",
+        help="auto: a bar on a terminal; json: one object a line on standard output.",
+        show_default=True,
+    ),
 ]
-WatchStdin = Annotated[bool, typer.Option("--watch-stdin", help="Cancel the run when standard input ends.")]
+WatchStdin = Annotated[bool, option("--watch-stdin", help="Cancel the run when standard input ends.")]
 Config = Annotated[
-    Path | None,
-    typer.Option("--config", metavar="FILE.toml", help="Options by name; the command line wins."),
+    Path | None, option("--config", help="Options by name; the command line wins.", metavar="FILE.toml")
 ]
 Debug = Annotated[
-    bool, typer.Option("--debug", help="Show the traceback of an error, and what libraries write meanwhile.")
+    bool, option("--debug", help="Show the traceback of an error, and what libraries write meanwhile.")
 ]
 RUN_OPTIONS = [
     inspect.Parameter(name, _KIND, default=default, annotation=annotation)

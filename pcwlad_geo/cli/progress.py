@@ -48,13 +48,9 @@ def own_standard_error() -> TextIO:
     Libraries write there in many ways: log lines and warnings of Python (matplotlib on its font cache), C
     libraries (fontconfig), programs that they start (fc-list). Important messages arrive as exceptions.
     Processes started afterwards are silent too. The redirection remains to the end of the process, because a
-    thread that loads a library may outlive the run.
-
-    Returns
-    -------
-    TextIO
-        The real standard error; or the unchanged ``sys.stderr`` if that is not file descriptor 2, because it
-        is closed or was replaced by a program that runs the command in its own process.
+    thread that loads a library may outlive the run. Return the real standard error; or the unchanged
+    ``sys.stderr`` if that is not file descriptor 2, because it is closed or was replaced by a program that
+    runs the command in its own process.
     """
     return _take_standard_error() if _is_descriptor_2(sys.stderr) else sys.stderr
 

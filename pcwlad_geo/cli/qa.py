@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from pcwlad_geo.cli import options as o
-from pcwlad_geo.cli.job import Ending, run_guarded
+from pcwlad_geo.cli.job import Ending, columns, run_guarded
 from pcwlad_geo.cli.options import collect
-from pcwlad_geo.cli.outcome import columns
 from pcwlad_geo.errors import RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.options import Settings
 from pcwlad_geo.text import visible
 
 if TYPE_CHECKING:
-    from pcwlad_geo.bandqa.bands import PairResult, Triangle
-    from pcwlad_geo.bandqa.summary import Judged, QaResult
-    from pcwlad_geo.bandqa.trend import Trend
+    from pcwlad_geo.multi.bands import PairResult, Triangle
+    from pcwlad_geo.multi.qa_result import Judged, QaResult
+    from pcwlad_geo.multi.trend import Trend
 
 HEADER: Final = ("pair (reference – target)", "n", "mean px", "LE90 px", "CE90 px", "net", "CE90 m", "")
 """Header of the table of pairs."""
@@ -46,7 +45,7 @@ def stack_text(result: QaResult) -> str:
 
 def outcome_of(result: QaResult) -> dict[str, object]:
     """Return the values of the result event."""
-    from pcwlad_geo.bandqa.run import NAMES  # slow to load, unless there is a result
+    from pcwlad_geo.multi.qa import NAMES  # slow to load, unless there is a result
 
     names = {kind: name for kind, name in NAMES.items() if kind != "pdf" or result.settings.pdf}
     return {
@@ -98,64 +97,63 @@ def _verdict(judged: Judged) -> str:
 
 Rasters = Annotated[
     list[str] | None,
-    typer.Argument(
-        metavar="RASTER…",
-        help="Rasters, one with several bands, or Landsat and Sentinel-2 products; FILE:2,4,5 or "
+    o.argument(
+        "RASTER…",
+        "Rasters, one with several bands, or Landsat and Sentinel-2 products; FILE:2,4,5 or "
         "PRODUCT:B4,B10 takes these bands of it.",
-        show_default=False,
     ),
 ]
 Bands = Annotated[
     str | None,
-    typer.Option(
+    o.option(
         "--bands",
-        metavar="2,4-6",
         help="Bands of the rasters that do not name theirs; of products, names.  [default: all]",
+        metavar="2,4-6",
     ),
 ]
 Against = Annotated[
     str | None,
-    typer.Option("--against", metavar="NAME", help="Compare every band with this one only, such as B4."),
+    o.option("--against", help="Compare every band with this one only, such as B4.", metavar="NAME"),
 ]
 Require = Annotated[
     list[str] | None,
-    typer.Option(
+    o.option(
         "--require",
-        metavar="LIMIT",
         help="Limit that every pair must meet, such as 'CE90<=0.3px'; repeatable. Statistics: mean, median, "
         "std, RMSE, LE90, CE90, CE95, CE99.7, closure; 'net CE90': without the matching noise; units: px, "
         "native px, m.",
+        metavar="LIMIT",
     ),
 ]
 PresetOption = Annotated[
     list[str] | None,
-    typer.Option(
+    o.option(
         "--preset",
-        metavar="NAME",
         help="Requirement of a mission: sentinel2, landsat-oli, landsat-tirs; repeatable.",
+        metavar="NAME",
     ),
 ]
 NativePx = Annotated[
     list[str] | None,
-    typer.Option(
+    o.option(
         "--native-px",
-        metavar="NAME=M",
         help="Pixel size, metres, that the sensor recorded, of a resampled band; known for Landsat and "
         "Sentinel-2 files; repeatable.",
+        metavar="NAME=M",
     ),
 ]
 Mask = Annotated[
     Path | None,
-    typer.Option(
-        "--mask", metavar="FILE", help="Mask of all rasters, 0 = excluded.  [default: that of a product]"
+    o.option(
+        "--mask", help="Mask of all rasters, 0 = excluded.  [default: that of a product]", metavar="FILE"
     ),
 ]
 TrendOption = Annotated[
     Path | None,
-    typer.Option(
+    o.option(
         "--trend",
-        metavar="DIR",
         help="Instead: a page of how the figures of all reports below DIR went over time.",
+        metavar="DIR",
     ),
 ]
 
@@ -184,7 +182,7 @@ def _stack(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
         raise SettingsError("no raster: give two or more, one with several bands, or --trend DIR")
     settings = collect(params, params["config"])
     Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
-    from pcwlad_geo.bandqa.run import qa
+    from pcwlad_geo.multi.qa import qa
 
     result = qa(
         params["rasters"],
@@ -218,7 +216,7 @@ def _trend(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
             raise SettingsError(
                 f"--trend takes no --{name.replace('_', '-')}: it repeats what the reports say"
             )
-    from pcwlad_geo.bandqa.trend import trend
+    from pcwlad_geo.multi.trend import trend
 
     return _trend_ending(
         trend(params["trend"], out_dir=params["out_dir"], overwrite=params["overwrite"], on_event=on_event)
@@ -240,10 +238,10 @@ def _abandon(params: Mapping[str, Any]) -> None:
     from pcwlad_geo.outputs.folder import abandon
 
     if params["trend"] is not None:
-        from pcwlad_geo.bandqa.trend import trend_folder
+        from pcwlad_geo.multi.trend import trend_folder
 
         abandon(trend_folder(params["trend"], params["out_dir"]))
     elif params["rasters"]:
-        from pcwlad_geo.bandqa.run import qa_folder
+        from pcwlad_geo.multi.qa import qa_folder
 
         abandon(qa_folder(params["rasters"], params["out_dir"]))

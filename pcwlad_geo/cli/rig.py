@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pcwlad_geo.cli import options as o
-from pcwlad_geo.cli.batch import STATUS_OF
-from pcwlad_geo.cli.job import Ending, run_guarded
+from pcwlad_geo.cli.job import Ending, columns, run_guarded
+from pcwlad_geo.cli.multi import STATUS_OF
 from pcwlad_geo.cli.options import collect
-from pcwlad_geo.cli.outcome import columns
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.options import Settings
@@ -27,33 +26,22 @@ rig = typer.Typer(
     help="Cameras with several lenses: learn the rig, apply it to captures.", no_args_is_help=True
 )
 
-Captures = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="CAPTURES…", help="Raw frames of the camera, or folders of them.", show_default=False
-    ),
-]
-RigFile = Annotated[
-    Path, typer.Argument(metavar="RIG.json", help="What rig learn has written.", show_default=False)
-]
+Captures = Annotated[list[str], o.argument("CAPTURES…", "Raw frames of the camera, or folders of them.")]
+RigFile = Annotated[Path, o.argument("RIG.json", "What rig learn has written.")]
 Out = Annotated[
-    Path | None,
-    typer.Option(
-        "-o", "--out", metavar="RIG.json", help="File to write.  [default: RIG.json]", show_default=False
-    ),
+    Path | None, o.option("-o", "--out", help="File to write.  [default: RIG.json]", metavar="RIG.json")
 ]
 Pattern = Annotated[
     str | None,
-    typer.Option(
+    o.option(
         "--pattern",
-        metavar="REGEX",
         help="What file names without ending look like, with (?P<capture>…) and (?P<lens>…), where neither "
         "XMP nor usual names tell what belongs together.",
-        show_default=False,
+        metavar="REGEX",
     ),
 ]
 Fisheye = Annotated[
-    bool, typer.Option("--fisheye", help="Lenses without a calibration in their frames are fisheyes.")
+    bool, o.option("--fisheye", help="Lenses without a calibration in their frames are fisheyes.")
 ]
 HEADER = ("lens", "focal px", "moved px", "sigma px", "told calibration off px")
 """Header of the table of lenses."""

@@ -347,14 +347,10 @@ def test_a_geodataframe_has_the_points_on_the_map(steps: Steps) -> None:
     np.testing.assert_array_equal(np.column_stack([frame.geometry.x, frame.geometry.y]), table.xy)
 
 
-@pytest.mark.parametrize(("module", "extra"), [("geopandas", "geopandas"), ("skimage", "skimage")])
-def test_an_extra_that_is_missing_is_named(
-    module: str, extra: str, steps: Steps, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, module, None)
-    use = steps.correction.to_skimage if module == "skimage" else steps.matches.tie_points.to_geodataframe
-    with pytest.raises(pg.InputError, match=rf"pip install 'pcwlad-geo\[{extra}\]'"):
-        use()
+def test_an_extra_that_is_missing_is_named(steps: Steps, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "geopandas", None)
+    with pytest.raises(pg.InputError, match=r"pip install 'pcwlad-geo\[geopandas\]'"):
+        steps.matches.tie_points.to_geodataframe()
 
 
 def test_control_points_are_where_the_target_shows_the_map(steps: Steps) -> None:
@@ -379,7 +375,6 @@ def test_positions_of_another_shape_are_refused(steps: Steps) -> None:
 
 @pytest.mark.parametrize("model", ["shift", "affine", "projective", "polynomial", "tps"])
 def test_a_transform_of_scikit_image_is_half_a_pixel_aside(model: Any, steps: Steps) -> None:
-    pytest.importorskip("skimage", reason="the extra skimage is not installed")
     correction = pg.fit(steps.matches, model=model)
     transform = correction.to_skimage()
     np.testing.assert_allclose(transform(PLACES), correction.forward(PLACES + 0.5) - 0.5, atol=1e-9)
@@ -389,7 +384,6 @@ def test_a_transform_of_scikit_image_is_half_a_pixel_aside(model: Any, steps: St
 @pytest.mark.parametrize("model", ["affine", "polynomial"])
 def test_scikit_image_corrects_the_target_with_it(model: Any, steps: Steps, tmp_path: Path) -> None:
     """A scaled target: half a pixel wrong would show where the scale counts, a wrong direction everywhere."""
-    pytest.importorskip("skimage", reason="the extra skimage is not installed")
     from skimage import transform
 
     linear = np.array([[1.02, 0.0], [0.0, 0.98]])

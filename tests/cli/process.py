@@ -22,11 +22,11 @@ from pcwlad_geo.__main__ import main
 def register(reference, target, *, on_event, **keywords):
 {work}
 
-def output_folder(target, job):
-    return Path("b_registered")
+def output_folder(target, job, out_dir=None):
+    return Path(out_dir or "b_registered")
 
 def output_paths(target, job, *, out_dir=None, **elsewhere):
-    folder = Path(out_dir or output_folder(target, job))
+    folder = output_folder(target, job, out_dir)
     return dict(numbers=folder / "report.json", report=folder / "report.html", raster=folder / "absent.tif")
 
 job = types.ModuleType("pcwlad_geo.job")

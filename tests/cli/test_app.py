@@ -1,14 +1,16 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 
 import pcwlad_geo
-from pcwlad_geo.cli.app import run
+from pcwlad_geo.cli.app import PAIR, PROTOCOL, app, run
 from pcwlad_geo.options import WORDS, Settings
 
 NOT_ON_THE_COMMAND_LINE = {"tile_size"}
@@ -16,12 +18,47 @@ NOT_ON_THE_COMMAND_LINE = {"tile_size"}
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["--version"]) == 0
-    assert capsys.readouterr().out == f"pcwlad-geo {pcwlad_geo.__version__}\n"
+    assert capsys.readouterr().out == f"pcwlad-geo {pcwlad_geo.__version__} (protocol {PROTOCOL})\n"
 
 
 def test_no_arguments_show_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert run([]) == 0
     assert "register" in capsys.readouterr().out
+
+
+def test_the_help_has_every_command_once_in_a_group_and_examples_that_can_be_run(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["--help"]) == 0
+    shown = capsys.readouterr().out
+    groups = shown.partition(f"{PAIR}:")[2].partition("Examples:")[0]
+    listed = [line.split()[0] for line in groups.splitlines() if line.startswith("  ") and line.strip()]
+    group = get_command(app)
+    assert sorted(listed) == sorted(name for name, each in group.commands.items() if not each.hidden)
+    examples = [line.split() for line in shown.partition("Examples:")[2].splitlines() if line.strip()]
+    assert len(examples) > 3
+    for program, name, *rest in examples:
+        assert program == "pcwlad-geo"
+        if rest != ["--help"]:
+            group.commands[name].make_context(name, [word.strip('"') for word in rest])
+
+
+def test_shells_can_complete_commands_and_options() -> None:
+    code = "import sys; sys.argv = ['pcwlad-geo']; from pcwlad_geo.__main__ import main; main()"
+
+    def completed(words: str) -> list[str]:
+        asked = {"_PCWLAD_GEO_COMPLETE": "complete_bash", "COMP_WORDS": words}
+        asked["COMP_CWORD"] = str(words.count(" "))
+        return subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, **asked},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+
+    assert completed("pcwlad-geo pro") == ["prove"]
+    assert "--search-radius" in completed("pcwlad-geo match --sea")
 
 
 def test_the_help_of_batch_names_its_options(capsys: pytest.CaptureFixture[str]) -> None:
@@ -96,7 +133,7 @@ def test_nothing_heavy_is_imported_before_a_command_runs() -> None:
     heavy += ("dask", "distributed", "multiprocessing")
     code = (
         "import contextlib, io, sys\n"
-        "from pcwlad_geo.cli.app import run\n"
+        "from pcwlad_geo.cli.app import PROTOCOL, run\n"
         "with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as told:\n"
         "    for command in ([], ['register'], ['match'], ['batch']): run([*command, '--help'])\n"
         "    assert run(['match', sys.executable, 'gone.tif']) == 2\n"

@@ -67,8 +67,8 @@ def test_requirements_of_a_file(tmp_path: Path) -> None:
     [
         (("register", "/vsimem/a.tif", "/vsimem/b.tif"), "job.register"),
         (("match", "/vsimem/a.tif", "/vsimem/b.tif"), "job.match_files"),
-        (("batch", "pairs.csv"), "batches.batch"),
-        (("qa", "a.tif", "b.tif"), "bandqa.run.qa"),
+        (("batch", "pairs.csv"), "multi.batches.batch"),
+        (("qa", "a.tif", "b.tif"), "multi.qa.qa"),
     ],
     ids=lambda each: each[0] if isinstance(each, tuple) else "",
 )

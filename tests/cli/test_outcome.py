@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
-from pcwlad_geo.cli.outcome import Outcome
+from pcwlad_geo.cli.job import Outcome
 from tests.registrations import json_of, make_registration, without_crs
 
 
@@ -31,6 +32,17 @@ def test_there_is_no_column_of_metres_where_they_are_not_known() -> None:
     assert header.split()[-3:] == ["RMSE", "CE90", "net"]
     check = next(line for line in text.splitlines() if line.startswith("residual after, check"))
     assert check.split()[-2] == f"{made.accuracy['check_px'].ce90:.3f}"
+
+
+def test_the_quality_of_a_part_is_told_beside_that_of_all() -> None:
+    made = make_registration()
+    assert made.quality is not None
+    of_all = Outcome(json_of(made), {"numbers": Path("report.json")}).text()
+    assert "90 % of the common ground is expected to lie within 0.12 px (" in of_all
+    part = replace(made, quality=replace(made.quality, whole=(0.77, 0.226)))
+    text = Outcome(json_of(part), {"numbers": Path("report.json")}).text()
+    assert "90 % of the ground that was compared is expected to lie within 0.12 px (" in text
+    assert ", and of all that both show within 0.77 px (" in text
 
 
 def test_what_was_only_matched_has_no_residuals() -> None:

@@ -6,7 +6,7 @@ import io
 
 import pytest
 
-from pcwlad_geo.cli.outcome import table
+from pcwlad_geo.cli.job import table
 from pcwlad_geo.cli.progress import show_error
 from pcwlad_geo.text import one_line, visible
 

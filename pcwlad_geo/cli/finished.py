@@ -1,6 +1,7 @@
-"""``pcwlad-geo edit``: the tie points of a finished registration, for programs that let a user change them.
+"""``pcwlad-geo warp`` and ``edit``: what is done with a finished registration.
 
-It stays open and answers requests, a JSON object a line on standard input, with events on standard output.
+`warp` applies it to other bands of its target. `edit` is for programs that let a user change its tie points:
+it stays open and answers requests, a JSON object a line on standard input, with events on standard output.
 """
 
 from __future__ import annotations
@@ -13,19 +14,80 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from pcwlad_geo.cli import options as o
+from pcwlad_geo.cli.job import Ending, run_guarded
 from pcwlad_geo.cli.progress import protocol_stream
-from pcwlad_geo.cli.warp import Folder
 from pcwlad_geo.errors import InputError, PcwladGeoError, SettingsError
-from pcwlad_geo.options import Settings, to_setting
-from pcwlad_geo.text import finite, parse_json
+from pcwlad_geo.events import EventCallback
+from pcwlad_geo.options import OutputGrid, Resampling, Settings, to_setting
+from pcwlad_geo.text import finite, parse_json, visible
 
 if TYPE_CHECKING:
     from pcwlad_geo.registration.editing import Editor
+
+Folder = Annotated[Path, o.argument("REGISTRATION", "Output folder of an earlier pcwlad-geo register.")]
+WarpRasters = Annotated[list[str], o.argument("RASTER...", "Bands of its target, of any pixel size.")]
+WarpGrid = Annotated[
+    OutputGrid | None, o.option("--grid", help="Output grid; the registration's by default.")
+]
+WarpFormat = Annotated[
+    str | None,
+    o.option("--of", help="Format, a GDAL driver; the registration's by default.", metavar="DRIVER"),
+]
+WarpResampling = Annotated[
+    Resampling | None, o.option("--resampling", help="Resampling; the registration's by default.")
+]
+Place = Annotated[
+    Path | None,
+    o.option("-o", "--out-dir", help="Output folder.  [default: the working folder]", metavar="OUT_DIR"),
+]
+WarpedRaster = Annotated[
+    Path | None,
+    o.option("--output-raster", help="The warped raster, of one RASTER, here instead.", metavar="FILE"),
+]
+OverwriteRasters = Annotated[bool, o.option("--overwrite", help="Replace rasters that exist.")]
+
+
+@o.takes_settings("warp")
+def warp(
+    context: typer.Context,
+    registration: Folder,
+    rasters: WarpRasters,
+    out_dir: Place = None,
+    grid: WarpGrid = None,
+    of: WarpFormat = None,
+    resampling: WarpResampling = None,
+    progress: o.ProgressOption = "auto",
+    watch_stdin: o.WatchStdin = False,
+    overwrite: OverwriteRasters = False,
+    output_raster: WarpedRaster = None,
+    debug: o.Debug = False,
+) -> None:
+    """Apply the correction of REGISTRATION to other bands of its target."""
+    given = {
+        name: context.params[name] for name in ("grid", "like", "tr", "te", "t_srs", "of", "co", "resampling")
+    }
+    given |= {name: bool(context.params[name]) for name in ("allow_remote", "trust_vrt")}
+
+    def work(on_event: EventCallback) -> Ending:
+        from pcwlad_geo import band_warping  # slow to load
+
+        places: dict[str, Any] = {"out_dir": out_dir, "output_raster": output_raster, "overwrite": overwrite}
+        written = band_warping.warp(registration, rasters, **places, **given, on_event=on_event)
+        paths = [str(path.absolute()) for path in written]
+        return Ending({"status": "warped", "paths": paths}, visible("".join(f"{path}\n" for path in written)))
+
+    def abandon() -> None:
+        from pcwlad_geo.outputs import folder
+
+        folder.abandon(output_raster.parent if output_raster else out_dir or ".")
+
+    run_guarded(context.params, work, abandon)
+
 
 QUICK: Final = ("shift", "affine", "projective", "polynomial2", "tps")
 """Models that are fitted besides the one asked for, while no request waits."""
@@ -129,36 +191,46 @@ def _parsed(line: str) -> dict[str, Any]:
 def _answer(
     editor: Editor, request: dict[str, Any], tell: Tell, waiting: queue.Queue[dict[str, Any] | None]
 ) -> None:
+    from pcwlad_geo.registration.editing import RADIUS_PX
+
     what, number = request.get("do"), request.get("number")
-    off = {int(index) for index in request.get("off", ())}
-    if off and not 0 <= min(off) <= max(off) < len(editor.table):
-        raise ValueError(f"points are numbered from 0 to {len(editor.table) - 1}: leave others out of 'off'")
+    off, gone = ({int(index) for index in request.get(name, ())} for name in ("off", "gone"))
+    named = off | gone
+    if named and not 0 <= min(named) <= max(named) < len(editor.table):
+        raise ValueError(f"points are numbered from 0 to {len(editor.table) - 1}: name no others")
     if what == "fit":
-        trial = editor.try_model(str(request["model"]), off)
-        found = {"model": trial.model, "rmse_px": trial.rmse_px, "points": trial.points}
+        trial = editor.try_model(str(request["model"]), named)
+        found = {
+            "model": trial.model,
+            "rmse_px": trial.rmse_px,
+            "points": trial.points,
+            "checked": trial.checked,
+        }
         tell("fit", {"number": number, **found, "residual_px": trial.residual_px.round(6).tolist()})
         for model in (each for each in QUICK if each != trial.model):
             if not waiting.empty():
                 return
-            _tell_model(editor, model, off, number, tell)
+            _tell_model(editor, model, named, number, tell)
     elif what == "add":
-        refined = editor.add(tuple(request["reference_xy"]), tuple(request["target_xy"]))
+        places = tuple(request["reference_xy"]), tuple(request["target_xy"])
+        radius_px = min(float(request.get("radius_px", RADIUS_PX)), RADIUS_PX)
+        refined = editor.add(*places, radius_px, gone)
         tell("added", {"number": number, "refined": refined, "point": _last(editor)})
     elif what == "save":
-        _save(editor, Path(request["path"]), off)
+        _save(editor, Path(request["path"]), off, gone)
         tell("saved", {"number": number, "path": request["path"]})
     else:
         raise ValueError(f"unknown request {str(what)[:SHOWN]!r}: give fit, add or save")
 
 
-def _save(editor: Editor, place: Path, off: set[int]) -> None:
+def _save(editor: Editor, place: Path, off: set[int], gone: set[int]) -> None:
     """Write the points, whole or not at all, and never over what was read."""
     from pcwlad_geo.outputs.folder import place_file, stage_inside
     from pcwlad_geo.outputs.places import check_outputs
 
     check_outputs([place], editor.files)
     with stage_inside(place.parent) as stage:
-        editor.save(stage / place.name, off)
+        editor.save(stage / place.name, off, gone)
         place_file(stage / place.name, place, overwrite=True)
 
 

@@ -1,0 +1,112 @@
+from .api import FittedCorrection, fit, match, open_pair
+from .band_warping import WarpOptions, warp
+from .correction.error_statistics import Accuracy, Proof
+from .correction.models import Correction
+from .errors import (
+    CancelledError,
+    ExecutionError,
+    InputError,
+    OutputError,
+    PcwladGeoError,
+    RegistrationRejectedError,
+    RequirementError,
+    SettingsError,
+)
+from .events import Event, EventCallback, Progress, Warned
+from .execution.runner import Runner
+from .job import match_files, prove, register
+from .matching.matcher import match_arrays
+from .matching.types import MatchSettings, TiePoints
+from .multi.bands import PairResult
+from .multi.batches import BatchResult, batch
+from .multi.cycles import StackQuality
+from .multi.qa import qa
+from .multi.qa_result import QaResult
+from .multi.stack import stack, stack_add
+from .multi.stack_pairs import StackPair
+from .multi.stack_result import Stack, StackImage
+from .multi.watch import WatchNumbers, watch
+from .options import Options, PairOptions, Settings
+from .raster.arrays import DataArrayLike, Raster, RasterLike
+from .raster.grid import Grid
+from .raster.source import RasterInfo
+from .raster.trust import Trust
+from .registration.fitting import Quality
+from .registration.judge import Verdict
+from .registration.prealign import Pose, Prealignment
+from .registration.result import Matches, Pair, Registration
+from .requirements import RequirementResult
+from .rigs.applying import CaptureOutcome
+from .rigs.rig import Rig, RigLens
+from .rigs.run import RigApplied, rig_apply, rig_learn
+from .tiepoints.table import TiePointTable
+
+__version__: str
+__all__ = [
+    "Accuracy",
+    "BatchResult",
+    "CancelledError",
+    "CaptureOutcome",
+    "Correction",
+    "DataArrayLike",
+    "Event",
+    "EventCallback",
+    "ExecutionError",
+    "FittedCorrection",
+    "Grid",
+    "InputError",
+    "MatchSettings",
+    "Matches",
+    "Options",
+    "OutputError",
+    "Pair",
+    "PairOptions",
+    "PairResult",
+    "PcwladGeoError",
+    "Pose",
+    "Prealignment",
+    "Progress",
+    "Proof",
+    "QaResult",
+    "Quality",
+    "Raster",
+    "RasterInfo",
+    "RasterLike",
+    "Registration",
+    "RegistrationRejectedError",
+    "RequirementError",
+    "RequirementResult",
+    "Rig",
+    "RigApplied",
+    "RigLens",
+    "Runner",
+    "Settings",
+    "SettingsError",
+    "Stack",
+    "StackImage",
+    "StackPair",
+    "StackQuality",
+    "TiePointTable",
+    "TiePoints",
+    "Trust",
+    "Verdict",
+    "Warned",
+    "WarpOptions",
+    "WatchNumbers",
+    "__version__",
+    "batch",
+    "fit",
+    "match",
+    "match_arrays",
+    "match_files",
+    "open_pair",
+    "prove",
+    "qa",
+    "register",
+    "rig_apply",
+    "rig_learn",
+    "stack",
+    "stack_add",
+    "warp",
+    "watch",
+]
