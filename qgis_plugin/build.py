@@ -10,14 +10,17 @@ import tempfile
 import zipfile
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from help_page import PAGE, page
+
 HERE = Path(__file__).resolve().parent
 PLUGIN = HERE / "pcwlad_geo_qgis"
-SUFFIXES = {".py", ".txt", ".svg", ".ts", ".qm", ".ui", ""}
+SUFFIXES = {".py", ".txt", ".svg", ".ts", ".qm", ".ui", ".qml", ""}
 """Of the files that belong to the plugin; the licence has none."""
 
 
 def build(place: Path) -> list[str]:
-    """Write the zip and return the names in it; translations are compiled where lrelease is installed."""
+    """Write the zip and return the names in it: translations where lrelease is installed, a page of help."""
     files = {
         str(path.relative_to(HERE)): path
         for path in sorted(PLUGIN.rglob("*"))
@@ -32,6 +35,11 @@ def build(place: Path) -> list[str]:
             archive.write(path, name)
             if path.suffix == ".ts" and (compiled := _compile(path, Path(folder))):
                 archive.write(compiled, str(Path(name).with_suffix(".qm")))
+        html, pictures = page(PAGE.read_text(encoding="utf-8"), metadata()["homepage"])
+        written = Path(folder) / "index.html"
+        written.write_text(html, encoding="utf-8")
+        for path in (written, *(PAGE.parent / picture for picture in pictures)):
+            archive.write(path, f"{PLUGIN.name}/manual/{path.name}")
         return archive.namelist()
 
 
@@ -46,11 +54,16 @@ def _compile(translation: Path, folder: Path) -> Path | None:
     return compiled if run.returncode == 0 else None
 
 
+def metadata() -> configparser.SectionProxy:
+    """Return what metadata.txt says."""
+    parser = configparser.ConfigParser(interpolation=None)
+    parser.read(PLUGIN / "metadata.txt", encoding="utf-8")
+    return parser["general"]
+
+
 def main() -> None:
     """Build the zip where the command line says, in dist/ by default."""
-    metadata = configparser.ConfigParser(interpolation=None)
-    metadata.read(PLUGIN / "metadata.txt", encoding="utf-8")
-    default = HERE.parent / "dist" / f"pcwlad_geo_qgis-{metadata['general']['version']}.zip"
+    default = HERE.parent / "dist" / f"pcwlad_geo_qgis-{metadata()['version']}.zip"
     place = Path(sys.argv[1]) if len(sys.argv) > 1 else default
     names = build(place)
     translated = sorted(Path(name).stem for name in names if name.endswith(".qm"))

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+import queue
 import signal
+import subprocess
 import sys
 import textwrap
 import threading
 import time
 import uuid
 from pathlib import Path
+from typing import Any
 
 import pytest
 from conftest import PATIENCE_S, Feedback
@@ -93,9 +96,49 @@ def test_events_become_progress_warnings_and_the_result(tmp_path: Path) -> None:
     feedback = Feedback()
     result = run_engine(engine, ["register", "ä b.tif"], feedback, tmp_path, SHARES)
     assert result["arguments"] == ["register", "ä b.tif", "--progress", "json", "--watch-stdin"]
-    assert feedback.percent == [35.0]
+    assert 35.0 in feedback.percent
     assert feedback.warnings == ["Überlappung"]
     assert {"a stray line", "auf stderr: ü", "another"} <= set(feedback.lines)
+
+
+def seen_while_waiting(tmp_path: Path, first: dict[str, Any], then: dict[str, Any], to: float) -> Feedback:
+    """Run an engine that tells of progress twice, again once the bar has moved between 45 and `to`."""
+    engine = stand_in(
+        tmp_path,
+        f"""
+        print(json.dumps({{"event": "progress", **{first!r}}}))
+        while not os.path.exists("moved"):
+            time.sleep(0.01)
+        print(json.dumps({{"event": "progress", **{then!r}}}))
+        print(json.dumps({{"event": "result"}}))
+        """,
+    )
+    feedback = Feedback()
+
+    def on_progress(percent: float) -> None:
+        if sum(45.0 < each < to for each in feedback.percent) >= 5:
+            (tmp_path / "moved").touch()
+
+    feedback.progressChanged.connect(on_progress)
+    run_engine(engine, [], feedback, tmp_path)
+    return feedback
+
+
+def test_the_bar_goes_on_while_a_stage_says_nothing_and_not_too_far(tmp_path: Path) -> None:
+    begun, ended = ({"stage": "refining", "done": done, "total": 2} for done in (0, 2))
+    feedback = seen_while_waiting(tmp_path, begun, ended, 60.0)
+    assert "Refining" in feedback.lines
+    assert feedback.percent == sorted(feedback.percent)
+    assert not [each for each in feedback.percent if 60.0 <= each < 75.0]
+    assert feedback.percent[-1] == 75.0
+
+
+def test_refining_begins_where_matching_ends(tmp_path: Path) -> None:
+    matched = {"stage": "matching", "done": 1, "total": 1}
+    feedback = seen_while_waiting(tmp_path, matched, {"stage": "refining", "done": 0, "total": 2}, 75.0)
+    assert feedback.lines.count("Refining") == 1
+    assert feedback.percent == sorted(feedback.percent)
+    assert feedback.percent[-1] < 75.0
 
 
 @pytest.mark.parametrize(
@@ -187,3 +230,25 @@ def test_a_grandchild_that_keeps_the_pipes_open_does_not_hold_the_user_up(tmp_pa
         os.kill(process, signal.SIGKILL)
     assert left == []
     assert result == [{"event": "result", "status": "registered"}]
+
+
+def test_a_line_that_comes_as_the_reader_ends_is_not_lost(tmp_path: Path) -> None:
+    lines: queue.Queue[tuple[object, str]] = queue.Queue()
+    seen: list[str] = []
+
+    class Reader:
+        """Reads its last line, and ends, while it is asked whether it has."""
+
+        asked = 0
+
+        def is_alive(self) -> bool:
+            self.asked += 1
+            if self.asked == 1:
+                lines.put((seen.append, "the last line"))
+            return False
+
+    ended = subprocess.Popen([sys.executable, "-c", ""], stdin=subprocess.PIPE)
+    ended.wait()
+    child._hand_over(ended, [Reader()], lines, Feedback(), 0.0, lambda: None)  # type: ignore[list-item, arg-type]
+    ended.stdin.close()  # type: ignore[union-attr]
+    assert seen == ["the last line"]

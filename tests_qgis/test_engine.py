@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,8 @@ from pcwlad_geo_qgis.model import settings
 from pcwlad_geo_qgis.process import engine, install
 from processing.core.ProcessingConfig import ProcessingConfig
 from qgis.core import QgsApplication, QgsProcessingAlgorithm, QgsProcessingException, QgsSettings
+
+OWN_VERSION = re.escape(engine.metadata("version"))
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +33,7 @@ def nowhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     ProcessingConfig.setSettingValue(settings.SETTING, "")
 
 
-def program(path: Path, says: str = "pcwlad-geo 0.1.0") -> str:
+def program(path: Path, says: str = "pcwlad-geo 0.1.0 (protocol 1)") -> str:
     """Write a program that says its version."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"#!/bin/sh\necho '{says}'\n", encoding="utf-8")
@@ -50,11 +54,9 @@ def test_setting_then_variable_then_private_then_path(
     assert settings.find_engine().command == (str(tmp_path / "by setting" / "pcwlad-geo"),)
 
 
-def test_no_engine_gives_the_command_that_installs_it(nowhere: Path) -> None:
-    with pytest.raises(engine.EngineError) as error:
+def test_no_engine_names_the_algorithm_that_installs_one(nowhere: Path) -> None:
+    with pytest.raises(engine.EngineError, match="Install engine"):
         settings.find_engine()
-    assert f'python3 -m venv "{nowhere}" && ' in str(error.value)
-    assert "-m pip install PATH_OF_WHEEL_OR_FOLDER" in str(error.value)
     with pytest.raises(QgsProcessingException, match="Install engine"):
         run_algorithm("checkengine", {})
 
@@ -73,7 +75,11 @@ def test_what_is_named_and_absent_is_told_not_passed_over(
 @pytest.mark.parametrize(
     ("says", "match"),
     [
-        ("pcwlad-geo 0.2.0", r"has version 0\.2\.0, this plugin is 0\.1\.0 and needs an engine 0\.1\.x"),
+        (
+            "pcwlad-geo 0.9.3",
+            rf"version 0\.9\.3 \(protocol 0\), this plugin is {OWN_VERSION} and needs protocol 1",
+        ),
+        ("pcwlad-geo 0.1.0 (protocol 2)", r"version 0\.1\.0 \(protocol 2\), this plugin"),
         ("another program 1", "is no pcwlad-geo engine; it says: another program 1"),
     ],
 )
@@ -86,20 +92,34 @@ def test_an_engine_that_does_not_fit_is_told(
 
 
 def test_check_engine_says_what_is_wrong_with_the_version(tmp_path: Path) -> None:
-    program(tmp_path / "pcwlad-geo", "pcwlad-geo 0.2.0")
+    program(tmp_path / "pcwlad-geo", "pcwlad-geo 0.2.0 (protocol 2)")
     run = run_algorithm("checkengine", {})
     assert run.results["FITS"] is False
     assert run.results["VERSION"] == "0.2.0"
-    assert run.feedback.warnings == ["They do not fit: the plugin needs an engine 0.1.x."]
+    assert run.feedback.warnings == ["They do not fit: the engine has protocol 2, and the plugin needs 1."]
 
 
-def wheel(folder: Path, version: str = "0.1.0", requires: str = "") -> Path:
-    """Write a wheel of pcwlad-geo that can say its version only, and needs nothing."""
+def test_a_newer_engine_of_the_same_protocol_is_used(tmp_path: Path) -> None:
+    program(tmp_path / "pcwlad-geo", "pcwlad-geo 1.4.0 (protocol 1)")
+    assert run_algorithm("checkengine", {}).results["FITS"] is True
+    assert settings.find_engine().check(Feedback()) == "1.4.0"
+
+
+def wheel(
+    folder: Path,
+    version: str = "0.1.0",
+    requires: str = "",
+    protocol: int = 1,
+    more: Mapping[str, str] | None = None,
+) -> Path:
+    """Write a wheel of pcwlad-geo that can say its version only, and needs nothing; with more modules."""
     place = folder / f"pcwlad_geo-{version}-py3-none-any.whl"
     info = f"pcwlad_geo-{version}.dist-info"
     with zipfile.ZipFile(place, "w") as archive:
         archive.writestr("pcwlad_geo/__init__.py", "")
-        archive.writestr("pcwlad_geo/__main__.py", f"print('pcwlad-geo {version}')")
+        for name, text in (more or {}).items():
+            archive.writestr(name, text)
+        archive.writestr("pcwlad_geo/__main__.py", f"print('pcwlad-geo {version} (protocol {protocol})')")
         archive.writestr(
             f"{info}/METADATA", f"Metadata-Version: 2.1\nName: pcwlad-geo\nVersion: {version}\n{requires}"
         )
@@ -114,7 +134,7 @@ def test_install_makes_an_environment_that_is_found(tmp_path: Path, nowhere: Pat
     run = run_algorithm("installengine", {"WHEEL": str(wheel(folder)), "PYTHON": sys.executable})
     assert run.results == {"ENGINE": str(engine.own_python(nowhere)), "VERSION": "0.1.0"}
     assert engine.own_python(nowhere).is_file()
-    assert settings.find_engine().check() == "0.1.0"
+    assert settings.find_engine().check(Feedback()) == "0.1.0"
     assert [place.name for place in nowhere.parent.iterdir() if place.is_dir()] == ["pcwlad_geo_engine-1"]
     assert run.feedback.percent[-1] > 0
 
@@ -187,7 +207,7 @@ def test_an_engine_in_the_user_site_is_found(tmp_path: Path, monkeypatch: pytest
     with zipfile.ZipFile(wheel(tmp_path)) as archive:
         archive.extractall(site)
     monkeypatch.setenv(engine.VARIABLE, "/usr/bin/python3")
-    assert settings.find_engine().check() == "0.1.0"
+    assert settings.find_engine().check(Feedback()) == "0.1.0"
 
 
 def test_the_proxy_of_qgis_reaches_pip() -> None:
@@ -222,14 +242,15 @@ def test_install_is_for_people(tmp_path: Path) -> None:
 
 def test_a_failed_installation_leaves_the_old_engine(tmp_path: Path, nowhere: Path) -> None:
     old = program(engine.python_of(nowhere))
+    newer = wheel(tmp_path, "0.2.0", protocol=2)
     with pytest.raises(QgsProcessingException, match=r"has version 0\.2\.0"):
-        run_algorithm("installengine", {"WHEEL": str(wheel(tmp_path, "0.2.0")), "PYTHON": sys.executable})
+        run_algorithm("installengine", {"WHEEL": str(newer), "PYTHON": sys.executable})
     broken = tmp_path / "pcwlad_geo-0.1.0-py3-none-any.whl"
     broken.write_bytes(b"no wheel")
     with pytest.raises(QgsProcessingException, match="The installation failed"):
         run_algorithm("installengine", {"WHEEL": str(broken), "PYTHON": sys.executable})
     assert settings.find_engine().command[0] == old
-    assert settings.find_engine().check() == "0.1.0"
+    assert settings.find_engine().check(Feedback()) == "0.1.0"
     assert not nowhere.with_name(f"{nowhere.name}-1").exists()
 
 

@@ -8,13 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Finished, loaded, run_algorithm
-from osgeo import gdal
+from conftest import Feedback, Finished, loaded, run_algorithm
+from osgeo import gdal, ogr, osr
 from qgis.core import (
     QgsApplication,
     QgsCoordinateReferenceSystem,
     QgsCoordinateTransform,
+    QgsFeatureRequest,
+    QgsProcessingContext,
     QgsProcessingException,
+    QgsProcessingFeatureSourceDefinition,
     QgsProcessingModelAlgorithm,
     QgsProcessingModelChildAlgorithm,
     QgsProcessingModelChildParameterSource,
@@ -79,10 +82,18 @@ def test_a_stack_hands_the_dem_on(series: list[Path], tmp_path: Path) -> None:
         run_algorithm("stack", {**parameters, **QUICK, "OUTPUT_FOLDER": str(tmp_path / "stack")})
 
 
-def test_a_folder_without_frames_is_told_by_the_engine(tmp_path: Path) -> None:
-    parameters = {"CAPTURES": str(tmp_path), "OUTPUT_FOLDER": str(tmp_path / "bands")}
+@pytest.mark.parametrize("relative", [False, True])
+def test_a_folder_without_frames_is_told_by_the_engine(
+    relative: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The engine works in another folder than QGIS: a relative path is that of QGIS all the same."""
+    monkeypatch.chdir(tmp_path)
+    captures = tmp_path / "flight"
+    captures.mkdir()
+    given, feedback = "flight" if relative else str(captures), Feedback()
     with pytest.raises(QgsProcessingException, match="frames"):
-        run_algorithm("rig", parameters)
+        run_algorithm("rig", {"CAPTURES": given, "OUTPUT_FOLDER": str(tmp_path / "bands")}, feedback)
+    assert any(str(captures) in line for line in feedback.lines)
 
 
 def test_a_model_of_the_modeler_runs_in_qgis_process(
@@ -159,6 +170,120 @@ def test_an_extent_and_areas_limit_the_tie_points(sample: tuple[Path, Path], tmp
     )
 
 
+def three_areas(place: Path, driver: str, name: str = "areas") -> Path:
+    """Write three strips of 6 x 12 km in the sample's CRS, numbered from 1, into a new layer of a file."""
+    manager = ogr.GetDriverByName(driver)
+    file = ogr.Open(str(place), 1) if place.is_file() else manager.CreateDataSource(str(place))
+    crs = osr.SpatialReference()
+    crs.ImportFromEPSG(32633)
+    layer = file.CreateLayer(name, crs, ogr.wkbPolygon)
+    layer.CreateField(ogr.FieldDefn("number", ogr.OFTInteger))
+    for number in (1, 2, 3):
+        west, north = 406000 + 6500 * number, 5277000
+        ring = [(west, north), (west + 6000, north), (west + 6000, north - 12000), (west, north - 12000)]
+        corners = ", ".join(f"{x} {y}" for x, y in [*ring, ring[0]])
+        feature = ogr.Feature(layer.GetLayerDefn())
+        feature.SetField("number", number)
+        feature.SetGeometry(ogr.CreateGeometryFromWkt(f"POLYGON (({corners}))"))
+        layer.CreateFeature(feature)
+    return place
+
+
+def handed_over(sample: tuple[Path, Path], area: object) -> Path:
+    """Return the file that the engine gets for an area of interest."""
+    algorithm = QgsApplication.processingRegistry().createAlgorithmById("pcwlad_geo:match")
+    context, feedback = QgsProcessingContext(), Feedback()
+    context.setProject(QgsProject.instance())
+    parameters = {"REFERENCE": str(sample[0]), "INPUT": str(sample[1]), "AREA": area}
+    assert algorithm.prepare(parameters, context, feedback), feedback.warnings
+    (path,) = algorithm.paths("AREA")
+    return Path(path)
+
+
+def contents(path: Path) -> tuple[list[float], str]:
+    """Return the west of each polygon of a file of one layer, and its CRS."""
+    file = ogr.Open(str(path))
+    (layer,) = (file.GetLayer(number) for number in range(file.GetLayerCount()))
+    code = layer.GetSpatialRef().GetAuthorityCode(None)
+    return sorted(each.GetGeometryRef().GetEnvelope()[0] for each in layer), code
+
+
+@pytest.mark.parametrize("driver", ["ESRI Shapefile", "GeoJSON", "FlatGeobuf"])
+def test_a_file_of_areas_is_handed_over_as_it_is_unless_its_layer_differs(
+    sample: tuple[Path, Path], tmp_path: Path, driver: str
+) -> None:
+    ending = {"ESRI Shapefile": ".shp", "GeoJSON": ".geojson", "FlatGeobuf": ".fgb"}[driver]
+    place = three_areas(tmp_path / f"die Äcker{ending}", driver)
+    assert handed_over(sample, str(place)) == place
+    layer = QgsVectorLayer(str(place), "areas")
+    assert handed_over(sample, layer) == place
+    layer.setCrs(QgsCoordinateReferenceSystem("EPSG:32733"))
+    moved = handed_over(sample, layer)
+    assert moved != place
+    assert contents(moved) == ([412500, 419000, 425500], "32733")
+    layer = QgsVectorLayer(str(place), "areas")
+    layer.setSubsetString("number > 1")
+    assert contents(handed_over(sample, layer)) == ([419000, 425500], "32633")
+
+
+def test_only_what_counts_of_a_layer_is_handed_over(sample: tuple[Path, Path], tmp_path: Path) -> None:
+    layer = QgsVectorLayer(str(three_areas(tmp_path / "areas.shp", "ESRI Shapefile")), "areas")
+    QgsProject.instance().addMapLayer(layer)
+    first, second, _ = sorted(layer.allFeatureIds())
+    layer.selectByIds([second])
+    chosen = QgsProcessingFeatureSourceDefinition(layer.id(), selectedFeaturesOnly=True)
+    assert contents(handed_over(sample, chosen)) == ([419000], "32633")
+    assert layer.startEditing()
+    assert layer.deleteFeature(first)  # not saved
+    assert contents(handed_over(sample, layer)) == ([419000, 425500], "32633")
+    kept = layer.materialize(QgsFeatureRequest())
+    assert kept.providerType() == "memory"
+    QgsProject.instance().removeMapLayer(layer.id())
+    assert contents(handed_over(sample, kept)) == ([419000, 425500], "32633")
+    kept.setCrs(QgsCoordinateReferenceSystem())
+    assert contents(handed_over(sample, kept)) == ([419000, 425500], "32633")  # that of the reference
+    place = three_areas(tmp_path / "more.gpkg", "GPKG", "one")
+    three_areas(place, "GPKG", "other")
+    layer = QgsVectorLayer(f"{place}|layername=other|subset=number = 3", "other")
+    assert contents(handed_over(sample, layer)) == ([425500], "32633")
+
+
+def test_areas_go_with_two_masks(sample: tuple[Path, Path], tmp_path: Path) -> None:
+    within = three_areas(tmp_path / "within.gpkg", "GPKG")
+    file = ogr.Open(str(three_areas(tmp_path / "without.shp", "ESRI Shapefile")), 1)
+    file.GetLayer(0).DeleteFeature(2)
+    del file  # written now
+    masks = []
+    for name, raster in zip(("one", "other"), sample):  # nothing below the middle of the strips
+        masks.append(str(tmp_path / f"{name}.tif"))
+        data = gdal.Translate(masks[-1], str(raster), outputType=gdal.GDT_Byte, scaleParams=[[0, 1, 1, 1]])
+        rows = round((5271000 - data.GetGeoTransform()[3]) / data.GetGeoTransform()[5])
+        values = data.ReadAsArray()
+        values[:] = 1
+        values[rows:] = 0
+        data.GetRasterBand(1).WriteArray(values)
+        data.GetRasterBand(1).DeleteNoDataValue()
+        del data
+    given = {"AREA": str(within), "EXCLUDED": str(tmp_path / "without.shp")}
+    given |= {"REFERENCE_MASK": masks[0], "INPUT_MASK": masks[1]}
+    place = str(tmp_path / "points.gpkg")
+    run = run_algorithm(
+        "match",
+        {
+            "REFERENCE": str(sample[0]),
+            "INPUT": str(sample[1]),
+            **given,
+            "OUTPUT_TIEPOINTS": loaded(place),
+            "OUTPUT_FOLDER": str(tmp_path / "all"),
+        },
+    )
+    points = QgsVectorLayer(run.results["OUTPUT_TIEPOINTS"], "points", "ogr")
+    places = [each.geometry().asPoint() for each in points.getFeatures()]
+    assert len(places) >= 10
+    inside = [each for each in places if 425000 < each.x() < 432000 and 5270500 < each.y() < 5277500]
+    assert len(inside) == len(places)  # of the third strip, its upper half
+
+
 def test_the_crs_of_qgis_counts(sample: tuple[Path, Path], tmp_path: Path) -> None:
     lacking = tmp_path / "b10.tif"
     gdal.Translate(str(lacking), str(sample[1]), outputSRS="EPSG:32733")
@@ -175,7 +300,7 @@ def test_points_of_a_file_a_grid_and_an_accuracy(
     parameters = {
         "REFERENCE": str(sample[0]),
         "INPUT": str(sample[1]),
-        "TIE_POINTS": finished.plugin.results["OUTPUT_POINTS"],
+        "TIE_POINTS": str(finished.folder / "alles" / "tiepoints.csv"),
         "LIKE": str(sample[0]),
         "RESAMPLING": "nearest",
         "MODEL": "affine",
@@ -191,6 +316,9 @@ def test_points_of_a_file_a_grid_and_an_accuracy(
     assert gdal.Open(run.results["OUTPUT_DISPLACEMENT"]).RasterCount == 5
     with pytest.raises(Exception, match="not met, and nothing was corrected"):
         run_algorithm("register", {**parameters, "MAX_CE90": 0.001})
+    alone = finished.plugin.results["OUTPUT_POINTS"]  # nothing beside it tells how its points were chosen
+    with pytest.raises(Exception, match=r"not met \(nothing tells whether"):
+        run_algorithm("register", {**parameters, "TIE_POINTS": alone, "MAX_CE90": 2.0})
 
 
 def test_only_georeferencing_leaves_the_pixels(sample: tuple[Path, Path], tmp_path: Path) -> None:

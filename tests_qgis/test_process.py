@@ -70,8 +70,10 @@ def test_the_zip_has_one_folder_and_nothing_that_does_not_belong(built: Path) ->
     with zipfile.ZipFile(built) as archive:
         names = archive.namelist()
     assert {name.split("/")[0] for name in names} == {"pcwlad_geo_qgis"}
-    suffixes = {Path(name).suffix for name in names}
-    assert suffixes <= {".py", ".txt", ".svg", ".ts", ".qm", ".ui", ""}
+    manual = [name for name in names if name.startswith("pcwlad_geo_qgis/manual/")]
+    assert {Path(name).suffix for name in manual} == {".html", ".png"}
+    suffixes = {Path(name).suffix for name in names if name not in manual}
+    assert suffixes <= {".py", ".txt", ".svg", ".ts", ".qm", ".ui", ".qml", ""}
     assert {"pcwlad_geo_qgis/metadata.txt", "pcwlad_geo_qgis/LICENSE", "pcwlad_geo_qgis/icon.svg"} <= set(
         names
     )
@@ -82,7 +84,7 @@ def test_the_algorithms_are_listed(profile: Path) -> None:
     # `plugins enable` succeeds for a broken plugin too: only the list tells
     said = call(profile, "list")
     # the list of 3.22 leaves out what is hidden from the modeler: those of the engine, which run all the same
-    for name in ("register", "match", "apply", "qa", "registermany", "stack"):
+    for name in ("register", "match", "apply", "qa", "registermany", "stack", "prove", "watch"):
         assert f"pcwlad_geo:{name}\t" in said
 
 

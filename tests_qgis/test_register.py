@@ -7,6 +7,7 @@ import filecmp
 import gc
 import math
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -235,6 +236,8 @@ def test_band_to_band_qa_judges(sample: tuple[Path, Path], tmp_path: Path) -> No
         },
     )
     assert (run.results["PAIRS"], run.results["REFUSED"], run.results["PASSED"]) == (1, 0, False)
+    told = re.compile(r"b10 on b4: \d+ points, mean 1\.\d+ px to the right, -0\.\d+ px down; CE90 1\.\d+ px")
+    assert any(told.fullmatch(line) for line in run.feedback.lines)
     assert "<html" in (tmp_path / "qa.html").read_text(encoding="utf-8")
     assert len((tmp_path / "qa.csv").read_text(encoding="utf-8").splitlines()) == 2
 
@@ -249,7 +252,8 @@ def test_a_refusal_is_an_error_with_its_reason_and_its_report(
     band.WriteArray(band.ReadAsArray()[::-1, ::-1])
     del band, data  # written now
     shown: list[tuple[str, str]] = []
-    notices.show_with(lambda message, report: shown.append((message, report)))
+    take = lambda message, report: shown.append((message, report))  # noqa: E731
+    notices.NOTICES.told.connect(take)
     feedback = Feedback()
     with pytest.raises(Exception, match=r"refused, and nothing was corrected: .*report"):
         run_algorithm(
@@ -264,7 +268,7 @@ def test_a_refusal_is_an_error_with_its_reason_and_its_report(
             },
             feedback,
         )
-    notices.show_with(None)
+    notices.NOTICES.told.disconnect(take)
     ((message, report),) = shown
     assert Path(report) == tmp_path / "report.html"
     assert "--" not in message.replace("(Options that begin with --", "")

@@ -108,12 +108,14 @@ def test_the_toolbox_lists_the_algorithms(seen: dict[str, Any]) -> None:
     assert set(seen["algorithms"]) == {
         "Register raster",
         "Match only",
+        "Prove a pair",
         "Apply registration",
         "Band-to-band QA",
         "Check engine",
         "Install engine",
         "Register many rasters",
         "Adjust a stack",
+        "Watch a stack",
         "Align the bands of a drone camera",
     }
 
@@ -136,6 +138,8 @@ def test_nothing_asks_for_a_crs(seen: dict[str, Any]) -> None:
 def test_the_georeferencer_has_the_points_and_their_residuals(
     seen: dict[str, Any], finished: Finished, sample: tuple[Path, Path]
 ) -> None:
+    if "points" not in seen:
+        pytest.skip("the Georeferencer of this QGIS takes a file by a dialog only")
     with Path(finished.plugin.results["OUTPUT_POINTS"]).open(encoding="utf-8") as file:
         lines = [line.split(",") for line in file if not line.startswith(("#", "mapX"))]
     rows = np.array(lines, dtype=float)

@@ -36,6 +36,7 @@ def steps() -> Iterator[int]:
     project.addMapLayers(layers)
     yield 1500
     yield from toolbox(window)
+    yield from look("prove", layers)
     yield from run(window, layers)
     yield from load()
     yield from georeferencer(window)
@@ -65,6 +66,18 @@ def names_in(tree: QTreeView) -> list[str]:
             group = model.index(row, 0, provider)
             found += [model.data(model.index(each, 0, group)) for each in range(model.rowCount(group))]
     return found
+
+
+def look(name: str, layers: list[QgsRasterLayer]) -> Iterator[int]:
+    """Open the dialog of an algorithm on a pair and look at it."""
+    dialog = processing.createAlgorithmDialog(
+        f"pcwlad_geo:{name}", {"REFERENCE": layers[0].id(), "INPUT": layers[1].id()}
+    )
+    dialog.resize(980, 700)
+    dialog.show()
+    yield 1000
+    grab(dialog, name)
+    dialog.close()
 
 
 def run(window: QWidget, layers: list[QgsRasterLayer]) -> Iterator[int]:
@@ -129,6 +142,8 @@ def georeferencer(window: QWidget) -> Iterator[int]:
     yield 1000
     tool = next(w for w in QApplication.topLevelWidgets() if "Georef" in w.metaObject().className())
     tool.resize(1200, 800)
+    if tool.metaObject().indexOfMethod("openRaster(QString)") < 0:  # newer ones take a file by a dialog only
+        return
     QMetaObject.invokeMethod(
         tool, "openRaster", Qt.ConnectionType.DirectConnection, Q_ARG(str, JOB["target"])
     )

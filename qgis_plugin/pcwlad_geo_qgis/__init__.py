@@ -2,16 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from qgis.gui import QgisInterface
-
-    from .plugin import PcwladGeoPlugin
-
-
-def classFactory(iface: QgisInterface | None) -> PcwladGeoPlugin:
-    """Make the plugin; QGIS calls this, also without a window."""
+def classFactory(iface: object) -> object:
+    """Make the plugin; QGIS calls this, also without a window (then there is no interface)."""
     from .plugin import PcwladGeoPlugin
 
     return PcwladGeoPlugin(iface)

@@ -25,6 +25,8 @@ PARAMETERS = {
     "REQUIRE": mark(
         "Limits on the figures, such as CE90<=0.5px; points>=100. Where one is not met, no raster is written."
     ),
+    "qa.REQUIRE": mark("Limits that every pair must meet, such as CE90<=0.3px; closure<=0.05px."),
+    "watch.REQUIRE": mark("Limits on the largest of any series or part, such as step<0.2px; motion<1px."),
     "MODEL": mark(
         "How the displacement may change over the image. Automatic takes the simplest model that "
         "predicts points left out as well as any other."
@@ -71,7 +73,13 @@ PARAMETERS = {
     "DATUM": mark("One raster, which does not move; or the mean of all, if none is better than the others."),
     "BAND": mark("The band of each raster that is compared."),
     "MAX_PAIRS": mark("Fewer pairs are quicker, and less is checked."),
-    "WHEEL": mark("The file pcwlad_geo-….whl."),
+    "EFFORT": mark(
+        "Full takes more points, and makes a part of the pair harder until it is refused: a minute or more."
+    ),
+    "STACK": mark("The folder that “Adjust a stack” wrote."),
+    "OUTPUT_ERRORS": mark("A layer of points, coloured by the error of one match, in target pixels."),
+    "OUTPUT_MOTION": mark("A raster of the velocity of the ground and the parts that move by themselves."),
+    "WHEEL": mark("The file pcwlad_geo-….whl. Not set: the package index has it."),
     "FOLDER": mark("The folder with pyproject.toml."),
     "WHEELHOUSE": mark(
         "A folder filled by “pip download” on a computer with internet; nothing is downloaded then."
@@ -123,6 +131,13 @@ TITLES = {
     "OUTPUT_CSV": mark("Table, a line a pair"),
     "stack.OUTPUT_CSV": mark("Table, a line a raster"),
     "rig.OUTPUT_CSV": mark("Table, a line a capture"),
+    "watch.OUTPUT_CSV": mark("Table, a line a raster"),
+    "OUTPUT_JSON": mark("Figures (JSON)"),
+    "OUTPUT_ERRORS": mark("Errors of the matching"),
+    "OUTPUT_MOTION": mark("Motion of the ground"),
+    "EFFORT": mark("Effort"),
+    "STACK": mark("Stack (folder of all results)"),
+    "watch.EXTRA": mark("More options of the command line, such as --add image.tif"),
     "REGISTRATION": mark("Registration (folder of all results)"),
     "INPUTS": mark("Rasters"),
     "CAPTURES": mark("Folder of raw frames"),
@@ -138,7 +153,7 @@ TITLES = {
     "DATUM": mark("What stays"),
     "BAND": mark("Band of each"),
     "MAX_PAIRS": mark("Most pairs that are matched (not set: enough)"),
-    "WHEEL": mark("Wheel of pcwlad-geo"),
+    "WHEEL": mark("Wheel of pcwlad-geo (not set: from the package index)"),
     "FOLDER": mark("Or source folder of pcwlad-geo"),
     "WHEELHOUSE": mark("Folder of wheels, for computers without internet"),
     "PYTHON": mark("Python 3.10 or newer (not set: found by itself)"),
@@ -157,6 +172,13 @@ TITLES = {
     "out.REFUSED": mark("Pairs refused"),
     "out.REGISTERED": mark("Targets registered"),
     "out.IMAGES": mark("Rasters"),
+    "prove.out.RMSE": mark("RMSE of a tie point, target pixels"),
+    "prove.out.CE90": mark("CE90 of a tie point, target pixels"),
+    "out.BIAS_COL": mark("Bias to the right, target pixels"),
+    "out.BIAS_ROW": mark("Bias down, target pixels"),
+    "out.WRONG": mark("Wrong matches that passed every test"),
+    "out.STEPS": mark("Steps"),
+    "out.MOVING": mark("Parts of the ground that move"),
     "out.ENGINE": mark("Engine"),
     "out.VERSION": mark("Version of the engine"),
     "out.FITS": mark("Fits this plugin"),
@@ -189,6 +211,8 @@ LABELS = {
     "sentinel2": mark("Sentinel-2"),
     "landsat-oli": mark("Landsat OLI"),
     "landsat-tirs": mark("Landsat TIRS"),
+    "quick": mark("Quick (a sample of points)"),
+    "full": mark("Full (more points, and what the pair bears)"),
     "reference": mark("The reference"),
     "mean": mark("The mean position of all"),
 }
@@ -208,6 +232,8 @@ OPTIONS = {
     "--extent": mark("Extent"),
     "--dem": mark("DEM, for a target with RPCs"),
     "--dem-vertical": mark("DEM: what is added to its heights"),
+    "--aoi": mark("Area of interest"),
+    "--exclude": mark("Excluded area"),
     "--ref-mask": mark("Mask of the reference"),
     "--tgt-mask": mark("Mask of the target"),
     "--ref-band": mark("Band of the reference"),
@@ -218,13 +244,21 @@ OPTIONS = {
 STAGES = {
     "compiling": mark("Compiling for this computer"),
     "reading": mark("Reading"),
+    "inspecting": mark("Inspecting the captures"),
     "prealignment": mark("Rough alignment"),
+    "starts": mark("Rough alignment"),
     "matching": mark("Matching"),
+    "pairs": mark("Pairs"),
+    "refining": mark("Refining"),
+    "overlaps": mark("Captures that overlap"),
+    "testing": mark("Testing the rig"),
     "fitting": mark("Fitting the correction"),
+    "proving": mark("Measuring the error of the matching"),
+    "images": mark("Rasters"),
+    "rasters": mark("Rasters"),
+    "captures": mark("Captures"),
     "writing": mark("Writing"),
     "warping": mark("Warping"),
-    "pairs": mark("Pairs"),
-    "rasters": mark("Rasters"),
 }
 """What the engine's stages are called."""
 MODELS = {
@@ -260,10 +294,79 @@ STATUSES = {
 }
 """What a tie point counts as."""
 VERDICTS = {
-    "good": mark("The layers fit well: 90 % of the common ground is expected to lie within {:.2f} px{}."),
-    "fair": mark("The layers fit fairly: 90 % of the common ground is expected to lie within {:.2f} px{}."),
-    "poor": mark("The layers fit poorly: 90 % of the common ground is expected within {:.2f} px{} only."),
+    "good": (
+        mark("The layers fit well: 90 % of the common ground is expected to lie within {}."),
+        mark("The layers fit well: 90 % of the area is expected to lie within {}, of the whole layer {}."),
+    ),
+    "fair": (
+        mark("The layers fit fairly: 90 % of the common ground is expected to lie within {}."),
+        mark("The layers fit fairly: 90 % of the area is expected to lie within {}, of the whole layer {}."),
+    ),
+    "poor": (
+        mark("The layers fit poorly: 90 % of the common ground is expected within {} only."),
+        mark("The layers fit poorly: 90 % of the area is expected within {} only, of the whole layer {}."),
+    ),
 }
-"""The quality in a sentence."""
+"""The quality in a sentence: of all that both layers show, or of an area and of all."""
+QUALITY_LINES = (
+    mark("Quality: {}; 90 % of the common ground is expected to lie within {}"),
+    mark("Quality: {}; 90 % of the area is expected to lie within {}, of all that both rasters show {}"),
+)
+"""The same in the log."""
+QA_LINE = mark(
+    "{target} on {reference}: {n} points, mean {mean_col_px} px to the right, {mean_row_px} px down; "
+    "CE90 {ce90_px} px"
+)
+"""What is told of a pair of bands."""
+PROOF_LINE = mark(
+    "Bias: {BIAS_COL:+.3f} px to the right, {BIAS_ROW:+.3f} px down. A tie point errs by RMSE {RMSE:.3f} px, "
+    "CE90 {CE90:.3f} px; wrong matches that passed every test: {WRONG}"
+)
+"""What is told of a proof."""
+WATCH_LINE = mark("Series: {series}; steps: {steps}; parts of the ground that move: {moving}")
+"""What is told of a stack over time."""
 GRADES = {"good": mark("good"), "fair": mark("fair"), "poor": mark("poor")}
 """The quality in a word."""
+MARKED = {
+    "good": '<b style="color: #1a7f37">✔ {}</b>',
+    "fair": '<b style="color: #9a6700">▲ {}</b>',
+    "poor": '<b style="color: #bc4c00">▲ {}</b>',
+    "refused": '<b style="color: #cf222e">✖ {}</b>',
+    "": "{}",
+}
+"""How a verdict is shown, by the quality or for what was refused; nothing marks what the user ended."""
+NO_ENGINE = mark("No pcwlad-geo engine was found.")
+"""What is told where there is no engine."""
+INSTALL_ONE = mark(
+    "Install one by “Install engine”, in the dock or the Processing toolbox. "
+    "One that is somewhere else: name it in Processing options, Providers, pcwlad-geo."
+)
+"""What is advised where there is no engine that fits."""
+OTHER_VERSION = mark("The engine {} has version {} (protocol {}), this plugin is {} and needs protocol {}.")
+"""What is told of an engine that does not fit."""
+NO_FILE = mark(
+    "The layer “{}” is no raster file (it comes from the provider “{}”). "
+    "Save it first: right-click the layer, Export, Save As…, and use the file."
+)
+OPEN_OPTIONS = mark(
+    "The layer “{}” is opened with options ({}) that the engine cannot use. Save it as a file first."
+)
+FILTERED = mark(
+    "The layer “{}” shows a part of its file (filter {}). Remove the filter, or save it as a file."
+)
+"""What is told of layers that the engine cannot open."""
+ONLY_GEOREFERENCE = mark(
+    "Only georeferencing takes the models shift and affine: choose one of them, or automatic."
+)
+"""What is told of a model that a geotransform cannot hold."""
+OTHER_ENGINE = mark("The {} names another engine, {}, which goes before this one: clear it to use this one.")
+"""What is told where a new engine would not be used."""
+NO_MATCH = mark(
+    "No match within the radius: the point is where you have clicked, and counts as less certain."
+)
+"""What is told of a point that was placed by hand alone."""
+MORE_LAYERS = mark("Other rasters that are aligned with the same reference, one after the other.")
+OTHER_BANDS = mark(
+    "Rasters of the same pixels' place as the layer, such as its other bands, of any pixel size."
+)
+"""Help for the lists of layers in the dock."""

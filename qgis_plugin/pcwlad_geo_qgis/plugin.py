@@ -4,36 +4,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from qgis import core
-from qgis.gui import QgisInterface
-from qgis.PyQt.QtCore import QCoreApplication, QLocale, QObject, QSettings, Qt, QTranslator, QUrl, pyqtSignal
-from qgis.PyQt.QtGui import QDesktopServices, QIcon
-from qgis.PyQt.QtWidgets import QAction, QPushButton
+from qgis import core, gui
+from qgis.PyQt import QtCore, QtGui, QtWidgets
 
-from .model import notices
+from .model.notices import NOTICES
 from .provider import ICON, PcwladGeoProvider
 from .text import tr
 
 I18N = Path(__file__).parent / "i18n"
 
 
-class _Notices(QObject):
-    """Carries messages from the threads that work to the window."""
-
-    told = pyqtSignal(str, str)
-
-
 class PcwladGeoPlugin:
     """What QGIS loads; qgis_process calls `initProcessing` only."""
 
-    def __init__(self, iface: QgisInterface | None = None) -> None:
+    def __init__(self, iface: gui.QgisInterface | None = None) -> None:
         self._iface = iface
         self._provider = None
         self.dock = None
-        self._translator = QTranslator()
-        locale = QSettings().value("locale/userLocale") or QLocale().name()
+        self._translator = QtCore.QTranslator()
+        locale = QtCore.QSettings().value("locale/userLocale") or QtCore.QLocale().name()
         if self._translator.load(str(I18N / f"pcwlad_geo_{str(locale)[:2]}.qm")):
-            QCoreApplication.installTranslator(self._translator)
+            QtCore.QCoreApplication.installTranslator(self._translator)
 
     def initProcessing(self) -> None:
         """Add the provider."""
@@ -43,12 +34,12 @@ class PcwladGeoPlugin:
     def initGui(self) -> None:
         """Add the provider, and “Align this layer…” to the Raster menu and the menu of raster layers."""
         self.initProcessing()
-        self._notices = _Notices()
-        self._notices.told.connect(self._show_report)
-        notices.show_with(self._notices.told.emit)
-        self.action = QAction(QIcon(str(ICON)), tr("Align this layer…"), self._iface.mainWindow())
+        NOTICES.told.connect(self._show_report)
+        icon = QtGui.QIcon(str(ICON))
+        self.action = QtWidgets.QAction(icon, tr("Align this layer…"), self._iface.mainWindow())
         self.action.triggered.connect(lambda: self.open_dock())
         self._iface.addPluginToRasterMenu("pcwlad-geo", self.action)
+        self._iface.addRasterToolBarIcon(self.action)
         raster = core.QgsRasterLayer().type()  # its enum has moved between versions
         self._iface.addCustomActionForLayerType(self.action, "", raster, True)
 
@@ -58,27 +49,28 @@ class PcwladGeoPlugin:
             from .widgets.align_dock import AlignDock
 
             self.dock = AlignDock(self._iface)
-            self._iface.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self.dock)
+            self._iface.addDockWidget(QtCore.Qt.DockWidgetArea.RightDockWidgetArea, self.dock)
         self.dock.open_for(self._iface.activeLayer())
 
     def _show_report(self, message: str, report: str) -> None:
         """Put a message into the bar of the window, with a button that opens the report."""
         item = self._iface.messageBar().createMessage("pcwlad-geo", message)
-        button = QPushButton(tr("Open the report"))
-        button.clicked.connect(lambda: QDesktopServices.openUrl(QUrl.fromLocalFile(report)))
+        button = QtWidgets.QPushButton(tr("Open the report"))
+        button.clicked.connect(lambda: QtGui.QDesktopServices.openUrl(QtCore.QUrl.fromLocalFile(report)))
         item.layout().addWidget(button)
         self._iface.messageBar().pushWidget(item, core.Qgis.MessageLevel.Warning)
 
     def unload(self) -> None:
         """Remove what was added."""
-        QCoreApplication.removeTranslator(self._translator)
+        QtCore.QCoreApplication.removeTranslator(self._translator)
         if self._provider is not None:
             core.QgsApplication.processingRegistry().removeProvider(self._provider)
             self._provider = None
         if self._iface is not None and hasattr(self, "action"):
-            notices.show_with(None)
+            NOTICES.told.disconnect(self._show_report)
             self._iface.removeCustomActionForLayerType(self.action)
             self._iface.removePluginRasterMenu("pcwlad-geo", self.action)
+            self._iface.removeRasterToolBarIcon(self.action)
         if self.dock is not None:
             self.dock.close_all()
             self._iface.removeDockWidget(self.dock)

@@ -6,23 +6,14 @@ from pathlib import Path
 
 from processing.core.ProcessingConfig import ProcessingConfig, Setting
 from qgis.core import QgsProcessingProvider
-from qgis.PyQt.QtCore import QCoreApplication
-from qgis.PyQt.QtGui import QIcon
+from qgis.PyQt import QtCore, QtGui
 
-from .algorithms.apply import ApplyRegistration
-from .algorithms.band_qa import BandToBandQa
-from .algorithms.check_engine import CheckEngine
-from .algorithms.install_engine import InstallEngine
-from .algorithms.many import RegisterMany
-from .algorithms.match import MatchOnly
-from .algorithms.register import RegisterRaster
-from .algorithms.rig import AlignCameraBands
-from .algorithms.stack import AdjustStack
+from .algorithms import band_qa, engine, many, match, register, rig, stack
 from .model.settings import SETTING
 from .text import speak, tr
 
 CONTEXT = "pcwlad_geo"
-speak(lambda text: QCoreApplication.translate(CONTEXT, text))
+speak(lambda text: QtCore.QCoreApplication.translate(CONTEXT, text))
 ICON = Path(__file__).parent / "icon.svg"
 
 
@@ -35,11 +26,8 @@ class PcwladGeoProvider(QgsProcessingProvider):
     def name(self) -> str:
         return "pcwlad-geo"
 
-    def longName(self) -> str:
-        return tr("pcwlad-geo: sub-pixel registration of rasters")
-
-    def icon(self) -> QIcon:
-        return QIcon(str(ICON))
+    def icon(self) -> QtGui.QIcon:
+        return QtGui.QIcon(str(ICON))
 
     def svgIconPath(self) -> str:
         return str(ICON)
@@ -59,15 +47,7 @@ class PcwladGeoProvider(QgsProcessingProvider):
         ProcessingConfig.removeSetting(SETTING)
 
     def loadAlgorithms(self) -> None:
-        for algorithm in (
-            RegisterRaster,
-            MatchOnly,
-            ApplyRegistration,
-            BandToBandQa,
-            RegisterMany,
-            AdjustStack,
-            AlignCameraBands,
-            CheckEngine,
-            InstallEngine,
-        ):
-            self.addAlgorithm(algorithm())
+        for module in (band_qa, engine, many, match, register, rig, stack):
+            for kind in vars(module).values():  # what has an id, and is not imported there
+                if getattr(kind, "ID", "") and kind.__module__ == module.__name__:
+                    self.addAlgorithm(kind())

@@ -9,10 +9,14 @@ from __future__ import annotations
 import ast
 import importlib
 import importlib.util
+import re
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+
+from pcwlad_geo.cli.app import PROTOCOL
 
 PLUGIN = Path(__file__).parents[2] / "qgis_plugin" / "pcwlad_geo_qgis"
 MODULES = sorted(PLUGIN.rglob("*.py"))
@@ -196,3 +200,15 @@ def code_lines(path: Path) -> int:
         bool(line.strip()) and not line.strip().startswith("#") and number not in text
         for number, line in enumerate(source.splitlines(), 1)
     )
+
+
+@pytest.mark.parametrize("form", sorted(PLUGIN.rglob("*.ui")), ids=lambda path: path.name)
+def test_spacers_of_forms_have_a_size(form: Path) -> None:
+    """PyQt5 takes the policies of one without a size as its size, so that it does not expand."""
+    for spacer in ElementTree.parse(form).iter("spacer"):  # our own file
+        assert {"orientation", "sizeHint"} <= {each.get("name") for each in spacer.iter("property")}
+
+
+def test_plugin_and_engine_of_one_commit_have_one_protocol() -> None:
+    source = (PLUGIN / "process" / "engine.py").read_text(encoding="utf-8")
+    assert re.findall(r"^PROTOCOL = (\d+)$", source, re.MULTILINE) == [str(PROTOCOL)]

@@ -19,11 +19,12 @@ import pytest
 
 import pcwlad_geo
 from pcwlad_geo import options as settings
-from pcwlad_geo.cli.outcome import Outcome
+from pcwlad_geo.cli.job import Outcome
 from tests.registrations import json_of, make_registration
 
 FOLDER = Path(__file__).parents[2] / "qgis_plugin"
 PLUGIN = FOLDER / "pcwlad_geo_qgis"
+ENGINE = Path(pcwlad_geo.__file__).parent
 MODULES = sorted(PLUGIN.rglob("*.py"))
 
 
@@ -39,6 +40,25 @@ def test_plugin_and_engine_have_one_version() -> None:
     assert (general["qgisMinimumVersion"], general["hasProcessingProvider"]) == ("3.22", "yes")
     assert (PLUGIN / general["icon"]).is_file()
     assert (PLUGIN / "LICENSE").read_bytes() == (FOLDER.parent / "LICENSE").read_bytes()
+
+
+def test_the_metadata_is_fit_for_the_plugin_repository() -> None:
+    metadata = configparser.ConfigParser(interpolation=None)
+    metadata.read(PLUGIN / "metadata.txt", encoding="utf-8")
+    general = metadata["general"]
+    needed = ("name", "description", "about", "author", "email", "tags", "license", "changelog")
+    assert [name for name in needed if not general.get(name, "").strip()] == []
+    assert not re.search(r"<[a-z/]", general["description"] + general["about"])  # HTML is not shown there
+    assert "plugin" not in general["name"].lower()
+    assert general["category"] == "Raster"
+    assert all(general[name].startswith("https://") for name in ("homepage", "tracker", "repository"))
+    assert general["homepage"].endswith("/")  # help pages are named after it
+    assert "external engine pcwlad-geo" in general["about"]
+    made_up = any(".invalid" in general[name] for name in ("email", "homepage", "tracker", "repository"))
+    assert general.getboolean("experimental") or not made_up
+    assert general.getboolean("supportsQt6")
+    assert general["qgisMaximumVersion"] == "4.99"
+    assert general.getboolean("deprecated") is general.getboolean("server") is False
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: path.stem)
@@ -69,6 +89,14 @@ def test_the_choices_are_those_of_the_engine() -> None:
         "PREALIGNMENTS": list(get_args(settings.Prealign)),
         "RESAMPLINGS": list(get_args(settings.Resampling)),
     }
+
+
+def test_every_stage_of_the_engine_has_a_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = "".join(path.read_text(encoding="utf-8") for path in sorted(ENGINE.rglob("*.py")))
+    sent = set(re.findall(r'Progress\("(\w+)"', source))
+    sent |= set(re.findall(r'runner\.run\([^"]*"(\w+)"', source))
+    assert {"matching", "refining", "pairs", "captures", "compiling"} <= sent
+    assert sent <= set(plugin_module("help", monkeypatch).STAGES)
 
 
 def test_advice_names_what_the_dialog_has(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,6 +149,12 @@ def test_points_have_the_signs_of_the_georeferencer_and_changes_are_undone(
     assert points.undo()
     assert points.undo()
     assert (points.off, points.undo()) == ({2}, False)
+    row = dict.fromkeys([*columns.split(","), "residual_col", "residual_row"], "1")
+    points.add({**row, "status": "matched"})
+    points.add({**row, "status": "matched"}, instead_of=3)
+    assert points.delete([0])
+    assert points.gone == {0, 3}
+    assert [points.undo() and set(points.gone) for _ in range(3)] == [{3}, {4}, {3, 4}]
     points.take([[0.5, 0.25], [0, 0], [0, 0]])
     assert points.points[0].residual_px == (-0.5, -0.25)
 
@@ -160,3 +194,23 @@ def test_the_zip_has_one_folder(tmp_path: Path) -> None:
         assert archive.namelist() == names
     assert all(re.match(r"pcwlad_geo_qgis/[\w/]+(\.\w+)?$", name) for name in names)
     assert {f"pcwlad_geo_qgis/{path.relative_to(PLUGIN)}" for path in MODULES} <= set(names)
+
+
+def test_the_help_comes_with_the_zip_from_the_documentation(tmp_path: Path) -> None:
+    place = tmp_path / "plugin.zip"
+    names = runpy.run_path(str(FOLDER / "build.py"))["build"](place)
+    with zipfile.ZipFile(place) as archive:
+        page = archive.read("pcwlad_geo_qgis/manual/index.html").decode("utf-8")
+    text = (FOLDER.parent / "docs" / "qgis.md").read_text(encoding="utf-8").split("\n## For developers")[0]
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    assert re.findall(r"<h\d [^>]+>([^<]+)</h\d>", page) == [each.replace("&", "&amp;") for each in headings]
+    assert "tests_qgis" not in page.replace("<code>tests_qgis/run PYTHON test_align.py -s</code>", "")
+    for picture in re.findall(r'<img src="([^"]+)"', page):
+        assert f"pcwlad_geo_qgis/manual/{picture}" in names
+    assert page.count("<img ") == text.count("![")
+    assert not re.search(r"\]\(|\*\*|```|^\d\. |^#", page, re.MULTILINE)
+    anchors = set(re.findall(r'id="([^"]+)"', page))
+    titles = re.findall(r'TITLE = mark\("(.+)"\)', "".join(each.read_text("utf-8") for each in MODULES))
+    assert {re.sub(r"\W+", "-", title.lower()) for title in titles} <= anchors
+    inside = re.findall(r'href="#([^"]+)"', page)
+    assert set(inside) <= anchors

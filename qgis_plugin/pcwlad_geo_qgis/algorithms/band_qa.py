@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import csv
 import shutil
 from pathlib import Path
-from typing import Any
 
 from qgis import core
 
+from ..help import QA_LINE
 from ..text import mark, tr
-from .base import Context, EngineAlgorithm, Feedback, Values, options_of, temporary_folder
+from .base import Context, EngineAlgorithm, Feedback, Values, temporary_folder
 
 PRESETS = ["sentinel2", "landsat-oli", "landsat-tirs"]
-FILES = {"OUTPUT_HTML": "report", "OUTPUT_CSV": "table"}
+COPIES = {"OUTPUT_HTML": "report", "OUTPUT_CSV": "table"}
 """Outputs, and which file of the engine each is a copy of."""
 
 
@@ -48,36 +49,24 @@ class BandToBandQa(EngineAlgorithm):
         self.add_results(core.QgsProcessingOutputBoolean, "PASSED")
         self.add_results(core.QgsProcessingOutputNumber, "PAIRS", "REFUSED")
 
-    def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
-        folder = self.file_output(parameters, "OUTPUT_FOLDER", context)
-        folder = folder or str(temporary_folder() / "results")
-        values = {
-            "--bands": self.parameterAsString(parameters, "BANDS", context),
-            "--against": self.parameterAsString(parameters, "AGAINST", context),
-            "--preset": self.choice(parameters, "PRESET", context),
-            "--mask": "".join(self.paths("MASK")),
-            "--out-dir": folder,
-        }
-        arguments = ["qa", *self.paths("INPUTS"), *options_of(values), "--overwrite"]
-        for limit in self.parameterAsString(parameters, "REQUIRE", context).split(";"):
-            if limit.strip():
-                arguments += ["--require", limit.strip()]
-        arguments += self.matching_options(parameters, context)
-        outcome = self.run_command(arguments, feedback, {"pairs": (0, 100)})
-        if outcome is None:
-            return {}
-        found: dict[str, Any] = {"OUTPUT_FOLDER": folder}
-        for name, kind in FILES.items():
-            place = self.file_output(parameters, name, context)
-            if place:
+    def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
+        self.folder = self.folder or str(temporary_folder() / "results")
+        arguments = ["qa", *self.paths("INPUTS")]
+        arguments += self.options(parameters, context, "BANDS", "AGAINST", "PRESET", "MASK")
+        arguments += self.limits(parameters, context) + self.matching_options(parameters, context)
+        outcome, found = self.run_in_folder(arguments, feedback, {"pairs": (0, 100)})
+        for name, kind in COPIES.items():
+            if place := self.file_output(parameters, name, context):
                 Path(place).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(outcome["paths"][kind], place)
-                found[name] = place
+                found[name] = shutil.copyfile(outcome["paths"][kind], place)
+        with Path(outcome["paths"]["table"]).open(encoding="utf-8", newline="") as file:
+            measured = [pair for pair in csv.DictReader(file) if pair["ce90_px"]]
+        for pair in measured:
+            feedback.pushInfo(tr(QA_LINE).format(**pair))
         for name in outcome["refused"]:
             feedback.pushWarning(tr("Refused: {}").format(name))
         if outcome["passed"] is not None:
             found["PASSED"] = outcome["passed"]
-            feedback.pushInfo(
-                tr("All requirements are met.") if outcome["passed"] else tr("Not all requirements are met.")
-            )
+            met, missed = tr("All requirements are met."), tr("Not all requirements are met.")
+            feedback.pushInfo(met if outcome["passed"] else missed)
         return {**found, "PAIRS": outcome["pairs"], "REFUSED": len(outcome["refused"])}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -17,8 +18,8 @@ from ..help import LABELS, PARAMETERS, TITLES
 from ..model import settings
 from ..model.notices import tell_of_report
 from ..model.rasters import path_of, problem_of, same_file, warning_of
-from ..process.engine import EngineError, metadata
-from ..process.protocol import SHARES, RunError, Shares, run_engine
+from ..process.engine import EngineError, help_page
+from ..process.protocol import SHARES, Shares, run_engine
 from ..text import mark, tr
 
 Context = core.QgsProcessingContext
@@ -29,7 +30,23 @@ ICON = Path(__file__).parents[1] / "icon.svg"
 METHODS = ["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
 MODELS = ["auto", "shift", "affine", "projective", "polynomial", "tps", "field", "jitter", "rpc"]
 PREALIGNMENTS = ["auto", "georef", "search", "none"]
+MATCHING = ("METHOD", "SEARCH_RADIUS", "WINDOW", "PREALIGN", "JOBS")
+"""Parameters of the matching that are options as they are."""
+OTHER_OPTIONS = {
+    "REFERENCE_BAND": "--ref-band",
+    "INPUT_BAND": "--tgt-band",
+    "REFERENCE_MASK": "--ref-mask",
+    "INPUT_MASK": "--tgt-mask",
+    "REFERENCE_NAME": "--reference",
+    "AREA": "--aoi",
+    "EXCLUDED": "--exclude",
+}
+"""Options that are not called as their parameters."""
 RESAMPLINGS = ["nearest", "bilinear", "cubic", "cubic_spline", "lanczos"]
+
+
+class Cancelled(Exception):  # noqa: N818  # no error
+    """The user has ended the work."""
 
 
 class PlainAlgorithm(core.QgsProcessingAlgorithm):
@@ -56,7 +73,7 @@ class PlainAlgorithm(core.QgsProcessingAlgorithm):
         return tr(self.HELP)
 
     def helpUrl(self) -> str:
-        return metadata("homepage") + "qgis/#" + re.sub(r"\W+", "-", self.TITLE.lower())
+        return help_page(re.sub(r"\W+", "-", self.TITLE.lower()))
 
     def icon(self) -> QIcon:
         return QIcon(str(ICON))
@@ -74,7 +91,7 @@ class PlainAlgorithm(core.QgsProcessingAlgorithm):
     def add(self, kind: type, name: str, *given: object, advanced: bool = False, **named: object) -> None:
         """Add a parameter of a kind, with its title and help, perhaps among the advanced ones."""
         parameter = kind(name, self.title(name), *given, **named)
-        parameter.setHelp(tr(PARAMETERS.get(name, "")))
+        parameter.setHelp(tr(PARAMETERS.get(f"{self.ID}.{name}") or PARAMETERS.get(name, "")))
         if advanced:
             flag = core.QgsProcessingParameterDefinition.Flag.FlagAdvanced
             parameter.setFlags(parameter.flags() | flag)
@@ -95,6 +112,8 @@ class EngineAlgorithm(PlainAlgorithm):
     """Parameters that are lists of raster layers."""
     OUTPUTS: Sequence[str] = ()
     """Parameters that are files to write."""
+    FILES: Mapping[str, str] = {}
+    """Outputs that are files in the folder of all results, and what the engine calls them."""
     CHOICES: Mapping[str, Sequence[str]] = {"METHOD": METHODS, "PREALIGN": PREALIGNMENTS}
     """Parameters that are one of several words, and the words of the engine."""
 
@@ -114,13 +133,11 @@ class EngineAlgorithm(PlainAlgorithm):
 
     def _in_numbers(self, parameters: Values) -> Values:
         """Return the parameters with the numbers of choices instead of the engine's words."""
-        given = {name: parameters[name] for name in self.CHOICES if isinstance(parameters.get(name), str)}
-        found = {
-            name: list(self.CHOICES[name]).index(each)
-            for name, each in given.items()
-            if each in self.CHOICES[name]
-        }
-        return {**parameters, **found}
+        found = dict(parameters)
+        for name, words in self.CHOICES.items():
+            if parameters.get(name) in words:
+                found[name] = list(words).index(parameters[name])
+        return found
 
     def add_matching(self) -> None:
         """Add the parameters of the matching, all advanced."""
@@ -139,22 +156,31 @@ class EngineAlgorithm(PlainAlgorithm):
         self.add(destination, name, kind, optional=True, createByDefault=default)
 
     def add_folder(self, optional: bool = True) -> None:
-        """Add the folder of all results."""
+        """Add the folder of all results, and the files in it that are outputs."""
         destination = core.QgsProcessingParameterFolderDestination
         self.add(destination, "OUTPUT_FOLDER", optional=optional, createByDefault=not optional)
+        page, file = core.QgsProcessingOutputHtml, core.QgsProcessingOutputFile
+        for name in self.FILES:
+            self.addOutput((page if name == "OUTPUT_HTML" else file)(name, self.title(name)))
+
+    def options(self, parameters: Values, context: Context, *names: str) -> list[str]:
+        """Return the options of parameters that are given, with their values."""
+        values = {}
+        for name in names:
+            if name in self.CHOICES:
+                value = self.choice(parameters, name, context)
+            elif name in self._paths:
+                value = "".join(self.paths(name))
+            else:
+                value = self.parameterAsString(parameters, name, context)
+            values[OTHER_OPTIONS.get(name) or "--" + name.lower().replace("_", "-")] = value
+        return options_of(values)
 
     def matching_options(self, parameters: Values, context: Context) -> list[str]:
         """Return the options of the matching."""
-        options = ["--method", self.choice(parameters, "METHOD", context)]
-        if parameters.get("POINTS") is not None:
-            wanted = self.parameterAsInt(parameters, "POINTS", context)
-            options += ["--points", str(wanted) if wanted else "all"]
-        numbers = {"SEARCH_RADIUS": "--search-radius", "WINDOW": "--window", "JOBS": "--jobs"}
-        for name, option in numbers.items():
-            if parameters.get(name) is not None:
-                options += [option, str(self.parameterAsInt(parameters, name, context))]
-        prealign = self.choice(parameters, "PREALIGN", context)
-        options += ["--prealign", prealign] if prealign != "auto" else []
+        options = self.options(parameters, context, *MATCHING)
+        points = self.parameterAsString(parameters, "POINTS", context)
+        options += options_of({"--points": "all" if points == "0" else points})
         return options + words_of(self.parameterAsString(parameters, "EXTRA", context))
 
     def layers(self, parameters: Values, context: Context) -> list[tuple[str, core.QgsRasterLayer | None]]:
@@ -208,8 +234,7 @@ class EngineAlgorithm(PlainAlgorithm):
                 return tr("{}: {} is an input too. Choose another file.").format(title, place)
             if any(same_file(place, other) for key, other in places.items() if key != name):
                 return tr("{}: {} is chosen for two outputs. Choose another file.").format(title, place)
-            problem = place_problem(place, folder=name == "OUTPUT_FOLDER")
-            if problem:
+            if problem := place_problem(place, folder=name == "OUTPUT_FOLDER"):
                 return f"{title}: {problem}"
         return ""
 
@@ -217,7 +242,6 @@ class EngineAlgorithm(PlainAlgorithm):
         """Read the layers, which belong to this thread, into plain arguments."""
         try:
             self._engine = settings.find_engine()
-            feedback.pushInfo(tr("Engine: pcwlad-geo {}").format(self._engine.check()))
         except EngineError as error:
             raise core.QgsProcessingException(str(error)) from error
         self._paths: dict[str, list[str]] = {}
@@ -236,17 +260,60 @@ class EngineAlgorithm(PlainAlgorithm):
         """Return the files of a parameter that was read by `prepareAlgorithm`."""
         return self._paths.get(name, [])
 
-    def run_command(
-        self, arguments: Sequence[str], feedback: Feedback, shares: Shares = SHARES
-    ) -> dict[str, Any] | None:
-        """Run a command of the engine and return its result; None where the user cancelled."""
-        folder = temporary_folder()
+    def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
+        self.folder = self.file_output(parameters, "OUTPUT_FOLDER", context)
         try:
-            return run_engine(self._engine, arguments, feedback, folder, shares, self._variables)
-        except RunError as error:
+            return self.process(parameters, context, feedback)
+        except Cancelled:
+            return {}
+
+    def run_in_folder(self, command: list[str], feedback: Feedback, shares: Shares) -> tuple[Values, Values]:
+        """Run a command into the folder of all results; return its result, and the outputs that are files."""
+        found = self.run_command([*command, "--out-dir", self.folder, "--overwrite"], feedback, shares)
+        return found, self.files(found)
+
+    def numbers(self, found: Values) -> Values:
+        """Return all figures of a result."""
+        return json.loads(Path(found["paths"]["numbers"]).read_text(encoding="utf-8"))
+
+    def files(self, found: Values) -> Values:
+        """Return the outputs that are files of a result."""
+        files = {name: found["paths"][kind] for name, kind in self.FILES.items()}
+        return {"OUTPUT_FOLDER": self.folder, **files}
+
+    def judged(self, outcome: Values, feedback: Feedback) -> dict[str, bool]:
+        """Tell which requirements are not met, and return whether all are; nothing where there are none."""
+        missed = [each["message"] for each in outcome.get("requirements", ()) if not each["met"]]
+        if missed and outcome.get("status") == "registered" and "raster" not in outcome["paths"]:
+            text = tr("A requirement is not met, and nothing was corrected: {} (report: {})")
+            message = text.format("; ".join(missed), outcome["paths"]["report"])
+            tell_of_report(message, outcome["paths"]["report"], feedback)
+            raise core.QgsProcessingException(message)
+        for message in missed:
+            feedback.pushWarning(message)
+        return {} if outcome.get("passed") is None else {"PASSED": outcome["passed"]}
+
+    def limits(self, parameters: Values, context: Context) -> list[str]:
+        """Return the options of the requirements."""
+        limits = self.parameterAsString(parameters, "REQUIRE", context).split(";")
+        return [part for limit in limits if limit.strip() for part in ("--require", limit.strip())]
+
+    def run_command(self, arguments: Sequence[str], feedback: Feedback, shares: Shares = SHARES) -> Values:
+        """Run a command of the engine and return its result; raise `Cancelled` where the user ended it."""
+        engine, folder = self._engine, temporary_folder()
+        feedback.setProgressText(tr("Starting the engine"))
+        try:
+            feedback.pushInfo(tr("Engine: pcwlad-geo {}").format(engine.check(feedback)))
+            found = run_engine(engine, arguments, feedback, folder, shares, self._variables)
+        except EngineError as error:
+            if feedback.isCanceled():
+                raise Cancelled from error
             if error.report:
                 tell_of_report(str(error), error.report, feedback)
             raise core.QgsProcessingException(str(error)) from error
+        if found is None:
+            raise Cancelled
+        return found
 
 
 def temporary_folder() -> Path:
@@ -267,8 +334,7 @@ def file_of(value: object) -> str:
         value = value.staticValue()
     if not isinstance(value, str) or not value or value == "TEMPORARY_OUTPUT":
         return ""
-    table = re.match(r"ogr:dbname='([^']+)'", value)
-    if table:
+    if table := re.match(r"ogr:dbname='([^']+)'", value):
         return table.group(1)
     return "" if re.match(r"(memory|postgis|postgres|mssql|oracle|spatialite|hana|ogr):", value) else value
 

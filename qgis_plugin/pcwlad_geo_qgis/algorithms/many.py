@@ -30,6 +30,7 @@ class RegisterMany(EngineAlgorithm):
     )
     RASTERS = ("REFERENCE",)
     LISTS = ("INPUTS",)
+    FILES = {"OUTPUT_CSV": "summary"}
     CHOICES = {**EngineAlgorithm.CHOICES, "MODEL": MODELS}
 
     def initAlgorithm(self, configuration: object = None) -> None:
@@ -40,40 +41,30 @@ class RegisterMany(EngineAlgorithm):
         self.add(core.QgsProcessingParameterString, "REQUIRE", optional=True, advanced=True)
         self.add_matching()
         self.add_folder(optional=False)
-        self.addOutput(core.QgsProcessingOutputFile("OUTPUT_CSV", self.title("OUTPUT_CSV")))
         self.add_results(core.QgsProcessingOutputNumber, "REGISTERED", "REFUSED")
 
     def problem(self, parameters: Values, context: Context) -> str:
         """Return what is wrong with the parameters, and what to do; empty where nothing is."""
-        found = super().problem(parameters, context)
-        if found:
+        if found := super().problem(parameters, context):
             return found
         (_, reference), *targets = self.layers(parameters, context)
         if any(same_file(path_of(reference), path_of(target)) for _, target in targets):
             return tr("The reference is among the targets. Take it out.")
         return ""
 
-    def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
-        folder = self.file_output(parameters, "OUTPUT_FOLDER", context)
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        table, rest = self._table(parameters, context, Path(folder))
+    def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
+        Path(self.folder).mkdir(parents=True, exist_ok=True)
+        table, rest = self._table(parameters, context, Path(self.folder))
         require = self.parameterAsString(parameters, "REQUIRE", context)
-        arguments = ["batch", table, *options_of({"--out-dir": folder, "--require": require}), *rest]
+        arguments = ["batch", table, *options_of({"--out-dir": self.folder, "--require": require}), *rest]
         outcome = self.run_command(arguments, feedback, {"pairs": (0, 100)})
-        if outcome is None:
-            return {}
         for row in outcome["pairs"]:
             if row["status"] != "registered":
                 feedback.pushWarning(tr("{}: {}").format(row["target"], row.get("reason") or row["status"]))
         refused = outcome["rejected"] + outcome["unusable"] + outcome["failed"]
         text = tr("{} of {} targets registered.")
         feedback.pushInfo(text.format(outcome["registered"], len(outcome["pairs"])))
-        return {
-            "OUTPUT_FOLDER": folder,
-            "OUTPUT_CSV": outcome["paths"]["summary"],
-            "REGISTERED": outcome["registered"],
-            "REFUSED": refused,
-        }
+        return {**self.files(outcome), "REGISTERED": outcome["registered"], "REFUSED": refused}
 
     def _table(self, parameters: Values, context: Context, folder: Path) -> tuple[str, list[str]]:
         """Write the table of pairs and return its path, and the options that no table may hold."""

@@ -1,4 +1,4 @@
-"""Register raster: the whole job."""
+"""Register raster, the whole job, and its correction on another band of the target."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import shutil
 
 from qgis import core
 
+from ..help import ONLY_GEOREFERENCE
 from ..text import mark, tr
-from .base import MODELS, RESAMPLINGS, Context, Feedback, Values, absolute
+from .base import MODELS, RESAMPLINGS, Context, EngineAlgorithm, Feedback, Values, absolute, options_of
 from .pair import PairAlgorithm
 
 VRT_MODELS = ("auto", "shift", "affine")
@@ -46,10 +47,8 @@ class RegisterRaster(PairAlgorithm):
     OUTPUTS = ("OUTPUT", "OUTPUT_TIEPOINTS", "OUTPUT_HTML", "OUTPUT_POINTS", "OUTPUT_DISPLACEMENT")
 
     def initAlgorithm(self, configuration: object = None) -> None:
-        boolean, destination = (
-            core.QgsProcessingParameterBoolean,
-            core.QgsProcessingParameterRasterDestination,
-        )
+        boolean = core.QgsProcessingParameterBoolean
+        destination = core.QgsProcessingParameterRasterDestination
         self.add_inputs()
         self.add_choice("MODEL", "auto")
         self.add(boolean, "GEOREFERENCE", False, advanced=True)
@@ -69,36 +68,53 @@ class RegisterRaster(PairAlgorithm):
         """Return what is wrong with the parameters, and what to do; empty where nothing is."""
         model = self.choice(parameters, "MODEL", context)
         if self.parameterAsBool(parameters, "GEOREFERENCE", context) and model not in VRT_MODELS:
-            return tr(
-                "Only georeferencing takes the models shift and affine: choose one of them, or automatic."
-            )
+            return tr(ONLY_GEOREFERENCE)
         return super().problem(parameters, context)
 
-    def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
+    def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         georeference = self.parameterAsBool(parameters, "GEOREFERENCE", context)
         raster = "" if georeference else absolute(self.parameterAsOutputLayer(parameters, "OUTPUT", context))
         field = absolute(self.parameterAsOutputLayer(parameters, "OUTPUT_DISPLACEMENT", context))
-        model = self.choice(parameters, "MODEL", context)
         points = absolute(self.parameterAsFile(parameters, "TIE_POINTS", context))
-        more = {
-            "--model": model,
-            "--output-raster": raster,
-            "--like": "".join(self.paths("LIKE")),
-            "--resampling": self.choice(parameters, "RESAMPLING", context),
-            "--tie-points": points,
-            "--of": "VRT" if georeference else "",
-        }
-        keep = ["--keep"] if self.parameterAsBool(parameters, "KEEP", context) else []
-        shown = ["--write-displacement", "--displacement-unit", "m"] if field else []
-        found = self.run_pair(["register", *keep, *shown], parameters, context, feedback, more)
-        if not found:
-            return found
+        options = options_of({"--output-raster": raster, "--tie-points": points})
+        options += self.options(parameters, context, "MODEL", "LIKE", "RESAMPLING")
+        options += ["--of", "VRT"] if georeference else []
+        options += ["--keep"] if self.parameterAsBool(parameters, "KEEP", context) else []
+        options += ["--write-displacement", "--displacement-unit", "m"] if field else []
+        found = self.run_pair(["register", *options], parameters, context, feedback)
         if georeference:
             paths = self.outcome["paths"]
             found["GEOREFERENCED"] = paths.get("corrected") or paths["raster"]
         elif raster:
             found["OUTPUT"] = raster
         if field:
-            shutil.copyfile(self.outcome["paths"]["displacement"], field)
-            found["OUTPUT_DISPLACEMENT"] = field
+            found["OUTPUT_DISPLACEMENT"] = shutil.copyfile(self.outcome["paths"]["displacement"], field)
         return found
+
+
+class ApplyRegistration(EngineAlgorithm):
+    """Warps another band of a registered target."""
+
+    ID = "apply"
+    TITLE = mark("Apply registration")
+    HELP = mark(
+        "Applies the correction of a finished registration to another band of its target, of any pixel "
+        "size. The raster is warped once, with all its bands; nothing is matched.\n"
+        "<b>Registration</b>: the folder that “Register raster” wrote as <i>Folder of all results</i>. "
+        "Use the batch mode for many bands."
+    )
+    RASTERS = ("INPUT",)
+    OUTPUTS = ("OUTPUT",)
+
+    def initAlgorithm(self, configuration: object = None) -> None:
+        folder = core.QgsProcessingParameterFile.Behavior.Folder
+        self.add(core.QgsProcessingParameterFile, "REGISTRATION", folder)
+        self.add(core.QgsProcessingParameterRasterLayer, "INPUT")
+        self.add(core.QgsProcessingParameterRasterDestination, "OUTPUT")
+
+    def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
+        folder = absolute(self.parameterAsFile(parameters, "REGISTRATION", context))
+        place = absolute(self.parameterAsOutputLayer(parameters, "OUTPUT", context))
+        arguments = ["warp", folder, *self.paths("INPUT"), "--output-raster", place, "--overwrite"]
+        self.run_command(arguments, feedback, {"warping": (0, 100)})
+        return {"OUTPUT": place}

@@ -7,7 +7,7 @@ from pathlib import Path
 from qgis import core
 
 from ..text import mark, tr
-from .base import Context, EngineAlgorithm, Feedback, Values, options_of
+from .base import Context, EngineAlgorithm, Feedback, Values, absolute, options_of
 
 
 class AlignCameraBands(EngineAlgorithm):
@@ -21,33 +21,25 @@ class AlignCameraBands(EngineAlgorithm):
         "RIG.json.\n"
         "<h3>Results</h3><b>Folder</b>: the rasters, RIG.json, and a table that names bad captures and why."
     )
+    FILES = {"OUTPUT_CSV": "summary"}
 
     def initAlgorithm(self, configuration: object = None) -> None:
         file = core.QgsProcessingParameterFile
         self.add(file, "CAPTURES", behavior=core.QgsProcessingParameterFile.Behavior.Folder)
         self.add(file, "RIG", extension="json", optional=True)
         self.add_folder(optional=False)
-        self.addOutput(core.QgsProcessingOutputFile("OUTPUT_CSV", self.title("OUTPUT_CSV")))
         self.add_results(core.QgsProcessingOutputNumber, "IMAGES")
 
-    def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
-        folder = self.file_output(parameters, "OUTPUT_FOLDER", context)
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        captures = self.parameterAsFile(parameters, "CAPTURES", context)
-        rig = self.parameterAsFile(parameters, "RIG", context)
+    def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
+        Path(self.folder).mkdir(parents=True, exist_ok=True)
+        captures = absolute(self.parameterAsFile(parameters, "CAPTURES", context))
+        rig = absolute(self.parameterAsFile(parameters, "RIG", context))
         if not rig:
-            rig = str(Path(folder) / "RIG.json")
+            rig = str(Path(self.folder) / "RIG.json")
             learn = ["rig", "learn", captures, *options_of({"--out": rig}), "--overwrite"]
-            if self.run_command(learn, feedback, {"matching": (0, 50)}) is None:
-                return {}
-        apply = ["rig", "apply", rig, captures, *options_of({"--out-dir": folder})]
+            self.run_command(learn, feedback, {"matching": (0, 50)})
+        apply = ["rig", "apply", rig, captures, *options_of({"--out-dir": self.folder})]
         outcome = self.run_command(apply, feedback, {"captures": (50, 100)})
-        if outcome is None:
-            return {}
         for bad in outcome["bad"]:
             feedback.pushWarning(tr("{}: {}").format(bad["capture"], bad["reason"]))
-        return {
-            "OUTPUT_FOLDER": folder,
-            "OUTPUT_CSV": outcome["paths"]["summary"],
-            "IMAGES": outcome["corrected"],
-        }
+        return {**self.files(outcome), "IMAGES": outcome["corrected"]}

@@ -1,15 +1,18 @@
-"""Adjust stack: many rasters of one ground, brought into one frame together."""
+"""Stacks: many rasters of one ground, brought into one frame together, and what they do over time."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import shutil
 
 from qgis import core
 
+from ..help import WATCH_LINE
+from ..model.tie_points import TiePointStyle
 from ..text import mark, tr
-from .base import Context, EngineAlgorithm, Feedback, Values, options_of
+from .base import Context, EngineAlgorithm, Feedback, Values, absolute, words_of
 
 ORDERS = ("auto", "shift", "affine", "polynomial", "tps", "projective")
+OPTIONS = ("REFERENCE_NAME", "DATUM", "MODEL", "BAND", "MAX_PAIRS", "DEM", "DEM_VERTICAL")
 DATUMS = ("reference", "mean")
 
 
@@ -28,6 +31,7 @@ class AdjustStack(EngineAlgorithm):
     )
     RASTERS = ("DEM",)
     LISTS = ("INPUTS",)
+    FILES = {"OUTPUT_HTML": "report", "OUTPUT_CSV": "table"}
     CHOICES = {**EngineAlgorithm.CHOICES, "MODEL": ORDERS, "DATUM": DATUMS}
 
     def initAlgorithm(self, configuration: object = None) -> None:
@@ -43,36 +47,59 @@ class AdjustStack(EngineAlgorithm):
         self.add(number, "MAX_PAIRS", optional=True, minValue=1, advanced=True)
         self.add_matching()
         self.add_folder(optional=False)
-        self.addOutput(core.QgsProcessingOutputHtml("OUTPUT_HTML", self.title("OUTPUT_HTML")))
-        self.addOutput(core.QgsProcessingOutputFile("OUTPUT_CSV", self.title("OUTPUT_CSV")))
         self.add_results(core.QgsProcessingOutputNumber, "IMAGES")
 
-    def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
-        folder = self.file_output(parameters, "OUTPUT_FOLDER", context)
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        given = parameters.get("MAX_PAIRS") is not None
-        pairs = self.parameterAsInt(parameters, "MAX_PAIRS", context) if given else ""
-        values = {
-            "--out-dir": folder,
-            "--reference": self.parameterAsString(parameters, "REFERENCE_NAME", context),
-            "--datum": self.choice(parameters, "DATUM", context),
-            "--model": self.choice(parameters, "MODEL", context),
-            "--band": str(self.parameterAsInt(parameters, "BAND", context)),
-            "--max-pairs": str(pairs),
-            "--dem": "".join(self.paths("DEM")),
-            "--dem-vertical": self.parameterAsString(parameters, "DEM_VERTICAL", context),
-        }
-        arguments = ["stack", *self.paths("INPUTS"), *options_of(values), "--overwrite"]
+    def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
+        arguments = ["stack", *self.paths("INPUTS"), *self.options(parameters, context, *OPTIONS)]
         arguments += self.matching_options(parameters, context)
-        outcome = self.run_command(arguments, feedback, {"pairs": (0, 85), "warping": (85, 100)})
-        if outcome is None:
-            return {}
+        shares = {"pairs": (0, 85), "warping": (85, 100)}
+        outcome, files = self.run_in_folder(arguments, feedback, shares)
         for name in outcome["unreadable"]:
             feedback.pushWarning(tr("Cannot be read: {}").format(name))
-        paths = outcome["paths"]
-        return {
-            "OUTPUT_FOLDER": folder,
-            "OUTPUT_HTML": paths["report"],
-            "OUTPUT_CSV": paths["table"],
-            "IMAGES": outcome["images"],
-        }
+        return {**files, "IMAGES": outcome["images"]}
+
+
+class WatchStack(EngineAlgorithm):
+    """Tells what the rasters of a finished stack do over time."""
+
+    ID = "watch"
+    TITLE = mark("Watch a stack")
+    HELP = mark(
+        "Tells what the dated rasters of a finished stack do over time: steps, drifts and seasons of each "
+        "satellite, dates that lie off, and ground that moves by itself.\n"
+        "<b>Stack</b>: the folder that “Adjust a stack” wrote; a series needs eight dates.\n"
+        "<b>Requirements</b>: limits, separated by semicolons, such as <i>step&lt;0.2px; latest&lt;1px; "
+        "motion&lt;1px</i>. Statistics: step, drift, season, latest, offset, motion; units: px, m. The "
+        "output PASSED says whether all are met; all results are there where they are not.\n"
+        "<h3>Results</h3><b>Report</b>: opens in the Results Viewer.\n"
+        "<b>Motion of the ground</b>: a raster of the velocity (x, y, sigma; units of the CRS a year) and "
+        "the number of the moving part, which is coloured.\n"
+        "<b>Table</b>: a line a raster, with what its series lets expect."
+    )
+    FILES = {"OUTPUT_HTML": "report", "OUTPUT_CSV": "table", "OUTPUT_JSON": "numbers"}
+    OUTPUTS = ("OUTPUT_MOTION",)
+
+    def initAlgorithm(self, configuration: object = None) -> None:
+        file, text = core.QgsProcessingParameterFile, core.QgsProcessingParameterString
+        self.add(file, "STACK", file.Behavior.Folder)
+        self.add(text, "REQUIRE", optional=True)
+        self.add(text, "EXTRA", optional=True, advanced=True)
+        self.add(core.QgsProcessingParameterRasterDestination, "OUTPUT_MOTION", optional=True)
+        self.add_folder(optional=False)
+        self.add_results(core.QgsProcessingOutputBoolean, "PASSED")
+        self.add_results(core.QgsProcessingOutputNumber, "STEPS", "MOVING")
+
+    def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
+        command = ["watch", absolute(self.parameterAsFile(parameters, "STACK", context))]
+        command += self.limits(parameters, context)
+        command += words_of(self.parameterAsString(parameters, "EXTRA", context))
+        found, files = self.run_in_folder(command, feedback, {"pairs": (0, 80), "reading": (80, 100)})
+        moving = tr("not known") if found["moving"] is None else found["moving"]
+        feedback.pushInfo(tr(WATCH_LINE).format(**{**found, "moving": moving}))
+        files.update(self.judged(self.numbers(found), feedback))
+        if "motion" in found["paths"] and parameters.get("OUTPUT_MOTION") is not None:
+            place = absolute(self.parameterAsOutputLayer(parameters, "OUTPUT_MOTION", context))
+            files["OUTPUT_MOTION"] = shutil.copyfile(found["paths"]["motion"], place)
+            if context.willLoadLayerOnCompletion(place):
+                TiePointStyle.apply_when_loaded(context.layerToLoadOnCompletionDetails(place))
+        return {**files, "STEPS": found["steps"], "MOVING": found["moving"]}

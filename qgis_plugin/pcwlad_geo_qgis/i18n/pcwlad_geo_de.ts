@@ -4,16 +4,6 @@
   <context>
     <name>pcwlad_geo</name>
     <message>
-      <source>Apply registration</source>
-      <translation>Registrierung anwenden</translation>
-    </message>
-    <message>
-      <source>Applies the correction of a finished registration to another band of its target, of any pixel size. The raster is warped once, with all its bands; nothing is matched.
-&lt;b&gt;Registration&lt;/b&gt;: the folder that “Register raster” wrote as &lt;i&gt;Folder of all results&lt;/i&gt;. Use the batch mode for many bands.</source>
-      <translation>Wendet die Korrektur einer fertigen Registrierung auf einen anderen Kanal ihres Ziels an, bei beliebiger Pixelgröße. Das Raster wird einmal entzerrt, mit allen Kanälen; es wird nichts neu zugeordnet.
-&lt;b&gt;Registrierung&lt;/b&gt;: der Ordner, den „Raster registrieren“ als &lt;i&gt;Ordner aller Ergebnisse&lt;/i&gt; geschrieben hat. Für viele Kanäle gibt es den Stapelmodus.</translation>
-    </message>
-    <message>
       <source>Band-to-band QA</source>
       <translation>Passgenauigkeit von Kanälen prüfen</translation>
     </message>
@@ -52,6 +42,14 @@
     <message>
       <source>Matching window: its side must be odd, such as 81 or 129.</source>
       <translation>Vergleichsfenster: Die Seitenlänge muss ungerade sein, etwa 81 oder 129.</translation>
+    </message>
+    <message>
+      <source>A requirement is not met, and nothing was corrected: {} (report: {})</source>
+      <translation>Eine Anforderung ist nicht erfüllt, und nichts wurde korrigiert: {} (Bericht: {})</translation>
+    </message>
+    <message>
+      <source>Starting the engine</source>
+      <translation>Die Engine startet</translation>
     </message>
     <message>
       <source>More options: a quotation mark is not closed. Close it, or leave it out.</source>
@@ -102,8 +100,34 @@
       <translation>Sucht die Engine, die die anderen Algorithmen ausführen, und nennt ihre Version und ob sie zu dieser Erweiterung passt. Gesucht wird in den Optionen der Verarbeitung (Datenanbieter, pcwlad-geo), in der Umgebungsvariablen PCWLAD_GEO_PYTHON, dort, wo „Engine installieren“ sie ablegt, und im PATH, in dieser Reihenfolge.</translation>
     </message>
     <message>
+      <source>Install engine</source>
+      <translation>Engine installieren</translation>
+    </message>
+    <message>
+      <source>Makes a virtual environment beside your QGIS profile and installs the engine there. QGIS and its own Python stay as they are.
+It is downloaded by pip from the package index that is configured on this computer, unless you give its &lt;b&gt;wheel&lt;/b&gt; (pcwlad_geo-….whl) or its &lt;b&gt;source folder&lt;/b&gt;. So are the libraries it needs, through the proxy of QGIS's network options if there is one: about 280 MB, and about 1000 MB on the disk; some minutes.
+&lt;b&gt;Without internet&lt;/b&gt;: on another computer of this kind run &lt;i&gt;pip download -d FOLDER WHEEL_OF_PCWLAD_GEO&lt;/i&gt;, and give FOLDER as &lt;b&gt;folder of wheels&lt;/b&gt;.
+&lt;b&gt;Python&lt;/b&gt;: 3.10 or newer; found by itself in most cases. An engine installed earlier is replaced when the new one works.</source>
+      <translation>Legt neben Ihrem QGIS-Profil eine virtuelle Umgebung an und installiert die Engine dort. QGIS und sein eigenes Python bleiben, wie sie sind.
+pip lädt sie aus dem Paketverzeichnis, das auf diesem Rechner eingestellt ist, wenn Sie nicht ihr &lt;b&gt;Wheel&lt;/b&gt; (pcwlad_geo-….whl) oder ihren &lt;b&gt;Quellordner&lt;/b&gt; angeben. Ebenso die nötigen Bibliotheken, über den Proxy der Netzwerkoptionen von QGIS, wenn es einen gibt: etwa 280 MB, auf der Platte etwa 1000 MB; einige Minuten.
+&lt;b&gt;Ohne Internet&lt;/b&gt;: Führen Sie auf einem anderen Rechner dieser Art &lt;i&gt;pip download -d FOLDER WHEEL_OF_PCWLAD_GEO&lt;/i&gt; aus, und geben Sie FOLDER als &lt;b&gt;Ordner mit Wheels&lt;/b&gt; an.
+&lt;b&gt;Python&lt;/b&gt;: 3.10 oder neuer; wird meist von selbst gefunden. Eine früher installierte Engine wird ersetzt, sobald die neue läuft.</translation>
+    </message>
+    <message>
+      <source>They do not fit: the engine has protocol {}, and the plugin needs {}.</source>
+      <translation>Sie passen nicht zusammen: Die Engine hat das Protokoll {}, die Erweiterung braucht {}.</translation>
+    </message>
+    <message>
+      <source>About {} MB will be downloaded, and {} MB be taken on the disk; some minutes.</source>
+      <translation>Etwa {} MB werden heruntergeladen und {} MB auf der Platte belegt; einige Minuten.</translation>
+    </message>
+    <message>
       <source>They fit.</source>
       <translation>Sie passen zusammen.</translation>
+    </message>
+    <message>
+      <source>All files (*)</source>
+      <translation>Alle Dateien (*)</translation>
     </message>
     <message>
       <source>Engine: {} ({})</source>
@@ -112,40 +136,6 @@
     <message>
       <source>Its version: {}; this plugin: {}</source>
       <translation>Ihre Version: {}; diese Erweiterung: {}</translation>
-    </message>
-    <message>
-      <source>They do not fit: the plugin needs an engine {}.</source>
-      <translation>Sie passen nicht zusammen: Die Erweiterung braucht eine Engine {}.</translation>
-    </message>
-    <message>
-      <source>Install engine</source>
-      <translation>Engine installieren</translation>
-    </message>
-    <message>
-      <source>Makes a virtual environment beside your QGIS profile and installs the engine there. QGIS and its own Python stay as they are.
-Give the &lt;b&gt;wheel&lt;/b&gt; of pcwlad-geo (pcwlad_geo-….whl) or its &lt;b&gt;source folder&lt;/b&gt;. The libraries that it needs are downloaded by pip from the package index that is configured on this computer, through the proxy of QGIS's network options if there is one: about 280 MB, and about 1000 MB on the disk; some minutes.
-&lt;b&gt;Without internet&lt;/b&gt;: on another computer of this kind run &lt;i&gt;pip download -d FOLDER WHEEL_OF_PCWLAD_GEO&lt;/i&gt;, and give FOLDER as &lt;b&gt;folder of wheels&lt;/b&gt;.
-&lt;b&gt;Python&lt;/b&gt;: 3.10 or newer; found by itself in most cases. An engine installed earlier is replaced when the new one works.</source>
-      <translation>Legt neben Ihrem QGIS-Profil eine virtuelle Umgebung an und installiert die Engine dort. QGIS und sein eigenes Python bleiben, wie sie sind.
-Geben Sie das &lt;b&gt;Wheel&lt;/b&gt; von pcwlad-geo (pcwlad_geo-….whl) oder seinen &lt;b&gt;Quellordner&lt;/b&gt; an. Die nötigen Bibliotheken lädt pip vom Paketverzeichnis, das auf diesem Rechner eingestellt ist, gegebenenfalls durch den Proxy der Netzwerkoptionen von QGIS: etwa 280 MB, und etwa 1000 MB auf der Platte; einige Minuten.
-&lt;b&gt;Ohne Internet&lt;/b&gt;: Führen Sie auf einem anderen Rechner dieser Art &lt;i&gt;pip download -d FOLDER WHEEL_OF_PCWLAD_GEO&lt;/i&gt; aus, und geben Sie FOLDER als &lt;b&gt;Ordner mit Wheels&lt;/b&gt; an.
-&lt;b&gt;Python&lt;/b&gt;: 3.10 oder neuer; wird meist von selbst gefunden. Eine früher installierte Engine wird ersetzt, sobald die neue läuft.</translation>
-    </message>
-    <message>
-      <source>About {} MB will be downloaded, and {} MB be taken on the disk; some minutes.</source>
-      <translation>Etwa {} MB werden heruntergeladen und {} MB auf der Platte belegt; einige Minuten.</translation>
-    </message>
-    <message>
-      <source>The {} names another engine, {}, which goes before this one: clear it to use this one.</source>
-      <translation>„{}“ nennt eine andere Engine, {}, die dieser vorgeht: Löschen Sie den Eintrag, um diese zu benutzen.</translation>
-    </message>
-    <message>
-      <source>All files (*)</source>
-      <translation>Alle Dateien (*)</translation>
-    </message>
-    <message>
-      <source>The proxy of QGIS's network options is used.</source>
-      <translation>Der Proxy der Netzwerkoptionen von QGIS wird benutzt.</translation>
     </message>
     <message>
       <source>Installed: pcwlad-geo {} in {}</source>
@@ -188,6 +178,22 @@ Geben Sie das &lt;b&gt;Wheel&lt;/b&gt; von pcwlad-geo (pcwlad_geo-….whl) oder 
 &lt;b&gt;Punkte für die Georeferenzierung&lt;/b&gt;: werden von selbst geladen, wenn sie neben dem Ziel als &lt;i&gt;target.tif.points&lt;/i&gt; liegen.</translation>
     </message>
     <message>
+      <source>Prove a pair</source>
+      <translation>Ein Paar prüfen</translation>
+    </message>
+    <message>
+      <source>Measures the tool's own error on your pair, without a truth from elsewhere: the target is moved by known amounts, with fresh noise, and the same tie points are matched again. Nothing is corrected.
+&lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Errors of the matching&lt;/b&gt;: a layer of points, coloured by the error of one match in target pixels.
+&lt;b&gt;Report&lt;/b&gt;: opens in the Results Viewer; bias, scatter, pixel locking, whether the sigmas hold, wrong matches that passed every test.
+&lt;b&gt;Figures&lt;/b&gt;: proof.json, all of it for programs.
+What the two bands show at different places by nature (shadows, warm walls) no proof sees; the report says how much has to be allowed for.</source>
+      <translation>Misst den eigenen Fehler des Werkzeugs an Ihrem Paar, ohne eine Wahrheit von anderswo: Das Ziel wird um bekannte Beträge verschoben und bekommt frisches Rauschen, und dieselben Verknüpfungspunkte werden noch einmal zugeordnet. Nichts wird korrigiert.
+&lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Fehler der Zuordnung&lt;/b&gt;: ein Punktlayer, gefärbt nach dem Fehler einer Zuordnung in Pixeln des Ziels.
+&lt;b&gt;Bericht&lt;/b&gt;: öffnet sich in der Ergebnisanzeige; systematischer Fehler, Streuung, Neigung zu ganzen Pixeln, ob die Sigmas stimmen, falsche Zuordnungen, die jede Prüfung bestanden.
+&lt;b&gt;Zahlen&lt;/b&gt;: proof.json, alles für Programme.
+Was die beiden Kanäle von Natur aus an verschiedenen Stellen zeigen (Schatten, warme Wände), sieht keine solche Prüfung; der Bericht sagt, womit zu rechnen ist.</translation>
+    </message>
+    <message>
       <source>Georeferencer points (*.points)</source>
       <translation>Punkte der Georeferenzierung (*.points)</translation>
     </message>
@@ -196,20 +202,16 @@ Geben Sie das &lt;b&gt;Wheel&lt;/b&gt; von pcwlad-geo (pcwlad_geo-….whl) oder 
       <translation>Referenz und Ziel sind dasselbe Raster und derselbe Kanal. Wählen Sie ein anderes Ziel.</translation>
     </message>
     <message>
-      <source>With an area of interest or an excluded area one of the two masks must be left out.</source>
-      <translation>Mit einem Untersuchungsgebiet oder einem ausgeschlossenen Gebiet muss eine der beiden Masken leer bleiben.</translation>
-    </message>
-    <message>
-      <source>{}: its file says another CRS than QGIS, so that a copy with that of QGIS is made.</source>
-      <translation>{}: Die Datei nennt ein anderes KBS als QGIS; darum wird eine Kopie mit dem von QGIS gemacht.</translation>
-    </message>
-    <message>
-      <source>A requirement is not met, and nothing was corrected: {} (report: {})</source>
-      <translation>Eine Anforderung ist nicht erfüllt, und nichts wurde korrigiert: {} (Bericht: {})</translation>
+      <source>The tie points cannot be written: {}</source>
+      <translation>Die Passpunkte können nicht geschrieben werden: {}</translation>
     </message>
     <message>
       <source>Extent: it lies outside of the reference. Choose another.</source>
       <translation>Ausdehnung: Sie liegt außerhalb der Referenz. Wählen Sie eine andere.</translation>
+    </message>
+    <message>
+      <source>There are too few tie points for arrows along the axes of the map.</source>
+      <translation>Es sind zu wenige Passpunkte für Pfeile entlang der Achsen der Karte.</translation>
     </message>
     <message>
       <source>Register raster</source>
@@ -236,8 +238,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
 &lt;h3&gt;Anforderungen&lt;/h3&gt;Grenzen für die Kennzahlen, etwa &lt;i&gt;CE90&amp;lt;=0.5px; points&amp;gt;=100&lt;/i&gt;. Wird eine nicht erfüllt, scheitert der Algorithmus, und es gibt kein Raster, es sei denn, es soll behalten werden.</translation>
     </message>
     <message>
-      <source>Only georeferencing takes the models shift and affine: choose one of them, or automatic.</source>
-      <translation>Nur georeferenzieren lassen sich die Modelle Verschiebung und affin: Wählen Sie eines davon, oder automatisch.</translation>
+      <source>Apply registration</source>
+      <translation>Registrierung anwenden</translation>
+    </message>
+    <message>
+      <source>Applies the correction of a finished registration to another band of its target, of any pixel size. The raster is warped once, with all its bands; nothing is matched.
+&lt;b&gt;Registration&lt;/b&gt;: the folder that “Register raster” wrote as &lt;i&gt;Folder of all results&lt;/i&gt;. Use the batch mode for many bands.</source>
+      <translation>Wendet die Korrektur einer fertigen Registrierung auf einen anderen Kanal ihres Ziels an, bei beliebiger Pixelgröße. Das Raster wird einmal entzerrt, mit allen Kanälen; es wird nichts neu zugeordnet.
+&lt;b&gt;Registrierung&lt;/b&gt;: der Ordner, den „Raster registrieren“ als &lt;i&gt;Ordner aller Ergebnisse&lt;/i&gt; geschrieben hat. Für viele Kanäle gibt es den Stapelmodus.</translation>
     </message>
     <message>
       <source>Align the bands of a drone camera</source>
@@ -248,26 +256,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
 &lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Folder&lt;/b&gt;: the rasters, RIG.json, and a table that names bad captures and why.</source>
       <translation>Bringt die Objektive einer Multispektral- oder Wärmebildkamera aufeinander: je Aufnahme ein Raster mit allen Bändern. Geben Sie einen Ordner mit Rohbildern an; die Anordnung der Objektive wird daraus gelernt oder aus RIG.json gelesen.
 &lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Ordner&lt;/b&gt;: die Raster, RIG.json und eine Tabelle, die schlechte Aufnahmen mit dem Grund nennt.</translation>
-    </message>
-    <message>
-      <source>Raw frames as the camera wrote them, one file a lens, of captures in flight.</source>
-      <translation>Rohbilder, wie die Kamera sie schrieb, eine Datei je Objektiv, von Aufnahmen im Flug.</translation>
-    </message>
-    <message>
-      <source>What an earlier run has learned of this camera. Not set: it is learned from the frames.</source>
-      <translation>Was ein früherer Lauf über diese Kamera gelernt hat. Ohne Angabe wird es aus den Bildern gelernt.</translation>
-    </message>
-    <message>
-      <source>Folder of raw frames</source>
-      <translation>Ordner mit Rohbildern</translation>
-    </message>
-    <message>
-      <source>RIG.json of this camera (not set: learned)</source>
-      <translation>RIG.json dieser Kamera (ohne Angabe: wird gelernt)</translation>
-    </message>
-    <message>
-      <source>Table, a line a capture</source>
-      <translation>Tabelle, eine Zeile je Aufnahme</translation>
     </message>
     <message>
       <source>Adjust a stack</source>
@@ -282,8 +270,86 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
 &lt;b&gt;Bericht&lt;/b&gt;: öffnet sich in der Ergebnisanzeige.</translation>
     </message>
     <message>
+      <source>Watch a stack</source>
+      <translation>Einen Stapel überwachen</translation>
+    </message>
+    <message>
+      <source>Tells what the dated rasters of a finished stack do over time: steps, drifts and seasons of each satellite, dates that lie off, and ground that moves by itself.
+&lt;b&gt;Stack&lt;/b&gt;: the folder that “Adjust a stack” wrote; a series needs eight dates.
+&lt;b&gt;Requirements&lt;/b&gt;: limits, separated by semicolons, such as &lt;i&gt;step&amp;lt;0.2px; latest&amp;lt;1px; motion&amp;lt;1px&lt;/i&gt;. Statistics: step, drift, season, latest, offset, motion; units: px, m. The output PASSED says whether all are met; all results are there where they are not.
+&lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Report&lt;/b&gt;: opens in the Results Viewer.
+&lt;b&gt;Motion of the ground&lt;/b&gt;: a raster of the velocity (x, y, sigma; units of the CRS a year) and the number of the moving part, which is coloured.
+&lt;b&gt;Table&lt;/b&gt;: a line a raster, with what its series lets expect.</source>
+      <translation>Sagt, was die datierten Raster eines fertigen Stapels über die Zeit tun: Sprünge, Driften und Jahresgänge jedes Satelliten, Tage, die danebenliegen, und Boden, der sich für sich bewegt.
+&lt;b&gt;Stapel&lt;/b&gt;: der Ordner, den „Stapel ausgleichen“ geschrieben hat; eine Reihe braucht acht Tage.
+&lt;b&gt;Anforderungen&lt;/b&gt;: Grenzen, durch Semikolon getrennt, etwa &lt;i&gt;step&amp;lt;0.2px; latest&amp;lt;1px; motion&amp;lt;1px&lt;/i&gt;. Größen: step, drift, season, latest, offset, motion; Einheiten: px, m. Die Ausgabe PASSED sagt, ob alle eingehalten sind; alle Ergebnisse sind da, auch wo sie es nicht sind.
+&lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Bericht&lt;/b&gt;: öffnet sich in der Ergebnisanzeige.
+&lt;b&gt;Bewegung des Bodens&lt;/b&gt;: ein Raster der Geschwindigkeit (x, y, Sigma; Einheiten des KBS im Jahr) und der Nummer des bewegten Teils, der gefärbt ist.
+&lt;b&gt;Tabelle&lt;/b&gt;: eine Zeile je Raster, mit dem, was seine Reihe erwarten lässt.</translation>
+    </message>
+    <message>
+      <source>not known</source>
+      <translation>nicht bekannt</translation>
+    </message>
+    <message>
       <source>Cannot be read: {}</source>
       <translation>Nicht lesbar: {}</translation>
+    </message>
+    <message>
+      <source>{target} on {reference}: {n} points, mean {mean_col_px} px to the right, {mean_row_px} px down; CE90 {ce90_px} px</source>
+      <translation>{target} auf {reference}: {n} Punkte, im Mittel {mean_col_px} px nach rechts, {mean_row_px} px nach unten; CE90 {ce90_px} px</translation>
+    </message>
+    <message>
+      <source>Bias: {BIAS_COL:+.3f} px to the right, {BIAS_ROW:+.3f} px down. A tie point errs by RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px; wrong matches that passed every test: {WRONG}</source>
+      <translation>Systematischer Fehler: {BIAS_COL:+.3f} px nach rechts, {BIAS_ROW:+.3f} px nach unten. Fehler eines Verknüpfungspunkts: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px; falsche Zuordnungen, die jede Prüfung bestanden: {WRONG}</translation>
+    </message>
+    <message>
+      <source>Series: {series}; steps: {steps}; parts of the ground that move: {moving}</source>
+      <translation>Reihen: {series}; Sprünge: {steps}; Teile des Bodens, die sich bewegen: {moving}</translation>
+    </message>
+    <message>
+      <source>No pcwlad-geo engine was found.</source>
+      <translation>Keine pcwlad-geo-Engine gefunden.</translation>
+    </message>
+    <message>
+      <source>Install one by “Install engine”, in the dock or the Processing toolbox. One that is somewhere else: name it in Processing options, Providers, pcwlad-geo.</source>
+      <translation>Installieren Sie eine mit „Engine installieren“, im Dock oder in der Werkzeugkiste. Eine, die woanders liegt: nennen Sie sie in den Verarbeitungsoptionen unter Datenanbieter, pcwlad-geo.</translation>
+    </message>
+    <message>
+      <source>The engine {} has version {} (protocol {}), this plugin is {} and needs protocol {}.</source>
+      <translation>Die Engine {} hat Version {} (Protokoll {}), dieses Plugin ist {} und braucht Protokoll {}.</translation>
+    </message>
+    <message>
+      <source>The layer “{}” is no raster file (it comes from the provider “{}”). Save it first: right-click the layer, Export, Save As…, and use the file.</source>
+      <translation>Der Layer „{}“ ist keine Rasterdatei (er kommt vom Datenanbieter „{}“). Speichern Sie ihn zuerst: Rechtsklick auf den Layer, Export, Speichern als…, und nehmen Sie die Datei.</translation>
+    </message>
+    <message>
+      <source>The layer “{}” is opened with options ({}) that the engine cannot use. Save it as a file first.</source>
+      <translation>Der Layer „{}“ ist mit Optionen geöffnet ({}), die die Engine nicht benutzen kann. Speichern Sie ihn erst als Datei.</translation>
+    </message>
+    <message>
+      <source>The layer “{}” shows a part of its file (filter {}). Remove the filter, or save it as a file.</source>
+      <translation>Der Layer „{}“ zeigt einen Teil seiner Datei (Filter {}). Entfernen Sie den Filter, oder speichern Sie ihn als Datei.</translation>
+    </message>
+    <message>
+      <source>Only georeferencing takes the models shift and affine: choose one of them, or automatic.</source>
+      <translation>Nur georeferenzieren lassen sich die Modelle Verschiebung und affin: Wählen Sie eines davon, oder automatisch.</translation>
+    </message>
+    <message>
+      <source>The {} names another engine, {}, which goes before this one: clear it to use this one.</source>
+      <translation>„{}“ nennt eine andere Engine, {}, die dieser vorgeht: Löschen Sie den Eintrag, um diese zu benutzen.</translation>
+    </message>
+    <message>
+      <source>No match within the radius: the point is where you have clicked, and counts as less certain.</source>
+      <translation>Keine Übereinstimmung im Umkreis: Der Punkt liegt, wo Sie geklickt haben, und zählt als weniger sicher.</translation>
+    </message>
+    <message>
+      <source>Other rasters that are aligned with the same reference, one after the other.</source>
+      <translation>Weitere Raster, die nacheinander an derselben Referenz ausgerichtet werden.</translation>
+    </message>
+    <message>
+      <source>Rasters of the same pixels' place as the layer, such as its other bands, of any pixel size.</source>
+      <translation>Raster, deren Pixel liegen wie die des Layers, etwa seine anderen Kanäle; die Pixelgröße ist beliebig.</translation>
     </message>
     <message>
       <source>The raster whose place is right. It stays as it is.</source>
@@ -336,6 +402,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Limits on the figures, such as CE90&lt;=0.5px; points&gt;=100. Where one is not met, no raster is written.</source>
       <translation>Grenzen für die Zahlen, etwa CE90&lt;=0.5px; points&gt;=100. Wo eine nicht eingehalten ist, wird kein Raster geschrieben.</translation>
+    </message>
+    <message>
+      <source>Limits that every pair must meet, such as CE90&lt;=0.3px; closure&lt;=0.05px.</source>
+      <translation>Grenzen, die jedes Paar einhalten muss, etwa CE90&lt;=0.3px; closure&lt;=0.05px.</translation>
+    </message>
+    <message>
+      <source>Limits on the largest of any series or part, such as step&lt;0.2px; motion&lt;1px.</source>
+      <translation>Grenzen für das Größte aller Reihen oder Teile, etwa step&lt;0.2px; motion&lt;1px.</translation>
     </message>
     <message>
       <source>How the displacement may change over the image. Automatic takes the simplest model that predicts points left out as well as any other.</source>
@@ -426,6 +500,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Raster desselben Geländes.</translation>
     </message>
     <message>
+      <source>Raw frames as the camera wrote them, one file a lens, of captures in flight.</source>
+      <translation>Rohbilder, wie die Kamera sie schrieb, eine Datei je Objektiv, von Aufnahmen im Flug.</translation>
+    </message>
+    <message>
+      <source>What an earlier run has learned of this camera. Not set: it is learned from the frames.</source>
+      <translation>Was ein früherer Lauf über diese Kamera gelernt hat. Ohne Angabe wird es aus den Bildern gelernt.</translation>
+    </message>
+    <message>
       <source>The bands that are compared. Not set: all.</source>
       <translation>Die Kanäle, die verglichen werden. Leer: alle.</translation>
     </message>
@@ -458,8 +540,24 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Weniger Paare gehen schneller, und weniger wird geprüft.</translation>
     </message>
     <message>
-      <source>The file pcwlad_geo-….whl.</source>
-      <translation>Die Datei pcwlad_geo-….whl.</translation>
+      <source>Full takes more points, and makes a part of the pair harder until it is refused: a minute or more.</source>
+      <translation>Vollständig nimmt mehr Punkte und erschwert einen Teil des Paars, bis er abgelehnt wird: eine Minute oder mehr.</translation>
+    </message>
+    <message>
+      <source>The folder that “Adjust a stack” wrote.</source>
+      <translation>Der Ordner, den „Stapel ausgleichen“ geschrieben hat.</translation>
+    </message>
+    <message>
+      <source>A layer of points, coloured by the error of one match, in target pixels.</source>
+      <translation>Ein Punktlayer, gefärbt nach dem Fehler einer Zuordnung, in Pixeln des Ziels.</translation>
+    </message>
+    <message>
+      <source>A raster of the velocity of the ground and the parts that move by themselves.</source>
+      <translation>Ein Raster der Geschwindigkeit des Bodens und der Teile, die sich für sich bewegen.</translation>
+    </message>
+    <message>
+      <source>The file pcwlad_geo-….whl. Not set: the package index has it.</source>
+      <translation>Die Datei pcwlad_geo-….whl. Nicht gesetzt: aus dem Paketverzeichnis.</translation>
     </message>
     <message>
       <source>The folder with pyproject.toml.</source>
@@ -618,12 +716,48 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Tabelle, eine Zeile je Raster</translation>
     </message>
     <message>
+      <source>Table, a line a capture</source>
+      <translation>Tabelle, eine Zeile je Aufnahme</translation>
+    </message>
+    <message>
+      <source>Figures (JSON)</source>
+      <translation>Zahlen (JSON)</translation>
+    </message>
+    <message>
+      <source>Errors of the matching</source>
+      <translation>Fehler der Zuordnung</translation>
+    </message>
+    <message>
+      <source>Motion of the ground</source>
+      <translation>Bewegung des Bodens</translation>
+    </message>
+    <message>
+      <source>Effort</source>
+      <translation>Aufwand</translation>
+    </message>
+    <message>
+      <source>Stack (folder of all results)</source>
+      <translation>Stapel (Ordner aller Ergebnisse)</translation>
+    </message>
+    <message>
+      <source>More options of the command line, such as --add image.tif</source>
+      <translation>Weitere Optionen der Befehlszeile, etwa --add bild.tif</translation>
+    </message>
+    <message>
       <source>Registration (folder of all results)</source>
       <translation>Registrierung (Ordner aller Ergebnisse)</translation>
     </message>
     <message>
       <source>Rasters</source>
       <translation>Raster</translation>
+    </message>
+    <message>
+      <source>Folder of raw frames</source>
+      <translation>Ordner mit Rohbildern</translation>
+    </message>
+    <message>
+      <source>RIG.json of this camera (not set: learned)</source>
+      <translation>RIG.json dieser Kamera (ohne Angabe: wird gelernt)</translation>
     </message>
     <message>
       <source>Targets (move)</source>
@@ -662,8 +796,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Größte Zahl von Paaren, die zugeordnet werden (leer: genug)</translation>
     </message>
     <message>
-      <source>Wheel of pcwlad-geo</source>
-      <translation>Wheel von pcwlad-geo</translation>
+      <source>Wheel of pcwlad-geo (not set: from the package index)</source>
+      <translation>Wheel von pcwlad-geo (nicht gesetzt: aus dem Paketverzeichnis)</translation>
     </message>
     <message>
       <source>Or source folder of pcwlad-geo</source>
@@ -728,6 +862,34 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Targets registered</source>
       <translation>Registrierte Ziele</translation>
+    </message>
+    <message>
+      <source>RMSE of a tie point, target pixels</source>
+      <translation>RMSE eines Verknüpfungspunkts, Pixel des Ziels</translation>
+    </message>
+    <message>
+      <source>CE90 of a tie point, target pixels</source>
+      <translation>CE90 eines Verknüpfungspunkts, Pixel des Ziels</translation>
+    </message>
+    <message>
+      <source>Bias to the right, target pixels</source>
+      <translation>Systematischer Fehler nach rechts, Pixel des Ziels</translation>
+    </message>
+    <message>
+      <source>Bias down, target pixels</source>
+      <translation>Systematischer Fehler nach unten, Pixel des Ziels</translation>
+    </message>
+    <message>
+      <source>Wrong matches that passed every test</source>
+      <translation>Falsche Zuordnungen, die jede Prüfung bestanden</translation>
+    </message>
+    <message>
+      <source>Steps</source>
+      <translation>Sprünge</translation>
+    </message>
+    <message>
+      <source>Parts of the ground that move</source>
+      <translation>Teile des Bodens, die sich bewegen</translation>
     </message>
     <message>
       <source>Version of the engine</source>
@@ -842,6 +1004,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Landsat TIRS</translation>
     </message>
     <message>
+      <source>Quick (a sample of points)</source>
+      <translation>Schnell (eine Stichprobe der Punkte)</translation>
+    </message>
+    <message>
+      <source>Full (more points, and what the pair bears)</source>
+      <translation>Vollständig (mehr Punkte, und was das Paar aushält)</translation>
+    </message>
+    <message>
       <source>The reference</source>
       <translation>Die Referenz</translation>
     </message>
@@ -894,12 +1064,36 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Lesen</translation>
     </message>
     <message>
+      <source>Inspecting the captures</source>
+      <translation>Aufnahmen werden geprüft</translation>
+    </message>
+    <message>
       <source>Matching</source>
       <translation>Zuordnen</translation>
     </message>
     <message>
+      <source>Refining</source>
+      <translation>Verfeinern</translation>
+    </message>
+    <message>
+      <source>Captures that overlap</source>
+      <translation>Aufnahmen, die sich überlappen</translation>
+    </message>
+    <message>
+      <source>Testing the rig</source>
+      <translation>Die Kamera wird geprüft</translation>
+    </message>
+    <message>
       <source>Fitting the correction</source>
       <translation>Korrektur anpassen</translation>
+    </message>
+    <message>
+      <source>Measuring the error of the matching</source>
+      <translation>Der Fehler der Passung wird gemessen</translation>
+    </message>
+    <message>
+      <source>Captures</source>
+      <translation>Aufnahmen</translation>
     </message>
     <message>
       <source>Writing</source>
@@ -982,16 +1176,12 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>verworfen</translation>
     </message>
     <message>
-      <source>The layers fit well: 90 % of the common ground is expected to lie within {:.2f} px{}.</source>
-      <translation>Die Layer passen gut: 90 % des gemeinsamen Geländes liegen voraussichtlich innerhalb von {:.2f} px{}.</translation>
+      <source>Quality: {}; 90 % of the common ground is expected to lie within {}</source>
+      <translation>Qualität: {}; 90 % des gemeinsamen Bodens liegen voraussichtlich innerhalb von {}</translation>
     </message>
     <message>
-      <source>The layers fit fairly: 90 % of the common ground is expected to lie within {:.2f} px{}.</source>
-      <translation>Die Layer passen leidlich: 90 % des gemeinsamen Geländes liegen voraussichtlich innerhalb von {:.2f} px{}.</translation>
-    </message>
-    <message>
-      <source>The layers fit poorly: 90 % of the common ground is expected within {:.2f} px{} only.</source>
-      <translation>Die Layer passen schlecht: 90 % des gemeinsamen Geländes liegen voraussichtlich nur innerhalb von {:.2f} px{}.</translation>
+      <source>Quality: {}; 90 % of the area is expected to lie within {}, of all that both rasters show {}</source>
+      <translation>Qualität: {}; 90 % der Fläche liegen voraussichtlich innerhalb von {}, von allem, was beide Raster zeigen, {}</translation>
     </message>
     <message>
       <source>good</source>
@@ -1006,28 +1196,36 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>schlecht</translation>
     </message>
     <message>
+      <source>The layers fit well: 90 % of the common ground is expected to lie within {}.</source>
+      <translation>Die Layer passen gut: 90 % des gemeinsamen Geländes liegen voraussichtlich innerhalb von {}.</translation>
+    </message>
+    <message>
+      <source>The layers fit well: 90 % of the area is expected to lie within {}, of the whole layer {}.</source>
+      <translation>Die Layer passen gut: 90 % der Fläche liegen voraussichtlich innerhalb von {}, des ganzen Layers von {}.</translation>
+    </message>
+    <message>
+      <source>The layers fit fairly: 90 % of the common ground is expected to lie within {}.</source>
+      <translation>Die Layer passen leidlich: 90 % des gemeinsamen Geländes liegen voraussichtlich innerhalb von {}.</translation>
+    </message>
+    <message>
+      <source>The layers fit fairly: 90 % of the area is expected to lie within {}, of the whole layer {}.</source>
+      <translation>Die Layer passen leidlich: 90 % der Fläche liegen voraussichtlich innerhalb von {}, des ganzen Layers von {}.</translation>
+    </message>
+    <message>
+      <source>The layers fit poorly: 90 % of the common ground is expected within {} only.</source>
+      <translation>Die Layer passen schlecht: 90 % des gemeinsamen Geländes liegen voraussichtlich nur innerhalb von {}.</translation>
+    </message>
+    <message>
+      <source>The layers fit poorly: 90 % of the area is expected within {} only, of the whole layer {}.</source>
+      <translation>Die Layer passen schlecht: 90 % der Fläche liegen voraussichtlich nur innerhalb von {}, des ganzen Layers von {}.</translation>
+    </message>
+    <message>
       <source>{} cannot be written.</source>
       <translation>{} kann nicht geschrieben werden.</translation>
     </message>
     <message>
-      <source>The mask {} cannot be written.</source>
-      <translation>Die Maske {} kann nicht geschrieben werden.</translation>
-    </message>
-    <message>
       <source>The layer “{}” has the CRS {} in QGIS, but its file says {}. That of QGIS is used.</source>
       <translation>Der Layer „{}“ hat in QGIS das KBS {}, aber seine Datei sagt {}. Das von QGIS wird benutzt.</translation>
-    </message>
-    <message>
-      <source>The layer “{}” is no raster file (it comes from the provider “{}”). Save it first: right-click the layer, Export, Save As…, and use the file.</source>
-      <translation>Der Layer „{}“ ist keine Rasterdatei (er kommt vom Datenanbieter „{}“). Speichern Sie ihn zuerst: Rechtsklick auf den Layer, Export, Speichern als…, und nehmen Sie die Datei.</translation>
-    </message>
-    <message>
-      <source>The layer “{}” is opened with options ({}) that the engine cannot use. Save it as a file first.</source>
-      <translation>Der Layer „{}“ ist mit Optionen geöffnet ({}), die die Engine nicht benutzen kann. Speichern Sie ihn erst als Datei.</translation>
-    </message>
-    <message>
-      <source>The layer “{}” shows a part of its file (filter {}). Remove the filter, or save it as a file.</source>
-      <translation>Der Layer „{}“ zeigt einen Teil seiner Datei (Filter {}). Entfernen Sie den Filter, oder speichern Sie ihn als Datei.</translation>
     </message>
     <message>
       <source>none</source>
@@ -1042,8 +1240,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Der Layer „{}“ liegt nur im Speicher. Speichern Sie ihn erst als Datei.</translation>
     </message>
     <message>
-      <source>Displacement</source>
-      <translation>Verschiebung</translation>
+      <source>Tie points being edited</source>
+      <translation>Passpunkte in Bearbeitung</translation>
     </message>
     <message>
       <source>{}: residual × {:g}</source>
@@ -1054,16 +1252,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>{}: Verschiebung × {:g}</translation>
     </message>
     <message>
-      <source>There are too few tie points for arrows along the axes of the map.</source>
-      <translation>Es sind zu wenige Passpunkte für Pfeile entlang der Achsen der Karte.</translation>
-    </message>
-    <message>
       <source>The tie points in {} cannot be read.</source>
       <translation>Die Passpunkte in {} sind nicht lesbar.</translation>
-    </message>
-    <message>
-      <source>The tie points cannot be written: {}</source>
-      <translation>Die Passpunkte können nicht geschrieben werden: {}</translation>
     </message>
     <message>
       <source>Align this layer…</source>
@@ -1078,24 +1268,12 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>(Optionen, die mit -- beginnen, gehören in den erweiterten Parameter „Weitere Optionen“.)</translation>
     </message>
     <message>
-      <source>No pcwlad-geo engine was found. Run the algorithm “Install engine”, or this command in a terminal, with the wheel or the source folder of pcwlad-geo at its end:
-{}
-An engine that is somewhere else: name it in Processing options, Providers, pcwlad-geo.</source>
-      <translation>Es wurde keine Engine pcwlad-geo gefunden. Starten Sie den Algorithmus „Engine installieren“, oder in einem Terminal diesen Befehl mit dem Wheel oder dem Quellordner von pcwlad-geo am Ende:
-{}
-Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter, pcwlad-geo eintragen.</translation>
-    </message>
-    <message>
       <source>Processing option</source>
       <translation>Option der Verarbeitung</translation>
     </message>
     <message>
       <source>{} ({}) is no pcwlad-geo engine; it says: {}</source>
       <translation>{} ({}) ist keine Engine pcwlad-geo; die Antwort ist: {}</translation>
-    </message>
-    <message>
-      <source>The engine {} has version {}, this plugin is {} and needs an engine {}. Install that one (algorithm “Install engine”), or the plugin that belongs to the engine.</source>
-      <translation>Die Engine {} hat die Version {}, diese Erweiterung ist {} und braucht eine Engine {}. Installieren Sie diese (Algorithmus „Engine installieren“), oder die Erweiterung, die zur Engine gehört.</translation>
     </message>
     <message>
       <source>installed by the plugin</source>
@@ -1110,8 +1288,8 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
       <translation>Die Engine {} startet nicht: {}</translation>
     </message>
     <message>
-      <source>Quality: {}; 90 % of the common ground is expected to lie within {:.2f} px</source>
-      <translation>Qualität: {}; 90 % des gemeinsamen Bodens liegen voraussichtlich innerhalb von {:.2f} px</translation>
+      <source>nothing (status {})</source>
+      <translation>nichts (Status {})</translation>
     </message>
     <message>
       <source>Median displacement of the target: {:+.3f} px to the right, {:+.3f} px down</source>
@@ -1130,20 +1308,32 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
       <translation>{:.0f} Passpunkte wurden gefunden.</translation>
     </message>
     <message>
+      <source>Model: {}</source>
+      <translation>Modell: {}</translation>
+    </message>
+    <message>
       <source>What is left: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</source>
       <translation>Es bleiben: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</translation>
     </message>
     <message>
-      <source>Give either a wheel or a source folder of pcwlad-geo, or a folder of wheels that has it.</source>
-      <translation>Geben Sie entweder ein Wheel oder einen Quellordner von pcwlad-geo an, oder einen Ordner mit Wheels, in dem es liegt.</translation>
-    </message>
-    <message>
-      <source>The folder {} holds no wheels that do. On a computer with internet: {}</source>
-      <translation>Im Ordner {} liegen keine brauchbaren Wheels. Auf einem Rechner mit Internet: {}</translation>
+      <source>{} is no folder of a finished registration.</source>
+      <translation>{} ist kein Ordner einer fertigen Registrierung.</translation>
     </message>
     <message>
       <source>No Python 3.10 or newer was found. Install one (python.org), and name it under “Python”.</source>
       <translation>Kein Python 3.10 oder neuer wurde gefunden. Installieren Sie eines (python.org), und nennen Sie es unter „Python“.</translation>
+    </message>
+    <message>
+      <source>Give either a wheel or a source folder of pcwlad-geo, not both.</source>
+      <translation>Geben Sie entweder ein Wheel oder einen Quellordner von pcwlad-geo an, nicht beides.</translation>
+    </message>
+    <message>
+      <source>{} is no source folder of pcwlad-geo: it has no pyproject.toml of that name.</source>
+      <translation>{} ist kein Quellordner von pcwlad-geo: Er hat keine pyproject.toml dieses Namens.</translation>
+    </message>
+    <message>
+      <source>The folder {} holds no wheels that do. On a computer with internet: {}</source>
+      <translation>Im Ordner {} liegen keine brauchbaren Wheels. Auf einem Rechner mit Internet: {}</translation>
     </message>
     <message>
       <source>Making the virtual environment</source>
@@ -1166,10 +1356,6 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
       <translation>{} ist kein Wheel von pcwlad-geo (pcwlad_geo-….whl).</translation>
     </message>
     <message>
-      <source>{} is no source folder of pcwlad-geo: it has no pyproject.toml of that name.</source>
-      <translation>{} ist kein Quellordner von pcwlad-geo: Er hat keine pyproject.toml dieses Namens.</translation>
-    </message>
-    <message>
       <source>Its last lines:</source>
       <translation>Ihre letzten Zeilen:</translation>
     </message>
@@ -1186,56 +1372,76 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
       <translation>Die Engine startet nicht: {}</translation>
     </message>
     <message>
-      <source>pcwlad-geo: sub-pixel registration of rasters</source>
-      <translation>pcwlad-geo: Raster auf Bruchteile eines Pixels registrieren</translation>
-    </message>
-    <message>
       <source>Engine: a Python with pcwlad-geo in it, or the program pcwlad-geo</source>
       <translation>Engine: ein Python, in dem pcwlad-geo liegt, oder das Programm pcwlad-geo</translation>
+    </message>
+    <message>
+      <source>Folder of an earlier registration</source>
+      <translation>Ordner einer früheren Registrierung</translation>
     </message>
     <message>
       <source>Align this layer</source>
       <translation>Diesen Layer ausrichten</translation>
     </message>
     <message>
-      <source>All</source>
-      <translation>Alles</translation>
+      <source>More layers to align</source>
+      <translation>Weitere Layer ausrichten</translation>
     </message>
     <message>
-      <source>Resample to a new raster</source>
-      <translation>In ein neues Raster umrechnen</translation>
-    </message>
-    <message>
-      <source>Only georeference (pixels stay)</source>
-      <translation>Nur georeferenzieren (Pixel bleiben)</translation>
+      <source>Other bands of the layer</source>
+      <translation>Andere Kanäle des Layers</translation>
     </message>
     <message>
       <source>Beside the layer</source>
       <translation>Neben dem Layer</translation>
     </message>
     <message>
+      <source>Wheel of pcwlad-geo</source>
+      <translation>Wheel von pcwlad-geo</translation>
+    </message>
+    <message>
+      <source>The engine is installed: pcwlad-geo {}</source>
+      <translation>Die Engine ist installiert: pcwlad-geo {}</translation>
+    </message>
+    <message>
+      <source>Source folder of pcwlad-geo</source>
+      <translation>Quellordner von pcwlad-geo</translation>
+    </message>
+    <message>
       <source>Cancelled; nothing was written.</source>
       <translation>Abgebrochen; nichts wurde geschrieben.</translation>
+    </message>
+    <message>
+      <source>Displacement</source>
+      <translation>Verschiebung</translation>
+    </message>
+    <message>
+      <source>Update engine</source>
+      <translation>Engine aktualisieren</translation>
+    </message>
+    <message>
+      <source>{} is corrected.</source>
+      <translation>{} ist korrigiert.</translation>
     </message>
     <message>
       <source>{} aligned</source>
       <translation>{} ausgerichtet</translation>
     </message>
     <message>
-      <source>The engine did not finish.</source>
-      <translation>Die Engine kam nicht zum Ende.</translation>
+      <source>{} is not where it was, or cannot be read.</source>
+      <translation>{} liegt nicht mehr dort oder ist nicht lesbar.</translation>
     </message>
     <message>
-      <source>Added, and refined by matching.</source>
-      <translation>Hinzugefügt und durch Zuordnung verfeinert.</translation>
+      <source>Refined by matching.</source>
+      <translation>Durch Matching verfeinert.</translation>
     </message>
     <message>
-      <source>Click a place in the reference, on the main map.</source>
-      <translation>Klicken Sie in der Hauptkarte auf eine Stelle der Referenz.</translation>
+      <source>Click the same place on both maps: in the reference (large), in the target (small).</source>
+      <translation>Klicken Sie dieselbe Stelle in beiden Karten an: in der Referenz (groß) und im Ziel (klein).</translation>
     </message>
     <message>
-      <source>Click the same place in the target, on the small map.</source>
-      <translation>Klicken Sie in der kleinen Karte auf dieselbe Stelle des Ziels.</translation>
+      <source>Click where the point should be, on either map.</source>
+      <translation>Klicken Sie dorthin, wo der Punkt sein soll, in einer der beiden Karten.</translation>
     </message>
     <message>
       <source>The engine refines the point…</source>
@@ -1246,12 +1452,12 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
       <translation>Punkte speichern</translation>
     </message>
     <message>
-      <source>Added as you showed it: nothing matches there.</source>
-      <translation>Hinzugefügt, wie gezeigt: Dort lässt sich nichts zuordnen.</translation>
+      <source>{}: RMSE {:.3f} px at {} check points; {} points are on</source>
+      <translation>{}: RMSE {:.3f} px an {} Kontrollpunkten; {} Punkte sind an</translation>
     </message>
     <message>
-      <source>{}: RMSE {:.3f} px at {} points that are on</source>
-      <translation>{}: RMSE {:.3f} px an {} eingeschalteten Punkten</translation>
+      <source>Select one point in the table first.</source>
+      <translation>Wählen Sie zuerst einen Punkt in der Tabelle.</translation>
     </message>
     <message>
       <source>{}: RMSE {:.3f} px</source>
@@ -1262,12 +1468,16 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
       <translation>Gespeichert: {}</translation>
     </message>
     <message>
+      <source>on</source>
+      <translation>an</translation>
+    </message>
+    <message>
       <source>off</source>
       <translation>aus</translation>
     </message>
     <message>
-      <source>on</source>
-      <translation>an</translation>
+      <source>The engine did not finish.</source>
+      <translation>Die Engine kam nicht zum Ende.</translation>
     </message>
     <message>
       <source>Align</source>
@@ -1278,76 +1488,204 @@ Eine Engine an anderer Stelle: in den Verarbeitungsoptionen unter Datenanbieter,
       <translation>Layer (wird bewegt)</translation>
     </message>
     <message>
-      <source>Largest CE90 allowed</source>
-      <translation>Größter erlaubter CE90</translation>
-    </message>
-    <message>
-      <source>Any</source>
-      <translation>Jeder</translation>
-    </message>
-    <message>
-      <source> px</source>
-      <translation> px</translation>
-    </message>
-    <message>
-      <source>Result</source>
-      <translation>Ergebnis</translation>
+      <source>Advanced</source>
+      <translation>Erweitert</translation>
     </message>
     <message>
       <source>Folder</source>
       <translation>Ordner</translation>
     </message>
     <message>
-      <source>Displacement field too</source>
-      <translation>Auch das Verschiebungsfeld</translation>
+      <source>Where the results go: a new folder beside the layer unless you choose one.</source>
+      <translation>Wohin die Ergebnisse kommen: ein neuer Ordner neben dem Layer, wenn Sie keinen wählen.</translation>
+    </message>
+    <message>
+      <source>Moves the layer onto the reference; the layer itself stays as it is.</source>
+      <translation>Bringt den Layer auf die Referenz; der Layer selbst bleibt, wie er ist.</translation>
     </message>
     <message>
       <source>Cancel</source>
       <translation>Abbrechen</translation>
     </message>
     <message>
+      <source>Ends the work; nothing is left of it.</source>
+      <translation>Beendet die Arbeit; nichts bleibt davon zurück.</translation>
+    </message>
+    <message>
+      <source>Open…</source>
+      <translation>Öffnen…</translation>
+    </message>
+    <message>
+      <source>Opens an earlier registration: its folder.</source>
+      <translation>Öffnet eine frühere Registrierung: ihren Ordner.</translation>
+    </message>
+    <message>
+      <source>Help</source>
+      <translation>Hilfe</translation>
+    </message>
+    <message>
+      <source>Opens the help in the browser; it comes with the plugin.</source>
+      <translation>Öffnet die Hilfe im Browser; sie liegt dem Plugin bei.</translation>
+    </message>
+    <message>
+      <source>Downloads the engine from the package index, about 280 MB, into an environment of its own: 1 GB on the disk, some minutes.</source>
+      <translation>Lädt die Engine aus dem Paketverzeichnis, etwa 280 MB, in eine eigene Umgebung: 1 GB auf der Platte, einige Minuten.</translation>
+    </message>
+    <message>
+      <source>From a wheel…</source>
+      <translation>Aus einem Wheel…</translation>
+    </message>
+    <message>
+      <source>Installs the engine from its file pcwlad_geo-….whl; the libraries that it needs are downloaded.</source>
+      <translation>Installiert die Engine aus ihrer Datei pcwlad_geo-….whl; die nötigen Bibliotheken werden geladen.</translation>
+    </message>
+    <message>
+      <source>From a folder…</source>
+      <translation>Aus einem Ordner…</translation>
+    </message>
+    <message>
+      <source>Installs the engine from its source folder, the one with pyproject.toml.</source>
+      <translation>Installiert die Engine aus ihrem Quellordner, dem mit pyproject.toml.</translation>
+    </message>
+    <message>
+      <source>Correct them too</source>
+      <translation>Auch diese korrigieren</translation>
+    </message>
+    <message>
+      <source>Applies the correction to other bands of the layer; nothing is matched.</source>
+      <translation>Wendet die Korrektur auf andere Kanäle des Layers an; nichts wird verglichen.</translation>
+    </message>
+    <message>
+      <source>Open an earlier registration…</source>
+      <translation>Frühere Registrierung öffnen…</translation>
+    </message>
+    <message>
       <source>Before and after</source>
       <translation>Vorher und nachher</translation>
+    </message>
+    <message>
+      <source>The layer as it was, or the reference, left of the mouse; the map right of it.</source>
+      <translation>Links der Maus der Layer, wie er war, oder die Referenz, rechts die Karte.</translation>
     </message>
     <message>
       <source>Swipe</source>
       <translation>Wischen</translation>
     </message>
     <message>
-      <source>Blink</source>
-      <translation>Blinken</translation>
+      <source>Swipe and blink compare the result with the reference, not with the layer as it was.</source>
+      <translation>Wischen und Blinken vergleichen das Ergebnis mit der Referenz, nicht mit dem Layer, wie er war.</translation>
     </message>
     <message>
-      <source>Arrows longer by</source>
-      <translation>Pfeile länger um</translation>
+      <source>With the reference</source>
+      <translation>Mit der Referenz</translation>
+    </message>
+    <message>
+      <source>Shows the result and the layer as it was, or the reference, in turns.</source>
+      <translation>Zeigt abwechselnd das Ergebnis und den Layer, wie er war, oder die Referenz.</translation>
+    </message>
+    <message>
+      <source>Blink</source>
+      <translation>Blinken</translation>
     </message>
     <message>
       <source>Model</source>
       <translation>Modell</translation>
     </message>
     <message>
+      <source>The correction that is fitted; the RMSE is that at the check points, which no fit uses.</source>
+      <translation>Die Korrektur, die angepasst wird; der RMSE gilt für die Kontrollpunkte, die keine Anpassung nutzt.</translation>
+    </message>
+    <message>
+      <source>Takes the last change back.</source>
+      <translation>Nimmt die letzte Änderung zurück.</translation>
+    </message>
+    <message>
       <source>Undo</source>
       <translation>Rückgängig</translation>
+    </message>
+    <message>
+      <source>Switches off all points in a rectangle that you draw on the large map.</source>
+      <translation>Schaltet alle Punkte in einem Rechteck aus, das Sie auf der großen Karte ziehen.</translation>
     </message>
     <message>
       <source>Off: rectangle</source>
       <translation>Aus: Rechteck</translation>
     </message>
     <message>
+      <source>Switches off all points whose residual is longer than this.</source>
+      <translation>Schaltet alle Punkte aus, deren Residuum länger ist.</translation>
+    </message>
+    <message>
       <source>Off: longer than</source>
       <translation>Aus: länger als</translation>
     </message>
     <message>
-      <source>Add point</source>
-      <translation>Punkt hinzufügen</translation>
+      <source> px</source>
+      <translation> px</translation>
+    </message>
+    <message>
+      <source>Click a point on either map: its row is selected.</source>
+      <translation>Klicken Sie einen Punkt auf einer der beiden Karten an: Seine Zeile wird ausgewählt.</translation>
+    </message>
+    <message>
+      <source>Pick</source>
+      <translation>Wählen</translation>
+    </message>
+    <message>
+      <source>Click the same place on both maps, in either order.</source>
+      <translation>Klicken Sie auf dieselbe Stelle in beiden Karten, in beliebiger Reihenfolge.</translation>
+    </message>
+    <message>
+      <source>Add</source>
+      <translation>Hinzufügen</translation>
+    </message>
+    <message>
+      <source>Click where the selected point should be, on either map.</source>
+      <translation>Klicken Sie auf einer der Karten, wohin der gewählte Punkt gehört.</translation>
+    </message>
+    <message>
+      <source>Move</source>
+      <translation>Verschieben</translation>
+    </message>
+    <message>
+      <source>Takes the selected points away.</source>
+      <translation>Entfernt die gewählten Punkte.</translation>
+    </message>
+    <message>
+      <source>Delete</source>
+      <translation>Löschen</translation>
+    </message>
+    <message>
+      <source>refined within</source>
+      <translation>verfeinert im Umkreis von</translation>
+    </message>
+    <message>
+      <source>Matching refines a point within this radius, the circle on both maps.</source>
+      <translation>In diesem Umkreis, dem Kreis auf beiden Karten, wird ein Punkt durch Vergleich verfeinert.</translation>
+    </message>
+    <message>
+      <source>Writes a file of the Georeferencer.</source>
+      <translation>Schreibt eine Datei des Georeferenzierers.</translation>
     </message>
     <message>
       <source>Save points…</source>
       <translation>Punkte speichern…</translation>
     </message>
     <message>
+      <source>Registers the pair again with these points and this model.</source>
+      <translation>Registriert das Paar neu mit diesen Punkten und diesem Modell.</translation>
+    </message>
+    <message>
       <source>Align with these</source>
       <translation>Mit diesen ausrichten</translation>
+    </message>
+    <message>
+      <source>Arrows longer by</source>
+      <translation>Pfeile länger um</translation>
+    </message>
+    <message>
+      <source>How much longer than they are the residuals are drawn.</source>
+      <translation>Um wie viel länger, als sie sind, die Residuen gezeichnet werden.</translation>
     </message>
     <message>
       <source>The engine is starting…</source>

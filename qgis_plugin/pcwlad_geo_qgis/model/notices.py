@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from html import escape
 from pathlib import Path
-from typing import Callable
 
 from qgis.core import QgsProcessingFeedback
-
-_shown: list[Callable[[str, str], None]] = []
-"""What shows a message and the path of a report in the window; empty without one."""
+from qgis.PyQt.QtCore import QObject, pyqtSignal
 
 
-def show_with(function: Callable[[str, str], None] | None) -> None:
-    """Have reports shown by a function, which any thread may call; None: no longer."""
-    _shown[:] = [function] if function else []
+class Notices(QObject):
+    """Carries messages from the threads that work to the window, where there is one."""
+
+    told = pyqtSignal(str, str)
+    """A message, and the path of a report."""
+
+
+NOTICES = Notices()
 
 
 def tell_of_report(message: str, report: str, feedback: QgsProcessingFeedback) -> None:
@@ -22,5 +24,4 @@ def tell_of_report(message: str, report: str, feedback: QgsProcessingFeedback) -
     link = Path(report).absolute().as_uri()
     if hasattr(feedback, "pushFormattedMessage"):
         feedback.pushFormattedMessage(f'<a href="{escape(link)}">{escape(report)}</a>', report)
-    for show in _shown:
-        show(message, report)
+    NOTICES.told.emit(message, report)

@@ -8,24 +8,21 @@ from pathlib import Path
 from qgis.core import QgsProject, QgsProviderRegistry, QgsRasterLayer
 from qgis.utils import iface
 
+from ..help import FILTERED, NO_FILE, OPEN_OPTIONS
 from ..text import tr
 
 
 def path_of(layer: QgsRasterLayer) -> str:
     """Return the path or GDAL URI of a layer that has no `problem_of`."""
     source = layer.source()
-    return str(Path(source).absolute()) if _exists(source) else source
+    return str(Path(source).absolute()) if os.path.exists(source) else source  # noqa: PTH110  # a URI may be too long
 
 
 def problem_of(layer: QgsRasterLayer) -> str:
     """Return why the engine cannot read a layer, and what to do; empty where it can."""
     name = layer.name()
     if layer.providerType() != "gdal":
-        text = tr(
-            "The layer “{}” is no raster file (it comes from the provider “{}”). "
-            "Save it first: right-click the layer, Export, Save As…, and use the file."
-        )
-        return text.format(name, layer.providerType())
+        return tr(NO_FILE).format(name, layer.providerType())
     source = layer.source()
     if source.lstrip().startswith("<"):
         return tr("The layer “{}” is a virtual raster without a file. Save it as a file first.").format(name)
@@ -33,16 +30,10 @@ def problem_of(layer: QgsRasterLayer) -> str:
         return tr("The layer “{}” is in memory only. Save it as a file first.").format(name)
     parts = QgsProviderRegistry.instance().decodeUri("gdal", source)
     if parts.get("openOptions"):
-        text = tr(
-            "The layer “{}” is opened with options ({}) that the engine cannot use. Save it as a file first."
-        )
-        return text.format(name, ", ".join(parts["openOptions"]))
+        return tr(OPEN_OPTIONS).format(name, ", ".join(parts["openOptions"]))
     subset = layer.subsetString() if hasattr(layer, "subsetString") else ""
     if subset:
-        text = tr(
-            "The layer “{}” shows a part of its file (filter {}). Remove the filter, or save it as a file."
-        )
-        return text.format(name, subset)
+        return tr(FILTERED).format(name, subset)
     return ""
 
 
@@ -57,14 +48,10 @@ def other_raster() -> str | None:
 
     QGIS presets every raster to the active layer.
     """
-    if iface is None:
-        return None
-    active = iface.activeLayer()
-    for node in QgsProject.instance().layerTreeRoot().findLayers():
-        layer = node.layer()
-        if isinstance(layer, QgsRasterLayer) and layer != active and not problem_of(layer):
-            return layer.id()
-    return None
+    active = iface and iface.activeLayer()
+    nodes = QgsProject.instance().layerTreeRoot().findLayers() if iface else []
+    rasters = (node.layer() for node in nodes if isinstance(node.layer(), QgsRasterLayer))
+    return next((each.id() for each in rasters if each != active and not problem_of(each)), None)
 
 
 def warning_of(layer: QgsRasterLayer) -> str:
@@ -78,13 +65,6 @@ def warning_of(layer: QgsRasterLayer) -> str:
 
 def same_file(one: str, other: str) -> bool:
     """Return whether two paths or URIs are one file."""
-    if _exists(one) and _exists(other):
+    if os.path.exists(one) and os.path.exists(other):  # noqa: PTH110
         return Path(one).samefile(other)
     return os.path.normcase(Path(one).absolute()) == os.path.normcase(Path(other).absolute())
-
-
-def _exists(path: str) -> bool:
-    try:
-        return Path(path).exists()
-    except (OSError, ValueError):  # a URI may be too long or too strange for a path
-        return False

@@ -27,15 +27,12 @@ def find_engine() -> Engine:
 def proxy_variables() -> dict[str, str]:
     """Return the proxy of QGIS's network options as variables of an environment; none if there is none."""
     settings = QgsSettings()
-    host = str(settings.value("proxy/proxyHost", "") or "")
+    names = ("proxyHost", "proxyPort", "proxyUser", "proxyPassword")
+    host, port, user, password = (str(settings.value(f"proxy/{name}", "") or "") for name in names)
     if not settings.value("proxy/proxyEnabled", False, type=bool) or not host:
         return {}
     scheme = "socks5h" if settings.value("proxy/proxyType", "") == "Socks5Proxy" else "http"
-    user, password = (
-        str(settings.value(f"proxy/{name}", "") or "") for name in ("proxyUser", "proxyPassword")
-    )
     login = f"{quote(user, safe='')}:{quote(password, safe='')}@" if user else ""
-    port = str(settings.value("proxy/proxyPort", "") or "")
     url = f"{scheme}://{login}{host}" + (f":{port}" if port else "")
     variables = dict.fromkeys(("HTTP_PROXY", "HTTPS_PROXY", "http_proxy", "https_proxy"), url)
     excluded = settings.value("proxy/noProxyUrls", []) or []

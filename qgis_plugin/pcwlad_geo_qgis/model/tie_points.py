@@ -1,9 +1,10 @@
-"""The layer of tie points: the engine's, with displacements and residuals on the map, and arrows."""
+"""Layers of results and their styles: tie points with arrows, errors of the matching, motion."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 from qgis import core
@@ -14,6 +15,10 @@ from ..text import tr
 
 VECTORS = {"displacement": ("d_col", "d_row"), "residual": ("residual_col", "residual_row")}
 """What is added along the map's axes, and the columns in target pixels that it is made of."""
+VECTOR = '{!r} * "{col}" + {!r} * "{row}"'
+"""How it is computed; a missing number makes it missing too."""
+PLACES = ("tgt_col", "tgt_row", "x", "y")
+"""Columns with the place of a tie point: in the target, and on the map."""
 COLOURS = {
     "fit": "#0072b2",
     "matched": "#0072b2",
@@ -24,45 +29,52 @@ COLOURS = {
 """Okabe and Ito's, which people with colour-blindness tell apart; the colours of the report."""
 ARROW_SPACINGS = 2.0
 """How long the longer arrows are at most, in distances between neighbours."""
+STYLES = Path(__file__).parents[1] / "styles"
+ERRORS = ("matches", "error_col", "error_row", "rmse_px")
+"""Columns of the layer of errors: how many, their mean and its size in target pixels."""
 Matrix = tuple[float, float, float, float]
 
 
-class TiePoints:
-    """Tie points of a finished job, from its GeoPackage."""
-
-    def __init__(self, geopackage: str) -> None:
-        layer = core.QgsVectorLayer(f"{geopackage}|layername=tie_points", "tie_points", "ogr")
-        if not layer.isValid():
-            raise core.QgsProcessingException(tr("The tie points in {} cannot be read.").format(geopackage))
-        self.crs, self.wkb_type = layer.crs(), layer.wkbType()
-        self._names = [field.name() for field in layer.fields() if field.name() != "fid"]
-        self._features = list(layer.getFeatures())
-        self.fields = core.QgsFields()
-        for name in self._names:
-            self.fields.append(layer.fields().field(name))
-        for vector in VECTORS:
-            for axis in "xy":
-                field = core.QgsField(layer.fields().field("d_col"))  # a number like that
-                field.setName(f"{vector}_{axis}")
-                self.fields.append(field)
-
-    def write(self, sink: core.QgsFeatureSink, feedback: core.QgsProcessingFeedback) -> None:
-        """Write the points, and with them their vectors in units of the map, y to the north."""
-        matrix = pixel_to_map(self._features)
-        if matrix is None:
-            feedback.pushWarning(tr("There are too few tie points for arrows along the axes of the map."))
-        for feature in self._features:
-            vectors = [value for pair in VECTORS.values() for value in _on_map(feature, pair, matrix)]
-            written = core.QgsFeature(self.fields)
-            written.setGeometry(feature.geometry())
-            written.setAttributes([*(feature[name] for name in self._names), *vectors])
-            if not sink.addFeature(written, core.QgsFeatureSink.Flag.FastInsert):
-                raise core.QgsProcessingException(
-                    tr("The tie points cannot be written: {}").format(sink.lastError())
-                )
+def open_tie_points(geopackage: str, title: str) -> core.QgsVectorLayer:
+    """Return the tie points of a finished job as the engine has written them."""
+    layer = core.QgsVectorLayer(f"{geopackage}|layername=tie_points", title, "ogr")
+    if not layer.isValid():
+        raise core.QgsProcessingException(tr("The tie points in {} cannot be read.").format(geopackage))
+    return layer
 
 
-def pixel_to_map(features: Iterable[core.QgsFeature | Mapping[str, Any]]) -> Matrix | None:
+def errors_of(proof: Mapping[str, Any], crs: core.QgsCoordinateReferenceSystem) -> core.QgsVectorLayer:
+    """Return the errors of a proof as points on its reference, of (col, -row) where that has no place."""
+    columns = "&".join(f"field={name}:double" for name in ERRORS)
+    layer = core.QgsVectorLayer(f"Point?{columns}", "errors", "memory")
+    layer.setCrs(crs)
+    placed = proof["reference"]["georeferenced"]
+    a, b, x, d, e, y = proof["reference"]["transform"] if placed else (1, 0, 0, 0, -1, 0)
+    for each in proof["map"]:
+        (col, row), errors = each["reference_px"], each["errors_px"]
+        means = [math.fsum(axis) / len(errors) for axis in zip(*errors)]
+        rmse = math.sqrt(math.fsum(math.hypot(*error) ** 2 for error in errors) / len(errors))
+        point = core.QgsFeature(layer.fields())
+        place = f"Point ({a * col + b * row + x} {d * col + e * row + y})"
+        point.setGeometry(core.QgsGeometry.fromWkt(place))
+        point.setAttributes([len(errors), *means, rmse])
+        layer.dataProvider().addFeature(point)
+    return layer
+
+
+def add_vectors(layer: core.QgsVectorLayer) -> bool:
+    """Add vectors in units of the map, y to the north; return whether there are enough points for them."""
+    matrix = pixel_to_map(layer.getFeatures())
+    for vector, (col, row) in VECTORS.items():
+        for axis, first in (("x", 0), ("y", 2)):
+            field = core.QgsField(layer.fields().field("d_col"))  # a number like that
+            field.setName(f"{vector}_{axis}")
+            value = VECTOR.format(*matrix[first : first + 2], col=col, row=row) if matrix else "NULL"
+            layer.addExpressionField(value, field)
+    return matrix is not None
+
+
+def pixel_to_map(features: Iterable[core.QgsFeature]) -> Matrix | None:
     """Return what turns steps in target pixels into steps on the map, fitted to the points themselves.
 
     So it holds for any georeferencing: rotated, in another CRS, by RPCs, or none.
@@ -72,11 +84,7 @@ def pixel_to_map(features: Iterable[core.QgsFeature | Mapping[str, Any]]) -> Mat
     (dx/dcol, dx/drow, dy/dcol, dy/drow)
         In units of the reference CRS a pixel; None where the points do not span an area.
     """
-    rows = [
-        (feature["tgt_col"], feature["tgt_row"], feature["x"], feature["y"])
-        for feature in features
-        if feature["status"] != "rejected"
-    ]
+    rows = [[each[name] for name in PLACES] for each in features if each["status"] != "rejected"]
     if len(rows) < 3:
         return None
     means = [math.fsum(column) / len(rows) for column in zip(*rows)]  # Python 3.9 has no strict
@@ -96,15 +104,8 @@ def pixel_to_map(features: Iterable[core.QgsFeature | Mapping[str, Any]]) -> Mat
     return steps[0], steps[1], steps[2], steps[3]
 
 
-def _on_map(feature: core.QgsFeature, columns: tuple[str, str], matrix: Matrix | None) -> list[object]:
-    col, row = (feature[name] for name in columns)
-    if matrix is None or not isinstance(col, float) or not isinstance(row, float):
-        return [core.NULL, core.NULL]
-    return [matrix[0] * col + matrix[1] * row, matrix[2] * col + matrix[3] * row]
-
-
 class TiePointStyle(core.QgsProcessingLayerPostProcessorInterface):
-    """Styles the loaded layer: a colour for each status, arrows for the residuals."""
+    """Styles a loaded result: tie points by status, with arrows for the residuals; others by their files."""
 
     _alive: ClassVar[list[TiePointStyle]] = []
 
@@ -118,15 +119,12 @@ class TiePointStyle(core.QgsProcessingLayerPostProcessorInterface):
         cls._alive = [style for style in cls._alive if not sip.isdeleted(style)] + [cls()]
         details.setPostProcessor(cls._alive[-1])
 
-    def postProcessLayer(
-        self,
-        layer: core.QgsVectorLayer,
-        context: core.QgsProcessingContext,
-        feedback: core.QgsProcessingFeedback,
-    ) -> None:
-        if not isinstance(layer, core.QgsVectorLayer):
-            return
-        layer.setRenderer(renderer_of(layer))
+    def postProcessLayer(self, layer: core.QgsMapLayer, context: object, feedback: object) -> None:
+        vectors = isinstance(layer, core.QgsVectorLayer)
+        if vectors and layer.fields().indexOf("status") >= 0:
+            layer.setRenderer(renderer_of(layer))
+        else:
+            layer.loadNamedStyle(str(STYLES / ("errors.qml" if vectors else "motion.qml")))
         layer.triggerRepaint()
 
 

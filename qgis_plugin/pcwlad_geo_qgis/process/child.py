@@ -19,6 +19,10 @@ DRAIN_S = 2.0
 DROPPED_PREFIXES = ("PYTHON", "GDAL_", "PROJ_", "QT_", "QGIS_", "CONDA_", "DYLD_")
 DROPPED = ("LD_LIBRARY_PATH", "LD_PRELOAD", "VIRTUAL_ENV")
 OnLine = Callable[[str], None]
+OnWait = Callable[[], None]
+Lines = queue.Queue[tuple[OnLine, str]]
+Readers = Sequence[threading.Thread]
+Child = subprocess.Popen
 
 
 Feedback = Any
@@ -44,11 +48,6 @@ def child_environment(user_site: bool = False, more: Mapping[str, str] | None = 
     return {**kept, **({} if user_site else {"PYTHONNOUSERSITE": "1"}), **(more or {})}
 
 
-def hidden_window() -> dict[str, Any]:
-    """Return the options of Popen that keep a console window from opening on Windows."""
-    return {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}
-
-
 def follow(
     command: Sequence[str],
     feedback: Feedback,
@@ -57,6 +56,7 @@ def follow(
     folder: Path,
     grace_s: float = GRACE_S,
     environment: Mapping[str, str] | None = None,
+    on_wait: OnWait = lambda: None,
 ) -> int:
     """Run a command to its end, or until the user cancels, and hand over its lines.
 
@@ -75,13 +75,15 @@ def follow(
         Seconds from cancelling to killing.
     environment : mapping, optional
         That of the child; by default `child_environment()`.
+    on_wait : callable
+        Called every `POLL_S` without a line; does nothing by default.
 
     Returns
     -------
     int
         The exit status.
     """
-    child = subprocess.Popen(
+    child = Child(
         list(command),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -89,9 +91,10 @@ def follow(
         env=dict(environment or child_environment()),
         cwd=folder,
         start_new_session=os.name != "nt",  # so that it can be killed with all its children
-        **hidden_window(),
+        # no console window on Windows
+        creationflags=subprocess.CREATE_NO_WINDOW if os.name == "nt" else 0,
     )
-    lines: queue.Queue[tuple[OnLine, str]] = queue.Queue()
+    lines: Lines = queue.Queue()
     readers = [
         threading.Thread(target=_read, args=(stream, on_line, lines), daemon=True)
         for stream, on_line in ((child.stdout, on_out), (child.stderr, on_err))
@@ -99,7 +102,7 @@ def follow(
     try:
         for reader in readers:
             reader.start()
-        _hand_over(child, readers, lines, feedback, grace_s)
+        _hand_over(child, readers, lines, feedback, grace_s, on_wait)
         return child.wait()
     finally:
         if child.poll() is None or any(reader.is_alive() for reader in readers):
@@ -113,18 +116,14 @@ def follow(
             child.stdin.close()
 
 
-def _read(stream: IO[bytes], on_line: OnLine, lines: queue.Queue[tuple[OnLine, str]]) -> None:
+def _read(stream: IO[bytes], on_line: OnLine, lines: Lines) -> None:
     with suppress(ValueError):  # closed meanwhile
         for line in stream:
             lines.put((on_line, line.decode("utf-8", "replace").rstrip("\r\n")))
 
 
 def _hand_over(
-    child: subprocess.Popen[bytes],
-    readers: Sequence[threading.Thread],
-    lines: queue.Queue[tuple[OnLine, str]],
-    feedback: Feedback,
-    grace_s: float,
+    child: Child, readers: Readers, lines: Lines, feedback: Feedback, grace_s: float, on_wait: OnWait
 ) -> None:
     """Hand over the lines until there are no more and the child has ended."""
     cancelled_at: float | None = None
@@ -139,10 +138,11 @@ def _hand_over(
             _kill(child)
         if ended_at is None and child.poll() is not None:
             ended_at = now
+        reading = any(reader.is_alive() for reader in readers)  # asked first: the last line may still come
         try:
             on_line, line = lines.get(timeout=POLL_S)
         except queue.Empty:
-            reading = any(reader.is_alive() for reader in readers)
+            on_wait()
             # a grandchild that keeps the pipes open must not hold the user up
             if ended_at is not None and (not reading or now - ended_at > DRAIN_S):
                 return
@@ -150,7 +150,7 @@ def _hand_over(
             on_line(line)
 
 
-def _kill(child: subprocess.Popen[bytes]) -> None:
+def _kill(child: Child) -> None:
     if os.name == "nt":
         child.kill()
     else:

@@ -6,21 +6,33 @@ import configparser
 import os
 import re
 import shutil
-import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..help import INSTALL_ONE, NO_ENGINE, OTHER_VERSION
 from ..text import tr
-from .child import child_environment, hidden_window
+from .child import Feedback, child_environment, follow
 
 VARIABLE = "PCWLAD_GEO_PYTHON"
-VERSION_TIMEOUT_S = 60
+PROTOCOL = 1
+"""Number of the conversation that this plugin has with an engine, whatever the version of that."""
+ANSWER = re.compile(r"pcwlad-geo (\S+)(?: \(protocol (\d+)\))?")
 METADATA = Path(__file__).parents[1] / "metadata.txt"
 
 
 class EngineError(Exception):
     """The engine is missing, broken, of another version, or refuses; the message says what to do."""
+
+    report = ""
+    """Path of the page that says why; empty if there is none."""
+
+
+class MisfitError(EngineError):
+    """There is no engine, or none that fits: the message advises to install one."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(f"{message}\n{tr(INSTALL_ONE)}")
 
 
 @dataclass(frozen=True)
@@ -36,38 +48,30 @@ class Engine:
         """Return the environment that it runs in, with more variables."""
         return child_environment(user_site=not self.own, more=more)
 
-    def version(self) -> str:
-        """Ask the engine for its version.
+    def version(self, feedback: Feedback) -> tuple[str, int]:
+        """Ask the engine for its version and protocol, 0 where it has none.
 
         Raises
         ------
         EngineError
             If it does not start or is something else.
         """
+        said: list[str] = []
+        errors: list[str] = []
+        command, folder = [*self.command, "--version"], Path(self.command[0]).parent
         try:
-            answer = subprocess.run(
-                [*self.command, "--version"],
-                env=self.environment(),
-                cwd=Path(self.command[0]).parent,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                timeout=VERSION_TIMEOUT_S,
-                check=False,
-                **hidden_window(),
-            )
-        except (OSError, subprocess.SubprocessError) as error:
-            raise EngineError(
-                tr("The engine {} does not start: {}").format(self.command[0], error)
-            ) from error
-        said = answer.stdout.decode("utf-8", "replace").strip()
-        found = re.fullmatch(r"pcwlad-geo (\S+)", said)
+            status = follow(command, feedback, said.append, errors.append, folder, 0.0, self.environment())
+        except OSError as error:
+            text = tr("The engine {} does not start: {}").format(self.command[0], error)
+            raise MisfitError(text) from error
+        found = ANSWER.fullmatch("\n".join(said).strip())
         if found is None:
-            why = said or answer.stderr.decode("utf-8", "replace").strip()[-300:]
+            why = "\n".join(said or errors)[-300:] or tr("nothing (status {})").format(status)
             text = tr("{} ({}) is no pcwlad-geo engine; it says: {}")
-            raise EngineError(text.format(self.command[0], self.source, why))
-        return found.group(1)
+            raise MisfitError(text.format(self.command[0], self.source, why))
+        return found.group(1), int(found.group(2) or 0)
 
-    def check(self) -> str:
+    def check(self, feedback: Feedback) -> str:
         """Return the version of an engine that fits this plugin.
 
         Raises
@@ -75,13 +79,10 @@ class Engine:
         EngineError
             If it does not fit.
         """
-        version = self.version()
-        if not fits(version):
-            text = tr(
-                "The engine {} has version {}, this plugin is {} and needs an engine {}. "
-                "Install that one (algorithm “Install engine”), or the plugin that belongs to the engine."
-            )
-            raise EngineError(text.format(self.command[0], version, plugin_version(), needed()))
+        version, protocol = self.version(feedback)
+        if protocol != PROTOCOL:
+            told = (self.command[0], version, protocol, metadata("version"), PROTOCOL)
+            raise MisfitError(tr(OTHER_VERSION).format(*told))
         return version
 
 
@@ -105,20 +106,14 @@ def locate(setting: str, base: Path) -> Engine:
         if path:
             if not Path(path).is_file():
                 text = tr("The engine {} that the {} names does not exist. Correct it, or clear it.")
-                raise EngineError(text.format(path, source))
+                raise MisfitError(text.format(path, source))
             return Engine(_command(path), source)
     own = own_python(base)
     if own.is_file():
         return Engine(_command(str(own)), tr("installed by the plugin"), own=True)
-    on_path = shutil.which("pcwlad-geo")
-    if on_path:
+    if on_path := shutil.which("pcwlad-geo"):
         return Engine(_command(on_path), "PATH")
-    text = tr(
-        "No pcwlad-geo engine was found. Run the algorithm “Install engine”, or this command in a terminal, "
-        "with the wheel or the source folder of pcwlad-geo at its end:\n{}\n"
-        "An engine that is somewhere else: name it in Processing options, Providers, pcwlad-geo."
-    )
-    raise EngineError(text.format(install_command(base)))
+    raise MisfitError(tr(NO_ENGINE))
 
 
 def own_python(base: Path) -> Path:
@@ -144,12 +139,6 @@ def python_of(environment: Path) -> Path:
     return environment / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
-def install_command(base: Path) -> str:
-    """Return the command that installs the engine where the plugin finds it."""
-    start = "py" if os.name == "nt" else "python3"
-    return f'{start} -m venv "{base}" && "{python_of(base)}" -m pip install PATH_OF_WHEEL_OR_FOLDER'
-
-
 def metadata(name: str) -> str:
     """Return a value of metadata.txt."""
     parser = configparser.ConfigParser(interpolation=None)
@@ -157,19 +146,11 @@ def metadata(name: str) -> str:
     return parser["general"][name]
 
 
-def plugin_version() -> str:
-    """Return the version in metadata.txt."""
-    return metadata("version")
-
-
-def needed() -> str:
-    """Return which versions of the engine fit, for people."""
-    return ".".join(plugin_version().split(".")[:2]) + ".x"
-
-
-def fits(version: str) -> bool:
-    """Return whether an engine of this version speaks the protocol of this plugin."""
-    return version.split(".")[:2] == plugin_version().split(".")[:2]
+def help_page(section: str = "") -> str:
+    """Return the address of the help: the page that comes with the zip, or that of the site."""
+    page = METADATA.with_name("manual") / "index.html"
+    address = page.as_uri() if page.is_file() else metadata("homepage") + "qgis/"
+    return f"{address}#{section}" if section else address
 
 
 def _command(path: str) -> tuple[str, ...]:

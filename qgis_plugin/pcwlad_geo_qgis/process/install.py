@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import shutil
@@ -17,6 +18,8 @@ from .engine import Engine, EngineError, current_file, own_python, python_of
 NEEDED_PYTHON = (3, 10)
 PACKAGES = 40
 """About how many packages are installed, for the progress."""
+COLLECTED = ("Collecting", "Processing", "Requirement already")
+"""How the lines begin that pip writes of a package."""
 COMPILE = "from pcwlad_geo.registration.tiles import compile_kernels; compile_kernels('oriented')"
 """What the engine's Python executes once, so that its first run need not compile."""
 DOWNLOAD_MB, DISK_MB = 280, 1000
@@ -28,7 +31,7 @@ class Plan:
     """What is installed, and from where."""
 
     source: str
-    """Wheel, source folder, or `pcwlad-geo` where a wheelhouse has it."""
+    """Wheel, source folder, or `pcwlad-geo`, which the package index or a wheelhouse has."""
     wheelhouse: str = ""
     """Folder of wheels to install from, without any network."""
     python: str = ""
@@ -72,7 +75,7 @@ def install(plan: Plan, base: Path, feedback: Feedback, folder: Path) -> tuple[P
         _fill(plan, python, place, feedback, folder)
         if feedback.isCanceled():
             return None
-        version = Engine((str(python_of(place)), "-m", "pcwlad_geo"), str(place), own=True).check()
+        version = Engine((str(python_of(place)), "-m", "pcwlad_geo"), str(place), own=True).check(feedback)
         _use(base, place)
     except OSError as error:
         raise EngineError(str(error)) from error
@@ -85,14 +88,13 @@ def install(plan: Plan, base: Path, feedback: Feedback, folder: Path) -> tuple[P
 
 def problem_of(wheel: str, folder: str, wheelhouse: str) -> str:
     """Return what is wrong with the sources of an installation; empty where nothing is."""
-    if (wheel and folder) or not (wheel or folder or wheelhouse):
-        return tr("Give either a wheel or a source folder of pcwlad-geo, or a folder of wheels that has it.")
+    if wheel and folder:
+        return tr("Give either a wheel or a source folder of pcwlad-geo, not both.")
     if wheel and not (re.match(r"pcwlad_geo-.+\.whl$", Path(wheel).name) and Path(wheel).is_file()):
         return tr("{} is no wheel of pcwlad-geo (pcwlad_geo-….whl).").format(wheel)
     if folder and not _is_source(Path(folder)):
-        return tr("{} is no source folder of pcwlad-geo: it has no pyproject.toml of that name.").format(
-            folder
-        )
+        text = tr("{} is no source folder of pcwlad-geo: it has no pyproject.toml of that name.")
+        return text.format(folder)
     if wheelhouse and not any(Path(wheelhouse).glob("*.whl" if wheel or folder else "pcwlad_geo-*.whl")):
         text = tr("The folder {} holds no wheels that do. On a computer with internet: {}")
         return text.format(wheelhouse, "pip download -d FOLDER WHEEL_OF_PCWLAD_GEO")
@@ -114,16 +116,13 @@ def find_python(feedback: Feedback, folder: Path) -> str:
     for python in found:
         if Path(python).is_file() and follow([python, "-c", question], feedback, str, str, folder) == 0:
             return python
-    raise EngineError(
-        tr("No Python 3.10 or newer was found. Install one (python.org), and name it under “Python”.")
-    )
+    text = tr("No Python 3.10 or newer was found. Install one (python.org), and name it under “Python”.")
+    raise EngineError(text)
 
 
 def _free_folder(base: Path) -> Path:
-    number = 1
-    while base.with_name(f"{base.name}-{number}").exists():
-        number += 1
-    return base.with_name(f"{base.name}-{number}")
+    folders = (base.with_name(f"{base.name}-{number}") for number in itertools.count(1))
+    return next(each for each in folders if not each.exists())
 
 
 def _use(base: Path, place: Path) -> None:
@@ -163,9 +162,7 @@ def _run(command: Sequence[str], plan: Plan, feedback: Feedback, folder: Path) -
     def show(line: str) -> None:
         lines.append(line)
         feedback.pushConsoleInfo(line)
-        collected = sum(
-            each.startswith(("Collecting", "Processing", "Requirement already")) for each in lines
-        )
+        collected = sum(each.startswith(COLLECTED) for each in lines)
         feedback.setProgress(min(95, 10 + 85 * collected / PACKAGES))
 
     environment = child_environment(more=plan.variables)
@@ -177,8 +174,5 @@ def _run(command: Sequence[str], plan: Plan, feedback: Feedback, folder: Path) -
 
 def _is_source(folder: Path) -> bool:
     project = folder / "pyproject.toml"
-    return project.is_file() and bool(
-        re.search(
-            r'^name\s*=\s*"pcwlad-geo"', project.read_text(encoding="utf-8", errors="replace"), re.MULTILINE
-        )
-    )
+    text = project.read_text(encoding="utf-8", errors="replace") if project.is_file() else ""
+    return bool(re.search(r'^name\s*=\s*"pcwlad-geo"', text, re.MULTILINE))

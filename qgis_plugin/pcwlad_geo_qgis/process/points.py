@@ -50,9 +50,12 @@ class Points:
     points: list[Point]
     off: set[int] = field(default_factory=set)
     """Indices of those that are switched off."""
+    gone: set[int] = field(default_factory=set)
+    """Indices of those that are deleted or moved: another one stands for what was moved."""
     rmse_px: dict[str, float | None] = field(default_factory=dict)
     """Of each model, for the points that are on; None where they do not determine it."""
-    _before: list[set[int]] = field(default_factory=list)
+    _before: list[tuple[set[int], set[int], int]] = field(default_factory=list)
+    """What was off and gone, and how many points there were."""
 
     @classmethod
     def read(cls, folder: Path) -> Points:
@@ -64,17 +67,25 @@ class Points:
     def switch(self, indices: Iterable[int], on: bool) -> bool:
         """Switch points on or off, and return whether any was not so already."""
         wanted = self.off - set(indices) if on else self.off | set(indices)
-        if wanted == self.off:
+        return self._change(wanted, self.gone)
+
+    def delete(self, indices: Iterable[int]) -> bool:
+        """Delete points, and return whether there were any."""
+        return self._change(self.off, self.gone | set(indices))
+
+    def _change(self, off: set[int], gone: set[int]) -> bool:
+        if (off, gone) == (self.off, self.gone):
             return False
-        self._before.append(set(self.off))
-        self.off = wanted
+        self._before.append((self.off, self.gone, len(self.points)))
+        self.off, self.gone = off, gone
         return True
 
     def undo(self) -> bool:
         """Take back the last change, and return whether there was one."""
         if not self._before:
             return False
-        self.off = self._before.pop()
+        self.off, gone, count = self._before.pop()
+        self.gone = gone | set(range(count, len(self.points)))
         return True
 
     @property
@@ -82,10 +93,11 @@ class Points:
         """Whether there is a change to take back."""
         return bool(self._before)
 
-    def add(self, row: dict[str, Any]) -> int:
-        """Append a point that the engine has placed, and return its index."""
+    def add(self, row: dict[str, Any], instead_of: int | None = None) -> None:
+        """Append a point that the engine has placed, perhaps instead of one; it is one change."""
+        self._before.append((self.off, self.gone, len(self.points)))
         self.points.append(point_of(row))
-        return len(self.points) - 1
+        self.gone = self.gone | ({instead_of} - {None})
 
     def take(self, residual_px: Sequence[Sequence[float]]) -> None:
         """Take the engine's residuals (observed minus model) of all points."""
@@ -94,12 +106,9 @@ class Points:
 
     def above(self, length_px: float) -> list[int]:
         """Return the points that are on and have longer residuals than so many pixels."""
-        return [
-            index
-            for index, each in enumerate(self.points)
-            if index not in self.off and each.length_px > length_px
-        ]
+        shown = set(range(len(self.points))) - self.off - self.gone
+        return sorted(index for index in shown if self.points[index].length_px > length_px)
 
     def status(self, index: int) -> str:
         """Return what a point counts as now."""
-        return "rejected" if index in self.off else "fit"
+        return "gone" if index in self.gone else "rejected" if index in self.off else "fit"

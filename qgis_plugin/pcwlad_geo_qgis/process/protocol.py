@@ -13,7 +13,7 @@ from ..help import STAGES
 from ..text import tr
 from .advice import for_dialog, report_in
 from .child import Feedback, follow
-from .engine import Engine
+from .engine import Engine, EngineError
 
 REJECTED = 3
 UNEXPECTED = 1
@@ -22,19 +22,22 @@ Shares = Mapping[str, tuple[float, float]]
 SHARES: Shares = {
     "reading": (0, 2),
     "prealignment": (2, 10),
-    "matching": (10, 75),
-    "fitting": (75, 80),
-    "writing": (80, 100),
+    "matching": (10, 45),
+    "refining": (45, 75),
+    "fitting": (75, 85),
+    "writing": (85, 100),
 }
 """From which to which percent of a registration a stage goes."""
+CREEP = 0.005
+"""Share of the way to its next figure by which the bar goes on whenever there is no news, every `POLL_S`."""
 
 
-class RunError(Exception):
+class RunError(EngineError):
     """The engine has ended without a result; the message is its own, in the terms of QGIS."""
 
     def __init__(self, message: str, report: str = "") -> None:
         super().__init__(message)
-        self.report = report  # path of the page that says why; empty if there is none
+        self.report = report
 
 
 class _Conversation:
@@ -46,7 +49,7 @@ class _Conversation:
         self._feedback = feedback
         self._shares = shares
         self._stage = ""
-        self._percent = 0.0
+        self._percent = self._ahead = 0.0
         self._told: set[str] = set()
 
     def on_out(self, line: str) -> None:
@@ -72,6 +75,12 @@ class _Conversation:
         if not line.startswith("error: "):
             self._feedback.pushConsoleInfo(line)
 
+    def on_wait(self) -> None:
+        """Go on towards the next figure, ever slower: the bar moves, and never says more than is done."""
+        if self._percent < self._ahead:
+            self._percent += CREEP * (self._ahead - self._percent)
+            self._feedback.setProgress(self._percent)
+
     def _progress(self, stage: str, done: int, total: int) -> None:
         if stage != self._stage:
             self._stage = stage
@@ -79,7 +88,11 @@ class _Conversation:
         if stage in self._shares and total:
             first, last = self._shares[stage]
             self._percent = max(self._percent, first + (last - first) * done / total)
+            self._ahead = max(self._percent, first + (last - first) * min(done + 1, total) / total)
             self._feedback.setProgress(self._percent)
+        if stage == "matching" and done == total and "refining" in self._shares:
+            # windows are chosen first, which takes long: the engine tells the steps after that
+            self._progress("refining", 0, 1)
 
 
 def run_engine(
@@ -120,9 +133,8 @@ def run_engine(
     feedback.pushCommandInfo(shlex.join(command))
     said = _Conversation(feedback, shares)
     try:
-        status = follow(
-            command, feedback, said.on_out, said.on_err, folder, environment=engine.environment(variables)
-        )
+        where = {"environment": engine.environment(variables), "on_wait": said.on_wait}
+        status = follow(command, feedback, said.on_out, said.on_err, folder, **where)
     except OSError as error:
         raise RunError(tr("The engine does not start: {}").format(error)) from error
     kind = said.last.get("event")

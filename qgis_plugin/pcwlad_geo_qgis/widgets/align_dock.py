@@ -2,252 +2,321 @@
 
 from __future__ import annotations
 
+from html import escape
 from pathlib import Path
 from typing import Any
 
-from qgis import core
-from qgis.gui import QgisInterface, QgsDockWidget, QgsFileWidget
-from qgis.PyQt import QtWidgets, uic
-from qgis.PyQt.QtCore import QUrl, pyqtSignal
-from qgis.PyQt.QtGui import QDesktopServices
+from qgis import core, gui
+from qgis.PyQt import QtCore, QtGui, QtWidgets, uic
 
-from ..algorithms.base import MODELS, temporary_folder
-from ..help import LABELS
+from ..algorithms.base import temporary_folder
+from ..help import INSTALL_ONE, MARKED, MORE_LAYERS, NO_ENGINE, OTHER_BANDS
 from ..model import settings
-from ..model.results import add_group, add_raster, displacement_layer
+from ..model.rasters import other_raster
+from ..model.results import add_group, add_raster, unused
 from ..process.advice import report_in
-from ..process.engine import EngineError
-from ..process.session import Session
+from ..process.engine import EngineError, help_page
+from ..process.figures import earlier, told
 from ..text import tr
-from .compare import Blink, SwipeTool
+from .choices import Choices
+from .compare import SwipeTool
 from .editor import PointEditor
+from .runner import Job, Runner
 
-REGISTER = "pcwlad_geo:register"
+REGISTER, APPLY, INSTALL = (f"pcwlad_geo:{name}" for name in ("register", "apply", "installengine"))
+MAIN = ("EXTENT", "MODEL")
+LIMITS = ("AREA", "EXCLUDED", "REFERENCE_MASK", "INPUT_MASK")
+ADVANCED = ("SEARCH_RADIUS", "WINDOW", "MAX_CE90", *LIMITS, "GEOREFERENCE", "LIKE")
+"""Parameters of “Register raster” that have a widget, beside those of the form."""
+BLINK_MS = 700
 
 
-class AlignDock(QgsDockWidget):
+class AlignDock(gui.QgsDockWidget):
     """Aligns a raster layer with another one."""
 
-    def __init__(self, iface: QgisInterface) -> None:
+    def __init__(self, iface: gui.QgisInterface) -> None:
         super().__init__(tr("Align this layer"), iface.mainWindow())
         self.setObjectName("PcwladGeoAlign")
-        self._iface, self._canvas = iface, iface.mapCanvas()
-        self._feedback: core.QgsProcessingFeedback | None = None
-        self._task: core.QgsTask | None = None
+        self._canvas, self._bridge = iface.mapCanvas(), iface.layerTreeCanvasBridge()
+        self._runner, self.choices = Runner(self), Choices(self._canvas)
+        self._told: list[str] = []
         self.editor: PointEditor | None = None
         self.layers: dict[str, core.QgsMapLayer] = {}
         self.swipe = SwipeTool(self._canvas)
-        self.blink = Blink(self)
+        self.blink = QtCore.QTimer(self)
         self.tabs = uic.loadUi(str(Path(__file__).with_name("align.ui")))
-        self.__dict__.update({each.objectName(): each for each in self.tabs.findChildren(QtWidgets.QWidget)})
+        self.__dict__.update({each.objectName(): each for each in self.tabs.findChildren(QtCore.QObject)})
         self.setWidget(self.tabs)
         self._fill()
-        self.compare_page.setEnabled(False)
 
     def _fill(self) -> None:
         """Complete what the form cannot hold: filters, choices, what happens at a click."""
-        for box in (self.target, self.reference):
+        self.choices.add(self.form, REGISTER, *MAIN)
+        self.choices.add(self.advanced_form, REGISTER, *ADVANCED)
+        self.choices.add_layers(self.advanced_form, "MORE", tr("More layers to align"), tr(MORE_LAYERS))
+        self.choices.add_layers(self.apply_form, "OTHERS", tr("Other bands of the layer"), tr(OTHER_BANDS))
+        for box, band in ((self.target, self.target_band), (self.reference, self.reference_band)):
             box.setFilters(core.QgsMapLayerProxyModel.Filter.RasterLayer)
-        for box in (self.area, self.excluded):
-            box.setFilters(core.QgsMapLayerProxyModel.Filter.PolygonLayer)
-            box.setLayer(None)
-        self.extent.setMapCanvas(self._canvas)
-        self.extent.setNullValueAllowed(True, tr("All"))
-        self.extent.clear()
-        for word in MODELS:
-            self.model.addItem(tr(LABELS[word]), word)
-        self.output.addItem(tr("Resample to a new raster"), False)
-        self.output.addItem(tr("Only georeference (pixels stay)"), True)
-        self.folder.setStorageMode(QgsFileWidget.StorageMode.GetDirectory)
+            box.layerChanged.connect(band.setLayer)
+            band.setLayer(box.currentLayer())
         self.folder.lineEdit().setPlaceholderText(tr("Beside the layer"))
         self.start_button.clicked.connect(lambda: self.start())
-        self.cancel_button.clicked.connect(self.cancel)
-        self.verdict.linkActivated.connect(lambda link: QDesktopServices.openUrl(QUrl(link)))
+        self.cancel_button.clicked.connect(self._runner.cancel)
+        self.apply_button.clicked.connect(self.apply_to_others)
+        self.help_button.clicked.connect(lambda: QtGui.QDesktopServices.openUrl(QtCore.QUrl(help_page())))
+        self.index_button.clicked.connect(lambda: self.install({}))
+        self.wheel_button.clicked.connect(self._choose_wheel)
+        self.source_button.clicked.connect(self._choose_source)
+        for button in (self.open_button, self.open_points_button):
+            button.clicked.connect(lambda: self.open_earlier())
+        self.swipe.setButton(self.swipe_button)
         self.swipe_button.toggled.connect(self._swipe)
         self.blink_button.toggled.connect(self._blink)
-        self.factor.editingFinished.connect(self._scale_arrows)
-        self.tabs.currentChanged.connect(self._show_the_reference)
+        self.with_reference.toggled.connect(lambda: self._swipe(self.swipe_button.isChecked()))
+        self.blink.timeout.connect(self.turn)
+        self.tabs.currentChanged.connect(lambda: self._bridge.setCanvasLayers())
+        self._bridge.canvasLayersChanged.connect(self._show_page)
+        self.closed.connect(self.stop)
+        self._runner.stage.connect(self.stage.setText)
+        self._runner.progress.connect(self.progress.setValue)
+        self._runner.failed.connect(lambda name, why: self._tell(f"{name}: {why}" if name else why))
+        self._runner.ended.connect(self._end)
+        core.QgsProject.instance().layersWillBeRemoved.connect(self._leave)
+        core.QgsProject.instance().cleared.connect(self._clear)
 
     def open_for(self, layer: core.QgsMapLayer | None) -> None:
         """Show the dock with a layer to align, and another raster as its reference."""
         if isinstance(layer, core.QgsRasterLayer):
             self.target.setLayer(layer)
-        for index in range(self.reference.count()):
-            if self.reference.layer(index) != self.target.currentLayer():
-                self.reference.setCurrentIndex(index)
-                break
+        self.reference.setLayer(core.QgsProject.instance().mapLayer(other_raster() or ""))
         self.show()
         self.raise_()
 
-    def start(self, more: dict[str, Any] | None = None) -> None:
-        """Begin; what is wrong with the choices is told instead."""
-        algorithm = core.QgsApplication.processingRegistry().createAlgorithmById(REGISTER)
-        context, parameters = core.QgsProcessingContext(), {**self.parameters(), **(more or {})}
-        context.setProject(core.QgsProject.instance())
-        accepted, message = algorithm.checkParameterValues(parameters, context)
-        if not accepted:
-            self._tell(message)
+    def start(self) -> None:
+        """Align the layer, and more layers that are chosen."""
+        more, jobs = self.choices.layers("MORE"), []
+        for target in (self.target.currentLayer(), *more):
+            taken = [each.parameters["OUTPUT_FOLDER"] for each in jobs]
+            place = self.out_folder(target, bool(more), taken)
+            jobs.append(self._job(self.reference.currentLayer(), target, OUTPUT_FOLDER=place))
+            jobs[-1].name = target.name() if more and target else ""
+        self._begin(jobs)
+
+    def _job(self, *pair: core.QgsRasterLayer | None, **more: object) -> Job:
+        """Return the job that aligns a pair of layers (reference, target) as chosen."""
+        # copies: they may leave the project meanwhile
+        reference, target = (layer and layer.clone() for layer in pair)
+        chosen = {name: self.choices.value(name) for name in (*MAIN, *ADVANCED)}
+        chosen.update(REFERENCE_BAND=self.reference_band.currentBand(), REFERENCE=reference)
+        chosen.update(INPUT_BAND=self.target_band.currentBand(), INPUT=target, **more)
+        return Job(REGISTER, chosen, self._load)
+
+    def _begin(self, jobs: list[Job]) -> None:
+        """Begin; what is wrong with the engine or the choices is told instead."""
+        self._told = []
+        self.engine_box.setVisible(jobs[0].algorithm == INSTALL)
+        problem = next(filter(None, (each.problem() for each in jobs)), "")
+        if problem:
+            self._tell(problem)
             return
-        self._close_editor()
-        self._job = {"reference": self.reference.currentLayer(), "target": self.target.currentLayer()}
-        self._context, self._feedback = context, _Feedback()
-        self._feedback.progressChanged.connect(lambda value: self.progress.setValue(int(value)))
-        self._feedback.told.connect(self.stage.setText)
-        self._task = core.QgsProcessingAlgRunnerTask(algorithm, parameters, context, self._feedback)
-        self._task.executed.connect(self._done)
-        self.start_button.setEnabled(False)
-        self.cancel_button.setEnabled(True)
         self.verdict.clear()
-        core.QgsApplication.taskManager().addTask(self._task)
+        self._offer(running=True)
+        self._runner.begin(jobs)
 
-    def parameters(self) -> dict[str, Any]:
-        """Return the choices as parameters of “Register raster”."""
-        found: dict[str, Any] = {
-            "REFERENCE": self.reference.currentLayer(),
-            "INPUT": self.target.currentLayer(),
-            "MODEL": self.model.currentData(),
-            "GEOREFERENCE": self.output.currentData(),
-            "OUTPUT_FOLDER": self.out_folder(),
-        }
-        if self.window.value() > self.window.minimum():
-            found["WINDOW"] = self.window.value() | 1
-        if self.required.value():
-            found["MAX_CE90"] = self.required.value()
-        if self.extent.isValid():
-            found["EXTENT"] = core.QgsReferencedRectangle(self.extent.outputExtent(), self.extent.outputCrs())
-        for name, box in (("AREA", self.area), ("EXCLUDED", self.excluded)):
-            if box.currentLayer() is not None:
-                found[name] = box.currentLayer()
-        if self.field.isChecked():
-            found["EXTRA"] = "--write-displacement --displacement-unit m"
-        return found
+    def _take_installed(self, job: Job, results: dict[str, Any]) -> None:
+        self.engine_box.hide()
+        text = tr("The engine is installed: pcwlad-geo {}").format(results["VERSION"])
+        self._tell(text, grade="good", more="\n".join(results["WARNINGS"]))
 
-    def out_folder(self) -> str:
-        """Return the folder of the results: the chosen one, or a new one beside the layer."""
-        if self.folder.filePath():
-            return self.folder.filePath()
-        layer = self.target.currentLayer()
-        source = Path(layer.source()) if layer is not None else Path()
+    def install(self, source: dict[str, str]) -> None:
+        """Install the engine: from the package index, or from a wheel or folder."""
+        self._begin([Job(INSTALL, source, self._take_installed)])
+
+    def _choose_wheel(self) -> None:
+        path, _ = QtWidgets.QFileDialog.getOpenFileName(self, tr("Wheel of pcwlad-geo"), "", "Wheel (*.whl)")
+        if path:
+            self.install({"WHEEL": path})
+
+    def _choose_source(self) -> None:
+        if folder := QtWidgets.QFileDialog.getExistingDirectory(self, tr("Source folder of pcwlad-geo")):
+            self.install({"FOLDER": folder})
+
+    def out_folder(self, layer: core.QgsRasterLayer | None, several: bool, taken: list[str]) -> str:
+        """Return the folder of the results: the chosen one, one in it, or a new one beside the layer."""
+        chosen, source = self.folder.filePath(), Path(layer.source()) if layer is not None else Path()
+        if chosen and not several:
+            return chosen
         if not source.is_file():
             return str(temporary_folder() / "aligned")
-        place = source.with_name(f"{source.stem}_aligned")
-        number = 2
-        while place.exists():
-            place = source.with_name(f"{source.stem}_aligned_{number}")
-            number += 1
-        return str(place)
+        place = str(Path(chosen or source.parent) / f"{source.stem}_aligned")
+        return unused(place, "_", lambda name: name in taken or Path(name).exists())
 
-    def cancel(self) -> None:
-        """End the work; nothing is left of it."""
-        if self._feedback is not None:
-            self._feedback.cancel()
+    def _offer(self, running: bool) -> None:
+        """Offer what can be done while something runs, or while nothing does."""
+        for name in ("start_button", "open_button", "open_points_button", "apply_box", "engine_box"):
+            getattr(self, name).setDisabled(running)
+        self.cancel_button.setEnabled(running)
 
-    def _done(self, successful: bool, results: dict[str, Any]) -> None:
-        self.start_button.setEnabled(True)
-        self.cancel_button.setEnabled(False)
+    def _end(self, cancelled: bool) -> None:
+        """Be ready for another run."""
+        self._offer(running=False)
         self.stage.clear()
-        feedback, self._task = self._feedback, None
-        if successful and results:
-            self._load(results)
-        elif feedback.isCanceled():
-            self._tell(tr("Cancelled; nothing was written."))
-        else:
-            self._tell(feedback.errors[-1] if feedback.errors else tr("The engine did not finish."))
         self.progress.setValue(0)
+        if cancelled:
+            self._tell(tr("Cancelled; nothing was written."), grade="")
 
-    def _tell(self, message: str, report: str = "") -> None:
-        """Show the verdict or why there is none, with a link to the report."""
-        self.report = report = report or report_in(message)
+    def _tell(self, message: str, report: str = "", grade: str = "refused", more: str = "") -> None:
+        """Add a verdict or why there is none to those of this run, with figures and a link to the report."""
+        report = report or report_in(message)
         link = f' <a href="{Path(report).absolute().as_uri()}">{tr("Report")}</a>' if report else ""
-        self.verdict.setText(message.replace("&", "&amp;").replace("<", "&lt;") + link)
+        head, tail = (escape(text).replace("\n", "<br>") for text in (message, more))
+        self._told += filter(None, [MARKED[grade].format(head) + link, tail])
+        self.verdict.setText("<br>".join(self._told))
+        if tr(INSTALL_ONE) in message:
+            missing = tr(NO_ENGINE) in message
+            self.index_button.setText(tr("Install engine") if missing else tr("Update engine"))
+            self.engine_box.show()
 
-    def _load(self, results: dict[str, Any]) -> None:
-        """Load the results, grouped, with the target's own style and name."""
-        paths, target = results["PATHS"], self._job["target"]
-        group = add_group(tr("{} aligned").format(target.name()))
-        raster = paths["corrected"] if self.output.currentData() and "corrected" in paths else paths["raster"]
-        self.layers = {"before": target, "after": add_raster(raster, target, group)}
-        self._tell(results["VERDICT"], paths["report"])
-        self._open_editor(Path(results["OUTPUT_FOLDER"]), group)
-        if paths.get("displacement"):
-            self._add_layer("field", displacement_layer(paths["displacement"]), group)
-        self.compare_page.setEnabled(True)
-
-    def _add_layer(self, role: str, layer: core.QgsMapLayer, group: core.QgsLayerTreeGroup) -> None:
-        core.QgsProject.instance().addMapLayer(layer, False)
-        group.insertLayer(0, layer).setItemVisibilityChecked(role != "field")
-        self.layers[role] = layer
-
-    def _open_editor(self, folder: Path, group: core.QgsLayerTreeGroup) -> None:
+    def open_earlier(self, folder: str = "") -> None:
+        """Show an earlier registration as if it had just ended; the user chooses one if none is given."""
+        asked = tr("Folder of an earlier registration")
+        folder = folder or QtWidgets.QFileDialog.getExistingDirectory(self, asked)
+        if not folder:
+            return
+        self._told = []
         try:
-            session = Session(settings.find_engine(), folder)
+            settings.find_engine()
+            outcome = earlier(Path(folder))
         except EngineError as error:
             self._tell(str(error))
             return
-        self.editor = PointEditor(session, folder, self._job["reference"], self._job["target"], self._canvas)
+        project, pair = core.QgsProject.instance(), {}
+        sources = [each.source() for each in project.mapLayers().values()]
+        for name, role in (("REFERENCE", "reference"), ("INPUT", "target")):
+            path = outcome["paths"][role]
+            pair[name] = core.QgsRasterLayer(path, Path(path).stem)
+            if not pair[name].isValid():
+                self._tell(tr("{} is not where it was, or cannot be read.").format(path))
+                return
+            if path not in sources:
+                project.addMapLayer(pair[name].clone())
+        self._load(Job(REGISTER, pair, self._load), {**told(outcome), "OUTPUT_FOLDER": folder})
+
+    def apply_to_others(self) -> None:
+        """Correct other bands of the layer as it was corrected."""
+        jobs: dict[str, Job] = {}
+        for layer in self.choices.layers("OTHERS"):
+            place = str(self._folder / f"{Path(layer.source()).stem}_registered")
+            place = unused(place, "_", lambda name: f"{name}.tif" in jobs or Path(f"{name}.tif").exists())
+            given = {"REGISTRATION": str(self._folder), "INPUT": layer, "OUTPUT": f"{place}.tif"}
+            jobs[given["OUTPUT"]] = Job(APPLY, given, self._take_applied, layer.name())
+        if jobs:
+            self._begin(list(jobs.values()))
+
+    def _take_applied(self, job: Job, results: dict[str, Any]) -> None:
+        add_raster(results["OUTPUT"], job.parameters["INPUT"], add_group(self._group, anew=False))
+        self._tell(tr("{} is corrected.").format(job.name), grade="good")
+
+    def _load(self, job: Job, results: dict[str, Any]) -> None:
+        """Load the results, grouped, with the target's own style and name."""
+        self._close_editor()
+        self._pair = [job.parameters[name] for name in ("REFERENCE", "INPUT")]
+        self._folder, paths, target = Path(results["OUTPUT_FOLDER"]), results["PATHS"], self._pair[1]
+        group = add_group(tr("{} aligned").format(target.name()))
+        self._group = group.name()
+        raster = results.get("GEOREFERENCED") or paths["raster"]
+        self.layers = {"after": add_raster(raster, target, group)}
+        for layer in core.QgsProject.instance().mapLayers().values():
+            for role, copy in zip(("reference", "before"), self._pair):
+                if layer.source() == copy.source():
+                    self.layers[role] = layer
+        verdict = f"{job.name}: {results['VERDICT']}" if job.name else results["VERDICT"]
+        self._tell(verdict, paths["report"], results["QUALITY"], results["FACTS"])
+        self._open_editor()
+        for role, title in (("tie_points", tr("Tie points")), ("displacements", tr("Displacement"))):
+            layer = core.QgsVectorLayer(f"{paths['geopackage']}|layername={role}", title)
+            self.layers[role] = core.QgsProject.instance().addMapLayer(layer, False)
+            group.insertLayer(0, layer).setItemVisibilityChecked(role == "tie_points")
+        self.compare_page.setEnabled({"before", "after"} <= set(self.layers))
+        self.apply_box.show()
+        self._bridge.setCanvasLayers()
+
+    def _open_editor(self) -> None:
+        self.editor = PointEditor(settings.find_engine(), self._folder, self._pair, self._canvas)
+        for layer in self._pair:  # they go with it, in this thread
+            layer.setParent(self.editor)
         self.editor.apply.connect(self._align_again)
-        self.points_page.layout().addWidget(self.editor)
-        self._add_layer("points", self.editor.layer.layer, group)
+        self.points_page.layout().insertWidget(0, self.editor)
+        self.layers["points"] = core.QgsProject.instance().addMapLayer(self.editor.layer.layer, False)
 
     def _align_again(self, points: str, model: str) -> None:
-        """Register with the edited points."""
+        """Register the pair that was edited with its points."""
         model = "polynomial" if model.startswith("polynomial") else model
-        self.start({"TIE_POINTS": points, "MODEL": model})
+        place = self.out_folder(self._pair[1], False, [])
+        self._begin([self._job(*self._pair, OUTPUT_FOLDER=place, TIE_POINTS=points, MODEL=model)])
 
     def _close_editor(self) -> None:
         if self.editor is not None:
             self.editor.close_session()
-            self.editor.setParent(None)
+            self.editor.hide()
             self.editor.deleteLater()
             self.editor = None
+        if "points" in self.layers:
+            core.QgsProject.instance().removeMapLayer(self.layers.pop("points").id())
 
-    def _show_the_reference(self, tab: int) -> None:
-        """Hide the result while its tie points are looked at."""
-        if self._alive():
-            root = core.QgsProject.instance().layerTreeRoot()
-            root.findLayer(self.layers["after"].id()).setItemVisibilityChecked(tab != 1)
+    def _show_page(self, layers: list[core.QgsMapLayer]) -> None:
+        """Show on the map what the page is about, of the layers that are switched on."""
+        page = self.tabs.currentIndex()
+        if page == 1 and "reference" in self.layers:
+            layers = [self.layers[role] for role in ("points", "reference") if role in self.layers]
+        elif page == 2:  # the comparison of rasters, which nothing covers
+            layers = [each for each in layers if isinstance(each, core.QgsRasterLayer)]
+        self._canvas.setLayers(layers)
+
+    def _leave(self, ids: list[str]) -> None:
+        """Let go of layers that leave the project."""
+        gone = {role for role, layer in self.layers.items() if layer.id() in ids}
+        for role in gone:
+            del self.layers[role]
+        if "points" in gone:
+            self._close_editor()
+        if gone & {"before", "after"}:
+            self._stop_comparing()
+            self.compare_page.setEnabled(False)
+
+    def _clear(self) -> None:
+        """Let go of a project that is left: nothing of its work belongs into the next one."""
+        self._runner.cancel()
+        self.choices.reset()
+
+    def _stop_comparing(self) -> None:
+        for button in (self.swipe_button, self.blink_button):
+            button.setChecked(False)
+
+    def _other(self) -> list[core.QgsMapLayer]:
+        """Return what the result is compared with: the reference, or the layer as it was."""
+        role = "reference" if self.with_reference.isChecked() else "before"
+        return [self.layers[role]] if role in self.layers else []
 
     def _swipe(self, on: bool) -> None:
-        if on and self._alive():
-            self.swipe.show([self.layers["before"]])
-        else:
-            self._canvas.unsetMapTool(self.swipe)
+        self.swipe.show(self._other()) if on else self._canvas.unsetMapTool(self.swipe)
 
     def _blink(self, on: bool) -> None:
-        if on and self._alive():
-            self.blink.start(self.layers["after"])
-        else:
-            self.blink.stop()
+        self.blink.start(BLINK_MS) if on else self.blink.stop()
+        self._bridge.setCanvasLayers()
 
-    def _alive(self) -> bool:
-        """Return whether both layers are still in the project."""
-        known = core.QgsProject.instance().mapLayers().values()
-        return all(self.layers.get(role) in known for role in ("before", "after"))
+    def turn(self) -> None:
+        """Show the result, or what it is compared with where the result is shown."""
+        after = [self.layers["after"]]
+        self._canvas.setLayers(self._other() if self._canvas.layers() == after else after)
 
-    def _scale_arrows(self) -> None:
-        if self.editor is not None:
-            self.editor.layer.factor = self.factor.value() or None
-            self.editor.layer.refresh()
+    def stop(self) -> None:
+        """End the editor, swipe and blink: the dock is closed."""
+        self._stop_comparing()
+        self.tabs.setCurrentIndex(0)
+        self._close_editor()
 
     def close_all(self) -> None:
         """End whatever runs; the plugin is unloaded."""
-        self.cancel()
-        self._close_editor()
-        self.blink.stop()
-        self._canvas.unsetMapTool(self.swipe)
-
-
-class _Feedback(core.QgsProcessingFeedback):
-    """Hands on the stage, and keeps errors."""
-
-    told = pyqtSignal(str)
-
-    def __init__(self) -> None:
-        super().__init__(False)
-        self.errors: list[str] = []
-
-    def setProgressText(self, text: str) -> None:
-        self.told.emit(text)
-
-    def reportError(self, error: str, fatalError: bool = False) -> None:  # noqa: N803
-        self.errors.append(error)
+        self._runner.cancel()
+        self.stop()

@@ -2,76 +2,83 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Union
 
-from qgis import core
-from qgis.gui import QgsMapCanvas, QgsMapToolEmitPoint, QgsMapToolExtent, QgsMapToolPan
-from qgis.PyQt import QtWidgets, uic
-from qgis.PyQt.QtCore import QItemSelection, QSortFilterProxyModel, Qt, QTimer, pyqtSignal
+from qgis import core, gui
+from qgis.PyQt import QtCore, QtGui, QtWidgets, sip, uic
 
-from ..help import MODELS
+from ..help import MODELS, NO_MATCH
 from ..model.results import PointLayer
+from ..process.engine import Engine
 from ..process.points import Points
-from ..process.session import Session
 from ..text import tr
-from .points_table import PointsModel
+from .points_table import PointsModel, SortedPoints
+from .session import Session
 
-POLL_MS = 30
 ZOOM_PX = 60
 """Half the side of what is shown around a selected point, target pixels."""
+Pair = Sequence[core.QgsRasterLayer]
+"""The reference and the target."""
+Shape = Union[core.QgsPointXY, core.QgsRectangle]
 
 
 class PointEditor(QtWidgets.QWidget):
     """Edits the tie points of a finished job."""
 
-    apply = pyqtSignal(str, str)
+    apply = QtCore.pyqtSignal(str, str)
     """A file of points and a model, to register with."""
 
-    def __init__(
-        self,
-        session: Session,
-        folder: Path,
-        reference: core.QgsRasterLayer,
-        target: core.QgsRasterLayer,
-        canvas: QgsMapCanvas,
-    ) -> None:
+    def __init__(self, engine: Engine, folder: Path, pair: Pair, canvas: gui.QgsMapCanvas) -> None:
         super().__init__()
-        self._session, self._folder, self._canvas = session, folder, canvas
-        self._reference, self._target = reference, target
+        self._session, self._folder, self._canvas = Session(engine, folder, self), folder, canvas
+        self._reference, self._target = pair
         self.points = Points.read(folder)
-        self.layer = PointLayer(self.points, reference.crs())
-        self._number, self._shown_number = 0, 0
-        self._first = self._tool_before = None
+        self.layer = PointLayer(self.points, folder / "tiepoints.gpkg")
+        self._number, self._shown_number, self._arrows_of, self._note = 0, 0, "", ""
+        self._moving: int | None = None
+        self._clicked: dict[str, core.QgsPointXY] = {}
+        self._using: str | None = None
+        self._tool_before, self._tools = None, []
         self._build()
-        self._timer = QTimer(self)
-        self._timer.timeout.connect(self.poll)
-        self._timer.start(POLL_MS)
+        self._session.answered.connect(self._take)
 
     def _build(self) -> None:
         uic.loadUi(str(Path(__file__).with_name("editor.ui")), self)
-        self.model = PointsModel(self.points, self._source)
+        self.model = PointsModel(self.points, self.target_place)
         self.model.switched.connect(lambda row, on: self.switch([row], on))
-        self.sorted = QSortFilterProxyModel(self)
-        self.sorted.setSourceModel(self.model)
-        self.sorted.setSortRole(Qt.ItemDataRole.UserRole)
+        self.sorted = SortedPoints(self.points, self.model, self)
         self.table.setModel(self.sorted)
-        self.table.sortByColumn(self.model.residual_column, Qt.SortOrder.DescendingOrder)
+        self.table.sortByColumn(self.model.residual_column, QtCore.Qt.SortOrder.DescendingOrder)
+        self.table.horizontalHeader().moveSection(self.model.residual_column, 2)  # in sight
         self.table.verticalHeader().hide()
         self.table.verticalHeader().setDefaultSectionSize(22)
-        self.table.horizontalHeader().setDefaultSectionSize(70)
         self.table.selectionModel().selectionChanged.connect(self._selected)
         self.view.setDestinationCrs(self._target.crs())
         self.view.setLayers([self.layer.layer, self._target])
         self.view.setExtent(self._target.extent())
-        self._pan = QgsMapToolPan(self.view)
+        self._pan = gui.QgsMapToolPan(self.view)
         self.view.setMapTool(self._pan)
+        polygon = core.QgsWkbTypes.GeometryType.PolygonGeometry
+        maps = {"reference": self._canvas, "target": self.view}
+        self._marks = {which: gui.QgsRubberBand(canvas, polygon) for which, canvas in maps.items()}
+        for mark in self._marks.values():
+            mark.setStrokeColor(QtGui.QColor("red"))
+            mark.setFillColor(QtGui.QColor(0, 0, 0, 0))
+            mark.setWidth(2)
         self._canvas.extentsChanged.connect(self._follow)
         self.models.currentIndexChanged.connect(lambda: self.fit())
+        self.factor.editingFinished.connect(self.scale_arrows)
         for name, action in {
             "undo": self.undo,
             "rectangle": self.draw_rectangle,
-            "long": self.switch_long,
+            "long": lambda: self.switch(self.points.above(self.limit.value()), False),
             "add": self.start_adding,
+            "move": self.start_moving,
+            "delete": self.delete,
+            "pick": self.start_picking,
             "save": self._choose_file,
             "use": self.use,
         }.items():
@@ -79,75 +86,81 @@ class PointEditor(QtWidgets.QWidget):
 
     def close_session(self) -> None:
         """End the engine and the tools."""
-        self._timer.stop()
         self._canvas.extentsChanged.disconnect(self._follow)
-        self._session.close()
-        self._restore_tool()
+        self._session.end()
+        self._restore_tools()
+        sip.delete(self._marks["reference"])
 
-    def switch(self, indices: list[int], on: bool) -> None:
+    def scale_arrows(self) -> None:
+        """Draw arrows as much longer as chosen."""
+        self.layer.factor = self.factor.value() or None
+        self.layer.refresh()
+
+    def switch(self, indices: Sequence[int], on: bool) -> None:
         """Switch points on or off and refit."""
-        if self.points.switch(indices, on):
-            self.fit()
+        self._changed(self.points.switch(indices, on))
 
-    def switch_long(self) -> None:
-        """Switch off points whose residuals are longer than the limit."""
-        self.switch(self.points.above(self.limit.value()), False)
+    def delete(self) -> None:
+        """Delete the selected points."""
+        self._changed(self.points.delete(self.selected()))
 
     def undo(self) -> None:
         """Take back the last change."""
-        if self.points.undo():
+        self._changed(self.points.undo())
+
+    def _changed(self, changed: bool, note: str = "") -> None:
+        """Refit what was changed; a note stays until the next change."""
+        self._note = note
+        if changed:
+            self.sorted.invalidateFilter()
             self.fit()
 
     def fit(self) -> None:
         """Ask for a fit of the chosen model to the points that are on."""
         if self.models.currentData():
             self._number += 1
-            off = sorted(self.points.off)
-            self._session.ask("fit", number=self._number, model=self.models.currentData(), off=off)
+            self._ask("fit", number=self._number, model=self.models.currentData())
+
+    def _ask(self, what: str, **values: object) -> None:
+        points = self.points
+        self._session.ask(what, off=sorted(points.off), gone=sorted(points.gone), **values)
 
     def save(self, path: str) -> None:
         """Write the points as the Georeferencer reads them, those that are off not enabled."""
-        self._session.ask("save", path=path, off=sorted(self.points.off))
+        self._ask("save", path=path)
 
     def use(self) -> None:
-        """Write the points and register with them and the chosen model."""
-        path = str(self._folder / "edited.points")
-        self._session.ask("save", path=path, off=sorted(self.points.off), use=True)
-        self._using = path
+        """Write the points, with their sigmas, and register with them and the chosen model."""
+        self._using = str(self._folder / "edited.csv")
+        self.save(self._using)
 
-    def poll(self) -> None:
-        """Take what the engine has answered."""
-        for answer in self._session.answers():
-            take = getattr(self, "_take_" + str(answer.get("event")), None)
-            if take is not None:
-                take(answer)
+    def _take(self, answer: dict[str, object]) -> None:
+        getattr(self, "_take_" + str(answer.get("event")), lambda answer: None)(answer)
 
     def _take_ready(self, answer: dict[str, object]) -> None:
         self.points.off = set(answer["off"])
-        names = list(dict.fromkeys([*answer["models"], answer["model"]]))
         self.models.blockSignals(True)
-        for name in names:
+        for name in dict.fromkeys([*answer["models"], answer["model"]]):
             self.models.addItem(_title(name), name)
-        self.models.setCurrentIndex(names.index(answer["model"]))
+        self.models.setCurrentIndex(self.models.findData(answer["model"]))
         self.models.blockSignals(False)
         self.setEnabled(True)
-        self.table.scrollTo(self.sorted.index(0, self.model.residual_column + 1))
+        self.table.resizeColumnsToContents()
         self.fit()
 
     def _take_fit(self, answer: dict[str, object]) -> None:
         if answer["number"] != self._number:  # a newer one was asked for
             return
         self.points.take(answer["residual_px"])
-        first = not self.points.rmse_px
         self._shown_number = answer["number"]
         self._tell(answer)
-        self.layer.refresh(arrows=first)
-        QTimer.singleShot(0, self.model.refresh)  # the map is drawn meanwhile
-        self.told.setText(
-            tr("{}: RMSE {:.3f} px at {} points that are on").format(
-                _title(answer["model"]), answer["rmse_px"], answer["points"]
-            )
+        self.layer.refresh(arrows=answer["model"] != self._arrows_of)
+        self._arrows_of = answer["model"]
+        QtCore.QTimer.singleShot(0, self.model.refresh)  # the map is drawn meanwhile
+        fitted = tr("{}: RMSE {:.3f} px at {} check points; {} points are on").format(
+            _title(answer["model"]), answer["rmse_px"], answer["checked"], answer["points"]
         )
+        self.told.setText("\n".join(filter(None, [self._note, fitted])))
         self.undo_button.setEnabled(self.points.can_undo)
 
     def _take_model(self, answer: dict[str, object]) -> None:
@@ -162,146 +175,169 @@ class PointEditor(QtWidgets.QWidget):
         self.models.setItemText(self.models.findData(name), told)
 
     def _take_added(self, answer: dict[str, object]) -> None:
-        self.points.add(answer["point"])
+        self.points.add(answer["point"], self._moving)
         self.model.appended()
-        refined = tr("Added, and refined by matching.")
-        self.told.setText(
-            refined if answer["refined"] else tr("Added as you showed it: nothing matches there.")
-        )
-        self.fit()
+        self.select(len(self.points.points) - 1)
+        refined = tr("Refined by matching.") if answer["refined"] else tr(NO_MATCH)
+        self._changed(True, refined)
 
     def _take_saved(self, answer: dict[str, object]) -> None:
-        if answer["path"] == getattr(self, "_using", None):
+        if answer["path"] == self._using:
             self._using = None
             self.apply.emit(str(answer["path"]), str(self.models.currentData()))
         else:
-            self.told.setText(tr("Saved: {}").format(answer["path"]))
+            self._say(tr("Saved: {}").format(answer["path"]))
 
-    def _take_failed(self, answer: dict[str, object]) -> None:
-        self.told.setText(str(answer["message"]))
+    def _say(self, note: str) -> None:
+        """Tell what stays told until the next change, whatever a fit says meanwhile."""
+        self._note = note
+        self.told.setText(note)
 
-    _take_error = _take_failed
+    def _take_error(self, answer: dict[str, object]) -> None:
+        self._say(str(answer["message"]))
+
+    _take_failed = _take_error
 
     def _take_ended(self, answer: dict[str, object]) -> None:
-        self._timer.stop()
         self.setEnabled(False)
 
-    def _selected(self, chosen: QItemSelection, before: QItemSelection) -> None:
-        rows = [self.sorted.mapToSource(index).row() for index in chosen.indexes()]
-        if rows:
-            self.show_point(rows[0])
+    def selected(self) -> list[int]:
+        """Return the points whose rows are selected."""
+        return [self.sorted.mapToSource(row).row() for row in self.table.selectionModel().selectedRows()]
+
+    def _selected(self, chosen: QtCore.QItemSelection, before: QtCore.QItemSelection) -> None:
+        if self.selected():
+            self.show_point(self.selected()[0])
 
     def show_point(self, row: int) -> None:
-        """Zoom both maps to a point: to its place in the reference, and to where the target shows it."""
+        """Zoom both maps to a point, and mark it: in the reference, and where the target shows it."""
+        for which, place in self._places(row).items():
+            self._zoom(which, place)
+
+    def _places(self, row: int) -> dict[str, core.QgsPointXY]:
         point = self.points.points[row]
-        place = core.QgsPointXY(point.x, point.y)
-        self._zoom(self._canvas, place, self._reference.crs(), self._reference)
-        self._zoom(self.view, self.target_place(row), self._target.crs(), self._target)
+        return {"reference": core.QgsPointXY(point.x, point.y), "target": self.target_place(row)}
 
     def target_place(self, row: int) -> core.QgsPointXY:
-        """Return where the target shows a point, on its own map."""
+        """Return where the target shows a point, as the Georeferencer has it: on its map or (col, -row)."""
         (col, line), extent = self.points.points[row].target_px, self._target.extent()
         dx, dy = self._target.rasterUnitsPerPixelX(), self._target.rasterUnitsPerPixelY()
         return core.QgsPointXY(extent.xMinimum() + col * dx, extent.yMaximum() - line * dy)
 
-    def _source(self, row: int) -> tuple[float, float]:
-        """Return where the target shows a point as the Georeferencer has it, on its map or (col, -row)."""
-        place = self.target_place(row)
-        return place.x(), place.y()
+    def _crs(self, which: str) -> core.QgsCoordinateReferenceSystem:
+        """Return the CRS of the reference, the target, or what the main map shows (`map`)."""
+        layers = {"reference": self._reference, "target": self._target}
+        return layers[which].crs() if which in layers else self._canvas.mapSettings().destinationCrs()
+
+    def _moved(self, shape: Shape, come: str, go: str) -> Shape:
+        """Return a point or a box in another CRS."""
+        transform = core.QgsCoordinateTransform(self._crs(come), self._crs(go), core.QgsProject.instance())
+        box = isinstance(shape, core.QgsRectangle)
+        return transform.transformBoundingBox(shape) if box else transform.transform(shape)
 
     def _follow(self) -> None:
         """Show on the small map what the main map shows."""
-        shown, here = self._canvas.mapSettings().destinationCrs(), self._target.crs()
-        try:
-            transform = core.QgsCoordinateTransform(shown, here, core.QgsProject.instance())
-            self.view.setExtent(transform.transformBoundingBox(self._canvas.extent()))
-        except core.QgsCsException:
-            return
-        self.view.refresh()
+        with suppress(core.QgsCsException):
+            self.view.setExtent(self._moved(self._canvas.extent(), "map", "target"))
+            self.view.refresh()
 
-    def _zoom(
-        self,
-        canvas: QgsMapCanvas,
-        place: core.QgsPointXY,
-        crs: core.QgsCoordinateReferenceSystem,
-        layer: core.QgsRasterLayer,
-    ) -> None:
-        half = ZOOM_PX * max(self._target.rasterUnitsPerPixelX(), layer.rasterUnitsPerPixelX())
-        box = core.QgsRectangle(place.x() - half, place.y() - half, place.x() + half, place.y() + half)
-        shown = canvas.mapSettings().destinationCrs()
-        try:
-            box = core.QgsCoordinateTransform(crs, shown, core.QgsProject.instance()).transformBoundingBox(
-                box
-            )
-        except core.QgsCsException:
-            return
-        canvas.setExtent(box)
+    def _zoom(self, which: str, place: core.QgsPointXY) -> None:
+        """Show a place on its map, and the radius within which a point is refined there."""
+        canvas, crs = (self._canvas, "map") if which == "reference" else (self.view, "target")
+        unit = max(self._target.rasterUnitsPerPixelX(), self._reference.rasterUnitsPerPixelX())
+        here = core.QgsGeometry.fromPointXY(place)
+        with suppress(core.QgsCsException):
+            canvas.setExtent(self._moved(here.boundingBox().buffered(ZOOM_PX * unit), which, crs))
+            self._marks[which].setToGeometry(here.buffer(self.radius.value() * unit, 16), self._crs(which))
         canvas.refresh()
 
     def draw_rectangle(self) -> None:
         """Let the user draw a rectangle on the map; the points in it go off."""
-        tool = QgsMapToolExtent(self._canvas)
+        tool = gui.QgsMapToolExtent(self._canvas)
         tool.extentChanged.connect(self._in_rectangle)
-        self._take_tool(self._canvas, tool)
+        self._take_tool(tool)
 
     def _in_rectangle(self, drawn: core.QgsRectangle) -> None:
-        self._restore_tool()
+        self._restore_tools()
         if drawn.isEmpty():
             return
-        shown = self._canvas.mapSettings().destinationCrs()
-        transform = core.QgsCoordinateTransform(shown, self._reference.crs(), core.QgsProject.instance())
-        box = transform.transformBoundingBox(drawn)
-        inside = [
-            row
-            for row, each in enumerate(self.points.points)
-            if box.contains(core.QgsPointXY(each.x, each.y))
-        ]
-        self.switch(inside, False)
+        box = self._moved(drawn, "map", "reference")
+        inside = [row for row, each in enumerate(self.points.points) if box.contains(each.x, each.y)]
+        self.switch([row for row in inside if row not in self.points.gone], False)
+
+    def start_picking(self) -> None:
+        """Take a click on a point of either map, and select its row."""
+        maps = (self._canvas, self.view)
+        tools = [gui.QgsMapToolIdentifyFeature(canvas, self.layer.layer) for canvas in maps]
+        for tool in tools:
+            picked = tool.featureIdentified[core.QgsFeature]
+            picked.connect(lambda feature: self.select(self.layer.index_of(feature.id())))
+        self._take_tool(*tools)
+
+    def select(self, point: int) -> None:
+        """Select the row of a point, and show it."""
+        row = self.sorted.mapFromSource(self.model.index(point, 0))
+        self.table.selectRow(row.row())
+        self.table.scrollTo(row)
 
     def start_adding(self) -> None:
-        """Take two clicks: a place in the reference on the main map, and the same one in the target."""
-        self.told.setText(tr("Click a place in the reference, on the main map."))
-        tool = QgsMapToolEmitPoint(self._canvas)
-        tool.canvasClicked.connect(lambda place, button: self.click_reference(place))
-        self._take_tool(self._canvas, tool)
+        """Take two clicks, in either order: a place in the reference, and the same one in the target."""
+        self._moving, self._clicked = None, {}
+        self._click(tr("Click the same place on both maps: in the reference (large), in the target (small)."))
+
+    def start_moving(self) -> None:
+        """Take a click on either map: where the selected point should be there."""
+        if len(self.selected()) != 1:
+            self._say(tr("Select one point in the table first."))
+            return
+        self._moving = self.selected()[0]
+        self._clicked = self._places(self._moving)
+        self._click(tr("Click where the point should be, on either map."))
+
+    def _click(self, text: str) -> None:
+        self._say(text)
+        self._take_tool(gui.QgsMapToolEmitPoint(self._canvas), gui.QgsMapToolEmitPoint(self.view))
+        self._tools[0].canvasClicked.connect(lambda place, button: self.click_reference(place))
+        self._tools[1].canvasClicked.connect(lambda place, button: self.click_target(place))
 
     def click_reference(self, place: core.QgsPointXY) -> None:
-        """Take the first click, on the main map."""
-        shown = self._canvas.mapSettings().destinationCrs()
-        project = core.QgsProject.instance()
-        self._first = core.QgsCoordinateTransform(shown, self._reference.crs(), project).transform(place)
-        around = core.QgsCoordinateTransform(shown, self._target.crs(), project).transform(place)
-        self._restore_tool()
-        self._zoom(self.view, around, self._target.crs(), self._target)
-        self.told.setText(tr("Click the same place in the target, on the small map."))
-        tool = QgsMapToolEmitPoint(self.view)
-        tool.canvasClicked.connect(lambda there, button: self.click_target(there))
-        self._small_tool = tool
-        self.view.setMapTool(tool)
+        """Take a click on the main map."""
+        with suppress(core.QgsCsException):
+            self._clicked_on("reference", "target", self._moved(place, "map", "reference"))
 
     def click_target(self, place: core.QgsPointXY) -> None:
-        """Take the second click, on the small map, and have the engine refine the point."""
-        self.view.setMapTool(self._pan)
-        if self._first is None:
+        """Take a click on the small map."""
+        self._clicked_on("target", "reference", place)
+
+    def _clicked_on(self, which: str, other: str, place: core.QgsPointXY) -> None:
+        """Have the engine refine the point once both places are known."""
+        self._clicked[which] = place
+        with suppress(core.QgsCsException):
+            self._zoom(which, place)
+            self._zoom(other, self._clicked.get(other) or self._moved(place, which, other))
+        if len(self._clicked) < 2:
             return
-        places = {"reference_xy": [self._first.x(), self._first.y()], "target_xy": [place.x(), place.y()]}
-        self._first = None
-        self.told.setText(tr("The engine refines the point…"))
-        self._session.ask("add", **places)
+        self._restore_tools()
+        self._say(tr("The engine refines the point…"))
+        gone = sorted(self.points.gone | ({self._moving} - {None}))
+        places = {f"{name}_xy": [each.x(), each.y()] for name, each in self._clicked.items()}
+        self._session.ask("add", **places, radius_px=self.radius.value(), gone=gone)
 
-    def _take_tool(self, canvas: QgsMapCanvas, tool: object) -> None:
-        self._restore_tool()
-        self._tool_before, self._tool = canvas.mapTool(), tool
-        canvas.setMapTool(tool)
+    def _take_tool(self, tool: object, small: object = None) -> None:
+        self._restore_tools()
+        self._tool_before, self._tools = self._canvas.mapTool(), [tool, small]
+        self._canvas.setMapTool(tool)
+        self.view.setMapTool(small or self._pan)
 
-    def _restore_tool(self) -> None:
-        if self._tool_before is not None:
-            self._canvas.setMapTool(self._tool_before)
-            self._tool_before = None
+    def _restore_tools(self) -> None:
+        self.view.setMapTool(self._pan)
+        if self._tools and self._canvas.mapTool() == self._tools[0]:
+            self._canvas.setMapTool(self._tool_before or gui.QgsMapToolPan(self._canvas))
+        self._tools = []
 
     def _choose_file(self) -> None:
         kinds = tr("Georeferencer points (*.points)")
-        beside = self._target.source() + ".points"
+        beside = str(self._folder / f"{Path(self._target.source()).name}.points")
         path, _ = QtWidgets.QFileDialog.getSaveFileName(self, tr("Save points"), beside, kinds)
         if path:
             self.save(path if path.endswith(".points") else path + ".points")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Callable
 
-from qgis.PyQt.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
+from qgis.core import QgsPointXY
+from qgis.PyQt.QtCore import QAbstractTableModel, QModelIndex, QObject, QSortFilterProxyModel, Qt, pyqtSignal
 
 from ..help import COLUMNS
 from ..process.points import Points
@@ -17,7 +18,7 @@ class PointsModel(QAbstractTableModel):
 
     switched = pyqtSignal(int, bool)
 
-    def __init__(self, points: Points, source_of: Callable[[int], tuple[float, float]]) -> None:
+    def __init__(self, points: Points, source_of: Callable[[int], QgsPointXY]) -> None:
         super().__init__()
         self._points, self._source_of = points, source_of
         self.titles = [tr(title) for title in COLUMNS]
@@ -29,11 +30,9 @@ class PointsModel(QAbstractTableModel):
     def columnCount(self, parent: QModelIndex | None = None) -> int:
         return len(self.titles)
 
-    def headerData(
-        self, section: int, way: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
-    ) -> object:
+    def headerData(self, at: int, way: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole) -> object:
         if way == Qt.Orientation.Horizontal and role == Qt.ItemDataRole.DisplayRole:
-            return self.titles[section]
+            return self.titles[at]
         return None
 
     def flags(self, index: QModelIndex) -> object:
@@ -62,28 +61,33 @@ class PointsModel(QAbstractTableModel):
     def value(self, row: int, column: int) -> object:
         """Return what a cell holds."""
         point = self._points.points[row]
-        status = tr("off") if row in self._points.off else tr("on")
-        cells = (
-            row not in self._points.off,
-            point.number,
-            *self._source_of(row),
-            point.x,
-            point.y,
-            *point.residual_px,
-            point.length_px,
-            point.sigma_px,
-            status,
-        )
-        return cells[column]
+        source = self._source_of(row)
+        places = (source.x(), source.y(), point.x, point.y)
+        sizes = (*point.residual_px, point.length_px, point.sigma_px)
+        on = row not in self._points.off
+        return (on, point.number, *places, *sizes, tr("on") if on else tr("off"))[column]
 
     def refresh(self) -> None:
         """Show the points as they are now."""
-        if len(self._points.points):
-            last = self.index(len(self._points.points) - 1, len(self.titles) - 1)
-            self.dataChanged.emit(self.index(0, 0), last)
+        last = self.index(len(self._points.points) - 1, len(self.titles) - 1)
+        self.dataChanged.emit(self.index(0, 0), last)
 
     def appended(self) -> None:
         """Show a point that was added at the end."""
         count = len(self._points.points)
         self.beginInsertRows(QModelIndex(), count - 1, count - 1)
         self.endInsertRows()
+
+
+class SortedPoints(QSortFilterProxyModel):
+    """Sorts the points, and leaves out those that are gone."""
+
+    def __init__(self, points: Points, model: PointsModel, parent: QObject) -> None:
+        super().__init__(parent)
+        model.setParent(parent)
+        self._points = points
+        self.setSourceModel(model)
+        self.setSortRole(Qt.ItemDataRole.UserRole)
+
+    def filterAcceptsRow(self, row: int, parent: QModelIndex) -> bool:
+        return row not in self._points.gone

@@ -1,4 +1,4 @@
-"""Install engine: an environment of the plugin's own, with the engine from a file that the user names."""
+"""The engine: which one is used, whether it fits, and the installation of one of the plugin's own."""
 
 from __future__ import annotations
 
@@ -6,12 +6,50 @@ from pathlib import Path
 
 from qgis import core
 
+from ..help import OTHER_ENGINE
 from ..model import settings
 from ..process import install
-from ..process.engine import EngineError
+from ..process.engine import PROTOCOL, EngineError, metadata
 from ..text import mark, tr
-from .base import Context, Feedback, Values, temporary_folder
-from .check_engine import CheckEngine
+from .base import Context, Feedback, PlainAlgorithm, Values, absolute, temporary_folder
+
+
+class CheckEngine(PlainAlgorithm):
+    """Says which engine the plugin runs."""
+
+    ID = "checkengine"
+    GROUP = mark("Engine")
+    TITLE = mark("Check engine")
+    HELP = mark(
+        "Finds the engine that the other algorithms run, and says its version and whether it fits this "
+        "plugin. It is looked for in Processing options (Providers, pcwlad-geo), in the environment "
+        "variable PCWLAD_GEO_PYTHON, where “Install engine” puts it, and on PATH, in this order."
+    )
+
+    def flags(self) -> object:
+        """Keep it out of models and of the batch dialog: it is done once, by a person."""
+        hidden = super().flags() | core.QgsProcessingAlgorithm.Flag.FlagHideFromModeler
+        return hidden & ~core.QgsProcessingAlgorithm.Flag.FlagSupportsBatch
+
+    def initAlgorithm(self, configuration: object = None) -> None:
+        self.add_results(core.QgsProcessingOutputString, "ENGINE", "VERSION")
+        self.add_results(core.QgsProcessingOutputBoolean, "FITS")
+
+    def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
+        try:
+            engine = settings.find_engine()
+            version, protocol = engine.version(feedback)
+        except EngineError as error:
+            raise core.QgsProcessingException(str(error)) from error
+        command = " ".join(engine.command)
+        feedback.pushInfo(tr("Engine: {} ({})").format(command, engine.source))
+        feedback.pushInfo(tr("Its version: {}; this plugin: {}").format(version, metadata("version")))
+        if protocol == PROTOCOL:
+            feedback.pushInfo(tr("They fit."))
+        else:
+            text = tr("They do not fit: the engine has protocol {}, and the plugin needs {}.")
+            feedback.reportError(text.format(protocol, PROTOCOL))
+        return {"ENGINE": command, "VERSION": version, "FITS": protocol == PROTOCOL}
 
 
 class InstallEngine(CheckEngine):
@@ -22,10 +60,10 @@ class InstallEngine(CheckEngine):
     HELP = mark(
         "Makes a virtual environment beside your QGIS profile and installs the engine there. QGIS and its "
         "own Python stay as they are.\n"
-        "Give the <b>wheel</b> of pcwlad-geo (pcwlad_geo-….whl) or its <b>source folder</b>. The "
-        "libraries that it needs are downloaded by pip from the package index that is configured on this "
-        "computer, through the proxy of QGIS's network options if there is one: about 280 MB, and about "
-        "1000 MB on the disk; some minutes.\n"
+        "It is downloaded by pip from the package index that is configured on this computer, unless you give "
+        "its <b>wheel</b> (pcwlad_geo-….whl) or its <b>source folder</b>. So are the libraries it needs, "
+        "through the proxy of QGIS's network options if there is one: about 280 MB, and about 1000 MB on the "
+        "disk; some minutes.\n"
         "<b>Without internet</b>: on another computer of this kind run <i>pip download -d FOLDER "
         "WHEEL_OF_PCWLAD_GEO</i>, and give FOLDER as <b>folder of wheels</b>.\n"
         "<b>Python</b>: 3.10 or newer; found by itself in most cases. An engine installed earlier is "
@@ -50,19 +88,14 @@ class InstallEngine(CheckEngine):
         return not message, message
 
     def processAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
-        wheel, folder, wheelhouse, python = (
-            self.parameterAsFile(parameters, name, context)
-            for name in ("WHEEL", "FOLDER", "WHEELHOUSE", "PYTHON")
-        )
-        source = str(Path(wheel or folder).absolute()) if wheel or folder else "pcwlad-geo"
-        wheelhouse = str(Path(wheelhouse).absolute()) if wheelhouse else ""
+        names = ("WHEEL", "FOLDER", "WHEELHOUSE", "PYTHON")
+        given = (absolute(self.parameterAsFile(parameters, name, context)) for name in names)
+        wheel, folder, wheelhouse, python = given
         variables = settings.proxy_variables()
         if not wheelhouse:
             text = tr("About {} MB will be downloaded, and {} MB be taken on the disk; some minutes.")
             feedback.pushInfo(text.format(install.DOWNLOAD_MB, install.DISK_MB))
-        if variables:
-            feedback.pushInfo(tr("The proxy of QGIS's network options is used."))
-        plan = install.Plan(source, wheelhouse, python, variables)
+        plan = install.Plan(wheel or folder or "pcwlad-geo", wheelhouse, python, variables)
         try:
             done = install.install(plan, settings.private_folder(), feedback, temporary_folder())
         except EngineError as error:
@@ -81,7 +114,4 @@ class InstallEngine(CheckEngine):
             feedback.pushWarning(str(error))
             return
         if Path(engine.command[0]) != python:
-            text = tr(
-                "The {} names another engine, {}, which goes before this one: clear it to use this one."
-            )
-            feedback.pushWarning(text.format(engine.source, engine.command[0]))
+            feedback.pushWarning(tr(OTHER_ENGINE).format(engine.source, engine.command[0]))

@@ -1,0 +1,57 @@
+"""A warm engine that refits tie points while a user edits them: requests out, answers when they come."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from pathlib import Path
+
+from qgis.PyQt.QtCore import QObject, QProcess, QProcessEnvironment, pyqtSignal
+
+from ..process.advice import for_dialog
+from ..process.engine import Engine
+
+GRACE_MS = 2000
+
+
+class Session(QProcess):
+    """A running `pcwlad-geo edit`; never waits, but for its end."""
+
+    answered = pyqtSignal(dict)
+    """What the engine says; the last one is the event `ended`."""
+
+    def __init__(self, engine: Engine, folder: Path, parent: QObject) -> None:
+        super().__init__(parent)
+        environment = QProcessEnvironment()
+        for name, value in engine.environment().items():
+            environment.insert(name, value)
+        self.setProcessEnvironment(environment)
+        self.setWorkingDirectory(str(folder))
+        self.setStandardErrorFile(QProcess.nullDevice())
+        self.readyReadStandardOutput.connect(self._hear)
+        self.stateChanged.connect(self._told)
+        self.start(engine.command[0], [*engine.command[1:], "edit", str(folder)])
+
+    def ask(self, what: str, **values: object) -> None:
+        """Send a request; an engine that has ended says so among its answers."""
+        self.write((json.dumps({"do": what, **values}) + "\n").encode())
+
+    def end(self) -> None:
+        """End the engine."""
+        self.answered.disconnect()
+        self.closeWriteChannel()
+        if not self.waitForFinished(GRACE_MS):
+            self.kill()
+            self.waitForFinished(GRACE_MS)
+
+    def _hear(self) -> None:
+        while self.canReadLine():
+            with suppress(ValueError):
+                answer = json.loads(bytes(self.readLine()).decode("utf-8", "replace"))
+                if "message" in answer:
+                    answer["message"] = for_dialog(answer["message"])
+                self.answered.emit(answer)
+
+    def _told(self, state: QProcess.ProcessState) -> None:
+        if state == QProcess.ProcessState.NotRunning:
+            self.answered.emit({"event": "ended"})
