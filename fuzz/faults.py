@@ -44,10 +44,11 @@ OPTIONS: Final = ("--features", "40", "--window", "41", "--template", "61", "--m
 RUNNING: Final = ("--jobs", "1", "--progress", "none")
 LOADED: Final = (
     "pcwlad_geo.band_warping",
-    "pcwlad_geo.batches",
+    "pcwlad_geo.multi.batches",
     "pcwlad_geo.cli.app",
     "pcwlad_geo.registration.run",
-    "pcwlad_geo.stacks.run",
+    "pcwlad_geo.multi.stack",
+    "pcwlad_geo.report.figures",
     "pcwlad_geo.report.page",
     "pcwlad_geo.job",
     "pcwlad_geo.outputs.write",

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from fuzz.cases import Case
 from fuzz.orders import CASE, Outcome
+from fuzz.recipes import REQUESTS
 
 EXPECTED: Final = (0, 2, 3, 4)
 """Exit statuses that are ends: done, unusable, refused, a requirement not met."""
 OF_MANY: Final = ("batch", "qa", "stack", "rig")
 """Commands whose table, on standard output, may say why the exit status is 2 or 3."""
 RESULTS: Final = {"register": "report.json", "match": "report.json", "batch": "summary.csv",
-                  "qa": "qa.json", "stack": "stack.json"}  # fmt: skip
+                  "qa": "qa.json", "stack": "stack.json", "watch": "watch.json",
+                  "prove": "proof.json"}  # fmt: skip
 """What each command writes; a stack whose images no pair connects (3) has its pairs alone."""
+WHOLE_OR_NOTHING: Final = ("stack", "prove")
+"""Commands whose result is not there where the exit status is 3; `prove` writes nothing at all then."""
 RUN_FILES: Final = ("stdout", "stderr", "where")
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _DETAIL_LENGTH: Final = 110
@@ -81,6 +87,8 @@ def _said(case: Case, outcome: Outcome) -> Iterator[Failure]:
     lines = outcome.stderr.splitlines()
     errors = [line for line in lines if line.startswith("error: ")]
     others = [line for line in lines if not line.startswith(("error: ", "warning: "))]
+    if "--start-matcher" in case.argv:  # what it prints itself goes there, too
+        others = [line for line in others if not line.isdecimal()]
     if "Traceback (most recent call last)" in outcome.stderr + outcome.stdout:
         yield Failure("traceback", plain(lines[-1]) if lines else "")
     elif others:
@@ -117,10 +125,11 @@ def outcome_may_replace(case: Case) -> bool:
 def _left(case: Case, outcome: Outcome, folder: Path) -> Iterator[Failure]:
     """Nothing but the output folder is new; of a run that was ended from outside, stages are no failure."""
     own = {f"{CASE}/{name}" for name in (*case.files, *case.places)} | set(RUN_FILES)
-    outs = _output_folders(case, folder)
+    asked = _asked_for(case, folder)
+    outs = [*_output_folders(case, folder), *asked]
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if name in own or (path.is_dir() and not path.is_symlink()):
+        if name in own or path in asked or (path.is_dir() and not path.is_symlink()):
             continue
         hidden = next((part for part in Path(name).parts if part.startswith(".")), None)
         if hidden is not None or name.startswith("tmp/"):
@@ -131,11 +140,26 @@ def _left(case: Case, outcome: Outcome, folder: Path) -> Iterator[Failure]:
 
 
 def _output_folders(case: Case, folder: Path) -> list[Path]:
-    """Return where the command may write: below its output folder, and where a table of pairs says."""
+    """Return where the command may write: below its output folder, and where a table says."""
     outs = [folder / CASE / case.out_dir]
     if case.argv[0] == "batch":
         outs += [path.parent for path in folder.rglob("report.json")]
     return outs
+
+
+def _asked_for(case: Case, folder: Path) -> list[Path]:
+    """Return the files that requests of ``edit`` name, hidden ones too: "a/../b" is written to b."""
+    requests = case.files.get(REQUESTS, b"") if case.argv[0] == "edit" else b""
+    return [Path(os.path.normpath(folder / CASE / path)) for path in _paths_in(requests)]
+
+
+def _paths_in(requests: bytes) -> Iterator[str]:
+    """Yield the paths that requests name, damaged ones as they are."""
+    for line in requests.decode("utf-8", "surrogateescape").splitlines():
+        with suppress(ValueError):
+            request = json.loads(line)
+            if isinstance(request, dict) and isinstance(request.get("path"), str):
+                yield request["path"]
 
 
 def _results(case: Case, outcome: Outcome, folder: Path) -> Iterator[Failure]:
@@ -145,9 +169,10 @@ def _results(case: Case, outcome: Outcome, folder: Path) -> Iterator[Failure]:
     written = sorted(path for path in out.rglob("*") if path.is_file()) if out.is_dir() else []
     command = case.argv[0]
     partly = command in ("batch", "rig") or (command == "stack" and (out / "pairs").is_dir())
-    if outcome.status == 2 and not partly and not before and written:
+    refused = (2, 3) if command == "prove" else (2,)
+    if outcome.status in refused and not partly and not before and written:
         yield Failure("files of a run that is refused", written[0].suffix)
-    ends = (0, 4) if command == "stack" else (0, 3, 4)
+    ends = (0, 4) if command in WHOLE_OR_NOTHING else (0, 3, 4)
     if outcome.status in ends and wanted is not None and not (out / wanted).is_file():
         yield Failure("partial", f"{wanted} is missing")
     if command == "warp" and outcome.status == 0 and not written:

@@ -34,7 +34,7 @@ from fuzz.answers import ANSWER, seed_answer
 from fuzz.kept import SEEDS
 from fuzz.mutators import archives
 from fuzz.recipes import REQUESTS
-from pcwlad_geo.raster.rpc.files import parse_rpc_text, write_rpc_text
+from pcwlad_geo.raster.rpc.model import parse_rpc_text, write_rpc_text
 from tests.product_files import LANDSAT, landsat_metadata, packed, safe_metadata, save
 from tests.rpc_scene import dem_values, make_rpc, write_image
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write
@@ -62,7 +62,20 @@ def main() -> int:
     out.mkdir(parents=True)
     warnings.simplefilter("ignore")
     os.chdir(out)  # what names files names them without a folder
-    for make in (rasters, described, rpc, virtual, side_files, products, finished, tables, stacked, answers):
+    for make in (
+        rasters,
+        described,
+        rpc,
+        virtual,
+        side_files,
+        products,
+        finished,
+        proved,
+        tables,
+        stacked,
+        watched,
+        answers,
+    ):
         make(out)
     print(f"{sum(file.stat().st_size for file in out.rglob('*'))} bytes in {out}")
     return 0
@@ -266,6 +279,17 @@ def finished(out: Path) -> None:
     (out / REQUESTS).write_text("".join(json.dumps(each) + "\n" for each in requests))
 
 
+def proved(out: Path) -> None:
+    """Write the proof of a pair, whose page is not there."""
+    pcwlad_geo.prove("ref.tif", "strip.tif", out_dir="proved", points=20, **MATCHING)
+    place = out / "proved"
+    numbers = json.loads((place / "proof.json").read_text())
+    shutil.rmtree(place)
+    place.mkdir()
+    told = {**_named(numbers, str(out)), "created": "2026-01-01T00:00:00+00:00"}
+    (place / "proof.json").write_text(json.dumps(told, indent=1) + "\n")
+
+
 def _named(value: Any, folder: str) -> Any:
     """Return a report without the folder that it was made in, and with times that are always the same."""
     if isinstance(value, dict):
@@ -325,6 +349,34 @@ def stacked(out: Path) -> None:
     text = json.dumps(_named(numbers, str(out)), indent=1)
     (out / "series/stack.json").write_text(text + "\n")
     (out / "series/pairs/ref__strip/tiepoints.csv").write_bytes(points)
+
+
+def watched(out: Path) -> None:
+    """Write a stack of eight dates of one raster, with the tie points of a pair that moves."""
+    numbers = json.loads((out / "series/stack.json").read_text())
+    entry = next(each for each in numbers["images"] if each["name"] == "ref")
+    random = np.random.default_rng(3)
+    images = []
+    for number in range(8):
+        name, shift = f"ref{number}", [round(float(each), 3) for each in random.normal(size=2) * 0.03]
+        given = {**entry["given"], "name": name, "date": f"202{number // 3}-0{number % 3 + 1}-15"}
+        images.append({**entry, "name": name, "given": given, "shift_px": shift, "sigma_px": [0.03, 0.03]})
+    pairs = [("ref0", "ref7"), ("ref1", "ref5"), ("ref2", "ref6"), ("ref3", "ref7"), ("ref0", "ref4")]
+    listed = [{**numbers["pairs"][0], "reference": one, "target": other} for one, other in pairs]
+    place = out / "watched"
+    place.mkdir()
+    whole = {**numbers, "reference": "ref0", "datum": "mean", "images": images, "pairs": listed}
+    (place / "stack.json").write_text(json.dumps(whole, indent=1) + "\n")
+    for one, other in pairs:
+        at = random.uniform(8, SIDE_PX - 8, (20, 2))
+        moved = at + random.normal(size=(20, 2)) * 0.1
+        rows = [
+            ",".join(f"{value:.3f}" for value in (*a, *b, 0.1, 0.1)) for a, b in zip(at, moved, strict=True)
+        ]
+        folder = place / "pairs" / f"{one}__{other}"
+        folder.mkdir(parents=True)
+        text = "\n".join(["ref_col,ref_row,tgt_col,tgt_row,sigma_col,sigma_row", *rows]) + "\n"
+        (folder / "tiepoints.csv").write_text(text)
 
 
 def answers(out: Path) -> None:

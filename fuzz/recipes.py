@@ -57,7 +57,7 @@ class Recipe:
             return self.command
         if "--add" in self.command:
             return (*self.command, *MATCHING)
-        if self.command[0] in ("register", "match", "stack") or (
+        if self.command[0] in ("register", "match", "prove", "stack") or (
             self.command[0] == "qa" and "--trend" not in self.command
         ):
             return (*self.command, "-o", self.out_dir, *MATCHING)
@@ -160,9 +160,29 @@ def _arguments() -> Iterator[Recipe]:
                  ("pairs.csv", "lzw16.tif", "small.toml", *pair))  # fmt: skip
 
 
+def _proofs() -> Iterator[Recipe]:
+    pair = ("ref.tif", "strip.tif")
+    few = ("--points", "20")
+    yield Recipe("prove", 0.5, ("prove", *pair, *few), pair)
+    mask = ("prove", *pair, *few, "--tgt-mask", "mask.tif")
+    yield Recipe("mask of prove", 0.2, mask, ("mask.tif",), pair)
+    product = ("prove", "ref.tif", f"{LANDSAT}.tar", *few, "--tgt-band", "B10")
+    yield Recipe("product of prove", 0.2, product, (f"{LANDSAT}.tar",), ("ref.tif",))
+    again = ("prove", *pair, *few, "--overwrite")
+    yield Recipe("prove, overwriting", 0.3, again, ("proved/proof.json",), pair, out_dir="proved")
+    match = ("match", *pair, *few, "--prove", "quick")
+    yield Recipe("proof of a match", 0.3, match, pair[1:], pair[:1])
+    yield Recipe("arguments of prove", 0.3, ("prove", *pair, *few), (), pair)
+
+
 STACK: Final = ("ref.tif", "strip.tif", "lzw16.tif")
 SERIES: Final = ("series/stack.json", "series/pairs/ref__strip/tiepoints.csv")
 """A finished stack, to which an image can be added."""
+WATCHED: Final = (
+    "watched/stack.json",
+    *(f"watched/pairs/ref{one}__ref{other}/tiepoints.csv" for one, other in ("07", "15", "26", "37", "04")),
+)
+"""A finished stack of eight dates."""
 REQUESTS: Final = "requests.jsonl"
 """What a case with a file of this name has on standard input."""
 
@@ -177,6 +197,8 @@ def _stacks() -> Iterator[Recipe]:
     yield Recipe("STAC items", 1.5, ("stack", "items.json"), ("items.json",), STACK)
     added = ("stack", "--add", STACK[2], "series")
     yield Recipe("an image added", 2.0, added, (*SERIES, STACK[2]), STACK[:2], out_dir="series")
+    yield Recipe("watch", 2.0, ("watch", "watched"), WATCHED, ("ref.tif",))
+    yield Recipe("arguments of watch", 0.3, ("watch", "watched"), (), (*WATCHED, "ref.tif"))
     yield Recipe("arguments of stack", 0.6, ("stack", *STACK[:2]), (), STACK[:2])
 
 
@@ -220,6 +242,7 @@ RECIPES: Final = (
     *_stacks(),
     *_matchers(),
     *_edits(),
+    *_proofs(),
     *_images(),
     *_virtual(),
     *_side_files(),

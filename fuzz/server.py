@@ -66,9 +66,9 @@ def warm_up() -> bytes:
     import pcwlad_geo
     import pcwlad_geo.__main__
     import pcwlad_geo.band_warping
-    import pcwlad_geo.bandqa.trend
-    import pcwlad_geo.batches
     import pcwlad_geo.cli.app
+    import pcwlad_geo.multi.batches
+    import pcwlad_geo.multi.trend
     from pcwlad_geo.report import page
 
     with contextlib.redirect_stdout(io.StringIO()):  # what the command line itself loads

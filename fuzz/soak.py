@@ -6,7 +6,8 @@ Usage::
 
 One call in `JOBS_EVERY` is a whole job with its page, which takes most of the time. The others are the steps
 of one, from files and from arrays in turn. Memory and open files must not grow: a line through each over the
-later calls is shown, per 100 calls. The exit status is 1 where memory or open files grow.
+later calls is shown, per 100 calls. The exit status is 1 where memory or open files grow; fewer calls than
+`ENOUGH` show no more than caches that fill.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ GROWTH_FILES: Final = 0.5
 """Open files that 100 calls may add."""
 FIRST_SHARE: Final = 0.2
 """Of the calls, at the start: memory grows until caches are full."""
+ENOUGH: Final = 100
+"""Calls from which on growth counts."""
 ROWS: Final = 10
 """Of the table."""
 
@@ -57,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _per_100_calls([getattr(each, name) for each in held]) for name in ("memory_mb", "files")
     )
     print(f"  after the first fifth: {memory:+.2f} MB and {files:+.2f} open files per 100 calls")
-    return int(memory > GROWTH_MB or files > GROWTH_FILES)
+    return int(calls >= ENOUGH and (memory > GROWTH_MB or files > GROWTH_FILES))
 
 
 def _calls(folder: Path, calls: int) -> list[Usage]:

@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Final
 
 from fuzz.kept import seed
-from pcwlad_geo.bandqa.bands import parse_bands, split_bands
-from pcwlad_geo.bandqa.summary import read_requirement
-from pcwlad_geo.batches import read_pairs
 from pcwlad_geo.cli.options import collect
 from pcwlad_geo.errors import PcwladGeoError
+from pcwlad_geo.multi.bands import parse_bands, split_bands
+from pcwlad_geo.multi.batches import read_pairs
+from pcwlad_geo.multi.qa_result import read_requirement
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products import find_product
-from pcwlad_geo.raster.rpc.files import parse_rpc_text
+from pcwlad_geo.raster.rpc.model import parse_rpc_text
 from pcwlad_geo.report.finished import read_registration
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.tiepoints.readers import read_point_file

@@ -12,6 +12,7 @@ from fuzz.cases import Case
 from fuzz.fork_server import ForkServer
 from fuzz.judge import judge, plain
 from fuzz.orders import CASE, Limits, Outcome
+from fuzz.recipes import REQUESTS
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the fork server needs Linux")
@@ -81,6 +82,40 @@ def test_what_stood_in_the_place_of_a_report_before_is_none_of_the_run(
     (tmp_path / CASE / "done/report.json").touch()
     case = Case("c", ("match", "r.tif", "t.tif", "--overwrite"), {}, {place: "empty"}, out_dir="done")
     assert len(judge(case, Outcome(2, stderr="error: not written by pcwlad-geo\n"), tmp_path)) == failures
+
+
+@pytest.mark.parametrize(
+    ("written", "failures"), [("x\udcff/edited.csv", 0), ("z/.csv", 0), ("y/edited.csv", 1), ("z/.txt", 1)]
+)
+def test_points_are_saved_where_a_request_says(written: str, failures: int, tmp_path: Path) -> None:
+    (tmp_path / CASE / written).parent.mkdir(parents=True)
+    (tmp_path / CASE / written).touch()
+    requests = b'{"do"> "add"}\n{"do": "save", "path": "x\xff/edited.csv", "number": 3}\n[1]\n'
+    requests += b'{"path": "z/../z/.csv"}\n'
+    (tmp_path / CASE / REQUESTS).write_bytes(requests)
+    case = Case("c", ("edit", "done"), {REQUESTS: requests})
+    assert len(judge(case, Outcome(0, stderr=""), tmp_path)) == failures
+
+
+@pytest.mark.parametrize(
+    ("status", "written", "failures"),
+    [
+        (0, "proof.json", []),
+        (0, "proof.html", ["partial: proof.json is missing"]),
+        (2, "proof.html", ["files of a run that is refused: .html"]),
+        (3, "proof.json", ["files of a run that is refused: .json"]),
+        (3, None, []),
+    ],
+)
+def test_a_proof_is_whole_or_not_there(
+    status: int, written: str | None, failures: list[str], tmp_path: Path
+) -> None:
+    (tmp_path / CASE / "o").mkdir(parents=True)
+    if written is not None:
+        (tmp_path / CASE / "o" / written).write_text("{}")
+    case = Case("c", ("prove", "r.tif", "t.tif"), {})
+    outcome = Outcome(status, stderr="" if status == 0 else "error: refused\n")
+    assert [failure.label for failure in judge(case, outcome, tmp_path)] == failures
 
 
 def test_messages_of_one_cause_are_one_class() -> None:
