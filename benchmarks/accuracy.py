@@ -31,7 +31,10 @@ from benchmarks.studies.models import models
 from benchmarks.studies.paper import paper
 from benchmarks.studies.pointwise import pointwise
 from benchmarks.studies.pose import PARTS, pose
+from benchmarks.studies.proof import proof
 from benchmarks.studies.quality import QUALITY_PARTS, quality
+from benchmarks.studies.radar import radar
+from benchmarks.studies.refit import refit
 from benchmarks.studies.refusal import refusal
 from benchmarks.studies.rig import rig
 from benchmarks.studies.robustness import robustness
@@ -40,6 +43,7 @@ from benchmarks.studies.rpcblock import rpcblock
 from benchmarks.studies.sigma import sigma
 from benchmarks.studies.stack import stack
 from benchmarks.studies.tiles import tiles
+from benchmarks.studies.watch import watch_study
 from benchmarks.studies.windows import windows
 from benchmarks.tables import Check, Table, as_text
 
@@ -53,11 +57,14 @@ STUDIES: dict[str, Study] = {
     "difference": difference,
     "pointwise": pointwise,
     "metrology": metrology,
+    "proof": proof,
+    "watch": watch_study,
     "field": displacement_field,
     "sigma": sigma,
     "closure": closure,
     "bands": bands,
     "rpc": rpc,
+    "refit": refit,
     "refusal": refusal,
     "quality": quality,
     "windows": windows,
@@ -65,6 +72,7 @@ STUDIES: dict[str, Study] = {
     "models": models,
     "jitter": jitter,
     "pose": pose,
+    "radar": radar,
     "stack": stack,
     "rpcblock": rpcblock,
     "rig": rig,

@@ -32,7 +32,7 @@ from pcwlad_geo.matching.coarse import CoarseMatches, match_coarsely
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.matcher import margin_px
 from pcwlad_geo.matching.prepare import Image, PreparedPair, measure_noise, prepare
-from pcwlad_geo.matching.refinement import Start, refine
+from pcwlad_geo.matching.refinement import InitialEstimate, refine
 from pcwlad_geo.matching.types import MatchSettings
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
@@ -86,12 +86,12 @@ def costs(window_px: int, files: Files) -> list[float]:
         window_px=window_px,
     )
     shift = found.coarse.shift_xy_px
-    first = run(Start(shift, none))
+    first = run(InitialEstimate(shift, none))
     centre = np.median(first.shift_xy_px[first.converged], axis=0)
     starts = [
-        Start(shift, none),
-        Start(first.shift_xy_px, none, structure_xy_px=np.broadcast_to(centre, shift.shape)),
-        Start(shift, none + DEFORMATION),
+        InitialEstimate(shift, none),
+        InitialEstimate(first.shift_xy_px, none, structure_xy_px=np.broadcast_to(centre, shift.shape)),
+        InitialEstimate(shift, none + DEFORMATION),
     ]
     return _ms_a_point([partial(run, start) for start in starts], len(shift))
 
@@ -112,7 +112,7 @@ def matches(files: Files) -> Matches:
     usable = np.zeros((rows, cols), bool)
     margin = margin_px(MatchSettings(window=WIDEST_PX))
     usable[margin:-margin, margin:-margin] = True
-    corners, response = keypoints.detect_corners(pair.reference_moment, usable, pair.contrast)
+    corners, response = keypoints.detect_corners(pair.reference_map.values, usable, pair.contrast)
     corners = keypoints.strongest(corners, response, POINTS)
     coarse = _search(pair, corners)
     inside = ~coarse.at_border

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -35,6 +35,8 @@ SMOOTHED_PX: Final = 1.0
 GREY_BINS: Final = 16
 COLLAR_SHARE: Final = 0.03
 """Darker values, as a share of the range, are taken for the collar of a rotated image, without meaning."""
+STRETCHES: Final = (1.0, 1.5)
+PERSPECTIVES: Final = (0.01, 0.15)
 MAX_SHIFT: Final = 1 / 3
 """Of the sides of the image."""
 
@@ -51,6 +53,12 @@ class Warp:
     """Columns by which a place moves for each row."""
     shift: tuple[float, float]
     """(col, row) of the middle, in sides of the image."""
+    stretch: float = 1.0
+    """Ratio of the singular values, their product being 1."""
+    stretch_deg: float = 0.0
+    """Direction of the stretch in the original, clockwise from the columns."""
+    perspective: tuple[float, float] = (0.0, 0.0)
+    """Change of scale across the image along columns and rows, as a share."""
 
     def canvas(self, shape: tuple[int, int]) -> tuple[int, int]:
         """Return rows and columns of the warped image: the original's, scaled, so that corners are lost."""
@@ -61,12 +69,20 @@ class Warp:
         """Return the (3, 3) matrix from px of an image of a shape to px of the warped image."""
         angle = math.radians(self.rotation_deg)
         turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+        along = math.radians(self.stretch_deg)
+        axes = np.array([[math.cos(along), -math.sin(along)], [math.sin(along), math.cos(along)]])
+        stretched = axes @ np.diag([self.stretch**0.5, self.stretch**-0.5]) @ axes.T
         rows, cols = self.canvas(shape)
         matrix = np.eye(3)
-        matrix[:2, :2] = self.scale * turn @ [[1.0, self.shear], [0.0, 1.0]]
+        matrix[:2, :2] = self.scale * turn @ [[1.0, self.shear], [0.0, 1.0]] @ stretched
         there = np.array([cols, rows]) * (0.5 + np.array(self.shift))
-        matrix[:2, 2] = there - matrix[:2, :2] @ [shape[1] / 2, shape[0] / 2]
-        return matrix
+        middle = np.array([shape[1] / 2, shape[0] / 2])
+        matrix[:2, 2] = there - matrix[:2, :2] @ middle
+        tilt = np.eye(3)
+        tilt[2, :2] = self.perspective / (2 * middle)
+        about = np.eye(3)
+        about[:2, 2] = -middle
+        return np.asarray(matrix @ np.linalg.inv(about) @ tilt @ about)
 
     def inverse(self, shape: tuple[int, int]) -> Array:
         """Return the (3, 3) matrix from px of the warped image to px of the original."""
@@ -77,6 +93,8 @@ class Warp:
         return (
             f"rotation {self.rotation_deg:+.1f} degrees, scale {self.scale:.2f}, "
             f"shear {100 * self.shear:+.1f} %, shift ({col}, {row}) %"
+            + (f", stretch {self.stretch:.2f}" if self.stretch != 1 else "")
+            + (f", perspective {100 * math.hypot(*self.perspective):.0f} %" if any(self.perspective) else "")
         )
 
 
@@ -86,6 +104,26 @@ def draw_warp(rng: np.random.Generator, scales: tuple[float, float] = SCALES) ->
     scale = math.exp(rng.uniform(*np.log(scales)))
     shift_col, shift_row = rng.uniform(-MAX_SHIFT, MAX_SHIFT, 2).tolist()
     return Warp(float(rotation), scale, float(rng.uniform(-MAX_SHEAR, MAX_SHEAR)), (shift_col, shift_row))
+
+
+def draw_stretch(rng: np.random.Generator, scales: tuple[float, float]) -> Warp:
+    """Draw a pose with a stretch, in any direction."""
+    stretch, along_deg = float(rng.uniform(*STRETCHES)), float(rng.uniform(0.0, 180.0))
+    return replace(_draw_nearer(rng, scales), stretch=stretch, stretch_deg=along_deg)
+
+
+def draw_perspective(rng: np.random.Generator, scales: tuple[float, float]) -> Warp:
+    """Draw a pose seen from the side: the scale changes across the image."""
+    size, angle = rng.uniform(*PERSPECTIVES), rng.uniform(0.0, 2 * math.pi)
+    tilt = float(size * math.cos(angle)), float(size * math.sin(angle))
+    return replace(_draw_nearer(rng, scales), perspective=tilt)
+
+
+def _draw_nearer(rng: np.random.Generator, scales: tuple[float, float]) -> Warp:
+    """Draw any rotation, with no shear, and half the shift and change of scale of `draw_warp`."""
+    warp = draw_warp(rng, scales)
+    shift = warp.shift[0] / 2, warp.shift[1] / 2
+    return replace(warp, shear=0.0, shift=shift, scale=math.sqrt(warp.scale))
 
 
 def warp_image(image: Image, valid: Bool, warp: Warp) -> tuple[Image, Bool]:
@@ -129,8 +167,9 @@ def _indices(matrix: Array, at_px: Array) -> Array:
 
 
 def mapped(matrix: Array, at_px: Array) -> Array:
-    """Return (n, 2) places, mapped by an affine matrix."""
-    return np.asarray(at_px @ matrix[:2, :2].T + matrix[:2, 2])
+    """Return (n, 2) places, mapped by a (3, 3) matrix."""
+    places = at_px @ matrix[:, :2].T + matrix[:, 2]
+    return np.asarray(places[:, :2] / places[:, 2:])
 
 
 def grid_px(shape: tuple[int, int]) -> Array:

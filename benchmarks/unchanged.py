@@ -1,4 +1,4 @@
-"""Compare the tie points of two checkouts, byte by byte: a change of the code alone must not move them.
+"""Compare what two checkouts write, byte by byte: a change of the code alone must not move it.
 
 Usage::
 
@@ -6,7 +6,9 @@ Usage::
 
 Both register the sample pair, and match a synthetic scene and every pair of the real data, each as the
 command line does by default. Printed are how many `tiepoints.csv` are the same to the last byte, and of the
-others the largest difference of a coordinate. The exit status is 1 if any differ by more than 1e-6 px.
+others the largest difference of a coordinate. Of a band QA, a stack, a batch and a rig all files are
+compared, save for times, and those that differ are named. The exit status is 1 if a coordinate differs by
+more than 1e-6 px, or such a file.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from __future__ import annotations
 import argparse
 import csv
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -31,6 +34,11 @@ REPOSITORY: Final = Path(__file__).resolve().parents[1]
 TOLERANCE_PX: Final = 1e-6
 COLUMNS: Final = ("ref_col", "ref_row", "tgt_col", "tgt_row", "d_col", "d_row", "sigma_col", "sigma_row")
 NONE: Final = b"no tie points"
+TIMES: Final = re.compile(
+    rb'"(?:seconds|created|modified_ns)": (?:\{[^}]*\}|"[^"]*"|[-+.\de]+)'
+    rb"|<dt>seconds[^<]*</dt><dd>[^<]*</dd>|\b\d+(?:\.\d+)? s\b|\d{4}-\d\d-\d\dT[\d:]+\+00:00"
+)
+"""What differs from run to run, in texts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +76,65 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     f"{job.kind}: {job.reference.name} {job.target.name}: apart by {apart_px:.3g} px",
                     flush=True,
                 )
+        others = _other_files(asked, scratch)
     for kind, (pairs, alike, matched) in same.items():
         print(f"{kind}: {alike} of {pairs} pairs byte-identical ({matched} with tie points)")
-    print(f"largest difference {worst_px:.3g} px (must be at most {TOLERANCE_PX:g})")
-    return int(worst_px > TOLERANCE_PX)
+    if same:
+        print(f"largest difference {worst_px:.3g} px (must be at most {TOLERANCE_PX:g})")
+    return int(worst_px > TOLERANCE_PX or others > 0)
+
+
+def _other_files(asked: argparse.Namespace, scratch: Path) -> int:
+    """Run what writes many files with both checkouts; print and count those that differ."""
+    count = 0
+    for kind, steps in _folders(asked.data, scratch).items():
+        if asked.kinds and kind not in asked.kinds:
+            continue
+        here, there = (_files(steps, checkout, scratch / kind) for checkout in (REPOSITORY, asked.against))
+        differing = sorted(name for name in here.keys() | there.keys() if here.get(name) != there.get(name))
+        alike = len(here) - len(differing)
+        print(f"{kind}: {alike} of {len(here)} files identical {' '.join(differing)}".rstrip(), flush=True)
+        count += len(differing) + (not here)
+    return count
+
+
+def _folders(data: Path | None, scratch: Path) -> dict[str, list[tuple[str, ...]]]:
+    """Return the steps of each kind of job that writes many files; {} is the folder of the results."""
+    pair = tuple(str(REPOSITORY / "sample_data" / f"landsat_{band}.tif") for band in ("b4", "b10"))
+    table = scratch / "pairs.csv"
+    table.write_text(f"reference,target\n{','.join(pair)}\n", encoding="utf-8")
+    found: dict[str, list[tuple[str, ...]]] = {
+        "qa": [("qa", *pair, "-o", "{}")],
+        "stack": [("stack", *pair, "-o", "{}")],
+        "batch": [("batch", str(table), "-o", "{}")],
+    }
+    if data is not None:
+        frames = tuple(map(str, sorted((data / "rig/rededge").glob("*.tif"))))
+        found["captures"] = [
+            ("rig", "learn", *frames, "-o", "{}/rig.json"),
+            ("rig", "apply", "{}/rig.json", *frames, "-o", "{}/captures"),
+        ]
+    return found
+
+
+def _files(steps: Sequence[tuple[str, ...]], checkout: Path, scratch: Path) -> dict[str, bytes]:
+    """Return the files that a checkout writes, without times and the name of their folder."""
+    folder = scratch / ("here" if checkout == REPOSITORY else "there")
+    for step in steps:
+        _run([argument.replace("{}", str(folder)) for argument in step], checkout)
+    files = [file for file in folder.rglob("*") if file.is_file()]
+    return {file.relative_to(folder).as_posix(): _lasting(file, folder) for file in files}
+
+
+def _lasting(file: Path, folder: Path) -> bytes:
+    """Return the content of a file without what differs from run to run."""
+    content = file.read_bytes().replace(str(folder).encode(), b"")
+    if file.suffix == ".csv" and b"seconds" in content.partition(b"\n")[0]:
+        rows = list(csv.DictReader(content.decode().splitlines()))
+        return repr(
+            [{name: value for name, value in row.items() if name != "seconds"} for row in rows]
+        ).encode()
+    return content if file.suffix in (".tif", ".gpkg", ".pdf") else TIMES.sub(b"", content)
 
 
 def _jobs(data: Path | None, side_px: int, scratch: Path) -> Iterator[Job]:
@@ -118,15 +181,19 @@ def _real(data: Path) -> Iterator[Job]:
 def _points(job: Job, checkout: Path, out_dir: Path) -> bytes:
     """Return the tie points that a checkout finds, as the file holds them."""
     folder = out_dir / ("here" if checkout == REPOSITORY else "there")
-    command = [sys.executable, "-m", "pcwlad_geo", job.command, str(job.reference), str(job.target)]
+    _run([job.command, str(job.reference), str(job.target), "-o", str(folder), *job.options], checkout)
+    file = folder / "tiepoints.csv"
+    return file.read_bytes() if file.is_file() else NONE
+
+
+def _run(arguments: Sequence[str], checkout: Path) -> None:
+    """Run the command line of a checkout."""
     subprocess.run(
-        [*command, "-o", str(folder), "--progress", "none", *job.options],
+        [sys.executable, "-m", "pcwlad_geo", *arguments, "--progress", "none"],
         env={**os.environ, "PYTHONPATH": str(checkout)},
         capture_output=True,
         check=False,
     )
-    file = folder / "tiepoints.csv"
-    return file.read_bytes() if file.is_file() else NONE
 
 
 def _apart_px(first: bytes, second: bytes) -> float:

@@ -1,6 +1,7 @@
 """Make the sample pair: a red band and a thermal band of a synthetic landscape, with a known displacement.
 
-Run it to write `landsat_b4.tif` and `landsat_b10.tif` beside this file, or into the folder given::
+Run it to write `landsat_b4.tif` and `landsat_b10.tif` beside this file, and the parts of them that
+`pcwlad-geo demo` has into the package; or all four into the folder given, the parts into its folder `part`::
 
     python sample_data/make_sample_data.py [FOLDER]
 
@@ -62,9 +63,19 @@ class Band:
     scene_edge_px: tuple[float, float]
     """Row 0 of the rotated scene edge lies at this column, and the edge falls by this many rows a column."""
     noise_seed: int
+    part: Window
+    """Rows and columns that `pcwlad-geo demo` brings along, the empty corner included."""
 
 
-B4 = Band("landsat_b4.tif", "red, synthetic", (700, 700), GROUND_ORIGIN_XY_M, (402.0, 0.21), 41)
+B4 = Band(
+    "landsat_b4.tif",
+    "red, synthetic",
+    (700, 700),
+    GROUND_ORIGIN_XY_M,
+    (402.0, 0.21),
+    41,
+    (slice(0, 448), slice(252, 700)),
+)
 # The thermal grid lies (-3.75, -2.75) px (columns, rows) from the red one: a fraction and whole pixels.
 B10 = Band(
     "landsat_b10.tif",
@@ -73,6 +84,7 @@ B10 = Band(
     (GROUND_ORIGIN_XY_M[0] - 112.5, GROUND_ORIGIN_XY_M[1] + 82.5),
     (352.0, 0.21),
     101,
+    (slice(0, 456), slice(250, 712)),
 )
 
 
@@ -108,7 +120,9 @@ def predicted_xy_px(observed_xy_px: npt.ArrayLike) -> npt.NDArray[np.float64]:
     return predicted
 
 
-def render_b4(window: Window | None = None, *, noise: bool = True) -> npt.NDArray[np.uint16]:
+def render_b4(
+    window: Window | None = None, *, noise: bool = True, seed: int = SEED
+) -> npt.NDArray[np.uint16]:
     """Render the red band, or a window of it given as (row slice, column slice).
 
     Returns
@@ -120,18 +134,18 @@ def render_b4(window: Window | None = None, *, noise: bool = True) -> npt.NDArra
     margin = 2  # px of ground around the window, for the blur
     x_px = _samples(cols.start - margin, cols.stop + margin)
     y_px = _samples(rows.start - margin, rows.stop + margin)
-    red = ground(*_ground_xy_m(B4, x_px[None, :], y_px[:, None]), SEED).red
+    red = ground(*_ground_xy_m(B4, x_px[None, :], y_px[:, None]), seed).red
     red = ndimage.gaussian_filter(red, RED_BLUR_M / PIXEL_M * OVERSAMPLE, truncate=4)
     red = _block_mean(red, OVERSAMPLE)[margin:-margin, margin:-margin]
     top_of_atmosphere = 0.035 + 0.92 * red
     dn = (top_of_atmosphere + 0.1) / 2e-5
     if noise:
-        dn = dn + RED_NOISE_DN * _normal(B4.shape, B4.noise_seed)[rows, cols]
+        dn = dn + RED_NOISE_DN * _normal(B4.shape, B4.noise_seed + seed - SEED)[rows, cols]
     return _finish(dn, B4, (rows, cols))
 
 
 def render_b10(
-    window: Window | None = None, *, displaced: bool = True, noise: bool = True
+    window: Window | None = None, *, displaced: bool = True, noise: bool = True, seed: int = SEED
 ) -> npt.NDArray[np.uint16]:
     """Render the thermal band, or a window of it given as (row slice, column slice).
 
@@ -149,15 +163,17 @@ def render_b10(
         slice(first_row, first_row + row_weights.shape[1]),
         slice(first_col, first_col + col_weights.shape[1]),
         displaced=displaced,
+        seed=seed,
     )
     dn = (radiance - 0.1) / 3.342e-4
     if noise:
-        field = _normal((512, 512), B10.noise_seed)  # more readings than the band has, from reading (0, 0)
+        # more readings than the band has, from reading (0, 0)
+        field = _normal((512, 512), B10.noise_seed + seed - SEED)
         dn = dn + THERMAL_NOISE_DN * field[first_row:, first_col:][: dn.shape[0], : dn.shape[1]]
     return _finish(row_weights @ dn @ col_weights.T, B10, (rows, cols))
 
 
-def _thermal_readings(rows: slice, cols: slice, *, displaced: bool) -> FloatArray:
+def _thermal_readings(rows: slice, cols: slice, *, displaced: bool, seed: int) -> FloatArray:
     """Return the radiance the detectors read, W/(m² sr µm), for a window of the grid of readings."""
     margin = 4  # steps around the window, for the blur
     y_px = _samples(*(_STEP_PX * k - _START_PX for k in (rows.start - margin, rows.stop + margin)))
@@ -169,7 +185,7 @@ def _thermal_readings(rows: slice, cols: slice, *, displaced: bool) -> FloatArra
     for start in range(0, len(y_px), step):
         part = seen[start : start + step]
         x_m, y_m = _ground_xy_m(B10, part[..., 0], part[..., 1])
-        temperature[start : start + step] = ground(x_m, y_m, SEED).thermal
+        temperature[start : start + step] = ground(x_m, y_m, seed).thermal
     emitted = 774.8853 / np.expm1(1321.0789 / temperature)  # Planck's law with the band's constants
     at_sensor = 0.87 * 0.98 * emitted + 1.1  # transmission, emissivity, the atmosphere's own radiance
     blurred = ndimage.gaussian_filter(at_sensor, THERMAL_BLUR_M / PIXEL_M * OVERSAMPLE, truncate=4)
@@ -231,19 +247,22 @@ def _whole(band: Band) -> Window:
     return slice(0, band.shape[0]), slice(0, band.shape[1])
 
 
-def write_band(folder: Path, band: Band, image: npt.NDArray[np.uint16]) -> Path:
-    """Write a band as a compressed GeoTIFF into a folder; return its path."""
+def write_band(folder: Path, band: Band, image: npt.NDArray[np.uint16], window: Window | None = None) -> Path:
+    """Write a band, or a window of its image, as a compressed GeoTIFF into a folder; return its path."""
+    folder.mkdir(parents=True, exist_ok=True)
     path = folder / band.file_name
+    rows, cols = window or _whole(band)
+    x_m, y_m = band.origin_xy_m
     with rasterio.open(
         path,
         "w",
         driver="GTiff",
-        width=band.shape[1],
-        height=band.shape[0],
+        width=cols.stop - cols.start,
+        height=rows.stop - rows.start,
         count=1,
         dtype="uint16",
         crs=CRS,
-        transform=from_origin(*band.origin_xy_m, PIXEL_M, PIXEL_M),
+        transform=from_origin(x_m + cols.start * PIXEL_M, y_m - rows.start * PIXEL_M, PIXEL_M, PIXEL_M),
         nodata=0,
         compress="deflate",
         predictor=2,
@@ -252,21 +271,24 @@ def write_band(folder: Path, band: Band, image: npt.NDArray[np.uint16]) -> Path:
         blockxsize=256,
         blockysize=256,
     ) as file:
-        file.write(image, 1)
+        file.write(image[rows, cols], 1)
         file.set_band_description(1, band.description)
         file.update_tags(NOTE="Synthetic landscape, not a satellite image")
     return path
 
 
 def main() -> None:
-    """Write both bands."""
+    """Write both bands, and their parts."""
     parser = argparse.ArgumentParser(description="Make the synthetic sample pair.")
-    parser.add_argument("folder", nargs="?", type=Path, default=Path(__file__).resolve().parent)
-    folder = parser.parse_args().folder
-    folder.mkdir(parents=True, exist_ok=True)
-    for band, image in ((B4, render_b4()), (B10, render_b10())):
-        path = write_band(folder, band, image)
-        print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
+    parser.add_argument("folder", nargs="?", type=Path)
+    parser.add_argument("--seed", type=int, default=SEED, help="another landscape, with other noise")
+    arguments, here = parser.parse_args(), Path(__file__).resolve().parent
+    given, seed = arguments.folder, arguments.seed
+    places = (given, given / "part") if given else (here, here.parent / "pcwlad_geo" / "cli" / "sample")
+    for band, image in ((B4, render_b4(seed=seed)), (B10, render_b10(seed=seed))):
+        for place, window in zip(places, (None, band.part), strict=True):
+            path = write_band(place, band, image, window)
+            print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

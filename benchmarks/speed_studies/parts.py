@@ -29,7 +29,7 @@ from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS, SCALES
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.matcher import margin_px
 from pcwlad_geo.matching.prepare import Image, PreparedPair, fast_even, prepare
-from pcwlad_geo.matching.refinement import Start, refine
+from pcwlad_geo.matching.refinement import InitialEstimate, refine
 from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import plan_views
@@ -77,7 +77,7 @@ def refinement_ms(pair: ScenePair, windows: Sequence[int], points: int, repeats:
         settings.search_radius,
         settings.least_valid,
     )
-    start = Start(coarse.shift_xy_px, np.zeros((len(corners), 2, 2)))
+    start = InitialEstimate(coarse.shift_xy_px, np.zeros((len(corners), 2, 2)))
     works = [
         partial(
             refine, prepared.channels.reference, prepared.channels.target, corners, start, window_px=window
@@ -90,9 +90,9 @@ def refinement_ms(pair: ScenePair, windows: Sequence[int], points: int, repeats:
 def _corners(pair: PreparedPair, count: int) -> NDArray[np.intp]:
     """Return about so many corners, spread by cell, far enough from the edges for all windows."""
     margin = margin_px(MatchSettings(window=129))
-    usable = np.zeros(pair.reference_moment.shape, bool)
+    usable = np.zeros(pair.reference_map.values.shape, bool)
     usable[margin:-margin, margin:-margin] = True
-    corners, response = keypoints.detect_corners(pair.reference_moment, usable, pair.contrast)
+    corners, response = keypoints.detect_corners(pair.reference_map.values, usable, pair.contrast)
     per_cell = MatchSettings().per_cell
     cell_px = keypoints.cell_side_px(count, per_cell, float(usable.sum()))
     return keypoints.by_cell(corners, response, cell_px, (0, 0), per_cell)

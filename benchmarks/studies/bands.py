@@ -12,7 +12,7 @@ from pathlib import Path
 import pcwlad_geo
 from benchmarks.runs import Runner
 from benchmarks.tables import Cell, Check, Table, at_most
-from pcwlad_geo.bandqa.bands import PairResult, Triangle
+from pcwlad_geo.multi.bands import PairResult, Triangle
 
 APART_PX = 0.05
 CLOSES_PX = 0.05

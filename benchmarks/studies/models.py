@@ -16,7 +16,7 @@ from benchmarks.pairs import as_uint8, landsat, read, rgbnir, with_gamma, with_n
 from benchmarks.runs import Array, Job, Outcome, Runner
 from benchmarks.scenes import countryside, folds, image_pair
 from benchmarks.tables import Cell, Check, Table, at_most, within
-from pcwlad_geo.correction.fit import FITS
+from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.job import register
 from pcwlad_geo.options import Settings
 
@@ -149,7 +149,7 @@ def _short(data: Path, scratch: Path, runner: Runner) -> Table:
         given = points.predicted_px, points.target_px, points.covariance_px2
         errors = {}
         for name in ("affine", "polynomial3", "tps", "field"):
-            fit = FITS[name](*given, footprint_px=found.selection.footprint_px)
+            fit = MODELS[name].fit(*given, footprint_px=found.selection.footprint_px)
             missed = fit.correction.forward(places) - truth(places)
             errors[name] = float(np.sqrt((missed**2).sum(axis=1).mean()))
         at_points = points.target_px - truth(points.predicted_px)

@@ -21,6 +21,8 @@ from benchmarks.pairs import landsat, read, read_masked, rgbnir, uav, write
 from benchmarks.poses import (
     SCALES,
     Warp,
+    draw_perspective,
+    draw_stretch,
     draw_warp,
     grid_px,
     inside,
@@ -55,6 +57,9 @@ WRONG_PX: Final = 5.0
 """An accepted pair with a larger mean error is wrong."""
 RIGHT_PX: Final = 3.0
 MEDIAN_PX: Final = 1.0
+BEYOND: Final = {"affine": (draw_stretch, 95.0), "perspective": (draw_perspective, 85.0)}
+"""What is drawn, and the percentage that must register."""
+BEYOND_KINDS: Final = ("Optical-Optical", "Optical-Infrared", "Nighttime", "Optical-Depth")
 SAR: Final = "Optical-SAR"
 SAR_SIDE_PX: Final = 256
 SAR_ABOUT_PX: Final = (128.5, 128.5)
@@ -383,10 +388,14 @@ def pooled_ratio(precisions: Sequence[Precision]) -> float:
 
 
 def _warp_trials(
-    ground: Ground, numbers: Sequence[int], folder: Path, runner: Runner
+    ground: Ground,
+    numbers: Sequence[int],
+    folder: Path,
+    runner: Runner,
+    draw: Callable[[np.random.Generator, tuple[float, float]], Warp] = draw_warp,
 ) -> list[tuple[Trial, Precision | None]]:
     warps = [
-        draw_warp(np.random.default_rng([SEED, number, *ground.name.encode()]), ground.scales)
+        draw(np.random.default_rng([SEED, number, *ground.name.encode()]), ground.scales)
         for number in numbers
     ]
     (base,) = runner([ground.base])
@@ -448,6 +457,56 @@ def precision_of(
     if not (warped.correct and as_it_is.correct):
         return None
     return Precision((warped.correct, warped.rmse_px**2), (as_it_is.correct, as_it_is.rmse_px**2))
+
+
+def _beyond_similarities(data: Path, scratch: Path, runner: Runner, share: float) -> Iterator[Table]:
+    """Yield, for pairs of data/pose that register as they are, how they do when the target is warped more.
+
+    Errors count from what the pair gives as it is.
+    """
+    for what, (draw, reach) in BEYOND.items():
+        every: list[Trial] = []
+        rows: list[list[Cell]] = []
+        for kind in BEYOND_KINDS:
+            found = [
+                trial
+                for ground in _registering(data / "pose" / kind, runner, share)
+                for trial in _warp_once(ground, draw, scratch, runner)
+            ]
+            yield _misses(f"{kind}, {what}", found)
+            rows.append(_counts(kind, found))
+            every += found
+        checks = [
+            at_least(f"{what}: registered", _registered(every), reach, "%", 1),
+            at_most(f"{what}: accepted, off by more than {WRONG_PX:.0f} px", _wrong(every), 0, digits=0),
+        ]
+        yield Table(f"{len(every)} pairs, {what}", HEADER, [*rows, _counts("all", every)], checks)
+
+
+def _registering(folder: Path, runner: Runner, share: float) -> list[Ground]:
+    """Return the pairs of a folder that register as they are, and rightly as far as is known."""
+    numbers = sorted(int(path.stem[3:]) for path in folder.glob("gt_*.txt"))
+    chosen = [numbers[index] for index in spread_sample(len(numbers), share, SEED)]
+    jobs = [_pair_job(folder, number) for number in chosen]
+    trials = [
+        (job, _compared(folder, number, outcome, RIGHT_PX))
+        for number, job, outcome in zip(chosen, jobs, runner(jobs), strict=True)
+    ]
+    return [
+        Ground(trial.name, job, None)
+        for job, trial in trials
+        if trial.verdict in ("registered", "truth off", "inexact")
+    ]
+
+
+def _warp_once(
+    ground: Ground,
+    draw: Callable[[np.random.Generator, tuple[float, float]], Warp],
+    scratch: Path,
+    runner: Runner,
+) -> list[Trial]:
+    with TemporaryDirectory(dir=scratch) as folder:
+        return [trial for trial, _ in _warp_trials(ground, [0], Path(folder), runner, draw)]
 
 
 # --- unrelated pairs
@@ -532,6 +591,7 @@ PARTS: Final[dict[str, Callable[[Path, Path, Runner, float], Iterator[Table]]]] 
     "time": _time,
     "pairs": _real_pairs,
     "warped": _warped,
+    "beyond": _beyond_similarities,
     "unrelated": _unrelated,
 }
 """What the study consists of, the shortest first."""

@@ -23,12 +23,12 @@ from benchmarks.studies.rig import applied_errors
 from benchmarks.studies.rpcblock import VIEWS
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
+from pcwlad_geo.multi.stack_result import Stack, StackImage
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.rigs.run import rig_apply, rig_learn
-from pcwlad_geo.stacks.result import Stack, StackImage
+from tests.multi.rpc_views import view_rpc, write_view
 from tests.rpc_scene import UNDULATION_M, dem_grid, dem_values, rpc_grid, write_dem
-from tests.stacks.rpc_views import view_rpc, write_view
 
 GRID: Final = Affine(10.0, 0.0, 500000.0, 0.0, -10.0, 5000000.0)
 CRS: Final = "EPSG:32633"

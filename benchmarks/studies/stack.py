@@ -16,15 +16,14 @@ from benchmarks.runs import Array, Runner
 from benchmarks.tables import Cell, Table, at_least, at_most
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.execution.processes import open_runner
+from pcwlad_geo.multi.adjustment import Adjustment, adjust
+from pcwlad_geo.multi.network import Edge
+from pcwlad_geo.multi.stack import asked
+from pcwlad_geo.multi.stack_inputs import StackInput
+from pcwlad_geo.multi.stack_pairs import StackFrame, candidates, choose_pairs, measure, read_overview
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.stacks.adjustment import Adjustment, adjust
-from pcwlad_geo.stacks.graph import candidates, choose_pairs, read_overview
-from pcwlad_geo.stacks.inputs import StackInput
-from pcwlad_geo.stacks.network import Edge
-from pcwlad_geo.stacks.pairs import Frame, measure
-from pcwlad_geo.stacks.run import asked
 from tests.scenes import make_grid, render, write
 
 IMAGES: Final = 24
@@ -79,7 +78,7 @@ def _ignore(_event: object) -> None:
     pass
 
 
-def _images(scratch: Path, rng: np.random.Generator) -> tuple[Frame, list[Truth]]:
+def _images(scratch: Path, rng: np.random.Generator) -> tuple[StackFrame, list[Truth]]:
     names, truths = [f"image{number:02}" for number in range(IMAGES)], []
     infos = []
     for number, name in enumerate(names):
@@ -96,7 +95,7 @@ def _images(scratch: Path, rng: np.random.Generator) -> tuple[Frame, list[Truth]
         cloudy = _clouds(values, rng)
         infos.append(describe(write(scratch / f"{name}.tif", cloudy, grid)))
         truths.append(Truth(linear, shift))
-    return Frame(names, infos, infos[0].grid, True), truths
+    return StackFrame(names, infos, infos[0].grid, True), truths
 
 
 def _clouds(values: Array, rng: np.random.Generator) -> Array:
@@ -113,7 +112,7 @@ def _bands(data: Path, scratch: Path, runner: Runner) -> Table:
     files += [(folder / "sentinel2_b432_byte.tif", band, f"Sentinel-2 {name}") for band, name in SENTINEL]
     inputs = tuple(StackInput(str(path), band, name) for path, band, name in files)
     infos = [given.describe() for given in inputs]
-    frame = Frame([given.name for given in inputs], infos, infos[0].grid, True, inputs)
+    frame = StackFrame([given.name for given in inputs], infos, infos[0].grid, True, inputs)
     chosen = list(combinations(range(len(inputs)), 2))
     with open_runner(None, _ignore, jobs=runner.processes, scheduler=None, preload="numpy") as pool:
         measured = list(measure(frame, chosen, scratch / "bands", Settings(), False, _ignore, pool))
@@ -168,7 +167,7 @@ def _spoil(edges: Sequence[Edge], rng: np.random.Generator) -> tuple[list[Edge],
 
 
 def _placed(
-    frame: Frame, truths: Sequence[Truth], found: Adjustment, edges: Sequence[Edge], refused: int
+    frame: StackFrame, truths: Sequence[Truth], found: Adjustment, edges: Sequence[Edge], refused: int
 ) -> Table:
     """Compare every image with the truth, and with the best single path of pairs in use."""
     good = [edge for edge, fit in zip(edges, found.edges, strict=True) if fit.used]
