@@ -27,7 +27,7 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:  # noqa: ANN
 
 def public_names() -> dict[str, list[str]]:
     """Return the names of `pcwlad_geo.__all__` by kind."""
-    tree = ast.parse((REPOSITORY / "pcwlad_geo" / "__init__.py").read_text(encoding="utf-8"))
+    tree = ast.parse((REPOSITORY / "pcwlad_geo" / "__init__.pyi").read_text(encoding="utf-8"))
     (listed,) = (
         node.value
         for node in tree.body

@@ -3,14 +3,18 @@
 The scenes are synthetic, so that what is wrong with each is known::
 
     python docs/make_examples.py [FOLDER]
+    python docs/make_examples.py --check   # writes nothing; 1 where a page that is there says something else
 
-Nothing in it is random; the packages are those that pcwlad-geo itself needs.
+Nothing in it is random; the packages are those that pcwlad-geo itself needs. What a page says is its verdict.
+Other words are a difference, and numbers beyond `SLACK` and `SLACK_SHARE`: libraries change some digits.
 """
 
 from __future__ import annotations
 
 import argparse
+import html
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -63,19 +67,52 @@ EXAMPLES = (
 REFERENCE_SEED = 11
 DONE, REFUSED = 0, 3
 """Exit statuses."""
+EXAMPLES_FOLDER = REPOSITORY / "docs" / "examples"
+SLACK, SLACK_SHARE = 0.03, 0.1
+"""What a number may differ by, and by which share of it besides."""
+NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?")
 
 
-def main() -> None:
-    """Write the reports."""
+def main() -> int:
+    """Write the reports, or compare them with those that are there."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folder", nargs="?", type=Path, default=REPOSITORY / "docs" / "examples")
-    folder: Path = parser.parse_args().folder
-    folder.mkdir(parents=True, exist_ok=True)
+    parser.add_argument("folder", nargs="?", type=Path, default=EXAMPLES_FOLDER)
+    parser.add_argument(
+        "--check", action="store_true", help="compare with the pages in FOLDER, write nothing"
+    )
+    asked = parser.parse_args()
+    asked.folder.mkdir(parents=True, exist_ok=True)
+    differing = False
     for example in EXAMPLES:
+        kept = asked.folder / f"{example.name}.html"
         with tempfile.TemporaryDirectory() as scratch:
-            make(example, Path(scratch), folder / f"{example.name}.html")
+            if not asked.check:
+                make(example, Path(scratch), kept)
+                continue
+            page = Path(scratch) / kept.name
+            make(example, Path(scratch), page)
+            old, new = (verdict_of(each.read_text(encoding="utf-8")) for each in (kept, page))
+        if differ(old, new):
+            differing = True
+            sys.stdout.write(f"{example.name} says now:\n{new}\nand said:\n{old}\n\n")
+    return int(differing)
+
+
+def verdict_of(page: str) -> str:
+    """Return what a report says above its pictures and tables, as text."""
+    top = page[page.index("<h1") :].partition("<h2")[0]
+    top = re.sub(r"<(style|script|svg)\b.*?</\1>", "", top, flags=re.S)
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", top)).split())
+
+
+def differ(old: str, new: str) -> bool:
+    """Tell whether two verdicts have other words, or numbers that lie farther apart than the slack."""
+    if NUMBER.sub("#", old) != NUMBER.sub("#", new):
+        return True
+    was, now = ([float(each.replace("−", "-")) for each in NUMBER.findall(text)] for text in (old, new))
+    return any(abs(a - b) > SLACK + SLACK_SHARE * abs(a) for a, b in zip(was, now, strict=True))
 
 
 def make(example: Example, scratch: Path, page: Path) -> None:
@@ -136,4 +173,4 @@ def write(path: Path, values: Array) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -34,7 +34,11 @@ REFERENCE = REPOSITORY / "sample_data" / "landsat_b4.tif"
 TARGET = REPOSITORY / "sample_data" / "landsat_b10.tif"
 
 OUTLINE = "#ff7a00"
-TITLES = ("before", "after pcwlad-geo register")
+TITLES = ("before", "tie points, and how well each is known", "after pcwlad-geo register")
+ARROWS = 14
+"""Arrows along a side of the image: of each such square the tie point that is known best."""
+LONGER = 25
+"""How much longer arrows are than displacements."""
 
 Image = NDArray[Any]
 
@@ -63,9 +67,10 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         out_dir = Path(scratch) / "out"
-        pcwlad_geo.register(REFERENCE, TARGET, out_dir=out_dir)
+        found = pcwlad_geo.register(REFERENCE, TARGET, out_dir=out_dir)
         before, after = on_reference(TARGET), on_reference(out_dir / "landsat_b10_registered.tif")
-    before_after(folder / "before_after.png", on_reference(REFERENCE), before, after)
+    points = found.tie_points.select("fit", "check", "unused")
+    before_after(folder / "before_after.png", on_reference(REFERENCE), before, after, points)
 
 
 def on_reference(path: Path) -> Image:
@@ -85,11 +90,15 @@ def on_reference(path: Path) -> Image:
         return np.ma.filled(view.read(1, masked=True).astype(float), np.nan)
 
 
-def before_after(path: Path, red: Image, before: Image, after: Image) -> None:
-    """Draw a contour of the thermal band over the red band, before and after the registration."""
-    figure, axes = plt.subplots(1, 2, figsize=(9.0, 5.4), layout="constrained")
-    for axis, thermal, title in zip(axes, (before, after), TITLES, strict=True):
-        _draw(axis, CROP, red, thermal)
+def before_after(
+    path: Path, red: Image, before: Image, after: Image, points: pcwlad_geo.TiePointTable
+) -> None:
+    """Draw a contour of the thermal band over the red band, before and after, and what was found between."""
+    figure, axes = plt.subplots(1, 3, figsize=(13.0, 5.3), layout="constrained")
+    _draw(axes[0], CROP, red, before)
+    _draw_points(axes[1], red, points)
+    _draw(axes[2], CROP, red, after)
+    for axis, title in zip(axes, TITLES, strict=True):
         axis.set_title(title, fontsize=13)
     figure.legend(
         handles=[
@@ -105,6 +114,23 @@ def before_after(path: Path, red: Image, before: Image, after: Image) -> None:
     )
     figure.savefig(path, dpi=100, metadata={"Software": None})
     plt.close(figure)
+
+
+def _draw_points(axis: Axes, red: Image, points: pcwlad_geo.TiePointTable) -> None:
+    """Draw displacements as arrows over the whole red band, coloured by their sigma."""
+    rows, cols = red.shape
+    low, high = np.nanpercentile(red, (1, 99))
+    axis.imshow(red, cmap="gray", vmin=low, vmax=high, extent=(0, cols, rows, 0), alpha=0.6)
+    sigma_px = points.sigma_px.mean(axis=1)
+    squares = (points.reference_px // (cols / ARROWS)).astype(int)
+    best = {tuple(squares[index]): index for index in np.argsort(sigma_px)[::-1]}  # the last one stays
+    shown = list(best.values())
+    xy, d_px = points.reference_px[shown], points.displacement_px[shown] * LONGER
+    arrows = axis.quiver(
+        *xy.T, *d_px.T, sigma_px[shown], angles="xy", scale_units="xy", scale=1, width=0.006, cmap="viridis_r"
+    )
+    axis.figure.colorbar(arrows, ax=axis, shrink=0.75, label="sigma, px of 30 m")
+    axis.set(xlim=(0, cols), ylim=(rows, 0), xticks=[], yticks=[])
 
 
 def _draw(axis: Axes, crop: Crop, red: Image, thermal: Image) -> None:

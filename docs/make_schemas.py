@@ -1,4 +1,4 @@
-"""Write the schemas of report.json and stack.json, made from the types of their content.
+"""Write the schemas of the JSON files of results, made from the types of their content.
 
     python docs/make_schemas.py
 
@@ -17,16 +17,21 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
-from pcwlad_geo.options import Settings
+from pcwlad_geo.multi.qa_result import QaNumbers
+from pcwlad_geo.multi.stack_result import StackNumbers
+from pcwlad_geo.multi.watch import WatchNumbers
+from pcwlad_geo.options import OPTIONS, Settings
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.report import content
-from pcwlad_geo.stacks.result import StackNumbers
 
 FOLDER: Final = Path(__file__).resolve().parent
 ROOTS: Final = {
     "report": ("report.json of pcwlad-geo register and match", content.Report),
     "stack": ("stack.json of pcwlad-geo stack", StackNumbers),
+    "qa": ("qa.json of pcwlad-geo qa", QaNumbers),
+    "watch": ("watch.json of pcwlad-geo watch", WatchNumbers),
+    "proof": ("proof.json of pcwlad-geo prove", content.ProofNumbers),
 }
 """By the name of the JSON file: title of its schema, and the class of its content."""
 OPEN: Final = {
@@ -94,7 +99,7 @@ def properties_of(cls: type, classes: dict[str, Schema]) -> dict[str, Schema]:
 
 def descriptions(cls: type) -> dict[str, str]:
     """Return the docstrings of the fields of a dataclass and its bases."""
-    found: dict[str, str] = {}
+    found = {name: option.help for name, option in OPTIONS.items()} if cls is Settings else {}
     for base in cls.__mro__[-2::-1]:
         (tree,) = ast.parse(inspect.getsource(base)).body
         body = tree.body if isinstance(tree, ast.ClassDef) else []

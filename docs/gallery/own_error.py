@@ -1,0 +1,36 @@
+"""The tool's own error on a pair: the target is moved by known amounts and matched again."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from scene import BLUE, ORANGE, panels, read, save, show, write_band
+
+import pcwlad_geo
+
+with tempfile.TemporaryDirectory() as folder:
+    red = write_band(f"{folder}/red.tif", side=320)
+    thermal = write_band(f"{folder}/thermal.tif", "thermal", side=320, shift_px=(0.4, -0.3))
+    proof = pcwlad_geo.prove(red, thermal, out_dir=Path(folder) / "proof", search_radius=8)
+    image = read(red)
+
+titles = [f"90 % of the errors within {proof.ce90_px:.3f} px", "mean along a pixel", "brighter: errs more"]
+figure, (errors, along, where) = panels(titles)
+found = np.array([error for point in proof.map for error in point.errors_px])
+limit = 2.2 * proof.ce90_px
+turn = np.linspace(0, 2 * np.pi, 200)
+errors.plot(*found.T, ".", ms=3, color="0.5")
+errors.plot(proof.ce90_px * np.cos(turn), proof.ce90_px * np.sin(turn), color=ORANGE)
+errors.set(xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", xlabel="column, px", ylabel="row, px")
+
+for axis, (name, colour) in enumerate((("column", BLUE), ("row", ORANGE))):
+    means = [entry.mean_px[axis] for entry in proof.phases]
+    along.plot([entry.phase for entry in proof.phases], means, "o-", color=colour, label=name)
+along.set(ylim=(-limit, limit), xlabel="fraction of the displacement, px")
+along.legend(frameon=False)
+
+show(where, image)
+size = [np.sqrt(np.mean(np.square(point.errors_px))) for point in proof.map]
+places = np.array([point.reference_px for point in proof.map])
+where.scatter(*places.T, c=size, cmap="plasma", s=26, edgecolors="white", linewidths=0.6)
+save(figure, __file__)

@@ -1,0 +1,122 @@
+"""Write the page of the public interface, made from the code.
+
+    python docs/make_interface.py
+
+A test compares `docs/interface.md` with what the code has: whoever takes a name, an option, a file or a
+status away sees it there first.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Final
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from make_man import STATUSES, commands
+
+import pcwlad_geo
+from pcwlad_geo.outputs.write import OUTPUTS
+from pcwlad_geo.tiepoints.table import COLUMNS as TIE_POINT_COLUMNS
+
+DOCS: Final = Path(__file__).resolve().parent
+PAGE: Final = DOCS / "interface.md"
+TEXT: Final = """# The public interface
+
+What [versions](contributing.md#versions) are about: a major version may break what stands here, a minor
+version adds to it, a patch changes neither. The page is made from the code (`python docs/make_interface.py`),
+and a test compares both. Everything else may change at any time.
+
+## Python
+
+The names of `pcwlad_geo.__all__`, with the parameters of functions; [API](api.md) describes them.
+
+{names}
+
+## Command line
+
+{commands}
+
+`--progress json` writes an object a line, with `event` one of `progress`, `warning`, `result`, `error` and
+`cancelled`. [The plugin of QGIS](qgis.md) reads it, by the protocol number that `pcwlad-geo --version` tells.
+
+## Exit statuses
+
+{statuses}
+
+## Files of a pair
+
+When each is written, and what is in it: [what a job writes](outputs.md).
+
+{files}
+
+{columns}
+
+## Schemas
+
+{schemas}
+"""
+
+
+def code(names: Iterable[str]) -> str:
+    """Return names as code, one after the other."""
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def table(header: str, rows: Iterable[tuple[str, str]]) -> str:
+    """Return rows as a table of two columns."""
+    cells = (f"| {first} | {second} |" for first, second in rows)
+    return "\n".join([f"| {header.replace(', ', ' | ')} |", "|---|---|", *cells])
+
+
+def names() -> Iterator[tuple[str, str]]:
+    """Yield the classes, the errors, and each function with the names of its parameters."""
+    public = {name: getattr(pcwlad_geo, name) for name in pcwlad_geo.__all__}
+    functions = {name: each for name, each in public.items() if inspect.isfunction(each)}
+    others = [name for name in public if name not in functions]
+    yield "classes and types", code(name for name in others if name[0] != "_" and not name.endswith("Error"))
+    yield "errors", code(name for name in others if name.endswith("Error"))
+    for name, function in functions.items():
+        yield f"`{name}`", code(inspect.signature(function).parameters)
+
+
+def file_name(template: str) -> str:
+    """Return the name of an output of any target."""
+    return template.format(name="<target file name>", stem="<target>", ending="tif")
+
+
+def options() -> Iterator[tuple[str, str]]:
+    """Yield each command with its arguments and options."""
+    for name, command in commands():
+        arguments = [each.metavar for each in command.params if not each.opts[0].startswith("-")]
+        flags = [flag for each in command.params for flag in each.opts if flag.startswith("-")]
+        yield f"`{' '.join([name, *arguments])}`", code(flags)
+
+
+def schemas() -> Iterator[tuple[str, str]]:
+    """Yield each schema, with the entries that are always there."""
+    for path in sorted(DOCS.glob("*.schema.json")):
+        yield (
+            f"[`{path.name}`]({path.name})",
+            code(json.loads(path.read_text(encoding="utf-8")).get("required", ())),
+        )
+
+
+def page() -> str:
+    """Return the page."""
+    return TEXT.format(
+        names=table("name, parameters", names()),
+        commands=table("command, options", options()),
+        statuses=table("status, meaning", STATUSES.items()),
+        files=table("file, when", ((f"`{file_name(each.name)}`", each.when.words) for each in OUTPUTS)),
+        columns=table("file, columns", [("`tiepoints.csv`", code(TIE_POINT_COLUMNS))]),
+        schemas=table("schema, entries that are always there", schemas()),
+    )
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
