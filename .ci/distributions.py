@@ -15,16 +15,23 @@ from pathlib import Path
 
 IN_WHEEL = (
     "pcwlad_geo/py.typed",
+    "pcwlad_geo/__init__.pyi",
+    "pcwlad_geo/cli/sample/landsat_b4.tif",
+    "pcwlad_geo/cli/sample/landsat_b10.tif",
     "pcwlad_geo/report/templates/report.html.j2",
-    "pcwlad_geo/bandqa/templates/qa.html.j2",
-    "pcwlad_geo/schemas/report.schema.json",
-    "pcwlad_geo/schemas/qa.schema.json",
+    "pcwlad_geo/multi/templates/qa.html.j2",
+    "pcwlad_geo/multi/templates/watch.html.j2",
+    *(
+        f"pcwlad_geo/schemas/{name}.schema.json"
+        for name in ("report", "qa", "stack", "rig", "proof", "watch")
+    ),
 )
 IN_SOURCE = (
     *(name for name in IN_WHEEL if "schemas" not in name),
     "LICENSE",
     "README.md",
     "pyproject.toml",
+    "docs/pcwlad-geo.1",
     "constraints.txt",
     "docs/report.schema.json",
     "sample_data/landsat_b4.tif",
@@ -46,6 +53,8 @@ def main() -> int:
     with tarfile.open(source) as tar:
         in_source = [name.partition("/")[2] for name in tar.getnames()]
     wrong = [f"{wheel.name} lacks {name}" for name in IN_WHEEL if name not in in_wheel]
+    man_page = ".data/data/share/man/man1/pcwlad-geo.1"
+    wrong += [] if any(name.endswith(man_page) for name in in_wheel) else [f"{wheel.name} lacks {man_page}"]
     wrong += [f"{source.name} lacks {name}" for name in IN_SOURCE if name not in in_source]
     wrong += [
         f"{wheel.name} holds {name}"
