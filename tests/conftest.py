@@ -12,12 +12,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from tests.cli.process import Result, run_cli
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 COMPILE = "from pcwlad_geo.registration.tiles import compile_kernels; compile_kernels('oriented')"
 
+settings.register_profile("without a clock", deadline=None)  # a busy machine is no failure
+settings.load_profile("without a clock")
 # Here, before numpy loads: several threads on small matrices take several times as long as one.
 for _pool in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_pool}_NUM_THREADS", "1")
@@ -28,13 +31,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile the kernels once, before several workers would all do so; forget those of other sources."""
-    kernels = REPOSITORY / "pcwlad_geo/matching/kernels"
-    if "PYTEST_XDIST_WORKER" not in os.environ:
-        newest = max((path.stat().st_mtime for path in kernels.glob("*.py")), default=0.0)
-        for index in (kernels / "__pycache__").glob("*.nbi"):
-            if index.stat().st_mtime < newest:  # numba notices changes of a kernel's own file only
-                index.unlink(missing_ok=True)
+    """Compile the kernels once, before several workers would all do so."""
     workers = getattr(session.config.option, "numprocesses", None)
     if workers and "PYTEST_XDIST_WORKER" not in os.environ:
         places = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])

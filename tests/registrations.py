@@ -22,8 +22,7 @@ from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.fitting import Quality
 from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.content import to_json
-from pcwlad_geo.report.summary import summarise
+from pcwlad_geo.report.content import summarise, to_json
 from pcwlad_geo.tiepoints.table import TiePointTable
 
 SHIFT_PX = np.array([1.25, -0.5])

@@ -22,13 +22,15 @@ def read_table(path: Path, crs: CRS | None = None) -> TiePointTable:
         return np.array(values).reshape(-1, len(names))
 
     target_px = numbers("tgt_col", "tgt_row")
+    sigma_px, correlation = numbers("sigma_col", "sigma_row"), numbers("correlation")
+    alike = np.where(np.eye(2) > 0, 1.0, correlation[:, :, None])
     return TiePointTable(
         reference_px=numbers("ref_col", "ref_row"),
         target_px=target_px,
         predicted_px=target_px - numbers("d_col", "d_row"),
         xy=numbers("x", "y"),
         displacement_m=numbers("d_x_m", "d_y_m"),
-        covariance_px2=numbers("sigma_col", "sigma_row")[:, :, None] ** 2 * np.eye(2),
+        covariance_px2=sigma_px[:, :, None] * sigma_px[:, None] * alike,
         score=numbers("score")[:, 0],
         residual_px=numbers("residual_col", "residual_row"),
         status=np.array([row["status"] for row in rows], dtype=np.str_),

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.bandqa.summary import to_csv
-from pcwlad_geo.batches import Pair, PairOutcome, write_summary
+from pcwlad_geo.multi.batches import BatchPair, PairOutcome, write_summary
+from pcwlad_geo.multi.qa_result import to_csv
 from pcwlad_geo.options import Settings
 from pcwlad_geo.text import cell
 from pcwlad_geo.tiepoints.readers import read_point_file
@@ -31,7 +31,7 @@ def test_all_else_stays(value: object) -> None:
 
 
 def test_summary_of_a_batch(tmp_path: Path) -> None:
-    pair = Pair(2, "=1+1.tif", '=HYPERLINK("x").tif', tmp_path, Settings(), {})
+    pair = BatchPair(2, "=1+1.tif", '=HYPERLINK("x").tif', tmp_path, Settings(), {})
     write_summary(tmp_path / "summary.csv", [PairOutcome(pair, "unusable", "@reason")])
     (row,) = csv.DictReader(io.StringIO((tmp_path / "summary.csv").read_text()))
     assert (row["reference"], row["target"]) == ("'=1+1.tif", '\'=HYPERLINK("x").tif')

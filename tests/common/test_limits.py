@@ -22,7 +22,7 @@ from pcwlad_geo.cli.options import read_config
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import ExecutionError, InputError, OutputError, SettingsError
 from pcwlad_geo.events import Event, Warned
-from pcwlad_geo.execution.cluster import LOST_AFTER_S, WARN_AFTER_S, WorkerWatch
+from pcwlad_geo.execution.runner import LOST_AFTER_S, WARN_AFTER_S, WorkerWatch
 from pcwlad_geo.job import register
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products import LANDSAT_LISTED
@@ -31,7 +31,7 @@ from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.matching_grid import moved_across_antimeridian, plan_views
 from pcwlad_geo.raster.output_grid import GridRequest, output_grid
-from pcwlad_geo.raster.rpc.files import parse_rpc_text
+from pcwlad_geo.raster.rpc.model import parse_rpc_text
 from pcwlad_geo.raster.source import describe, open_raster
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.text import read_bytes, read_json

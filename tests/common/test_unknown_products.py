@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from pcwlad_geo.bandqa.bands import Wanted, expand
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.multi.bands import Wanted, expand
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products import find_product, no_product
 from pcwlad_geo.registration.inputs import resolve

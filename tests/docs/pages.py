@@ -37,6 +37,11 @@ def blocks(page: Path) -> list[Block]:
     return [block for block in all_blocks if "--8<--" not in block.text]
 
 
+def code_of(page: Path) -> str:
+    """Return the Python code of a page."""
+    return "\n".join(block.text for block in blocks(page) if block.language == "python")
+
+
 def name_of(page: Path) -> str:
     """Return the name of a page as the tests show it."""
     return page.relative_to(REPOSITORY).as_posix()

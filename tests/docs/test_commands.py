@@ -15,22 +15,17 @@ import typer
 from typer.main import get_command
 
 from pcwlad_geo.cli.app import app
-from tests.docs.pages import DOCS, PAGES, REPOSITORY, blocks, name_of
+from tests.docs.pages import DOCS, PAGES, REPOSITORY, blocks, code_of, name_of
 
 PLACEHOLDERS = re.compile(r"\[-o OUT_DIR\]|…|\|")
 """What synopses have and shells have not."""
 SHELL_PAGES = [page for page in PAGES if any(block.language == "sh" for block in blocks(page))]
 RUN_PAGES = [page for page in PAGES if any(block.mark == "run" for block in blocks(page))]
-ITS_OWN_TEST = "docs/python.md"
-"""Its blocks need optional libraries: `test_python_page` runs those that are possible."""
+OWN_TESTS = {"docs/python.md", "docs/howto/watch.md"}
+"""Pages whose code `test_python_page` (with the libraries there are) and `test_watch_catalogue` run."""
 
 
-def code_of(page: Path) -> str:
-    """Return the Python code of a page."""
-    return "\n".join(block.text for block in blocks(page) if block.language == "python")
-
-
-PYTHON_PAGES = [page for page in PAGES if name_of(page) != ITS_OWN_TEST and code_of(page)]
+PYTHON_PAGES = [page for page in PAGES if name_of(page) not in OWN_TESTS and code_of(page)]
 BEGINNINGS = {"README.md": "docs/tutorial/python.md"}
 """Pages with whose code another page begins, which runs it."""
 ROOTS = (REPOSITORY, REPOSITORY / "tests", REPOSITORY / "benchmarks")

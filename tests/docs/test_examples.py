@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from docs.make_examples import differ, verdict_of
 from tests.chromium import show
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
@@ -37,3 +38,16 @@ def test_the_good_one_opens_without_a_complaint(tmp_path: Path) -> None:
     path = tmp_path / "good.html"
     path.write_text((EXAMPLES / "good.html").read_text(encoding="utf-8"), encoding="utf-8")
     assert not show(path).complaints
+
+
+@pytest.mark.parametrize("name", ["good", "cloudy", "wrong_search_radius", "unrelated"])
+def test_the_check_reads_verdicts_and_tells_other_words_and_figures(name: str) -> None:
+    said = verdict_of((EXAMPLES / f"{name}.html").read_text(encoding="utf-8"))
+    assert "egister" in said
+    assert len(said) > 100
+    assert not differ(said, said)
+    number = [*re.finditer(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])", said)][-1]
+    begin, end = said[: number.start()], said[number.end() :]
+    assert not differ(said, f"{begin}{float(number[0]) + 0.02:.3f}{end}")
+    assert differ(said, f"{begin}{2 * float(number[0]) + 1:.3f}{end}")
+    assert differ(said, said.replace("registered", "refused", 1).replace("Registered", "Refused", 1))

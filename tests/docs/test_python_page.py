@@ -11,7 +11,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-OPTIONAL = {"to_geodataframe": "geopandas", "import xarray": "xarray", "from skimage": "skimage"}
+OPTIONAL = {"to_geodataframe": "geopandas", "import xarray": "xarray"}
 
 
 def blocks() -> list[str]:

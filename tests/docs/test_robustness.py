@@ -20,7 +20,8 @@ def functions(file: Path) -> set[str]:
 
 
 def test_every_row_names_a_test_that_is_there() -> None:
-    rows = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
+    cases_only = PAGE.read_text(encoding="utf-8").partition("## Measured at large")[0]
+    rows = [line for line in cases_only.splitlines() if line.startswith("|")]
     cases = [row for row in rows if not row.startswith(("|---", "| case |"))]
     assert len(cases) > 40
     assert [row for row in cases if not NODE_ID.search(row)] == []

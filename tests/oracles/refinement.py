@@ -28,8 +28,8 @@ from pcwlad_geo.matching.refinement import (
     ChannelMaps,
     Float64,
     Index,
+    InitialEstimate,
     Refined,
-    Start,
     correlation_half_px,
     first_relaxation,
 )
@@ -45,7 +45,7 @@ def refine_plain(
     reference: ChannelMaps,
     target: ChannelMaps,
     corners_rc: Index,
-    start: Start,
+    start: InitialEstimate,
     *,
     window_px: int,
     step_px: int = 1,

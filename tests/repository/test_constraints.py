@@ -23,7 +23,7 @@ def asked_for() -> list[Requirement]:
     return [Requirement(each) for each in [*project["dependencies"], *extras]]
 
 
-@pytest.mark.parametrize("python", ["3.10", "3.11", "3.12", "3.13"])
+@pytest.mark.parametrize("python", ["3.10", "3.11", "3.12", "3.13", "3.14"])
 def test_every_requirement_is_pinned_within_its_bounds(python: str) -> None:
     here = {**LINUX, "python_version": python, "python_full_version": f"{python}.0"}
 

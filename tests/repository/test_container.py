@@ -1,0 +1,128 @@
+"""The container: what its files say, and its entry point as it is started there."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(REPOSITORY / "scripts"))
+import rehearse_container as rehearsal  # noqa: E402
+
+LINES = list(rehearsal.instructions((REPOSITORY / "Dockerfile").read_text(encoding="utf-8")))
+COMPOSE = yaml.safe_load((REPOSITORY / "compose.yaml").read_text(encoding="utf-8"))
+NOBODY = 65534
+
+
+def every(name: str) -> list[str]:
+    return [rest for instruction, rest in LINES if instruction == name]
+
+
+def test_every_line_is_an_instruction_that_is_known() -> None:
+    known = {"ARG", "FROM", "LABEL", "RUN", "COPY", "ENV", "USER", "WORKDIR", "ENTRYPOINT", "CMD"}
+    assert {name for name, _ in LINES} == known
+    assert all(json.loads(rest) for name, rest in LINES if name in ("ENTRYPOINT", "CMD"))
+
+
+def test_it_does_not_run_as_root() -> None:
+    last = LINES.index(("FROM", every("FROM")[-1]))
+    (user,) = [place for place, (name, _) in enumerate(LINES) if name == "USER" and place > last]
+    assert LINES[user][1] not in ("root", "0")
+    assert [name for name, _ in LINES[user + 1 :] if name == "USER"] == []
+    warmed = next(place for place, (name, rest) in enumerate(LINES) if name == "RUN" and " demo " in rest)
+    assert warmed > user, "the kernels are compiled by the user who runs them"
+
+
+def test_what_is_copied_is_there_and_let_in() -> None:
+    let_in = rehearsal.context()
+    copied = [shlex.split(rest) for rest in every("COPY") if "--from" not in rest]
+    sources = [next(word for word in words if not word.startswith("--")) for words in copied]
+    assert set(sources) - {"."} <= set(let_in)
+    for needed in ("pyproject.toml", "README.md", "LICENSE", "docs/rig.schema.json", "docs/pcwlad-geo.1"):
+        assert needed in let_in
+    assert "pcwlad_geo/cli/sample/landsat_b4.tif" in let_in
+    assert not [name for name in let_in if name.startswith(("tests", "fuzz", ".git"))]
+
+
+@pytest.fixture
+def started() -> Iterator[Path]:
+    """A folder with programs that tell how the entry point starts them, open to all users."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        for program in ("pcwlad-geo", "dask"):
+            script = folder / program
+            script.write_text(
+                f'#!/bin/sh\necho {program} "$@"\ncat "$NUMBA_CACHE_DIR/kernel"\necho "$MPLCONFIGDIR"\n'
+            )
+            script.chmod(0o755)
+        (folder / "cache" / "numba").mkdir(parents=True)
+        (folder / "cache" / "numba" / "kernel").write_text("compiled\n")
+        yield folder
+
+
+def start(folder: Path, *arguments: str, user: int | None = None) -> list[str]:
+    cache, entry_point = folder / "cache", folder / "entrypoint"  # another user may not see the repository
+    shutil.copy(REPOSITORY / "container" / "entrypoint", entry_point)
+    return subprocess.run(
+        ["/bin/sh", str(entry_point), *arguments],
+        cwd=folder,
+        env={
+            "PATH": f"{folder}:{os.environ['PATH']}",
+            "PCWLAD_GEO_CACHE": str(cache),
+            "NUMBA_CACHE_DIR": str(cache / "numba"),
+            "MPLCONFIGDIR": str(cache / "matplotlib"),
+        },
+        user=user,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.splitlines()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the container runs Linux")
+class TestEntryPoint:
+    def test_commands_go_to_the_program_and_dask_is_itself(self, started: Path) -> None:
+        assert start(started, "register", "a b.tif", "c.tif")[0] == "pcwlad-geo register a b.tif c.tif"
+        assert start(started, "dask", "scheduler")[0] == "dask scheduler"
+        assert start(started)[0] == "pcwlad-geo"
+
+    def test_its_owner_uses_the_compiled_kernels_as_they_are(self, started: Path) -> None:
+        assert start(started, "--help")[1:] == ["compiled", str(started / "cache" / "matplotlib")]
+
+    @pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root can be another user")
+    def test_who_cannot_write_there_uses_a_copy(self, started: Path) -> None:
+        _, kernel, settings = start(started, "--help", user=NOBODY)
+        assert kernel == "compiled"
+        assert Path(settings).name == "matplotlib"
+        assert not settings.startswith(str(started))
+
+
+def test_the_cluster_has_a_scheduler_two_workers_and_one_folder() -> None:
+    services = COMPOSE["services"]
+    assert services.keys() == {"scheduler", "worker", "pcwlad-geo"}
+    assert services["worker"]["deploy"]["replicas"] == 2
+    assert services["worker"]["command"][-1] == "tcp://scheduler:8786"
+    assert services["scheduler"]["command"][:4] == ["dask", "scheduler", "--port", "8786"]
+    for service in services.values():
+        assert service["read_only"] is True
+        assert service["tmpfs"] == ["/tmp"]
+        assert [volume.rpartition(":")[2] for volume in service["volumes"]] == ["/data"]
+        assert "ports" not in service
+
+
+@pytest.mark.parametrize("service", ["scheduler", "worker"])
+def test_dask_knows_its_options(service: str) -> None:
+    command = pytest.importorskip(f"distributed.cli.dask_{service}").main
+    words = COMPOSE["services"][service]["command"][2:]
+    command.make_context(service, words)  # raises on an option that it does not know
