@@ -107,7 +107,7 @@ STRETCHED_SCALES: Final = (0.5, 2.0)
 COARSE: Final = (56, 8.0, 1.16)
 """Cells, step of the rotations and of the scales of these: coarse cells tolerate the rest of the stretch."""
 SAMPLED: Final = 8
-"""Number of the best of these from which a sample of the patches votes."""
+"""Number of the best of these, and of the best similarities, from which a sample of the patches votes."""
 GROWN: Final = 3
 """Number of those, with which most of the sample agree, from which the sample votes again."""
 MIN_SAMPLED: Final = 7
@@ -385,7 +385,7 @@ def search_pose(
     scales : (float, float)
         Smallest and largest scale that is tried, target px per reference px.
     stretched : bool
-        Whether the search goes on with a stretched reference where no similarity is found.
+        Whether the search goes on where no similarity is found: from others, and with a stretched reference.
     threads : int
         Number of threads that share the search; the result does not depend on it.
 
@@ -412,7 +412,8 @@ def search_pose(
     similarity = _best_similarity(first, second, coarse, threads)
     if similarity.accepted or not stretched:
         return similarity
-    return _grown(voters, _stretched(first, second, scales, threads)[:SAMPLED], scales) or similarity
+    others = _stretched(first, second, scales, threads)[:SAMPLED]
+    return _grown(voters, [*coarse[1 : 1 + SAMPLED], *others], scales) or similarity
 
 
 def _best_similarity(first: _Image, second: _Image, coarse: Sequence[_Trial], threads: int) -> PoseProposal:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from pcwlad_geo.matching import pose
 from pcwlad_geo.matching.pose import PoseProposal, mean_distance_px, search_pose
 from tests.matching.test_global_search import cover, modality
 
@@ -110,3 +111,21 @@ def test_scales_may_be_limited() -> None:
 
 def test_flat_images_have_no_pose() -> None:
     assert search(np.full((64, 64), 7.0)) is None
+
+
+def test_a_pose_that_others_outscore_is_found_by_its_patches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the score tells nothing, patches vote from several similarities, not from the best alone."""
+    target, matrix = seen(-20.0, 1.0, (10.0, 4.0))
+    distinct = pose._distinct
+
+    def outscored(*arguments: Any) -> list[Any]:
+        best, *others = distinct(*arguments)
+        return [*others[:3], best, *others[3:]]
+
+    monkeypatch.setattr(pose, "_distinct", outscored)
+    monkeypatch.setattr(pose, "_stretched", lambda *_: [])
+    monkeypatch.setattr(pose, "EVIDENCE_PER_RATIO", 0.0)
+    found = search(target)
+    assert found is not None
+    assert found.accepted
+    assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 2.0
