@@ -79,17 +79,20 @@ def mutants(source: str) -> list[Mutant]:
     source : str
         Text of the module.
     """
-    tree = ast.parse(source)
-    text = ast.unparse(tree).splitlines()
+    parts = [ast.Module([statement], []) for statement in ast.parse(source).body]
+    texts = [ast.unparse(part) for part in parts]
     made: dict[str, Mutant] = {}
-    for place in _places(tree, ""):
-        for replacement in _replacements(place.node, place.field):
-            place.put(replacement)
-            mutated = ast.unparse(ast.fix_missing_locations(tree))
-            place.put(place.node)
-            before, after = _difference(text, mutated.splitlines())
-            if before != after and mutated not in made:
-                made[mutated] = Mutant(place.node.lineno, place.where, before, after, mutated)
+    for number, part in enumerate(parts):  # one by one: the others need not be written again
+        lines = texts[number].splitlines()
+        for place in _places(part, ""):
+            for replacement in _replacements(place.node, place.field):
+                place.put(replacement)
+                text = ast.unparse(ast.fix_missing_locations(part))
+                place.put(place.node)
+                before, after = _difference(lines, text.splitlines())
+                mutated = "\n".join([*texts[:number], text, *texts[number + 1 :]])
+                if before != after and mutated not in made:
+                    made[mutated] = Mutant(place.node.lineno, place.where, before, after, mutated)
     return sorted(made.values(), key=lambda mutant: mutant.line)
 
 
