@@ -33,6 +33,8 @@ CRS_OF_SCENE = CRS.from_epsg(32633)
 _FIELDS, _WAVES = 5, 40
 _WAVELENGTHS_PX = (9.0, 60.0)
 _EDGE_STEEPNESS = 4.0
+_BLOCK = 4000
+"""So many points are computed at once: their waves fit into the processor's cache."""
 # What each band sees of the fields: shared edges of other contrast, and a field of its own.
 _CONTRASTS = {"red": (50.0, 40.0, 30.0, 12.0, 0.0), "thermal": (-40.0, 45.0, -30.0, 0.0, 12.0)}
 
@@ -136,7 +138,14 @@ def _on_affine_grid(
 
 
 def _at_points(ground: Array, frequency: Array, phase: Array, amplitude: Array) -> Array:
-    return np.asarray(np.cos(ground @ frequency + phase) @ amplitude)
+    """Return the sums of waves to about 1e-6: single precision, of angles that are small, is far quicker."""
+    total = np.empty(len(ground))
+    for begin in range(0, len(ground), _BLOCK):
+        part = slice(begin, begin + _BLOCK)
+        turns = (ground[part] @ frequency + phase) / (2 * np.pi)
+        angles = (2 * np.pi * (turns - np.rint(turns))).astype(np.float32)
+        total[part] = np.cos(angles) @ amplitude.astype(np.float32)
+    return total
 
 
 def write(path: Path, values: NDArray[np.generic], grid: Grid | None, **options: object) -> Path:
