@@ -10,6 +10,7 @@ import pytest
 
 from pcwlad_geo.multi.stack import stack
 from tests.multi.test_stack import FEW, write_images
+from tests.pictures import no_pictures
 
 Placed = Callable[[int], list[Path]]
 
@@ -18,7 +19,8 @@ Placed = Callable[[int], list[Path]]
 def four(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with the images date0 to date3, and their stack in `whole`."""
     folder = tmp_path_factory.mktemp("four")
-    stack(write_images(folder, 4), out_dir=folder / "whole", **FEW)
+    with no_pictures():
+        stack(write_images(folder, 4), out_dir=folder / "whole", **FEW)
     return folder
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,18 +21,25 @@ from pcwlad_geo.multi.stack_result import Stack
 from pcwlad_geo.raster.rpc.model import parse_rpc_text, read_rpc, to_gdal
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from tests.multi.rpc_views import TRUTH_PX, view_rpc, write_views
+from tests.pictures import no_pictures
 from tests.rpc_scene import UNDULATION_M, write_image
 from tests.scenes import make_grid, render, write
 
-OPTIONS: Any = {"features": 80, "jobs": 1, "dem_vertical": UNDULATION_M}
+OPTIONS: Any = {"features": 80, "window": 41, "template": 61, "jobs": 1, "dem_vertical": UNDULATION_M}
 SCHEMA = Path(__file__).resolve().parents[2] / "docs" / "stack.schema.json"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def without_pictures() -> Iterator[None]:
+    with no_pictures():
+        yield
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three views, the DEM, and a reference on the map."""
+    """Two views, the DEM, and a reference on the map."""
     folder = tmp_path_factory.mktemp("views")
-    write_views(folder)
+    write_views(folder, 2)
     grid = make_grid((320, 340), offset_m=(-300, -300))
     write(folder / "reference.tif", render(grid), grid)
     return folder
@@ -153,8 +161,10 @@ BIASES_PX = np.array([[3.0, -2.0], [-2.5, 1.5], [1.0, 3.5]])
 
 
 @pytest.mark.slow
-def test_biases_put_into_rpcs_are_recovered(folder: Path, tmp_path: Path) -> None:
-    images = []
+def test_biases_put_into_rpcs_are_recovered(tmp_path: Path) -> None:
+    folder, images = tmp_path / "views", []
+    folder.mkdir()
+    write_views(folder)
     for number, (more_cols, more_rows) in enumerate(BIASES_PX):
         image, biased = folder / f"view{number}.tif", tmp_path / f"view{number}.vrt"
         source = read_rpc(str(image))
@@ -226,5 +236,6 @@ def test_a_file_in_the_way_and_one_more_image(pair: Stack, folder: Path, tmp_pat
     images = [folder / "view0.tif", folder / "view1.tif"]
     how: Any = {**OPTIONS, "dem": folder / "dem.tif"}
     refused(images, "in the way", OutputError, **how, out_dir=tmp_path)
+    one_more = shutil.copy(images[1], tmp_path / "view2.tif")
     with pytest.raises(InputError, match="images with RPCs"):
-        pcwlad_geo.stack_add([folder / "view2.tif"], pair.out_dir)
+        pcwlad_geo.stack_add([one_more], pair.out_dir)

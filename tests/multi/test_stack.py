@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,11 +24,12 @@ from pcwlad_geo.multi.stack_inputs import StackInput
 from pcwlad_geo.multi.stack_pairs import ALL_PAIRS, StackFrame, candidates, choose_pairs, read_overview
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.source import describe
+from tests.pictures import no_pictures
 from tests.scenes import make_grid, render, write
 
 GRID = make_grid((200, 220))
-FEW: Any = {"features": 100, "jobs": 1}
-FEW_WORDS = ("--features", "100", "--jobs", "1")
+FEW: Any = {"features": 60, "window": 41, "template": 61, "model": "shift", "jobs": 1}
+FEW_WORDS = tuple(word for name, value in FEW.items() for word in (f"--{name}", str(value)))
 SHIFTS_PX = np.array([[0.0, 0.0], [1.7, -2.4], [-0.6, 1.3], [2.2, 0.8]])
 
 
@@ -47,6 +49,12 @@ def content(folder: Path) -> dict[str, bytes]:
         for path in sorted(folder.iterdir())
         if path.is_file()
     }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def without_pictures() -> Iterator[None]:
+    with no_pictures():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +129,8 @@ def test_an_image_that_cannot_be_read_is_named_and_the_rest_goes_on(done: Path, 
 def test_the_command_prints_the_images(done: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = done / "images.csv"
     table.write_text("image\ndate0.tif\ndate1.tif\ndate2.tif\n")
-    arguments = ["stack", str(table), "-o", str(done / "out put"), *FEW_WORDS, "--progress", "none"]
-    assert run_command(arguments) == 0
+    arguments = ["stack", str(table), "-o", str(done / "out put"), *FEW_WORDS, "--model", "auto"]
+    assert run_command([*arguments, "--progress", "none"]) == 0
     printed = capsys.readouterr().out
     assert "date1" in printed
     assert "3 used" in printed

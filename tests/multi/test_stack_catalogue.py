@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,6 +13,7 @@ import pytest
 import rasterio
 
 from pcwlad_geo.multi.stack import stack
+from tests.pictures import no_pictures
 from tests.product_files import BEFORE_COLLECTIONS, write_landsat
 from tests.scenes import make_grid, render, write
 
@@ -29,12 +30,18 @@ def images(folder: Path, names: list[str]) -> list[Path]:
     return [write(folder / f"{name}.tif", image, GRID) for name, image in zip(names, shown, strict=True)]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def without_pictures() -> Iterator[None]:
+    with no_pictures():
+        yield
+
+
 @pytest.fixture(scope="module")
 def bands_of_dates(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The stack of two bands of two dates, and one of a third."""
     folder = tmp_path_factory.mktemp("bands")
     names = [f"{band}_{date}" for date in DATES for band in ("red", "nir")][:-1]
-    stack(images(folder, names), out_dir=folder / "out", max_pairs=5, **FAST)
+    stack(images(folder, names), out_dir=folder / "out", max_pairs=5, model="shift", **FAST)
     return folder / "out"
 
 
@@ -139,7 +146,7 @@ def test_bands_of_a_product_are_assets_of_one_item_each_on_its_grid(tmp_path: Pa
     scene = write_landsat(
         tmp_path, name="crop", collection=None, quality_values=BEFORE_COLLECTIONS, bands=("B4", "B8")
     )
-    stack([scene], out_dir=tmp_path / "out", **FAST)
+    stack([scene], out_dir=tmp_path / "out", model="shift", **FAST)
     (only,) = (tmp_path / "out").glob("item_*.json")
     item = json.loads(only.read_text())
     assert list(item["assets"]) == ["B4", "B8"]

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,14 @@ from pcwlad_geo.raster.grid import Grid
 from tests.cluster import cluster
 from tests.multi.conftest import Placed
 from tests.multi.test_stack import FEW, FEW_WORDS, GRID, SHIFTS_PX, content, write_images
+from tests.pictures import no_pictures
 from tests.scenes import make_grid, render, write
+
+
+@pytest.fixture(scope="module", autouse=True)
+def without_pictures() -> Iterator[None]:
+    with no_pictures():
+        yield
 
 
 def numbers_of(folder: Path) -> dict[str, Any]:
@@ -132,13 +140,17 @@ def test_the_pairs_of_a_table_are_matched_and_no_others(
 
 
 def test_groups_without_a_connection_are_named_or_allowed(tmp_path: Path) -> None:
-    far = make_grid((200, 220), offset_m=(60_000.0, 0.0))
+    far = make_grid((200, 220), offset_m=(9_000.0, 0.0))
+    shown = {"a": (GRID, (0, 0)), "b": (GRID, (1.0, 2.0)), "c": (far, (0, 0)), "d": (far, (-1.5, 0.5))}
+    rng = np.random.default_rng(5)  # noise that images shared would draw them to no shift
     images = [
-        write(tmp_path / f"{name}.tif", render(grid, displacement_px=shift), grid)
-        for name, grid, shift in (
-            ("a", GRID, (0, 0)), ("b", GRID, (1.0, 2.0)), ("c", far, (0, 0)), ("d", far, (-1.5, 0.5)),
+        write(
+            tmp_path / f"{name}.tif",
+            render(grid, displacement_px=shift, noise=0.0) + rng.standard_normal(grid.shape),
+            grid,
         )
-    ]  # fmt: skip
+        for name, (grid, shift) in shown.items()
+    ]
     with pytest.raises(RegistrationRejectedError, match=r"a \+ b; c \+ d"):
         stack(images, out_dir=tmp_path / "out", **FEW)
     found = stack(images, out_dir=tmp_path / "out", allow_components=True, **FEW)
@@ -314,7 +326,7 @@ def test_a_killed_stack_goes_on_where_it_was(four: Path, matched: list[tuple[str
 def test_pairs_matched_side_by_side_are_those_matched_one_by_one(four: Path) -> None:
     images = [four / f"date{number}.tif" for number in range(4)]
     events: list[Event] = []
-    stack(images, out_dir=four / "two", features=100, jobs=2, on_event=events.append)
+    stack(images, out_dir=four / "two", **{**FEW, "jobs": 2}, on_event=events.append)
     assert content(four / "two") == content(four / "whole")
     assert [each.done for each in events if isinstance(each, Progress) and each.stage == "pairs"][-1] == 6
 
@@ -353,7 +365,7 @@ def test_a_cluster_gives_the_same_stack(tmp_path: Path) -> None:
             out_dir=tmp_path / "there",
             scheduler=running.address,
             allow_components=True,
-            features=100,
+            **{name: value for name, value in FEW.items() if name != "jobs"},
         )
     assert [pair.status for pair in found.pairs].count("used") == 6
     assert content(tmp_path / "there") == content(tmp_path / "here")

@@ -1,0 +1,26 @@
+"""Pages without their pictures, which cost more than the matching of a small pair."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from pcwlad_geo.multi import pages
+from pcwlad_geo.report import figures, page
+
+BLANK = b"no picture"
+
+
+@contextmanager
+def no_pictures() -> Iterator[None]:
+    """Leave figures and views out of the pages that this process writes, for tests that ask for none."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in dir(figures):
+            if name.endswith("_figure") and name not in ("new_figure", "frame_figure"):
+                patch.setattr(figures, name, lambda *_, **__: BLANK)
+        patch.setattr(figures, "motion_figure", lambda *_, **__: (BLANK, (0.0, 0.0, 1.0, 1.0)))
+        for module in (page, pages):
+            patch.setattr(module, "pair_views", lambda *_, **__: [])
+        yield
