@@ -105,15 +105,16 @@ def _attempt(
         abandon()
 
     try:
-        with cancellable(end_by_force, watch_stdin=params["watch_stdin"]):
-            check_address_space()
-            ending = work(report.event)
-        report.result(ending.figures, ending.text)
-    except (KeyboardInterrupt, CancelledError):
-        _clean_up(abandon)
-        report.cancelled()
-        return INTERRUPTED
-    except Exception as error:
+        try:
+            with cancellable(end_by_force, watch_stdin=params["watch_stdin"]):
+                check_address_space()
+                ending = work(report.event)
+            report.result(ending.figures, ending.text)
+        except (KeyboardInterrupt, CancelledError):
+            _clean_up(abandon)
+            report.cancelled()
+            return INTERRUPTED
+    except Exception as error:  # also of the removal after an interrupt
         if params["debug"]:
             show_traceback(error)
         return _report_error(error, report)

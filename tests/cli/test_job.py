@@ -215,6 +215,20 @@ def test_a_signal_cancels(tmp_path: Path, number: int) -> None:
     assert (tmp_path / "cleaned").exists()
 
 
+def test_an_error_of_the_removal_after_an_interrupt_is_told(cli: Cli) -> None:
+    work = """
+    import pcwlad_geo.outputs.folder as folder
+    def fail(path):
+        raise RuntimeError("not removed")
+    folder.abandon = fail
+    raise KeyboardInterrupt
+    """
+    ended = cli(*BOTH, work=work)
+    assert ended.returncode == 1
+    assert "unexpected RuntimeError: not removed" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_native_code_cannot_put_the_end_off(tmp_path: Path) -> None:
     """The native code itself never ends."""
