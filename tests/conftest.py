@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from tests.cli.process import Result, run_cli
+from tests.cli.process import Result, run_cli, run_here
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 COMPILE = "from pcwlad_geo.registration.tiles import compile_kernels; compile_kernels('oriented')"
@@ -58,5 +58,16 @@ def cli(tmp_path: Path) -> Callable[..., Result]:
 
     def run(*arguments: str | Path, work: str | None = None) -> Result:
         return run_cli(tmp_path, arguments, work)
+
+    return run
+
+
+@pytest.fixture
+def cli_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
+    """Run the command line in an empty working folder and in this process, which takes no second to start."""
+
+    def run(*arguments: str | Path, work: str | None = None) -> Result:
+        with monkeypatch.context() as patch:
+            return run_here(tmp_path, arguments, work, patch)
 
     return run

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
 import textwrap
 from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 from tests.patience import PATIENCE_S
 
 Result = subprocess.CompletedProcess[str]
 
-STAND_IN = """
-import contextlib, sys, types
+JOB = """
+import contextlib, types
 from pathlib import Path
-import pcwlad_geo
-from pcwlad_geo.__main__ import main
 
 def register(reference, target, *, on_event, **keywords):
 {work}
@@ -34,6 +37,13 @@ job.register = register
 job.output_paths, job.output_folder = output_paths, output_folder
 job.products_found_once = contextlib.nullcontext
 job.open_job_runner = lambda settings, executor, on_event: contextlib.nullcontext()
+"""
+"""The module `pcwlad_geo.job` with a stand-in for the work."""
+STAND_IN = f"""
+import sys
+import pcwlad_geo
+from pcwlad_geo.__main__ import main
+{JOB}
 pcwlad_geo.job = sys.modules["pcwlad_geo.job"] = job
 main()
 """
@@ -59,7 +69,11 @@ def command(work: str | None) -> list[str]:
     """
     if work is None:
         return [sys.executable, "-m", "pcwlad_geo"]
-    return [sys.executable, "-c", STAND_IN.format(work=textwrap.indent(textwrap.dedent(work), "    "))]
+    return [sys.executable, "-c", STAND_IN.format(work=_body(work))]
+
+
+def _body(work: str) -> str:
+    return textwrap.indent(textwrap.dedent(work), "    ")
 
 
 def run_cli(folder: Path, arguments: Sequence[str | Path], work: str | None = None) -> Result:
@@ -74,3 +88,27 @@ def run_cli(folder: Path, arguments: Sequence[str | Path], work: str | None = No
         timeout=PATIENCE_S,
         check=False,
     )
+
+
+def run_here(
+    folder: Path, arguments: Sequence[str | Path], work: str | None, patch: pytest.MonkeyPatch
+) -> Result:
+    """Run the command line in a folder and in this process, for what is no matter of processes."""
+    import pcwlad_geo  # inside: conftest imports this module before numpy may load
+    from pcwlad_geo.cli.app import run
+    from pcwlad_geo.multi import batches
+
+    patch.chdir(folder)
+    patch.setenv("COLUMNS", "100")
+    if work is not None:
+        stand_in: dict[str, Any] = {}
+        exec(JOB.format(work=_body(work)), stand_in)
+        patch.setattr(pcwlad_geo, "job", stand_in["job"])
+        patch.setitem(sys.modules, "pcwlad_geo.job", stand_in["job"])
+        for name in ("register", "products_found_once", "open_job_runner"):
+            patch.setattr(batches, name, getattr(stand_in["job"], name))
+    out, err = io.StringIO(), io.StringIO()
+    words = list(map(str, arguments))
+    with redirect_stdout(out), redirect_stderr(err):
+        status = run(words)
+    return Result(words, status, out.getvalue(), err.getvalue())

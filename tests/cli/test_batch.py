@@ -66,9 +66,11 @@ def write_table(folder: Path, *targets: str) -> None:
         (["strange", "odd", "bad", "good"], 1),
     ],
 )
-def test_the_worst_pair_decides_the_status(targets: list[str], status: int, cli: Cli, tmp_path: Path) -> None:
+def test_the_worst_pair_decides_the_status(
+    targets: list[str], status: int, cli_here: Cli, tmp_path: Path
+) -> None:
     write_table(tmp_path, *targets)
-    result = cli("batch", "pairs.csv", work=WORK)
+    result = cli_here("batch", "pairs.csv", work=WORK)
     assert result.returncode == status
     with (tmp_path / "pairs_registered" / "summary.csv").open(encoding="utf-8") as file:
         ends = [row["status"] for row in csv.DictReader(file)]
@@ -82,9 +84,9 @@ def test_the_worst_pair_decides_the_status(targets: list[str], status: int, cli:
     assert ends == [kinds[target] for target in targets]
 
 
-def test_the_table_on_the_screen_is_plain_where_that_is_no_terminal(cli: Cli, tmp_path: Path) -> None:
+def test_the_table_on_the_screen_is_plain_where_that_is_no_terminal(cli_here: Cli, tmp_path: Path) -> None:
     write_table(tmp_path, "good", "odd", "bad")
-    result = cli("batch", "pairs.csv", "-o", "out", work=WORK)
+    result = cli_here("batch", "pairs.csv", "-o", "out", work=WORK)
     header, good, odd, bad, counts, where = result.stdout.splitlines()
     assert header.split() == [
         "target",
@@ -108,9 +110,9 @@ def test_the_table_on_the_screen_is_plain_where_that_is_no_terminal(cli: Cli, tm
     )
 
 
-def test_a_requirement_that_is_not_met_is_in_the_summary(cli: Cli, tmp_path: Path) -> None:
+def test_a_requirement_that_is_not_met_is_in_the_summary(cli_here: Cli, tmp_path: Path) -> None:
     write_table(tmp_path, "short", "good")
-    result = cli("batch", "pairs.csv", "--require", "points>=500", work=WORK)
+    result = cli_here("batch", "pairs.csv", "--require", "points>=500", work=WORK)
     assert "2 registered, 1 of them against a requirement" in result.stdout
     assert result.stderr == "warning: short.tif (line 2): registered: points >= 500: not met (120)\n"
     with (tmp_path / "pairs_registered" / "summary.csv").open(encoding="utf-8") as file:
@@ -119,11 +121,11 @@ def test_a_requirement_that_is_not_met_is_in_the_summary(cli: Cli, tmp_path: Pat
     assert (good["passed"], good["reason"]) == ("", "")
 
 
-def test_a_requirement_that_cannot_be_read_names_its_line(cli: Cli, tmp_path: Path) -> None:
+def test_a_requirement_that_cannot_be_read_names_its_line(cli_here: Cli, tmp_path: Path) -> None:
     (tmp_path / "pairs.csv").write_text(
         "reference,target,require\nb4.tif,b10.tif,CE90<=1px\nb4.tif,b11.tif,CE90\n"
     )
-    result = cli("batch", "pairs.csv", work=WORK)
+    result = cli_here("batch", "pairs.csv", work=WORK)
     assert result.returncode == 2
     assert "line 3: require = 'CE90': give a statistic" in result.stderr
     assert not (tmp_path / "pairs_registered").exists()
@@ -165,19 +167,19 @@ def test_bars_start_anew_for_each_pair(cli: Cli, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["reference,target,colour\nr,t,red\n", "reference,target\n"])
-def test_a_bad_table_is_one_line_and_status_2(text: str, cli: Cli, tmp_path: Path) -> None:
+def test_a_bad_table_is_one_line_and_status_2(text: str, cli_here: Cli, tmp_path: Path) -> None:
     (tmp_path / "pairs.csv").write_text(text)
-    result = cli("batch", "pairs.csv", work=WORK)
+    result = cli_here("batch", "pairs.csv", work=WORK)
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr.startswith("error: pairs.csv ")
     assert result.stderr.count("\n") == 1
     assert not (tmp_path / "pairs_registered").exists()
 
 
-def test_a_traceback_of_a_pair_on_request(cli: Cli, tmp_path: Path) -> None:
+def test_a_traceback_of_a_pair_on_request(cli_here: Cli, tmp_path: Path) -> None:
     write_table(tmp_path, "strange")
-    assert "Traceback" not in cli("batch", "pairs.csv", work=WORK).stderr
-    assert "ZeroDivisionError: by zero" in cli("batch", "pairs.csv", "--debug", work=WORK).stderr
+    assert "Traceback" not in cli_here("batch", "pairs.csv", work=WORK).stderr
+    assert "ZeroDivisionError: by zero" in cli_here("batch", "pairs.csv", "--debug", work=WORK).stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")

@@ -156,13 +156,15 @@ def test_stray_prints_cannot_corrupt_the_protocol(cli: Cli) -> None:
         ),
     ],
 )
-def test_errors_are_one_line_and_have_their_status(cli: Cli, raised: str, status: int, said: str) -> None:
+def test_errors_are_one_line_and_have_their_status(
+    cli: Cli, cli_here: Cli, raised: str, status: int, said: str
+) -> None:
     name = raised.split("(")[0]
     home = "pcwlad_geo" if name in pcwlad_geo.__all__ else "builtins"
     work = f"from {home} import {name}\nraise {raised}"
-    result = cli(*BOTH, work=work)
+    result = cli_here(*BOTH, work=work)
     assert (result.returncode, result.stdout, result.stderr) == (status, "", said)
-    debug = cli(*BOTH, "--debug", work=work)
+    debug = cli_here(*BOTH, "--debug", work=work)
     assert debug.returncode == status
     assert "Traceback" in debug.stderr
     (event,) = events(cli(*BOTH, "--progress", "json", work=work))

@@ -13,7 +13,7 @@ from tests.scenes import make_grid, render, write
 
 Cli = Callable[..., Result]
 
-FEW = ("--features", "60", "--jobs", "1")
+FEW = ("--features", "60", "--window", "41", "--template", "61", "--jobs", "1")
 
 
 @pytest.fixture
@@ -43,15 +43,16 @@ def test_a_requirement_decides_the_status(stack: Path, cli: Cli) -> None:
     assert all(Path(path).is_file() for path in ended["paths"].values())
 
 
-def test_a_refused_pair_is_status_3_and_4_where_something_is_required(stack: Path, cli: Cli) -> None:
-    plain = cli("qa", "b4.tif", "other.tif", "-o", "plain", *FEW)
+def test_a_refused_pair_is_status_3_and_4_where_something_is_required(stack: Path, cli_here: Cli) -> None:
+    near = (*FEW, "--search-radius", "8")  # without a search for another pose
+    plain = cli_here("qa", "b4.tif", "other.tif", "-o", "plain", *near)
     assert plain.returncode == 3
     assert "refused: b4 – other: only" in plain.stdout
-    required = cli("qa", "b4.tif", "other.tif", "-o", "required", "--require", "CE90<=9px", *FEW)
+    required = cli_here("qa", "b4.tif", "other.tif", "-o", "required", "--require", "CE90<=9px", *near)
     assert required.returncode == 4
     assert "FAILED" in required.stdout
 
-    trend = cli("qa", "--trend", ".", "-o", "trend")
+    trend = cli_here("qa", "--trend", ".", "-o", "trend")
     assert trend.returncode == 2  # nothing was measured
     assert "holds no report.json or qa.json with figures" in trend.stderr
 
@@ -79,9 +80,11 @@ def test_trend(stack: Path, cli: Cli) -> None:
         (["b4.tif", "b5.tif", "--bands", "x"], "it is no product, and only the bands of Landsat"),
     ],
 )
-def test_nonsense_is_one_line_and_status_2(arguments: list[str], said: str, stack: Path, cli: Cli) -> None:
+def test_nonsense_is_one_line_and_status_2(
+    arguments: list[str], said: str, stack: Path, cli_here: Cli
+) -> None:
     before = sorted(stack.iterdir())
-    result = cli("qa", *arguments)
+    result = cli_here("qa", *arguments)
     assert result.returncode == 2
     assert said in result.stderr
     assert result.stderr.count("\n") == 1

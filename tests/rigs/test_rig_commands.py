@@ -43,7 +43,7 @@ def frame(path: Path, shape: tuple[int, int] = (48, 64)) -> Path:
     ],
 )
 def test_bad_input_is_one_line_and_status_2(
-    cli: Cli, tmp_path: Path, arguments: list[str], said: str
+    cli_here: Cli, tmp_path: Path, arguments: list[str], said: str
 ) -> None:
     for folder in ("empty", "one", "mixed"):
         (tmp_path / folder).mkdir()
@@ -52,7 +52,7 @@ def test_bad_input_is_one_line_and_status_2(
         for lens in (1, 2):
             frame(tmp_path / "mixed" / f"IMG_{capture}_{lens}.tif", shape)
     (tmp_path / "wrong.json").write_text(json.dumps({"kind": "another"}))
-    result = cli("rig", *arguments)
+    result = cli_here("rig", *arguments)
     assert result.returncode == 2, result.stderr
     errors = [line for line in result.stderr.splitlines() if line.startswith("error")]
     assert len(errors) == 1
