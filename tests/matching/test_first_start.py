@@ -1,4 +1,4 @@
-"""The first start says that it compiles, and leaves nothing to be compiled later."""
+"""The first start tells that it compiles, leaves nothing to compile, and gives what later ones give."""
 
 from __future__ import annotations
 
@@ -17,6 +17,31 @@ from pcwlad_geo.events import Warned
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.registration.tiles import load_kernels
 load_kernels("coarse", InThisProcess(), lambda event: isinstance(event, Warned) and print(event.message))
+"""
+
+DIGEST = """
+import hashlib
+import cv2
+import numpy as np
+from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, refine
+
+rng = np.random.default_rng(1)
+noise = rng.normal(size=(3, 150, 150)).astype(np.float32)
+noise = np.stack([np.abs(cv2.GaussianBlur(plane, (0, 0), 2)) for plane in noise])
+valid = rng.random((150, 150)) > 0.1
+stacks = [ChannelMaps(noise[:, i : 140 + i, i : 140 + i], valid[:140, :140]) for i in (0, 1)]
+corners = rng.integers(45, 95, (40, 2))
+digest = hashlib.sha256()
+for window, linear, affine, fixed in (
+    (41, 0.0, False, False), (81, 0.0, False, False), (61, 0.01, False, True), (61, 0.0, True, False)
+):
+    structure = np.zeros((40, 2)) if fixed else None
+    start = InitialEstimate(np.full((40, 2), -0.8), np.full((40, 2, 2), linear), structure)
+    found = refine(*stacks, corners, start, window_px=window, affine=affine, use_structure=not affine)
+    for array in (found.shift_xy_px, found.linear, found.covariance_px2, found.converged):
+        digest.update(array.tobytes())
+    print(int(found.converged.sum()))
+print(digest.hexdigest())
 """
 
 COMPLETE = """
@@ -63,9 +88,33 @@ def python(code: str, **environment: str) -> str:
     ).stdout
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of kernels that the starts below fill."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
+def starts(cache: Path) -> list[str]:
+    """Return what a process with nothing compiled tells and refines, and what one after it does."""
+    return [python(TELL + DIGEST, NUMBA_CACHE_DIR=str(cache), PYTHONWARNINGS="error") for _ in range(2)]
+
+
 @pytest.mark.slow
-def test_the_first_start_tells_and_the_second_does_not(tmp_path: Path) -> None:
-    assert [python(TELL, NUMBA_CACHE_DIR=str(tmp_path)) for _ in range(2)] == [f"{COMPILED_ONCE}\n", ""]
+def test_the_first_start_tells_and_the_second_does_not(starts: list[str]) -> None:
+    first, second = starts
+    assert first == f"{COMPILED_ONCE}\n{second}"
+    assert COMPILED_ONCE not in second
+
+
+@pytest.mark.slow
+def test_a_kernel_from_disk_gives_what_the_one_just_compiled_gave(starts: list[str], cache: Path) -> None:
+    compiled, kept = (start.removeprefix(f"{COMPILED_ONCE}\n").split() for start in starts)
+    assert kept == compiled
+    assert len(kept) == 5
+    assert all(int(line) > 0 for line in kept[:-1])
+    files = list(cache.rglob("refinement.refine_points-*.nb*"))
+    assert len(files) == 2, "one index, one kernel: parts are not kept by themselves"
 
 
 @pytest.mark.slow
