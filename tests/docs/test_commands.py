@@ -11,7 +11,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import rasterio
 import typer
+from rasterio.windows import Window
 from typer.main import get_command
 
 from pcwlad_geo.cli.app import app
@@ -31,7 +33,9 @@ BEGINNINGS = {"README.md": "docs/tutorial/python.md"}
 ROOTS = (REPOSITORY, REPOSITORY / "tests", REPOSITORY / "benchmarks")
 NOT_FOR_USERS: set[str] = set()
 QUICK = {"docs/coordinates.md", "sample_data/README.md"}
-"""Pages whose code needs a few seconds; the code of the others registers whole images."""
+"""Pages whose code needs a few seconds; the code of the others registers images."""
+CORNER_PX = 220
+"""Columns and rows of the sample pair that the pages get: the gallery's first example registers all of it."""
 
 
 def commands(page: Path) -> Iterator[list[str]]:
@@ -106,8 +110,23 @@ def test_each_option_of_register_is_explained() -> None:
     assert unexplained <= NOT_FOR_USERS, sorted(unexplained - NOT_FOR_USERS)
 
 
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the sample data, with the upper left corner of its images for the images."""
+    folder = tmp_path_factory.mktemp("sample data")
+    for file in (REPOSITORY / "sample_data").iterdir():
+        if file.suffix == ".tif":
+            with rasterio.open(file) as whole:
+                profile = {**whole.profile, "width": CORNER_PX, "height": CORNER_PX}
+                with rasterio.open(folder / file.name, "w", **profile) as corner:
+                    corner.write(whole.read(window=Window(0, 0, CORNER_PX, CORNER_PX)))
+        elif file.suffix != ".xml":  # statistics of the whole images
+            (folder / file.name).symlink_to(file)
+    return folder
+
+
 @pytest.fixture
-def workplace(tmp_path: Path) -> tuple[Path, dict[str, str]]:
+def workplace(tmp_path: Path, samples: Path) -> tuple[Path, dict[str, str]]:
     """A folder with the sample data; an environment whose ``pcwlad-geo`` and ``python`` are these."""
     (tmp_path / "bin").mkdir()
     for name, words in (("pcwlad-geo", "-m pcwlad_geo"), ("python", "")):
@@ -116,7 +135,7 @@ def workplace(tmp_path: Path) -> tuple[Path, dict[str, str]]:
         script.chmod(0o755)
     place = tmp_path / "here"
     place.mkdir()
-    (place / "sample_data").symlink_to(REPOSITORY / "sample_data")
+    (place / "sample_data").symlink_to(samples)
     paths = os.pathsep.join(
         [str(REPOSITORY), str(REPOSITORY / "sample_data"), os.environ.get("PYTHONPATH", "")]
     )
