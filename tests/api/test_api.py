@@ -522,15 +522,15 @@ def test_optional_libraries_are_not_imported_unless_they_are_used(files: Files) 
 @pytest.mark.slow
 def test_a_target_with_rpc_is_corrected_and_orthorectified(tmp_path: Path) -> None:
     reference, image, dem = write_rpc_pair(tmp_path, np.array([2.6, -1.4]))
-    heights: Any = {"dem": dem, "dem_vertical": UNDULATION_M}
-    pair = pg.open_pair(reference, image, **heights)
+    how: Any = {"dem": dem, "dem_vertical": UNDULATION_M, "features": 150, "window": 61}
+    pair = pg.open_pair(reference, image, **how)
     assert pair.rpc is not None
     matches = pg.match(pair)
     correction = pg.fit(matches)
     np.testing.assert_allclose(correction.forward(PLACES) - PLACES, np.tile([2.6, -1.4], (4, 1)), atol=0.05)
     with pytest.raises(pg.SettingsError, match="an RPC takes a shift"):
         pg.fit(matches, model="tps")
-    result = pg.register(reference, image, out_dir=tmp_path / "out", **heights)
+    result = pg.register(reference, image, out_dir=tmp_path / "out", **how)
     place = correction.warp(image, tmp_path / "ortho.tif")
     with rasterio.open(place) as mine, rasterio.open(result.outputs["raster"]) as theirs:
         assert mine.profile == theirs.profile
