@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import ctypes
 import errno
+import io
 import json
 import os
 import shutil
@@ -22,7 +23,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -57,6 +58,8 @@ LOADED: Final = (
     "sqlite3",
 )
 """What each run needs, imported once before the forks; nothing of it starts a thread."""
+PAGES: Final = ("report.html.j2", "views.html.j2", "numbers.html.j2", "advice.html.j2", "base.html.j2")
+"""Templates that each run needs, compiled once before the forks."""
 COMMANDS: Final = ("register", "match", "warp", "batch", "stack")
 UNUSABLE: Final = ": unusable: "
 """What ``batch`` writes between a pair and why it cannot be used."""
@@ -364,9 +367,16 @@ def make_job(command: str, folder: Path) -> Job:
 
 
 def load_everything() -> None:
-    """Import what each run needs."""
+    """Import and compile what each run needs."""
     for name in LOADED:
         import_module(name)
+    from pcwlad_geo.cli.app import run
+    from pcwlad_geo.report.page import page_environment
+
+    with redirect_stderr(io.StringIO()):
+        run(["register", "", ""])  # the options are described when a command is read first
+    for page in PAGES:
+        page_environment("pcwlad_geo.report").get_template(page)
 
 
 @contextmanager
