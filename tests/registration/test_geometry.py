@@ -52,12 +52,18 @@ def true_parallax_px(xy_px: Array) -> Array:
 def register(folder: Path, **options: object) -> Registration:
     reference = write(folder / "reference.tif", render(GRID), None)
     target = write(folder / "target.tif", frame_from_the_side(), None)
-    small = {"window": 41, "template": 61, "search_radius": 14, "prealign": "none"}
+    small = {"window": 41, "template": 61, "search_radius": 14, "prealign": "none", "features": 600}
     return run(reference, target, Settings.from_options(small | options))
 
 
-def test_parallax_is_kept_told_and_not_called_wrong(tmp_path: Path) -> None:
-    planar, found = register(tmp_path, geometry="planar"), register(tmp_path)
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Registration:
+    """The registration that leaves the geometry open."""
+    return register(tmp_path_factory.mktemp("found"))
+
+
+def test_parallax_is_kept_told_and_not_called_wrong(found: Registration, tmp_path: Path) -> None:
+    planar = register(tmp_path, geometry="planar")
     assert found.status == "registered"
     assert (planar.geometry.name, found.geometry.name) == ("planar", "epipolar")
     shares = []
@@ -80,8 +86,7 @@ def test_parallax_is_kept_told_and_not_called_wrong(tmp_path: Path) -> None:
     assert along > 2.0
 
 
-def test_the_correction_is_that_of_the_ground(tmp_path: Path) -> None:
-    found = register(tmp_path)
+def test_the_correction_is_that_of_the_ground(found: Registration) -> None:
     assert found.correction is not None
     ground = np.array([[20.0, 20.0], [440.0, 20.0], [155.0, 210.0], [300.0, 140.0], [20.0, 400.0]])
     assert np.abs(found.correction.forward(ground) - ground).max() < 0.5
@@ -89,8 +94,7 @@ def test_the_correction_is_that_of_the_ground(tmp_path: Path) -> None:
     assert np.median(np.abs(used.residual_px)) < 0.3
 
 
-def test_the_fundamental_matrix_is_of_the_files(tmp_path: Path) -> None:
-    found = register(tmp_path)
+def test_the_fundamental_matrix_is_of_the_files(found: Registration) -> None:
     matrix = np.array(found.geometry.fundamental)
     ground = np.array([[100.0, 140.0], [300.0, 400.0], [230.0, 20.0]])
     lines = np.column_stack([ground, np.ones(3)]) @ matrix.T
@@ -104,7 +108,8 @@ def test_the_fundamental_matrix_is_of_the_files(tmp_path: Path) -> None:
 def test_flat_ground_is_planar(geometry: str, tmp_path: Path) -> None:
     reference = write(tmp_path / "reference.tif", render(GRID), None)
     target = write(tmp_path / "target.tif", render(GRID, "thermal", displacement_px=(2.4, -1.3)), None)
-    found = run(reference, target, Settings(geometry=geometry, window=41, template=61, prealign="none"))  # type: ignore[arg-type]
+    small = {"window": 41, "template": 61, "prealign": "none", "features": 300}
+    found = run(reference, target, Settings.from_options({**small, "geometry": geometry}))
     assert found.geometry == PairGeometry("planar")
     assert not any("parallax:" in warning for warning in found.warnings)
 
@@ -143,7 +148,14 @@ def test_the_steps_tell_the_geometry(tmp_path: Path) -> None:
     reference = write(tmp_path / "reference.tif", render(GRID), None)
     target = write(tmp_path / "target.tif", frame_from_the_side(), None)
     pair = pcwlad_geo.open_pair(
-        reference, target, geometry="epipolar", window=41, template=61, search_radius=14, prealign="none"
+        reference,
+        target,
+        geometry="epipolar",
+        window=41,
+        template=61,
+        search_radius=14,
+        prealign="none",
+        features=300,
     )
     matches = pcwlad_geo.match(pair)
     assert matches.geometry.name == "epipolar"

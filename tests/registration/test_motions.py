@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 GROUND_PX = (0.3, -0.2)
 CLOUDS_PX = (4.0, -9.0)
 SIDE = 400
+FEW = Settings(features=300)
+"""Enough points of every part of the scene."""
+CLEAR = make_grid((300, 300))
 
 
 def clouded(moved: tuple[float, float], share: float) -> Array:
@@ -54,7 +57,7 @@ def pair(folder: Path, names: tuple[str, str], share: float) -> tuple[Path, Path
 
 def test_bands_of_one_product_follow_the_ground_below_most_clouds(tmp_path: Path) -> None:
     (tmp_path / "scene_MTL.txt").write_text("GROUP = L1_METADATA_FILE\n")
-    found = run(*pair(tmp_path, ("scene_B4.tif", "scene_B10.tif"), 0.65), Settings())
+    found = run(*pair(tmp_path, ("scene_B4.tif", "scene_B10.tif"), 0.65), FEW)
     assert found.status == "registered"
     at = np.array([[SIDE / 2, SIDE * 0.85]])
     assert found.correction is not None
@@ -71,12 +74,11 @@ def test_clear_bands_of_one_product_that_lie_apart_are_fair_and_told_of(
     tmp_path: Path, moved_px: tuple[float, float]
 ) -> None:
     (tmp_path / "scene_MTL.txt").write_text("GROUP = L1_METADATA_FILE\n")
-    grid = make_grid((SIDE, SIDE))
-    first = write(tmp_path / "scene_B4.tif", render(grid, "red", seed=2), grid)
-    moved = render(grid, "thermal", seed=2, displacement_px=moved_px)
-    found = run(first, write(tmp_path / "scene_B10.tif", moved, grid), Settings())
+    first = write(tmp_path / "scene_B4.tif", render(CLEAR, "red", seed=2), CLEAR)
+    moved = render(CLEAR, "thermal", seed=2, displacement_px=moved_px)
+    found = run(first, write(tmp_path / "scene_B10.tif", moved, CLEAR), Settings(features=150))
     assert found.correction is not None
-    at = np.array([[SIDE / 2, SIDE / 2]])
+    at = np.array([[150.0, 150.0]])
     assert np.abs(found.correction.forward(at) - at - moved_px).max() < 0.1
     assert found.quality is not None
     assert found.quality.grade == "fair"
@@ -84,7 +86,7 @@ def test_clear_bands_of_one_product_that_lie_apart_are_fair_and_told_of(
 
 
 def test_other_images_of_two_motions_are_refused_with_both_named(tmp_path: Path) -> None:
-    found = run(*pair(tmp_path, ("first.tif", "second.tif"), 0.65), Settings())
+    found = run(*pair(tmp_path, ("first.tif", "second.tif"), 0.65), FEW)
     assert found.status == "rejected"
     assert found.reason is not None
     assert "2 different displacements" in found.reason
@@ -100,14 +102,13 @@ def test_a_few_clouds_leave_the_ground_its_place(tmp_path: Path) -> None:
 
 
 def test_a_ship_that_moves_is_no_second_motion(tmp_path: Path) -> None:
-    grid = make_grid((SIDE, SIDE))
     first, second = (
-        render(grid, name, seed=2, displacement_px=moved)
+        render(CLEAR, name, seed=2, displacement_px=moved)
         for name, moved in (("red", (0.0, 0.0)), ("thermal", GROUND_PX))
     )
     first[200:230, 100:112] = 250.0
     second[205:235, 107:119] = 250.0
-    found = run(write(tmp_path / "a.tif", first, grid), write(tmp_path / "b.tif", second, grid), Settings())
+    found = run(write(tmp_path / "a.tif", first, CLEAR), write(tmp_path / "b.tif", second, CLEAR), FEW)
     assert found.status == "registered"
     assert found.motions == ()
     assert found.quality is not None

@@ -42,7 +42,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A registered pair."""
     place = tmp_path_factory.mktemp("origin")
     pair = write_pair(place, GRID, GRID)
-    pcwlad_geo.register(pair.reference, pair.target, out_dir=place / "done", window=61, template=61)
+    pcwlad_geo.register(
+        pair.reference, pair.target, out_dir=place / "done", features=400, window=61, template=61
+    )
     return place / "done"
 
 

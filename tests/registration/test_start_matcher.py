@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.run import run
 from tests.registration.test_pose import GRID, errors_px, pose_of
 from tests.scenes import Array, render, write
+
+FEW: dict[str, Any] = {"jobs": 1, "features": 300, "window": 81}
 
 STAND_IN = """
 import numpy as np
@@ -62,7 +65,7 @@ def test_a_proposed_pose_is_matched_to_a_fraction_of_a_pixel(
         "pcwlad_geo.registration.scene.by_pose_search", lambda *_: pytest.fail("the proposal was enough")
     )
     files = pair(tmp_path, linear, shift)
-    found = run(*files, Settings(jobs=1, start_matcher=f"{name}:of_known_pose"))
+    found = run(*files, Settings(**FEW, start_matcher=f"{name}:of_known_pose"))
     assert found.status == "registered"
     assert np.sqrt((errors_px(found, linear, shift) ** 2).mean()) < 0.3
     assert found.prealignment.pose is not None
@@ -80,7 +83,7 @@ def test_a_proposed_pose_of_another_scene_is_refused(
 ) -> None:
     name, linear, shift = stand_in
     files = pair(tmp_path, linear, shift, seed=9)
-    found = run(*files, Settings(jobs=1, start_matcher=f"{name}:of_known_pose"))
+    found = run(*files, Settings(**FEW, start_matcher=f"{name}:of_known_pose"))
     assert found.status == "rejected"
 
 
@@ -89,7 +92,7 @@ def test_proposals_that_agree_on_nothing_change_nothing(
 ) -> None:
     linear, shift = np.eye(2), np.array([3.0, -2.0])
     files = pair(tmp_path, linear, shift)
-    few = {"jobs": 1, "features": 100, "prealign": "search"}
+    few = {"jobs": 1, "features": 100, "window": 81, "model": "affine", "prealign": "search"}
     without = run(*files, Settings.from_options(few))
     assert len(without.tie_points) > 50
     for matcher in ("of_nothing", "of_chance"):
