@@ -27,7 +27,7 @@ from tests.execution.calls import wait_for_end_of_group
 from tests.patience import PATIENCE_S
 from tests.scenes import make_grid, render, write
 
-SMALL = ("--template", "61", "--window", "41", "--features", "60")
+SMALL = ("--template", "61", "--window", "41", "--features", "60", "--model", "affine")
 GRID = make_grid((180, 180))
 SHIFT_PX = (1.3, -0.6)
 
@@ -345,7 +345,7 @@ def test_json_progress_tells_the_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_interrupt_ends_a_real_run_and_leaves_nothing(jobs: str, tmp_path: Path) -> None:
     (tmp_path / "home").mkdir()
-    grid = make_grid((900, 900))
+    grid = make_grid((600, 600))
     write(tmp_path / "ref.tif", render(grid), grid)
     write(tmp_path / "tgt.tif", render(grid, displacement_px=SHIFT_PX), grid)
     before = set(tmp_path.iterdir())

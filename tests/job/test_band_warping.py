@@ -170,31 +170,29 @@ def changed_grid(side: str, **changes: object) -> Callable[[dict[str, Any]], obj
     return lambda report: report | {side: report[side] | changes}
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda report: {"report": 1}, "not written by pcwlad-geo"),
-        (lambda report: report | {"schema_version": 99}, "schema version 99"),
-        (lambda report: report | {"model": {"name": "magic"}}, "no correction model"),
-        (lambda report: report | {"target": {}}, "damaged"),
-        (lambda report: report | {"model": None}, "no correction model"),
-        (changed_grid("target", transform=[1, 1, 0, 1, 1, 0]), "without an inverse"),
-        (changed_grid("target", transform=[0] * 6), "without an inverse"),
-        (changed_grid("reference", transform=[float("nan")] * 6), "no finite number"),
-        (changed_grid("reference", transform=[1e300, 0, 0, 0, -1e300, 0]), "at most 1e\\+10 are read"),
-        (changed_grid("reference", shape=[10**9, 10**9]), "declares 1000000000 x 1000000000 pixels"),
-        (changed_grid("target", shape=[0, 5]), "5 x 0 pixels"),
-    ],
-)
-def test_a_foreign_or_damaged_report_is_told(make: Make, change: Callable[[dict], object], said: str) -> None:
+DAMAGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
+    (lambda report: {"report": 1}, "not written by pcwlad-geo"),
+    (lambda report: report | {"schema_version": 99}, "schema version 99"),
+    (lambda report: report | {"model": {"name": "magic"}}, "no correction model"),
+    (lambda report: report | {"target": {}}, "damaged"),
+    (lambda report: report | {"model": None}, "no correction model"),
+    (changed_grid("target", transform=[1, 1, 0, 1, 1, 0]), "without an inverse"),
+    (changed_grid("target", transform=[0] * 6), "without an inverse"),
+    (changed_grid("reference", transform=[float("nan")] * 6), "no finite number"),
+    (changed_grid("reference", transform=[1e300, 0, 0, 0, -1e300, 0]), "at most 1e\\+10 are read"),
+    (changed_grid("reference", shape=[10**9, 10**9]), "declares 1000000000 x 1000000000 pixels"),
+    (changed_grid("target", shape=[0, 5]), "5 x 0 pixels"),
+]
+
+
+def test_a_foreign_or_damaged_report_is_told(make: Make) -> None:
     path = make() / "report.json"
-    path.write_text(json.dumps(change(json.loads(path.read_text(encoding="utf-8")))), encoding="utf-8")
-    with pytest.raises(InputError, match=said):
-        warp("done", ["b10.tif"], out_dir="warped")
-    path.write_text("{", encoding="utf-8")
-    with pytest.raises(InputError, match="no JSON"):
-        warp("done", ["b10.tif"], out_dir="warped")
-    assert not Path("warped").exists()
+    report = json.loads(path.read_text(encoding="utf-8"))
+    for text, said in (*((json.dumps(change(report)), said) for change, said in DAMAGES), ("{", "no JSON")):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match=said):
+            warp("done", ["b10.tif"], out_dir="warped")
+        assert not Path("warped").exists()
 
 
 def test_rasters_that_cannot_be_warped_are_told_before_anything_is_written(make: Make) -> None:

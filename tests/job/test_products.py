@@ -247,7 +247,8 @@ def test_the_product_of_a_path_is_found_once_a_job(
 
     monkeypatch.setattr(products, "_search", count)
     reference, target = write_landsat(tmp_path / "ref"), write_landsat(tmp_path / "tgt", shift_m=SHIFT_M)
-    bands = ["--ref-band", "B4", "--tgt-band", "B10", "--jobs", "1", "--template", "61", "--window", "41"]
+    bands = ["--ref-band", "B4", "--tgt-band", "B10", "--jobs", "1"]
+    bands += ["--template", "61", "--window", "41", "--features", "60"]
     more = ["--tr", "30", "30"] if command == "register" else []
     out_dir = tmp_path / "out"
     assert main([command, str(reference), str(target), "-o", str(out_dir), *bands, *more]) == 0
