@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -27,10 +28,16 @@ def jitter(rows: Array, amplitude: float = AMPLITUDE, seen: bool = True) -> Arra
     return np.stack([amplitude * wave, np.zeros_like(wave)], axis=1)
 
 
+@cache
+def erring(seed: int, n: int) -> tuple[Array, Array]:
+    """Return positions and their errors, which several tests take."""
+    at = scattered(seed, n, SIDE)
+    return at, 0.05 * (0.8 * window_noise(seed, at, SIDE, WINDOW) + 0.6 * noise(seed, n, 1.0))
+
+
 def points(seed: int, amplitude: float, n: int = 1000) -> tuple[Array, Array]:
     """Return positions, and displacements with errors of 0.05 px that windows share in part."""
-    at = scattered(seed, n, SIDE)
-    errors = 0.05 * (0.8 * window_noise(seed, at, SIDE, WINDOW) + 0.6 * noise(seed, n, 1.0))
+    at, errors = erring(seed, n)
     return at, jitter(at[:, 1], amplitude) + errors + [1.3, -0.4]
 
 
