@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -331,7 +332,7 @@ class _State:
     sigma_height_m: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _BlockProblem:
     """The unknowns of an adjustment with one model: images, then terms, then (col, row)."""
 
@@ -353,7 +354,7 @@ class _BlockProblem:
         """Number of parameters of an image."""
         return 2 * len(self.terms)
 
-    @property
+    @cached_property  # asked for with each set of equations
     def dem_prior_px(self) -> float:
         """Standard deviation of the place of the DEM, its px."""
         dem = self.block.dem if self.dem_moves else None
