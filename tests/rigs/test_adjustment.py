@@ -29,11 +29,14 @@ def truth(captures: int = 4) -> RigState:
     return RigState(("brown",) * 3, lenses, poses.astype(float), planes)
 
 
-def observed(state: RigState, random: np.random.Generator, relief: float = 0.03) -> Observations:
+def observed(
+    state: RigState, random: np.random.Generator, relief: float = 0.03, spacing_px: int = 32
+) -> Observations:
     """Return noisy tie points of every lens in every capture."""
     parts = []
     for capture in range(len(state.planes)):
-        places = lattice(SHAPE, 32) + random.uniform(-4, 4, (len(lattice(SHAPE, 32)), 2))
+        places = lattice(SHAPE, spacing_px)
+        places = places + random.uniform(-4, 4, places.shape)
         places = np.round(places * 8) / 8
         bumps = relief * random.normal(size=len(places))
         for lens in range(1, len(state.models)):
@@ -82,7 +85,7 @@ def test_sigma_of_the_parameters_holds() -> None:
     for seed in range(6):
         random, true = np.random.default_rng(100 + seed), truth()
         first, sigma = started(true, random)
-        found = adjust(first, first, sigma, observed(true, random), 1.0)
+        found = adjust(first, first, sigma, observed(true, random, spacing_px=56), 1.0)
         free = sigma.vector > 0
         deviation = np.sqrt(np.diag(found.covariance)[free])
         ratios.append((found.state.vector - true.vector)[free] / deviation)
@@ -95,7 +98,7 @@ def test_sigma_of_the_parameters_holds() -> None:
 @pytest.mark.parametrize("field", ["reference_px", "lens_px", "sigma_px"])
 def test_tie_points_beyond_all_frames_are_refused(field: str, wild: float) -> None:
     true = truth()
-    seen = observed(true, np.random.default_rng(7))
+    seen = observed(true, np.random.default_rng(7), spacing_px=56)
     values = getattr(seen, field).copy()
     values[3] = wild
     first, sigma = started(true, np.random.default_rng(8))
@@ -114,7 +117,7 @@ def test_no_tie_points_are_refused() -> None:
 @pytest.mark.parametrize("places", ["on a line", "in one place", "sigma 0"])
 def test_what_singular_tie_points_leave_open_is_as_uncertain_as_expected(places: str) -> None:
     true, random = truth(), np.random.default_rng(9)
-    seen = observed(true, random)
+    seen = observed(true, random, spacing_px=56)
     line = seen.reference_px.mean(axis=1, keepdims=True) * [0.8, 0.6]
     at = {"on a line": line, "in one place": np.full_like(line, 100.0)}.get(places, seen.reference_px)
     part = replace(seen, reference_px=at)
