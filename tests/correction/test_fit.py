@@ -155,7 +155,7 @@ def test_affine_sigma_grows_outwards() -> None:
 
 
 @given(coordinate, coordinate, st.integers(0, 5))
-@settings(max_examples=5)
+@settings(max_examples=10)
 def test_moving_the_observations_moves_the_correction(d_col: float, d_row: float, seed: int) -> None:
     predicted = scattered(seed, 40)
     observed = predicted + noise(seed, 40, 0.2)
@@ -168,7 +168,7 @@ def test_moving_the_observations_moves_the_correction(d_col: float, d_row: float
 
 @pytest.mark.parametrize("name", MODELS)
 @given(col=coordinate, row=coordinate, seed=st.integers(0, 5))
-@settings(max_examples=5)
+@settings(max_examples=10)
 def test_the_origin_of_the_image_does_not_matter(name: str, col: float, row: float, seed: int) -> None:
     predicted = scattered(seed, 40)
     observed, origin = predicted + noise(seed, 40, 0.2), 50 * np.array([col, row])

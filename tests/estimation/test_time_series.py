@@ -125,7 +125,7 @@ def network(count: int, seed: int) -> tuple[Float64, Float64, Float64]:
 def test_errors_that_hang_together_make_no_steps() -> None:
     """A chain of pairs lets errors grow along it; where that is known, it is no step."""
     alarms, blind, found = 0, 0, 0
-    for seed in range(10):
+    for seed in range(20):
         years, moved_px, covariance = network(40, seed)
         sigma_px = np.sqrt(np.diag(covariance))
         alarms += bool(analyse(years, moved_px, sigma_px, covariance).found)
@@ -133,9 +133,9 @@ def test_errors_that_hang_together_make_no_steps() -> None:
         moved_px[20:] += (0.2, -0.2)
         terms = [each.term for each in analyse(years, moved_px, sigma_px, covariance).found]
         found += any(term.kind == "step" and term.at == 20 for term in terms)
-    assert alarms == 0
-    assert blind >= 5  # what it would be without the covariance
-    assert found >= 9
+    assert alarms <= 1
+    assert blind >= 10  # what it would be without the covariance
+    assert found >= 18
 
 
 @pytest.mark.parametrize("seed", range(6))
