@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -454,6 +455,8 @@ HOMOGRAPHY: Final = "projective"
 """Name of the model."""
 FLEXIBLE: Final = 2**0.5
 """Where a more flexible model was chosen, less than this share of what that leaves."""
+NO_HOMOGRAPHY: Final = "no homography fits the tie points of all frames: choose another model"
+"""Message where one puts ground beyond the horizon of a frame."""
 BETTER: Final = 0.9
 """Homographies are taken where they leave less than this share of what affines leave between the frames."""
 
@@ -554,7 +557,11 @@ def homographies(
         if max(float(np.abs(step).max()) for step in steps) < STILL_PX:
             break
     values = {name: getattr(found, name) for name in Adjustment.__dataclass_fields__}
-    return FrameAdjustment(**values, matrices=matrices)
+    adjusted = FrameAdjustment(**values, matrices=matrices)
+    corners = np.array(list(product(*zip(basis.low_px, basis.high_px, strict=True))))
+    if not all(np.isfinite(adjusted.displacement(image, corners)).all() for image in range(images)):
+        raise InputError(NO_HOMOGRAPHY)
+    return adjusted
 
 
 def _homography(basis: PolynomialBasis, coefficients: Float64) -> Float64:
@@ -614,7 +621,7 @@ def _rectified(edge: Edge, matrices: Float64) -> Edge:
     first, second = (ProjectiveCorrection(HOMOGRAPHY, matrices[image]) for image in (edge.first, edge.second))
     first_xy, second_xy = first.inverse(edge.first_xy), second.inverse(edge.second_xy)
     if not (np.isfinite(first_xy).all() and np.isfinite(second_xy).all()):
-        raise InputError("no homography fits the tie points of all frames: choose another model")
+        raise InputError(NO_HOMOGRAPHY)
     rate = _rate(inverse(second.matrix), edge.second_xy)
     covariance = np.asarray(rate @ edge.covariance @ rate.transpose(0, 2, 1))
     return replace(edge, first_xy=first_xy, second_xy=second_xy, covariance=covariance)

@@ -240,7 +240,7 @@ class EdgeFit:
 class Part:
     """What the points of an edge say of the difference of its images' coefficients, axis by axis.
 
-    The error that all its points share has a shift and slopes along x and y: three terms.
+    The error that all its points share has a shift and slopes along x and y about their middle: three terms.
     """
 
     first: int
@@ -410,7 +410,10 @@ def _weighted(edge: Edge, basis: Basis, coefficients: Float64) -> _Weighted:
     values = basis.values(ground)
     observed = edge.second_xy - edge.first_xy
     left = observed - values @ (coefficients[edge.second] - coefficients[edge.first])
-    near = np.column_stack([np.ones(len(edge)), (ground - basis.centre_px) / basis.radius_px])
+    # about the pair's own middle: slopes about that of all ground would be shifts where a pair lies off it
+    low, high = ground.min(axis=0), ground.max(axis=0)
+    half = max(float((high - low).max()) / 2, 1e-9)
+    near = np.column_stack([np.ones(len(edge)), (ground - (low + high) / 2) / half])
     left = left - near @ least_squares(near, left)
     left = left - np.median(left, axis=0)
     weights = inverse(edge.covariance, MEASURED)

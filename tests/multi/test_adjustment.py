@@ -184,6 +184,21 @@ def test_groups_of_images_each_have_their_own_datum() -> None:
     assert np.abs(found.covariance(3, GRID)).max() == 0.0
 
 
+@pytest.mark.parametrize("away_px", [300.0, 3_000.0])
+def test_a_slope_of_the_matches_is_no_shift_wherever_a_pair_lies(away_px: float) -> None:
+    """The error that a pair's points share is about their middle, not about that of all ground."""
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(-100.0, 100.0, (150, 2))
+    observed = (1.0, -2.0) + (xy - xy.mean(axis=0)) * 0.001 + rng.normal(0.0, 0.1, (150, 2))
+    covariance = np.tile(np.eye(2) * 0.01, (150, 1, 1))
+    away = np.array([away_px, 0.0])
+    edges = [Edge(0, 1, xy, xy + observed, covariance)]
+    edges += [Edge(2, 3, xy + away, xy + away + observed, covariance)]
+    found = adjust(edges, 4, model="shift", split=True)
+    for image, middle in ((1, np.zeros((1, 2))), (3, away[None])):
+        np.testing.assert_allclose(found.displacement(image, middle), [[1.0, -2.0]], atol=0.025)
+
+
 def test_the_relative_sigma_of_neighbours_is_smaller_than_that_of_far_images() -> None:
     rng = np.random.default_rng(7)
     truth = make(rng, 12)
