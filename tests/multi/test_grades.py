@@ -23,7 +23,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.requirements import parse_requirements
 from tests.multi.test_adjustment import GRID, make
-from tests.multi.test_stack import FEW_WORDS, write_images
+from tests.multi.test_stack import write_images
 from tests.scenes import make_grid
 
 ALL = list(combinations("abcde", 2))
@@ -256,7 +256,7 @@ def test_a_refused_image_has_no_raster_and_the_run_says_so(
 ) -> None:
     images = [str(path) for path in write_images(tmp_path, 4)]
     out = tmp_path / "out"
-    command = ["stack", *images, "-o", str(out), *FEW_WORDS, "--window", "61", "--progress", "none"]
+    command = ["stack", *images, "-o", str(out), "--jobs", "1", "--progress", "none"]
     assert run_command(command) == 0
     assert "quality: good" in capsys.readouterr().out
     assert (out / "date3_registered.tif").is_file()
