@@ -54,6 +54,7 @@ from pcwlad_geo.multi.network import (
     named,
     part_of,
     penalty_of,
+    polynomial_over,
     side_of_blocks,
     terms_of,
 )
@@ -544,7 +545,7 @@ def homographies(
     matrices = _chained(edges, images, datum or 0)
     for _ in range(STEPS):
         rectified = [_rectified(edge, matrices) for edge in edges]
-        basis = _basis(rectified)
+        basis = polynomial_over([edge.first_xy for edge in rectified], 2)
         found = adjust(rectified, images, datum=datum, split=split, basis=HomographyBasis(basis))
         corners = np.array([basis.centre_px, basis.low_px, basis.high_px])
         steps = [found.displacement(image, corners) for image in range(images)]
@@ -573,13 +574,6 @@ def _homography(basis: PolynomialBasis, coefficients: Float64) -> Float64:
     unit = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, basis.radius_px]]) / basis.radius_px
     found = inverse(unit) @ inner @ unit
     return np.asarray(found / found[2, 2])
-
-
-def _basis(edges: Sequence[Edge]) -> PolynomialBasis:
-    found = basis_over([edge.first_xy for edge in edges], "polynomial2")
-    if not isinstance(found, PolynomialBasis):
-        raise TypeError(f"{found!r} is no polynomial")
-    return found
 
 
 def _chained(edges: Sequence[Edge], images: int, first: int) -> Float64:

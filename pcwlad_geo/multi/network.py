@@ -46,10 +46,6 @@ class Basis(Protocol):
     def centre_px(self) -> tuple[float, float]:
         """Its middle."""
 
-    @property
-    def radius_px(self) -> float:
-        """Half of its longer side."""
-
     def values(self, at_px: Float64) -> Float64:
         """Return the (n, terms) values of the functions at the (n, 2) positions `at_px` (x, y)."""
 
@@ -60,7 +56,6 @@ class SplineBasis:
 
     grid: SplineGrid
     centre_px: tuple[float, float]
-    radius_px: float
     low_px: tuple[float, float]
     roughness: float
     """Standard deviation, map units, of what the bending of a cell is expected to be."""
@@ -90,11 +85,6 @@ class HomographyBasis:
     def centre_px(self) -> tuple[float, float]:
         """Its middle."""
         return self.polynomial.centre_px
-
-    @property
-    def radius_px(self) -> float:
-        """Half of its longer side."""
-        return self.polynomial.radius_px
 
     def values(self, at_px: Float64) -> Float64:
         """Return the (n, 6) values of 1, u, v, u², uv, v² at the (n, 2) positions `at_px` (x, y)."""
@@ -132,27 +122,27 @@ def penalty_of(basis: Basis) -> Float64:
     return basis.penalty if isinstance(basis, SplineBasis) else np.zeros((terms, terms))
 
 
+def polynomial_over(places: Sequence[Float64], order: int) -> PolynomialBasis:
+    """Return the terms of a polynomial about the middle of the ground of (n, 2) `places` (x, y)."""
+    low = np.min([place.min(axis=0) for place in places], axis=0)
+    high = np.max([place.max(axis=0) for place in places], axis=0)
+    centre, radius = (low + high) / 2, max(float((high - low).max()) / 2, 1e-9)
+    return PolynomialBasis(order, float_pair(centre), radius, float_pair(low), float_pair(high))
+
+
 def basis_over(places: Sequence[Float64], model: str, roughness: float = ROUGHNESS[1]) -> Basis:
     """Return the functions of a model, one of `IMAGE_MODELS`, over the ground of tie points.
 
     The `places` of these are (n, 2) positions (x, y), map units; for the `roughness` see `SplineBasis`.
     """
-    low = np.min([place.min(axis=0) for place in places], axis=0)
-    high = np.max([place.max(axis=0) for place in places], axis=0)
-    centre, radius = (low + high) / 2, max(float((high - low).max()) / 2, 1e-9)
+    polynomial = polynomial_over(places, MODELS[model].order or 0)
     if model != SPLINE:
-        return PolynomialBasis(
-            MODELS[model].order or 0, float_pair(centre), radius, float_pair(low), float_pair(high)
-        )
-    spacing = 2 * radius / SPLINE_CELLS
-    across, down = (max(1, int(np.ceil(side / spacing - 1e-9))) for side in high - low)
-    return SplineBasis(
-        SplineGrid(float_pair(low), spacing, (across, down)),
-        float_pair(centre),
-        radius,
-        float_pair(low),
-        roughness,
-    )
+        return polynomial
+    spacing = 2 * polynomial.radius_px / SPLINE_CELLS
+    size = np.subtract(polynomial.high_px, polynomial.low_px)
+    across, down = (max(1, int(np.ceil(side / spacing - 1e-9))) for side in size)
+    grid = SplineGrid(polynomial.low_px, spacing, (across, down))
+    return SplineBasis(grid, polynomial.centre_px, polynomial.low_px, roughness)
 
 
 LEAST_SCATTER: Final = 0.1
@@ -411,9 +401,7 @@ def _weighted(edge: Edge, basis: Basis, coefficients: Float64) -> _Weighted:
     observed = edge.second_xy - edge.first_xy
     left = observed - values @ (coefficients[edge.second] - coefficients[edge.first])
     # about the pair's own middle: slopes about that of all ground would be shifts where a pair lies off it
-    low, high = ground.min(axis=0), ground.max(axis=0)
-    half = max(float((high - low).max()) / 2, 1e-9)
-    near = np.column_stack([np.ones(len(edge)), (ground - (low + high) / 2) / half])
+    near = polynomial_over([ground], 1).values(ground)
     left = left - near @ least_squares(near, left)
     left = left - np.median(left, axis=0)
     weights = inverse(edge.covariance, MEASURED)

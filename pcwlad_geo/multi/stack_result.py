@@ -32,7 +32,7 @@ from pcwlad_geo.multi.cycles import (
     misfit_sigmas,
     root_mean_square,
 )
-from pcwlad_geo.multi.network import SPLINE_CELLS, Basis
+from pcwlad_geo.multi.network import SPLINE_CELLS, Basis, polynomial_over
 from pcwlad_geo.multi.rpc_block import BlockAdjustment, HoldOutCheck
 from pcwlad_geo.multi.stack_inputs import DATE, StackInput
 from pcwlad_geo.multi.stack_pairs import ControlPoint, Measured, StackFrame, StackPair
@@ -496,9 +496,8 @@ def placed_values(
 
 def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correction:
     """Return the model in px of the file that maps places of a lattice as the adjustment does."""
-    low, high = at_px.min(axis=0), at_px.max(axis=0)
-    radius = float((high - low).max()) / 2
     if not isinstance(basis, PolynomialBasis):
+        low, high = at_px.min(axis=0), at_px.max(axis=0)
         spacing = float((high - low).min()) / (2 * SPLINE_CELLS)  # finer: it lies elsewhere than the ground
         across, down = np.ceil((high - low) / spacing - 1e-9).astype(int).tolist()
         grid = SplineGrid(float_pair(low), spacing, (across, down))
@@ -509,9 +508,7 @@ def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correctio
         return AffineCorrection("shift", np.column_stack([np.eye(2), shift]))
     if basis.order == 1:
         return AffineCorrection("affine", affine_between(at_px, observed_px))
-    own = PolynomialBasis(
-        basis.order, float_pair((low + high) / 2), radius, float_pair(low), float_pair(high)
-    )
+    own = polynomial_over([at_px], basis.order)
     return PolynomialCorrection(
         f"polynomial{own.order}", own, least_squares(own.values(at_px), observed_px - at_px)
     )
