@@ -40,7 +40,8 @@ def escaped(text: str) -> str:
 
 def page() -> str:
     """Return the man page."""
-    examples = [line.strip() for line in EXAMPLES.splitlines() if line.startswith("  ")]
+    epilogs = [EXAMPLES, *(command.epilog for _, command in commands())]
+    examples = [line.strip() for text in epilogs for line in text.splitlines() if line.startswith("  ")]
     lines = [
         f'.TH PCWLAD\\-GEO 1 "" "pcwlad\\-geo {pcwlad_geo.__version__}" "User commands"',
         ".SH NAME",
@@ -55,7 +56,7 @@ def page() -> str:
         *(line for status, text in STATUSES.items() for line in (".TP", status, escaped(text))),
         ".SH EXAMPLES",
         ".nf",
-        *map(escaped, examples),
+        *map(escaped, dict.fromkeys(examples)),
         ".fi",
         ".SH SEE ALSO",
         "gdalwarp(1), gdalinfo(1)",

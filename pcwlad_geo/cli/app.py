@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -29,27 +30,26 @@ MANY: Final = "Many images"
 """Title of the commands for many images."""
 AFTER: Final = "After a registration"
 """Title of the commands for a finished registration."""
-EXAMPLES: Final = """\b
-Examples:
-  pcwlad-geo demo
-  pcwlad-geo register red.tif thermal.tif -o registered
-  pcwlad-geo register red.tif thermal.tif --require "CE90<=0.5px"
-  pcwlad-geo warp registered thermal_b11.tif
-  pcwlad-geo stack 2021.tif 2022.tif 2023.tif -o series
-  pcwlad-geo register --help
-"""
-"""End of the help; the first line keeps the others as they are."""
+EXAMPLES: Final = o.examples(
+    "demo",
+    "register red.tif thermal.tif -o registered",
+    'register red.tif thermal.tif --require "CE90<=0.5px"',
+    "warp registered thermal_b11.tif",
+    "stack 2021.tif 2022.tif 2023.tif -o series",
+    "register --help",
+)
+"""End of the help."""
 
 
 class Commands(TyperGroup):
     """The commands, listed in groups."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  # of typer's own click
-        """Write the commands, a section for each group."""
+        """Write the commands, a section for each group: of the help of each what stands before details."""
         width = max(map(len, self.commands))
         for title in (PAIR, MANY, AFTER):
             lines = [
-                (name.ljust(width), command.get_short_help_str(formatter.width - width - 6))
+                (name.ljust(width), f"{re.split('[:;.]', command.help or '')[0]}.")
                 for name, command in self.commands.items()
                 if getattr(command, "rich_help_panel", "") == title and not command.hidden
             ]
@@ -66,7 +66,16 @@ app = typer.Typer(
 )
 
 
-@app.command(rich_help_panel=PAIR)
+@app.command(
+    rich_help_panel=PAIR,
+    epilog=o.examples(
+        "register red.tif thermal.tif",
+        "register red.tif thermal.tif -o registered --overwrite",
+        'register red.tif thermal.tif --require "CE90<=0.5px"',
+        "register red.tif far_off.tif --prealign search",
+        "register red.tif thermal.tif --ref-mask clouds.tif --model affine",
+    ),
+)
 @o.takes_settings("register")
 def register(
     context: typer.Context,
@@ -82,7 +91,13 @@ def register(
     run_job("register", context.params)
 
 
-@app.command(rich_help_panel=PAIR)
+@app.command(
+    rich_help_panel=PAIR,
+    epilog=o.examples(
+        "match red.tif thermal.tif -o matched",
+        "match red.tif thermal.tif --points all",
+    ),
+)
 @o.takes_settings("match")
 def match(
     context: typer.Context,
@@ -93,7 +108,7 @@ def match(
     output_report: o.OutputReport = None,
     output_points: o.OutputPoints = None,
 ) -> None:
-    """Match TARGET to REFERENCE: tie points and report, no correction."""
+    """Find the tie points of a pair, and stop there: a report, no correction."""
     run_job("match", context.params)
 
 
@@ -107,7 +122,13 @@ EffortOption = Annotated[
 ]
 
 
-@app.command(rich_help_panel=PAIR)
+@app.command(
+    rich_help_panel=PAIR,
+    epilog=o.examples(
+        "prove red.tif thermal.tif",
+        "prove red.tif thermal.tif --effort full -o proof",
+    ),
+)
 @o.takes_settings("prove")
 def prove(
     context: typer.Context,
@@ -133,7 +154,13 @@ says; the red band is right. Next, open that report, and register a pair of your
 DemoFolder = Annotated[Path, o.argument("FOLDER", "Folder to write into.  [default: pcwlad-geo-demo]")]
 
 
-@app.command(rich_help_panel=PAIR)
+@app.command(
+    rich_help_panel=PAIR,
+    epilog=o.examples(
+        "demo",
+        "demo sample --overwrite",
+    ),
+)
 @o.takes_settings("demo")
 def demo(context: typer.Context, folder: DemoFolder = Path("pcwlad-geo-demo")) -> None:
     """Write a small synthetic pair into FOLDER, and register it: no data of your own are needed."""
@@ -162,12 +189,42 @@ def _write_sample(params: Mapping[str, Any]) -> None:
             place_file(stage / place.name, place, overwrite=overwrite)
 
 
-app.command(rich_help_panel=MANY)(batch)
-app.command(rich_help_panel=MANY)(stack)
-app.command(rich_help_panel=MANY)(watch)
+app.command(
+    rich_help_panel=MANY,
+    epilog=o.examples(
+        "batch pairs.csv -o registered",
+        "batch pairs.csv -o registered --jobs 8",
+    ),
+)(batch)
+app.command(
+    rich_help_panel=MANY,
+    epilog=o.examples(
+        "stack 2021.tif 2022.tif 2023.tif -o series",
+        "stack --add 2024.tif series",
+    ),
+)(stack)
+app.command(
+    rich_help_panel=MANY,
+    epilog=o.examples(
+        "watch series",
+        "watch series -o watched",
+    ),
+)(watch)
 app.add_typer(rig, name="rig", rich_help_panel=MANY)
-app.command(rich_help_panel=MANY)(qa)
-app.command(rich_help_panel=AFTER)(warp)
+app.command(
+    rich_help_panel=MANY,
+    epilog=o.examples(
+        "qa b2.tif b3.tif b4.tif -o quality",
+        'qa stacked.tif --require "CE90<=0.3px"',
+    ),
+)(qa)
+app.command(
+    rich_help_panel=AFTER,
+    epilog=o.examples(
+        "warp registered thermal_b11.tif",
+        "warp registered thermal_b11.tif -o warped --resampling bilinear",
+    ),
+)(warp)
 app.command(hidden=True)(edit)  # a conversation between programs
 
 

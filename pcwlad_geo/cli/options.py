@@ -23,6 +23,11 @@ else:
     import tomli as tomllib
 
 
+def examples(*commands: str) -> str:
+    """Return the end of a help: commands that can be run. The first line keeps the others as they are."""
+    return "\n".join(["\b", "Examples:", *(f"  pcwlad-geo {command}" for command in commands)])
+
+
 def collect(given: Mapping[str, object], config: Path | None) -> dict[str, Any]:
     """Return the options for the API: those of the config file, replaced by those of the command line.
 

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from pcwlad_geo.rigs.run import RigApplied
 
 rig = typer.Typer(
-    help="Cameras with several lenses: learn the rig, apply it to captures.", no_args_is_help=True
+    help="Bring the lenses of a camera onto each other: learn the rig, apply it to captures.",
+    no_args_is_help=True,
+    epilog=o.examples("rig learn captures/ -o RIG.json", "rig apply RIG.json captures/ -o aligned"),
 )
 
 Captures = Annotated[list[str], o.argument("CAPTURES…", "Raw frames of the camera, or folders of them.")]
@@ -47,7 +49,11 @@ HEADER = ("lens", "focal px", "moved px", "sigma px", "told calibration off px")
 """Header of the table of lenses."""
 
 
-@rig.command("learn")
+@rig.command(
+    "learn",
+    short_help="Learn the lenses from a few captures in flight.",
+    epilog=o.examples("rig learn captures/ -o RIG.json"),
+)
 @o.takes_settings("rig")
 def learn(
     context: typer.Context,
@@ -60,7 +66,11 @@ def learn(
     run_guarded(context.params, lambda on_event: _learn(context.params, on_event), lambda: None)
 
 
-@rig.command("apply")
+@rig.command(
+    "apply",
+    short_help="Make one raster of each capture, its bands on each other.",
+    epilog=o.examples("rig apply RIG.json captures/ -o aligned"),
+)
 @o.takes_settings("rig")
 def apply(
     context: typer.Context,

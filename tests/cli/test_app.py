@@ -1,10 +1,13 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.main import get_command
@@ -14,6 +17,32 @@ from pcwlad_geo.cli.app import PAIR, PROTOCOL, app, run
 from pcwlad_geo.options import WORDS, Settings
 
 NOT_ON_THE_COMMAND_LINE = {"tile_size"}
+
+
+def visible_commands() -> Iterator[tuple[str, Any]]:
+    """Yield the commands that users see, those of groups by two words."""
+    for name, command in get_command(app).commands.items():
+        for inner, each in getattr(command, "commands", {"": command}).items():
+            if not each.hidden:
+                yield f"{name} {inner}".strip(), each
+
+
+def examples_of(shown: str) -> list[list[str]]:
+    """Return the arguments of the examples of a help; a longer command would be wrapped, and not be one."""
+    commands = [shlex.split(line) for line in shown.partition("Examples:")[2].splitlines() if line.strip()]
+    assert all(words[0] == "pcwlad-geo" for words in commands)
+    return [words[1:] for words in commands]
+
+
+def parsed(words: list[str]) -> list[str]:
+    """Let the command line take the arguments of a command, and return its names."""
+    names, command, rest = [], get_command(app), words
+    while hasattr(command, "commands"):
+        name, *rest = rest
+        names.append(name)
+        command = command.commands[name]
+    command.make_context(" ".join(names), rest)
+    return names
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -33,14 +62,24 @@ def test_the_help_has_every_command_once_in_a_group_and_examples_that_can_be_run
     shown = capsys.readouterr().out
     groups = shown.partition(f"{PAIR}:")[2].partition("Examples:")[0]
     listed = [line.split()[0] for line in groups.splitlines() if line.startswith("  ") and line.strip()]
-    group = get_command(app)
-    assert sorted(listed) == sorted(name for name, each in group.commands.items() if not each.hidden)
-    examples = [line.split() for line in shown.partition("Examples:")[2].splitlines() if line.strip()]
+    assert sorted(listed) == sorted({name.split()[0] for name, _ in visible_commands()})
+    assert "..." not in groups
+    examples = examples_of(shown)
     assert len(examples) > 3
-    for program, name, *rest in examples:
-        assert program == "pcwlad-geo"
-        if rest != ["--help"]:
-            group.commands[name].make_context(name, [word.strip('"') for word in rest])
+    for words in examples:
+        if words[-1] != "--help":
+            parsed(words)
+
+
+@pytest.mark.parametrize("name", [name for name, _ in visible_commands()])
+def test_the_help_of_each_command_ends_with_examples_of_it_that_can_be_run(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*name.split(), "--help"]) == 0
+    examples = examples_of(capsys.readouterr().out)
+    assert examples
+    for words in examples:
+        assert " ".join(parsed(words)) == name
 
 
 def test_shells_can_complete_commands_and_options() -> None:
