@@ -40,6 +40,8 @@ OUTPUT_OPTIONS = ("output_raster", "output_tiepoints", "output_report", "output_
 """Options with paths of single outputs; `match` has no raster."""
 BAND_NAME = re.compile(r"[A-Za-z]\w*$")
 """Pattern of the name of a band of a product."""
+BANDS = re.compile(r"(\d{1,6}(,\d{1,6})+|[A-Za-z]\w*(,[A-Za-z]\w*)*)$")
+"""Pattern of several bands, by number or by name, and of `pca` or a name alone."""
 FUNCTION_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
 """Pattern of the name of a function and its module."""
 
@@ -90,10 +92,8 @@ def _box_in(place: str) -> Check:
 
 
 _BAND: Final[Check] = (
-    lambda value: (
-        (_is_whole(value) and value >= 1) or (isinstance(value, str) and bool(BAND_NAME.match(value)))
-    ),
-    "a whole number from 1, or the name of a product's band",
+    lambda value: (_is_whole(value) and value >= 1) or (isinstance(value, str) and bool(BANDS.match(value))),
+    "a whole number from 1, or the name of a product's band; several separated by commas, or pca",
 )
 _DATUM: Final[Check] = (
     lambda value: not isinstance(value, Real) or (value <= 500.0 and not value < -500.0),
@@ -152,10 +152,16 @@ class Settings:
     """Options of `register` and `match`, with their defaults."""
 
     ref_band: int | str = option(
-        1, "Band of the reference; of a product, its name.", _PAIR, metavar="N|NAME", check=_BAND
+        1,
+        "Band of the reference, of a product its name; several: the mean of their structure.",
+        _PAIR,
+        metavar="N,…|NAME,…|pca",
+        check=_BAND,
     )
+    """Band that is matched; 2,3,4 (B2,B3,B4 of a product): the mean of these bands, scaled to equal contrast;
+    pca: the first principal component of all bands of the file."""
     tgt_band: int | str = option(
-        1, "Band of the target; of a product, its name.", _PAIR, metavar="N|NAME", check=_BAND
+        1, "Band of the target, or several, alike.", _PAIR, metavar="N,…|NAME,…|pca", check=_BAND
     )
     ref_mask: Path | str | None = option(
         None, "Mask of the reference: 0 = excluded, or QA_PIXEL, BQA, SCL …", _PAIR, metavar="FILE"
@@ -569,8 +575,8 @@ def to_setting(name: str, value: object) -> object:
         return _number_or_path(name, value)
     if Path in kinds:
         return _path(name, value)
-    if {int, str} <= kinds and isinstance(value, str) and BAND_NAME.match(value):
-        return value
+    if {int, str} <= kinds and isinstance(value, str) and BANDS.match(value.replace(" ", "")):
+        return value.replace(" ", "")
     if int in kinds:
         words += [WORDS[name]] if name in WORDS else []
         return _number(name, value, int, " or ".join(["a whole number", *(f"'{word}'" for word in words)]))

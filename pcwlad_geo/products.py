@@ -74,7 +74,7 @@ class Product:
     """Names of bands that show the atmosphere (cirrus) instead of the ground."""
 
     def band(self, name: str | int) -> ProductBand:
-        """Return a band by name.
+        """Return a band by name, the first of several names separated by commas.
 
         Raises `InputError` if there is no band of that name.
         """
@@ -84,6 +84,7 @@ class Product:
                 f"{self.path} is a {self.kind} product: say which band by name (--ref-band, --tgt-band; "
                 f"PRODUCT:NAME for qa); it holds {held}"
             )
+        name = name.partition(",")[0]
         found = {band.name.upper(): band for band in self.bands} | dict(self.aliases)
         if name.upper() not in found:
             raise InputError(

@@ -121,6 +121,7 @@ def edit(context: typer.Context, registration: Folder, progress: o.ProgressOptio
 
 
 def _open(folder: Path, trust: Mapping[str, bool]) -> tuple[Editor, str]:
+    from pcwlad_geo.raster.source import Bands
     from pcwlad_geo.registration.editing import Editor
     from pcwlad_geo.registration.run import open_pair
     from pcwlad_geo.report.finished import read_report
@@ -134,6 +135,8 @@ def _open(folder: Path, trust: Mapping[str, bool]) -> tuple[Editor, str]:
             for name, value in report["settings"].items()
             if name not in NOT_TAKEN and value is not None
         }
+        for name in ("ref_band", "tgt_band"):  # a product's bands are its files here
+            given[name] = given[name] if Bands.of_file("", str(given[name])) else 1
         settings = Settings.from_options({**given, **trust})
         reference, target = (os.fspath(report[which]["path"]) for which in ("reference", "target"))
         model = str(report["model"]["name"])

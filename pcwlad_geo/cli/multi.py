@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
@@ -14,7 +14,7 @@ from pcwlad_geo.cli.job import UNEXPECTED, Ending, columns, run_guarded, show_tr
 from pcwlad_geo.cli.options import collect
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import EventCallback
-from pcwlad_geo.options import BAND_NAME, Settings
+from pcwlad_geo.options import Settings, to_setting
 from pcwlad_geo.text import visible
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def _stack(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     found = stack(
         params["images"],
         out_dir=params["out_dir"],
-        band=_band(params["band"]),
+        band=cast(int | str, to_setting("ref_band", params["band"])),
         on_event=on_event,
         **{name: params[name] for name in OWN},
         **settings,
@@ -216,14 +216,6 @@ def _added(params: Mapping[str, Any], settings: dict[str, Any], on_event: EventC
     from pcwlad_geo.multi.stack import stack_add
 
     return _ending(stack_add(params["add"], params["images"][0], on_event=on_event, **settings))
-
-
-def _band(text: str) -> int | str:
-    if text.isdecimal():
-        return int(text)
-    if not BAND_NAME.match(text):
-        raise SettingsError(f"--band {text}: give a number from 1, or the name of a product's band")
-    return text
 
 
 def _abandon_stack(out_dir: str | Path | None) -> None:

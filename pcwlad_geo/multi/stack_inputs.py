@@ -17,7 +17,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import BATCH_ROWS, check_count
 from pcwlad_geo.products import RASTERS, find_product, rasters_of
 from pcwlad_geo.raster.file_tree import is_folder
-from pcwlad_geo.raster.source import RasterInfo, describe, file_name, plain_name
+from pcwlad_geo.raster.source import Bands, RasterInfo, describe, file_name, plain_name
 from pcwlad_geo.text import read_json, read_text
 from pcwlad_geo.types import PathLike
 
@@ -73,7 +73,8 @@ class StackInput:
         product = find_product(self.path)
         if product is not None:
             return describe(product.band(self.band).opened_as(), mask=self.mask or product.mask)
-        return describe(self.path, band=self.band if isinstance(self.band, int) else 1, mask=self.mask)
+        bands = Bands.of_file(self.path, self.band)
+        return describe(self.path, band=bands.first if bands else 1, mask=self.mask)
 
 
 def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
@@ -202,7 +203,7 @@ def _of_item(item: Mapping[str, Any], place: Path, band: int | str) -> StackInpu
     cloud, sun = properties.get("eo:cloud_cover"), properties.get("view:sun_elevation")
     return StackInput(
         href if remote else os.fspath(place.parent / href),
-        1,
+        band if isinstance(band, str) and Bands.of_file("", band) else 1,
         plain_name(str(item["id"])),
         date=str(properties.get("datetime") or properties.get("start_datetime") or "") or None,
         sun_elevation=None if sun is None else float(sun),
@@ -234,7 +235,7 @@ def _asset(name: str, assets: Mapping[str, Any], band: int | str) -> Mapping[str
         kind = str(asset.get("type", "")).startswith(("image/tiff", "image/jp2", "image/vnd.stac"))
         if "data" in roles or (kind and not {"thumbnail", "overview"} & set(roles)):
             images[key] = asset
-    if isinstance(band, str) or len(images) != 1:
+    if not Bands.of_file("", band) or len(images) != 1:
         raise InputError(
             f"the STAC item {name} has the images {', '.join(images) or 'none'}: give --band with one of them"
         )

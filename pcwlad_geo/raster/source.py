@@ -64,13 +64,68 @@ AREA_CELLS: Final = 1024
 
 
 @dataclass(frozen=True, slots=True)
+class BandPart:
+    """A band of an image that several bands make."""
+
+    path: str
+    """Path or GDAL URI."""
+    band: int
+    """From 1."""
+    weight: float = 1.0
+    """What its values are multiplied by."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """The bands that are matched as one image, the sum of their weighted values."""
+
+    parts: tuple[BandPart, ...]
+    """All of one grid, one after another those of a file; empty: all bands of the file, not known yet."""
+    principal: bool = False
+    """Whether they make the first principal component, instead of the mean."""
+
+    @staticmethod
+    def of_file(path: str, choice: int | str) -> Bands | None:
+        """Return the bands of a file by number, or pca for all; None where these are names of a product's."""
+        if choice == "pca":
+            return Bands((), principal=True)
+        numbers = str(choice).split(",")
+        known = all(number.isdecimal() for number in numbers)
+        return Bands(tuple(BandPart(path, int(number)) for number in numbers)) if known else None
+
+    @property
+    def first(self) -> int:
+        """Number of the first band."""
+        return self.parts[0].band if self.parts else 1
+
+    @property
+    def numbers(self) -> str:
+        """The numbers of the bands, or the files of those of several."""
+        numbers = [part.band for part in self.parts]
+        files = dict.fromkeys(file_name(part.path) for part in self.parts)
+        if len(numbers) == 1:
+            return f"band {numbers[0]}"
+        if len(files) > 1:
+            return ", ".join(files)
+        span = len(numbers) > 2 and numbers == list(range(numbers[0], numbers[-1] + 1))
+        return f"bands {numbers[0]} to {numbers[-1]}" if span else f"bands {', '.join(map(str, numbers))}"
+
+    @property
+    def text(self) -> str:
+        """What is matched, for people."""
+        if len(self.parts) == 1:
+            return self.numbers
+        return f"{'first principal component' if self.principal else 'mean'} of {self.numbers}"
+
+
+@dataclass(frozen=True, slots=True)
 class RasterInfo:
-    """Description of one band of one file; small and picklable."""
+    """Description of one band of one file, or of several as one image; small and picklable."""
 
     uri: str
     """Path or GDAL URI."""
     band: int
-    """Number of the band, from 1."""
+    """Number of the band, from 1; the first of several."""
     band_count: int
     grid: Grid
     georeferenced: bool
@@ -100,6 +155,13 @@ class RasterInfo:
     """What a file without georeferencing says of the camera that took it."""
     content: str = ""
     """Digest of the versions of the files (`identity.digest`), to detect changes; empty where unknown."""
+    several: Bands | None = None
+    """The bands, where there are several, with their weights, see `view.with_bands`."""
+
+    @property
+    def bands(self) -> Bands:
+        """The bands that are read: the one, or several."""
+        return self.several or Bands((BandPart(self.uri, self.band),))
 
 
 def describe(
@@ -249,7 +311,8 @@ def has_quick_overview(info: RasterInfo) -> bool:
 
 def same_band(a: RasterInfo, b: RasterInfo) -> bool:
     """Whether `a` and `b` describe the same band of the same file, even under different paths."""
-    if a.band != b.band:
+    one, other = ([part.band for part in info.bands.parts] for info in (a, b))
+    if one != other or a.bands.principal != b.bands.principal:
         return False
     if a.uri == b.uri:
         return True

@@ -1,12 +1,18 @@
-"""One band on a grid: read by windows, resampled at most once from the original, with validity."""
+"""One band, or several as one image, on a grid: read by windows, resampled at most once, with validity."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import groupby
+from operator import attrgetter
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from rasterio.enums import ColorInterp
+from rasterio.io import DatasetReader
 from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
@@ -23,7 +29,7 @@ from pcwlad_geo.raster.pixels import (
     valid_in_mask_file,
 )
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, positions_on
-from pcwlad_geo.raster.source import RasterInfo, open_raster
+from pcwlad_geo.raster.source import BandPart, Bands, RasterInfo, describe, open_raster
 from pcwlad_geo.types import Bool, Float32, Float64
 
 ViewResampling = Literal["none", "nearest", "average", "cubic"]
@@ -34,6 +40,8 @@ MIN_VALID_CUBIC = 0.9
 """Least share of valid neighbouring pixels from which an interpolated pixel is valid."""
 
 _MAX_PX_AT_ONCE = 1 << 23  # of the file or of samples: 64 MB as float64
+_MAX_VALUES = 1 << 25  # of several bands: 64 MB as 16 bits
+_SAMPLES_ACROSS, _SAMPLE_PX = 6, 32  # from which the weights of several bands are estimated
 _MIN_PART_PX = 32  # unreadable parts are not divided further
 _SPLINE_REACH_PX = 16  # the prefilter's impulse response falls to 1e-9 within this distance
 
@@ -219,25 +227,16 @@ def _around(positions_rc: Float64, factor: int, shape: tuple[int, int]) -> Windo
 def _read_file(info: RasterInfo, window: Window, overview: int | None) -> tuple[NDArray[np.generic], Bool]:
     """Read own pixels in the band's dtype, with their validity; pixels outside the raster are not valid.
 
-    Indices of a colour table become the brightness of their colours.
+    Of several bands it is their weighted sum, float64, valid where each of them is. Indices of a colour table
+    become the brightness of their colours.
     """
     inside = window.clipped(info.grid.shape)
-    values = np.zeros(window.shape, dtype=info.dtype)
+    values = np.zeros(window.shape, dtype=np.float64 if info.several else info.dtype)
     valid = np.zeros(window.shape, dtype=bool)
     if inside.empty:
         return values, valid
-    file_window = FileWindow(inside.col, inside.row, inside.cols, inside.rows)
-    options = {} if overview is None else {"OVERVIEW_LEVEL": overview}
     here = inside.slices_in(window)
-    with open_raster(info.uri, **options) as dataset:
-        try:
-            values[here] = dataset.read(info.band, window=file_window)
-            valid[here] = valid_in_file(dataset, info.band, values[here], file_window)
-        except GDAL_ERRORS as error:
-            raise InputError(
-                f"{info.uri}: band {info.band} cannot be read at rows {inside.row} to {inside.row_stop}, "
-                f"columns {inside.col} to {inside.col_stop}: the file may be truncated or corrupt"
-            ) from error
+    values[here], valid[here] = _read_bands(info.bands, inside, overview)
     valid[here] &= valid_in_mask_file(info, inside)
     if info.areas is not None:
         valid[here] &= info.areas.valid(inside, info.grid)
@@ -249,12 +248,156 @@ def _read_file(info: RasterInfo, window: Window, overview: int | None) -> tuple[
     return values, valid
 
 
+def _read_bands(bands: Bands, inside: Window, overview: int | None) -> tuple[NDArray[np.generic], Bool]:
+    """Read the (rows, cols) values of a window within a raster, and their validity by the files."""
+    options = {} if overview is None else {"OVERVIEW_LEVEL": overview}
+    total, valid = np.zeros(inside.shape), np.ones(inside.shape, bool)
+    for path, group in groupby(bands.parts, key=attrgetter("path")):
+        parts = list(group)
+        with open_raster(path, **options) as dataset:
+            for window, read, good in _read_layers(dataset, parts, inside):
+                if len(bands.parts) == 1:
+                    return read[0], good[0]
+                here = window.slices_in(inside)
+                valid[here] &= np.logical_and.reduce(good)
+                for part, layer, known in zip(parts, read, good, strict=True):
+                    total[here] += part.weight * np.where(known, layer, 0).astype(np.float64)
+    return total, valid
+
+
+def _read_layers(
+    dataset: DatasetReader, parts: Sequence[BandPart], inside: Window
+) -> Iterator[tuple[Window, list[NDArray[np.generic]], list[Bool]]]:
+    """Yield the values and validities of bands of a file, by as many rows as fit into memory."""
+    numbers = [part.band for part in parts]
+    alike = len({dataset.dtypes[number - 1] for number in numbers}) == 1
+    count = inside.rows if len(parts) == 1 else max(1, _MAX_VALUES // (len(parts) * inside.cols))
+    for row in range(inside.row, inside.row_stop, count):
+        window = Window(row, inside.col, min(count, inside.row_stop - row), inside.cols)
+        place = FileWindow(window.col, window.row, window.cols, window.rows)
+        try:
+            read = list(
+                dataset.read(numbers, window=place)
+                if alike
+                else (dataset.read(number, window=place) for number in numbers)
+            )
+            good = [valid_in_file(dataset, *each, place) for each in zip(numbers, read, strict=True)]
+        except GDAL_ERRORS as error:
+            raise InputError(
+                f"{parts[0].path}: {Bands(tuple(parts)).numbers} cannot be read at rows {window.row} to "
+                f"{window.row_stop}, columns {window.col} to {window.col_stop}: the file may be truncated or "
+                "corrupt"
+            ) from error
+        yield window, read, good
+
+
+def with_bands(info: RasterInfo, bands: Bands) -> RasterInfo:
+    """Return a band together with others of its grid, as one image: the sum of their weighted values.
+
+    The weights are found once, on windows spread over the raster, and are the same wherever it is read. Those
+    of the mean bring all bands to the same range between their 5th and 95th percentile; those of the first
+    principal component are of the covariance of the bands so scaled, the largest being positive. The sum of
+    their squares is 1, so that the image is as noisy as a band. Of the component bands are left out that are
+    constant, or valid on less than half of what another is. One band is returned as it is.
+
+    Raises `InputError` if a band is missing or has another grid.
+    """
+    if len(bands.parts) == 1:
+        return info
+    parts, dtype = _parts_of(info, bands)
+    read, good = _samples(info, parts)
+    if bands.principal:
+        varies = [known.any() and np.ptp(layer[known]) > 0 for layer, known in zip(read, good, strict=True)]
+        count = good.sum(axis=1)
+        kept = np.flatnonzero(varies & (2 * count >= count.max()))
+        kept = kept if kept.size else np.arange(1)
+        parts, read, good = [parts[each] for each in kept.tolist()], read[kept], good[kept]
+    weights = _weights(read[:, good.all(axis=0)], principal=bands.principal)
+    several = tuple(replace(part, weight=weight) for part, weight in zip(parts, weights, strict=True))
+    return replace(
+        info, band=parts[0].band, dtype=dtype, brightness=None, several=Bands(several, bands.principal)
+    )
+
+
+def _parts_of(info: RasterInfo, bands: Bands) -> tuple[Sequence[BandPart], str]:
+    """Return the bands that are meant, and the type that holds the values of all."""
+    if bands.parts:
+        others = [describe(part.path, band=part.band) for part in bands.parts]
+        for other in others:
+            if other.grid != info.grid:
+                raise InputError(
+                    f"{other.uri} has other pixels than {info.uri}: several bands are matched as one image "
+                    "where they have the same size and georeferencing (of Sentinel-2, such as B04_20m)"
+                )
+        return bands.parts, str(np.result_type(*(other.dtype for other in others)))
+    with open_raster(info.uri) as dataset:
+        numbers = [
+            number
+            for number, (kind, dtype) in enumerate(zip(dataset.colorinterp, dataset.dtypes, strict=True), 1)
+            if kind != ColorInterp.alpha and "complex" not in dtype
+        ]
+        dtype = np.result_type(*(dataset.dtypes[number - 1] for number in numbers))
+    return [BandPart(info.uri, number) for number in numbers], str(dtype)
+
+
+def _samples(info: RasterInfo, parts: Sequence[BandPart]) -> tuple[Float64, Bool]:
+    """Return (bands, n) values and their validity in windows spread over a raster."""
+    rows, cols = (min(side, _SAMPLE_PX) for side in info.grid.shape)
+    first_rows, first_cols = (
+        np.unique(np.linspace(0, side - size, _SAMPLES_ACROSS).astype(int)).tolist()
+        for side, size in zip(info.grid.shape, (rows, cols), strict=True)
+    )
+    windows = [Window(row, col, rows, cols) for row in first_rows for col in first_cols]
+    allowed = [valid_in_mask_file(info, window) for window in windows]
+    if info.collar is not None:
+        allowed = [
+            each & info.collar.valid(window, info.grid.shape)
+            for each, window in zip(allowed, windows, strict=True)
+        ]
+    values = np.zeros((len(parts), len(windows), rows * cols))
+    valid = np.zeros(values.shape, bool)
+    done = 0
+    for path, group in groupby(parts, key=attrgetter("path")):
+        own = list(group)
+        here = slice(done, done := done + len(own))
+        with open_raster(path) as dataset:
+            for number, window in enumerate(windows):
+                with suppress(InputError):  # the tile that holds it reports what cannot be read
+                    for _, read, good in _read_layers(dataset, own, window):
+                        values[here, number] = np.reshape(read, (len(own), -1))
+                        valid[here, number] = np.reshape(good & allowed[number], (len(own), -1))
+    values[~valid] = 0
+    return values.reshape(len(parts), -1), valid.reshape(len(parts), -1)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of the largest numbers, whose bands count nothing
+def _weights(samples: Float64, *, principal: bool) -> list[float]:
+    """Return a weight for each band of (bands, n) samples."""
+    equal = np.full(len(samples), 1.0)
+    scale = equal
+    if samples.shape[1] > 1:
+        low, middle, high = np.percentile(samples, [5, 50, 95], axis=1)[:, :, None]
+        spread = np.where(high > low, high - low, samples.std(axis=1, keepdims=True))
+        usable = np.isfinite(spread) & (spread > 0)
+        scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=usable)[:, 0]
+        if principal:
+            scaled = np.clip((samples - middle) * scale[:, None], -2, 2)
+            scale *= np.linalg.eigh(np.cov(scaled))[1][:, -1]
+            size = np.abs(scale)
+            scale *= np.sign(scale[np.flatnonzero(size >= (1 - 1e-6) * size.max())[0]])
+    scale = scale if scale.any() else equal
+    return [float(f"{weight:.9g}") for weight in scale / np.linalg.norm(scale)]
+
+
 def _overview_for(info: RasterInfo, step_px: float) -> int | None:
     """Choose the coarsest overview that is at least twice as fine as the requested pixels."""
     if info.mask_grid is not None and not (info.georeferenced and info.mask_grid.crs is not None):
         return None  # a mask without georeferencing has the original's pixels
-    with open_raster(info.uri) as dataset:
-        factors = dataset.overviews(info.band)
+    found = []
+    for part in {part.path: part for part in info.bands.parts}.values():
+        with open_raster(part.path) as dataset:
+            found.append(dataset.overviews(part.band))
+    factors = found[0] if all(each == found[0] for each in found) else []
     fine_enough = [level for level, factor in enumerate(factors) if factor <= step_px / 2]
     return max(fine_enough, default=None, key=lambda level: factors[level])
 

@@ -24,7 +24,7 @@ from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_lattice
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.ortho import ground_grid
-from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
+from pcwlad_geo.raster.source import BandPart, Bands, RasterInfo, describe, open_raster
 from pcwlad_geo.registration.rpc import place_reference, place_target
 from pcwlad_geo.types import PathLike
 
@@ -69,8 +69,13 @@ class Inputs:
     reference: str
     target: str
     """Path or GDAL URI, as that of the reference."""
+    ref_bands: Bands
+    """What is matched of the reference."""
+    tgt_bands: Bands
+    """What is matched of the target."""
     settings: Settings
-    """Settings in which bands are numbers, and masks those of the products if the user gives none."""
+    """Settings in which a product's band is 1, unless several are named, and masks are those of the products
+    if the user gives none."""
     notes: tuple[str, ...] = ()
     """Warnings to be sent."""
     other_bands: tuple[ProductBand, ...] = ()
@@ -95,7 +100,8 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
             f"reference and target are of the same product {os.fspath(target)}: the correction is applied to "
             "all its bands but the reference; it holds for those that lie as the target does",
         )
-    return Inputs(ref.uri, tgt.uri, replace(settings, **ref.changes, **tgt.changes), notes, others)
+    settings = replace(settings, **ref.changes, **tgt.changes)
+    return Inputs(ref.uri, tgt.uri, ref.bands, tgt.bands, settings, notes, others)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +119,8 @@ def identify_inputs(inputs: Inputs) -> tuple[InputFile, ...]:
     Inputs without an identity are left out: databases, object stores, names of PROJ's own grids.
     """
     named = {name: getattr(inputs.settings, name) for name in FILE_OPTIONS}
-    read = [("reference", inputs.reference), ("target", inputs.target)]
+    read = [("reference", path) for path in _files(inputs.reference, inputs.ref_bands)]
+    read += [("target", path) for path in _files(inputs.target, inputs.tgt_bands)]
     read += [(name, os.fspath(file)) for name, file in named.items() if isinstance(file, str | os.PathLike)]
     read += [("band", band.uri) for band in inputs.other_bands]
     return tuple(
@@ -121,6 +128,10 @@ def identify_inputs(inputs: Inputs) -> tuple[InputFile, ...]:
         for role, uri in read
         for identity in identify(uri, raster=role not in ("tie_points", "aoi", "exclude"))
     )
+
+
+def _files(first: str, bands: Bands) -> list[str]:
+    return list(dict.fromkeys([first, *(part.path for part in bands.parts)]))
 
 
 def band_file(path: PathLike, band: int | str) -> str:
@@ -134,7 +145,8 @@ class _Side:
     uri: str
     """Path or GDAL URI that is opened."""
     file: str
-    """The band's file."""
+    """The band's file; the first one's of several."""
+    bands: Bands
     changes: dict[str, Any]
     notes: tuple[str, ...] = ()
     product: Product | None = None
@@ -145,13 +157,16 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
     given = settings.ref_mask if side == "ref" else settings.tgt_mask
     product = find_product(path)
     if product is None:
-        problem = no_product(os.fspath(path), name if isinstance(name, str) else None)
-        if problem is not None:
-            raise InputError(problem)
-        return _Side(os.fspath(path), os.fspath(path), {})
-    band = product.band(name)
-    changes = {f"{side}_band": 1, f"{side}_mask": given or product.mask}
-    return _Side(band.opened_as(), band.uri, changes, product.notes(given is not None), product)
+        bands = Bands.of_file(os.fspath(path), name)
+        problem = no_product(os.fspath(path), None if bands else str(name))
+        if bands is None or problem is not None:
+            raise InputError(problem or f"band {name} of {path} is no number")
+        return _Side(os.fspath(path), os.fspath(path), bands, {})
+    found = [product.band(each) for each in (name.split(",") if isinstance(name, str) else [name])]
+    bands = Bands(tuple(BandPart(band.opened_as(), 1) for band in found))
+    changes = {f"{side}_band": name if len(found) > 1 else 1, f"{side}_mask": given or product.mask}
+    notes = product.notes(given is not None)
+    return _Side(bands.parts[0].path, found[0].uri, bands, changes, notes, product)
 
 
 MAX_OFF = 1.0

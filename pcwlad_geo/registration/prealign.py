@@ -331,12 +331,12 @@ def _noise(view: View) -> Noise:
 def _check_content(patch: Patch, info: RasterInfo, epsilon: float) -> None:
     if not patch.valid.any():
         raise InputError(
-            f"band {info.band} of {info.uri} has no valid pixel (nodata, masks) where the two overlap: "
+            f"{info.bands.text} of {info.uri} has no valid pixel (nodata, masks) where the two overlap: "
             "check its nodata value, its mask, or choose another band"
         )
     if epsilon <= 0:
         raise InputError(
-            f"band {info.band} of {info.uri} is constant where the two overlap: there is nothing to match; "
+            f"{info.bands.text} of {info.uri} is constant where the two overlap: there is nothing to match; "
             "choose another band"
         )
 

@@ -392,7 +392,7 @@ class Matches:
 
 def _band_text(info: RasterInfo) -> str:
     rows, cols = info.grid.shape
-    return f"{file_name(info.uri)} band {info.band} ({cols} x {rows} px)"
+    return f"{file_name(info.uri)} {info.bands.text} ({cols} x {rows} px)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,7 +39,7 @@ from pcwlad_geo.raster.source import (
     without_collar,
 )
 from pcwlad_geo.raster.trust import trusting
-from pcwlad_geo.raster.view import file_px_per_px
+from pcwlad_geo.raster.view import file_px_per_px, with_bands
 from pcwlad_geo.registration.fitting import (
     FAIR_PX,
     GOOD_PX,
@@ -203,10 +203,11 @@ def open_pair(
         inputs = resolve(reference, target, settings, all_bands=all_bands)
         settings = inputs.settings
         files = identify_inputs(inputs)  # before any of them is read
-        ref = describe(inputs.reference, band=int(settings.ref_band), mask=settings.ref_mask)
-        tgt = describe(inputs.target, band=int(settings.tgt_band), mask=settings.tgt_mask)
+        ref = describe(inputs.reference, band=inputs.ref_bands.first, mask=settings.ref_mask)
+        tgt = describe(inputs.target, band=inputs.tgt_bands.first, mask=settings.tgt_mask)
         (ref, ref_collar), (tgt, tgt_collar) = without_collar(ref), without_collar(tgt)
         ref, tgt = with_compression_blocks(ref), with_compression_blocks(tgt)
+        ref, tgt = with_bands(ref, inputs.ref_bands), with_bands(tgt, inputs.tgt_bands)
         content = digest(file.identity for file in files)
         ref, tgt = replace(ref, content=content), replace(tgt, content=content)
         reference_by_rpc, reference_warnings = place_reference(ref, tgt, settings)

@@ -34,7 +34,7 @@ from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import ground_grid
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster.source import BandPart, RasterInfo
 from pcwlad_geo.registration.fitting import Grade, Origin
 from pcwlad_geo.registration.inputs import INLINE, InputFile
 from pcwlad_geo.registration.judge import Motion
@@ -100,7 +100,11 @@ class RasterEntry:
     path: str
     """Path or GDAL URI."""
     band: Count
-    """From 1."""
+    """From 1; the first of several."""
+    matched: str
+    """The band or bands that are matched, for people."""
+    weights: tuple[BandPart, ...]
+    """Several bands, whose sum is matched, with what each is multiplied by; empty for one."""
     band_count: Count
     grid: GridEntry = field(metadata=INLINE)
     georeferenced: bool
@@ -507,6 +511,8 @@ def raster_entry(info: RasterInfo) -> RasterEntry:
     return RasterEntry(
         path=info.uri,
         band=info.band,
+        matched=info.bands.text,
+        weights=info.several.parts if info.several else (),
         band_count=info.band_count,
         grid=_grid(info.grid),
         georeferenced=info.georeferenced and not isinstance(info.grid, RpcGrid),
