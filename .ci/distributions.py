@@ -8,6 +8,7 @@ missing, or there and not wanted.
 
 from __future__ import annotations
 
+import re
 import sys
 import tarfile
 import zipfile
@@ -41,6 +42,8 @@ IN_SOURCE = (
     "qgis_plugin/build.py",
 )
 """The tests need what stands at the end."""
+RELATIVE_LINK = re.compile(r"\]\((?![a-z]+:|#)[^)\s]+\)")
+"""In the README on the package index it would lead nowhere."""
 MOST_BYTES = {".whl": 2_000_000, ".gz": 20_000_000}
 
 
@@ -50,6 +53,7 @@ def main() -> int:
     (wheel,), (source,) = folder.glob("*.whl"), folder.glob("*.tar.gz")
     with zipfile.ZipFile(wheel) as archive:
         in_wheel = archive.namelist()
+        (metadata,) = (archive.read(name).decode() for name in in_wheel if name.endswith("/METADATA"))
     with tarfile.open(source) as tar:
         in_source = [name.partition("/")[2] for name in tar.getnames()]
     wrong = [f"{wheel.name} lacks {name}" for name in IN_WHEEL if name not in in_wheel]
@@ -62,6 +66,9 @@ def main() -> int:
         if not name.startswith(("pcwlad_geo/", "pcwlad_geo-")) or "__pycache__" in name
     ]
     wrong += [f"{source.name} holds {name}" for name in in_source if "__pycache__" in name]
+    readme = metadata.partition("\n\n")[2]
+    wrong += [] if readme.startswith("# ") else [f"{wheel.name} lacks the README"]
+    wrong += [f"{wheel.name} has a README with {link}" for link in RELATIVE_LINK.findall(readme)]
     for file in (wheel, source):
         size, most = file.stat().st_size, MOST_BYTES[file.suffix]
         print(f"{file.name}: {size / 1e6:.1f} MB")

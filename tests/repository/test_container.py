@@ -50,6 +50,7 @@ def test_what_is_copied_is_there_and_let_in() -> None:
     assert set(sources) - {"."} <= set(let_in)
     for needed in ("pyproject.toml", "README.md", "LICENSE", "docs/rig.schema.json", "docs/pcwlad-geo.1"):
         assert needed in let_in
+    assert "scripts/index_readme.py" in let_in, "hatchling calls it"
     assert "pcwlad_geo/cli/sample/landsat_b4.tif" in let_in
     assert not [name for name in let_in if name.startswith(("tests", "fuzz", ".git"))]
 

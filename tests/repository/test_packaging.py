@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import runpy
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -106,6 +108,25 @@ def test_every_schema_and_everything_that_is_loaded_by_name_is_in_the_wheel() ->
     for schema in schemas:
         assert f'"{Path(schema).name.partition(".")[0]}"' in looked_for
     assert (REPOSITORY / "pcwlad_geo" / "py.typed").is_file()
+
+
+def test_the_readme_on_the_index_leads_to_the_files_of_that_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = SimpleNamespace(MetadataHookInterface=object)  # hatchling is there only while it builds
+    monkeypatch.setitem(sys.modules, "hatchling.metadata.plugin.interface", base)
+    hook = PROJECT["tool"]["hatch"]["metadata"]["hooks"]["custom"]["path"]
+    index_readme = runpy.run_path(str(REPOSITORY / hook))["IndexReadme"]()
+    index_readme.root = str(REPOSITORY)
+    metadata: dict[str, Any] = {"urls": {"Repository": "https://host/us"}, "version": "1.2"}
+    index_readme.update(metadata)
+    shown = metadata["readme"]["text"]
+    assert "](https://host/us/blob/v1.2/docs/installing.md)" in shown
+    assert "](https://host/us/blob/v1.2/docs/accuracy.md#speed)" in shown
+    assert "](https://host/us/raw/v1.2/docs/images/before_after.png)" in shown
+    assert "](https://github.com/GFZ/arosics)" in shown
+    assert re.findall(r"\]\((?!https://)[^)]*\)", shown) == []
+    assert re.sub(r"https://host/us/(?:blob|raw)/v1.2/", "", shown) == (REPOSITORY / "README.md").read_text(
+        "utf-8"
+    )
 
 
 def test_nothing_of_others_is_bundled() -> None:
