@@ -1,4 +1,4 @@
-"""The workflows of the code host, as far as they can be looked at here: actionlint looks at them there."""
+"""The workflows of the code host, as far as a test can look at them; .ci/packages runs actionlint on them."""
 
 from __future__ import annotations
 
