@@ -27,8 +27,7 @@ gdal.UseExceptions()
 MAKE_STACK = """
 import sys
 from pathlib import Path
-from tests.multi.test_watch import make_images, stepped
-from tests.multi.watched import make_stack
+from tests.multi.watched import make_images, make_stack, stepped
 make_stack(Path(sys.argv[1]), stepped(make_images(24), 10), (0.5, -0.4))
 make_stack(Path(sys.argv[1]) / "few", make_images(4))
 """

@@ -7,7 +7,6 @@ import csv
 import json
 import re
 import shutil
-from collections.abc import Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -24,29 +23,10 @@ from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.multi.watch import PACKED, _shown, findings, region_velocity, watch
 from tests.chromium import show
 from tests.cli.process import run_cli
-from tests.multi.watched import FIRST, REGION, Dated, make_stack
+from tests.multi.watched import FIRST, REGION, STEP_PX, make_images, make_stack, stepped
 from tests.scenes import make_grid, render, write
 
 SCHEMA = Path(__file__).resolve().parents[2] / "docs" / "watch.schema.json"
-STEP_PX = (0.2, -0.1)
-SIGMA_PX = 0.03
-
-
-def make_images(count: int, series: str | None = None, shift_px: Sequence[float] = (0.0, 0.0)) -> list[Dated]:
-    """Images every 25 days, their displacements nothing but noise around a shift."""
-    random = np.random.default_rng(count)
-    moved = random.normal(size=(count, 2)) * SIGMA_PX + np.array(shift_px)
-    return [Dated(25 * k, (float(col), float(row)), SIGMA_PX, series) for k, (col, row) in enumerate(moved)]
-
-
-def stepped(images: list[Dated], at: int) -> list[Dated]:
-    """Images with a step from one on."""
-    return [
-        replace(each, shift_px=(each.shift_px[0] + STEP_PX[0], each.shift_px[1] + STEP_PX[1]))
-        if number >= at
-        else each
-        for number, each in enumerate(images)
-    ]
 
 
 def test_a_step_of_one_sensor_is_told_with_its_date(tmp_path: Path) -> None:

@@ -1,10 +1,14 @@
-"""Finished stacks, made without matching: what `watch` reads of them."""
+"""Finished stacks, made without matching: what `watch` reads of them.
+
+No module of the tests is imported that needs pytest: the tests of the QGIS plugin make stacks with an engine
+that has nothing but the package.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import date, timedelta
 from pathlib import Path
 
@@ -20,6 +24,8 @@ FIRST = date(2020, 1, 5)
 SIDE = 400
 NOISE_PX = 0.1
 """Of the tie points."""
+STEP_PX = (0.2, -0.1)
+SIGMA_PX = 0.03
 REGION = (250.0, 120.0, 32.0)
 """Column, row and radius of a part that may move."""
 
@@ -38,6 +44,23 @@ class Dated:
     def name(self) -> str:
         """Its name, with the day."""
         return f"{self.series or 'image'}_{(FIRST + timedelta(days=self.days)):%Y%m%d}"
+
+
+def make_images(count: int, series: str | None = None, shift_px: Sequence[float] = (0.0, 0.0)) -> list[Dated]:
+    """Images every 25 days, their displacements nothing but noise around a shift."""
+    random = np.random.default_rng(count)
+    moved = random.normal(size=(count, 2)) * SIGMA_PX + np.array(shift_px)
+    return [Dated(25 * k, (float(col), float(row)), SIGMA_PX, series) for k, (col, row) in enumerate(moved)]
+
+
+def stepped(images: list[Dated], at: int) -> list[Dated]:
+    """Images with a step from one on."""
+    return [
+        replace(each, shift_px=(each.shift_px[0] + STEP_PX[0], each.shift_px[1] + STEP_PX[1]))
+        if number >= at
+        else each
+        for number, each in enumerate(images)
+    ]
 
 
 def make_stack(
