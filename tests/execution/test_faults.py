@@ -227,7 +227,7 @@ def descendants(process_id: int) -> list[int]:
 
 @posix
 @slow
-@pytest.mark.parametrize("stage", ["matching", "writing", "warping"])
+@pytest.mark.parametrize("stage", ["matching", pytest.param("writing", marks=pytest.mark.gate), "warping"])
 def test_a_killed_job_leaves_nothing_under_a_final_name_and_can_be_started_again(
     stage: str, pair: tuple[Path, Path], whole: Registration, work: Path
 ) -> None:
@@ -271,6 +271,7 @@ def on_cluster(
     )
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_points(
     two_workers: Cluster, pair: tuple[Path, Path], whole: Registration, tmp_path: Path

@@ -109,6 +109,7 @@ def sensors(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict
     return result
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_landsat_and_sentinel_forward_and_backward(sensors: dict[str, Path]) -> None:
     there = run(sensors["l8"], sensors["s2"], Settings(model="shift", **FEW))
@@ -185,6 +186,7 @@ def sift_places(path: Path, sift: Any) -> tuple[Array, Any]:
     return np.column_stack(transform @ px.T), described
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_orthoimages_of_a_block_over_a_coarse_dem_lie_on_each_other(
     shared_data: Path, tmp_path: Path

@@ -250,6 +250,7 @@ def shift_points(folder: Path, shift_px: float) -> None:
         csv.writer(file).writerows(rows)
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_a_refused_image_has_no_raster_and_the_run_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -249,6 +249,7 @@ def test_an_exception_of_the_callback_leaves_nothing(folder: Path, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_real_bands(shared_data: Path, tmp_path: Path) -> None:
     """Bands of one Landsat scene lie on each other, and close with Sentinel-2: with few points."""

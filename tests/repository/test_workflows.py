@@ -34,7 +34,7 @@ def steps_of(job: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def test_all_are_there() -> None:
-    assert set(WORKFLOWS) == {"test", "docs", "release", "weekly", "nightly"}
+    assert set(WORKFLOWS) == {"test", "slow", "docs", "release", "weekly", "nightly"}
 
 
 @pytest.mark.parametrize("name", WORKFLOWS)
@@ -97,17 +97,32 @@ def test_a_release_takes_no_password_to_the_index_and_waits_for_the_tests() -> N
     assert index["permissions"] == {"id-token": "write"}
     assert index["environment"] == "pypi"
     assert "password" not in str(index).lower()
-    assert release["jobs"]["build"]["needs"] == "tests"
+    assert release["jobs"]["build"]["needs"] == ["tests", "slow"]
     assert release["jobs"]["tests"]["uses"] == "./.github/workflows/test.yml"
+    assert release["jobs"]["slow"]["uses"] == "./.github/workflows/slow.yml"
     assert "workflow_call" in WORKFLOWS["test"]["on"]
-    others = set(release["jobs"]) - {"tests", "build"}
+    others = set(release["jobs"]) - {"tests", "slow", "build"}
     assert others == {"package-index", "github-release", "qgis-plugin", "container"}
+
+
+def test_a_change_waits_for_the_quick_tests_and_a_night_and_a_release_for_the_slow_ones() -> None:
+    assert set(WORKFLOWS["slow"]["on"]) == {"workflow_call"}
+    (slow,) = WORKFLOWS["slow"]["jobs"].values()
+    assert any(re.search(r"pytest .*-m slow$", step.get("run", "")) for step in steps_of(slow))
+    users = [
+        name
+        for name, job in JOBS
+        if WORKFLOWS[name]["jobs"][job].get("uses") == "./.github/workflows/slow.yml"
+    ]
+    assert users == ["nightly", "release"]
+    changes = [step.get("run", "") for job in WORKFLOWS["test"]["jobs"].values() for step in steps_of(job)]
+    assert any("pytest" in each for each in changes)
+    assert not any("-m slow" in each for each in changes)
 
 
 def test_fuzzing_runs_at_night_by_all_recipes_and_the_newest_is_tried_each_week() -> None:
     assert WORKFLOWS["nightly"]["on"]["schedule"][0]["cron"].split()[2:] == ["*", "*", "*"]
-    (fuzz,) = WORKFLOWS["nightly"]["jobs"].values()
-    text = "\n".join(step.get("run", "") for step in steps_of(fuzz))
+    text = "\n".join(step.get("run", "") for step in steps_of(WORKFLOWS["nightly"]["jobs"]["fuzz"]))
     assert "fuzz/run.py" in text
     assert "--recipe" not in text
     assert WORKFLOWS["weekly"]["on"]["schedule"][0]["cron"].split()[2:4] == ["*", "*"]
@@ -118,8 +133,8 @@ def test_fuzzing_runs_at_night_by_all_recipes_and_the_newest_is_tried_each_week(
 
 @pytest.mark.parametrize("program", ["run", "parsers", "arrays", "chaos"])
 def test_the_programs_of_the_night_take_these_options(program: str) -> None:
-    (fuzz,) = WORKFLOWS["nightly"]["jobs"].values()
-    (command,) = [step["run"] for step in steps_of(fuzz) if f"fuzz/{program}.py" in step.get("run", "")]
+    fuzz = steps_of(WORKFLOWS["nightly"]["jobs"]["fuzz"])
+    (command,) = [step["run"] for step in fuzz if f"fuzz/{program}.py" in step.get("run", "")]
     known = (REPOSITORY / "fuzz" / f"{program}.py").read_text(encoding="utf-8")
     for option in re.findall(r"--[a-z-]+", command):
         assert f'"{option}"' in known, option
