@@ -1,8 +1,7 @@
-"""What mkdocs does besides: CONTRIBUTING.md is a page, and the page of the API lists all public names."""
+"""What mkdocs does besides: a file and a table of the repository go into pages, names get docstrings."""
 
 from __future__ import annotations
 
-import ast
 import re
 from pathlib import Path
 from typing import Any
@@ -13,32 +12,26 @@ CODE_IN_TABLE = re.compile(r"`[^`\n]*\\\|[^`\n]*`")
 FILE_AS_LABEL = re.compile(r"\[(?:docs/)?([\w/]+)\.md\]\(")
 """On a code host a page is a file, here it is a page."""
 
+NAMES = re.compile(r"<!-- names: (.*?) -->")
+"""Public names of one part of the page of the API."""
+
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:  # noqa: ANN401 -- types of mkdocs
     """Return the text of a page."""
     if page.file.src_uri == "contributing.md":
         markdown = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8").replace("](docs/", "](")
     if page.file.src_uri == "api.md":
-        for kind, names in public_names().items():
-            markdown = markdown.replace(f"<!-- {kind} -->", "\n".join(map(entry, names)))
+        markdown = NAMES.sub(lambda found: "\n".join(map(entry, found[1].split(", "))), markdown)
+    if page.file.src_uri == "index.md":
+        markdown = markdown.replace("<!-- what to use when -->", section_of_readme("What to use when"))
     markdown = CODE_IN_TABLE.sub(lambda found: found[0].replace("\\|", "|"), markdown)
     return FILE_AS_LABEL.sub(r"[\1](", markdown)
 
 
-def public_names() -> dict[str, list[str]]:
-    """Return the names of `pcwlad_geo.__all__` by kind."""
-    tree = ast.parse((REPOSITORY / "pcwlad_geo" / "__init__.pyi").read_text(encoding="utf-8"))
-    (listed,) = (
-        node.value
-        for node in tree.body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
-    )
-    kinds: dict[str, list[str]] = {"functions": [], "classes": [], "errors": []}
-    for name in ast.literal_eval(listed):
-        if not name.startswith("_"):
-            kind = "errors" if name.endswith("Error") else "classes" if name[0].isupper() else "functions"
-            kinds[kind].append(name)
-    return kinds
+def section_of_readme(title: str) -> str:
+    """Return the text below a heading of the README, with links that hold among the pages."""
+    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    return text.partition(f"\n## {title}\n")[2].partition("\n## ")[0].strip().replace("](docs/", "](")
 
 
 def entry(name: str) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import pcwlad_geo
-from tests.docs.pages import REPOSITORY
+from tests.docs.pages import DOCS, REPOSITORY
 
 for _library in ("mkdocs", "material", "mkdocstrings"):
     pytest.importorskip(_library, reason="the extra `docs` is not installed")
@@ -48,6 +48,21 @@ def test_the_api_page_has_every_public_name(site: Path) -> None:
     page = (site / "api.html").read_text(encoding="utf-8")
     names = [name for name in pcwlad_geo.__all__ if not name.startswith("_")]
     assert [name for name in names if f'id="pcwlad_geo.{name}"' not in page] == []
+
+
+def test_the_api_page_lists_each_name_once_below_what_it_is_about() -> None:
+    parts = re.findall(
+        r"^## (.+)\n(?:[^#]*\n)?<!-- names: (.*) -->$", (DOCS / "api.md").read_text("utf-8"), re.M
+    )
+    listed = [name for _, names in parts for name in names.split(", ")]
+    assert sorted(listed) == sorted(name for name in pcwlad_geo.__all__ if not name.startswith("_"))
+    assert len(parts) > 10
+
+
+def test_the_first_page_says_what_to_use_when(site: Path) -> None:
+    page = (site / "index.html").read_text(encoding="utf-8")
+    assert "Ames Stereo Pipeline" in page
+    assert 'href="accuracy.html#speed"' in page
 
 
 def test_no_markdown_is_left_in_the_text(site: Path) -> None:
