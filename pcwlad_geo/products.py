@@ -1,4 +1,4 @@
-"""Products of several files, Landsat and Sentinel-2, recognised by their file names and metadata."""
+"""Products of several files, Landsat and Sentinel, recognised by their file names and metadata."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pcwlad_geo.raster.source import file_name, open_raster, plain_uri
 from pcwlad_geo.types import Float64, PathLike
 
 NODATA = 0
-"""Nodata value of the stored numbers of Landsat and Sentinel-2 bands, before scale and offset."""
+"""Nodata value of the stored numbers of Landsat and Sentinel bands, before scale and offset."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +79,8 @@ class Product:
         Raises `InputError` if there is no band of that name.
         """
         held = ", ".join(band.name for band in self.bands) or "none"
+        if self.kind == SENTINEL1 and name == 1 and len(self.bands) == 1:
+            return self.bands[0]
         if not isinstance(name, str):
             raise InputError(
                 f"{self.path} is a {self.kind} product: say which band by name (--ref-band, --tgt-band; "
@@ -115,7 +117,7 @@ class Product:
     def notes(self, masked: bool) -> tuple[str, ...]:
         """Return the warnings for the use of the product's bands; `masked`: the user gives a mask."""
         found = []
-        if not masked and self.mask is None:
+        if not masked and self.mask is None and self.kind != SENTINEL1:
             found.append(f"{self.path} ({self.kind}) has no quality raster: its clouds are not masked")
         if self.path.lower().endswith("gz"):
             found.append(f"{self.path} is compressed as a whole, and reading parts of it is slow: unpack it")
@@ -292,6 +294,47 @@ def find_sentinel2(tree: FileTree) -> Product | None:
         missing=facts.missing(tree),
         cirrus=("B10",),
         aliases=sized | {f"B{int(name[1:])}": band for name, band in finest.items() if name[1:].isdecimal()},
+    )
+
+
+SENTINEL1: Final = "Sentinel-1 GRD"
+"""Kind of the radar products whose bands are polarisations, placed by ground control points."""
+SENTINEL1_FILE: Final = re.compile(
+    r"(?:.*/)?s1[a-d]-\w\w\d?-(?P<kind>grd|slc)-(?P<band>[hv]{2})-[\w-]+\.tiff", re.IGNORECASE
+)
+"""Path of an image of a product."""
+MANIFEST: Final = "manifest.safe"
+"""Name of the list of files of a Sentinel product."""
+_LISTED_IMAGE: Final = re.compile(r'href="[^"]{0,9}(measurement/[^"/]{1,200}\.tiff)"', re.IGNORECASE)
+
+
+def find_sentinel1(tree: FileTree) -> Product | None:
+    """Return the Sentinel-1 GRD product of a SAFE folder or an archive; None where there is none.
+
+    Raises `InputError` if its images are complex (SLC), or several are of one polarisation.
+    """
+    images = [match for name in tree.names if (match := SENTINEL1_FILE.fullmatch(name))]
+    if not images:
+        return None
+    if any(match["kind"].lower() == "slc" for match in images):
+        raise InputError(f"{tree.path} is a Sentinel-1 SLC product, of complex numbers: give the GRD product")
+    bands = {
+        match["band"].upper(): ProductBand(match["band"].upper(), tree.uri(match[0])) for match in images
+    }
+    if len(bands) < len(images):
+        raise InputError(
+            f"{tree.path} holds several images of one polarisation: give one file of measurement/"
+        )
+    manifest = next((name for name in tree.names if name_in(name).lower() == MANIFEST), None)
+    listed = _LISTED_IMAGE.findall(tree.read_text(manifest)) if manifest else []
+    there = {name_in(match[0]).lower() for match in images}
+    missing = [SENTINEL1_FILE.fullmatch(name) for name in listed if name_in(name).lower() not in there]
+    return Product(
+        path=str(tree.path),
+        kind=SENTINEL1,
+        bands=tuple(bands[name] for name in sorted(bands, reverse=True)),
+        mask=None,
+        missing=tuple(match["band"].upper() for match in missing if match),
     )
 
 
@@ -481,7 +524,8 @@ def find_product(path: PathLike) -> Product | None:
     """Return the product at a path; None for a plain raster.
 
     A product is given by a folder or an archive (.zip, .tar, .tar.gz) with a Landsat scene or a
-    Sentinel-2 SAFE, by the MTL file of the former or the MTD_MSIL*.xml of the latter. Raises `InputError` if
+    Sentinel SAFE, by the MTL file of the former, the MTD_MSIL*.xml or manifest.safe of the latter, or by one
+    image of Sentinel-1. Raises `InputError` if
     the product cannot be used, or an archive holds none.
     """
     known = _FOUND.get()
@@ -508,12 +552,16 @@ def _search(path: PathLike) -> Product | None:
         return find_landsat(FileTree(place.parent, tuple(files)), match["id"])
     if SAFE_METADATA.fullmatch(place.name):
         return find_sentinel2(tree_of(place.parent))
+    if place.name.lower() == MANIFEST:
+        return _found(tree_of(place.parent))
+    if SENTINEL1_FILE.fullmatch(place.name):
+        return find_sentinel1(FileTree(place.parent, (place.name,)))
     if not is_archive(place):
         return None
     product = _found(tree_of(place))
     if product is None:
         raise InputError(
-            f"{path} holds no Landsat and no Sentinel-2 product: give a raster inside it as "
+            f"{path} holds no Landsat and no Sentinel product: give a raster inside it as "
             "/vsizip/… or /vsitar/…"
         )
     return product
@@ -522,7 +570,7 @@ def _search(path: PathLike) -> Product | None:
 def stem_of(path: PathLike) -> str:
     """Return the name of a raster or product without its suffix, from which names of outputs are formed."""
     place = Path(path)
-    if SAFE_METADATA.fullmatch(place.name):
+    if SAFE_METADATA.fullmatch(place.name) or place.name.lower() == MANIFEST:
         place = place.parent
     if place.name in ("", ".."):
         place = place.resolve()
@@ -531,9 +579,10 @@ def stem_of(path: PathLike) -> str:
 
 
 def _found(tree: FileTree) -> Product | None:
-    found = [product for product in (find_landsat(tree), find_sentinel2(tree)) if product]
+    found = [each for find in (find_landsat, find_sentinel2, find_sentinel1) if (each := find(tree))]
     if len(found) > 1:
-        raise InputError(f"{tree.path} holds a Landsat and a Sentinel-2 product: give the folder of one")
+        kinds = " and a ".join(product.kind.split()[0] for product in found)
+        raise InputError(f"{tree.path} holds a {kinds} product: give the folder of one")
     return found[0] if found else None
 
 
@@ -544,7 +593,7 @@ def _may_hold_product(folder: Path) -> bool:
         LANDSAT_FILE.fullmatch(name)
         or LANDSAT_METADATA.fullmatch(name)
         or SAFE_METADATA.fullmatch(name)
-        or name == "GRANULE"
+        or name in ("GRANULE", "measurement")
         or name.upper().endswith(".SAFE")
         for name in names
     )

@@ -23,9 +23,9 @@ from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.estimation.robust import MEASURED, jackknife, larger, outlier_factors, reliability, sigma_of
 from pcwlad_geo.estimation.solving import inverse, solve
 from pcwlad_geo.execution.runner import one_blas_thread
-from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px, middle_pixel_size_m
-from pcwlad_geo.raster.rpc.dem import WGS84, Dem
+from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, with_height_offset
 from pcwlad_geo.types import Bool, Float64, Index
 

@@ -58,12 +58,12 @@ from pcwlad_geo.multi.stack_result import (
 )
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band
-from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px, pixel_sizes_m
 from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import SLIVER_PX, GridRequest
-from pcwlad_geo.raster.rpc.dem import WGS84, Dem
+from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
 from pcwlad_geo.raster.rpc.model import RpcSource, read_rpc, to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.ortho import PLACED_LATTICE, RpcPlacement, ground_grid, ortho_grid, place_by_rpc

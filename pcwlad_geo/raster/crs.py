@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pyproj
@@ -18,6 +18,9 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.types import Float64
+
+WGS84: Final = CRS.from_epsg(4326)
+"""CRS of longitudes and latitudes, in this order in all arrays."""
 
 
 @lru_cache(maxsize=64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,6 +16,8 @@ import numpy as np
 import rasterio
 from affine import Affine
 from numpy.typing import NDArray
+from rasterio.control import GroundControlPoint
+from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader
@@ -24,7 +26,7 @@ from rasterio.windows import Window as FileWindow
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import check_coordinates, check_gcp_misfit, check_geotransform, check_latitudes
 from pcwlad_geo.raster.cameras import Camera, camera_of
-from pcwlad_geo.raster.crs import name_of, transformation_warnings
+from pcwlad_geo.raster.crs import WGS84, name_of, transform_xy, transformation_warnings, utm_zone_of
 from pcwlad_geo.raster.file_tree import name_of_uri
 from pcwlad_geo.raster.gdal import (
     GDAL_ERRORS,
@@ -59,6 +61,8 @@ SAMPLES_ACROSS: Final = 3
 """Number of samples along rows and along columns."""
 
 
+EXACT_PX: Final = 0.05
+"""Up to this residual control points count as fitted by a geotransform of their own CRS."""
 AREA_CELLS: Final = 1024
 """Number of cells along the longer side in which areas must leave one."""
 
@@ -455,10 +459,29 @@ def _grid_of(uri: str, dataset: DatasetReader) -> tuple[Grid, float | None]:
     gcps, crs = dataset.gcps
     # Beside RPCs, control points are the approximate corners of an image (NITF).
     check_coordinates(uri, [value for gcp in gcps for value in (gcp.col, gcp.row, gcp.x, gcp.y)])
-    found = geotransform_of(gcps) if crs is not None and not dataset.tags(ns="RPC") else None
-    if found is not None:
-        return Grid(dataset.shape, found[0], crs), found[1]
-    return Grid(dataset.shape, Affine.identity(), None), None
+    if crs is None or dataset.tags(ns="RPC"):
+        return Grid(dataset.shape, Affine.identity(), None), None
+    return _grid_of_gcps(dataset.shape, gcps, crs)
+
+
+def _grid_of_gcps(
+    shape: tuple[int, int], gcps: Sequence[GroundControlPoint], crs: CRS
+) -> tuple[Grid, float | None]:
+    """Return the grid that fits control points best, in their CRS or, of degrees, in the UTM zone if better.
+
+    Degrees of longitude become shorter towards the poles: over a radar swath of 250 km by hundreds of pixels.
+    """
+    found = geotransform_of(gcps)
+    if found is not None and found[1] > EXACT_PX and crs.is_geographic:
+        lon_lat = np.array([[gcp.x, gcp.y] for gcp in gcps])
+        zone = utm_zone_of(transform_xy(lon_lat[len(lon_lat) // 2][None], crs, WGS84)[0])
+        moved = zip(gcps, transform_xy(lon_lat, crs, zone).tolist(), strict=True)
+        there = geotransform_of([GroundControlPoint(gcp.row, gcp.col, x, y) for gcp, (x, y) in moved])
+        if there is not None and there[1] < found[1]:
+            found, crs = there, zone
+    if found is None:
+        return Grid(shape, Affine.identity(), None), None
+    return Grid(shape, found[0], crs), found[1]
 
 
 def _plane_transform(uri: str, dataset: DatasetReader) -> Affine | None:

@@ -275,7 +275,7 @@ def test_what_is_no_product(tmp_path: Path) -> None:
         find_product(archive)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "a.txt").write_text("a")
-    with pytest.raises(InputError, match="holds no Landsat and no Sentinel-2 product"):
+    with pytest.raises(InputError, match="holds no Landsat and no Sentinel product"):
         find_product(packed(tmp_path / "other", ".tar"))
 
 

@@ -18,15 +18,13 @@ from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.crs import name_of, to_pyproj, transform_xy, with_arrays
+from pcwlad_geo.raster.crs import WGS84, name_of, to_pyproj, transform_xy, with_arrays
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, ignoring, root_cause
 from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.pixels import valid_in_file
 from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
 from pcwlad_geo.types import Float64
 
-WGS84: Final = CRS.from_epsg(4326)
-"""CRS of longitudes and latitudes, in this order in all arrays."""
 MAX_PX_AT_ONCE: Final = 1 << 22
 """Largest number of pixels of a DEM that is read at a time."""
 MAX_PX_HELD: Final = 1 << 24

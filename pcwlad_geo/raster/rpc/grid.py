@@ -10,10 +10,10 @@ import shapely
 from affine import Affine
 from rasterio.crs import CRS
 
-from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.grid import Grid, Window, apply, apply_inverse, composed, map_px
 from pcwlad_geo.raster.pixels import sample_positions
-from pcwlad_geo.raster.rpc.dem import WGS84, ConstantHeight, Dem
+from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.types import Float64
 

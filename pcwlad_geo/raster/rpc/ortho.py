@@ -24,12 +24,12 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.limits import check_grid, check_pixel_ratio
 from pcwlad_geo.raster import vrt
-from pcwlad_geo.raster.crs import name_of
+from pcwlad_geo.raster.crs import WGS84, name_of
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
 from pcwlad_geo.raster.matching_grid import MARGIN_PX, ViewPair
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import SLIVER_PX, GridRequest, lay_out, output_lattice, snapped_size
-from pcwlad_geo.raster.rpc.dem import WGS84, ConstantHeight, Dem, Vertical, in_words, open_dem
+from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem, Vertical, in_words, open_dem
 from pcwlad_geo.raster.rpc.grid import LATTICE, RpcGrid, at_mean_height, footprint_px
 from pcwlad_geo.raster.rpc.model import RpcModel, RpcSource, check_domain, to_gdal
 from pcwlad_geo.raster.source import RasterInfo, open_written_raster
