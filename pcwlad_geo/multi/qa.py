@@ -268,10 +268,6 @@ def _match(
     try:
         found = run(reference.info.uri, target.info.uri, own, on_event=tell, runner=runner, match_only=True)
     except InputError as error:
-        if settings.prove != "off":  # too few points for a proof are no reason to refuse the pair
-            settings = replace(settings, prove="off", calibrate_sigma=False)
-            again = _match(reference, target, settings, on_event, runner)
-            return replace(again, warnings=(*again.warnings, joined(error)))
         # of this pair only, such as no overlap: the others are measured nevertheless
         return PairResult(reference, target, "refused", joined(error))
     result = measured(reference, target, found)

@@ -75,6 +75,7 @@ from pcwlad_geo.registration.rpc import (
 )
 from pcwlad_geo.registration.scene import located, match_again_from_shifted_rpc, match_from_best_start
 from pcwlad_geo.registration.tiles import load_kernels
+from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.table import TiePointTable, overlap_middle_px, predict_target_px
 from pcwlad_geo.types import Bool, Float64, PathLike
 
@@ -121,10 +122,19 @@ def run(
 def _proved(
     matches: Matches, settings: Settings, on_event: EventCallback, runner: Runner, *, match_only: bool
 ) -> Registration:
-    """Conclude with a proof, and with sigmas that hold for what it has seen, if that is asked for."""
-    fitted, proof, seconds = _fit_and_prove(
-        matches, "full" if settings.prove == "full" else "quick", on_event, runner
-    )
+    """Conclude with a proof, and with sigmas that hold for what it has seen, if that is asked for.
+
+    A pair that nothing can be proved of, as it has too few points, is concluded with a warning.
+    """
+    try:
+        fitted, proof, seconds = _fit_and_prove(
+            matches, "full" if settings.prove == "full" else "quick", on_event, runner
+        )
+    except InputError as error:
+        done = conclude(matches, None if match_only else fit(matches, on_event=ignore))
+        log = JobLog(on_event, list(done.warnings))
+        log.warn(joined(error) + ("; its sigmas are not calibrated" if settings.calibrate_sigma else ""))
+        return replace(done, warnings=tuple(log.warnings))
     if settings.calibrate_sigma:
         matches = _with_sigmas(matches, proof.sigma.calibration)
         fitted = fit(matches, on_event=ignore)
