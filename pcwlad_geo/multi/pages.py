@@ -379,9 +379,17 @@ def stack_page(found: Stack, frame: StackFrame | None = None) -> str:
     at = {node.name: node for node in nodes}
     order = {"left out": 0, "refused": 1, "used": 2}
     pairs = sorted(found.pairs, key=lambda pair: (order[pair.status], -pair.off_px))
-    images = sorted(found.images, key=lambda image: (ORDER.index(image.quality.grade), -image.suspicion))
+    images = sorted(
+        found.images,
+        key=lambda image: (
+            ORDER.index(image.quality.grade),
+            -image.suspicion,
+            -image.quality.expected_ce90_px,
+        ),
+    )
     worst_pair = None if frame is None else _worst_registration(found, frame, images)
     environment = page_environment("pcwlad_geo.multi")
+    environment.filters["signed"] = signed
     return environment.get_template("stack.html.j2").render(
         found=found,
         block=found.block,
@@ -449,6 +457,10 @@ def _agreement_answer(found: Stack) -> Answer:
     pairs = [each for each in found.pairs if each.offset_px and {each.reference, each.target} <= placed]
     used = [pair.off_px for pair in pairs if pair.status == "used"]
     away, closure = len(pairs) - len(used), found.closure
+    if closure.before_px is None and not away:
+        several = f"{len(pairs)} pairs that form no cycle cannot check each other"
+        text = f"Nothing tells: {'one pair cannot be checked by others' if len(pairs) == 1 else several}."
+        return Answer("Do the pairs agree?", text, "caution")
     text = f"{len(used)} of {len(pairs)} pairs agree to {root_mean_square(used) or 0.0:.3f} px (RMS)"
     if away:
         text += f"; {away} {'pair contradicts' if away == 1 else 'pairs contradict'} the others"
