@@ -38,12 +38,13 @@ def one_pair(scratch: Path, arosics: Path | None, repeats: int) -> Table:
     """Measure whole processes in turn, warm; of each the least of several."""
     pair = make_pair(scratch / "scenes", SIDE_PX)
     good = ["match", str(pair.reference), str(pair.target)]
-    hopeless = ["match", *strangers(scratch)]
-    costs: dict[str, list[Measured]] = {"match": [], "match, refused": [], w.AROSICS: []}
+    hopeless, proved = ["match", *strangers(scratch)], ["prove", *good[1:]]
+    costs: dict[str, list[Measured]] = {"match": [], "match, refused": [], "prove, quick": [], w.AROSICS: []}
     pixels_s = []
     for number in range(repeats + 1):
         found = {
-            name: measured(c, scratch / "small") for name, c in zip(costs, (good, hopeless), strict=False)
+            name: measured(command, scratch / "small")
+            for name, command in zip(costs, (good, hopeless, proved), strict=False)
         }
         read_s = until_read(good, scratch / "small")
         if arosics:
@@ -63,6 +64,7 @@ def one_pair(scratch: Path, arosics: Path | None, repeats: int) -> Table:
         at_most(f"match, {SIDE_PX}²: wall time until the pixels are read", min(pixels_s), 0.8, "s"),
         at_most(f"match of a hopeless pair, {SIDE_PX}²: CPU time", cpu["match, refused"], 4.0, "s"),
         at_most("match of a hopeless pair: CPU time / a good one's", refused, 0.5),
+        at_most(f"prove quick, {SIDE_PX}²: wall time / match", wall["prove, quick"] / wall["match"], 3.0),
     ]
     if arosics:
         ratio = wall["match"] / wall[w.AROSICS]
