@@ -594,6 +594,8 @@ def _refine_one_way(
 
 def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
     """Return the candidates of the core: row, column array indices."""
+    if core.row >= core.row_stop:
+        return np.zeros((0, 2), np.intp)
     side = max(settings.template, settings.window)
     share = cv2.blur(pair.reference_map.valid, (side, side), borderType=cv2.BORDER_CONSTANT)
     usable = (share >= settings.least_valid) & (pair.reference_map.valid > 0)
