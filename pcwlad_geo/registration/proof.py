@@ -55,7 +55,7 @@ from pcwlad_geo.matching.matcher import (
     to_index,
 )
 from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, fast_even, fill_smoothly, prepare
-from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, refine
+from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, in_threads, refine
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 from pcwlad_geo.options import Effort, Settings
 from pcwlad_geo.raster.arrays import Raster, Scratch
@@ -123,6 +123,9 @@ class Resampler:
     def __init__(self, values: Float32 | Float64, valid: Bool) -> None:
         self.values, self.valid = np.asarray(values, np.float64), valid
         self._shape = values.shape
+        side = 2 * EDGE_PX + 1
+        inner = cv2.erode(valid.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0)
+        self._inner = np.asarray(inner, bool)
         filled = np.asarray(fill_smoothly(self.values, valid), np.float64)
         self._mean = float(filled.mean())
         framed = np.pad(filled - self._mean, FRAME_PX, mode="symmetric")
@@ -159,35 +162,30 @@ class Resampler:
             )
             plane = scipy.fft.irfft2(self._spectrum * turn, self._size)
             values = plane[FRAME_PX : FRAME_PX + rows, FRAME_PX : FRAME_PX + cols]
-        else:
-            values = self._interpolated(move, centre_px)
-        return values + self._mean, self._valid_after(move, centre_px)
+            col, row = (np.arange(n) + 0.5 - by for n, by in zip((cols, rows), move.shift_px, strict=True))
+            return values + self._mean, self._valid_at(col[None], row[:, None])
+        grid = np.stack(np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5), axis=-1)
+        at = move.source(grid.reshape(-1, 2), centre_px).reshape(rows, cols, 2)
+        return self._interpolated(at) + self._mean, self._valid_at(at[..., 0], at[..., 1])
 
-    def _interpolated(self, move: Move, centre_px: Float64) -> Float64:
+    def _interpolated(self, at_px: Float64) -> Float64:
+        """Return the values at (rows, cols, 2) places (col, row)."""
         rows, cols = self._size
         wide = np.zeros((2 * rows, cols + 1), complex)
         half = rows // 2
         wide[:half, : cols // 2 + 1] = self._spectrum[:half]
         wide[-half:, : cols // 2 + 1] = self._spectrum[-half:]
         fine = scipy.fft.irfft2(wide, (2 * rows, 2 * cols)) * 4
-        at = self._sources(move, centre_px) - 0.5 + FRAME_PX
-        found = scipy.ndimage.map_coordinates(fine, 2 * at[:, ::-1].T, order=5, mode="nearest")
-        return np.asarray(found.reshape(self._shape), np.float64)
+        at = 2 * (at_px - 0.5 + FRAME_PX)
+        found = scipy.ndimage.map_coordinates(fine, (at[..., 1], at[..., 0]), order=5, mode="nearest")
+        return np.asarray(found, np.float64)
 
-    def _sources(self, move: Move, centre_px: Float64) -> Float64:
-        rows, cols = self._shape
-        grid = np.stack(np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5), axis=-1)
-        return move.source(grid.reshape(-1, 2), centre_px)
-
-    def _valid_after(self, move: Move, centre_px: Float64) -> Bool:
-        side = 2 * EDGE_PX + 1
-        inner = cv2.erode(self.valid.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0)
-        col, row = np.floor(self._sources(move, centre_px)).astype(np.intp).T
+    def _valid_at(self, col_px: Float64, row_px: Float64) -> Bool:
+        """Return whether places, which may be given along the axes alone, are well within valid pixels."""
+        col, row = (np.floor(each).astype(np.intp) for each in (col_px, row_px))
         rows, cols = self._shape
         inside = (col >= 0) & (col < cols) & (row >= 0) & (row < rows)
-        found = np.zeros(len(col), bool)
-        found[inside] = inner[row[inside], col[inside]] > 0
-        return found.reshape(self._shape)
+        return np.asarray(inside & self._inner[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)])
 
 
 PATCH_PX: Final = 8
@@ -539,12 +537,18 @@ def measure(
     """
     before = match_again(setup, None, None, threads)
     unmoved, found, after = [before.target_px, *_by_each(setup, before, windows_px)], [], before
-    for number, move in enumerate(moves):
-        log.on_event(Progress("proving", number, len(moves) + tries))
-        again = match_again(setup, move, np.random.default_rng([seed, number]), threads)
-        after = after if number else again
+
+    def matched(number: int) -> tuple[list[Float64], MatchedAgain | None]:
+        again = match_again(setup, moves[number], np.random.default_rng([seed, number]))
         more = _by_each(setup, again, windows_px) if number < WINDOW_MOVES else []
-        found.append([again.target_px, *more])
+        return [again.target_px, *more], again if number == 0 else None
+
+    for begin in range(0, len(moves), threads):
+        log.on_event(Progress("proving", begin, len(moves) + tries))
+        some = [partial(matched, number) for number in range(len(moves))[begin : begin + threads]]
+        for positions, again in in_threads(some, threads):
+            found.append(positions)
+            after = again or after
     log.on_event(Progress("proving", len(moves), len(moves) + tries))
     of_each = [
         _errors(setup, moves, first, [each[number] for each in found if number < len(each)])
@@ -634,7 +638,7 @@ def prove(
     shifts = errors.part(np.array([move.kind == "shift" for move in moves]))
     amplitude, wave = _locking(shifts)
     still = replace(shifts, moved=shifts.moved - wave)
-    beyond = _scatter_as_it_lies(matches) / float(np.linalg.norm(_scatter(still.own)))
+    beyond = _beyond_errors(matches, setup, still.own)
     shrunk = min(1.0, beyond)
     errors, still, own = errors.shrunk(shrunk), still.shrunk(shrunk), shrunk * still.own
     mean_of_moves = _mean(still.moved, 1)
@@ -683,14 +687,27 @@ def _map(error: Float64, setup: ProofSetup, matches: Matches) -> tuple[PointEntr
     return tuple(entries)
 
 
-def _scatter_as_it_lies(matches: Matches) -> float:
-    """Return the standard deviation of the tie points about an affine, target px, both axes together.
+def _beyond_errors(matches: Matches, setup: ProofSetup, own: Float64) -> float:
+    """Return the scatter of the tie points over that of their (k, n, 2) errors, both about an affine.
 
-    It holds their errors and what no affine follows.
+    That of the tie points holds their errors, and what no affine follows. An affine follows some of the
+    errors, too: windows are wide.
     """
     table = matches.tie_points.select("matched")
-    linear, _ = global_affine(table.predicted_px, table.displacement_px)
-    left = table.displacement_px - (table.predicted_px - table.predicted_px.mean(axis=0)) @ linear.T
+    squares = []
+    for each in own:
+        known = np.isfinite(each).all(axis=1)
+        if np.count_nonzero(known) >= MIN_POINTS:
+            squares.append(_about_affine(setup.reference_px[known], each[known]) ** 2)
+    if not squares:
+        return 1.0
+    return _about_affine(table.predicted_px, table.displacement_px) / float(np.sqrt(np.mean(squares)))
+
+
+def _about_affine(places_px: Float64, values_px: Float64) -> float:
+    """Return the standard deviation of (n, 2) values about an affine of the places, both axes together."""
+    linear, _ = global_affine(places_px, values_px)
+    left = values_px - (places_px - places_px.mean(axis=0)) @ linear.T
     left -= np.median(left, axis=0)
     return float(np.linalg.norm(left[np.linalg.norm(left, axis=1) < WRONG_PX].std(axis=0)))
 
