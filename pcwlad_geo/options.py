@@ -50,7 +50,8 @@ _REGISTER: Final = ("register",)
 _PAIR: Final = ("register", "match", "prove")
 _PLACED: Final = (*_PAIR, "stack")
 _REPORTING: Final = ("register", "match", "qa")
-_MATCHING: Final = (*_REPORTING, "stack", "prove")
+_PROVING: Final = (*_REPORTING, "stack")
+_MATCHING: Final = (*_PROVING, "prove")
 _CORRECTING: Final = ("register", "stack")
 _WARPING: Final = ("register", "warp")
 _KEEPING: Final = ("register", "batch", "stack")
@@ -334,12 +335,12 @@ class Settings:
         "px", "Unit of the displacement field: target px, or metres.", _REGISTER
     )
     prove: Literal["off", "quick", "full"] = option(
-        "off", "Measure the tool's own error on each pair, for the report.", _REPORTING
+        "off", "Measure the tool's own error on each pair, for the report.", _PROVING
     )
     """Move the target by known amounts and match it again, as `pcwlad_geo.prove` does; takes two to
     three times as long as the matching."""
     calibrate_sigma: bool = option(
-        False, "With --prove: make the sigmas hold for the errors seen.", ("register", "match")
+        False, "With --prove: make the sigmas hold for the errors seen.", ("register", "match", "stack")
     )
     """Multiply the sigmas of the tie points by what the proof tells that they lack, or have too much where
     the pair scatters by no more than it shows."""

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import shapely
+from pydantic import TypeAdapter, ValidationError
 from rasterio.enums import Resampling
 from scipy import ndimage
 
+from pcwlad_geo.correction.error_statistics import Proof
 from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
 from pcwlad_geo.estimation.solving import least_squares, pseudo_inverse
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
@@ -107,6 +109,8 @@ class StackPair:
     """Of the squares of its reference in which both images have data, the part without a tie point."""
     jitter_px: float = 0.0
     """By how much rows and columns move within a window that matched it, RMS, target px; 0 where not seen."""
+    proof: Proof | None = None
+    """The tool's own error on the pair, target px, without its map; null where no proof was asked for."""
 
     @property
     def off_px(self) -> float:
@@ -228,7 +232,19 @@ def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
     reasons += [(each.grade, each.text) for each in _displaced_otherwise(pair.folder)]
     grade: Grade = min((grade for grade, _ in reasons), key=GRADES.index, default="good")
     texts = tuple(text for _, text in reasons)
-    return replace(pair, quality=grade, quality_reasons=texts, jitter_px=jitter_px)
+    proof = _proof_of(report, pair.folder)
+    return replace(pair, quality=grade, quality_reasons=texts, jitter_px=jitter_px, proof=proof)
+
+
+def _proof_of(report: Mapping[str, Any], place: Path) -> Proof | None:
+    """Return the proof in the report of a pair, without its map."""
+    found = report.get("proof")
+    try:
+        return TypeAdapter(Proof).validate_python({**found, "map": ()}) if found else None
+    except (TypeError, ValidationError) as error:
+        raise OutputError(
+            f"{place} has a damaged report ({error}): remove the folder, and run again"
+        ) from error
 
 
 def _displaced_otherwise(place: Path) -> Iterator[Reason]:

@@ -24,6 +24,7 @@ from pcwlad_geo.multi.stack_inputs import StackInput
 from pcwlad_geo.multi.stack_pairs import ALL_PAIRS, StackFrame, candidates, choose_pairs, read_overview
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.source import describe
+from pcwlad_geo.tiepoints.readers import read_point_file
 from tests.pictures import no_pictures
 from tests.scenes import make_grid, render, write
 
@@ -112,6 +113,32 @@ def test_a_second_run_matches_nothing_and_gives_the_same_bytes(
     monkeypatch.setattr("pcwlad_geo.multi.stack_pairs.match_files", fail)
     stack([done / f"date{k}.tif" for k in range(3)], out_dir=done / "out put", **FEW)
     assert content(done / "out put") == before
+
+
+def test_each_pair_is_proved_where_that_is_asked_for(done: Path, tmp_path: Path) -> None:
+    images, out = [done / f"date{k}.tif" for k in range(2)], tmp_path / "proved"
+    stack(images, out_dir=out, prove="quick", calibrate_sigma=True, **FEW)
+    numbers = json.loads((out / "stack.json").read_text(encoding="utf-8"))
+    schema = json.loads((Path(__file__).resolve().parents[2] / "docs/stack.schema.json").read_text())
+    jsonschema.validate(numbers, schema)
+    (pair,) = numbers["pairs"]
+    kept = [read_point_file(where / pair["folder"] / "tiepoints.csv") for where in (out, done / "out put")]
+    assert kept[0].sigma_px is not None
+    assert kept[1].sigma_px is not None
+    factor = pair["proof"]["sigma"]["calibration"]
+    np.testing.assert_allclose(kept[0].sigma_px, factor * kept[1].sigma_px, rtol=0.02)
+    report = out / pair["folder"] / "report.json"
+    told = json.loads(report.read_text(encoding="utf-8"))["proof"]
+    assert len(told.pop("map")) > 12
+    assert {**pair["proof"], "map": None} == {**told, "map": None}
+    page = (out / "stack.html").read_text(encoding="utf-8")
+    assert page.count("The tool’s own error") == 1
+    assert "the 1 pairs form no cycle" not in page
+    assert "one pair cannot be checked" in page
+    assert "The tool’s own error" not in (done / "out put/stack.html").read_text(encoding="utf-8")
+    report.write_text(report.read_text(encoding="utf-8").replace('"shrunk"', '"shrunken"'), encoding="utf-8")
+    with pytest.raises(OutputError, match="damaged report"):
+        stack(images, out_dir=out, prove="quick", calibrate_sigma=True, **FEW)
 
 
 def test_an_image_that_cannot_be_read_is_named_and_the_rest_goes_on(done: Path, tmp_path: Path) -> None:
