@@ -82,6 +82,12 @@ def test_the_recipe_gets_the_checksum(tmp_path: Path, monkeypatch: pytest.Monkey
     assert yaml.safe_load((tmp_path / "recipe.yaml").read_text(encoding="utf-8"))["source"]["sha256"] == empty
 
 
+def test_the_wheel_is_tried_as_the_recipe_tries_it() -> None:
+    recipe = yaml.safe_load(release.read("recipe/recipe.yaml"))
+    (commands,) = (each["script"] for each in recipe["tests"] if "script" in each)
+    assert release.tests_of_recipe() == commands
+
+
 def test_citation_zenodo_and_codemeta_agree_with_the_project() -> None:
     project, zenodo, codemeta = PROJECT["project"], read_json(".zenodo.json"), read_json("codemeta.json")
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
