@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import re
 import shutil
 import subprocess
 import sys
@@ -32,6 +33,9 @@ def build(place: Path) -> list[str]:
         zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
         for name, path in files.items():
+            if path.name == "metadata.txt":
+                archive.writestr(name, with_changes(path.read_text(encoding="utf-8")))
+                continue
             archive.write(path, name)
             if path.suffix == ".ts" and (compiled := _compile(path, Path(folder))):
                 archive.write(compiled, str(Path(name).with_suffix(".qm")))
@@ -41,6 +45,18 @@ def build(place: Path) -> list[str]:
         for path in (written, *(PAGE.parent / picture for picture in pictures)):
             archive.write(path, f"{PLUGIN.name}/manual/{path.name}")
         return archive.namelist()
+
+
+def with_changes(text: str) -> str:
+    """Return the metadata with what CHANGELOG.md says of the plugin in its newest version."""
+    changes = (HERE.parent / "CHANGELOG.md").read_text(encoding="utf-8")
+    _, version, newest = re.split(r"^## \[(.+?)\].*$", changes, maxsplit=2, flags=re.M)[:3]
+    items = re.findall(r"^- \*\*QGIS\.\*\* (.*?)(?=^- |^#|\Z)", newest, re.M | re.S)
+    plain = re.sub(
+        r"\[(?:docs/\S*|([^]]*))\]\([^)]*\)", r"\1", " ".join(items)
+    )  # a page is named, or said in words
+    plain = " ".join(plain.split()) or "nothing new in the plugin; its engine is of this version"
+    return re.sub(r"^changelog=.*$", lambda _: f"changelog={version}: {plain}", text, flags=re.M)
 
 
 def _compile(translation: Path, folder: Path) -> Path | None:

@@ -196,6 +196,24 @@ def test_the_zip_has_one_folder(tmp_path: Path) -> None:
     assert {f"pcwlad_geo_qgis/{path.relative_to(PLUGIN)}" for path in MODULES} <= set(names)
 
 
+def test_the_zip_tells_the_changes_of_the_plugin_in_this_version(tmp_path: Path) -> None:
+    place = tmp_path / "plugin.zip"
+    runpy.run_path(str(FOLDER / "build.py"))["build"](place)
+    with zipfile.ZipFile(place) as archive:
+        written = archive.read("pcwlad_geo_qgis/metadata.txt").decode("utf-8")
+    metadata = configparser.ConfigParser(interpolation=None)
+    metadata.read_string(written)
+    told = metadata["general"]["changelog"]
+    newest = (FOLDER.parent / "CHANGELOG.md").read_text(encoding="utf-8").split("\n## ")[1]
+    assert told.startswith(f"{pcwlad_geo.__version__}: ")
+    assert len(told) > 50
+    assert told.partition(": ")[2] in re.sub(r"\s+", " ", newest)
+    assert not re.search(r"\]\(|\*\*", told)
+    assert written.replace(told, "") == re.sub(
+        r"(?m)^changelog=.*", "changelog=", (PLUGIN / "metadata.txt").read_text(encoding="utf-8")
+    )
+
+
 def test_the_help_comes_with_the_zip_from_the_documentation(tmp_path: Path) -> None:
     place = tmp_path / "plugin.zip"
     names = runpy.run_path(str(FOLDER / "build.py"))["build"](place)
