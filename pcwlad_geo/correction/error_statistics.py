@@ -634,8 +634,8 @@ class Proof:
     scatter_px: FloatPair
     """Standard deviation of a point's error about the mean of all."""
     shrunk: Share
-    """Factor on the errors: 1, or less where noise on top of noise made them scatter more about an affine than
-    the tie points do as the pair lies, which no error of theirs can exceed."""
+    """Factor on the errors: 1, or less where noise on top of noise made them scatter more about an affine
+    than the tie points do as the pair lies, which no error of theirs can exceed."""
     rmse_px: Amount
     """Of the points, radial, bias included."""
     ce90_px: Amount
