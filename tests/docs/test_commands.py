@@ -16,6 +16,7 @@ import typer
 from rasterio.windows import Window
 from typer.main import get_command
 
+from docs.make_examples import differ
 from pcwlad_geo.cli.app import app
 from tests.docs.pages import DOCS, PAGES, REPOSITORY, blocks, code_of, name_of
 
@@ -189,6 +190,32 @@ def test_the_code_of_a_page_runs(page: Path, workplace: tuple[Path, dict[str, st
         check=False,
     )
     assert ended.returncode == 0, ended.stderr
+
+
+def shown(page: str) -> str:
+    """Return what a page shows of registering the sample pair."""
+    (block,) = (
+        each for each in blocks(DOCS / page) if each.language == "text" and "uality: good" in each.text
+    )
+    return block.text
+
+
+def test_two_pages_say_the_same_of_the_sample_pair() -> None:
+    numbers = re.compile(r"\d+\.\d+|\d{3,}")
+    assert numbers.findall(shown("qgis.md")) != []
+    assert set(numbers.findall(shown("qgis.md"))) <= set(numbers.findall(shown("tutorial/shell.md")))
+
+
+@pytest.mark.slow
+def test_registering_the_sample_pair_prints_what_the_tutorial_says(tmp_path: Path) -> None:
+    """As closely as libraries and types of CPU let it."""
+    pair = [str(REPOSITORY / "sample_data" / f"landsat_{band}.tif") for band in ("b4", "b10")]
+    command = [sys.executable, "-m", "pcwlad_geo", "register", *pair, "--progress", "none"]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    summary, table = ended.stdout.split("\n   ", 1)
+    end = table[table.index("quality:") :]
+    assert not differ(shown("tutorial/shell.md").strip(), f"{summary}\n{end}".strip())
 
 
 def test_what_the_worked_example_prints_is_what_it_says(workplace: tuple[Path, dict[str, str]]) -> None:
