@@ -40,8 +40,10 @@ OUTPUT_OPTIONS = ("output_raster", "output_tiepoints", "output_report", "output_
 """Options with paths of single outputs; `match` has no raster."""
 BAND_NAME = re.compile(r"[A-Za-z]\w*$")
 """Pattern of the name of a band of a product."""
-BANDS = re.compile(r"(\d{1,6}(,\d{1,6})+|[A-Za-z]\w*(,[A-Za-z]\w*)*)$")
-"""Pattern of several bands, by number or by name, and of `pca` or a name alone."""
+_NUMBERS: Final = r"\d{1,5}(-\d{1,5})?(,\d{1,5}(-\d{1,5})?)*"
+_NAMES: Final = r"[A-Za-z]\w*(,[A-Za-z]\w*)*"
+BANDS = re.compile(rf"(pca:)?({_NUMBERS}|{_NAMES})$")
+"""Pattern of bands: numbers and ranges, or names, and pca of these or alone."""
 FUNCTION_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
 """Pattern of the name of a function and its module."""
 
@@ -93,8 +95,11 @@ def _box_in(place: str) -> Check:
 
 
 _BAND: Final[Check] = (
-    lambda value: (_is_whole(value) and value >= 1) or (isinstance(value, str) and bool(BANDS.match(value))),
-    "a whole number from 1, or the name of a product's band; several separated by commas, or pca",
+    lambda value: (
+        (_is_whole(value) and value >= 1)
+        or (isinstance(value, str) and not value.isdecimal() and bool(BANDS.match(value)))
+    ),
+    "a whole number from 1, or the name of a product's band; several such as 2,3,5-9; pca or pca:2,3,4",
 )
 _DATUM: Final[Check] = (
     lambda value: not isinstance(value, Real) or (value <= 500.0 and not value < -500.0),
@@ -159,8 +164,8 @@ class Settings:
         metavar="N,…|NAME,…|pca",
         check=_BAND,
     )
-    """Band that is matched; 2,3,4 (B2,B3,B4 of a product): the mean of these bands, scaled to equal contrast;
-    pca: the first principal component of all bands of the file."""
+    """Band that is matched; 2,3,5-9 (B2,B3,B4 of a product): the mean of these, scaled to equal contrast;
+    pca: the first principal component of all bands of the file, pca:2,3,5-9 of these."""
     tgt_band: int | str = option(
         1, "Band of the target, or several, alike.", _PAIR, metavar="N,…|NAME,…|pca", check=_BAND
     )
@@ -576,8 +581,10 @@ def to_setting(name: str, value: object) -> object:
         return _number_or_path(name, value)
     if Path in kinds:
         return _path(name, value)
-    if {int, str} <= kinds and isinstance(value, str) and BANDS.match(value.replace(" ", "")):
-        return value.replace(" ", "")
+    if {int, str} <= kinds and isinstance(value, str) and not value.strip().isdecimal():
+        text = value.replace(" ", "")
+        if BANDS.match(text):
+            return text
     if int in kinds:
         words += [WORDS[name]] if name in WORDS else []
         return _number(name, value, int, " or ".join(["a whole number", *(f"'{word}'" for word in words)]))

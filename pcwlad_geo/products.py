@@ -86,7 +86,7 @@ class Product:
                 f"{self.path} is a {self.kind} product: say which band by name (--ref-band, --tgt-band; "
                 f"PRODUCT:NAME for qa); it holds {held}"
             )
-        name = name.partition(",")[0]
+        name = name.removeprefix("pca:").partition(",")[0]
         found = {band.name.upper(): band for band in self.bands} | dict(self.aliases)
         if name.upper() not in found:
             raise InputError(

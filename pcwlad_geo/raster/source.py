@@ -90,12 +90,16 @@ class Bands:
 
     @staticmethod
     def of_file(path: str, choice: int | str) -> Bands | None:
-        """Return the bands of a file by number, or pca for all; None where these are names of a product's."""
+        """Return the bands of a file by number; None where the choice names those of a product."""
         if choice == "pca":
             return Bands((), principal=True)
-        numbers = str(choice).split(",")
-        known = all(number.isdecimal() for number in numbers)
-        return Bands(tuple(BandPart(path, int(number)) for number in numbers)) if known else None
+        spans = [span.split("-") for span in str(choice).removeprefix("pca:").split(",")]
+        if not all(end.isdecimal() for span in spans for end in span):
+            return None
+        ends = [sorted(int(end) for end in span) for span in spans]
+        numbers = (number for span in ends for number in range(span[0], span[-1] + 1))
+        parts = tuple(BandPart(path, number) for number in numbers)
+        return Bands(parts, principal=str(choice).startswith("pca:"))
 
     @property
     def first(self) -> int:
@@ -190,7 +194,7 @@ def describe(
     """
     uri = os.fspath(path)
     with open_raster(uri) as dataset:
-        _check_band(uri, dataset, band)
+        check_band(uri, dataset, band)
         check_dataset(uri, dataset, band)
         grid, misfit_px = _grid_of(uri, dataset)
         _check_place(uri, grid, misfit_px)
@@ -412,7 +416,8 @@ def _why_not_opened(uri: str, error: Exception) -> str:
     return f"{uri} does not exist: check the path"
 
 
-def _check_band(uri: str, dataset: DatasetReader, band: int) -> None:
+def check_band(uri: str, dataset: DatasetReader, band: int) -> None:
+    """Raise `InputError` if an open raster has no such band, or the band is complex."""
     if dataset.count == 0 and dataset.subdatasets:
         raise InputError(
             f"{uri} holds subdatasets, not bands: give one of them, such as {dataset.subdatasets[0]}"

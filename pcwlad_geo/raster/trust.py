@@ -66,6 +66,10 @@ _SUBDATASET: Final = re.compile(
     r'(?:NETCDF|HDF5|GTIFF_DIR:\d+|NITF_IM:\d+):(?:"(?P<quoted>[^"]+)"|(?P<plain>(?:[A-Za-z]:)?[^:]+))(?::.*)?',
     re.DOTALL,
 )
+_HDF5_ARRAY: Final = re.compile(
+    r'HDF5:(?:"(?P<quoted>[^"]+)"|(?P<plain>(?:[A-Za-z]:)?[^:"]+))://[^:]*', re.IGNORECASE | re.DOTALL
+)
+"""GDAL's name of an array of an HDF5 file, whose path begins with two slashes, as no scheme of a server."""
 _PREFIX: Final = re.compile(r"\w{2,}:")
 
 
@@ -86,6 +90,9 @@ def destination(uri: str) -> Destination:
         return destination(uri.removeprefix("vrt://").partition("?")[0])
     if uri.startswith("file://"):
         return destination(uri.removeprefix("file://"))
+    array = _HDF5_ARRAY.fullmatch(uri)
+    if array is not None:
+        return destination(array["quoted"] or array["plain"])
     scheme = _SCHEME.match(uri)
     if not uri.startswith(("/vsi", "<")) and scheme is None and _exists(uri):
         return Destination("file", uri)

@@ -29,7 +29,7 @@ from pcwlad_geo.raster.pixels import (
     valid_in_mask_file,
 )
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, positions_on
-from pcwlad_geo.raster.source import BandPart, Bands, RasterInfo, describe, open_raster
+from pcwlad_geo.raster.source import BandPart, Bands, RasterInfo, check_band, describe, open_raster
 from pcwlad_geo.types import Bool, Float32, Float64
 
 ViewResampling = Literal["none", "nearest", "average", "cubic"]
@@ -321,23 +321,27 @@ def with_bands(info: RasterInfo, bands: Bands) -> RasterInfo:
 
 def _parts_of(info: RasterInfo, bands: Bands) -> tuple[Sequence[BandPart], str]:
     """Return the bands that are meant, and the type that holds the values of all."""
-    if bands.parts:
-        others = [describe(part.path, band=part.band) for part in bands.parts]
-        for other in others:
-            if other.grid != info.grid:
-                raise InputError(
-                    f"{other.uri} has other pixels than {info.uri}: several bands are matched as one image "
-                    "where they have the same size and georeferencing (of Sentinel-2, such as B04_20m)"
-                )
-        return bands.parts, str(np.result_type(*(other.dtype for other in others)))
-    with open_raster(info.uri) as dataset:
-        numbers = [
-            number
-            for number, (kind, dtype) in enumerate(zip(dataset.colorinterp, dataset.dtypes, strict=True), 1)
-            if kind != ColorInterp.alpha and "complex" not in dtype
-        ]
-        dtype = np.result_type(*(dataset.dtypes[number - 1] for number in numbers))
-    return [BandPart(info.uri, number) for number in numbers], str(dtype)
+    parts: Sequence[BandPart] = bands.parts
+    if not parts:
+        with open_raster(info.uri) as dataset:
+            kinds = enumerate(zip(dataset.colorinterp, dataset.dtypes, strict=True), 1)
+            parts = [
+                BandPart(info.uri, number)
+                for number, (kind, dtype) in kinds
+                if kind != ColorInterp.alpha and "complex" not in dtype
+            ]
+    dtypes: set[str] = set()
+    for path, group in groupby(parts, key=attrgetter("path")):
+        if path != info.uri and describe(path).grid != info.grid:
+            raise InputError(
+                f"{path} has other pixels than {info.uri}: several bands are matched as one image where they "
+                "have the same size and georeferencing (of Sentinel-2, such as B04_20m)"
+            )
+        with open_raster(path) as dataset:
+            for part in group:
+                check_band(path, dataset, part.band)
+                dtypes.add(dataset.dtypes[part.band - 1])
+    return parts, str(np.result_type(*sorted(dtypes)))
 
 
 def _samples(info: RasterInfo, parts: Sequence[BandPart]) -> tuple[Float64, Bool]:

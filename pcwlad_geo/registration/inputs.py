@@ -162,8 +162,10 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
         if bands is None or problem is not None:
             raise InputError(problem or f"band {name} of {path} is no number")
         return _Side(os.fspath(path), os.fspath(path), bands, {})
-    found = [product.band(each) for each in (name.split(",") if isinstance(name, str) else [name])]
-    bands = Bands(tuple(BandPart(band.opened_as(), 1) for band in found))
+    names = name.removeprefix("pca:").split(",") if isinstance(name, str) else [name]
+    found = [product.band(each) for each in names]
+    parts = tuple(BandPart(band.opened_as(), 1) for band in found)
+    bands = Bands(parts, principal=str(name).startswith("pca:"))
     changes = {f"{side}_band": name if len(found) > 1 else 1, f"{side}_mask": given or product.mask}
     notes = product.notes(given is not None)
     return _Side(bands.parts[0].path, found[0].uri, bands, changes, notes, product)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 import pcwlad_geo
 from pcwlad_geo.cli import finished
 from pcwlad_geo.cli.app import run as main
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.multi.stack_inputs import StackInput, listed
+from pcwlad_geo.options import Settings, to_setting
 from pcwlad_geo.raster import view as view_module
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.source import BandPart, Bands, describe
@@ -137,6 +138,25 @@ def test_types_differ_within_a_file(tmp_path: Path) -> None:
     weights = [part.weight for part in info.several.parts]
     expected = weights[0] * np.clip(np.rint(bands[0]), 1, 255) + weights[1] * bands[1].astype("float32")
     assert np.allclose(values_of(info).values, expected, rtol=1e-6)
+
+
+def test_ranges_and_components_of_some_bands(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", np.stack([render(GRID, "red", seed=seed) for seed in range(6)]), GRID)
+    for choice, numbers, text in (
+        ("2-4", [2, 3, 4], "mean of bands 2 to 4"),
+        ("4-2,6", [2, 3, 4, 6], "mean of bands 2, 3, 4, 6"),
+        ("pca:1,3-4", [1, 3, 4], "first principal component of bands 1, 3, 4"),
+    ):
+        assert to_setting("ref_band", choice) == choice
+        several = chosen(path, choice).several
+        assert several is not None
+        assert ([part.band for part in several.parts], several.text) == (numbers, text)
+    assert to_setting("ref_band", " 3 ") == 3
+    for wrong in ("1-", "-2", "1-2-3", "1,,2", "pca:", "mean:1,2", "1;2", "B2-B4"):
+        with pytest.raises(SettingsError, match="ref_band"):
+            Settings.from_options({"ref_band": to_setting("ref_band", wrong)})
+    with pytest.raises(InputError, match="holds 6 bands, and band 7 was asked for"):
+        chosen(path, "2-99999")
 
 
 def test_bands_of_other_pixels_or_that_are_missing_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,95 @@
+"""Many bands in one file, as EnMAP delivers them, and in HDF5: infrared against visible ones."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+import rasterio.shutil
+from numpy.typing import NDArray
+
+import pcwlad_geo
+from pcwlad_geo.errors import RegistrationRejectedError, TrustError
+from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.raster.source import Bands, describe
+from pcwlad_geo.raster.trust import Trust, trusting
+from pcwlad_geo.raster.view import View, with_bands
+from tests.scenes import make_grid, render, write
+
+GRID = make_grid((280, 280))
+SHORTWAVE_OFF_PX = (0.3, -0.2)
+NODATA = -32768
+DEAD, CONSTANT = (17, 18), 30
+SMALL = {"template": 61, "window": 81, "features": 250}
+
+
+def cube(bands: int = 40) -> NDArray[np.int16]:
+    """Return visible bands, then infrared ones that lie off, each with gain, offset and noise of its own."""
+    rng = np.random.default_rng(2)
+    halves = render(GRID, "red", noise=0), render(GRID, "thermal", displacement_px=SHORTWAVE_OFF_PX, noise=0)
+    made = []
+    for number in range(bands):
+        seen = halves[2 * number >= bands]
+        made.append(
+            (seen + 50 * rng.standard_normal(seen.shape)) * rng.uniform(0.5, 8) + rng.uniform(0, 2000)
+        )
+    found = np.rint(np.stack(made)).astype(np.int16)
+    found[[number - 1 for number in DEAD if number <= bands]] = NODATA
+    if bands >= CONSTANT:
+        found[CONSTANT - 1] = 12
+    return found
+
+
+def test_infrared_bands_against_visible_ones(tmp_path: Path) -> None:
+    """A band alone is refused. Bands that hold nothing, as where water absorbs all light, are left out."""
+    path = write(tmp_path / "cube.tif", cube(), GRID, dtype="int16", nodata=NODATA, interleave="pixel")
+    found = pcwlad_geo.match_files(
+        path, path, ref_band="pca:1-20", tgt_band="pca:21-40", out_dir=tmp_path / "all", **SMALL
+    )
+    assert found.warnings == ()
+    used = [info.several for info in (found.reference, found.target)]
+    assert [[part.band for part in several.parts] for several in used if several] == [
+        [*range(1, 17), 19, 20],
+        [*range(21, 30), *range(31, 41)],
+    ]
+    errors = found.tie_points.select("matched").displacement_px - SHORTWAVE_OFF_PX
+    assert len(errors) > 150
+    assert np.abs(np.median(errors, axis=0)).max() < 0.08
+    with pytest.raises(RegistrationRejectedError):
+        pcwlad_geo.match_files(path, path, ref_band=5, tgt_band=35, out_dir=tmp_path / "one", **SMALL)
+
+
+def write_hdf5(folder: Path, bands: int = 6) -> Path:
+    """Write a cube of (bands, rows from the south, columns) as an array of a file that ends like HDF-EOS."""
+    made = write(folder / "cube.tif", cube(bands).astype("float32"), GRID, dtype="float32")
+    with rasterio.open(made, "r+") as file:
+        numbers = ",".join(str(number) for number in range(1, bands + 1))
+        file.update_tags(
+            NETCDF_DIM_EXTRA="{band}",
+            NETCDF_DIM_band_DEF=f"{{{bands},6}}",
+            NETCDF_DIM_band_VALUES=f"{{{numbers}}}",
+        )
+        for number in range(1, bands + 1):
+            file.update_tags(number, NETCDF_VARNAME="cube", NETCDF_DIM_band=str(number))
+    rasterio.shutil.copy(str(made), str(folder / "cube.nc"), driver="netCDF", FORMAT="NC4")
+    return Path(shutil.copy(folder / "cube.nc", folder / "cube.he5"))
+
+
+def test_arrays_of_hdf5_are_read_for_those_who_trust_the_file(tmp_path: Path) -> None:
+    path = write_hdf5(tmp_path)
+    for name in (f"HDF5:{path}://cube", f'HDF5:"{path}"://cube', f"hdf5:{path}://cube"):
+        with pytest.raises(TrustError, match="HDF5 and netCDF-4 can hold values of any other file"):
+            describe(name)
+        with trusting(Trust(vrt=True)):
+            info = with_bands(describe(name), Bands.of_file(name, "2,5") or Bands(()))
+            seen = View(info, info.grid, "none").read(Window.whole(GRID.shape)).values
+        assert (info.band_count, info.georeferenced) == (6, False)
+        assert info.several is not None
+        weights = [part.weight for part in info.several.parts]
+        expected = weights[0] * cube(6)[1] + weights[1] * cube(6)[4].astype(float)
+        assert np.allclose(seen[::-1], expected, rtol=1e-5, atol=1e-3)
+    with pytest.raises(TrustError, match="over a network"):
+        describe("HDF5:/vsicurl/https://example.com/cube.he5://cube")
