@@ -20,9 +20,10 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -120,15 +121,18 @@ def cluster(root: Path, entry: list[str], variables: dict[str, str], pair: list[
             stack.callback(process.terminate)
         order = ["register", *pair, "-o", "/tmp/pcwlad-geo-cluster", "--overwrite", "--progress", "none"]
         order = ["/usr/bin/env", *entry, *order, "--scheduler", address]
-        until = time.monotonic() + 60.0
-        while True:  # until the scheduler answers
-            try:
-                run(root, order, variables, STRANGER)
-                return
-            except subprocess.CalledProcessError:
-                if time.monotonic() > until:
-                    raise
-                time.sleep(2.0)
+        until_it_passes(services["scheduler"]["healthcheck"], root, variables)
+        run(root, order, variables, STRANGER)
+
+
+def until_it_passes(check: Mapping[str, Any], root: Path, variables: dict[str, str]) -> None:
+    """Do the check of a service as often as compose does, until it passes."""
+    how = {"env": variables, "preexec_fn": entered(root, STRANGER), "stderr": subprocess.DEVNULL}
+    for _ in range(check["retries"]):
+        if subprocess.run(["/usr/bin/env", *check["test"][1:]], check=False, **how).returncode == 0:
+            return
+        time.sleep(float(check["interval"].rstrip("s")))
+    sys.exit("the scheduler does not answer")
 
 
 def main() -> int:

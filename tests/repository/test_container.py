@@ -115,6 +115,10 @@ def test_the_cluster_has_a_scheduler_two_workers_and_one_folder() -> None:
     assert services["worker"]["deploy"]["replicas"] == 2
     assert services["worker"]["command"][-1] == "tcp://scheduler:8786"
     assert services["scheduler"]["command"][:4] == ["dask", "scheduler", "--port", "8786"]
+    assert services["worker"]["depends_on"] == {"scheduler": {"condition": "service_healthy"}}
+    check = services["scheduler"]["healthcheck"]
+    assert "('127.0.0.1', 8786)" in check["test"][-1], "the port of the command"
+    assert check["retries"] * float(check["interval"].rstrip("s")) >= 60.0
     for service in services.values():
         assert service["read_only"] is True
         assert service["tmpfs"] == ["/tmp"]
