@@ -57,7 +57,7 @@ def test_main_and_a_release_are_published_beside_each_other(tmp_path: Path) -> N
         pytest.importorskip(library, reason="the extra `docs` is not installed")
     for name in ("docs", "pcwlad_geo"):
         shutil.copytree(REPOSITORY / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("mkdocs.yml", "CONTRIBUTING.md"):
+    for name in ("mkdocs.yml", "CONTRIBUTING.md", "README.md"):
         shutil.copy(REPOSITORY / name, tmp_path)
     git(tmp_path, "init", "--quiet", "--initial-branch=main")
     git(tmp_path, "config", "user.name", "Somebody")
