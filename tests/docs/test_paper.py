@@ -75,6 +75,24 @@ def test_every_number_stands_below_the_same_command_in_the_documentation(command
     assert [each for each in numbers if each not in there] == []
 
 
+README = re.split(r"<!-- figures: (.*?) -->", (REPOSITORY / "README.md").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(("command", "text"), list(zip(README[1::2], README[2::2], strict=True)))
+def test_every_number_of_the_readme_stands_below_a_command_that_prints_it(command: str, text: str) -> None:
+    parts = re.split(r"<!-- figures: (.*?) -->", ACCURACY)
+    program, _, studies = command.partition(" --study ")
+    there = "".join(
+        below
+        for mark, below in zip(parts[1::2], parts[2::2], strict=True)
+        if mark == command
+        or (studies and mark.startswith(program) and studies in mark.split(" --study ")[-1])
+    )
+    numbers = NUMBER.findall(re.sub(r"\[.*?\]\(.*?\).*|`.*?`|Landsat 8", "", text.partition("\n## ")[0]))
+    assert numbers != []
+    assert [each for each in numbers if each not in there] == []
+
+
 def test_outside_of_that_section_no_error_is_claimed() -> None:
     before = TEXT.partition("# Accuracy measured here")[0]
     assert re.findall(r"\d\.\d+ ?px", before) == []
