@@ -208,8 +208,13 @@ def test_the_job_tells_the_bands_and_writes_all_of_them(tmp_path: Path) -> None:
         assert main(["register", str(reference), str(target), "-o", str(tmp_path / name), *small, *more]) == 0
     tables = [(tmp_path / name / "tiepoints.csv").read_bytes() for name in ways]
     assert tables[0] == tables[1]
+    columns, values = (",".join(map(str, each)) for each in zip(*SMALL.items(), strict=True))
+    (tmp_path / "pairs.csv").write_text(f'reference,target,tgt_band,{columns}\nr.tif,t.tif,"1,2",{values}\n')
+    assert main(["batch", str(tmp_path / "pairs.csv"), "-o", str(tmp_path / "batch")]) == 0
+    of_batch = json.loads(next((tmp_path / "batch").rglob("report.json")).read_text())
     report = json.loads((tmp_path / "shell" / "report.json").read_text())
-    assert report["settings"]["tgt_band"] == "1,2"
+    assert report["settings"]["tgt_band"] == of_batch["settings"]["tgt_band"] == "1,2"
+    assert report["target"]["weights"] == of_batch["target"]["weights"]
     assert report["target"]["matched"] == "mean of bands 1, 2"
     assert [(each["path"], each["band"]) for each in report["target"]["weights"]] == [
         (str(target), 1),
