@@ -22,6 +22,16 @@ MIN_CELLS: Final = 4
 APART_WINDOWS: Final = 0.5
 """Distance along an axis from which matches count as independent evidence, in window sides: of radar over
 optical two wrong poses, each of three clusters, had 0.2 and 2.0 by it, and the right ones 11.5 and 14."""
+CERTAIN: Final = 3.2
+"""Evidence of a search from which nothing but chance is asked of its pose; below it the pose may stand on one
+structure, which overlapping windows all show: a path, in an image beside itself transposed, gave 2.9."""
+APART_DOUBTFUL_WINDOWS: Final = 2 / 3
+"""The distance of independent evidence for such a pose: of that path 8 of 8 places were half a window apart,
+and 4 of 4 this far."""
+COUNTED: Final = 0.75
+"""Share of its evidence that is added to that of the points, which see what its patches have seen: that path
+has 5.8; of the 85 pairs that the studies of poses, radar and refusal accept, those of such a pose have 6.3 and
+more."""
 CELL_PER_WINDOW: Final = 0.75
 """Side of the cells in which several motions of an accepted pair are told apart, in window sides."""
 AGREE_PX: Final = 2.0
@@ -115,15 +125,20 @@ def judge(
     All n matches were found independently, consistent or not; the (n,) bool array `kept` is the mask of the
     consistent ones. The `counts` are of candidates and of those that each stage rejected. The window is
     `window_px` wide, and the coarse match searched `radius_px` around. The `evidence` of the
-    start, see `Prealignment.net_evidence`, counts if the points say something themselves.
+    start, see `Prealignment.net_evidence`, is 0 where nothing was searched, and counts if the points say
+    something themselves.
     """
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
-    cells, agreeing, found = _best_agreement(matches, kept, APART_WINDOWS * window_px, share)
+    doubtful = evidence != 0 and evidence < CERTAIN
+    apart_px = (APART_DOUBTFUL_WINDOWS if doubtful else APART_WINDOWS) * window_px
+    cells, agreeing, found = _best_agreement(matches, kept, apart_px, share)
     # the common displacement is the best of 1 / share different ones
     significance = max(0.0, found + float(np.log10(share)))
     enough = kept.sum() >= MIN_POINTS and agreeing >= MIN_CELLS
-    if evidence < 0 or significance >= MIN_OWN_SIGNIFICANCE:
+    if evidence < 0:
         significance = max(0.0, significance + evidence)
+    elif significance >= MIN_OWN_SIGNIFICANCE:
+        significance += evidence * (COUNTED if doubtful else 1.0)
     accepted = bool(enough and significance >= MIN_SIGNIFICANCE)
     if accepted:
         return Verdict(True, None, cells, agreeing, significance)

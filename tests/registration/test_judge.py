@@ -67,6 +67,22 @@ def test_a_plane_through_three_clusters_is_chance(seed: int) -> None:
     assert not verdict((points, np.arange(100) < 75)).accepted
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("windows", "evidence", "accepted"),
+    [((1.8, 1.1), 2.93, False), ((1.8, 1.1), 4.0, True), ((3.3, 3.3), 2.93, True)],
+)
+def test_windows_that_overlap_have_found_a_pose_together(
+    windows: tuple[float, float], evidence: float, accepted: bool, seed: int
+) -> None:
+    """As of one path in an image beside itself transposed, by which the search had found a pose."""
+    xy = np.random.default_rng(seed).uniform(0, np.multiply(windows, WINDOW_PX), (300, 2))
+    nothing = np.zeros(300)
+    points = TiePoints(xy, xy, np.tile(0.01 * np.eye(2), (300, 1, 1)), nothing, nothing)
+    found = judge(points, np.ones(300, bool), COUNTS, WINDOW_PX, RADIUS_PX, evidence=evidence)
+    assert found.accepted == accepted
+
+
 def test_too_few_points_are_refused_however_well_they_agree() -> None:
     assert verdict(matches(MIN_POINTS, 300, right=1.0)).accepted
     assert not verdict(matches(MIN_POINTS - 1, 300, right=1.0)).accepted
