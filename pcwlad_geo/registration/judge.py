@@ -30,8 +30,7 @@ APART_DOUBTFUL_WINDOWS: Final = 2 / 3
 and 4 of 4 this far."""
 COUNTED: Final = 0.75
 """Share of its evidence that is added to that of the points, which see what its patches have seen: that path
-has 5.8; of the 85 pairs that the studies of poses, radar and refusal accept, those of such a pose have 6.3 and
-more."""
+has 5.8; of 85 pairs that the studies of poses, radar and refusal accept, those of such a pose have 6.3."""
 CELL_PER_WINDOW: Final = 0.75
 """Side of the cells in which several motions of an accepted pair are told apart, in window sides."""
 AGREE_PX: Final = 2.0
