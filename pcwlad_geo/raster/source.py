@@ -166,10 +166,10 @@ class RasterInfo:
     several: Bands | None = None
     """The bands, where there are several, with their weights, see `view.with_bands`."""
 
-    @property
-    def bands(self) -> Bands:
-        """The bands that are read: the one, or several."""
-        return self.several or Bands((BandPart(self.uri, self.band),))
+
+def bands_of(info: RasterInfo) -> Bands:
+    """Return the bands that are read: the one, or several."""
+    return info.several or Bands((BandPart(info.uri, info.band),))
 
 
 def describe(
@@ -319,8 +319,8 @@ def has_quick_overview(info: RasterInfo) -> bool:
 
 def same_band(a: RasterInfo, b: RasterInfo) -> bool:
     """Whether `a` and `b` describe the same band of the same file, even under different paths."""
-    one, other = ([part.band for part in info.bands.parts] for info in (a, b))
-    if one != other or a.bands.principal != b.bands.principal:
+    one, other = ([part.band for part in bands_of(info).parts] for info in (a, b))
+    if one != other or bands_of(a).principal != bands_of(b).principal:
         return False
     if a.uri == b.uri:
         return True

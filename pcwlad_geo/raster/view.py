@@ -29,7 +29,7 @@ from pcwlad_geo.raster.pixels import (
     valid_in_mask_file,
 )
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, positions_on
-from pcwlad_geo.raster.source import BandPart, Bands, RasterInfo, check_band, describe, open_raster
+from pcwlad_geo.raster.source import BandPart, Bands, RasterInfo, bands_of, check_band, describe, open_raster
 from pcwlad_geo.types import Bool, Float32, Float64
 
 ViewResampling = Literal["none", "nearest", "average", "cubic"]
@@ -236,7 +236,7 @@ def _read_file(info: RasterInfo, window: Window, overview: int | None) -> tuple[
     if inside.empty:
         return values, valid
     here = inside.slices_in(window)
-    values[here], valid[here] = _read_bands(info.bands, inside, overview)
+    values[here], valid[here] = _read_bands(bands_of(info), inside, overview)
     valid[here] &= valid_in_mask_file(info, inside)
     if info.areas is not None:
         valid[here] &= info.areas.valid(inside, info.grid)
@@ -398,7 +398,7 @@ def _overview_for(info: RasterInfo, step_px: float) -> int | None:
     if info.mask_grid is not None and not (info.georeferenced and info.mask_grid.crs is not None):
         return None  # a mask without georeferencing has the original's pixels
     found = []
-    for part in {part.path: part for part in info.bands.parts}.values():
+    for part in {part.path: part for part in bands_of(info).parts}.values():
         with open_raster(part.path) as dataset:
             found.append(dataset.overviews(part.band))
     factors = found[0] if all(each == found[0] for each in found) else []

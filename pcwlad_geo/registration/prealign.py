@@ -25,7 +25,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.grid import Grid, Window, map_px
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster.source import RasterInfo, bands_of
 from pcwlad_geo.raster.view import Patch, View, file_px_per_px
 from pcwlad_geo.registration.tiles import Scene
 from pcwlad_geo.types import Float32, Float64
@@ -331,13 +331,13 @@ def _noise(view: View) -> Noise:
 def _check_content(patch: Patch, info: RasterInfo, epsilon: float) -> None:
     if not patch.valid.any():
         raise InputError(
-            f"{info.bands.text} of {info.uri} has no valid pixel (nodata, masks) where the two overlap: "
+            f"{bands_of(info).text} of {info.uri} has no valid pixel (nodata, masks) where the two overlap: "
             "check its nodata value, its mask, or choose another band"
         )
     if epsilon <= 0:
         raise InputError(
-            f"{info.bands.text} of {info.uri} is constant where the two overlap: there is nothing to match; "
-            "choose another band"
+            f"{bands_of(info).text} of {info.uri} is constant where the two overlap: there is nothing to "
+            "match; choose another band"
         )
 
 

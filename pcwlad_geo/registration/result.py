@@ -24,7 +24,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.ortho import RpcPlacement
-from pcwlad_geo.raster.source import RasterInfo, file_name, has_quick_overview
+from pcwlad_geo.raster.source import RasterInfo, bands_of, file_name, has_quick_overview
 from pcwlad_geo.registration.fitting import Origin, Quality
 from pcwlad_geo.registration.inputs import InputFile
 from pcwlad_geo.registration.judge import Motion, Verdict
@@ -392,7 +392,7 @@ class Matches:
 
 def _band_text(info: RasterInfo) -> str:
     rows, cols = info.grid.shape
-    return f"{file_name(info.uri)} {info.bands.text} ({cols} x {rows} px)"
+    return f"{file_name(info.uri)} {bands_of(info).text} ({cols} x {rows} px)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,7 +34,7 @@ from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import ground_grid
-from pcwlad_geo.raster.source import BandPart, RasterInfo
+from pcwlad_geo.raster.source import BandPart, RasterInfo, bands_of
 from pcwlad_geo.registration.fitting import Grade, Origin
 from pcwlad_geo.registration.inputs import INLINE, InputFile
 from pcwlad_geo.registration.judge import Motion
@@ -511,7 +511,7 @@ def raster_entry(info: RasterInfo) -> RasterEntry:
     return RasterEntry(
         path=info.uri,
         band=info.band,
-        matched=info.bands.text,
+        matched=bands_of(info).text,
         weights=info.several.parts if info.several else (),
         band_count=info.band_count,
         grid=_grid(info.grid),
