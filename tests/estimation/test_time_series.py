@@ -122,6 +122,7 @@ def network(count: int, seed: int) -> tuple[Float64, Float64, Float64]:
     )
 
 
+@pytest.mark.slow
 def test_errors_that_hang_together_make_no_steps() -> None:
     """A chain of pairs lets errors grow along it; where that is known, it is no step."""
     alarms, blind, found = 0, 0, 0

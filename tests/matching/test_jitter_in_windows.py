@@ -50,7 +50,14 @@ def test_noise_a_tilt_and_a_few_wrong_windows_are_no_jitter() -> None:
     assert jitter_px(at_px[:5], beside[:, :5]) == 0
 
 
-@pytest.mark.parametrize(("size_px", "grade"), [(0.0, "good"), (0.3, "good"), (0.9, "poor")])
+@pytest.mark.parametrize(
+    ("size_px", "grade"),
+    [
+        pytest.param(0.0, "good", marks=pytest.mark.slow),
+        pytest.param(0.3, "good", marks=pytest.mark.slow),
+        (0.9, "poor"),
+    ],
+)
 def test_a_pair_expects_the_error_of_jitter_that_its_windows_average_out(
     tmp_path: Path, size_px: float, grade: str
 ) -> None:

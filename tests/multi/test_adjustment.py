@@ -118,6 +118,7 @@ def test_an_image_whose_wrong_pairs_are_fewer_than_its_right_ones_is_placed_by_t
     assert {k for k, fit in enumerate(found.edges) if not fit.used} == set(off)
 
 
+@pytest.mark.slow
 def test_sigma_covers_the_errors() -> None:
     within = []
     for seed in range(20):

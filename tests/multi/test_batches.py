@@ -132,6 +132,7 @@ def test_a_batch_and_once_more(work: Path) -> None:
         assert {**new, "done_before": "no"} == old
 
 
+@pytest.mark.slow
 def test_workers_that_do_whole_pairs_write_the_same(work: Path) -> None:
     """Pairs of one tile run at once, each in a worker; one of several tiles between them runs alone."""
     text = "reference,target,features,tile_size\n" + "".join(

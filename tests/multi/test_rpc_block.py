@@ -176,6 +176,7 @@ def seen_in_windows(
     return BlockPair(*ends, first, second, covariance_px2, window_px=window_px)
 
 
+@pytest.mark.slow
 def test_windows_that_see_much_relief_tell_where_the_dem_lies(grids: tuple[RpcGrid, ...]) -> None:
     wrong, window_px = tuple(moved(grid, (4.0, -3.0)) for grid in grids), 41.0
     pairs = [seen_in_windows(grids, wrong, ends, window_px) for ends in PAIRS]

@@ -319,6 +319,7 @@ def test_a_killed_stack_goes_on_where_it_was(four: Path, matched: list[tuple[str
     assert content(four / "killed") == content(four / "whole")
 
 
+@pytest.mark.slow
 def test_pairs_matched_side_by_side_are_those_matched_one_by_one(four: Path) -> None:
     images = [four / f"date{number}.tif" for number in range(4)]
     events: list[Event] = []
@@ -327,6 +328,7 @@ def test_pairs_matched_side_by_side_are_those_matched_one_by_one(four: Path) -> 
     assert [each.done for each in events if isinstance(each, Progress) and each.stage == "pairs"][-1] == 6
 
 
+@pytest.mark.slow
 def test_large_pairs_are_matched_tile_by_tile_with_the_same_result(
     tmp_path: Path, matched_before: Placed, monkeypatch: pytest.MonkeyPatch
 ) -> None:

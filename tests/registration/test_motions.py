@@ -55,6 +55,7 @@ def pair(folder: Path, names: tuple[str, str], share: float) -> tuple[Path, Path
     )
 
 
+@pytest.mark.slow
 def test_bands_of_one_product_follow_the_ground_below_most_clouds(tmp_path: Path) -> None:
     (tmp_path / "scene_MTL.txt").write_text("GROUP = L1_METADATA_FILE\n")
     found = run(*pair(tmp_path, ("scene_B4.tif", "scene_B10.tif"), 0.65), FEW)
@@ -85,6 +86,7 @@ def test_clear_bands_of_one_product_that_lie_apart_are_fair_and_told_of(
     assert "bands of one product lie more than" in found.quality.reasons[0].text
 
 
+@pytest.mark.slow
 def test_other_images_of_two_motions_are_refused_with_both_named(tmp_path: Path) -> None:
     found = run(*pair(tmp_path, ("first.tif", "second.tif"), 0.65), FEW)
     assert found.status == "rejected"

@@ -124,6 +124,7 @@ def test_points_chosen_by_their_residuals_pass_no_requirement(folder: Path, *, d
         pcwlad_geo.register(*pair, tie_points=path, out_dir=folder.parent / name, require=limit)
 
 
+@pytest.mark.slow
 def test_points_chosen_by_their_residuals_pass_no_requirement_from_the_shell(
     folder: Path, tmp_path: Path
 ) -> None:

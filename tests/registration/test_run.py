@@ -194,7 +194,7 @@ def bending(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return made
 
 
-@pytest.mark.parametrize("tile_size", [1024, 250])
+@pytest.mark.parametrize("tile_size", [1024, pytest.param(250, marks=pytest.mark.slow)])
 def test_the_window_follows_the_field(bending: Bending, tile_size: int) -> None:
     """Large where two bands share little and the ground is shifted; two, one to correct the other, where the
     field bends."""

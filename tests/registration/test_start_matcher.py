@@ -78,6 +78,7 @@ def test_a_proposed_pose_is_matched_to_a_fraction_of_a_pixel(
         assert image.max() == 1
 
 
+@pytest.mark.slow
 def test_a_proposed_pose_of_another_scene_is_refused(
     tmp_path: Path, stand_in: tuple[str, Array, Array]
 ) -> None:

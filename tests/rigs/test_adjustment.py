@@ -80,6 +80,7 @@ def test_lenses_are_mapped_onto_each_other_to_a_fraction_of_the_noise() -> None:
     assert max(each.max() for each in errors) < 0.2  # in a corner, beyond the last points
 
 
+@pytest.mark.slow
 def test_sigma_of_the_parameters_holds() -> None:
     ratios = []
     for seed in range(6):
