@@ -142,6 +142,7 @@ def test_the_time_until_the_pixels_are_read_ends_at_their_event(monkeypatch: pyt
             assert 0 < small_pairs.until_read(["match"], Path("out")) < 600
 
 
+@pytest.mark.slow
 def test_the_pairs_of_a_batch_lie_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(small_pairs, "BATCH_SIDE_PX", 64)
     monkeypatch.setattr(small_pairs, "SCENE_SIDES", (128,))

@@ -73,7 +73,6 @@ def test_it_writes_below_the_working_folder_and_leaves_nothing_else(
     assert sorted(path.name for path in tmp_path.rglob("*")) == sorted(["pcwlad-geo-demo", *SAMPLE])
 
 
-@pytest.mark.gate
 @pytest.mark.slow
 def test_the_pair_is_registered_to_a_fraction_of_a_pixel(tmp_path: Path) -> None:
     assert run(["demo", str(tmp_path), "--progress", "none"]) == 0

@@ -316,6 +316,7 @@ def test_unrelated_scenes(register: Register, tmp_path: Path) -> None:
     assert report["reason"] in ended.error
 
 
+@pytest.mark.slow
 def test_displacement_beyond_the_search_radius(register: Register, tmp_path: Path) -> None:
     write(tmp_path / "moved.tif", render(GRID, displacement_px=(33.4, -20.8)), GRID)
     ended = register("ref.tif", "moved.tif", "--search-radius", "8")

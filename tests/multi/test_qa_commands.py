@@ -43,6 +43,7 @@ def test_a_requirement_decides_the_status(stack: Path, cli: Cli) -> None:
     assert all(Path(path).is_file() for path in ended["paths"].values())
 
 
+@pytest.mark.slow
 def test_a_refused_pair_is_status_3_and_4_where_something_is_required(stack: Path, cli_here: Cli) -> None:
     near = (*FEW, "--search-radius", "8")  # without a search for another pose
     plain = cli_here("qa", "b4.tif", "other.tif", "-o", "plain", *near)

@@ -123,6 +123,7 @@ def test_numbers_and_page(pair: Stack) -> None:
     assert "dem.tif" in page
 
 
+@pytest.mark.slow
 def test_run_again_nothing_is_matched_and_nothing_changes(pair: Stack, folder: Path) -> None:
     before = (pair.out_dir / "stack.json").read_bytes()
     times = [file.stat().st_mtime_ns for file in sorted((pair.out_dir / "pairs").rglob("*"))]

@@ -95,6 +95,7 @@ def test_other_images_of_two_motions_are_refused_with_both_named(tmp_path: Path)
     assert re.search(r"\(\+(3\.9|4\.0), -(8\.9|9\.0)\) px", found.reason)
 
 
+@pytest.mark.slow
 def test_a_few_clouds_leave_the_ground_its_place(tmp_path: Path) -> None:
     found = run(*pair(tmp_path, ("first.tif", "second.tif"), 0.3), Settings())
     assert found.status == "registered"
@@ -103,6 +104,7 @@ def test_a_few_clouds_leave_the_ground_its_place(tmp_path: Path) -> None:
     assert len(found.motions) == 2
 
 
+@pytest.mark.slow
 def test_a_ship_that_moves_is_no_second_motion(tmp_path: Path) -> None:
     first, second = (
         render(CLEAR, name, seed=2, displacement_px=moved)
@@ -117,6 +119,7 @@ def test_a_ship_that_moves_is_no_second_motion(tmp_path: Path) -> None:
     assert found.quality.grade == "good"
 
 
+@pytest.mark.slow
 def test_patches_smaller_than_a_window_are_told_from_what_fits_around_the_points(tmp_path: Path) -> None:
     """A sixth of the ground, in patches, lies 4 px off: large windows put most points with the rest."""
     grid = make_grid((SIDE, SIDE))

@@ -15,13 +15,11 @@ from tests.patience import PATIENCE_S
 TESTS = Path(__file__).resolve().parents[1]
 REPOSITORY = TESTS.parent
 GATES = {
-    "a pair by the default call": "cli/test_demo.py::test_the_pair_is_registered_to_a_fraction_of_a_pixel",
     "a real pair of two sensors": "job/test_real_data.py::test_landsat_and_sentinel_forward_and_backward",
     "a stack that refuses an image": "multi/test_grades.py::"
     "test_a_refused_image_has_no_raster_and_the_run_says_so",
     "a real block of images with RPCs": "job/test_real_data.py::"
     "test_orthoimages_of_a_block_over_a_coarse_dem_lie_on_each_other",
-    "a rig": "rigs/test_rig_job.py::test_a_rig_is_learned_from_captures_alone",
     "the quality of real bands": "multi/test_qa.py::test_real_bands",
     "a job that is killed": "execution/test_faults.py::"
     "test_a_killed_job_leaves_nothing_under_a_final_name_and_can_be_started_again",

@@ -204,7 +204,6 @@ def test_frames_of_nothing_are_refused(tmp_path: Path) -> None:
         pg.rig_learn([tmp_path], executor=InThisProcess())
 
 
-@pytest.mark.gate
 @pytest.mark.slow
 def test_a_rig_is_learned_from_captures_alone(frames: Path, tmp_path: Path) -> None:
     told: list[Event] = []
