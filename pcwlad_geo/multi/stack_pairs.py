@@ -203,15 +203,17 @@ def measured_pair(
     return edge, found if edge is None else graded(found, edge, report)
 
 
+def _damaged(place: Path, error: Exception) -> OutputError:
+    return OutputError(f"{place} has a damaged report ({error}): remove the folder, and run again")
+
+
 def _motions_of(report: Mapping[str, Any], place: Path) -> tuple[Motion, ...]:
     """Return the motions in the report of a pair; raises `OutputError` if they are damaged."""
     try:
         motions = tuple(Motion(**each) for each in report.get("motions", ()))
         describe_motions(motions, taken=True)  # fails where a value is of a wrong type
     except (TypeError, ValueError) as error:
-        raise OutputError(
-            f"{place} has a damaged report ({error}): remove the folder, and run again"
-        ) from error
+        raise _damaged(place, error) from error
     return motions
 
 
@@ -242,9 +244,7 @@ def _proof_of(report: Mapping[str, Any], place: Path) -> Proof | None:
     try:
         return TypeAdapter(Proof).validate_python({**found, "map": ()}) if found else None
     except (TypeError, ValidationError) as error:
-        raise OutputError(
-            f"{place} has a damaged report ({error}): remove the folder, and run again"
-        ) from error
+        raise _damaged(place, error) from error
 
 
 def _displaced_otherwise(place: Path) -> Iterator[Reason]:
