@@ -112,8 +112,15 @@ def jackknife(found: Float64) -> Float64:
     return np.asarray((found - found.mean(axis=0)) * ALIKE * np.sqrt((len(found) - 1) / len(found)))
 
 
-def larger(one: Float64, other: Float64) -> Float64:
-    """Return in each direction the larger of two covariances, `one` and `other`, all (n, 2, 2)."""
+def propagated(design: Float64, covariance: Float64, changes: Float64) -> Float64:
+    """Return the (n, 2, 2) covariance of values by that of parameters, at least what a jackknife tells.
+
+    The (n, 2, p) `design` holds their derivatives; the (p, p) `covariance` and the (k, p) `changes` without a
+    block (see `jackknife`) are of the parameters. In each direction the larger is taken.
+    """
+    one = design @ covariance @ design.transpose(0, 2, 1)
+    changed = np.einsum("nap,kp->nak", design, changes)
+    other = changed @ changed.transpose(0, 2, 1)
     size = np.trace(one, axis1=1, axis2=2) + np.trace(other, axis1=1, axis2=2)
     least = (1e-9 * size + 1e-30)[:, None, None] * np.eye(2)
     root = triangular(one + least, MEASURED)

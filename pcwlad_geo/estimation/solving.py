@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 import scipy.linalg
-from scipy.sparse import csc_array, eye_array
+from scipy.sparse import coo_array, csc_array, diags_array, eye_array, sparray
 from scipy.sparse.linalg import SuperLU, splu
 
 from pcwlad_geo.errors import InputError
@@ -118,6 +118,70 @@ class BandedFactor:
         placed[self._order] = right
         found = scipy.linalg.cho_solve_banded((self._factor, True), placed, True, check_finite=False)
         return np.asarray(found[self._order], np.float64)
+
+
+class NormalEquations:
+    """The normal equations of weighted least squares, summed up from observations of a few unknowns each."""
+
+    def __init__(self, unknowns: int) -> None:
+        self.right = np.zeros(unknowns)
+        self._sums: list[tuple[Float64, Index, Index]] = []  # values, rows, columns
+
+    def add(self, places: Index, normal: Float64, right: Float64 | float = 0.0) -> None:
+        """Add (..., q, q) `normal` matrices and (..., q) `right` sides of unknowns at (..., q) `places`."""
+        rows, columns = (np.broadcast_to(np.expand_dims(places, k), normal.shape) for k in (-1, -2))
+        self._sums.append((normal.ravel(), rows.ravel(), columns.ravel()))
+        np.add.at(self.right, places, right)
+
+    def observe(self, places: Index, design: Float64, weight: Float64, values: Float64) -> None:
+        """Add (n, a) `values` of an (n, a, q) `design` for (q,) `places`, by their (n, a, a) `weight`."""
+        weighted = weight @ design
+        normal = np.einsum("nap,naq->pq", design, weighted)
+        self.add(places, normal, np.einsum("nap,na->p", weighted, values))
+
+    def observe_rows(self, design: sparray, weight: Float64, values: Float64) -> None:
+        """Add (n,) `values` of an (n, unknowns) sparse `design`, by their (n,) `weight`."""
+        weighted = design.T @ diags_array(weight)
+        normal = (weighted @ design).tocoo()
+        self._sums.append((normal.data, normal.row, normal.col))
+        self.right += weighted @ values
+
+    def expect(self, places: Index, sigma: float, values: Float64 | float = 0.0) -> None:
+        """Add what is known beforehand of the unknowns at (q,) `places`: (q,) `values`, with a sigma."""
+        self.add(places[:, None], np.full((len(places), 1, 1), sigma**-2))
+        self.right[places] += values * sigma**-2
+
+    @property
+    def matrix(self) -> csc_array:
+        """(unknowns, unknowns) normal matrix."""
+        data, rows, columns = (np.concatenate(each) for each in zip(*self._sums, strict=True))
+        return coo_array((data, (rows, columns)), shape=(len(self.right),) * 2).tocsc()
+
+    def solve(self, needs: str) -> Float64:
+        """Return the (unknowns,) solution."""
+        return np.asarray(factorised(self.matrix, needs).solve(self.right))
+
+    def covariance(self, needs: str) -> Float64:
+        """Return the (unknowns, unknowns) covariance of the solution."""
+        return np.asarray(factorised(self.matrix, needs).solve(np.eye(len(self.right))))
+
+    def reduced(self, kept: int) -> tuple[Float64, Float64]:
+        """Return the (kept, kept) matrix and the (kept,) right side without the other unknowns.
+
+        No observation is of two of these.
+        """
+        whole = self.matrix
+        gain = whole[:kept, kept:] @ diags_array(1 / whole.diagonal()[kept:])
+        normal = (whole[:kept, :kept] - gain @ whole[kept:, :kept]).toarray()
+        return normal, self.right[:kept] - gain @ self.right[kept:]
+
+
+def components(ends: Index, count: int) -> Index:
+    """Return the (count,) numbers of the groups of so many places that (n, 2) `ends` of links connect."""
+    from scipy.sparse.csgraph import connected_components  # slow to load
+
+    links = coo_array((np.ones(len(ends)), ends.T), shape=(count, count))
+    return np.asarray(connected_components(links, directed=False)[1], np.intp)
 
 
 def undetermined(normal: csc_array, factor: SuperLU | None = None) -> int | None:

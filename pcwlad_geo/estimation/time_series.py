@@ -20,12 +20,10 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.special import fdtri
 
 from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN_LENGTH, biweight, huber
-from pcwlad_geo.estimation.solving import inverse, least_squares, solve, triangular
+from pcwlad_geo.estimation.solving import components, inverse, least_squares, solve, triangular
 from pcwlad_geo.types import Bool, Float64, Index
 
 FALSE_ALARM: Final = 0.004
@@ -442,13 +440,11 @@ def displacements(motions: Motions, images: int) -> tuple[Float64, Float64]:
     (images, 2) array, (images,) array
         px, and standard deviations along an axis, without those of the images themselves; NaN where unknown.
     """
-    first, second = motions.ends.T
-    links = csr_matrix((np.ones(len(first)), (first, second)), (images, images))
-    _, group = connected_components(links, directed=False)
+    group = components(motions.ends, images)
     own = np.flatnonzero(group == np.bincount(group).argmax())
     place = np.full(images, -1)
     place[own] = np.arange(len(own))
-    inside = place[first] >= 0
+    inside = place[motions.ends[:, 0]] >= 0
     ends = place[motions.ends[inside]]
     moved_px, weight = motions.moved_px[inside], motions.sigma_px[inside] ** -2.0
     factor = np.ones(len(weight))

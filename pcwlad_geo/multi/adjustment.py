@@ -26,8 +26,8 @@ from pcwlad_geo.correction.fit import of_option
 from pcwlad_geo.correction.models import PolynomialBasis, ProjectiveCorrection
 from pcwlad_geo.correction.selection import MIN_GAIN_PX, RESAMPLING_SIGNIFICANCE
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.estimation.robust import jackknife, larger
-from pcwlad_geo.estimation.solving import check_observations, inverse
+from pcwlad_geo.estimation.robust import jackknife, propagated
+from pcwlad_geo.estimation.solving import check_observations, components, inverse
 from pcwlad_geo.execution.runner import one_blas_thread
 from pcwlad_geo.matching.epipolar import MIN_EPIPOLAR_MATCHES, EpipolarGeometry, largest_distance_px, plane_of
 from pcwlad_geo.multi.network import (
@@ -45,7 +45,7 @@ from pcwlad_geo.multi.network import (
     Part,
     SplineBasis,
     basis_over,
-    components,
+    ends_of,
     errors_of,
     factor_of,
     folds_of,
@@ -130,17 +130,13 @@ class Adjustment:
             rows[:, other] -= np.eye(2 * terms)
             changes = changes - self.spread[:, other]
         if self.datum is None:
-            for number in range(int(self.group.max()) + 1):
-                members = self.group == number
-                rows[:, members] -= rows[:, members].mean(axis=1, keepdims=True)
+            rows = _about_mean(rows[..., None], self.group)[..., 0]
         free = np.delete(rows, self.fixed, axis=1)
         mixing = mixing_of(self.basis)
         free = (free if mixing is None else free @ mixing).reshape(2 * terms, -1)
-        solved = self._factor.solve(free.T)
-        blocks = (free @ solved).reshape(2, terms, 2, terms)
-        formal = np.einsum("nt,atbs,ns->nab", values, blocks, values)
-        changed = np.einsum("nt,kta->kna", values, changes)
-        return larger(np.asarray(formal), np.asarray(np.einsum("kna,knb->nab", changed, changed)))
+        changes = changes.transpose(0, 2, 1).reshape(len(changes), -1)
+        design = np.asarray(np.kron(np.eye(2), values[:, None]), np.float64)
+        return propagated(design, free @ self._factor.solve(free.T), changes)
 
     @cached_property
     def _factor(self) -> SuperLU:
@@ -192,7 +188,8 @@ def adjust(
     """
     for edge in edges:
         check_observations("the tie points of a pair", edge.first_xy, edge.second_xy, edge.covariance)
-    count, group = components(edges, images, np.ones(len(edges), bool))
+    group = components(ends_of(edges), images)
+    count = int(group.max()) + 1
     if not edges or (count > 1 and not split):
         away = np.flatnonzero(group != group[0]).tolist()
         raise InputError(f"{count} groups of images share no ground: images {away} are not connected")
@@ -265,7 +262,7 @@ def extend(
     parts = [part_of(edge, before.basis, coefficients, side) for edge in every]
     used, sigma = np.array([fit.used for fit in fits]), shared * errors_of(parts)
     spread = _spread(network, every, before.basis, coefficients, parts, used, sigma, side)
-    group = components(every, images, np.ones(len(every), bool))[1]
+    group = components(ends_of(every), images)
     return replace(
         before,
         coefficients=coefficients,
@@ -440,7 +437,7 @@ def _still_connected(edges: Sequence[Part], images: int, used: Bool, wanted: Boo
     chosen = wanted.copy()
     for index in np.argsort(ratio):
         if not chosen[index] and used[index]:
-            _, part = components(edges, images, chosen)
+            part = components(ends_of(edges)[chosen], images)
             if part[edges[index].first] != part[edges[index].second]:
                 chosen[index] = True
     return chosen
@@ -545,8 +542,8 @@ def homographies(
     matrices = _chained(edges, images, datum or 0)
     for _ in range(STEPS):
         rectified = [_rectified(edge, matrices) for edge in edges]
-        basis = polynomial_over([edge.first_xy for edge in rectified], 2)
-        found = adjust(rectified, images, datum=datum, split=split, basis=HomographyBasis(basis))
+        basis = polynomial_over([edge.first_xy for edge in rectified], 2, HomographyBasis)
+        found = adjust(rectified, images, datum=datum, split=split, basis=basis)
         corners = np.array([basis.centre_px, basis.low_px, basis.high_px])
         steps = [found.displacement(image, corners) for image in range(images)]
         matrices = np.stack(
@@ -582,7 +579,7 @@ def _chained(edges: Sequence[Edge], images: int, first: int) -> Float64:
     matrices = np.tile(np.eye(3), (images, 1, 1))
     known: set[int] = set()
     by_points = sorted(range(len(edges)), key=lambda number: -len(edges[number]))
-    _, group = components(edges, images, np.ones(len(edges), bool))
+    group = components(ends_of(edges), images)
     firsts = [int(np.flatnonzero(group == each)[0]) for each in range(int(group.max()) + 1)]
     for start in [first, *(each for each in firsts if group[each] != group[first])]:
         if start in known:
@@ -741,7 +738,7 @@ class _ModelTrial:
 def _trial(edges: Sequence[Edge], start: Adjustment, basis: Basis) -> _ModelTrial:
     """Sum up the pairs by a model, at the ground that another tells."""
     side = side_of_blocks(edges)
-    network = _trial_network(start, basis)
+    network = _network(len(start.coefficients), basis, start.fixed)
     coefficients = np.zeros((network.images, network.terms, 2))
     for _ in range(2):  # at the ground that the displacements so far tell
         parts = [part_of(edge, basis, coefficients, side) for edge in edges]
@@ -753,17 +750,14 @@ def _trial(edges: Sequence[Edge], start: Adjustment, basis: Basis) -> _ModelTria
     return _ModelTrial(basis, parts, folds, shared)
 
 
-def _trial_network(start: Adjustment, basis: Basis) -> Network:
-    return Network(len(start.coefficients), terms_of(basis), start.fixed, penalty_of(basis))
-
-
 def _errors(trial: _ModelTrial, start: Adjustment, scatter: Float64, shared: Float64) -> Float64:
     """Return, for each turn, the mean square of what left-out points lie off, in scatters of their pairs.
 
     NaN for turns in which none are left out.
     `scatter` and `shared`, (edges,) standard deviations, are of the points and of what those of a pair share.
     """
-    network, found = _trial_network(start, trial.basis), np.full(BLOCKS**2, np.nan)
+    network = _network(len(start.coefficients), trial.basis, start.fixed)
+    found = np.full(BLOCKS**2, np.nan)
     for number in range(BLOCKS**2):
         left_out = [next((fold for fold in folds if fold.number == number), None) for folds in trial.folds]
         kept = [fold.kept if fold else part for part, fold in zip(trial.parts, left_out, strict=True)]

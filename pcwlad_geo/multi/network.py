@@ -10,8 +10,7 @@ from itertools import pairwise
 from typing import Final, Protocol
 
 import numpy as np
-from scipy.sparse import block_diag, coo_array, csc_array, eye_array, kron
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU
 from scipy.spatial import cKDTree
 
@@ -21,7 +20,16 @@ from pcwlad_geo.correction.models import PolynomialBasis, SplineGrid
 from pcwlad_geo.correction.thin_plate import bending
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.robust import ALIKE, MEASURED, outlier_factors, reliability, sigma_of
-from pcwlad_geo.estimation.solving import RANK, factorised, inverse, least_squares, solve, undetermined
+from pcwlad_geo.estimation.solving import (
+    RANK,
+    NormalEquations,
+    components,
+    factorised,
+    inverse,
+    least_squares,
+    solve,
+    undetermined,
+)
 from pcwlad_geo.types import Bool, Float64, Index
 
 SPLINE: Final = "tps"
@@ -70,25 +78,9 @@ class SplineBasis:
         return np.asarray(bending(self.grid).toarray()) / self.roughness**2
 
 
-@dataclass(frozen=True, eq=False)
-class HomographyBasis:
+@dataclass(frozen=True, slots=True, eq=False)
+class HomographyBasis(PolynomialBasis):
     """An infinitesimal homography: a polynomial of order 2, of eight unknowns for both axes together."""
-
-    polynomial: PolynomialBasis
-
-    @property
-    def low_px(self) -> tuple[float, float]:
-        """Corner (x, y) of the ground, map units."""
-        return self.polynomial.low_px
-
-    @property
-    def centre_px(self) -> tuple[float, float]:
-        """Its middle."""
-        return self.polynomial.centre_px
-
-    def values(self, at_px: Float64) -> Float64:
-        """Return the (n, 6) values of 1, u, v, u², uv, v² at the (n, 2) positions `at_px` (x, y)."""
-        return self.polynomial.values(at_px)
 
     @property
     def mixing(self) -> Float64:
@@ -122,12 +114,14 @@ def penalty_of(basis: Basis) -> Float64:
     return basis.penalty if isinstance(basis, SplineBasis) else np.zeros((terms, terms))
 
 
-def polynomial_over(places: Sequence[Float64], order: int) -> PolynomialBasis:
+def polynomial_over(
+    places: Sequence[Float64], order: int, kind: type[PolynomialBasis] = PolynomialBasis
+) -> PolynomialBasis:
     """Return the terms of a polynomial about the middle of the ground of (n, 2) `places` (x, y)."""
     low = np.min([place.min(axis=0) for place in places], axis=0)
     high = np.max([place.max(axis=0) for place in places], axis=0)
     centre, radius = (low + high) / 2, max(float((high - low).max()) / 2, 1e-9)
-    return PolynomialBasis(order, float_pair(centre), radius, float_pair(low), float_pair(high))
+    return kind(order, float_pair(centre), radius, float_pair(low), float_pair(high))
 
 
 def basis_over(places: Sequence[Float64], model: str, roughness: float = ROUGHNESS[1]) -> Basis:
@@ -323,9 +317,7 @@ def linked(edges: Sequence[Edge]) -> list[Edge]:
     for number in np.unique(image):
         there = np.flatnonzero(image == number)
         links.append(of_point[there[_near_pairs(at[there])]])
-    one, other = np.concatenate(links).T
-    graph = coo_array((np.ones(len(one)), (one, other)), shape=(count[-1], count[-1]))
-    track = connected_components(graph, directed=False)[1]
+    track = components(np.concatenate(links), int(count[-1]))
     tracked = np.unique(np.column_stack([track[of_point], image]), axis=0)[:, 0]
     images = np.bincount(tracked, minlength=len(track)).astype(np.float64)[track]
     return [replace(edge, images=images[a:b]) for edge, (a, b) in zip(edges, pairwise(count), strict=True)]
@@ -472,15 +464,9 @@ def _sums(points: _Weighted, chosen: Bool | slice) -> tuple[Float64, Float64, Fl
     )
 
 
-def components(edges: Sequence[Edge] | Sequence[Part], images: int, used: Bool) -> tuple[int, Index]:
-    """Return how many groups of images the edges in use connect, and the (images,) group of each.
-
-    The (edges,) bool array `used` says which are.
-    """
-    ends = np.array([(edge.first, edge.second) for edge in edges], dtype=np.intp).reshape(-1, 2)[used]
-    links = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(images, images))
-    count, part = connected_components(links, directed=False)
-    return int(count), np.asarray(part, dtype=np.intp)
+def ends_of(edges: Sequence[Edge] | Sequence[Part]) -> Index:
+    """Return the (edges, 2) numbers of the images of edges."""
+    return np.array([(edge.first, edge.second) for edge in edges], np.intp).reshape(-1, 2)
 
 
 def factor_of(normal: csc_array, images: int, fixed: Sequence[int], *, check: bool = False) -> SuperLU:
@@ -571,22 +557,18 @@ class Network:
         rhs = rhs - (gain @ shared_rhs[:, :, None])[:, :, 0]
         if self.mixing is not None:
             block, rhs = self.mixing.T @ block @ self.mixing, rhs @ self.mixing
-        ends = np.array([(part.first, part.second) for part in chosen])
-        right = np.zeros((self.images, size))
-        np.add.at(right, ends[:, 0], -rhs)
-        np.add.at(right, ends[:, 1], rhs)
-        index = ends[:, :, None] * size + np.arange(size)
-        place = [np.broadcast_to(index[:, e, :, None], block.shape).ravel() for e in (0, 0, 1, 1)]
-        across_place = [np.broadcast_to(index[:, e, None, :], block.shape).ravel() for e in (0, 1, 0, 1)]
-        data = np.concatenate([sign * block.ravel() for sign in (1.0, -1.0, -1.0, 1.0)])
-        rows, cols = np.concatenate(place), np.concatenate(across_place)
-        whole = coo_array((data, (rows, cols)), shape=(self.images * size,) * 2).tocsc()
-        if self.penalty.any():
-            whole = whole + kron(eye_array(2 * self.images), self.penalty, format="csc")
-        if self.known is not None:
-            whole = whole + block_diag([np.kron(np.eye(2), each) for each in self.known], format="csc")
+        equations = NormalEquations(self.images * size)
+        places = np.arange(self.images * size).reshape(self.images, size)
+        equations.add(
+            places[ends_of(chosen)].reshape(len(chosen), -1),
+            np.kron([[1.0, -1.0], [-1.0, 1.0]], block),
+            np.hstack([-rhs, rhs]),
+        )
+        for prior in (self.penalty[None], self.known):
+            if prior is not None and prior.any():  # of each image, axis by axis
+                equations.add(places, np.broadcast_to(np.kron(np.eye(2), prior), (self.images, size, size)))
         free = self.free
-        return csc_array(whole[free][:, free]), right.ravel()[free]
+        return csc_array(equations.matrix[free][:, free]), equations.right[free]
 
     def coefficients(self, parts: Sequence[Part], used: Bool, shared: Float64) -> Float64:
         """Return the (images, terms, 2) coefficients alone; (edges,) `used` and `shared` as in `solve`."""

@@ -15,13 +15,18 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from pcwlad_geo.correction.fit import LOSSLESS
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.estimation.robust import MEASURED, jackknife, larger, outlier_factors, reliability, sigma_of
-from pcwlad_geo.estimation.solving import inverse, solve
+from pcwlad_geo.estimation.robust import (
+    MEASURED,
+    jackknife,
+    outlier_factors,
+    propagated,
+    reliability,
+    sigma_of,
+)
+from pcwlad_geo.estimation.solving import NormalEquations, components, inverse
 from pcwlad_geo.execution.runner import one_blas_thread
 from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px, middle_pixel_size_m
@@ -195,10 +200,8 @@ class BlockAdjustment:
         size = 2 * len(terms)
         begin = self.free.index(image) * size
         own = slice(begin, begin + size)
-        design = _design(ImageTerms.over(self.shapes[image]).values(at_px)[:, terms])
-        formal = design @ self.covariance_px2[own, own] @ design.transpose(0, 2, 1)
-        changes = np.einsum("nap,kp->nak", design, self.spread_px[:, own])
-        return larger(np.asarray(formal), np.asarray(changes @ changes.transpose(0, 2, 1)))
+        at_places = ImageTerms.over(self.shapes[image]).values(at_px)[:, terms]
+        return propagated(_design(at_places), self.covariance_px2[own, own], self.spread_px[:, own])
 
 
 @dataclass(frozen=True, slots=True)
@@ -396,8 +399,7 @@ class _BlockProblem:
 
 def _design(terms: Float64) -> Float64:
     """Return the (n, 2, 2 k) design of (n, k) terms: each has a parameter of columns and one of rows."""
-    n, count = terms.shape
-    return np.asarray(np.einsum("nk,ab->nakb", terms, np.eye(2)).reshape(n, 2, 2 * count))
+    return np.asarray(np.kron(terms[:, None], np.eye(2)), np.float64)
 
 
 def _solved(problem: _BlockProblem) -> _State:
@@ -610,21 +612,20 @@ def _height_sigma(
 
 def _equations(
     problem: _BlockProblem, state: _State, datum: Float64, keep: Sequence[Float64] | None = None
-) -> tuple[Float64, Float64]:
-    """Return the normal matrix and the right-hand side of the parameters, the shared errors, the DEM's shift.
+) -> NormalEquations:
+    """Return the normal equations of the parameters, the shared errors, the DEM's shift.
 
     The (unknowns, d) combinations of the parameters that are the `datum` are zero. The points of each pair
     may have (n,) factors `keep`.
     """
-    unknowns, size = problem.unknowns, problem.unknowns + 2 * len(problem.pairs) + 2
-    whole, right = np.zeros((size, size)), np.zeros(size)
-    whole[[-1, -2], [-1, -2]] = problem.dem_prior_px**-2
-    right[-2:] = -state.start_dem_px * problem.dem_prior_px**-2
+    unknowns = np.arange(problem.unknowns)
+    dem = problem.unknowns + 2 * len(problem.pairs) + np.arange(2)
+    equations = NormalEquations(int(dem[-1]) + 1)
+    equations.expect(dem, problem.dem_prior_px, -state.start_dem_px)
     for number, pair in enumerate(problem.pairs):
-        at = unknowns + 2 * number
+        shared = problem.unknowns + 2 * number + np.arange(2)
         # control points are seen one by one
-        prior = state.shared_px**-2 if pair.height_m is None else 1.0 / NO_ERROR_PX**2
-        whole[[at, at + 1], [at, at + 1]] += prior
+        equations.expect(shared, state.shared_px if pair.height_m is None else NO_ERROR_PX)
         if not state.used[number]:
             continue
         linear, weight = state.linearised[number], state.weights[number]
@@ -633,15 +634,11 @@ def _equations(
         alike = np.broadcast_to(np.eye(2), (len(pair), 2, 2))
         design = np.concatenate([design, alike, linear.dem_rate], axis=2)[known]
         weight = weight[known] if keep is None else weight[known] * keep[number][known, None, None]
-        places = np.concatenate([places, [at, at + 1, size - 2, size - 1]])
-        weighted = weight @ design
-        whole[np.ix_(places, places)] += np.einsum("nap,naq->pq", design, weighted)
-        right[places] += np.einsum("nap,na->p", weighted, linear.left_px[known])
-    own = np.diag_indices(unknowns)
-    factor = DATUM_FACTOR * max(float(whole[own].max(initial=0.0)), 1.0)
-    whole[:unknowns, :unknowns] += factor * datum @ datum.T
-    whole[own] += UNOBSERVED_PX**-2
-    return whole, right
+        equations.observe(np.concatenate([places, shared, dem]), design, weight, linear.left_px[known])
+    largest = float(equations.matrix.diagonal()[unknowns].max(initial=1.0))
+    equations.add(unknowns, DATUM_FACTOR * largest * datum @ datum.T)
+    equations.expect(unknowns, UNOBSERVED_PX)
+    return equations
 
 
 def _datum(problem: _BlockProblem) -> Float64:
@@ -660,8 +657,8 @@ def _datum(problem: _BlockProblem) -> Float64:
     state = _State(
         zero, zero, none, linearised, weights, (), np.zeros((len(linearised), 2)), used, none, NO_ERROR_PX
     )
-    whole, _ = _equations(problem, state, np.zeros((problem.unknowns, 0)))
-    normal = whole[: problem.unknowns, : problem.unknowns]
+    whole = _equations(problem, state, np.zeros((problem.unknowns, 0))).matrix
+    normal = whole[: problem.unknowns, : problem.unknowns].toarray()
     # in lengths on the ground, so that none but the smallest biases there are of the smallest sum of squares
     scale = np.repeat([pixel_in_frame(block, image) for image in block.free], problem.size)
     value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
@@ -671,14 +668,14 @@ def _datum(problem: _BlockProblem) -> Float64:
 
 def _step(problem: _BlockProblem, state: _State, datum: Float64) -> _State:
     """Solve the equations, and estimate the error that the points of a pair share by the cycles."""
-    whole, right = _equations(problem, state, datum)
-    solution = solve(whole, right, NEEDS)
+    equations = _equations(problem, state, datum)
+    solution = equations.solve(NEEDS)
     parameters = state.start.copy()
     free = list(problem.block.free)
     parameters[free] += solution[: problem.unknowns].reshape(len(free), len(problem.terms), 2)
     offsets = np.asarray(solution[problem.unknowns : -2].reshape(-1, 2), np.float64)
     counted = state.used & np.array([pair.height_m is None for pair in problem.pairs])
-    redundancy = float(_redundancy(problem, state, whole)[counted].sum())
+    redundancy = float(_redundancy(problem, state, equations)[counted].sum())
     shared_px = USUAL_PX
     if redundancy >= MIN_REDUNDANCY:
         shared_px = max(float(np.sqrt((offsets[counted] ** 2).sum() / (2 * redundancy))), LEAST_PX)
@@ -686,9 +683,9 @@ def _step(problem: _BlockProblem, state: _State, datum: Float64) -> _State:
     return replace(state, parameters=parameters, offsets=offsets, shared_px=shared_px, dem_px=dem_px)
 
 
-def _redundancy(problem: _BlockProblem, state: _State, whole: Float64) -> Float64:
+def _redundancy(problem: _BlockProblem, state: _State, equations: NormalEquations) -> Float64:
     """Return for each of the (pairs,) how much of its shared error the other pairs check, from 0 to 1."""
-    posterior = np.diagonal(inverse(whole, NEEDS))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
+    posterior = np.diagonal(equations.covariance(NEEDS))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
     return np.asarray(np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0))
 
 
@@ -715,19 +712,14 @@ def _without_the_worst(problem: _BlockProblem, state: _State, datum: Float64) ->
     if not found:
         return None
     best = min(found, key=lambda each: each[0])[1]
-    whole, _ = _equations(problem, best, datum)
     # do the pairs in use form cycles, which tell that they agree?
-    return best if _redundancy(problem, best, whole)[best.used].sum() >= MIN_REDUNDANCY else None
+    redundancy = _redundancy(problem, best, _equations(problem, best, datum))
+    return best if redundancy[best.used].sum() >= MIN_REDUNDANCY else None
 
 
 def _connected(problem: _BlockProblem, used: Bool) -> bool:
-    ends = [(pair.first, pair.second) for pair, good in zip(problem.pairs, used, strict=True) if good]
-    links = coo_array(
-        (np.ones(len(ends)), np.array(ends).reshape(-1, 2).T), shape=(len(problem.block.grids),) * 2
-    )
-    _, group = connected_components(links, directed=False)
-    every = {image for pair in problem.pairs for image in (pair.first, pair.second)}
-    return len({int(group[image]) for image in every}) == 1
+    ends = np.array([(pair.first, pair.second) for pair in problem.pairs])
+    return len(set(components(ends[used], len(problem.block.grids))[ends].ravel().tolist())) == 1
 
 
 def _mean_left(problem: _BlockProblem, state: _State, number: int) -> tuple[Float64, Float64, Float64]:
@@ -767,8 +759,8 @@ def _without_cells(
         inside = [cell == number for cell in cells]
         if sum(int(each.sum()) for each in inside) * 2 > sum(len(each) for each in inside):
             continue  # what is left of it tells nothing
-        whole, right = _equations(problem, state, datum, [(~each).astype(np.float64) for each in inside])
-        yield [np.asarray(each) for each in inside], solve(whole, right, NEEDS)
+        equations = _equations(problem, state, datum, [(~each).astype(np.float64) for each in inside])
+        yield [np.asarray(each) for each in inside], equations.solve(NEEDS)
 
 
 def _left_out_px2(problem: _BlockProblem, state: _State, judge: Sequence[Float64]) -> Float64:
@@ -796,10 +788,9 @@ def _left_out_px2(problem: _BlockProblem, state: _State, judge: Sequence[Float64
 def _result(problem: _BlockProblem, state: _State, scores: Mapping[str, float]) -> BlockAdjustment:
     """Return the adjustment with its covariance and what it says of each pair."""
     datum, unknowns = _datum(problem), problem.unknowns
-    whole, _ = _equations(problem, state, datum)
-    covariance = inverse(whole, NEEDS)
+    covariance = _equations(problem, state, datum).covariance(NEEDS)
     steps = np.array([step for _, step in _without_cells(problem, state, problem.block.dem)])
-    spread = np.zeros((1, len(whole)))
+    spread = np.zeros((1, len(covariance)))
     if len(steps) > 1:
         spread = jackknife(steps)
     dem_px2 = np.maximum(np.diagonal(covariance)[-2:], (spread[:, -2:] ** 2).sum(axis=0))
@@ -854,10 +845,10 @@ def _response_to_height(problem: _BlockProblem, state: _State, datum: Float64) -
     """Return `BlockAdjustment.by_height_px`, of level ground: its relief is told by the other unknowns."""
     level = [_linearised(problem.block, pair, level=True) for pair in problem.pairs]
     linearised = tuple(replace(linear, left_px=-linear.height_rate) for linear in level)
-    whole, right = _equations(problem, replace(state, linearised=linearised, start_dem_px=np.zeros(2)), datum)
+    state = replace(state, linearised=linearised, start_dem_px=np.zeros(2))
+    step = _equations(problem, state, datum).solve(NEEDS)[: problem.unknowns]
     found = np.zeros((len(problem.block.grids), 2))
-    step = solve(whole, right, NEEDS)[: problem.unknowns].reshape(-1, len(problem.terms), 2)
-    found[list(problem.block.free)] = step[:, 0]
+    found[list(problem.block.free)] = step.reshape(-1, len(problem.terms), 2)[:, 0]
     return found
 
 

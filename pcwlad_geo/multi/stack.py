@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
@@ -16,6 +17,7 @@ from shapely import Polygon, box
 from pcwlad_geo.band_warping import WarpOutput
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
+from pcwlad_geo.estimation.solving import components
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore, only_warnings
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner
@@ -29,7 +31,7 @@ from pcwlad_geo.multi.adjustment import (
     homographies,
     or_homographies,
 )
-from pcwlad_geo.multi.network import Edge, components, named
+from pcwlad_geo.multi.network import Edge, ends_of, named
 from pcwlad_geo.multi.pages import stack_page
 from pcwlad_geo.multi.rpc_stack import (
     PlacedImages,
@@ -467,14 +469,10 @@ def asked(
 def _kinds(frame: StackFrame, edges: Sequence[Edge], adjustment: Adjustment) -> list[tuple[object, ...]]:
     """Return the kind of each image: like images have pairs of small errors, one band and one pixel size."""
     error = np.array([fit.shared for fit in adjustment.edges])
-    _, like = components(edges, len(adjustment.coefficients), error <= UNSURE * float(np.median(error)))
-    kinds: list[tuple[object, ...]] = []
-    for number, info in enumerate(frame.infos):
-        pixel = abs(float(np.linalg.det(frame.scale(number, info.grid.middle_px)[0]))) ** 0.5
-        kinds.append(
-            (int(like[number]), frame.given(number).band, round(float(np.log(pixel)) / PIXELS_ALIKE))
-        )
-    return kinds
+    near = error <= UNSURE * float(np.median(error))
+    like = components(ends_of(edges)[near], len(adjustment.coefficients))
+    sizes = [round(math.log(frame.pixel(number)) / PIXELS_ALIKE) for number in range(len(frame.infos))]
+    return [(int(like[number]), frame.given(number).band, size) for number, size in enumerate(sizes)]
 
 
 PIXELS_ALIKE: Final = 0.1
@@ -739,5 +737,4 @@ def _finer(frame: StackFrame, number: int, settings: Settings) -> int:
     within = isinstance(own.band, str) and own.path == first.path
     if not within or settings.like is not None or settings.grid == "reference-exact":
         return 1
-    area = abs(float(np.linalg.det(frame.scale(number, frame.infos[number].grid.middle_px)[0])))
-    return max(1, round(float(1 / np.sqrt(area))))
+    return max(1, round(1 / frame.pixel(number)))

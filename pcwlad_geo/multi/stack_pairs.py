@@ -20,12 +20,12 @@ from scipy import ndimage
 
 from pcwlad_geo.correction.error_statistics import Proof
 from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
-from pcwlad_geo.estimation.solving import least_squares, pseudo_inverse
+from pcwlad_geo.estimation.solving import components, least_squares, pseudo_inverse
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import match_elsewhere, match_files, write_match
 from pcwlad_geo.limits import check_coordinates
-from pcwlad_geo.multi.network import Edge, basis_over, components
+from pcwlad_geo.multi.network import Edge, basis_over, ends_of
 from pcwlad_geo.multi.stack_inputs import StackInput, number_of, read_table
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products import of_one_product
@@ -150,6 +150,10 @@ class StackFrame:
         if not self.placed:
             return np.broadcast_to(np.eye(2), (len(px), 2, 2))
         return jacobian(px, self.infos[image].grid, self.grid)
+
+    def pixel(self, image: int) -> float:
+        """Return the side of a pixel in the middle of an image, px of the frame."""
+        return math.sqrt(abs(np.linalg.det(self.scale(image, self.infos[image].grid.middle_px)[0])))
 
 
 Measured = tuple[Edge | None, StackPair]
@@ -491,7 +495,7 @@ def check_connected(
     Raises `RegistrationRejectedError` unless it may be `split` into groups, or where no pair could be
     matched.
     """
-    _, group = components(edges, len(frame.names) + 1, np.ones(len(edges), bool))
+    group = components(ends_of(edges), len(frame.names) + 1)
     groups = [
         " + ".join(name for name, of in zip(frame.names, group, strict=False) if of == number)
         for number in dict.fromkeys(group[: len(frame.names)].tolist())
@@ -579,10 +583,7 @@ def candidates(
         for number, info in enumerate(frame.infos)
     ]
     alike = _likeness(frame, overviews)
-    pixel = [
-        abs(float(np.linalg.det(frame.scale(number, info.grid.middle_px)[0]))) ** 0.5
-        for number, info in enumerate(frame.infos)
-    ]
+    pixel = [frame.pixel(number) for number in range(len(frame.infos))]
     found = []
     for one, other in combinations(range(len(outlines)), 2):
         overlap = _overlap(outlines[one], outlines[other])

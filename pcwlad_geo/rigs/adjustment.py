@@ -24,7 +24,7 @@ from scipy import sparse
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.robust import huber, sigma_of
-from pcwlad_geo.estimation.solving import inverse, solve
+from pcwlad_geo.estimation.solving import NormalEquations, inverse, solve
 from pcwlad_geo.rigs.rig import LensModel, project, rays
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -213,10 +213,7 @@ def adjust(
         # the parallax of relief stays as it is: a step would else be drawn to where more of it is allowed
         least, moved = problem.cost(state, residual, by_relief), 0.0
         for _ in range(TRIES):
-            step, normal = _step(
-                columns, by_relief.ravel(), residual, weight, point, problem.relief_sigma,
-                (before - state.vector)[free] / scale[free], _mean_row(state, free, scale * unit), damping,
-            )  # fmt: skip
+            step, normal = problem.step(state, columns, residual, by_relief, damping)
             change = np.zeros(len(scale))
             change[free] = scale[free] * step
             there = state.with_vector(state.vector + change)
@@ -272,10 +269,36 @@ class _Problem:
         along = np.bincount(self.point, weight * (residual * by_relief).sum(axis=1), count)
         own = np.bincount(self.point, weight * (by_relief**2).sum(axis=1), count)
         left = float((square - along**2 / (own + 1 / self.relief_sigma**2)).sum())
-        off = ((self.expected - state.vector)[self.free] / self.scale[self.free]) ** 2
-        mean = _mean_row(state, self.free, self.scale * self.unit)[1] / MEAN_SIGMA if self.unit else 0.0
-        total = left + float(off.sum()) + mean**2
+        mean = self._mean_row(state)[1] / MEAN_SIGMA if self.unit else 0.0
+        total = left + float((self._off(state) ** 2).sum()) + mean**2
         return total if math.isfinite(total) else math.inf
+
+    def step(
+        self, state: RigState, columns: sparse.sparray, residual: Float64, by_relief: Float64, damping: float
+    ) -> tuple[Float64, Float64]:
+        """Return the step of the free parameters, and their normal matrix, reliefs eliminated.
+
+        The `columns` are the derivatives by these parameters in units of their expected deviation.
+        """
+        free, number = np.arange(len(self.free)), np.repeat(self.point, 2)
+        relief = sparse.csr_array((by_relief.ravel(), (np.arange(len(number)), number)))
+        equations = NormalEquations(len(free) + relief.shape[1])
+        equations.observe_rows(sparse.hstack([columns, relief]), np.repeat(self.weight, 2), residual.ravel())
+        equations.expect(free, 1.0, self._off(state))
+        equations.expect(len(free) + np.arange(relief.shape[1]), self.relief_sigma)
+        row, off = self._mean_row(state)
+        equations.add(free, np.outer(row, row) / MEAN_SIGMA**2, row * off / MEAN_SIGMA**2)
+        normal, right = equations.reduced(len(free))
+        return solve(normal + damping * np.diag(np.diag(normal)), right, NEEDS), normal
+
+    def _off(self, state: RigState) -> Float64:
+        return (self.expected - state.vector)[self.free] / self.scale[self.free]
+
+    def _mean_row(self, state: RigState) -> tuple[Float64, float]:
+        """Return the derivatives of the mean nearness of the captures, and how far it is from 1."""
+        row = np.zeros(len(self.scale))
+        row[state.lenses.size + state.poses.size :: OF_PLANE] = self.unit / len(state.planes)
+        return (row * self.scale)[self.free], 1.0 - float(state.planes[:, 0].mean())
 
 
 def _by_relief(state: RigState, observed: Observations, level: Float64) -> tuple[Float64, Float64]:
@@ -375,8 +398,8 @@ def _jacobian(
     n, lenses, poses = len(observed), state.lenses.size, state.poses.size
     now = _predicted(state, observed, level, along)
     entries: list[tuple[Index, Float64]] = []
-    for k in range(OF_LENS):
-        step = float(_steps(state.lenses[0, 0])[k])
+    small = [1e-5 * float(state.lenses[0, 0])] * 3 + [1e-5, 1e-5, 1e-5, 1e-6, 1e-6]  # they move px by little
+    for k, step in enumerate(small):
         moved = state.lenses.copy()
         moved[:, k] += step
         if free.intersection(range(k, lenses, OF_LENS)):
@@ -406,49 +429,3 @@ def _relief_sigma(state: RigState) -> float:
     """Return the standard deviation of a point's nearness from the plane of its capture."""
     base = float(np.hypot(*state.poses[: len(state.lenses), 3:5].T).max())
     return float(np.clip(RELIEF_PX / max(base * state.lenses[0, 0], 1e-9), *RELIEF))
-
-
-def _steps(focal_px: float) -> Float64:
-    """Return steps of the parameters of a lens that move px by little."""
-    lengths, ratios = [1e-5 * focal_px] * 3, [1e-5, 1e-5, 1e-5, 1e-6, 1e-6]
-    return np.array([*lengths, *ratios])
-
-
-def _mean_row(state: RigState, free: Index, scale: Float64) -> tuple[Float64, float]:
-    """Return the derivatives of the mean nearness of the captures, and how far it is from 1."""
-    row = np.zeros(len(scale))
-    begin = state.lenses.size + state.poses.size
-    row[begin::OF_PLANE] = 1 / len(state.planes)
-    return (row * scale)[free], 1.0 - float(state.planes[:, 0].mean())
-
-
-def _step(
-    columns: sparse.csr_matrix,
-    by_relief: Float64,
-    residual: Float64,
-    weight: Float64,
-    point: Index,
-    relief_sigma: float,
-    expected: Float64,
-    mean: tuple[Float64, float],
-    damping: float,
-) -> tuple[Float64, Float64]:
-    """Return the step of the parameters, and the normal matrix without relief.
-
-    The parameters are in units of their expected deviation, so that what is expected of them adds 1 to the
-    diagonal.
-    """
-    twice, number = np.repeat(weight, 2), np.repeat(point, 2)
-    weighted = sparse.diags(twice) @ columns
-    normal = (columns.T @ weighted).toarray() + np.eye(columns.shape[1])
-    normal += np.outer(mean[0], mean[0]) / MEAN_SIGMA**2
-    right = weighted.T @ residual.ravel() + expected + mean[0] * mean[1] / MEAN_SIGMA**2
-    count = int(point.max()) + 1
-    own = np.bincount(number, twice * by_relief**2, count) + 1 / relief_sigma**2
-    gather = sparse.csr_matrix((twice * by_relief, (np.arange(len(number)), number)), (len(number), count))
-    cross = (columns.T @ gather).tocsr()
-    pull = np.asarray(gather.T @ residual.ravel())
-    inner = sparse.diags(1 / own)
-    reduced = normal - (cross @ inner @ cross.T).toarray()
-    step = solve(reduced + damping * np.diag(np.diag(reduced)), right - cross @ (pull / own), NEEDS)
-    return step, reduced

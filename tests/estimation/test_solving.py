@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, csr_array
 
 from pcwlad_geo.correction.dense import invert
 from pcwlad_geo.correction.fit import MODELS
@@ -16,6 +16,7 @@ from pcwlad_geo.correction.points import agreement
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import (
     BandedFactor,
+    NormalEquations,
     check_observations,
     check_rank,
     factorised,
@@ -208,3 +209,32 @@ def test_what_is_beside_the_fits_takes_singular_control(
 def test_a_way_back_that_runs_away_is_nowhere() -> None:
     found = invert(lambda xy: 0 * xy, lambda xy: np.zeros((len(xy), 2, 2)), np.ones((1, 2)))
     assert np.isnan(found).all()
+
+
+def test_normal_equations_are_those_of_all_observations_and_what_is_known_before() -> None:
+    rng = np.random.default_rng(0)
+    design, values = rng.normal(size=(30, 5)), rng.normal(size=30)
+    weight, sigma, known = rng.uniform(0.5, 2.0, 30), 0.7, rng.normal(size=2)
+    equations = NormalEquations(5)
+    equations.observe_rows(csr_array(design[:10]), weight[:10], values[:10])
+    for pair in range(10, 30, 2):  # two observations of the first three unknowns, correlated
+        design[pair : pair + 2, 3:] = 0.0
+        block = np.diag(weight[pair : pair + 2])
+        of_some = design[None, pair : pair + 2, :3]
+        equations.observe(np.arange(3), of_some, block[None], values[None, pair : pair + 2])
+    equations.expect(np.array([3, 4]), sigma, known)
+    prior = np.diag([0.0, 0.0, 0.0, sigma**-2, sigma**-2])
+    normal = design.T @ (weight[:, None] * design) + prior
+    right = design.T @ (weight * values) + prior @ np.concatenate([np.zeros(3), known])
+    np.testing.assert_allclose(equations.matrix.toarray(), normal, atol=1e-12)
+    np.testing.assert_allclose(equations.solve(NEEDS), np.linalg.solve(normal, right))
+    np.testing.assert_allclose(equations.covariance(NEEDS), np.linalg.inv(normal))
+
+
+def test_eliminated_unknowns_leave_the_solution_of_the_others() -> None:
+    rng = np.random.default_rng(1)
+    own, of_point = rng.normal(size=(12, 2)), np.repeat(np.eye(6), 2, axis=0) * rng.normal(size=(12, 1))
+    equations = NormalEquations(8)
+    equations.observe_rows(csr_array(np.hstack([own, of_point])), np.ones(12), rng.normal(size=12))
+    equations.expect(np.arange(2, 8), 0.5)
+    np.testing.assert_allclose(np.linalg.solve(*equations.reduced(2)), equations.solve(NEEDS)[:2])
