@@ -88,7 +88,7 @@ def split_bands(raster: PathLike) -> tuple[str, list[int | str] | None]:
     """
     raster = os.fspath(raster)
     match = _BANDS.fullmatch(raster)
-    if match is None or Path(raster).exists() or not _is_file(match[1]):
+    if match is None or Path(raster).exists() or not (match[1].startswith("/vsi") or Path(match[1]).exists()):
         return raster, None
     return match[1], parse_bands(match[2])
 
@@ -113,10 +113,6 @@ def parse_bands(text: str) -> list[int | str]:
             raise SettingsError(f"bands = {text!r}: {part.strip()} is no range of bands")
         bands += span
     return bands
-
-
-def _is_file(path: str) -> bool:
-    return path.startswith("/vsi") or Path(path).exists()
 
 
 def _of_raster(uri: str, wanted: Sequence[int | str] | None, mask: PathLike | None) -> list[Wanted]:
@@ -190,8 +186,9 @@ def list_bands(
     cannot be used, a band occurs twice, or there are fewer than two.
     """
     found = [_described(wanted) for raster in rasters for wanted in expand(raster, bands, mask)]
-    for band in found:
-        if sum(_same(band, other) for other in found) > 1:
+    places = [(band.info.band, Path(band.file).absolute()) for band in found]
+    for band, place in zip(found, places, strict=True):
+        if places.count(place) > 1:
             raise InputError(f"{band.where} is there twice: name every band once")
     if len(found) < 2:
         raise InputError(
@@ -224,12 +221,8 @@ def find_band(bands: Sequence[Band], name: str) -> Band:
 def with_native_px(bands: Sequence[Band], stated: Sequence[str]) -> list[Band]:
     """Return the bands with the native pixel sizes that the user states.
 
-    Raises `SettingsError` if a size cannot be parsed, or names no band.
-
-    Parameters
-    ----------
-    stated : sequence of str
-        ``NAME=METRES``, or ``METRES`` for all bands.
+    Raises `SettingsError` if a size cannot be parsed, or names no band. Each of the `stated` is
+    ``NAME=METRES``, or ``METRES`` for all bands.
     """
     result = {band.name: band for band in bands}
     if stated and any(band.px_m is None for band in bands):
@@ -271,12 +264,6 @@ def _described(wanted: Wanted) -> Band:
     native = (known, known) if known else px_m
     notes = (*wanted.notes, *collar)
     return Band("", info, description, px_m, native, known is not None, wanted.product, notes)
-
-
-def _same(a: Band, b: Band) -> bool:
-    if a.info.band != b.info.band:
-        return False
-    return Path(a.file).absolute() == Path(b.file).absolute()
 
 
 def _names(bands: Sequence[Band]) -> list[str]:
@@ -391,10 +378,7 @@ class LocalMean:
 def local_means(points: TiePointTable, shape: tuple[int, int]) -> list[LocalMean]:
     """Return the mean displacement in each square with enough tie points.
 
-    Parameters
-    ----------
-    shape : (rows, cols)
-        Size of the target, px.
+    The `shape` (rows, cols) is that of the target, px.
     """
     side = max(shape) / SQUARES
     return [
@@ -452,10 +436,7 @@ def plan_pairs(bands: Sequence[Band], against: Band | None) -> list[tuple[Band, 
 def measured(reference: Band, target: Band, found: Registration) -> PairResult:
     """Return the result of a pair that was matched.
 
-    Parameters
-    ----------
-    found : Registration
-        Registration with status ``matched`` or ``rejected``.
+    What was `found` has the status ``matched`` or ``rejected``.
     """
     reference, target = replace(reference, info=found.reference), replace(target, info=found.target)
     table = found.tie_points

@@ -128,10 +128,7 @@ class Cell:
 def qa_page(summary: Summary) -> str:
     """Return the text of `qa.html`.
 
-    Parameters
-    ----------
-    summary : dict
-        The result of `summarise`.
+    The `summary` is the result of `summarise`.
     """
     pairs = summary["pairs"]
     measured = [pair for pair in pairs if pair["status"] == "measured"]
@@ -146,7 +143,7 @@ def qa_page(summary: Summary) -> str:
             summary,
             verdict=verdict(summary),
             state={None: "open", True: "good", False: "bad"}[summary["passed"]],
-            title=_title(names),
+            title=few(names),
             rows=[against] if against else names[:-1],
             columns=[name for name in names if name != against] if against else names[1:],
             cells=cells,
@@ -284,10 +281,6 @@ def _where(band: Mapping[str, Any]) -> str:
     """Return file and number of a band, unless its name contains them."""
     stem = Path(band["path"]).stem
     return "" if stem.endswith(band["name"]) else f"{stem}, band {band['band']}"
-
-
-def _title(names: Sequence[str]) -> str:
-    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
 
 
 def _warnings(pairs: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]]]:

@@ -507,18 +507,12 @@ def write_images(
             warp_image(info, image.registered, still, wanted, quiet)
             continue
         how = BandOutput(grid, settings.resampling, fmt, folder / image.registered.name)
-        _write_image(folder, image, image.rpc, how, quiet)
+        corrected, stage = image.rpc.registration.corrected_grid, image.registered.parent
+        orthorectify_band(image.path, image.registered, corrected, how, quiet)
+        vrt = image.rpc.vrt
+        write_rpc_vrt(stage / vrt, image.path, to_gdal(corrected.rpc), final_path=folder / vrt)
+        write_rpc_text(corrected.rpc, stage / image.rpc.text)
     on_event(Progress("images", len(found.images), len(found.images)))
-
-
-def _write_image(
-    folder: Path, image: StackImage, rpc: ImageRpc, how: BandOutput, on_event: EventCallback
-) -> None:
-    grid = rpc.registration.corrected_grid
-    orthorectify_band(image.path, image.registered, grid, how, on_event)
-    staged = image.registered.parent
-    write_rpc_vrt(staged / rpc.vrt, image.path, to_gdal(grid.rpc), final_path=folder / rpc.vrt)
-    write_rpc_text(grid.rpc, staged / rpc.text)
 
 
 def warp_image(

@@ -738,9 +738,7 @@ def _cell_series(
         return None
     place = np.full(len(frame.names), -1)
     place[[image.number for image in dated]] = np.arange(len(dated))
-    middles = [(image.number, frame.infos[image.number].grid.middle_px) for image in dated]
-    sizes = [float(np.abs(np.linalg.det(frame.scale(number, at)[0])) ** 0.5) for number, at in middles]
-    own_px = np.array(sizes) * [image.sigma_px for image in dated]
+    own_px = np.array([frame.pixel(image.number) * image.sigma_px for image in dated])
     order = np.argsort(motions.cell, kind="stable")
     bounds = np.searchsorted(motions.cell[order], np.stack([cells, cells + 1]))
     moved, sigmas = [], []
@@ -842,26 +840,15 @@ def _write_corrected(
             missing.append(number)
             place = out.path(APPLIED.format(frame.names[number]))
             on_event(Progress("images", number, len(frame.names)))
-            _apply(frame, number, numbers, stack, place, on_event)
+            # on the grid of the corrected images of the stack; where there are none, of its frame
+            like = stack / (numbers["images"][frame.reference]["registered"] or "")
+            settings = Settings(like=like) if like.is_file() else Settings()
+            tell = partial(only_warnings, on_event)
+            warp_onto(frame, number, from_json(entry["model"]), place, settings, tell)
         items.append(_corrected_item(out, frame, number, entry, stack, known.get(frame.names[number])))
     for name, text in stac_texts(items, "watch", CORRECTED).items() if items else ():
         out.path(name).write_text(text, encoding="utf-8", newline="")
     return CorrectedImages(len(items), there, tuple(frame.names[number] for number in missing))
-
-
-def _apply(
-    frame: StackFrame,
-    number: int,
-    numbers: Mapping[str, Any],
-    stack: Path,
-    place: Path,
-    on_event: EventCallback,
-) -> None:
-    """Write an image on the grid of the corrected images of the stack; where there are none, of its frame."""
-    like = stack / (numbers["images"][frame.reference]["registered"] or "")
-    settings = Settings(like=like) if like.is_file() else Settings()
-    correction = from_json(numbers["images"][number]["model"])
-    warp_onto(frame, number, correction, place, settings, partial(only_warnings, on_event))
 
 
 def _corrected_item(
