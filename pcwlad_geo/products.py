@@ -164,11 +164,7 @@ def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:
 
     Scenes have the names of a Collection, or any name before ``_MTL.txt`` and ``_B4.TIF``, as those of before
     the Collections and renamed ones. Raises `InputError` if there are several, or one of a later collection.
-
-    Parameters
-    ----------
-    scene : str, optional
-        Identifier of the requested scene, if there are several.
+    The `scene` is the identifier of the one wanted, if there are several.
     """
     parts = {key: files for key, files in _scenes(tree).items() if scene is None or key == scene.upper()}
     if not parts:

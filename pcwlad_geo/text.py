@@ -216,10 +216,7 @@ def one_line_of(value: object, *facts: str) -> str:
 def html_table(title: str, facts: Mapping[str, str]) -> str:
     """Return a small table for a notebook; all text is escaped.
 
-    Parameters
-    ----------
-    facts : mapping of str to str
-        Names and values, a row each.
+    The `facts` are names and values, a row each.
     """
     rows = "".join(
         f"<tr><th style='text-align:left'>{_escaped(name)}</th>"

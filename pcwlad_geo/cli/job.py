@@ -303,10 +303,7 @@ class Outcome:
     def read(paths: Mapping[str, Path]) -> Outcome:
         """Read the report.json of a finished job and select the paths of the files that it wrote.
 
-        Parameters
-        ----------
-        paths : mapping
-            Path of each kind of output, including `numbers` (report.json).
+        The `paths` are those of all kinds of output, `numbers` (report.json) among them.
         """
         summary = json.loads(paths["numbers"].read_text(encoding="utf-8"))
         written = {kind: path for kind, path in paths.items() if path.is_file()}

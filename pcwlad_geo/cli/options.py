@@ -92,12 +92,8 @@ def takes_settings(command: str) -> Callable[[Callable[..., None]], Callable[...
     """Make a decorator that gives a command all options of `Settings` that are meant for it.
 
     The decorated function declares its own options only; it finds all values in ``context.params``. One that
-    declares no `progress` is given that and the other options of `RUN_OPTIONS`, as the last ones.
-
-    Parameters
-    ----------
-    command : str
-        Name of the command, as `Option.commands` has it.
+    declares no `progress` is given that and the other options of `RUN_OPTIONS`, as the last ones. The
+    `command` is named as `Option.commands` has it.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:

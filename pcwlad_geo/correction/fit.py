@@ -48,12 +48,8 @@ def fit_projective(
     """Fit a projective transformation, that of a plane seen from another viewpoint.
 
     Raises `InputError` if the points are too few or do not determine the transformation, or an array has a
-    wrong shape or values that are not finite.
-
-    Parameters
-    ----------
-    predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays of float
-        See `fit_polynomial`, also for `footprint_px`; n ≥ 6, spread in both directions.
+    wrong shape or values that are not finite. The (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2)
+    `covariance_px2` are those of `fit_polynomial`, as is `footprint_px`; n ≥ 6, spread in both directions.
     """
     predicted, observed, covariance = checked(
         "projective", MIN_PROJECTIVE_POINTS, predicted_px, observed_px, covariance_px2

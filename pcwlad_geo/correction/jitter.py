@@ -149,12 +149,8 @@ def fit_jitter(
 
     Without such a wave it is the affine. A displacement is taken for the mean over its window. Raises
     `InputError` if the points are too few or do not determine the model, or an array has a wrong shape or
-    values that are not finite.
-
-    Parameters
-    ----------
-    predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays of float
-        See `fit.fit_polynomial`, also for `footprint_px`.
+    values that are not finite. The (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2) `covariance_px2`
+    are those of `fit.fit_polynomial`, as is `footprint_px`.
     """
     predicted, observed, covariance = checked("jitter", 5, predicted_px, observed_px, covariance_px2)
     displacement, centre = observed - predicted, predicted.mean(axis=0)

@@ -486,12 +486,8 @@ def _homogeneous(matrix: Float64, at_px: Float64) -> Float64:
 def from_json(model: Mapping[str, Any]) -> Correction:
     """Make a correction from the `model` of a report.json.
 
-    Raises `InputError` if the mapping does not describe a correction model.
-
-    Parameters
-    ----------
-    model : mapping
-        With `name` and `forward`, as `Correction.to_dict` returns it; other entries are ignored.
+    Raises `InputError` if the mapping does not describe a correction model. The `model` has `name` and
+    `forward`, as `Correction.to_dict` returns it; other entries are ignored.
     """
     try:
         name, forward = str(model["name"]), model["forward"]
@@ -596,10 +592,7 @@ ORIENTATION_CELLS = 320
 def has_foldover(correction: Correction, low_px: Float64, high_px: Float64) -> bool:
     """Return whether a correction has a foldover, or no value, anywhere in a box of predicted pixels.
 
-    Parameters
-    ----------
-    low_px, high_px : (2,) array of float
-        Corners of the box (col, row), px.
+    The (2,) `low_px` and `high_px` are corners of the box (col, row), px.
     """
     lattice = Lattice.over(low_px, high_px, float((high_px - low_px).max()) / ORIENTATION_CELLS)
     moved = correction.forward(lattice.nodes_px()).reshape(*lattice.shape, 2)

@@ -215,10 +215,7 @@ class Successive:
 def mean_precision(whitener: Float64, weight: Float64) -> Float64:
     """Return the (n,) weighted precision, 1/px², of each point, averaged over all directions.
 
-    Parameters
-    ----------
-    whitener, weight : (n, 2, 2) and (n,) arrays of float
-        See `Estimate`.
+    The (n, 2, 2) `whitener` and the (n,) `weight` are those of `Estimate`.
     """
     return np.asarray(weight * (whitener**2).sum(axis=(1, 2)) / 2)
 
@@ -477,12 +474,8 @@ def fit_tps(
     smoothing minimises the generalised cross-validation score, in which errors that overlapping windows share
     do not count as detail (Opsomer, Wang & Yang 2001). The spline never interpolates the points. Raises
     `InputError` if the points are too few or lie on a line, or an array has a wrong shape or values that are
-    not finite.
-
-    Parameters
-    ----------
-    predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays of float
-        See `fit.fit_polynomial`, also for `footprint_px`; n ≥ 12, not on one line.
+    not finite. The (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2) `covariance_px2` are those of
+    `fit.fit_polynomial`, as is `footprint_px`; n ≥ 12, not on one line.
     """
     points = checked("tps", MIN_SPLINE_POINTS, predicted_px, observed_px, covariance_px2)
     return _fit_spline("tps", ThinPlateSystem.of(points[0], footprint_px), points, footprint_px)
@@ -498,12 +491,8 @@ def fit_field(
     the affine goes to zero in wide holes, so that the affine fills them. And the smoothing minimises the
     error at left-out blocks of one window each, with the errors that these share with their neighbours
     allowed for. Raises `InputError` if the points are too few or lie on a line, or an array has a wrong shape
-    or values that are not finite.
-
-    Parameters
-    ----------
-    predicted_px, observed_px, covariance_px2 : (n, 2), (n, 2) and (n, 2, 2) arrays of float
-        See `fit.fit_polynomial`, also for `footprint_px`; n ≥ 12, not on one line.
+    or values that are not finite. The (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2)
+    `covariance_px2` are those of `fit.fit_polynomial`, as is `footprint_px`; n ≥ 12, not on one line.
     """
     points = checked("field", MIN_SPLINE_POINTS, predicted_px, observed_px, covariance_px2)
     reach_px = HOLE * (Support.of(points[0], footprint_px).reach_px or 1.0)

@@ -281,10 +281,7 @@ def rematch_with(
 ) -> TiePoints:
     """Do what `rematch` does with one or two windows; points that fail in them keep to a smaller one.
 
-    Parameters
-    ----------
-    scales : Scales
-        Of windows of the settings.
+    The `scales` are of windows of the settings.
     """
     if scales.windows_px == (settings.window,):
         return rematch(pair, points, guide, settings)
@@ -466,12 +463,8 @@ def choose_scales(
 ) -> tuple[Scales, WindowErrors | None]:
     """Choose the windows of the second pass, where they are open, and tell the errors of all that were tried.
 
-    Larger windows are tried one after the other, as long as the last one seems good.
-
-    Parameters
-    ----------
-    measured : callable
-        Gives the (k, n, 2) displacements of n points by k windows, as `displacement_by_windows` does.
+    Larger windows are tried one after the other, as long as the last one seems good. `measured` gives the (k,
+    n, 2) displacements of n points by k windows, as `displacement_by_windows` does.
     """
     tried = settings.windows[:TRIED_FIRST]
     moved = measured(tried)

@@ -123,12 +123,8 @@ def place_with_files(staged: Path, final: str | os.PathLike[str], *, overwrite: 
 def stage_inside(folder: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a hidden folder, removed at the end of the context, for files to be moved by `place_file`.
 
-    Raises `OutputError` if the folder cannot be made, or writing within the context fails.
-
-    Parameters
-    ----------
-    folder : path
-        Parent of the hidden folder; missing folders are made, and removed again if they remain empty.
+    Raises `OutputError` if the folder cannot be made, or writing within the context fails. Missing parents,
+    `folder` among them, are made, and removed again if they remain empty.
     """
     place = absolute(folder)
     created: list[Path] = []
@@ -276,11 +272,7 @@ class OutputFolder:
         """Verify all files and move them into the folder.
 
         Raises `OutputError` if a file is not complete or cannot be moved; the folder is then unchanged.
-
-        Parameters
-        ----------
-        verify : callable
-            Raises an error if a file is not complete.
+        `verify` raises an error if a file is not complete.
         """
         with disk_errors(self.out_dir):
             for scratch in self.stage.glob(".*"):
@@ -367,12 +359,7 @@ def abandon(out_dir: str | os.PathLike[str]) -> None:
     """Remove the stage of this process for a folder whose `OutputFolder` cannot be exited normally.
 
     It is used when a process must end while its main thread runs native code, and after an interrupt, which
-    may come between any two steps.
-
-    Parameters
-    ----------
-    out_dir : path
-        The output folder; results that are already in place are kept.
+    may come between any two steps. Results that are already in place in `out_dir` are kept.
     """
     folder = absolute(out_dir)
     for prefix in stage_prefixes(folder):

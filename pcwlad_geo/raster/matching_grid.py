@@ -61,12 +61,7 @@ def share_plane(reference: RasterInfo, target: RasterInfo) -> tuple[RasterInfo, 
     - One has a CRS, and the other's extent overlaps it: the other is taken to be in that CRS.
     - Otherwise both are unchanged.
 
-    Returns
-    -------
-    reference, target : RasterInfo
-        With their new grids.
-    warnings : tuple of str
-        The assumptions made.
+    Returned are both with their new grids, and warnings of the assumptions made.
     """
     if reference.plane_transform is not None and target.plane_transform is not None:
         warning = (
@@ -166,12 +161,8 @@ def limited(pair: ViewPair, extent: tuple[float, float, float, float]) -> ViewPa
     """Return the part of a pair that shows an extent; of the target with a margin for its displacement.
 
     Nothing else is read then. Raises `InputError` if the reference has no map coordinates or its RPCs, or
-    those of the target, place the pair, or if the extent lies elsewhere.
-
-    Parameters
-    ----------
-    extent : tuple of float
-        x_min, y_min, x_max, y_max in the CRS of the reference.
+    those of the target, place the pair, or if the extent lies elsewhere. The `extent` is x_min, y_min, x_max,
+    y_max in the CRS of the reference.
     """
     view, grids = pair.reference, (pair.reference.info.grid, pair.target.info.grid)
     if not pair.georeferenced or any(type(grid) is not Grid for grid in grids):

@@ -401,12 +401,7 @@ def named_files(text: bytes) -> list[Named]:
     """Return the files that a VRT names.
 
     Raises `UntrustedVrtError` if it is not well-formed XML, declares a document type (and with it entities),
-    or holds an element that is not known to be harmless.
-
-    Parameters
-    ----------
-    text : bytes
-        Content of the VRT.
+    or holds an element that is not known to be harmless. The content of the VRT is `text`.
     """
     return list(dict.fromkeys(_names(_parse(text))))
 
@@ -585,12 +580,8 @@ def check_source(file: Place) -> None:
 def check_named_by(dataset: DatasetReader, file: Place | None) -> None:
     """Check the files named by the metadata of an open raster, which GDAL has not opened yet.
 
-    Raises `UntrustedFileError` as for `check_source`.
-
-    Parameters
-    ----------
-    file : Place, optional
-        The raster's file; None for one that is not on this machine, whose metadata may name no file.
+    Raises `UntrustedFileError` as for `check_source`. The `file` is the raster's; None for one that is not on
+    this machine, whose metadata may name no file.
     """
     for name in _names_in_tags(dataset):
         if file is None:

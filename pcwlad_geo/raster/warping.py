@@ -396,12 +396,9 @@ def kernel(method: Resampling, step: Float64) -> dict[str, object]:
     """Return the resampling with GDAL's XSCALE, YSCALE: below 1 the kernel is widened against aliasing.
 
     Lanczos becomes cubic in that case, because GDAL's widened Lanczos kernel still aliases. By default GDAL
-    derives the scales per block, which leaves seams, and from bounding boxes, which blurs rotated grids.
-
-    Parameters
-    ----------
-    step : (2, 2) array
-        Derivatives of source (col, row) by output (col, row), px per px; NaN where unknown.
+    derives the scales per block, which leaves seams, and from bounding boxes, which blurs rotated grids. The
+    (2, 2) `step` holds the derivatives of source (col, row) by output (col, row), px per px; NaN where
+    unknown.
     """
     x, y = (1.0 / np.fmax(1.0, np.hypot(*row)) for row in step)
     x, y = (scale if scale < _COARSER else 1.0 for scale in (x, y))

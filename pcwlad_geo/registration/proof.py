@@ -204,13 +204,8 @@ def noise_level(values: Float64, other: Float64, valid: Bool) -> float:
     Patches vary by nothing but noise and the finest texture along the axes of the smallest eigenvalues of
     their covariance, as many as have their mean and their median alike (Chen, Zhu and Heng 2015,
     doi:10.1109/ICCV.2015.62). What `other`, another band in the same place, varies alike there is texture.
-
-    Parameters
-    ----------
-    values, other : (rows, cols) arrays
-        Finite where valid.
-    valid : (rows, cols) bool array
-        Pixels that count, in both.
+    The (rows, cols) `values` and `other` are finite where `valid`, a (rows, cols) mask of the pixels that
+    count in both.
     """
     known = np.asarray(_patches(valid).all(axis=2))
     own, beside = (_patches(np.where(valid, image, 0.0)).astype(np.float64) for image in (values, other))
@@ -380,14 +375,8 @@ def match_again(
 ) -> MatchedAgain:
     """Match the points of a setup again.
 
-    Parameters
-    ----------
-    move : Move, optional
-        Of the target; None: as it lies.
-    random : numpy.random.Generator, optional
-        Draws noise of the level of each image, which is added to it; None: none is.
-    threads : int
-        Number of threads.
+    The `move` is that of the target (None: as it lies). Noise of the level of each image is drawn by `random`
+    and added to it (None: none is).
     """
     settings, pairs, parts, of_part = setup.settings, [], [], []
     for site in setup.sites:
@@ -526,14 +515,8 @@ def measure(
 ) -> tuple[_Errors, tuple[MatchedAgain, MatchedAgain], list[_Errors]]:
     """Match the points as they lie and after each move.
 
-    Returns
-    -------
-    errors : _Errors
-        With the windows that the product chose.
-    ends : (MatchedAgain, MatchedAgain)
-        The match as they lie, and that after the first move.
-    by_window : list of _Errors
-        With each of the `windows_px`, after the first moves.
+    Returned are the errors with the windows that the product chose, the matches of the points as they lie and
+    after the first move, and the errors with each of the `windows_px` after the first moves.
     """
     before = match_again(setup, None, None, threads)
     unmoved, found, after = [before.target_px, *_by_each(setup, before, windows_px)], [], before
@@ -1073,17 +1056,8 @@ def sensitivity(
 ) -> Sensitivity | None:
     """Make a part of a pair harder by and by, and register it as any pair, until it is refused.
 
-    Parameters
-    ----------
-    log : JobLog
-        Receives progress, from the unit `begun` on.
-    seed : int
-        Of noise and clouds.
-
-    Returns
-    -------
-    Sensitivity or None
-        None where the part is refused as it lies.
+    None where the part is refused as it lies. Progress is told to `log` from the unit `begun` on; the `seed`
+    is that of noise and clouds.
     """
     part = _part(matches, register)
     target = part.target(part.window)

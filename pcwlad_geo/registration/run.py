@@ -374,10 +374,7 @@ def _of_the_main_surface(matches: Matches, footprint_px: float) -> Bool | None:
 def conclude(matches: Matches, fit: AssessedFit | None = None) -> Registration:
     """Judge what was found: registered, rejected with a reason, or matched where nothing was fitted.
 
-    Parameters
-    ----------
-    fit : AssessedFit, optional
-        Of these tie points.
+    The `fit` is of these tie points.
     """
     pair = matches.pair
     rejected = not matches.accepted or (fit is not None and fit.refusal is not None)

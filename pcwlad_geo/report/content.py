@@ -699,12 +699,7 @@ class ProofNumbers:
 def proof_numbers(registration: Registration, proof: Proof, outputs: Sequence[str]) -> ProofNumbers:
     """Return the content of `proof.json`.
 
-    Parameters
-    ----------
-    registration : Registration
-        The pair that the proof is of.
-    outputs : sequence of str
-        Names of the files in the output folder.
+    The proof is of the pair of the `registration`; `outputs` are the names of the files in the folder.
     """
     return ProofNumbers(
         schema_version=PROOF_VERSION,

@@ -444,10 +444,7 @@ def _mark(axes: Axes, where: Bool, shape: tuple[int, int], kind: GapStyle) -> No
 def candidate_figure(candidates: Sequence[CandidateEntry]) -> bytes:
     """Return a PNG of the cross-validated RMSE of each model with two standard errors.
 
-    Parameters
-    ----------
-    candidates : sequence of CandidateEntry
-        Those that have an RMSE.
+    All `candidates` have an RMSE.
     """
     shown = list(candidates)
     height_in = 0.75 + 0.26 * len(shown)

@@ -356,12 +356,8 @@ def check_pdf() -> None:
 def to_pdf(page: str) -> bytes:
     """Return an HTML page as PDF. Nothing outside the page is read.
 
-    Raises `SettingsError` if WeasyPrint or Pango is missing, or WeasyPrint is too old.
-
-    Parameters
-    ----------
-    page : str
-        Text of the page, with its images embedded.
+    Raises `SettingsError` if WeasyPrint or Pango is missing, or WeasyPrint is too old. The `page` has its
+    images embedded.
     """
     weasyprint = _weasyprint()
     only_inside = weasyprint.urls.URLFetcher(allowed_protocols=["data"])

@@ -163,10 +163,7 @@ class _Rule:
 def enlargement(from_xy: Float64, to_xy: Float64) -> float:
     """Return the factor by which arrows are drawn longer: 1, 2 or 5 times a power of ten, at least 1.
 
-    Parameters
-    ----------
-    from_xy, to_xy : (n, 2) arrays
-        Start and end points (x, y) of the arrows, map units.
+    Arrows go from the (n, 2) `from_xy` to the (n, 2) `to_xy` (x, y), map units.
     """
     lengths = np.hypot(*(to_xy - from_xy).T)
     lengths = lengths[np.isfinite(lengths)]

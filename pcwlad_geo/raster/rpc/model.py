@@ -383,12 +383,7 @@ def read_rpc(uri: str) -> RpcSource | None:
 
     As in GDAL, a .RPB or _RPC.TXT file beside the raster takes precedence over the raster's own tag. Where
     the two differ, one of them is outdated and a warning is given. Raises `InputError` if an RPC cannot be
-    read.
-
-    Parameters
-    ----------
-    uri : str
-        Path or GDAL URI.
+    read. The `uri` may be a path.
     """
     with open_raster(uri) as dataset:
         chosen = _of_dataset(uri, dataset)
@@ -507,10 +502,7 @@ def to_gdal(rpc: RpcModel) -> dict[str, str]:
 def write_rpc_text(rpc: RpcModel, path: Path) -> None:
     """Write an RPC as an `_RPC.TXT` file.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        GDAL finds `X_RPC.TXT` beside `X.tif`.
+    GDAL finds the `path` `X_RPC.TXT` beside `X.tif`.
     """
     lines = [f"{name.upper()}: {getattr(rpc, name)!r} {_UNITS[name.split('_')[0]]}" for name in NUMBERS]
     for name in POLYNOMIALS:

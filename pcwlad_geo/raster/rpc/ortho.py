@@ -106,12 +106,8 @@ def place_by_rpc(
 def plan_rpc_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
     """Plan the matching on a map grid at the coarser pixel size, each raster resampled by its RPC.
 
-    Raises `InputError` if the two do not overlap.
-
-    Parameters
-    ----------
-    reference, target : RasterInfo
-        Georeferenced, or the result of `place_by_rpc`; at least one of them the latter.
+    Raises `InputError` if the two do not overlap. Each of the two is georeferenced or the result of
+    `place_by_rpc`, at least one of them the latter.
     """
     ground = ground_grid(reference.grid)
     rows, cols = ground.shape
@@ -285,12 +281,8 @@ def ortho_grid(reference: Grid, target: RpcGrid) -> Grid:
 
     Pixels have the proportions of the reference's and the size of the target's along its finer axis, or the
     multiple or fraction of the reference's that is within 2 % of it. The grid covers the target where heights
-    are known. Raises `InputError` if no part of the target can be placed in the reference's CRS.
-
-    Parameters
-    ----------
-    target : RpcGrid
-        Grid of the target with the corrected RPC.
+    are known. Raises `InputError` if no part of the target can be placed in the reference's CRS. The `target`
+    has the corrected RPC.
     """
     placed = map_px(target.lattice_px(LATTICE), target, reference)
     scales = jacobian(placed[np.isfinite(placed).all(axis=1)], reference, at_mean_height(target))
