@@ -38,6 +38,9 @@ IN_SOURCE = (
     "sample_data/landsat_b4.tif",
     "sample_data/landsat_b10.tif",
     "tests/conftest.py",
+    "hatch_build.py",
+    "kernels/kernels.h",
+    "scripts/build_kernels.py",
     "benchmarks/tables.py",
     "qgis_plugin/build.py",
 )
@@ -57,6 +60,9 @@ def main() -> int:
     with tarfile.open(source) as tar:
         in_source = [name.partition("/")[2] for name in tar.getnames()]
     wrong = [f"{wheel.name} lacks {name}" for name in IN_WHEEL if name not in in_wheel]
+    kernels = [name for name in in_wheel if name.startswith("pcwlad_geo/matching/kernels/kernels_")]
+    for_everybody = wheel.name.endswith("-py3-none-any.whl")
+    wrong += [] if len(kernels) >= (9 if for_everybody else 1) else [f"{wheel.name} lacks kernels"]
     man_page = ".data/data/share/man/man1/pcwlad-geo.1"
     wrong += [] if any(name.endswith(man_page) for name in in_wheel) else [f"{wheel.name} lacks {man_page}"]
     wrong += [f"{source.name} lacks {name}" for name in IN_SOURCE if name not in in_source]

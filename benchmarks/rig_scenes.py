@@ -15,7 +15,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy import ndimage
 
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.rigs.rig import Lens, _resample, coefficients_of
+from pcwlad_geo.rigs.rig import Lens, coefficients_of, resample
 
 Array = NDArray[np.float64]
 GROUND_M = 0.05
@@ -107,7 +107,7 @@ class Ground:
             self._mixed[key] = coefficients_of(np.ascontiguousarray(plane, np.float32))
         grid = (np.stack([east_m, south_m], axis=-1) / GROUND_M - 0.5) / 2**level + 0.5
         out = np.empty(east_m.shape, np.float32)
-        _resample(self._mixed[key], np.pad(grid, ((0, 1), (0, 1), (0, 0))), 1, out)
+        resample(self._mixed[key], np.pad(grid, ((0, 1), (0, 1), (0, 0))), 1, out)
         return np.nan_to_num(out).astype(np.float64)
 
 

@@ -116,7 +116,7 @@ def _combine(responses: Complex64, n: int, epsilon: float, out: Float32) -> None
         block[:, half:] = 0.0
         block = scipy.fft.ifft(block, axis=1, overwrite_x=True, workers=1)
         part = values[: n * width]
-        combine_scales(block.reshape(SCALES, -1), np.float32(max(epsilon, MIN_EPSILON)), part)
+        combine_scales(block.reshape(SCALES, -1), max(epsilon, MIN_EPSILON), part)
         out[:, start : start + width] = part.reshape(n, width)[:rows]
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.coarse import ssim
-from pcwlad_geo.matching.kernels.compiled import compiled, compiled_part
+from pcwlad_geo.matching.kernels.library import POINTER, REAL, WHOLE, address, function
 from pcwlad_geo.matching.keypoints import FULL_SCALE
 from pcwlad_geo.matching.prepare import ChannelPair
 from pcwlad_geo.matching.refinement import InitialEstimate, Refined
@@ -97,170 +97,15 @@ def mutual_structure(
     g0 = np.ascontiguousarray(reference, np.float64).reshape(stack)
     i0 = np.ascontiguousarray(target, np.float64).reshape(stack)
     g, i, weight = g0.copy(), i0.copy(), np.empty_like(g0)
-    lambdas = float(lambda_reference), float(lambda_target)
-    epsilons = float(epsilon_reference), float(epsilon_target)
-    _filter_windows(g0, i0, g, i, weight, iterations, radius, *lambdas, *epsilons)
+    count, rows, cols = g0.shape
+    memory = np.empty(14 * rows * cols + cols)
+    function("filter_windows", *5 * [POINTER], *5 * [WHOLE], *4 * [REAL], POINTER)(
+        *(address(windows, np.float64) for windows in (g0, i0, g, i, weight)),
+        *(count, rows, cols, iterations, radius),
+        *(lambda_reference, lambda_target, epsilon_reference, epsilon_target),
+        address(memory, np.float64),
+    )
     return g.reshape(shape), i.reshape(shape), weight.reshape(shape)
-
-
-@compiled()
-def _filter_windows(
-    g0: Float64,
-    i0: Float64,
-    g: Float64,
-    i: Float64,
-    weight: Float64,
-    iterations: int,
-    radius: int,
-    lambda_g: float,
-    lambda_i: float,
-    epsilon_g: float,
-    epsilon_i: float,
-) -> None:
-    """Filter every window of the stacks in place; one window at a time stays in the cache."""
-    count, rows, cols = g.shape
-    area = _box_sums(np.ones((rows, cols)), radius, np.empty((rows, cols)), np.empty(cols))
-    sums = np.empty((8, rows, cols))
-    products = np.empty((5, rows, cols))
-    for k in range(count):
-        for _ in range(iterations):
-            _local_lines(g[k], i[k], area, radius, epsilon_g, epsilon_i, sums, products)
-            _update_images(g0[k], i0[k], area, lambda_g, lambda_i, sums, g[k], i[k])
-        for again in (False, True):  # one call: what is inlined twice is compiled twice
-            first, second = (g0[k], i[k]) if again else (g[k], i0[k])
-            _correlate(first, second, area, radius, epsilon_g, epsilon_i, sums, products, weight[k], again)
-
-
-@compiled_part(called=True)
-def _box_sums(values: Float64, radius: int, out: Float64, column: Float64) -> Float64:
-    """Sum over the (2·radius + 1)² neighbourhood of each pixel, cut off at the border, into `out`."""
-    rows, cols = values.shape
-    for c in range(cols):
-        column[c] = 0.0
-    for r in range(min(radius, rows)):
-        for c in range(cols):
-            column[c] += values[r, c]
-    for r in range(rows):
-        if r + radius < rows:
-            for c in range(cols):
-                column[c] += values[r + radius, c]
-        if r - radius > 0:
-            for c in range(cols):
-                column[c] -= values[r - radius - 1, c]
-        for c in range(cols):
-            out[r, c] = column[c]
-        for step in range(1, radius + 1):
-            for c in range(step, cols):
-                out[r, c] += column[c - step]
-            for c in range(cols - step):
-                out[r, c] += column[c + step]
-    return out
-
-
-@compiled_part()
-def _moments(g: Float64, i: Float64, radius: int, sums: Float64, products: Float64) -> None:
-    """Fill sums[0:5] with the neighbourhood sums of g, i, g², i² and gi."""
-    rows, cols = g.shape
-    column = np.empty(cols)
-    for r in range(rows):
-        for c in range(cols):
-            products[0, r, c] = g[r, c]
-            products[1, r, c] = i[r, c]
-            products[2, r, c] = g[r, c] * g[r, c]
-            products[3, r, c] = i[r, c] * i[r, c]
-            products[4, r, c] = g[r, c] * i[r, c]
-    for n in range(5):
-        _box_sums(products[n], radius, sums[n], column)
-
-
-@compiled_part()
-def _local_lines(
-    g: Float64,
-    i: Float64,
-    area: Float64,
-    radius: int,
-    epsilon_g: float,
-    epsilon_i: float,
-    sums: Float64,
-    products: Float64,
-) -> None:
-    """Put the neighbourhood sums of a1, a0, b1, b0, a1², a1·a0, b1², b1·b0 into `sums`."""
-    rows, cols = g.shape
-    column = np.empty(cols)
-    _moments(g, i, radius, sums, products)
-    for r in range(rows):
-        for c in range(cols):
-            n = 1.0 / area[r, c]
-            mean_g, mean_i = sums[0, r, c] * n, sums[1, r, c] * n
-            covariance = sums[4, r, c] * n - mean_g * mean_i
-            a1 = covariance / (max(sums[3, r, c] * n - mean_i * mean_i, 0.0) + epsilon_i)
-            b1 = covariance / (max(sums[2, r, c] * n - mean_g * mean_g, 0.0) + epsilon_g)
-            sums[0, r, c] = a1
-            sums[1, r, c] = mean_g - a1 * mean_i
-            sums[2, r, c] = b1
-            sums[3, r, c] = mean_i - b1 * mean_g
-            sums[4, r, c] = a1 * a1
-            sums[5, r, c] = a1 * sums[1, r, c]
-            sums[6, r, c] = b1 * b1
-            sums[7, r, c] = b1 * sums[3, r, c]
-    for n in range(8):
-        for r in range(rows):
-            for c in range(cols):
-                products[0, r, c] = sums[n, r, c]
-        _box_sums(products[0], radius, sums[n], column)
-
-
-@compiled_part()
-def _update_images(
-    g0: Float64,
-    i0: Float64,
-    area: Float64,
-    lambda_g: float,
-    lambda_i: float,
-    sums: Float64,
-    g: Float64,
-    i: Float64,
-) -> None:
-    """Solve the 2×2 system of each pixel for g and i, the local lines given by their sums."""
-    rows, cols = g.shape
-    for r in range(rows):
-        for c in range(cols):
-            n = area[r, c]
-            a11 = sums[4, r, c] + n + lambda_i
-            a22 = sums[6, r, c] + n + lambda_g
-            a12 = -(sums[0, r, c] + sums[2, r, c])
-            r1 = lambda_i * i0[r, c] + sums[3, r, c] - sums[5, r, c]
-            r2 = lambda_g * g0[r, c] + sums[1, r, c] - sums[7, r, c]
-            determinant = a11 * a22 - a12 * a12
-            i[r, c] = (r1 * a22 - a12 * r2) / determinant
-            g[r, c] = (a11 * r2 - a12 * r1) / determinant
-
-
-@compiled_part()
-def _correlate(
-    g: Float64,
-    i: Float64,
-    area: Float64,
-    radius: int,
-    epsilon_g: float,
-    epsilon_i: float,
-    sums: Float64,
-    products: Float64,
-    weight: Float64,
-    multiply: bool,
-) -> None:
-    """Put |ρ| of the neighbourhoods into `weight`, or multiply it by them."""
-    rows, cols = g.shape
-    _moments(g, i, radius, sums, products)
-    for r in range(rows):
-        for c in range(cols):
-            n = 1.0 / area[r, c]
-            mean_g, mean_i = sums[0, r, c] * n, sums[1, r, c] * n
-            covariance = sums[4, r, c] * n - mean_g * mean_i
-            variance_g = max(sums[2, r, c] * n - mean_g * mean_g, 0.0) + epsilon_g
-            variance_i = max(sums[3, r, c] * n - mean_i * mean_i, 0.0) + epsilon_i
-            rho = min(abs(covariance) / np.sqrt(variance_g * variance_i), 1.0)
-            weight[r, c] = weight[r, c] * rho if multiply else rho
 
 
 CHUNK: Final = 128

@@ -16,8 +16,7 @@ from typing import Final, TypeVar
 import cv2
 import numpy as np
 
-from pcwlad_geo.matching.kernels import steps as state
-from pcwlad_geo.matching.kernels.refinement import PARTS, refine_points
+from pcwlad_geo.matching.kernels import refinement as kernel
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 Value = TypeVar("Value")
@@ -205,38 +204,32 @@ def refine(
     structure_mode = _structure_mode(start, use_structure)
     half = window_px // 2 // step_px
     correlation_half = correlation_half_px(2 * half + 1)
-    options = state.RefinementOptions(
+    options = kernel.RefinementOptions(
         half=half,
         step=step_px,
         correlation_half=correlation_half,
-        width=state.flat_width(2 * (half + correlation_half) + 1),
+        width=kernel.flat_width(2 * (half + correlation_half) + 1),
         structure_mode=structure_mode,
         robust=robust,
         affine=affine,
         iterations=iterations,
         reached_by_px=start.reached_by_px,
         tolerance_px=TOLERANCE_PX,
-        relaxation=first_relaxation(robust, structure_mode == state.STRUCTURE_FOLLOWS),
+        relaxation=first_relaxation(robust, structure_mode == kernel.STRUCTURE_FOLLOWS),
         least_valid=float(least_valid),
         largest_move_px=LARGEST_MOVE_PX,
         blocks=max(4, round(window_px / BLOCK_PX)),
     )
     images = _images(reference, target, step_px)
 
-    def refine_some(some: slice) -> state.Results:
-        count = len(range(n)[some])
-        results = state.Results(
-            np.zeros((count, 2)), np.zeros((count, 2, 2)), np.zeros((count, 2, 2)), np.zeros(count, np.int64)
-        )
-        work = state.make_workspace(len(reference.maps), options)
-        refine_points(images, _starts(corners_rc[some], start.part(some)), options, work, results, PARTS)
-        return results
+    def refine_some(some: slice) -> kernel.Results:
+        return kernel.refine_points(images, _starts(corners_rc[some], start.part(some)), options)
 
     share = -(-n // threads) or 1
     shares = [slice(begin, begin + share) for begin in range(0, max(n, 1), share)]
     done = in_threads([partial(refine_some, some) for some in shares], threads)
     shift, linear, covariance, status = map(np.concatenate, zip(*done, strict=True))
-    return Refined(shift, linear, covariance, status == state.CONVERGED)
+    return Refined(shift, linear, covariance, status == kernel.CONVERGED)
 
 
 def in_threads(calls: Sequence[Callable[[], Value]], threads: int) -> list[Value]:
@@ -247,31 +240,27 @@ def in_threads(calls: Sequence[Callable[[], Value]], threads: int) -> list[Value
         return [future.result() for future in [pool.submit(call) for call in calls]]
 
 
-def _images(reference: ChannelMaps, target: ChannelMaps, step_px: int) -> state.Images:
-    """Return the arrays of both images in one type, so that the loop is compiled once.
-
-    A read-only array is another type.
-    """
+def _images(reference: ChannelMaps, target: ChannelMaps, step_px: int) -> kernel.Images:
+    """Return the arrays of both images as the compiled loop takes them."""
     by_phase = step_px == STEP_PX
-    return state.Images(
-        np.require(reference.maps_by_phase if by_phase else reference.maps, np.float32, ("C", "W")),
-        np.require(target.coefficients_by_phase if by_phase else target.coefficients, np.float32, ("C", "W")),
-        np.require(reference.valid, np.bool_, ("C", "W")),
-        np.require(target.valid, np.bool_, ("C", "W")),
+    return kernel.Images(
+        np.ascontiguousarray(reference.maps_by_phase if by_phase else reference.maps, np.float32),
+        np.ascontiguousarray(target.coefficients_by_phase if by_phase else target.coefficients, np.float32),
+        np.ascontiguousarray(reference.valid, np.bool_),
+        np.ascontiguousarray(target.valid, np.bool_),
     )
 
 
-def _starts(corners_rc: Index, start: InitialEstimate) -> state.Starts:
-    """Return the start in the types that the compiled loop takes."""
-    unused = np.zeros((len(corners_rc), 2)), np.zeros((1, 1, 1), np.float32)
-    return state.Starts(
-        corners_rc.astype(np.int64),
+def _starts(corners_rc: Index, start: InitialEstimate) -> kernel.Starts:
+    """Return the start as the compiled loop takes it."""
+    structure_xy = np.zeros((len(corners_rc), 2)) if start.structure_xy_px is None else start.structure_xy_px
+    structure = np.zeros((1, 1, 1)) if start.structure is None else start.structure
+    return kernel.Starts(
+        np.ascontiguousarray(corners_rc, np.int64),
         np.ascontiguousarray(start.shift_xy_px, np.float64),
         np.ascontiguousarray(start.linear, np.float64),
-        unused[0]
-        if start.structure_xy_px is None
-        else np.ascontiguousarray(start.structure_xy_px, np.float64),
-        unused[1] if start.structure is None else start.structure,
+        np.ascontiguousarray(structure_xy, np.float64),
+        np.ascontiguousarray(structure, np.float32),
     )
 
 
@@ -287,7 +276,7 @@ def first_relaxation(robust: bool, structure_follows: bool) -> float:
 
 def _structure_mode(start: InitialEstimate, use_structure: bool) -> int:
     if start.structure is not None:
-        return state.STRUCTURE_GIVEN
+        return kernel.STRUCTURE_GIVEN
     if not use_structure:
-        return state.STRUCTURE_NONE
-    return state.STRUCTURE_FOLLOWS if start.structure_xy_px is None else state.STRUCTURE_FIXED
+        return kernel.STRUCTURE_NONE
+    return kernel.STRUCTURE_FOLLOWS if start.structure_xy_px is None else kernel.STRUCTURE_FIXED

@@ -14,7 +14,7 @@ import numpy as np
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import least_squares
-from pcwlad_geo.matching.kernels.compiled import compiled
+from pcwlad_geo.matching.kernels.library import POINTER, WHOLE, address, function
 from pcwlad_geo.matching.refinement import spline_coefficients
 from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, Grade
 from pcwlad_geo.text import read_json
@@ -528,47 +528,22 @@ def resampled(
     with the rows and columns of these, `counts`, and of the output.
     """
     out = np.empty(shape, np.float32)
-    grid = np.nan_to_num(lens_px, nan=-1e9).reshape(*counts, 2)
-    _resample(coefficients, np.ascontiguousarray(grid), MAP_STEP_PX, out)
+    resample(coefficients, np.nan_to_num(lens_px, nan=-1e9).reshape(*counts, 2), MAP_STEP_PX, out)
     return out
 
 
-@compiled(fastmath=False)
-def _resample(plane: Float32, grid: Float64, step: int, out: Float32) -> None:
-    """Evaluate the spline of `plane` at the positions of `grid`, linear between its nodes."""
-    rows, cols = plane.shape
-    weights_x, weights_y = np.empty(4), np.empty(4)
-    for r in range(out.shape[0]):
-        i, v = r // step, (r % step) / step
-        for c in range(out.shape[1]):
-            j, u = c // step, (c % step) / step
-            x = (1 - v) * ((1 - u) * grid[i, j, 0] + u * grid[i, j + 1, 0]) + v * (
-                (1 - u) * grid[i + 1, j, 0] + u * grid[i + 1, j + 1, 0]
-            )
-            y = (1 - v) * ((1 - u) * grid[i, j, 1] + u * grid[i, j + 1, 1]) + v * (
-                (1 - u) * grid[i + 1, j, 1] + u * grid[i + 1, j + 1, 1]
-            )
-            if not (x >= 0.0 and y >= 0.0 and x <= cols and y <= rows):
-                out[r, c] = np.nan
-                continue
-            x, y = x - 0.5, y - 0.5
-            left, top = int(np.floor(x)), int(np.floor(y))
-            for t, w in ((x - left, weights_x), (y - top, weights_y)):
-                s = 1.0 - t
-                w[0] = s * s * s / 6.0
-                w[1] = 2.0 / 3.0 - t * t * (2.0 - t) / 2.0
-                w[2] = 2.0 / 3.0 - s * s * (2.0 - s) / 2.0
-                w[3] = t * t * t / 6.0
-            total = 0.0
-            for k in range(4):
-                row = abs(top - 1 + k)
-                if row > rows - 1:
-                    row = 2 * (rows - 1) - row
-                along = 0.0
-                for m in range(4):
-                    col = abs(left - 1 + m)
-                    if col > cols - 1:
-                        col = 2 * (cols - 1) - col
-                    along += weights_x[m] * plane[row, col]
-                total += weights_y[k] * along
-            out[r, c] = total
+def resample(coefficients: Float32, grid: Float64, step: int, out: Float32) -> None:
+    """Evaluate the spline of (rows, cols) float32 `coefficients` and fill the float32 image `out`.
+
+    The (n, m, 2) float64 `grid` holds the places (col, row) of every `step`-th pixel of its rows and columns,
+    and of one beyond the last; they are linear between these. Where the frame does not reach, `out` is NaN.
+    """
+    function("resample", POINTER, *2 * [WHOLE], POINTER, *4 * [WHOLE], POINTER)(
+        address(coefficients, np.float32),
+        *coefficients.shape,
+        address(grid, np.float64),
+        grid.shape[1],
+        step,
+        *out.shape,
+        address(out, np.float32),
+    )

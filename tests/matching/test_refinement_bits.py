@@ -1,4 +1,4 @@
-"""The same points to the last bit, whatever else a process refines (from disk: `test_first_start`)."""
+"""The same points to the last bit, whatever else a process refines."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The refinement in plain numpy: slow, short, and the oracle of the compiled one.
 
-The same algorithm as `refinement_loop`, written anew from the equations: interpolation by scipy's spline,
-gain and offset as two more unknowns of each channel, eliminated by projection instead of by sums.
+The same algorithm as `kernels/refinement.c`, written anew from the equations: interpolation by scipy's
+spline, gain and offset as two more unknowns of each channel, eliminated by projection instead of by sums.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import map_coordinates, uniform_filter
 
-from pcwlad_geo.matching.kernels.equations import SIGMA_PER_MEAN_DEVIATION, VARIANCE_FLOOR
-from pcwlad_geo.matching.kernels.refinement import NEAR_PX
-from pcwlad_geo.matching.kernels.steps import (
+from pcwlad_geo.matching.kernels.refinement import (
     LARGEST_RELAXATION,
     LONGEST_STEP_PX,
     MIN_SLOPE,
+    NEAR_PX,
     PATIENCE,
     SETTLED_AFTER,
     SETTLING_PX,
+    SIGMA_PER_MEAN_DEVIATION,
 )
 from pcwlad_geo.matching.refinement import (
     BLOCK_PX,
@@ -35,6 +35,7 @@ from pcwlad_geo.matching.refinement import (
 )
 
 GRADIENT_STEP_PX: Final = 1e-3
+VARIANCE_FLOOR: Final = 1e-5
 
 
 class _StuckError(Exception):

@@ -1,1 +1,1 @@
-"""Compiled inner loops; `tests/oracles` has plain versions of them."""
+"""Compiled inner loops (`kernels/`, in C) as functions of arrays; `tests/oracles` has plain versions."""

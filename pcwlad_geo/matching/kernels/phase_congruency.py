@@ -1,4 +1,4 @@
-"""The filter bank of the phase congruency, and its compiled loops.
+"""The filter bank of the phase congruency, and its compiled loops (`kernels/phase_congruency.c`).
 
 The filters and their parameters are those of the paper's authors (log-Gabor filters of Kovesi 1999).
 """
@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import scipy.fft
 
-from pcwlad_geo.matching.kernels.compiled import compiled, compiled_part
+from pcwlad_geo.matching.kernels.library import POINTER, SINGLE, WHOLE, address, function
 from pcwlad_geo.types import Complex64, Float32, Float64
 
 SCALES: Final = 4
@@ -120,7 +120,6 @@ MOMENT_EPSILON: Final = 1e-4
 """The ε that is added to the maximum moment, as in the authors' maps."""
 
 
-@compiled(fastmath=True)
 def filter_rows(
     spectrum: Complex64,
     radial: Float32,
@@ -145,93 +144,45 @@ def filter_rows(
     out : (k, rows, m) complex64 array
         Filled for the first k scales.
     """
-    m = along.size
-    angular = np.empty(m, np.float32)
-    mirrored = np.empty(m, np.float32)
-    for row in range(out.shape[1]):
-        _mirror(inverse_radius[start + row], mirrored)
-        for col in range(m):
-            cosine = (across[start + row] + along[col]) * mirrored[col]
-            # (1 + cos 3Δ) / 2 up to Δ = 60°, as a polynomial in cos Δ
-            cosine_part = max(np.float32(2.0) * cosine - np.float32(1.0), np.float32(0.0))
-            angular[col] = np.float32(0.5) * (np.float32(1.0) + cosine) * cosine_part * cosine_part
-        for scale in range(out.shape[0]):
-            _mirror(radial[scale, start + row], mirrored)
-            source = spectrum[start + row]
-            target = out[scale, row]
-            for col in range(m):
-                target[col] = source[col] * (angular[col] * mirrored[col])
+    arrays = [address(array, np.float32) for array in (radial, inverse_radius, across, along)]
+    memory = np.empty(2 * along.size, np.float32)
+    function("filter_rows", *5 * [POINTER], *6 * [WHOLE], POINTER, POINTER)(
+        address(spectrum, np.complex64),
+        *arrays,
+        start,
+        *out.shape,
+        *radial.shape[1:],
+        address(memory, np.float32),
+        address(out, np.complex64),
+    )
 
 
-@compiled_part(fastmath=True)
-def _mirror(half: Float32, full: Float32) -> None:
-    """Copy the values at positive frequencies to the negative ones."""
-    for col in range(half.size):
-        full[col] = half[col]
-    for col in range(1, full.size - half.size + 1):
-        full[full.size - col] = half[col]
-
-
-@compiled(fastmath=True)
-def combine_scales(responses: Complex64, epsilon: np.float32, out: Float32) -> None:
+def combine_scales(responses: Complex64, epsilon: float, out: Float32) -> None:
     """Combine the responses of one orientation into its phase congruency (Kovesi 1999), 0 to 1.
 
     The `responses` are a (4, n) complex64 array, even (real) and odd (imaginary) by scale; `epsilon` is
     positive, in units of the image (see `maps.scene_epsilon`); the (n,) float32 array `out` is filled.
     """
-    one = np.float32(1.0)
-    for i in range(out.size):
-        even = np.float32(0.0)
-        odd = np.float32(0.0)
-        amplitude_sum = np.float32(0.0)
-        amplitude_max = np.float32(0.0)
-        for scale in range(SCALES):
-            response = responses[scale, i]
-            amplitude = np.sqrt(response.real * response.real + response.imag * response.imag)
-            even += response.real
-            odd += response.imag
-            amplitude_sum += amplitude
-            amplitude_max = max(amplitude_max, amplitude)
-        across = np.float32(0.0)
-        for scale in range(SCALES):
-            response = responses[scale, i]
-            across += abs(response.real * odd - response.imag * even)
-        square = even * even + odd * odd
-        energy = max((square - across) / (np.sqrt(square) + epsilon), np.float32(0.0))
-        width = (amplitude_sum / (amplitude_max + epsilon) - one) / np.float32(SCALES - 1)
-        out[i] = _sigmoid(width) * energy / (amplitude_sum + epsilon)
-
-
-@compiled_part(fastmath=True)
-def _sigmoid(width: np.float32) -> np.float32:
-    """Return 1 / (1 + exp(gain · (cut-off - width))): by the continued fraction of tanh, good to 1e-7.
-
-    A call of exp in the loop would keep it from the vector units.
-    """
-    t = np.float32(SPREAD_GAIN / 2) * (width - np.float32(SPREAD_CUT_OFF))
-    square = t * t
-    above = np.float32(135135.0) + square * (np.float32(17325.0) + square * (np.float32(378.0) + square))
-    below = np.float32(135135.0) + square * (
-        np.float32(62370.0) + square * (np.float32(3150.0) + np.float32(28.0) * square)
+    function("combine_scales", POINTER, *3 * [SINGLE], WHOLE, POINTER)(
+        address(responses, np.complex64),
+        epsilon,
+        SPREAD_CUT_OFF,
+        SPREAD_GAIN,
+        out.size,
+        address(out, np.float32),
     )
-    return np.float32(0.5) + np.float32(0.5) * t * above / below
 
 
-@compiled(fastmath=True)
 def combine_orientations(maps: Float32, coefficients: Float32, out: Float32) -> None:
     """Fill `out`, an (n,) float32 array, with the maximum moment of oriented maps (Kovesi 1999).
 
     The (6, n) float32 `maps` are phase congruency by orientation; the (3, 6) float32 `coefficients` are
     factors of their squares in the terms c, s and cs of the covariance.
     """
-    for i in range(out.size):
-        c = np.float32(0.0)
-        s = np.float32(0.0)
-        cs = np.float32(0.0)
-        for orientation in range(ORIENTATIONS):
-            square = maps[orientation, i] * maps[orientation, i]
-            c += coefficients[0, orientation] * square
-            s += coefficients[1, orientation] * square
-            cs += coefficients[2, orientation] * square
-        root = np.sqrt(cs * cs + (c - s) * (c - s))
-        out[i] = np.float32(0.5) * (c + s + root + np.float32(MOMENT_EPSILON))
+    function("combine_orientations", POINTER, POINTER, SINGLE, WHOLE, POINTER)(
+        address(maps, np.float32),
+        address(coefficients, np.float32),
+        MOMENT_EPSILON,
+        out.size,
+        address(out, np.float32),
+    )

@@ -1,0 +1,104 @@
+"""The library of the compiled inner loops, and how arrays are handed to it.
+
+It is plain C (`kernels/`) that knows nothing of Python: compiled when the package is built
+(`scripts/build_kernels.py`), and loaded here. While one of its functions runs, other threads may run Python.
+"""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Callable
+from ctypes import CDLL, Structure, c_double, c_float, c_int64, c_void_p
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.errors import ExecutionError
+
+FOLDER: Final = Path(__file__).parent
+"""Where the libraries are."""
+AVX2_AND_FMA: Final = (11, 12)
+"""What OpenCV calls them (`CV_CPU_AVX2`, `CV_CPU_FMA3`); its Python module has no names for them."""
+SYSTEMS: Final = {"darwin": "macos", "win32": "windows"}
+"""Names of systems that Python calls otherwise."""
+PROCESSORS: Final = {"amd64": "x86_64", "arm64": "aarch64"}
+"""Names of processors that some systems call otherwise."""
+
+Function = Callable[..., int | None]
+Parameter = TypeVar("Parameter", bound=Structure)
+
+
+def version() -> str:
+    """Return which version of the library runs here, by system and processor."""
+    machine = platform.machine().lower()
+    processor = PROCESSORS.get(machine, machine)
+    if processor == "x86_64":  # nearly all since 2015 have AVX2 and FMA
+        processor += "_v3" if all(map(cv2.checkHardwareSupport, AVX2_AND_FMA)) else "_v2"
+    return f"{SYSTEMS.get(sys.platform, sys.platform)}_{processor}"
+
+
+@lru_cache
+def function(name: str, *parameters: Any, returns: Any = None) -> Function:  # noqa: ANN401
+    """Return a function of the library.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    *parameters : ctypes types
+        Types of its parameters: `POINTER` for an array, `WHOLE`, `REAL` and `SINGLE` for numbers.
+    returns : ctypes type, optional
+        Type of its result.
+    """
+    found = _library()[name]
+    found.argtypes, found.restype = parameters, returns
+    return found
+
+
+POINTER: Final = c_void_p
+"""Type of an array, see `address`, or of a structure."""
+WHOLE: Final = c_int64
+"""Type of a whole number."""
+REAL: Final = c_double
+"""Type of a float64."""
+SINGLE: Final = c_float
+"""Type of a float32."""
+
+
+@lru_cache
+def _library() -> CDLL:
+    files = list(FOLDER.glob(f"kernels_{version()}.*"))
+    if not files:
+        raise ExecutionError(
+            f"the compiled kernels are missing: there is no kernels_{version()}.* in {FOLDER}. "
+            "In a checkout, run: python scripts/build_kernels.py. Elsewhere, install the package from its "
+            "sources: pip install --force-reinstall --no-deps --no-binary pcwlad-geo pcwlad-geo"
+        )
+    return CDLL(str(files[0]))
+
+
+def address(array: NDArray[Any], dtype: Any) -> int:  # noqa: ANN401
+    """Return where the numbers of a C-contiguous array of a type begin.
+
+    Parameters
+    ----------
+    array : (n, …) array
+        It must live as long as the address is used.
+    dtype : numpy type
+
+    Raises
+    ------
+    TypeError
+        If the array is another one: the library would read something else.
+    """
+    if array.dtype != dtype or not array.flags.c_contiguous:
+        raise TypeError(
+            f"a kernel needs a C-contiguous array of {np.dtype(dtype)}, "
+            f"got {array.dtype} with strides {array.strides}"
+        )
+    return array.ctypes.data
