@@ -37,7 +37,7 @@ BANK: Final = (2048, 2048)
 IMPORTS: Final = (
     sys.executable,
     "-c",
-    "import cv2, numba, pyproj, rasterio, scipy.ndimage, scipy.sparse.linalg",
+    "import cv2, pyproj, rasterio, scipy.ndimage, scipy.sparse.linalg",
 )
 
 

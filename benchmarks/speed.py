@@ -99,12 +99,12 @@ def _parts(pairs: Sequence[ScenePair], repeats: int) -> Iterator[Check]:
 
 
 def _starts(pair: ScenePair, scratch: Path) -> Iterator[Check]:
-    """Start with nothing compiled, again from that cache, and only for the help."""
+    """Start with an empty HOME, again with what that left there, and only for the help."""
     rows: list[list[Cell]] = []
-    with tempfile.TemporaryDirectory(prefix="pcwlad-geo-bench-") as cache:
-        for name in ("cold", "warm"):
-            run = w.run_mode(w.MODES[0], pair, scratch, Path(cache))
-            rows.append([f"{run.mode}, {pair.side_px}², {name} cache", run.cost.wall_s, run.cost.cpu_s])
+    with tempfile.TemporaryDirectory(prefix="pcwlad-geo-bench-") as home:
+        for name in ("empty HOME", "same HOME"):
+            run = w.run_mode(w.MODES[0], pair, scratch, Path(home))
+            rows.append([f"{run.mode}, {pair.side_px}², {name}", run.cost.wall_s, run.cost.cpu_s])
     command = [sys.executable, "-m", "pcwlad_geo", "--help"]
     helps = [measure(command, environment={"PYTHONPATH": str(w.REPOSITORY)}) for _ in range(5)]
     help_s = min(run.wall_s for run in helps)
@@ -116,7 +116,7 @@ def _starts(pair: ScenePair, scratch: Path) -> Iterator[Check]:
 def _scenes(pairs: Sequence[ScenePair], scratch: Path, arguments: argparse.Namespace) -> Iterator[Check]:
     """Measure all modes on all sizes, and with `--peers` the other programs beside them."""
     chosen = [mode for mode in w.MODES if not arguments.peers or mode.name in peers.OURS]
-    for mode in chosen:  # compiles whatever is not in the cache yet
+    for mode in chosen:  # once for what they leave in caches
         w.run_mode(mode, pairs[0], scratch)
     if arguments.peers:
         for work in peers.works(pairs[0], scratch, arguments.arosics, 100).values():

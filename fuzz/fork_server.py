@@ -19,7 +19,7 @@ from fuzz.judge import Failure, judge
 from fuzz.orders import CASE, Limits, Order, Outcome
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
-_POOLS: Final = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "BLIS_NUM", "NUMBA_NUM", "GDAL_NUM")
+_POOLS: Final = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "BLIS_NUM", "GDAL_NUM")
 MAX_SAID: Final = 20_000
 """Characters of each stream that are kept."""
 

@@ -337,11 +337,6 @@ def _run(job: _Job, executor: Executor | Runner | None, on_event: EventCallback)
     # points of a file leave workers nothing to do
     with open_job_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
         runner.expect(estimate_tile_count(*job.inputs, settings))
-        from pcwlad_geo.matching.kernels.compiled import is_cached
-        from pcwlad_geo.matching.kernels.refinement import refine_points
-
-        if not is_cached(refine_points):
-            runner.expect(2)  # they will compile the kernels, and load the libraries while this process does
         from pcwlad_geo.registration.run import run  # slow to load; workers may be loading it too
 
         match_only = job.command == "match"
@@ -366,7 +361,6 @@ def _preloading(on_event: EventCallback) -> EventCallback:
 
     def load() -> None:
         with suppress(Exception):  # whoever needs it will say it
-            import_module("pcwlad_geo.registration.tiles").load_own_kernel()
             import_module("pcwlad_geo.report.page")
             import_module("pcwlad_geo.report.figures")
 

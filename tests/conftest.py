@@ -5,8 +5,6 @@ from __future__ import annotations
 import atexit
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +15,6 @@ from hypothesis import settings
 from tests.cli.process import Result, run_cli, run_here
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-COMPILE = "from pcwlad_geo.registration.tiles import compile_kernels; compile_kernels('oriented')"
 
 settings.register_profile("without a clock", deadline=None)  # a busy machine is no failure
 settings.load_profile("without a clock")
@@ -28,19 +25,6 @@ for _pool in ("OPENBLAS", "OMP", "MKL"):
 if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["MPLCONFIGDIR"] = tempfile.mkdtemp(prefix="pcwlad-geo-tests-")
     atexit.register(shutil.rmtree, os.environ["MPLCONFIGDIR"], ignore_errors=True)
-
-
-def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile the kernels once, before several workers would all do so."""
-    workers = getattr(session.config.option, "numprocesses", None)
-    if workers and "PYTEST_XDIST_WORKER" not in os.environ:
-        places = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
-        subprocess.run(
-            [sys.executable, "-c", COMPILE],
-            env={**os.environ, "PYTHONPATH": places},
-            stdout=subprocess.DEVNULL,
-            check=False,  # if it fails, tests will say why
-        )
 
 
 @pytest.fixture(scope="session")

@@ -80,7 +80,7 @@ def jobs() -> int:
     return min(2, len(os.sched_getaffinity(0)))
 
 
-def run_mode(mode: Mode, pair: ScenePair, scratch: Path, cache: Path | None = None) -> Run:
+def run_mode(mode: Mode, pair: ScenePair, scratch: Path, home: Path | None = None) -> Run:
     """Run one command on a scene in a fresh process.
 
     Parameters
@@ -89,14 +89,14 @@ def run_mode(mode: Mode, pair: ScenePair, scratch: Path, cache: Path | None = No
     pair : ScenePair
     scratch : pathlib.Path
         Where the results go; they are removed again.
-    cache : pathlib.Path, optional
-        Folder of compiled kernels; the usual one by default.
+    home : pathlib.Path, optional
+        Folder that stands for the user's; the usual one by default.
     """
     out = scratch / "out"
     shutil.rmtree(out, ignore_errors=True)
     command = [sys.executable, "-m", "pcwlad_geo", mode.command, str(pair.reference), str(pair.target)]
     command += ["-o", str(out), "--progress", "none", "--jobs", str(jobs()), *mode.options]
-    environment = {"PYTHONPATH": str(REPOSITORY)} | ({"NUMBA_CACHE_DIR": str(cache)} if cache else {})
+    environment = {"PYTHONPATH": str(REPOSITORY)} | ({"HOME": str(home)} if home else {})
     cost = measure(command, environment=environment, folder=scratch)
     found, inner_s = None, math.nan
     if cost.status == 0:

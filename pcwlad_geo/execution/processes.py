@@ -39,7 +39,7 @@ from pcwlad_geo.execution.runner import (
 )
 from pcwlad_geo.raster.trust import current_trust
 
-_POOLS: Final = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "BLIS_NUM", "VECLIB_MAXIMUM", "NUMBA_NUM", "GDAL_NUM")
+_POOLS: Final = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "BLIS_NUM", "VECLIB_MAXIMUM", "GDAL_NUM")
 ONE_THREAD: Final = dict.fromkeys((f"{pool}_THREADS" for pool in _POOLS), "1")
 """Environment of a worker: there is one process per core, so libraries must not start threads."""
 
@@ -453,7 +453,7 @@ class OwnProcesses:
         Name of a module that a worker, or its fork server, imports before the first call; none if empty.
     """
 
-    shares_kernels = True
+    is_local = True
     honours_affinity = True
 
     def __init__(self, jobs: int, preload: str = "") -> None:

@@ -124,8 +124,8 @@ class Runner(Protocol):
     """Runs the calls of all stages of a job; by itself it has no workers to prepare."""
 
     @property
-    def shares_kernels(self) -> bool:
-        """Whether the workers load the kernels that this process has compiled."""
+    def is_local(self) -> bool:
+        """Whether the workers run on this machine, and write where this process does."""
 
     @property
     def honours_affinity(self) -> bool:
@@ -177,7 +177,7 @@ class Runner(Protocol):
 class InThisProcess(Runner):
     """Executes one call after another in this process."""
 
-    shares_kernels = True
+    is_local = True
     honours_affinity = True
     threads = 1
 
@@ -258,7 +258,7 @@ class OnExecutor(Runner):
     """Exceptions that the executor raises when it has lost its workers or its scheduler."""
     place: str = "the executor"
     """Name of the executor in messages."""
-    shares_kernels: bool = True
+    is_local: bool = True
     """Whether its workers are threads or processes of this machine."""
     check: Callable[[EventCallback], None] | None = None
     """Called every `CHECK_S` while calls are awaited, with the receiver of warnings; it may raise."""
@@ -300,7 +300,7 @@ LOST_AFTER_S: Final = 60.0
 """Time without workers after which the job fails; a worker that is restarted takes some seconds."""
 CALLS_PER_THREAD: Final = 2
 """Number of calls submitted per thread: one that runs and one that waits, so that no worker is idle."""
-NUMERIC: Final = ("numpy", "scipy", "numba", "cv2", "rasterio")
+NUMERIC: Final = ("numpy", "scipy", "cv2", "rasterio")
 """Packages whose versions determine the last bits of the tie points."""
 _OTHER_LANGUAGES: Final = (MemoryError, ValueError, TypeError, LookupError, struct.error)
 """Exceptions raised by the answer of a server that is no scheduler: a length of exabytes, a random header."""
@@ -328,7 +328,7 @@ def connected(address: str, on_event: EventCallback) -> Iterator[OnExecutor]:
             max(IN_FLIGHT, CALLS_PER_THREAD * threads),
             (BrokenExecutor, CancelledError, distributed.KilledWorker),
             f"the scheduler {address}",
-            shares_kernels=False,
+            is_local=False,
             check=WorkerWatch(lambda: len(client.nthreads()), address),
         )
 

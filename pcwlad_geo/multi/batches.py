@@ -483,7 +483,7 @@ class _PairEvents:
 def _parts(todo: Sequence[BatchPair], runner: Runner) -> Iterator[list[BatchPair]]:
     """Yield the pairs in their order: alone, or those of one tile together, for workers that do one each.
 
-    The first one is alone: this process then compiles the kernels once, where they are not in the cache.
+    The first one is alone: what goes wrong with every pair is told before the workers begin.
     """
     most = PAIRS_A_WORKER * runner.threads if isinstance(runner, OwnProcesses) and runner.threads > 1 else 1
 

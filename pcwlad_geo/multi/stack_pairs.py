@@ -311,7 +311,7 @@ def _match_whole(
     calls = [task.arguments for task in tasks]
     if not tasks:
         return []
-    if runner.shares_kernels:  # on this machine: each is written where it is matched
+    if runner.is_local:  # each is written where it is matched
         return runner.run(match_pair, calls, "pairs", of_all).results
     found = runner.run(match_elsewhere, calls, "pairs", of_all).results
     return [

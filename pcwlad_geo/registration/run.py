@@ -74,7 +74,6 @@ from pcwlad_geo.registration.rpc import (
     wrong_heights,
 )
 from pcwlad_geo.registration.scene import located, match_again_from_shifted_rpc, match_from_best_start
-from pcwlad_geo.registration.tiles import load_kernels
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.table import TiePointTable, overlap_middle_px, predict_target_px
 from pcwlad_geo.types import Bool, Float64, PathLike
@@ -515,8 +514,6 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
     settings, views = pair.settings, pair.views
     with log.stage("reading"):
         runner.expect(count_tiles(views, settings))
-        if runner.shares_kernels:
-            load_kernels(settings.method, runner, log.on_event)
         log.on_event(Progress("reading", 0, 1))
         overviews = read_overviews(views)
         log.on_event(Progress("reading", 1, 1))

@@ -6,35 +6,26 @@ import threading
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.events import EventCallback, Warned
-from pcwlad_geo.execution.runner import Runner
-from pcwlad_geo.matching.field import Surface, predict
 from pcwlad_geo.matching.guidance import FieldGuide, Lost, Scales
-from pcwlad_geo.matching.kernels.compiled import can_be_cached, is_cached
-from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
-from pcwlad_geo.matching.kernels.phase_congruency import combine_orientations, combine_scales, filter_rows
-from pcwlad_geo.matching.kernels.refinement import PARTS, compile_refinement, refine_points
 from pcwlad_geo.matching.keypoints import Candidates
-from pcwlad_geo.matching.maps import maximum_moment, oriented_phase_congruency
 from pcwlad_geo.matching.matcher import (
     Core,
     displacement_by_stripes,
     displacement_by_surroundings,
     displacement_by_windows,
     margin_px,
-    match_arrays,
     match_candidates,
     rematch_with,
     try_again,
 )
 from pcwlad_geo.matching.prepare import ChannelPair, Image, Noise, PreparedPair, prepare
 from pcwlad_geo.matching.refinement import ChannelMaps
-from pcwlad_geo.matching.types import TRAITS, MatchSettings, Method, TiePoints
+from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.types import Float64, Index
@@ -268,101 +259,3 @@ def _stacks(job: TileJob) -> ChannelPair | None:
 def _origins(job: TileJob) -> tuple[Float64, Float64]:
     reference = np.array([job.window.col, job.window.row], np.float64)
     return reference, reference + job.target_offset_px
-
-
-COMPILED_ONCE: Final = "first start: the inner loops are compiled now, which takes some seconds, once"
-"""Warning before kernels are compiled and cached on disk."""
-COMPILED_ALWAYS: Final = (
-    "the inner loops are compiled at every start, which takes some ten seconds, as there is no folder "
-    "to keep them in: set NUMBA_CACHE_DIR to one that can be written"
-)
-"""Warning before kernels are compiled that cannot be cached on disk."""
-
-
-def load_kernels(method: Method, runner: Runner, on_event: EventCallback) -> None:
-    """Have the workers load the kernels of a method, after they have compiled those not on disk.
-
-    They share the kernels to compile, as threads of one process cannot. `on_event` receives a warning before
-    anything is compiled, and the progress of that.
-    """
-    if not kernels_are_cached(method):
-        kept = kernels_can_be_cached(method)
-        on_event(Warned(COMPILED_ONCE if kept else COMPILED_ALWAYS))
-        if kept:
-            calls = [(method, number) for number in range(len(_compilations(method)))]
-            runner.run(compile_some, calls, "compiling", on_event)
-        compile_kernels(method)
-    runner.prepare(compile_kernels, (method,))
-
-
-def compile_some(method: Method, number: int) -> None:
-    """Compile one share of the kernels of a method, or load it."""
-    _compilations(method)[number]()
-
-
-def _compilations(method: Method) -> list[Callable[[], object]]:
-    """Return what compiles the kernels of a method, the longest first."""
-    parts = [part.__wrapper_address__ for part in PARTS]
-    phase = [] if TRAITS[method].channels == "gradients" else [_compile_phase_congruency]
-    return [compile_refinement, *parts, load_own_kernel, *phase]
-
-
-def _compile_phase_congruency() -> None:
-    maximum_moment(oriented_phase_congruency(_blobs(0.0).astype(np.float32), 1.0))
-
-
-def load_own_kernel() -> None:
-    """Load the kernel that this process itself calls between the passes, while the workers match."""
-    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [2.0, 0.0], [0.0, 2.0]])
-    predict(corners, corners, corners[:1], Surface(6, 1))
-
-
-SIDE_PX: Final = 128
-"""Side of the synthetic images that are matched to compile the kernels."""
-WINDOW_PX: Final = 21
-"""Side of the template and of the refinement window in that match."""
-POINTS: Final = 60
-"""Candidates in that match, enough for a displacement field to be fitted to the tie points."""
-
-
-def kernels_are_cached(method: Method) -> bool:
-    """Return whether all kernels of a method are in the cache on disk, so that starting is quick."""
-    return all(is_cached(kernel) for kernel in kernels_of(method))
-
-
-def kernels_can_be_cached(method: Method) -> bool:
-    """Tell whether the kernels of a method are kept on disk once they are compiled."""
-    return all(can_be_cached(kernel) for kernel in kernels_of(method))
-
-
-def kernels_of(method: Method) -> tuple[Callable[..., Any], ...]:
-    """Return the kernels that a method may call."""
-    always = (refine_points, *(part.kernel for part in PARTS), fit_surfaces)
-    phase = (filter_rows, combine_scales, combine_orientations)
-    return always if TRAITS[method].channels == "gradients" else always + phase
-
-
-def compile_kernels(method: Method) -> None:
-    """Match a small pair of images, so that every kernel of the method is compiled or loaded.
-
-    Parameters
-    ----------
-    method : str
-        Matching method.
-    """
-    settings = MatchSettings(
-        method=method,
-        template=WINDOW_PX,
-        window=WINDOW_PX,
-        features=POINTS,
-        search_radius=3,
-        consensus="auto",
-    )
-    match_arrays(_blobs(0.0), _blobs(0.4), settings=settings)
-
-
-def _blobs(shift_px: float) -> Float64:
-    """Return an image with corners everywhere."""
-    row, col = np.mgrid[:SIDE_PX, :SIDE_PX] + shift_px
-    wave = np.sin(0.031 * row * col) + np.sin(0.4 * row + 0.1 * col) * np.cos(0.5 * col)
-    return np.asarray(np.tanh(2 * wave))

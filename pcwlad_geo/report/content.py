@@ -397,7 +397,7 @@ def rounded(value: T, digits: int = DIGITS) -> T:
 
 SCHEMA_VERSION: Final = 1
 """Version of the structure of report.json."""
-LIBRARIES = ("numpy", "scipy", "cv2", "numba", "rasterio", "pyproj")
+LIBRARIES = ("numpy", "scipy", "cv2", "rasterio", "pyproj")
 """Libraries whose versions the report states."""
 PX_DIGITS, M_DIGITS, SECONDS_DIGITS = 5, 4, 3
 """Numbers of decimal places of pixels, metres and seconds."""

@@ -105,13 +105,11 @@ def unpicklable(value: int) -> Callable[[], int]:
 def threads_of(value: int) -> dict[str, object]:
     """Return how many threads the libraries may use in this process, and GDAL's settings."""
     import cv2
-    import numba
     import rasterio.env
 
     names = ("GDAL_NUM_THREADS", "CPL_VSIL_CURL_CACHE_SIZE", "GDAL_HTTP_TIMEOUT")
     return {
         "cv2": cv2.getNumThreads(),
-        "numba": numba.config.NUMBA_NUM_THREADS,
         "blas": os.environ.get("OPENBLAS_NUM_THREADS"),
         **{name: rasterio.env.get_gdal_config(name) for name in names},
     }

@@ -95,7 +95,7 @@ def test_every_stage_of_the_engine_has_a_name(monkeypatch: pytest.MonkeyPatch) -
     source = "".join(path.read_text(encoding="utf-8") for path in sorted(ENGINE.rglob("*.py")))
     sent = set(re.findall(r'Progress\("(\w+)"', source))
     sent |= set(re.findall(r'runner\.run\([^"]*"(\w+)"', source))
-    assert {"matching", "refining", "pairs", "captures", "compiling"} <= sent
+    assert {"matching", "refining", "pairs", "captures"} <= sent
     assert sent <= set(plugin_module("help", monkeypatch).STAGES)
 
 

@@ -40,7 +40,7 @@ def test_it_does_not_run_as_root() -> None:
     assert LINES[user][1] not in ("root", "0")
     assert [name for name, _ in LINES[user + 1 :] if name == "USER"] == []
     warmed = next(place for place, (name, rest) in enumerate(LINES) if name == "RUN" and " demo " in rest)
-    assert warmed > user, "the kernels are compiled by the user who runs them"
+    assert warmed > user, "the fonts are listed by the user who runs it"
 
 
 def test_what_is_copied_is_there_and_let_in() -> None:
@@ -50,7 +50,13 @@ def test_what_is_copied_is_there_and_let_in() -> None:
     assert set(sources) - {"."} <= set(let_in)
     for needed in ("pyproject.toml", "README.md", "LICENSE", "docs/rig.schema.json", "docs/pcwlad-geo.1"):
         assert needed in let_in
-    assert "scripts/index_readme.py" in let_in, "hatchling calls it"
+    for called in (
+        "scripts/index_readme.py",
+        "hatch_build.py",
+        "scripts/build_kernels.py",
+        "kernels/windows.c",
+    ):
+        assert called in let_in, "hatchling calls it"
     assert "pcwlad_geo/cli/sample/landsat_b4.tif" in let_in
     assert not [name for name in let_in if name.startswith(("tests", "fuzz", ".git"))]
 
@@ -64,11 +70,11 @@ def started() -> Iterator[Path]:
         for program in ("pcwlad-geo", "dask"):
             script = folder / program
             script.write_text(
-                f'#!/bin/sh\necho {program} "$@"\ncat "$NUMBA_CACHE_DIR/kernel"\necho "$MPLCONFIGDIR"\n'
+                f'#!/bin/sh\necho {program} "$@"\ncat "$MPLCONFIGDIR/fonts"\necho "$MPLCONFIGDIR"\n'
             )
             script.chmod(0o755)
-        (folder / "cache" / "numba").mkdir(parents=True)
-        (folder / "cache" / "numba" / "kernel").write_text("compiled\n")
+        (folder / "cache" / "matplotlib").mkdir(parents=True)
+        (folder / "cache" / "matplotlib" / "fonts").write_text("listed\n")
         yield folder
 
 
@@ -81,7 +87,6 @@ def start(folder: Path, *arguments: str, user: int | None = None) -> list[str]:
         env={
             "PATH": f"{folder}:{os.environ['PATH']}",
             "PCWLAD_GEO_CACHE": str(cache),
-            "NUMBA_CACHE_DIR": str(cache / "numba"),
             "MPLCONFIGDIR": str(cache / "matplotlib"),
         },
         user=user,
@@ -98,13 +103,13 @@ class TestEntryPoint:
         assert start(started, "dask", "scheduler")[0] == "dask scheduler"
         assert start(started)[0] == "pcwlad-geo"
 
-    def test_its_owner_uses_the_compiled_kernels_as_they_are(self, started: Path) -> None:
-        assert start(started, "--help")[1:] == ["compiled", str(started / "cache" / "matplotlib")]
+    def test_its_owner_uses_the_list_of_fonts_as_it_is(self, started: Path) -> None:
+        assert start(started, "--help")[1:] == ["listed", str(started / "cache" / "matplotlib")]
 
     @pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root can be another user")
     def test_who_cannot_write_there_uses_a_copy(self, started: Path) -> None:
-        _, kernel, settings = start(started, "--help", user=NOBODY)
-        assert kernel == "compiled"
+        _, fonts, settings = start(started, "--help", user=NOBODY)
+        assert fonts == "listed"
         assert Path(settings).name == "matplotlib"
         assert not settings.startswith(str(started))
 

@@ -24,6 +24,8 @@ else:
 REPOSITORY = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
 CONDA_NAMES = {"matplotlib": "matplotlib-base", "opencv-python-headless": "py-opencv"}
+KERNELS = {".so", ".dylib", ".dll"}
+"""Suffixes of what is compiled from `kernels/`."""
 RAISED_FOR_CONDA = {"py-opencv"}
 """The recipe says why."""
 WORKFLOWS = REPOSITORY / ".github" / "workflows"
@@ -136,7 +138,7 @@ def test_nothing_of_others_is_bundled() -> None:
         for path in (REPOSITORY / "pcwlad_geo").rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    assert kinds <= {".py", ".pyi", ".typed", ".j2", ".css", ".js", ".tif", ".nbi", ".nbc"}
+    assert kinds <= {".py", ".pyi", ".typed", ".j2", ".css", ".js", ".tif", *KERNELS}
     for path in (REPOSITORY / "pcwlad_geo").rglob("*.[jc]s*"):
         assert not re.search(
             r"copyright|licen[cs]e|@preserve|sourceMappingURL", path.read_text(encoding="utf-8"), re.I
