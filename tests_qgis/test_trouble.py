@@ -21,13 +21,6 @@ ENGINES = {
     "missing": "",
 }
 
-WARMED = {
-    "pcwlad_geo/registration/__init__.py": "",
-    "pcwlad_geo/registration/tiles.py": "import pathlib\n\n\ndef compile_kernels(method):\n"
-    "    pathlib.Path(__file__).with_name('warmed').touch()\n",
-}
-"""Modules that tell whether the kernels were compiled."""
-
 
 @pytest.fixture(scope="module")
 def seen(
@@ -48,7 +41,7 @@ def seen(
     for name in ("empty", "index"):
         (folder / name).mkdir()
         places[name] = str(folder / name)
-    places["wheel"] = str(wheel(folder / "index", more=WARMED))
+    places["wheel"] = str(wheel(folder / "index"))
     found = run_in_window("trouble.py", profile, folder, places)
     if PICTURES:
         keep_pictures(folder, Path(PICTURES))
@@ -85,16 +78,11 @@ def test_the_engine_is_installed_from_the_dock_by_one_click(seen: dict[str, Any]
     )
     assert seen["installed"]["offered"] is False
     assert seen["percent"] > 5
-    assert seen["stages"][-3:] == [
-        "Making the virtual environment",
-        "Downloading and installing",
-        "Compiling for this computer",
-    ]
+    assert seen["stages"][-2:] == ["Making the virtual environment", "Downloading and installing"]
     assert "The engine is installed" in seen["from a wheel"]
     assert seen["cancelled"] == "Cancelled; nothing was written."
     engines = [each for each in profile.rglob("pcwlad_geo_engine*") if each.is_dir()]
     assert len(engines) == 1  # that of the wheel, and nothing of what was cancelled
-    assert list(engines[0].rglob("warmed"))  # its kernels are compiled
 
 
 def test_an_index_without_the_engine_is_told_and_another_source_stays_offered(seen: dict[str, Any]) -> None:

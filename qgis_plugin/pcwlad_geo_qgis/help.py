@@ -242,7 +242,6 @@ OPTIONS = {
 }
 """What the dialogs call the options that they have a widget for."""
 STAGES = {
-    "compiling": mark("Compiling for this computer"),
     "reading": mark("Reading"),
     "inspecting": mark("Inspecting the captures"),
     "prealignment": mark("Rough alignment"),

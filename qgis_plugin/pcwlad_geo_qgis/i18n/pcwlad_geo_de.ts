@@ -1056,10 +1056,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Maske des Ziels</translation>
     </message>
     <message>
-      <source>Compiling for this computer</source>
-      <translation>Für diesen Rechner kompilieren</translation>
-    </message>
-    <message>
       <source>Reading</source>
       <translation>Lesen</translation>
     </message>

@@ -20,8 +20,6 @@ PACKAGES = 40
 """About how many packages are installed, for the progress."""
 COLLECTED = ("Collecting", "Processing", "Requirement already")
 """How the lines begin that pip writes of a package."""
-COMPILE = "from pcwlad_geo.registration.tiles import compile_kernels; compile_kernels('oriented')"
-"""What the engine's Python executes once, so that its first run need not compile."""
 DOWNLOAD_MB, DISK_MB = 280, 1000
 """About what the wheels weigh, and what the installed engine takes on the disk."""
 
@@ -150,9 +148,6 @@ def _fill(plan: Plan, python: str, place: Path, feedback: Feedback, folder: Path
     pip = [str(python_of(place)), "-m", "pip", "install", "--no-input", "--disable-pip-version-check"]
     offline = ["--no-index", "--find-links", plan.wheelhouse] if plan.wheelhouse else []
     _run([*pip, "--progress-bar", "off", *offline, plan.source], plan, feedback, folder)
-    feedback.setProgressText(tr("Compiling for this computer"))
-    # if it fails, the first run compiles, and says so
-    follow([pip[0], "-c", COMPILE], feedback, feedback.pushConsoleInfo, str, folder, grace_s=0.0)
 
 
 def _run(command: Sequence[str], plan: Plan, feedback: Feedback, folder: Path) -> None:
