@@ -1,4 +1,4 @@
-# A container with pcwlad-geo, its kernels compiled, that runs as nobody in particular and in a read-only file system:
+# A container with pcwlad-geo that runs as nobody in particular and in a read-only file system:
 #     docker build -t pcwlad-geo .
 #     docker run --rm --read-only --tmpfs /tmp --user "$(id -u):$(id -g)" -v "$PWD:/data" pcwlad-geo register a.tif b.tif
 # docs/installing.md says how it is tested, and compose.yaml makes a dask cluster of it.
@@ -23,12 +23,11 @@ COPY --chmod=755 container/entrypoint /usr/local/bin/entrypoint
 ENV HOME=/tmp \
     PATH=/opt/pcwlad-geo/bin:$PATH \
     PCWLAD_GEO_CACHE=/var/cache/pcwlad-geo \
-    NUMBA_CACHE_DIR=/var/cache/pcwlad-geo/numba \
     MPLCONFIGDIR=/var/cache/pcwlad-geo/matplotlib \
     PYTHONDONTWRITEBYTECODE=1
 RUN useradd --no-create-home --uid 1000 pcwlad && install -d -o pcwlad -g pcwlad /var/cache/pcwlad-geo /data
 USER pcwlad
-# compiles the kernels and lists the fonts, once; others may read both
+# lists the fonts, once; others may read the list
 RUN pcwlad-geo demo /tmp/demo --progress none && rm -rf /tmp/demo && chmod -R a+rX /var/cache/pcwlad-geo
 WORKDIR /data
 ENTRYPOINT ["entrypoint"]
