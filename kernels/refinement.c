@@ -6,6 +6,8 @@
 enum { STRUCTURE_NONE, STRUCTURE_FOLLOWS, STRUCTURE_FIXED, STRUCTURE_GIVEN };
 enum { CONVERGED, NOT_CONVERGED, INVALID, DIVERGED, UNDETERMINED };
 
+#define FARTHEST_PX 1e9 /* no image is as wide */
+
 /* The numbers below have their names in Python, which gives them, and their reasons. */
 typedef struct {
     int64_t half, step, correlation_half, width, structure_mode, robust, affine, iterations, blocks;
@@ -410,7 +412,11 @@ EXPORT void refine_points(const Images *images, const Starts *starts, const Opti
         int64_t row = starts->corners_rc[p][0], col = starts->corners_rc[p][1];
         results->status[p] = INVALID;
         if (smaller(row, col) < reach || row + reach >= images->rows || col + reach >= images->cols) continue;
-        if (valid_share(&job, starts->shift_xy[p], row, col, job.work.valid) < options->least_valid) continue;
+        /* a vector that is read earlier at the end of a plane still begins within it */
+        if (smaller(images->target_rows, images->target_cols) < LANES) continue;
+        const double *shift = starts->shift_xy[p];
+        if (!(length_of(shift[0], shift[1]) <= FARTHEST_PX)) continue; /* or not a number */
+        if (valid_share(&job, shift, row, col, job.work.valid) < options->least_valid) continue;
         if (options->structure_mode == STRUCTURE_NONE || options->structure_mode == STRUCTURE_GIVEN) set_structure(&job, p);
         results->status[p] = refine_point(&job, p, results->shift_xy[p], results->linear[p], results->covariance[p]);
     }

@@ -110,3 +110,15 @@ def test_targets_are_this_platform_or_what_is_named() -> None:
         for processor in ("x86_64", "aarch64")
         for system in ("linux", "macos", "windows")
     }
+
+
+def test_starts_that_are_no_numbers_and_planes_of_a_few_rows_are_no_match() -> None:
+    pair, corners = cross_modal(False, False), np.tile(CORNERS[:1], (5, 1))
+    shift, linear = np.zeros((5, 2)), np.zeros((5, 2, 2))
+    shift[0], shift[1], shift[2] = np.nan, np.inf, -1e300
+    linear[3], linear[4] = np.nan, -1.0  # the last shrinks the window to a point
+    found = refine(pair.reference, pair.target, corners, InitialEstimate(shift, linear), window_px=21)
+    assert not found.converged.any()
+    thin = ChannelMaps(pair.target.maps[:, :4, :4].copy(), pair.target.valid[:4, :4].copy())
+    start = InitialEstimate(np.array([[-93.0, -78.0]]), np.full((1, 2, 2), -0.9) * np.eye(2))
+    assert not refine(pair.reference, thin, corners[:1], start, window_px=5, least_valid=0.0).converged.any()
