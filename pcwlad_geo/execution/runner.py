@@ -6,7 +6,6 @@ extra `dask`.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import os
 import re
@@ -358,6 +357,8 @@ class WorkerWatch:
 
         Raises `ExecutionError` after `LOST_AFTER_S` without workers.
         """
+        import asyncio  # slow to load, and only those on a cluster need it
+
         count = 0
         with suppress(OSError, TimeoutError, asyncio.TimeoutError):
             count = self._count()
@@ -385,6 +386,8 @@ class WorkerWatch:
 
 @contextmanager
 def _connect(address: str) -> Iterator[Client]:
+    import asyncio
+
     from distributed import Client
     from distributed.comm import get_address_host_port
 
@@ -413,6 +416,8 @@ def _connect(address: str) -> Iterator[Client]:
 
 async def _probe(address: str) -> None:
     """Ask the scheduler to identify itself, as its client would retry for a long time."""
+    import asyncio
+
     from distributed import Security
     from distributed.comm import connect
 

@@ -56,7 +56,6 @@ from pcwlad_geo.registration.inputs import identify_inputs, resolve
 from pcwlad_geo.registration.judge import PRODUCT_M, describe_motions
 from pcwlad_geo.registration.planning import count_tiles
 from pcwlad_geo.registration.prealign import Prealignment, read_overviews
-from pcwlad_geo.registration.proof import prove
 from pcwlad_geo.registration.result import (
     Matches,
     MatchRecord,
@@ -145,6 +144,8 @@ def _fit_and_prove(
     matches: Matches, effort: Effort, on_event: EventCallback, runner: Runner
 ) -> tuple[AssessedFit, Proof, dict[str, float]]:
     """Fit the correction and measure the error of the matching; return both and the seconds of the stages."""
+    from pcwlad_geo.registration.proof import prove  # slow to load, and rarely asked for
+
     fitted = fit(matches, on_event=on_event)
     log = JobLog(on_event, list(fitted.warnings), dict(fitted.seconds))
     with log.stage("proving"):
