@@ -53,6 +53,9 @@ rank, so that a divisor of the points of a cell would sample one rank only."""
 SPARSE_FROM_PX: Final = 101
 """Windows of the second pass that are as wide as this or wider take every second pixel of rows and columns: a
 quarter of the time, and the same error, as the maps hold no detail that the others would add."""
+FIRST_SPARSE_FROM_PX: Final = 81
+"""The same for the first pass, where the second one chooses the window and matches all points again: they
+scatter by 5 to 9 % more, and what is left of them is the start and the field."""
 MEASURED_UP_TO_PX: Final = 181
 """Side of the largest window that points are measured with: one of 257 px takes twice as long, for no more
 than a hundredth of a pixel."""
@@ -192,7 +195,7 @@ def match_candidates(
     def match(some: Index) -> tuple[TiePoints, Bool]:
         start = InitialEstimate(shift[some], np.zeros((len(some), 2, 2)))
         refined, agree, forward_backward = _refine_both(
-            pair.channels, corners[some], start, settings, settings.backward
+            pair.channels, corners[some], start, settings, settings.backward, _first_step(settings)
         )
         valid = _on_valid_target(pair.channels, corners[some], refined.shift_xy_px)
         outcome[some] = np.select(
@@ -228,6 +231,12 @@ def _match_in_turns(
     second = ~first & (rank - wanted < missing[cell])
     more, _ = match(candidates[second])
     return TiePoints.concatenate([points, more]), candidates[~first & ~second]
+
+
+def _first_step(settings: MatchSettings) -> int:
+    """Return the distance of the pixels of a window of the first pass."""
+    chosen_later = settings.open_window and _traits(settings).structure == "local"
+    return STEP_PX if chosen_later and settings.window >= FIRST_SPARSE_FROM_PX else 1
 
 
 def step_of(window_px: int) -> int:
@@ -442,7 +451,8 @@ def matched_again(guide: FieldGuide, settings: MatchSettings) -> Bool:
     traits = _traits(settings)
     if not (traits.refined and traits.structure == "local"):
         return np.zeros_like(guide.leads)
-    return guide.leads | (guide.deforms or (settings.backward == "sample" and not guide.one_way))
+    something_new = guide.deforms or (settings.backward == "sample" and not guide.one_way)
+    return guide.leads | (something_new or _first_step(settings) > 1)
 
 
 def second_pass(pair: ChannelPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
