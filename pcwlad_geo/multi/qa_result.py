@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, cast
@@ -15,7 +15,7 @@ from pcwlad_geo.multi.bands import Band, BandPairStatus, LocalMean, PairResult, 
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products import TIRS_M
 from pcwlad_geo.raster.identity import FileIdentity
-from pcwlad_geo.report.content import Positive, plain, rounded, versions
+from pcwlad_geo.report.content import Positive, filled, plain, rounded, versions
 from pcwlad_geo.requirements import Requirement, Unit, parse_requirement, value_of
 from pcwlad_geo.text import csv_of
 
@@ -353,19 +353,18 @@ def summarise(result: QaResult, outputs: Sequence[str]) -> Summary:
 
     The `outputs` are names of the files in the output folder.
     """
-    numbers = QaNumbers(
+    numbers = filled(
+        QaNumbers,
+        result,
         schema_version=SCHEMA_VERSION,
         kind="qa",
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        passed=result.passed,
         requirements=tuple(_verdict(verdict) for verdict in result.verdicts),
         against=result.against.name if result.against else None,
         bands=tuple(_band(band) for band in result.bands),
-        inputs=result.inputs,
         pairs=tuple(_pair(pair, result.verdicts) for pair in result.pairs),
-        closure=tuple(_triangle(triangle) for triangle in result.triangles),
+        closure=tuple(filled(TriangleEntry, triangle) for triangle in result.triangles),
         seconds=round(result.seconds, 3),
-        settings=result.settings,
         versions=versions(),
         outputs=tuple(outputs),
     )
@@ -378,32 +377,20 @@ def to_csv(summary: Mapping[str, Any]) -> str:
 
 
 def _verdict(judged: Judged) -> BandRequirementEntry:
-    requirement, rule = judged.requirement, judged.requirement.rule
-    return BandRequirementEntry(
-        text=rule.text,
-        statistic=rule.statistic,
-        net=rule.net,
-        limit=rule.limit,
-        unit=rule.unit,
-        scope=requirement.scope,
-        preset=requirement.preset,
-        passed=judged.passed,
-        worst=WorstEntry(*judged.worst) if judged.worst else None,
-        judged=len(judged.values) + len(judged.unmeasured),
-        failed=judged.failed,
-    )
+    worst = WorstEntry(*judged.worst) if judged.worst else None
+    count = len(judged.values) + len(judged.unmeasured)
+    told = judged, judged.requirement, judged.requirement.rule
+    return filled(BandRequirementEntry, *told, worst=worst, judged=count)
 
 
 def _band(band: Band) -> BandEntry:
     crs = band.info.grid.crs
-    return BandEntry(
-        name=band.name,
+    return filled(
+        BandEntry,
+        band,
         path=band.file,
-        product=band.product,
         band=band.info.band,
-        description=band.description,
         shape=band.info.grid.shape,
-        px_m=band.px_m,
         native_px_m=band.native_m,
         native_told=band.native_known,
         crs=crs.to_string() if crs else None,
@@ -415,27 +402,19 @@ def _pair(pair: PairResult, verdicts: Sequence[Judged]) -> BandPairEntry:
     judged = [verdict for verdict in verdicts if pair.name in (*verdict.values, *verdict.unmeasured)]
     by_unit = {name: pair.statistics.get(unit) for name, unit in UNITS.items()}
     met = None if not judged else not any(pair.name in verdict.failed for verdict in judged)
-    return BandPairEntry(
-        name=pair.name,
+    return filled(
+        BandPairEntry,
+        pair,
         reference=pair.reference.name,
         target=pair.target.name,
-        status=pair.status,
-        reason=pair.reason,
         passed=False if verdicts and pair.status == "refused" else met,
-        warnings=pair.warnings,
         n=len(pair.points) if pair.points else 0,
-        rejected=pair.rejected,
         px_m=pair.target.px_m,
         native_px_m=pair.native_m,
         local=tuple(local_means(pair.points, pair.target.info.grid.shape)) if pair.points else (),
         displacement={name: found and found.of_unit for name, found in by_unit.items()},
         proof=replace(pair.proof, map=()) if pair.proof else None,
     )
-
-
-def _triangle(triangle: Triangle) -> TriangleEntry:
-    names = [each.name for each in fields(TriangleEntry)]
-    return TriangleEntry(**{name: getattr(triangle, name) for name in names})
 
 
 def _row(pair: Mapping[str, Any]) -> dict[str, object]:

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import BATCH_ROWS, check_count
-from pcwlad_geo.products import RASTERS, find_product, rasters_of
+from pcwlad_geo.products import BAND_OF, RASTERS, find_product, rasters_of
 from pcwlad_geo.raster.file_tree import is_folder
 from pcwlad_geo.raster.source import Bands, RasterInfo, describe, file_name, plain_name
 from pcwlad_geo.text import read_json, read_text
@@ -67,6 +67,12 @@ class StackInput:
             return datetime.date.fromisoformat((self.date or "")[:10])
         except ValueError:
             return None
+
+    @property
+    def shown_band(self) -> str:
+        """The band that it shows, as the user or its name says; empty where they do not."""
+        found = BAND_OF.fullmatch(self.name)
+        return self.band if isinstance(self.band, str) else found["band"] if found else ""
 
     def describe(self) -> RasterInfo:
         """Describe the band that is matched; raises `InputError` if it cannot be read."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -37,7 +37,6 @@ from pcwlad_geo.multi.rpc_block import BlockAdjustment, HoldOutCheck
 from pcwlad_geo.multi.stack_inputs import DATE, StackInput
 from pcwlad_geo.multi.stack_pairs import ControlPoint, Measured, StackFrame, StackPair
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products import BAND_OF
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid, pixel_sizes_m
 from pcwlad_geo.raster.output_format import OutputFormat
@@ -45,7 +44,7 @@ from pcwlad_geo.raster.rpc.grid import at_mean_height
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.rpc import RpcRegistration
-from pcwlad_geo.report.content import versions
+from pcwlad_geo.report.content import filled, versions
 from pcwlad_geo.report.finished import read_report
 from pcwlad_geo.requirements import Requirement, RequirementResult
 from pcwlad_geo.text import csv_of
@@ -531,35 +530,26 @@ def write_numbers(found: Stack, settings: Settings, page: str, folder: Path) -> 
 
 
 def _numbers(found: Stack, settings: Settings, outputs: tuple[str, ...]) -> StackNumbers:
-    same = {each.name for each in fields(Stack)} & {each.name for each in fields(StackNumbers)}
-    values = {name: getattr(found, name) for name in same} | {
-        "images": tuple(map(_entry, found.images)),
-        "pairs": tuple(replace(pair, folder=pair.folder.relative_to(found.out_dir)) for pair in found.pairs),
-        "requirements": tuple(map(StackRequirement.of, found.requirements)),
-    }
-    return StackNumbers(
+    return filled(
+        StackNumbers,
+        found,
         schema_version=SCHEMA_VERSION,
         model=settings.model,
-        quality=found.quality,
-        passed=found.passed,
+        images=tuple(map(_entry, found.images)),
+        pairs=tuple(replace(pair, folder=pair.folder.relative_to(found.out_dir)) for pair in found.pairs),
+        requirements=tuple(map(StackRequirement.of, found.requirements)),
         outputs=outputs,
-        **values,
     )
 
 
 def _entry(image: StackImage) -> ImageEntry:
-    return ImageEntry(
-        **_part(PlacedImage, image),
+    return filled(
+        ImageEntry,
+        image,
         model=image.correction.to_dict(),
         registered=None if image.refused else image.registered.name,
-        quality=image.quality,
-        rpc=None if image.rpc is None else RpcFiles(**_part(RpcFiles, image.rpc)),
+        rpc=None if image.rpc is None else filled(RpcFiles, image.rpc),
     )
-
-
-def _part(base: type[PlacedImage | RpcFiles], found: PlacedImage | RpcFiles) -> dict[str, Any]:
-    """Return the fields that something has of its base class, by their names."""
-    return {each.name: getattr(found, each.name) for each in fields(base)}
 
 
 def _table(found: Stack) -> str:
@@ -605,7 +595,7 @@ def catalogue(found: Stack, driver: str) -> dict[str, str]:
     times: dict[str, dict[str, StackImage]] = {}
     for image in placed:
         bands = times.setdefault(image.given.path if image.date is None else _time(image.date), {})
-        band = _band_of(image)
+        band = image.given.shown_band or DATE.sub("", image.name).strip("_-. ") or STAC_ASSET
         bands[image.name if band in bands else band] = image
     if all(len(bands) == 1 for bands in times.values()):
         times = {time: {STAC_ASSET: image} for time, bands in times.items() for image in bands.values()}
@@ -625,14 +615,6 @@ def stac_texts(items: Sequence[Mapping[str, Any]], collection: str, description:
     texts = {ITEM.format(item["id"]): item for item in items}
     texts[COLLECTION] = _whole(items, collection, description)
     return {name: json.dumps(text, indent=1) + "\n" for name, text in texts.items()}
-
-
-def _band_of(image: StackImage) -> str:
-    """Return the band that an image shows, as the user or its name says; else its name without the date."""
-    if isinstance(image.given.band, str):
-        return image.given.band
-    found = BAND_OF.fullmatch(image.name)
-    return found["band"] if found else DATE.sub("", image.name).strip("_-. ") or STAC_ASSET
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,7 +59,7 @@ from pcwlad_geo.multi.stack_result import NUMBERS as STACK_NUMBERS
 from pcwlad_geo.multi.trend import seconds_of
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
-from pcwlad_geo.products import BAND_OF, products_found_once
+from pcwlad_geo.products import products_found_once
 from pcwlad_geo.raster.grid import Grid, middle_pixel_size_m
 from pcwlad_geo.raster.source import RasterInfo, describe, plain_name
 from pcwlad_geo.raster.trust import Trust, trusting
@@ -498,7 +498,7 @@ def _year(given: StackInput) -> float:
 def _grouped(images: Sequence[DatedImage]) -> dict[str, list[DatedImage]]:
     """Return the images by their series: what took them, the band and the size of a pixel if these differ."""
     sensors = [image.given.series or _satellite(image.given) for image in images]
-    bands = [_band(image.given) for image in images]
+    bands = [image.given.shown_band for image in images]
     sizes = [f"{image.pixel_size_m:.2g} m" if image.pixel_size_m else "" for image in images]
     kinds = list(zip(sensors, bands, sizes, strict=True))
     found: dict[str, list[DatedImage]] = {}
@@ -509,12 +509,6 @@ def _grouped(images: Sequence[DatedImage]) -> dict[str, list[DatedImage]]:
         parts += [size] if len({kind[2] for kind in alike}) > 1 else []
         found.setdefault(" ".join(filter(None, parts)) or "all images", []).append(image)
     return dict(sorted(found.items()))
-
-
-def _band(given: StackInput) -> str:
-    """Return the band that an image shows, as the user or its name says; nothing where they do not."""
-    found = BAND_OF.fullmatch(given.name)
-    return given.band if isinstance(given.band, str) else found["band"] if found else ""
 
 
 def _satellite(given: StackInput) -> str:

@@ -379,6 +379,14 @@ def plain(value: object) -> object:
 T = TypeVar("T")
 
 
+def filled(kind: type[T], /, *sources: object, **values: Any) -> T:  # noqa: ANN401  # of the fields' types
+    """Return a dataclass of a `kind`: its fields are `values`, the others the first source's of that name."""
+    for name in {each.name for each in fields(kind)} - values.keys():  # type: ignore[arg-type]
+        found = [getattr(source, name) for source in sources if hasattr(source, name)]
+        values |= {name: found[0]} if found else {}
+    return kind(**values)
+
+
 def rounded(value: T, digits: int = DIGITS) -> T:
     """Return a value with all numbers in it, also nested ones, rounded to `digits` decimal places."""
     found: Any = value
@@ -417,26 +425,15 @@ def summarise(
     table = registration.tie_points
     kept = table.select(*KEPT)
     rpc = registration.rpc
-    return Report(
+    return filled(
+        Report,
+        registration,
         schema_version=SCHEMA_VERSION,
-        status=registration.status,
-        reason=registration.reason,
-        warnings=registration.warnings,
-        passed=registration.passed,
         requirements=tuple(_requirement(each) for each in registration.requirements),
         reference=reference_entry(registration.reference),
         target=raster_entry(registration.target),
-        inputs=registration.inputs,
-        px_m=registration.px_m,
         output_grid=_grid(output_grid) if output_grid else None,
-        prealignment=registration.prealignment,
-        geometry=registration.geometry,
-        motions=registration.motions,
-        jitter_px=registration.jitter_px,
-        window_px=registration.window_px,
-        origin=registration.origin,
         tie_points=_tie_point_counts(registration),
-        counts=registration.counts,
         displacement_px=_statistics(kept.displacement_px, PX_DIGITS),
         displacement_m=_statistics(kept.displacement_m, M_DIGITS),
         rpc=_rpc(rpc, registration.settings) if rpc else None,
@@ -447,7 +444,6 @@ def summarise(
         profiles=_profiles(registration),
         coverage=_coverage(registration),
         seconds=rounded(registration.seconds, SECONDS_DIGITS),
-        settings=registration.settings,
         versions=versions(),
         proof=rounded(registration.proof, PROOF_DIGITS),
         outputs=tuple(outputs),
@@ -495,29 +491,23 @@ def _grid(grid: Grid) -> GridEntry:
 def reference_entry(info: RasterInfo) -> ReferenceEntry:
     """Return the reference; with an RPC, also the grid onto which it is orthorectified."""
     ground = _grid(ground_grid(info.grid)) if isinstance(info.grid, RpcGrid) else None
-    raster = raster_entry(info)
-    return ReferenceEntry(**{each.name: getattr(raster, each.name) for each in fields(raster)}, ground=ground)
+    return filled(ReferenceEntry, raster_entry(info), ground=ground)
 
 
 def _requirement(result: RequirementResult) -> RequirementEntry:
-    requirement = result.requirement
-    return RequirementEntry(
-        requirement.text, requirement, result.value, result.met, result.reason, result.text
-    )
+    return filled(RequirementEntry, result, text=result.requirement.text, message=result.text)
 
 
 def raster_entry(info: RasterInfo) -> RasterEntry:
     """Return the entry of a band of an input."""
-    return RasterEntry(
+    return filled(
+        RasterEntry,
+        info,
         path=info.uri,
-        band=info.band,
         matched=bands_of(info).text,
         weights=info.several.parts if info.several else (),
-        band_count=info.band_count,
         grid=_grid(info.grid),
         georeferenced=info.georeferenced and not isinstance(info.grid, RpcGrid),
-        dtype=info.dtype,
-        nodata=info.nodata,
         mask=info.mask_uri,
         mask_kind=info.mask_kind if info.mask_uri else None,
     )
@@ -566,13 +556,12 @@ def _model(registration: Registration, precision: PrecisionMap | None) -> ModelE
         found["forward"],
         _predicted_sigma(precision) if precision else None,
         tuple(
-            CandidateEntry(
-                each.name,
-                _known(each.parameters, 1),
-                _known(each.rmse_px, PX_DIGITS),
-                _known(each.rmse_standard_error_px, PX_DIGITS),
-                each.chosen,
-                each.note,
+            filled(
+                CandidateEntry,
+                each,
+                parameters=_known(each.parameters, 1),
+                rmse_px=_known(each.rmse_px, PX_DIGITS),
+                rmse_standard_error_px=_known(each.rmse_standard_error_px, PX_DIGITS),
             )
             for each in candidates
         ),
@@ -701,17 +690,16 @@ def proof_numbers(registration: Registration, proof: Proof, outputs: Sequence[st
 
     The proof is of the pair of the `registration`; `outputs` are the names of the files in the folder.
     """
-    return ProofNumbers(
+    return filled(
+        ProofNumbers,
+        registration,
         schema_version=PROOF_VERSION,
         kind="proof",
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         reference=reference_entry(registration.reference),
         target=raster_entry(registration.target),
-        inputs=registration.inputs,
-        px_m=registration.px_m,
         proof=rounded(proof, PROOF_DIGITS),
         seconds=rounded(registration.seconds, SECONDS_DIGITS),
-        settings=registration.settings,
         versions=versions(),
         outputs=tuple(outputs),
     )
