@@ -189,42 +189,22 @@ def _write_sample(params: Mapping[str, Any]) -> None:
             place_file(stage / place.name, place, overwrite=overwrite)
 
 
-app.command(
-    rich_help_panel=MANY,
-    epilog=o.examples(
-        "batch pairs.csv -o registered",
-        "batch pairs.csv -o registered --jobs 8",
+for command, panel, lines in (
+    (batch, MANY, ("batch pairs.csv -o registered", "batch pairs.csv -o registered --jobs 8")),
+    (stack, MANY, ("stack 2021.tif 2022.tif 2023.tif -o series", "stack --add 2024.tif series")),
+    (watch, MANY, ("watch series", "watch series -o watched")),
+    (qa, MANY, ("qa b2.tif b3.tif b4.tif -o quality", 'qa stacked.tif --require "CE90<=0.3px"')),
+    (
+        warp,
+        AFTER,
+        (
+            "warp registered thermal_b11.tif",
+            "warp registered thermal_b11.tif -o warped --resampling bilinear",
+        ),
     ),
-)(batch)
-app.command(
-    rich_help_panel=MANY,
-    epilog=o.examples(
-        "stack 2021.tif 2022.tif 2023.tif -o series",
-        "stack --add 2024.tif series",
-    ),
-)(stack)
-app.command(
-    rich_help_panel=MANY,
-    epilog=o.examples(
-        "watch series",
-        "watch series -o watched",
-    ),
-)(watch)
+):
+    app.command(rich_help_panel=panel, epilog=o.examples(*lines))(command)
 app.add_typer(rig, name="rig", rich_help_panel=MANY)
-app.command(
-    rich_help_panel=MANY,
-    epilog=o.examples(
-        "qa b2.tif b3.tif b4.tif -o quality",
-        'qa stacked.tif --require "CE90<=0.3px"',
-    ),
-)(qa)
-app.command(
-    rich_help_panel=AFTER,
-    epilog=o.examples(
-        "warp registered thermal_b11.tif",
-        "warp registered thermal_b11.tif -o warped --resampling bilinear",
-    ),
-)(warp)
 app.command(hidden=True)(edit)  # a conversation between programs
 
 

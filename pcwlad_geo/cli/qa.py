@@ -60,11 +60,6 @@ def outcome_of(result: QaResult) -> dict[str, object]:
     }
 
 
-def trend_text(found: Trend) -> str:
-    """Return the text that is printed at the end of a trend."""
-    return f"{found.reports} reports, {len(found.series)} series\nreport: {found.paths['report']}\n"
-
-
 def _pair(pair: PairResult) -> Sequence[str]:
     px, m = pair.statistics.get("px"), pair.statistics.get("m")
     if px is None:
@@ -231,7 +226,8 @@ def _trend_ending(found: Trend) -> Ending:
         "exit_status": 0,
         "paths": paths,
     }
-    return Ending(figures, visible(trend_text(found)))
+    text = f"{found.reports} reports, {len(found.series)} series\nreport: {found.paths['report']}\n"
+    return Ending(figures, visible(text))
 
 
 def _abandon(params: Mapping[str, Any]) -> None:
