@@ -27,7 +27,6 @@ from pcwlad_geo.multi.bands import (
     with_native_px,
 )
 from pcwlad_geo.multi.qa_result import (
-    BandRequirement,
     QaResult,
     check_applicable,
     judge_pairs,
@@ -137,7 +136,8 @@ def qa(
         from pcwlad_geo.report.page import check_pdf
 
         check_pdf()
-    requirements = read_requirements(settings.require, preset)
+    requirements = [read_requirement(text) for text in settings.require]
+    requirements += [each for name in dict.fromkeys(preset) for each in preset_requirements(name)]
     numbers = parse_bands(bands) if isinstance(bands, str) else bands
     with trusting(settings.trust):
         stack = with_native_px(list_bands(rasters, numbers, mask), native_px)
@@ -170,15 +170,6 @@ def qa(
         check_unchanged(inputs)
         folder.commit()
     return result
-
-
-def read_requirements(require: Sequence[str], preset: Sequence[str]) -> list[BandRequirement]:
-    """Return the requirements of the user (`require`) and of the presets (`preset`).
-
-    Raises `SettingsError` if one cannot be parsed.
-    """
-    read = [read_requirement(text) for text in require]
-    return read + [each for name in dict.fromkeys(preset) for each in preset_requirements(name)]
 
 
 def qa_folder(rasters: Sequence[PathLike], out_dir: PathLike | None) -> Path:

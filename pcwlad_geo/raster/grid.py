@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from affine import Affine
@@ -16,6 +16,9 @@ from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.estimation.solving import inverse, solve
 from pcwlad_geo.raster.crs import displacement_m, transform_xy
 from pcwlad_geo.types import Float64
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,11 +186,11 @@ class Grid:
         """Map (n, 2) map coordinates `xy` (x, y) to (n, 2) pixel coordinates (col, row)."""
         return apply_inverse(self.transform, xy)
 
-    def part(self, origin_px: tuple[float, float], shape: tuple[int, int]) -> Grid:
+    def part(self, origin_px: tuple[float, float], shape: tuple[int, int]) -> Self:
         """Return the grid of the same pixels from `origin_px` (col, row) on, with `shape` (rows, columns)."""
         return self.resampled_grid(((1.0, 0.0), (0.0, 1.0)), origin_px, shape)
 
-    def scaled(self, shape: tuple[int, int]) -> Grid:
+    def scaled(self, shape: tuple[int, int]) -> Self:
         """Return the grid of the same extent with another shape (rows, columns)."""
         factors = (self.shape[1] / shape[1], self.shape[0] / shape[0])
         return self.resampled_grid(((factors[0], 0.0), (0.0, factors[1])), (0.0, 0.0), shape)
@@ -197,12 +200,12 @@ class Grid:
         linear: tuple[tuple[float, float], tuple[float, float]],
         origin_px: tuple[float, float],
         shape: tuple[int, int],
-    ) -> Grid:
+    ) -> Self:
         """Return the grid of `shape` (rows, columns) whose pixel p is `linear` · p + `origin_px` in this one.
 
         All pixel coordinates are (col, row).
         """
-        return Grid(shape, composed(self.transform, linear, origin_px), self.crs)
+        return replace(self, shape=shape, transform=composed(self.transform, linear, origin_px))
 
     def boundary_px(self, points_per_side: int = 32) -> Float64:
         """Return (n, 2) points (col, row) around the outer edge of the pixels, px, in order, not closed."""

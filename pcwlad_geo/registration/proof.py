@@ -1003,10 +1003,6 @@ class _Part:
         col, row = self.job.target_offset_px
         return _with_nan(self.job.target.read(window.moved(row, col)))
 
-    def with_features(self, features: int) -> _Part:
-        """Return the same part, to be registered by another number of candidates."""
-        return replace(self, settings=replace(self.settings, features=features))
-
     def registered(
         self, target: Float64, reference: Float64 | None = None, reverse: bool = False
     ) -> Registration | None:
@@ -1064,7 +1060,8 @@ def sensitivity(
     still = part.registered(target)
     if still is None:
         return None
-    reversal = _reversal(part.with_features(matches.pair.settings.features), target)
+    own = replace(part.settings, features=matches.pair.settings.features)
+    reversal = _reversal(replace(part, settings=own), target)
     limits, done = [], begun + BEFORE_TRIALS
     for number, name in enumerate(HARDER):
         log.on_event(Progress("proving", done + TRIALS_EACH * number, begun + MOST_TRIALS))

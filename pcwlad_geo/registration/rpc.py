@@ -91,16 +91,10 @@ def place_reference(
     height_m = None if other is None else other.rpc.height_off
     how: dict[str, Any] = {"side": "reference", "height_m": height_m, "trusted": settings.trust_rpc}
     placed = _placed(reference, source, settings.dem, settings.dem_vertical, **how)
-    crs = _ground_crs(placed.info, target if other is None else None)
-    info = replace(placed.info, grid=replace(_rpc_grid(placed.info), crs=crs))
+    grid = _rpc_grid(placed.info)
+    crs = (target.grid.crs if other is None else None) or ground_crs(grid)
+    info = replace(placed.info, grid=replace(grid, crs=crs))
     return replace(placed, info=info), placed.warnings
-
-
-def _ground_crs(reference: RasterInfo, target: RasterInfo | None) -> CRS:
-    """Return the CRS in which the ground below a reference with RPC is given."""
-    if target is not None and target.grid.crs is not None:
-        return target.grid.crs
-    return ground_crs(_rpc_grid(reference))
 
 
 def ground_crs(grid: RpcGrid) -> CRS:

@@ -21,7 +21,7 @@ from pcwlad_geo.raster.grid import Grid, is_invertible, linear_part
 from pcwlad_geo.raster.identity import FileIdentity, same
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest
-from pcwlad_geo.raster.rpc.dem import Dem, Vertical
+from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.trust import trusting
@@ -146,20 +146,16 @@ def _same_inputs(inputs: Inputs, report: Mapping[str, Any]) -> bool:
 
 def _corrected_rpc(rpc: RpcRegistration, registration: Registration) -> CorrectedRpc:
     heights, settings = rpc.original.heights, registration.settings
-    dem = heights if isinstance(heights, Dem) else None
+    dem, above = heights if isinstance(heights, Dem) else None, settings.dem_vertical
     return CorrectedRpc(
         original=rpc.original.rpc,
         corrected=rpc.corrected_grid.rpc,
         shape=registration.target.grid.shape,
         dem=dem.uri if dem else None,
-        dem_vertical=_vertical(settings.dem_vertical) if dem else None,
+        dem_vertical=(os.fspath(above) if isinstance(above, Path) else above) if dem else None,
         height_m=None if isinstance(heights, Dem) else heights.height_m,
         trusted=settings.trust_rpc,
     )
-
-
-def _vertical(given: float | Path | str | None) -> Vertical:
-    return os.fspath(given) if isinstance(given, Path) else given
 
 
 def _report(path: Path) -> Mapping[str, Any]:

@@ -73,6 +73,11 @@ class Frame:
     xmp: Mapping[str, str]
     """What XMP says that still holds of a corrected frame, by its name without namespace."""
 
+    @property
+    def tells_focal(self) -> bool:
+        """Whether it tells the focal length."""
+        return self.calibrated is not None or self.focal_px is not None
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capture:

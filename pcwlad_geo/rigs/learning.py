@@ -187,12 +187,11 @@ def _sigmas(state: RigState, order: Sequence[Frame], heights: bool) -> RigState:
     lenses = np.empty_like(state.lenses)
     for number, frame in enumerate(order):
         calibrated = frame.calibrated is not None
-        focal_known = calibrated or frame.focal_px is not None
         focal_px, side = state.lenses[number, 0], max(frame.shape)
         corner = math.hypot(*frame.shape) / 2 / focal_px
         bend, shear = (each[0 if calibrated else 1] for each in (BEND_SIGMA_PX, SHEAR_SIGMA_PX))
         share = side / 1280  # frames of fewer pixels bend by fewer
-        lenses[number, 0] = FOCAL_SIGMA[0 if focal_known else 1] * focal_px
+        lenses[number, 0] = FOCAL_SIGMA[0 if frame.tells_focal else 1] * focal_px
         lenses[number, 1:3] = CENTRE_SIGMA[0 if calibrated else 1] * side
         lenses[number, 3:6] = bend * share / focal_px / corner ** np.array([3, 5, 7])
         lenses[number, 6:8] = shear * share / focal_px / (3 * corner**2)
@@ -225,7 +224,7 @@ def _started(
     for number in np.unique(np.linspace(0, len(chosen) - 1, TRIES).astype(int)):
         frames = chosen[number].frames
         calls = [
-            (frames[names[0]], frames[names[k]], lenses[0], lenses[k], _has_focal(frames[names[k]]))
+            (frames[names[0]], frames[names[k]], lenses[0], lenses[k], frames[names[k]].tells_focal)
             for k in left
         ]
         results = runner.run(find_start, calls, "starts", on_event).results
@@ -241,10 +240,6 @@ def _started(
         f"lens {missing} cannot be matched with {names[0]} in {min(TRIES, len(chosen))} captures: give "
         "captures of ground with structure, in flight, not of a panel"
     )
-
-
-def _has_focal(frame: Frame) -> bool:
-    return frame.calibrated is not None or frame.focal_px is not None
 
 
 def find_start(

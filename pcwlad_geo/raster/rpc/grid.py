@@ -11,7 +11,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from pcwlad_geo.raster.crs import WGS84, transform_xy
-from pcwlad_geo.raster.grid import Grid, Window, apply, apply_inverse, composed, map_px
+from pcwlad_geo.raster.grid import Grid, Window, apply, apply_inverse, map_px
 from pcwlad_geo.raster.pixels import sample_positions
 from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem
 from pcwlad_geo.raster.rpc.model import RpcModel
@@ -90,18 +90,6 @@ class RpcGrid(Grid):
     def file_to_own_px(self, file_px: Float64) -> Float64:
         """Map (n, 2) pixels `file_px` (col, row) of the file to (n, 2) pixels of this grid."""
         return apply_inverse(self.transform, file_px)
-
-    def resampled_grid(
-        self,
-        linear: tuple[tuple[float, float], tuple[float, float]],
-        origin_px: tuple[float, float],
-        shape: tuple[int, int],
-    ) -> RpcGrid:
-        """Return the grid of `shape` (rows, columns) whose pixel p is `linear` · p + `origin_px` in this one.
-
-        All pixel coordinates are (col, row).
-        """
-        return replace(self, shape=shape, transform=composed(self.transform, linear, origin_px))
 
 
 def at_mean_height(grid: Grid) -> Grid:

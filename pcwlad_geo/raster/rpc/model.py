@@ -70,7 +70,9 @@ class RpcModel:
         result = np.empty((len(normalised), 2))
         for begin in range(0, len(normalised), CHUNK):
             part = slice(begin, begin + CHUNK)
-            result[part] = self._to_px(normalised[part])
+            numerators, denominators = self._fractions(polynomial_terms(normalised[part]))
+            # the RPC counts from the centre of the first pixel
+            result[part] = (numerators / denominators).T * self._scale + self._offset
         return result
 
     def to_ground(
@@ -115,11 +117,6 @@ class RpcModel:
         moved: Float64 = np.asarray(ground, dtype=np.float64) - offset
         moved[:, 0] = (moved[:, 0] + 180.0) % 360.0 - 180.0  # scenes at the date line
         return moved / [self.long_scale, self.lat_scale, self.height_scale]
-
-    def _to_px(self, normalised: Float64) -> Float64:
-        numerators, denominators = self._fractions(polynomial_terms(normalised))
-        # the RPC counts from the centre of the first pixel
-        return (numerators / denominators).T * self._scale + self._offset
 
     def _linearised(self, normalised: Float64) -> tuple[Float64, Float64]:
         """Return (n, 2) pixels (col, row), and (n, 2, 2) derivatives by normalised longitude, latitude."""
