@@ -11,6 +11,7 @@ import os
 import stat
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -140,13 +141,25 @@ def parse_json(text: str) -> Any:  # noqa: ANN401  # of any structure
     raise ValueError("nested too deeply")
 
 
-def finite(value: object) -> object:
-    """Return a value of dicts, lists and plain values with None for each number that JSON cannot hold."""
-    if isinstance(value, dict):
-        return {name: finite(item) for name, item in value.items()}
+def plain(value: object) -> object:
+    """Return a value in JSON types: of NaN None, of paths text, of arrays lists, of dataclasses dicts."""
+    if hasattr(value, "tolist"):  # of numpy
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return [plain(item) for item in value]
+    if not is_dataclass(value):
+        return value
+    found: dict[str, object] = {}
+    for each in fields(value):
+        item = plain(getattr(value, each.name))
+        found |= item if "inline" in each.metadata and isinstance(item, dict) else {each.name: item}
+    return found
 
 
 def _inside(value: object) -> Iterable[object]:

@@ -24,7 +24,7 @@ from pcwlad_geo.cli.progress import protocol_stream
 from pcwlad_geo.errors import InputError, PcwladGeoError, SettingsError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.options import OutputGrid, Resampling, Settings, to_setting
-from pcwlad_geo.text import finite, parse_json, visible
+from pcwlad_geo.text import parse_json, plain, visible
 
 if TYPE_CHECKING:
     from pcwlad_geo.registration.editing import Editor
@@ -106,7 +106,7 @@ def edit(context: typer.Context, registration: Folder, progress: o.ProgressOptio
     with protocol_stream() as stream:
 
         def tell(event: str, values: Mapping[str, object]) -> None:
-            stream.write(json.dumps(finite({"event": event, **values}), allow_nan=False) + "\n")
+            stream.write(json.dumps(plain({"event": event, **values}), allow_nan=False) + "\n")
             stream.flush()
 
         trust = {name: bool(context.params[name]) for name in ("allow_remote", "trust_vrt")}

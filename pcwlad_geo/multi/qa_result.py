@@ -15,9 +15,9 @@ from pcwlad_geo.multi.bands import Band, BandPairStatus, LocalMean, PairResult, 
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products import TIRS_M
 from pcwlad_geo.raster.identity import FileIdentity
-from pcwlad_geo.report.content import Positive, filled, plain, rounded, versions
+from pcwlad_geo.report.content import Positive, filled, rounded, versions
 from pcwlad_geo.requirements import Requirement, Unit, parse_requirement, value_of
-from pcwlad_geo.text import csv_of
+from pcwlad_geo.text import csv_of, plain
 
 Scope = Literal["all", "no thermal", "one thermal", "both thermal"]
 Preset = Literal["sentinel2", "landsat-oli", "landsat-tirs"]

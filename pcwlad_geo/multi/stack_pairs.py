@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 import numpy as np
 import shapely
@@ -157,6 +157,7 @@ class StackFrame:
 
 
 Measured = tuple[Edge | None, StackPair]
+T = TypeVar("T")
 
 
 def measure(
@@ -203,22 +204,18 @@ def measured_pair(
         reason = reason or f"fewer than {MIN_PAIR_POINTS} tie points"
         on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
     status: PairStatus = "refused" if edge is None else "used"
-    found = StackPair(*names, status, reason, place, motions=_motions_of(report, place))
+    motions = _validated(tuple[Motion, ...], report.get("motions", ()), place)
+    found = StackPair(*names, status, reason, place, motions=motions)
     return edge, found if edge is None else graded(found, edge, report)
 
 
-def _damaged(place: Path, error: Exception) -> OutputError:
-    return OutputError(f"{place} has a damaged report ({error}): remove the folder, and run again")
-
-
-def _motions_of(report: Mapping[str, Any], place: Path) -> tuple[Motion, ...]:
-    """Return the motions in the report of a pair; raises `OutputError` if they are damaged."""
+def _validated(kind: type[T], found: object, place: Path) -> T:
+    """Return what the report of a pair holds as a `kind`; raises `OutputError` if it is damaged."""
     try:
-        motions = tuple(Motion(**each) for each in report.get("motions", ()))
-        describe_motions(motions, taken=True)  # fails where a value is of a wrong type
-    except (TypeError, ValueError) as error:
-        raise _damaged(place, error) from error
-    return motions
+        return TypeAdapter(kind).validate_python(found)
+    except ValidationError as error:
+        message = f"{place} has a damaged report ({joined(error)}): remove the folder, and run again"
+        raise OutputError(message) from error
 
 
 def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
@@ -238,17 +235,10 @@ def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
     reasons += [(each.grade, each.text) for each in _displaced_otherwise(pair.folder)]
     grade: Grade = min((grade for grade, _ in reasons), key=GRADES.index, default="good")
     texts = tuple(text for _, text in reasons)
-    proof = _proof_of(report, pair.folder)
+    told = report.get("proof")
+    told = {**told, "map": ()} if isinstance(told, dict) else told
+    proof = _validated(Proof, told, pair.folder) if told else None
     return replace(pair, quality=grade, quality_reasons=texts, jitter_px=jitter_px, proof=proof)
-
-
-def _proof_of(report: Mapping[str, Any], place: Path) -> Proof | None:
-    """Return the proof in the report of a pair, without its map."""
-    found = report.get("proof")
-    try:
-        return TypeAdapter(Proof).validate_python({**found, "map": ()}) if found else None
-    except (TypeError, ValidationError) as error:
-        raise _damaged(place, error) from error
 
 
 def _displaced_otherwise(place: Path) -> Iterator[Reason]:

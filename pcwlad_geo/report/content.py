@@ -58,6 +58,7 @@ from pcwlad_geo.report.statistics import (
     target_px_m,
 )
 from pcwlad_geo.requirements import Requirement, RequirementResult
+from pcwlad_geo.text import plain
 from pcwlad_geo.types import Float64
 
 Positive = Annotated[int, ("minimum", 1)]
@@ -353,27 +354,6 @@ class Report:
 def to_json(content: object) -> str:
     """Return `content` as the text of a JSON file, by `plain`."""
     return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def plain(value: object) -> object:
-    """Return a value in JSON types: of NaN None, of paths text, of arrays lists, of dataclasses dicts."""
-    if hasattr(value, "tolist"):  # of numpy
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, Mapping):
-        return {str(name): plain(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if not is_dataclass(value):
-        return value
-    found: dict[str, object] = {}
-    for each in fields(value):
-        item = plain(getattr(value, each.name))
-        found |= item if "inline" in each.metadata and isinstance(item, dict) else {each.name: item}
-    return found
 
 
 T = TypeVar("T")

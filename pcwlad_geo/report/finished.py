@@ -28,8 +28,8 @@ from pcwlad_geo.raster.trust import trusting
 from pcwlad_geo.registration.inputs import Inputs, grid_request, identify_inputs, requested_grid, resolve
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.rpc import CorrectedRpc, RpcRegistration
-from pcwlad_geo.report.content import SCHEMA_VERSION, plain
-from pcwlad_geo.text import read_json
+from pcwlad_geo.report.content import SCHEMA_VERSION
+from pcwlad_geo.text import plain, read_json
 
 NUMBERS = "report.json"
 """Name of the file in an output folder that describes the registration."""

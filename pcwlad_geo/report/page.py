@@ -26,9 +26,10 @@ from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, NOTICEABLE_PX, Grade
 from pcwlad_geo.registration.proof import LOCKING_PX
 from pcwlad_geo.registration.result import Registration, RegistrationStatus
-from pcwlad_geo.report.content import GroupStatistics, Report, plain, raster_entry, reference_entry
+from pcwlad_geo.report.content import GroupStatistics, Report, raster_entry, reference_entry
 from pcwlad_geo.report.statistics import PrecisionMap, heights_m, precision_of
 from pcwlad_geo.report.views import PairView, checkered, pair_views, read_backdrop
+from pcwlad_geo.text import plain
 
 if TYPE_CHECKING:
     from pcwlad_geo.report.figures import GapStyle

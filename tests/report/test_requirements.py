@@ -11,9 +11,10 @@ import pytest
 
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report import page
-from pcwlad_geo.report.content import plain, summarise
+from pcwlad_geo.report.content import summarise
 from pcwlad_geo.report.statistics import judge_requirements
 from pcwlad_geo.requirements import Command, RequirementResult, parse_requirement
+from pcwlad_geo.text import plain
 from tests.registrations import without_crs
 
 Make = Callable[..., Registration]

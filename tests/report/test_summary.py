@@ -14,7 +14,8 @@ from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.raster.identity import FileIdentity
 from pcwlad_geo.registration.inputs import InputFile
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.report.content import plain, summarise, to_json
+from pcwlad_geo.report.content import summarise, to_json
+from pcwlad_geo.text import plain
 from tests.registrations import json_of
 
 Make = Callable[..., Registration]
