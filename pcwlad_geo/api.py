@@ -187,6 +187,14 @@ def fit(
     return FittedCorrection(registration, pair.scratch)
 
 
+class _WarpKeywords(WarpOptions, total=False):
+    """What `FittedCorrection.warp` takes by keyword."""
+
+    resampling: Resampling | None
+    overwrite: bool
+    on_event: EventCallback
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedCorrection:
     """A correction fitted to tie points, with its precision, and what can be made of it.
@@ -269,52 +277,20 @@ class FittedCorrection:
         return self.model.to_skimage()
 
     @overload
-    def warp(
-        self,
-        src: RasterLike,
-        dst: PathLike,
-        *,
-        resampling: Resampling | None = None,
-        overwrite: bool = False,
-        on_event: EventCallback = ignore,
-        **output: Unpack[WarpOptions],
-    ) -> Path: ...
+    def warp(self, src: RasterLike, dst: PathLike, **keywords: Unpack[_WarpKeywords]) -> Path: ...
 
     @overload
     def warp(
-        self,
-        src: NDArray[Any],
-        dst: None = None,
-        *,
-        resampling: Resampling | None = None,
-        overwrite: bool = False,
-        on_event: EventCallback = ignore,
-        **output: Unpack[WarpOptions],
+        self, src: NDArray[Any], dst: None = None, **keywords: Unpack[_WarpKeywords]
     ) -> np.ma.MaskedArray[Any, Any]: ...
 
     @overload
     def warp(
-        self,
-        src: Raster | DatasetReader,
-        dst: None = None,
-        *,
-        resampling: Resampling | None = None,
-        overwrite: bool = False,
-        on_event: EventCallback = ignore,
-        **output: Unpack[WarpOptions],
+        self, src: Raster | DatasetReader, dst: None = None, **keywords: Unpack[_WarpKeywords]
     ) -> Raster: ...
 
     @overload
-    def warp(
-        self,
-        src: DataArrayLike,
-        dst: None = None,
-        *,
-        resampling: Resampling | None = None,
-        overwrite: bool = False,
-        on_event: EventCallback = ignore,
-        **output: Unpack[WarpOptions],
-    ) -> Any: ...  # noqa: ANN401  # xarray.DataArray
+    def warp(self, src: DataArrayLike, dst: None = None, **keywords: Unpack[_WarpKeywords]) -> Any: ...  # noqa: ANN401  # xarray.DataArray
 
     def warp(
         self,

@@ -102,6 +102,10 @@ class View:
                 raise
         return _patch(self.info.dtype, values, valid), (cols / shape[1], rows / shape[0])
 
+    def reduced(self, factor: float) -> Patch:
+        """Read the whole view as `read_decimated` does, `factor` of its px along a pixel."""
+        return self.read_decimated(max(1, round(max(self.grid.shape) / factor)))[0]
+
     def to_file_px(self, view_px: Float64) -> Float64:
         """Map (n, 2) pixels `view_px` (col, row) to (n, 2) pixels of the file; NaN where undefined."""
         if self.resampling == "none":  # the way over the ground and back fails where heights are missing

@@ -147,14 +147,11 @@ def read_overviews(pair: ViewPair) -> Overviews:
 
     Raises `InputError` if one of them has no valid pixel, or is constant.
     """
-    sides = max(pair.reference.grid.shape), max(pair.target.grid.shape)
-    factor = max(1.0, max(sides) / OVERVIEW_SIDE_PX)
-    patches = [
-        view.read_decimated(max(1, round(side / factor)))[0]
-        for view, side in zip((pair.reference, pair.target), sides, strict=True)
-    ]
+    views = pair.reference, pair.target
+    factor = max(1.0, max(side for view in views for side in view.grid.shape) / OVERVIEW_SIDE_PX)
+    patches = [view.reduced(factor) for view in views]
     scenes = []
-    for patch, view in zip(patches, (pair.reference, pair.target), strict=True):
+    for patch, view in zip(patches, views, strict=True):
         epsilon = scene_epsilon(patch.values, patch.valid)
         _check_content(patch, view.info, epsilon)
         scenes.append(Scene(epsilon, _noise(view)))
@@ -211,11 +208,12 @@ def by_pose_search(
     """
     expected, _ = expected_scale(pair.reference.info.camera, pair.target.info.camera)
     if expected is None or pair.georeferenced:
-        expected, patches = None, (overviews.reference, overviews.target)
-        factors = overviews.factor, overviews.factor
+        expected, factors = None, [overviews.factor] * 2
+        reference, target = overviews.reference, overviews.target
     else:  # each at its own resolution: the two may differ much
-        patches, factors = _overviews_of_each(pair)
-    reference, target = patches
+        views = pair.reference, pair.target
+        factors = [max(1.0, max(view.grid.shape) / OVERVIEW_SIDE_PX) for view in views]
+        reference, target = (view.reduced(factor) for view, factor in zip(views, factors, strict=True))
     by_px = (expected or 1.0) * factors[0] / factors[1]
     found = search_pose(
         reference.values,
@@ -244,17 +242,6 @@ def by_pose_search(
         return replace(start, prealignment=replace(start.prealignment, expected_scale=expected))
     except InputError:  # too little in common to be matched
         return None
-
-
-def _overviews_of_each(pair: ViewPair) -> tuple[tuple[Patch, Patch], tuple[float, float]]:
-    """Return both views made small, each by itself, and the view px per px of each."""
-    sides = [max(view.grid.shape) for view in (pair.reference, pair.target)]
-    factors = [max(1.0, side / OVERVIEW_SIDE_PX) for side in sides]
-    reference, target = (
-        view.read_decimated(max(1, round(side / factor)))[0]
-        for view, side, factor in zip((pair.reference, pair.target), sides, factors, strict=True)
-    )
-    return (reference, target), (factors[0], factors[1])
 
 
 def posed_start(

@@ -112,15 +112,12 @@ def record_ground(pair: ViewPair) -> MatchRecord | None:
 
     None where that would take long or cannot be read.
     """
-    sides = max(pair.reference.grid.shape), max(pair.target.grid.shape)
-    factor = max(1.0, max(sides) / OVERVIEW_PX)
+    views = pair.reference, pair.target
+    factor = max(1.0, max(side for view in views for side in view.grid.shape) / OVERVIEW_PX)
     try:
-        if not all(has_quick_overview(view.info) for view in (pair.reference, pair.target)):
+        if not all(has_quick_overview(view.info) for view in views):
             return None
-        masks = [
-            view.read_decimated(max(1, round(side / factor)))[0].valid
-            for view, side in zip((pair.reference, pair.target), sides, strict=True)
-        ]
+        masks = [view.reduced(factor).valid for view in views]
     except InputError:
         return None
     col, row = pair.offset_px
