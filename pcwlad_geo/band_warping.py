@@ -288,10 +288,7 @@ def _by_correction(
 
 
 def _warped_paths(
-    rasters: Sequence[str],
-    out_dir: PathLike | None,
-    output_raster: PathLike | None,
-    extension: str,
+    rasters: Sequence[str], out_dir: PathLike | None, output_raster: PathLike | None, extension: str
 ) -> tuple[Path, ...]:
     """Return the paths of the warped rasters, in order; of the only one, where the user wants it."""
     if output_raster is None:

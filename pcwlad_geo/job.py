@@ -206,12 +206,7 @@ def _job(
 
 
 def output_paths(
-    target: PathLike,
-    job: Job,
-    *,
-    tgt_band: int | str = 1,
-    of: str = "COG",
-    **places: Unpack[OutputPlaces],
+    target: PathLike, job: Job, *, tgt_band: int | str = 1, of: str = "COG", **places: Unpack[OutputPlaces]
 ) -> dict[str, Path]:
     """Return where each kind of output goes that a job may write.
 
@@ -251,10 +246,7 @@ def open_job_runner(
 
 
 def _run_and_write(
-    job: _Job,
-    executor: Executor | Runner | None,
-    on_event: EventCallback,
-    found: Registration | None = None,
+    job: _Job, executor: Executor | Runner | None, on_event: EventCallback, found: Registration | None = None
 ) -> Registration:
     """Check the outputs, run the job, write its files beside their places, then put them there at once.
 

@@ -8,17 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from pathlib import Path
-from typing import (
-    Any,
-    Final,
-    Literal,
-    TypedDict,
-    TypeVar,
-    cast,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Any, Final, Literal, TypedDict, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.limits import FEATURES, ITERATIONS, JOBS, POINTS, SEARCH_RADIUS_PX, SPACING_PX, TILE_PX

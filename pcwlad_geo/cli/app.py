@@ -93,10 +93,7 @@ def register(
 
 @app.command(
     rich_help_panel=PAIR,
-    epilog=o.examples(
-        "match red.tif thermal.tif -o matched",
-        "match red.tif thermal.tif --points all",
-    ),
+    epilog=o.examples("match red.tif thermal.tif -o matched", "match red.tif thermal.tif --points all"),
 )
 @o.takes_settings("match")
 def match(
@@ -115,19 +112,14 @@ def match(
 EffortOption = Annotated[
     Effort,
     o.option(
-        "--effort",
-        help="quick: a sample of points; full: more, and what the pair bears.",
-        show_default=True,
+        "--effort", help="quick: a sample of points; full: more, and what the pair bears.", show_default=True
     ),
 ]
 
 
 @app.command(
     rich_help_panel=PAIR,
-    epilog=o.examples(
-        "prove red.tif thermal.tif",
-        "prove red.tif thermal.tif --effort full -o proof",
-    ),
+    epilog=o.examples("prove red.tif thermal.tif", "prove red.tif thermal.tif --effort full -o proof"),
 )
 @o.takes_settings("prove")
 def prove(
@@ -154,13 +146,7 @@ says; the red band is right. Next, open that report, and register a pair of your
 DemoFolder = Annotated[Path, o.argument("FOLDER", "Folder to write into.  [default: pcwlad-geo-demo]")]
 
 
-@app.command(
-    rich_help_panel=PAIR,
-    epilog=o.examples(
-        "demo",
-        "demo sample --overwrite",
-    ),
-)
+@app.command(rich_help_panel=PAIR, epilog=o.examples("demo", "demo sample --overwrite"))
 @o.takes_settings("demo")
 def demo(context: typer.Context, folder: DemoFolder = Path("pcwlad-geo-demo")) -> None:
     """Write a small synthetic pair into FOLDER, and register it: no data of your own are needed."""

@@ -42,11 +42,7 @@ PairTable = Annotated[
 
 
 @o.takes_settings("batch")
-def batch(
-    context: typer.Context,
-    pairs: PairTable,
-    out_dir: o.OutDir = None,
-) -> None:
+def batch(context: typer.Context, pairs: PairTable, out_dir: o.OutDir = None) -> None:
     """Register the pairs of a table; pairs that an earlier run has finished are kept."""
     params = context.params
     folders: list[Path] = []  # output folders of the pairs, needed if the run is ended by force
@@ -61,11 +57,7 @@ def _batch(params: Mapping[str, Any], folders: list[Path], on_event: EventCallba
     table_of_pairs, out_dir = params["pairs"], batch_folder(params["pairs"], params["out_dir"])
     folders += [pair.out_dir for pair in read_pairs(table_of_pairs, out_dir, settings)]
     result = batch(
-        table_of_pairs,
-        out_dir=out_dir,
-        overwrite=params["overwrite"],
-        on_event=on_event,
-        **settings,
+        table_of_pairs, out_dir=out_dir, overwrite=params["overwrite"], on_event=on_event, **settings
     )
     if params["debug"]:
         for outcome in result.pairs:

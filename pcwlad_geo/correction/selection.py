@@ -203,10 +203,7 @@ def choose(
 
 
 def _fits(
-    points: _Points,
-    candidates: Sequence[str],
-    box_px: tuple[Float64, Float64] | None,
-    notes: dict[str, str],
+    points: _Points, candidates: Sequence[str], box_px: tuple[Float64, Float64] | None, notes: dict[str, str]
 ) -> dict[str, Fit]:
     fits: dict[str, Fit] = {}
     for name in candidates:

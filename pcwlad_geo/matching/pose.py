@@ -25,11 +25,7 @@ from pcwlad_geo.estimation.solving import inverse, least_squares, solve
 from pcwlad_geo.matching.coarse import window_sums
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
 from pcwlad_geo.matching.refinement import in_threads
-from pcwlad_geo.matching.shift_search import (
-    MIN_PATCHES,
-    Patches,
-    normalised_channels,
-)
+from pcwlad_geo.matching.shift_search import MIN_PATCHES, Patches, normalised_channels
 from pcwlad_geo.types import Bool, Complex64, Float32, Float64
 
 CORRELATION_CELLS: Final = 112

@@ -15,13 +15,7 @@ from rasterio.enums import ColorInterp
 from scipy.ndimage import correlate1d
 from scipy.spatial import cKDTree
 
-from pcwlad_geo.correction.error_statistics import (
-    ErrorStatistics,
-    FloatPair,
-    Proof,
-    float_pair,
-    in_units,
-)
+from pcwlad_geo.correction.error_statistics import ErrorStatistics, FloatPair, Proof, float_pair, in_units
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.matching.field import Surface, predict
 from pcwlad_geo.options import BAND_NAME

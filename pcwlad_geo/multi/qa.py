@@ -236,11 +236,7 @@ def _why_unreadable(band: Band) -> str | None:
 
 
 def _match(
-    reference: Band,
-    target: Band,
-    settings: Settings,
-    on_event: EventCallback,
-    runner: Runner,
+    reference: Band, target: Band, settings: Settings, on_event: EventCallback, runner: Runner
 ) -> PairResult:
     from pcwlad_geo.registration.run import run  # slow to load: the workers start meanwhile
 

@@ -71,12 +71,7 @@ from pcwlad_geo.text import csv_of
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.types import Bool, Float64, Index, PathLike
 
-NAMES: Final = {
-    "numbers": "watch.json",
-    "table": "watch.csv",
-    "report": "watch.html",
-    "motion": "motion.tif",
-}
+NAMES: Final = {"numbers": "watch.json", "table": "watch.csv", "report": "watch.html", "motion": "motion.tif"}
 """File names of the outputs by kind."""
 SCHEMA_VERSION: Final = 1
 """Of watch.json."""

@@ -534,7 +534,7 @@ UNITS: Final = {"px": "px", "m": "metre"}
 TAGS: Final[Mapping[str, Mapping[str, str]]] = {
     "px": {
         "DISPLACEMENT": "observed minus predicted position in the target, target px: dx along columns, dy "
-        "along rows (down); predicted by the original georeferencing",
+        "along rows (down); predicted by the original georeferencing"
     },
     "m": {
         "DISPLACEMENT": "where the target's original georeferencing shows the ground, less where it is: "

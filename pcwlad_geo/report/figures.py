@@ -217,10 +217,7 @@ def residual_figure(
     the (m, n) `backdrop` see `frame_figure`.
     """
     figure, (axes,) = frame_figure(reference_shape, backdrop, bar=True)
-    kept, rejected = (
-        thin(table.select(*KEPT), MAX_RESIDUALS),
-        thin(table.select("rejected"), MAX_RESIDUALS),
-    )
+    kept, rejected = (thin(table.select(*KEPT), MAX_RESIDUALS), thin(table.select("rejected"), MAX_RESIDUALS))
     check = table.select("check")
     length = np.hypot(*kept.residual_px.T)
     marks: list[Line2D] = []

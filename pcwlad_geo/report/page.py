@@ -214,10 +214,7 @@ def _page(report: Report, drawings: Drawings, *, paper: bool) -> str:
 
 
 def compose(
-    registration: Registration,
-    report: Report,
-    gcps_vrt: str | None,
-    precision: PrecisionMap | None = None,
+    registration: Registration, report: Report, gcps_vrt: str | None, precision: PrecisionMap | None = None
 ) -> Drawings:
     """Draw the figures of the page.
 
