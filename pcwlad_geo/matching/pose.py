@@ -4,6 +4,8 @@ Rotating an image rotates its orientation channels and shifts them cyclically, s
 resolution serve all rotations. With harmonics of the orientation the cyclic shift is a product with a phase.
 The search knows similarities. From the best of them patches, each looked for within a wide reach, vote for an
 affine transformation: a patch is hardly changed by what moves the border of the whole image by many pixels.
+Where none stands out, images stretched in several directions are searched for, and affine poses ascend from
+those, by the gradient, to where most of the whole image correlates.
 """
 
 from __future__ import annotations
@@ -64,6 +66,8 @@ ROUNDS: Final = 2
 """Number of times that patches are compared, each time from the similarity that they agreed on."""
 EVIDENCE_PER_RATIO: Final = 8.0
 """Evidence for a pose whose score is twice that of its best rival, see docs/accuracy.md."""
+EVIDENCE_PER_ASCENDED_RATIO: Final = 5.0
+"""The same of scores that ascended; of 60 unrelated pairs the best is at most 1.38 times the second."""
 MAX_EVIDENCE: Final = 4.0
 """Largest evidence that a score can give by itself: the tie points must give the rest."""
 MIN_EVIDENCE: Final = 2.0
@@ -94,20 +98,38 @@ MAX_ANISOTROPY: Final = 1.7
 """Largest ratio of these singular values."""
 LEAST_TRIANGLE_PX2: Final = 1000.0
 """Least area of the triangle of three patches that determine an affine pose."""
-STRETCH: Final = 1.3
-"""Ratio of the axes of a stretched reference; similarities tell what it misses by up to some 1.2."""
-STRETCH_DIRECTIONS: Final = 4
-"""Number of directions in which it is stretched."""
+STRETCHES: Final = ((1.0, 1, 0.0), (1.17, 4, 0.0), (1.4, 8, 0.5))
+"""Ratios of the axes by which the smaller image is stretched, in how many directions, and the first of these,
+in steps; what these miss moves the border by less than two cells."""
 STRETCHED_SCALES: Final = (0.5, 2.0)
 """Smallest and largest scale of these, target px per reference px."""
-COARSE: Final = (56, 8.0, 1.16)
-"""Cells, step of the rotations and of the scales of these: coarse cells tolerate the rest of the stretch."""
-SAMPLED: Final = 8
-"""Number of the best of these, and of the best similarities, from which a sample of the patches votes."""
+COARSE: Final = (40, 8.0, 1.16)
+"""Cells, step of the rotations and of the scales of these."""
+LAYERS_PX: Final = (168.0, 336.0)
+"""Sides of the images whose channels are averaged to the cells of stretched images and of ascents: of the
+true poses of 34 stretched pairs 24 are among the best four then, and 16 with the larger one alone."""
+LAYER_HARMONICS: Final = 3
+"""Number of harmonics of each of these."""
+ASCENDING: Final = 96
+"""Number of distinct poses, of those with stretched images, that ascend."""
+CLOSE: Final = 0.05
+"""Distance at which these are distinct, as `DISTINCT`."""
+ASCENT_CELLS: Final = (56, 112)
+"""Cells on which they ascend, and on which those that are the best and distinct then ascend once more."""
+ASCENT_ROUNDS: Final = 7
+"""Largest number of steps of an ascent."""
+ASCENT_HALVINGS: Final = 2
+"""Number of times that a step which gains nothing is halved."""
+LEAST_CORRELATION: Final = 0.03
+"""The step of an ascent is what the gradient tells of equal images, over the correlation or this."""
+LEAST_GAIN: Final = 1e-3
+"""Share of its score that an ascent must gain by a step to go on."""
 GROWN: Final = 3
-"""Number of those, with which most of the sample agree, from which the sample votes again."""
+"""Number of the best poses that ascended, from which a sample of the patches votes, and votes again."""
 MIN_SAMPLED: Final = 7
 """Least number of patches of the sample that agree, so that all vote; of unrelated images 3 to 8 do."""
+WORTH_VOTES: Final = 1.0
+"""Evidence of such a pose from which all patches vote however few of the sample agree."""
 FULLY_GROWN: Final = 2
 """Number of these poses from which all patches vote."""
 SAMPLED_VOTERS: Final = 2
@@ -180,8 +202,6 @@ class _Trial:
     """Size of the cycle that the shift is known in, cells; None where it is known."""
     stride: int
     """Steps to the next rotation and ratio that were tried."""
-    to_stretched: Float64 | None = None
-    """(3, 3) px of the reference to those of the stretched one that was tried; None where it is as it is."""
 
     @cached_property
     def matrix(self) -> Float64:
@@ -190,8 +210,7 @@ class _Trial:
         from_px = np.diag([-1.0, -1.0, 1.0]) @ self.fixed.from_px if self.opposite else self.fixed.from_px
         shift = _affine(np.eye(2), np.array([col, row], np.float64))
         found = inverse(from_px) @ shift @ self.moving.from_px
-        found = inverse(found) if self.scan.from_target else found
-        return found if self.to_stretched is None else found @ self.to_stretched
+        return inverse(found) if self.scan.from_target else found
 
     def _nearest_cycle(self, axis: int) -> int:
         """Return the shift along an axis, of those that are one in the cycle, with the largest overlap."""
@@ -236,30 +255,62 @@ class _Image:
         rows, cols = self.values.shape
         return math.ceil(math.hypot(rows, cols) * side_cells / self.side_px) + 1
 
-    def in_cells(self, side_cells: float, size: int, angles_rad: Sequence[float] = ()) -> Iterator[_Cells]:
-        """Yield the image with its longer side of so many cells, rotated about its middle; else as it is."""
-        maps, usable, to_map = self._level(side_cells)
+    def in_cells(
+        self,
+        side_cells: float,
+        size: int,
+        angles_rad: Sequence[float] = (),
+        *,
+        stretches: Sequence[Float64] = (),
+        per_cell: Sequence[float] = (PIXELS_PER_CELL,),
+    ) -> Iterator[_Cells]:
+        """Yield the image with its longer side of so many cells, rotated about its middle; else as it is.
+
+        Instead it may be stretched, by (2, 2) matrices. For `per_cell` see `averaged`.
+        """
+        layers = self.averaged(side_cells, per_cell)
         per_px = side_cells / self.side_px
-        sigma_px = 0.5 * _scale_of(to_map) / per_px  # half a cell: nothing between two samples is missed
-        blurred = [np.asarray(cv2.GaussianBlur(plane, (0, 0), sigma_px), np.float32) for plane in maps]
-        rows, cols = (max(8, round(n * per_px)) for n in self.values.shape)
-        if angles_rad:
-            rows = cols = self.canvas_side(side_cells)
-        middle_px, from_map = (np.array(self.values.shape[::-1]) - 1) / 2, inverse(to_map)
-        for angle_rad in angles_rad or (0.0,):
-            cos, sin = math.cos(angle_rad), math.sin(angle_rad)
-            linear = per_px * np.array([[cos, -sin], [sin, cos]])
+        middle_px = (np.array(self.values.shape[::-1]) - 1) / 2
+        for angle_rad, change in [(0.0, each) for each in stretches] or [
+            (angle_rad, _rotation(angle_rad)) for angle_rad in angles_rad or (0.0,)
+        ]:
+            cols, rows = (max(8, round(n * per_px)) for n in np.abs(change) @ self.values.shape[::-1])
+            if angles_rad:
+                rows = cols = self.canvas_side(side_cells)
+            linear = per_px * change
             from_px = _affine(linear, (np.array([cols, rows]) - 1) / 2 - linear @ middle_px)
-            warp = from_px @ from_map
-            known = (_warped(usable, warp, (rows, cols)) > 0.5).astype(np.float32)
-            values = np.stack([_warped(plane, warp, (rows, cols)) * known for plane in blurred])
+            values = []
+            for planes, usable, to_map in layers:
+                warp = from_px @ inverse(to_map)
+                known = (_warped(usable, warp, (rows, cols)) > 0.5).astype(np.float32)
+                warped = np.stack([_warped(plane, warp, (rows, cols)) * known for plane in planes])
+                values.append(_turned(warped, angle_rad))
             yield _Cells(
-                scipy.fft.rfft2(_turned(values, angle_rad), (size, size)),
+                scipy.fft.rfft2(np.concatenate(values), (size, size)),
                 _mask_spectrum(known, size),
                 (rows, cols),
                 float(known.sum()),
                 from_px,
             )
+
+    def averaged(
+        self, side_cells: float, per_cell: Sequence[float]
+    ) -> list[tuple[list[Float32], Float32, Float64]]:
+        """Return harmonics averaged over half a cell, so that nothing between two samples is missed.
+
+        For each number of px `per_cell`, with which channels are computed, these are the planes, the usable
+        px, and the (3, 3) matrix from px. Of several, each has fewer harmonics, and the same weight.
+        """
+        result = []
+        for count in per_cell:
+            maps, usable, to_map = self._level(side_cells * count / PIXELS_PER_CELL)
+            sigma_px = 0.5 * _scale_of(to_map) * self.side_px / side_cells
+            several = len(per_cell) > 1
+            chosen = maps[:LAYER_HARMONICS] if several else maps
+            planes = [np.asarray(cv2.GaussianBlur(each, (0, 0), sigma_px), np.float32) for each in chosen]
+            deviation = np.float32(max(float(np.std(planes)), 1e-6) if several else 1.0)
+            result.append(([plane / deviation for plane in planes], usable, to_map))
+        return result
 
     def _level(self, side_cells: float) -> tuple[Float32, Float32, Float64]:
         """Return channels, usable px and the (3, 3) matrix from px, at the nearest half octave."""
@@ -286,6 +337,10 @@ class _Scan:
     """Longer side of the fixed image, cells."""
     angle_step_deg: float = ANGLE_STEP_DEG
     scale_step: float = SCALE_STEP
+    stretches: tuple[Float64, ...] = ()
+    """(2, 2) matrices by which the moving image is stretched; none: as it is."""
+    per_cell: tuple[float, ...] = (PIXELS_PER_CELL,)
+    """See `_Image.averaged`."""
 
     def everywhere(self, scales: tuple[float, float]) -> list[_Trial]:
         """Try all rotations and ratios of the sizes; two equal sizes count for the reference as moving."""
@@ -326,12 +381,11 @@ class _Scan:
         side = self.fixed.canvas_side(self.cells)
         coarse = math.ceil(max(side, 1.6 * self.cells) / MASK_STEP)
         size = MASK_STEP * scipy.fft.next_fast_len(coarse, real=True)
-        rotated = list(self.fixed.in_cells(self.cells, size, angles))
+        rotated = list(self.fixed.in_cells(self.cells, size, angles, per_cell=self.per_cell))
         spectra = np.stack([cells.spectra for cells in rotated], axis=1)
         masks = np.stack([cells.mask for cells in rotated])[None]
         fixed_area = max(cells.area for cells in rotated)
-        for ratio in ratios:
-            (moving,) = self.moving.in_cells(self.cells * ratio, size)
+        for ratio, moving in self._moving(ratios, size):
             least = max(MIN_OVERLAP * min(fixed_area, moving.area), MIN_CELLS)
             stride = _stride(ratio) if near is None else 1
             for opposite in (False, True) if both_halves else (False,):
@@ -345,6 +399,12 @@ class _Scan:
                         yield _Trial(
                             best, turned, ratio, self, moving, cells, opposite, shift_rc, cycle, stride
                         )
+
+    def _moving(self, ratios: Sequence[float], size: int) -> Iterator[tuple[float, _Cells]]:
+        for ratio in ratios:
+            side = self.cells * ratio
+            for each in self.moving.in_cells(side, size, stretches=self.stretches, per_cell=self.per_cell):
+                yield ratio, each
 
     def _expected(self, moving: _Cells, fixed: _Cells, near: Float64 | None) -> tuple[int, int] | None:
         """Return the shift (col, row), cells, at which a pose places the middle of the moving image."""
@@ -402,14 +462,21 @@ def search_pose(
     if not coarse:
         return None
     voters = _Voters(first, second, threads)
-    grown = _grown(voters, coarse[:1], scales)
+    grown = _grown(voters, [PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)], scales)
     if grown is not None:
         return grown
     similarity = _best_similarity(first, second, coarse, threads)
     if similarity.accepted or not stretched:
         return similarity
-    others = _stretched(first, second, scales, threads)[:SAMPLED]
-    return _grown(voters, [*coarse[1 : 1 + SAMPLED], *others], scales) or similarity
+    starts = [trial.matrix for trial in coarse] + _stretched(first, second, scales, threads)
+    ascended = _ascended(first, second, starts, threads)
+    if not ascended:
+        return similarity
+    grown = _grown(voters, ascended[:GROWN], scales)
+    within = scales[0] / SCALE_STEP <= ascended[0].scale <= scales[1] * SCALE_STEP
+    if grown is not None or not (ascended[0].accepted and within):
+        return grown or similarity
+    return _moved_to_consensus(first, second, ascended[0])
 
 
 def _best_similarity(first: _Image, second: _Image, coarse: Sequence[_Trial], threads: int) -> PoseProposal:
@@ -417,9 +484,13 @@ def _best_similarity(first: _Image, second: _Image, coarse: Sequence[_Trial], th
     shape = first.values.shape
     ranked = _distinct(in_threads([partial(trial.scan.around, trial) for trial in coarse], threads), shape)
     best, rival = ranked[0], ranked[1].score if len(ranked) > 1 else 0.0
-    stands_out = EVIDENCE_PER_RATIO * (best.score / rival - 1) if rival > 0 else MAX_EVIDENCE
-    proposal = PoseProposal(best.matrix[:2], best.score, min(stands_out, MAX_EVIDENCE))
+    proposal = PoseProposal(best.matrix[:2], best.score, _standing_out(best.score, rival, EVIDENCE_PER_RATIO))
     return _moved_to_consensus(first, second, proposal)
+
+
+def _standing_out(score: float, rival: float, per_ratio: float) -> float:
+    """Return the evidence of a score that stands out of a rival's."""
+    return min(per_ratio * (score / rival - 1), MAX_EVIDENCE) if rival > 0 else MAX_EVIDENCE
 
 
 def mean_distance_px(first: Float64, second: Float64, shape: tuple[int, ...]) -> float:
@@ -434,12 +505,24 @@ def mean_distance_px(first: Float64, second: Float64, shape: tuple[int, ...]) ->
 
 def _distinct(trials: Iterable[_Trial], shape: tuple[int, ...]) -> list[_Trial]:
     """Return the best trials that differ, the best first."""
-    chosen: list[_Trial] = []
-    for trial in sorted(trials, key=lambda each: -each.score):
-        distinct_px = DISTINCT * max(shape) * _scale_of(trial.matrix)
-        if all(mean_distance_px(trial.matrix, other.matrix, shape) > distinct_px for other in chosen):
-            chosen.append(trial)
-        if len(chosen) == REFINED:
+    ranked = sorted(trials, key=lambda each: -each.score)
+    chosen = _first_distinct((trial.matrix for trial in ranked), shape, REFINED, DISTINCT)
+    return [ranked[index] for index in chosen]
+
+
+def _first_distinct(poses: Iterable[Float64], shape: tuple[int, ...], wanted: int, least: float) -> list[int]:
+    """Return the indices of so many poses, at least this share of the longer side from those before them."""
+    row, col = np.mgrid[0 : shape[0] : 9j, 0 : shape[1] : 9j]
+    places = np.stack([col.ravel(), row.ravel(), np.ones(row.size)])
+    chosen: list[int] = []
+    placed = np.empty((0, 2, row.size))
+    for index, pose in enumerate(poses):
+        here = (pose[:2] @ places)[None]
+        away = np.hypot(*np.moveaxis(placed - here, 1, 0)).mean(axis=1)
+        if (away > least * max(shape) * _scale_of(pose)).all():
+            chosen.append(index)
+            placed = np.concatenate([placed, here])
+        if len(chosen) == wanted:
             break
     return chosen
 
@@ -619,30 +702,30 @@ def _is_plausible(linear: Float64) -> Bool:
     return np.asarray(within & (np.linalg.det(linear) > 0))
 
 
-def _grown(voters: _Voters, trials: Sequence[_Trial], scales: tuple[float, float]) -> PoseProposal | None:
-    """Let affine poses grow from those of trials; None where patches agree on none.
+def _grown(
+    voters: _Voters, starts: Sequence[PoseProposal], scales: tuple[float, float]
+) -> PoseProposal | None:
+    """Let affine poses grow from others, whose evidence counts; None where patches add too little to it.
 
     A sample of the patches tells which are worth trying. What grows beyond the `scales` is left out.
     """
 
-    def tried(trial: _Trial) -> tuple[_Votes, Float64, float]:
-        return *voters.vote(trial.matrix, sample=True), trial.score
+    def sampled(start: PoseProposal) -> tuple[_Votes, Float64, PoseProposal]:
+        pose = _affine(start.matrix[:, :2], start.matrix[:, 2])
+        return *_climbed(voters, *voters.vote(pose, sample=True), sample=True), start
 
-    def climbed(votes: _Votes, pose: Float64, score: float) -> tuple[_Votes, Float64, float]:
-        return *_climbed(voters, votes, pose, sample=True), score
-
-    tries = in_threads([partial(tried, trial) for trial in trials], voters.threads)
+    tries = in_threads([partial(sampled, start) for start in starts], voters.threads)
     tries.sort(key=lambda each: -each[0].agreeing)
-    sampled = in_threads([partial(climbed, *each) for each in tries[:GROWN]], voters.threads)
-    sampled.sort(key=lambda each: -each[0].agreeing)
-    for few, start, score in sampled[:FULLY_GROWN]:
-        if few.agreeing < MIN_SAMPLED:
-            break
-        votes, pose = _climbed(voters, *voters.vote(start), sample=False)
+    for few, pose, start in tries[:FULLY_GROWN]:
+        if few.agreeing < MIN_SAMPLED and start.evidence < WORTH_VOTES:
+            continue
+        votes, pose = _climbed(voters, *voters.vote(pose), sample=False)
+        told = votes.evidence - math.log10(len(starts))  # of several starts one agrees by chance
+        evidence = min(start.evidence + told, MAX_EVIDENCE)
         within = scales[0] / SCALE_STEP <= _scale_of(pose) <= scales[1] * SCALE_STEP
-        if votes.evidence >= MIN_EVIDENCE and within:
+        if told > 0 and evidence >= MIN_EVIDENCE and within:
             spread_px, of = voters.px(votes.spread_px), len(votes.agrees)
-            return PoseProposal(pose[:2], score, votes.evidence, of, votes.agreeing, spread_px)
+            return PoseProposal(pose[:2], start.score, evidence, of, votes.agreeing, spread_px)
     return None
 
 
@@ -656,35 +739,139 @@ def _climbed(voters: _Voters, votes: _Votes, pose: Float64, *, sample: bool) -> 
     return votes, pose
 
 
-def _stretched(reference: _Image, target: _Image, scales: tuple[float, float], threads: int) -> list[_Trial]:
-    """Search similarities between the target and the reference stretched in several directions.
-
-    Return those that differ, the best first.
-    """
+def _stretched(reference: _Image, target: _Image, scales: tuple[float, float], threads: int) -> list[Float64]:
+    """Search poses with the smaller image stretched in several directions; return the best (3, 3) ones."""
     limits = max(scales[0], STRETCHED_SCALES[0]), min(scales[1], STRETCHED_SCALES[1])
+    turns = [(ratio, np.pi * (k + first) / n) for ratio, n, first in STRETCHES for k in range(n)]
+    stretches = tuple(
+        _rotation(along) @ np.diag([ratio**0.5, ratio**-0.5]) @ _rotation(along).T for ratio, along in turns
+    )
+    per_cell = tuple(side / COARSE[0] for side in LAYERS_PX)
+    scans = [
+        _Scan(*images, *COARSE, stretches, per_cell)
+        for images in ((reference, target, False), (target, reference, True))
+    ]
+    trials = list(itertools.chain(*in_threads([partial(scan.everywhere, limits) for scan in scans], threads)))
+    trials.sort(key=lambda each: -each.score)
+    poses = [trial.matrix for trial in trials[: 8 * ASCENDING]]
+    return [poses[index] for index in _first_distinct(poses, reference.values.shape, ASCENDING, CLOSE)]
 
-    def along(angle_rad: float) -> list[_Trial]:
-        image, matrix = _stretched_image(reference, angle_rad)
-        scans = _Scan(image, target, False, *COARSE), _Scan(target, image, True, *COARSE)
-        trials = (trial for scan in scans for trial in scan.everywhere(limits))
-        return [replace(trial, to_stretched=matrix) for trial in trials]
 
-    angles_rad = (np.arange(STRETCH_DIRECTIONS) * np.pi / STRETCH_DIRECTIONS).tolist()
-    found = in_threads([partial(along, angle_rad) for angle_rad in angles_rad], threads)
-    return _distinct(itertools.chain(*found), reference.values.shape)
+def _ascended(
+    reference: _Image, target: _Image, poses: Sequence[Float64], threads: int
+) -> list[PoseProposal]:
+    """Let (3, 3) poses ascend to better affine ones; return those that differ, the best first."""
+    for cells in ASCENT_CELLS:
+        ascent = _Ascent(reference, target, cells)
+        found = in_threads([partial(ascent.from_pose, pose) for pose in poses], threads)
+        found.sort(key=lambda each: -each[0])
+        poses = [pose for _, pose in found]
+        chosen = _first_distinct(poses, reference.values.shape, REFINED, DISTINCT)
+        poses = [poses[index] for index in chosen]
+    best = [found[index] for index in chosen]
+    told = [0.0] * len(best)
+    if len(best) > 1:
+        told[0] = _standing_out(best[0][0], best[1][0], EVIDENCE_PER_ASCENDED_RATIO)
+    return [
+        PoseProposal(pose[:2], score, evidence) for (score, pose), evidence in zip(best, told, strict=True)
+    ]
 
 
-def _stretched_image(image: _Image, angle_rad: float) -> tuple[_Image, Float64]:
-    """Stretch an image along a direction and shrink it across, with the (3, 3) matrix from its px."""
-    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
-    turn = np.array([[cos, -sin], [sin, cos]])
-    linear = turn @ np.diag([math.sqrt(STRETCH), 1 / math.sqrt(STRETCH)]) @ turn.T
-    size = np.array(image.values.shape[::-1])
-    cols, rows = np.abs(linear) @ size
-    shape = round(float(rows)), round(float(cols))
-    matrix = _affine(linear, (np.array(shape[::-1]) - 1 - linear @ (size - 1)) / 2)
-    values = _warped(np.where(image.valid, image.values, np.float32(0)), matrix, shape)
-    return _Image(values, _warped(image.valid.astype(np.float32), matrix, shape) > 0.99), matrix
+class _Ascent:
+    """Ascends from poses to affine ones of more correlation, by the gradient of the reference.
+
+    As an inverse compositional alignment (doi:10.1023/B:VISI.0000011205.11775.fd), its steps as long as a
+    correlation far below 1 wants them (doi:10.1109/TPAMI.2008.113).
+    """
+
+    def __init__(self, reference: _Image, target: _Image, cells: int) -> None:
+        per_px = cells / reference.side_px
+        rows, cols = self._shape = tuple(max(8, round(n * per_px)) for n in reference.values.shape)
+        middle = (np.array([cols, rows]) - 1) / 2
+        middle_px = (np.array(reference.values.shape[::-1]) - 1) / 2
+        self._from_px = _affine(per_px * np.eye(2), middle - per_px * middle_px)
+        self._per_cell = tuple(side / cells for side in LAYERS_PX)
+        self._target, self._per_px, self._levels = target, per_px, dict[int, list[tuple[Float32, Float64]]]()
+        self._known = np.ones(self._shape, np.float32)
+        self._planes, self._known = self._placed_layers(
+            _packed(reference, cells, self._per_cell), np.eye(3), 0.0
+        )
+        self._least = max(MIN_OVERLAP * float(self._known.sum()), MIN_CELLS)
+        half = max(rows, cols) / 2
+        self._unit = _affine(np.eye(2) / half, -middle / half)
+        col, row = ((np.arange(n, dtype=np.float32) - (n - 1) / 2) / np.float32(half) for n in (cols, rows))
+        down, right = np.gradient(self._planes, axis=(1, 2))
+        slopes = [each * by for each in (right, down) for by in (col, row[:, None], np.float32(1))]
+        self._slopes = np.stack(slopes).reshape(6, -1)
+
+    def from_pose(self, pose: Float64) -> tuple[float, Float64]:
+        """Return the best score, correlation times the root of the overlap, and its (3, 3) pose."""
+        placed, known = self._placed(pose)
+        score, normal = self._score(placed, known), self._normal(known)
+        for _ in range(ASCENT_ROUNDS):
+            step = self._step(placed, known, normal)
+            for _ in range(1 + ASCENT_HALVINGS):
+                change = inverse(np.eye(3) + np.vstack([step @ self._unit, np.zeros(3)]))
+                moved = pose @ inverse(self._from_px) @ change @ self._from_px
+                there, seen = self._placed(moved)
+                higher = self._score(there, seen)
+                if higher > score:
+                    break
+                step = step / 2
+            else:
+                break
+            gain, score, pose, placed, known = higher - score, higher, moved, there, seen
+            if gain < LEAST_GAIN * abs(score):
+                break
+        return score, pose
+
+    def _score(self, placed: Float32, known: Float32) -> float:
+        return float(np.vdot(placed, self._planes)) / math.sqrt(max(float(known.sum()), self._least))
+
+    def _normal(self, known: Float32) -> Float64:
+        slopes = self._slopes * np.broadcast_to(known, self._planes.shape).ravel()
+        normal = (slopes @ self._slopes.T).astype(np.float64)
+        return np.asarray(normal + 1e-3 * max(float(np.trace(normal)), 1e-6) / 6 * np.eye(6))
+
+    def _step(self, placed: Float32, known: Float32, normal: Float64) -> Float64:
+        """Return the (2, 3) change of (col, row) by (col, row, 1) that the gradient tells, up to a cell."""
+        energy = float(((self._planes * known) ** 2).sum()), float((placed**2).sum())
+        ratio = math.sqrt(energy[0] / max(energy[1], 1e-6))
+        correlation = float(np.vdot(placed, self._planes)) / max(math.sqrt(energy[0] * energy[1]), 1e-6)
+        told = (self._slopes @ placed.ravel()).astype(np.float64)
+        step = solve(normal, told).reshape(2, 3) * ratio / max(correlation, LEAST_CORRELATION)
+        return step / max(1.0, math.sqrt(float((step**2 @ [1 / 3, 1 / 3, 1.0]).sum())))
+
+    def _placed(self, pose: Float64) -> tuple[Float32, Float32]:
+        """Return the target as a pose places it on the cells of the reference, and where both are known."""
+        side_cells = self._per_px * self._target.side_px / _scale_of(pose)
+        level = round(4 * math.log2(side_cells))
+        if level not in self._levels:
+            self._levels[level] = _packed(self._target, 2 ** (level / 4), self._per_cell)
+        left, _, right = np.linalg.svd(pose[:2, :2])
+        turn = left @ right
+        angle_rad = -math.atan2(turn[1, 0], turn[0, 0])
+        return self._placed_layers(self._levels[level], pose, angle_rad)
+
+    def _placed_layers(
+        self, layers: Sequence[tuple[Float32, Float64]], pose: Float64, angle_rad: float
+    ) -> tuple[Float32, Float32]:
+        flags, placed = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, []
+        for packed, to_map in layers:
+            to_image = (to_map @ pose @ inverse(self._from_px))[:2]
+            warped = cv2.warpAffine(packed, to_image, self._shape[::-1], flags=flags)
+            known = np.where(warped[..., -1] > 0.5, self._known, np.float32(0))
+            planes = np.asarray((warped[..., :-1] * known[..., None]).transpose(2, 0, 1), np.float32)
+            placed.append(_turned(planes, angle_rad))
+        return np.ascontiguousarray(np.concatenate(placed)), known
+
+
+def _packed(image: _Image, side_cells: float, per_cell: Sequence[float]) -> list[tuple[Float32, Float64]]:
+    """Return the layers of `_Image.averaged` as (rows, cols, planes), the last plane what is usable."""
+    return [
+        (np.ascontiguousarray(np.stack([*planes, usable], axis=-1)), to_map)
+        for planes, usable, to_map in image.averaged(side_cells, per_cell)
+    ]
 
 
 def _moved_to_consensus(reference: _Image, target: _Image, proposal: PoseProposal) -> PoseProposal:
@@ -737,7 +924,7 @@ def _shrunk(values: Float32, valid: Bool, factor: float) -> tuple[Float32, Bool,
 def _turned(maps: Float32, angle_rad: float) -> Float32:
     """Rotate the orientations of (harmonics, rows, cols) maps; rows count downwards, orientations upwards."""
     result = maps.copy()
-    for index, order in ((1, 2), (3, 4)):
+    for index, order in ((1, 2), (3, 4))[: len(maps) // 2]:
         cos, sin = math.cos(order * angle_rad), -math.sin(order * angle_rad)
         result[index] = cos * maps[index] - sin * maps[index + 1]
         result[index + 1] = sin * maps[index] + cos * maps[index + 1]
@@ -746,6 +933,11 @@ def _turned(maps: Float32, angle_rad: float) -> Float32:
 
 def _affine(linear: Float64, origin: Float64) -> Float64:
     return np.vstack([np.column_stack([linear, origin]), [0.0, 0.0, 1.0]])
+
+
+def _rotation(angle_rad: float) -> Float64:
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[cos, -sin], [sin, cos]])
 
 
 def _scale_of(matrix: Float64) -> float:

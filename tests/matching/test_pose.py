@@ -129,3 +129,17 @@ def test_a_pose_that_others_outscore_is_found_by_its_patches(monkeypatch: pytest
     assert found is not None
     assert found.accepted
     assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 2.0
+
+
+def test_a_pose_ascends_to_the_affine_one_beside_it() -> None:
+    target, matrix = seen(-20.0, 1.0, (10.0, 4.0), 1.1)
+    images = [
+        pose._Image(np.asarray(each, np.float32), np.ones(each.shape, bool)) for each in (REFERENCE, target)
+    ]
+    ascent = pose._Ascent(*images, 56)
+    true = np.vstack([matrix, [0.0, 0.0, 1.0]])
+    beside = true @ [[1.05, -0.04, 3.0], [0.03, 0.97, -4.0], [0.0, 0.0, 1.0]]
+    assert mean_distance_px(beside, true, REFERENCE.shape) > 5.0
+    score, found = ascent.from_pose(beside)
+    assert mean_distance_px(found, true, REFERENCE.shape) < 2.0
+    assert score >= ascent.from_pose(true)[0] * 0.99
