@@ -156,7 +156,7 @@ def start_interpreter(statement: str, arguments: Sequence[str], **options: Any) 
 CAN_FORK: Final = sys.platform == "linux" and hasattr(socket, "send_fds")
 """Whether this system has a fork server."""
 
-_FORK, _PREPARE, _WAIT = b"F", b"P", b"W"
+_FORK, _WAIT = b"F", b"W"
 _NUMBER: Final = struct.Struct("<q")
 
 
@@ -181,11 +181,6 @@ class ForkServer:
             self._process = _start(preload, theirs)
             on_error.pop_all()
         self._control, self._lock = ours, threading.Lock()
-
-    def prepare(self, call: bytes) -> None:
-        """Let a pickled call be done before anything is forked, without waiting for it."""
-        with self._lock, suppress(OSError):  # a server that is gone is noticed when it should fork
-            self._control.sendall(_PREPARE + _NUMBER.pack(len(call)) + call)
 
     def fork(self) -> ForkedProcess:
         """Return a new worker.
@@ -260,9 +255,7 @@ def serve_forks(preload: str, control_fd: int) -> None:
     with suppress(OSError):  # the parent has ended
         while True:
             kind, fds, *_ = socket.recv_fds(control, 1, 1)
-            if kind == _PREPARE:
-                answer(_receive(control, _receive_number(control)))
-            elif kind == _WAIT:
+            if kind == _WAIT:
                 _, status = os.waitpid(_receive_number(control), 0)
                 control.sendall(_NUMBER.pack(os.waitstatus_to_exitcode(status)))
             elif kind == _FORK:
@@ -499,14 +492,6 @@ class OwnProcesses:
             self._started()
         elif self._fork_server is None:
             self._fork_server = ForkServer(self._preload)
-
-    def prepare(self, function: Callable[..., object], arguments: tuple[Any, ...]) -> None:
-        """Call `function` with `arguments` in every worker, or before they are forked, without waiting."""
-        call = (in_environment, (gdal_settings(), current_trust(), function, arguments))
-        if self._fork_server is not None and not self._workers:
-            self._fork_server.prepare(pickle.dumps(call, pickle.HIGHEST_PROTOCOL))
-        for worker in self._workers:
-            worker.submit(*call)
 
     def _started(self) -> list[Worker]:
         """Return all workers, after starting those that are wanted and missing."""

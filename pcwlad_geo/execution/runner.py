@@ -120,7 +120,7 @@ class CallResults(Generic[T]):
 
 
 class Runner(Protocol):
-    """Runs the calls of all stages of a job; by itself it has no workers to prepare."""
+    """Runs the calls of all stages of a job; by itself it has no workers."""
 
     @property
     def is_local(self) -> bool:
@@ -136,10 +136,6 @@ class Runner(Protocol):
 
     def expect(self, calls: int) -> None:
         """Prepare for about `calls` calls, without waiting."""
-        return
-
-    def prepare(self, function: Callable[..., object], arguments: tuple[Any, ...]) -> None:
-        """Call `function` with `arguments` in every worker that has started, if possible, without waiting."""
         return
 
     def run(

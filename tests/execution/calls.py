@@ -28,21 +28,6 @@ def process_of(value: int) -> int:
     return os.getpid()
 
 
-def remember(text: str) -> None:
-    """Leave a mark on this process."""
-    threading.current_thread().__dict__["remembered"] = text
-
-
-def remembered(value: int) -> str | None:
-    """Return the mark that was left on this process."""
-    return threading.current_thread().__dict__.get("remembered")
-
-
-def note(folder: Path) -> None:
-    """Leave a file of this process."""
-    (folder / str(os.getpid())).touch()
-
-
 def parent_of(process_id: int) -> int:
     """Return the parent of a process."""
     return int(Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[1])

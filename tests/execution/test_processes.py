@@ -28,12 +28,9 @@ from tests.execution.calls import (
     die_once,
     fail_oddly,
     is_running,
-    note,
     parent_of,
     print_something,
     process_of,
-    remember,
-    remembered,
     sleep,
     threads_of,
     unpicklable,
@@ -76,14 +73,6 @@ def test_a_call_goes_to_the_worker_that_it_asks_for() -> None:
         assert second.workers == first.workers[::-1]
         lone = runner.run(process_of, CALLS[:1], "third", affinity=[2])
         assert (lone.results, lone.workers) == ([runner.process_ids[2]], [2])
-
-
-def test_every_worker_is_prepared_before_its_first_call() -> None:
-    with OwnProcesses(2, preload="") as runner:
-        runner.expect(5)
-        runner.prepare(remember, ("prepared",))
-        assert runner.run(remembered, CALLS, "calls").results == ["prepared"] * len(CALLS)
-    assert remembered(0) is None
 
 
 @pytest.mark.parametrize(("jobs", "calls"), [(4, 1), (1, 4)])
@@ -264,11 +253,9 @@ import sys
 from pcwlad_geo.execution.processes import OwnProcesses
 from pcwlad_geo.outputs.folder import OutputFolder
 from pathlib import Path
-from tests.patience import FOR_EVER_S
-from tests.execution.calls import sleep
-with OutputFolder(Path(sys.argv[1]), overwrite=True), OwnProcesses(2, preload="") as runner:
+busy = "tests.execution.busy"
+with OutputFolder(Path(sys.argv[1]), overwrite=True), OwnProcesses(2, preload=busy) as runner:
     runner.expect(2)
-    runner.prepare(sleep, (FOR_EVER_S,))
     print("busy", flush=True)
     input()
 """
@@ -302,12 +289,3 @@ def wait_for_folder(out_dir: Path) -> bool:
             return True
         time.sleep(0.1)
     return False
-
-
-@NO_FORKS
-def test_what_is_prepared_first_is_done_once(source: str, tmp_path: Path) -> None:
-    with OwnProcesses(3, preload="") as runner:
-        runner.expect(3)
-        runner.prepare(note, (tmp_path,))
-        runner.run(process_of, CALLS, "calls")
-    assert len(list(tmp_path.iterdir())) == (3 if source == "fresh" else 1)
