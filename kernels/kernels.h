@@ -17,6 +17,7 @@
 
 #define LANES 8 /* numbers in a vector: what AVX2 holds */
 #define MOMENTS 15
+#define MIN_CONTRAST 1e-6 /* a window whose variance is a smaller share of its mean square is flat in float32 */
 #define LARGEST_TERMS 6 /* of a deformed window, in a component; of a local surface */
 
 typedef float Vector __attribute__((vector_size(4 * LANES), aligned(4), may_alias)); /* any eight in a row */

@@ -54,8 +54,7 @@ typedef struct {
     const Limits *limits;
     Workspace work;
     Shape shape;
-    int64_t extended; /* numbers of a window with the sides of the correlation */
-    int64_t plain;    /* and without them */
+    int64_t extended, plain; /* numbers of a window, see below */
 } Job;
 
 /* What the channels of a window add up to: the parameters are (dx, a1, a2, dy, b1, b2), or (dx, dy), px. */
@@ -64,17 +63,23 @@ typedef struct {
     int64_t terms; /* of a component: 1 or 3 */
 } Equations;
 
-/* Divide the memory of a point; with none, only count. */
-static int64_t divide(const Images *images, const Options *options, const Shape *shape, float *memory, Workspace *work)
+/* Numbers of a window, with the sides of the correlation and without; vectors go beyond its last row. */
+static int64_t extended_numbers(Shape shape)
 {
-    int64_t side = shape->side, plain = (side + 2) * shape->width;
-    int64_t extended = (side + 2 * shape->correlation_half + 2) * shape->width, used = 0;
+    return (shape.side + 2 * shape.correlation_half + 2) * shape.width;
+}
+static int64_t plain_numbers(Shape shape) { return (shape.side + 2) * shape.width; }
+
+/* Divide the memory of a point; with none, only count. */
+static int64_t divide(const Images *images, const Options *options, Shape shape, float *memory, Workspace *work)
+{
+    int64_t plain = plain_numbers(shape), extended = extended_numbers(shape), used = 0;
     float **const parts[] = {&work->value, &work->slope_x, &work->slope_y, &work->references, &work->means,
                              &work->precisions, &work->structures, &work->valid, &work->monomials,
                              &work->rows};
     const int64_t sizes[] = {extended, extended, extended, images->channels * extended, images->channels * plain,
                              images->channels * plain, images->channels * plain, plain,
-                             options->affine ? 5 * plain : 0, 8 * shape->width};
+                             options->affine ? 5 * plain : 0, 8 * shape.width};
     for (int k = 0; k < 10; k++) {
         *parts[k] = memory ? memory + used : 0;
         used += sizes[k];
@@ -91,8 +96,7 @@ static Shape shape_of(const Options *options)
 EXPORT int64_t refinement_memory(const Images *images, const Options *options)
 {
     Workspace work;
-    Shape shape = shape_of(options);
-    return divide(images, options, &shape, 0, &work);
+    return divide(images, options, shape_of(options), 0, &work);
 }
 
 /* Invert a positive definite matrix in place (Gauss-Jordan); return 0 if it is not. */
@@ -192,7 +196,6 @@ static void sandwich(const Equations *inverse, double (*scores)[2], int64_t bloc
 
 /* The order of the moments, as `weighted_moments` fills them. */
 enum { W, WX, WR, WP, WQ, XX, XR, XP, XQ, RR, RP, RQ, PP, PQ, QQ };
-#define MIN_CONTRAST 1e-6 /* a window whose variance is a smaller share of its mean square is flat in float32 */
 
 /* Add the normal equations of a channel over its residual variance; offset and gain are eliminated. The moments have
    each of 1, x, y, x², xy, y² as a further weight, x and y in half windows; the first alone for a shift. Return the
@@ -402,10 +405,9 @@ static void fill_monomials(const Job *job)
 EXPORT void refine_points(const Images *images, const Starts *starts, const Options *options, const Limits *limits,
                           float *memory, double (*scores)[2], const Results *results)
 {
-    Job job = {images, starts, options, limits, {.scores = scores}, shape_of(options), 0, 0};
-    divide(images, options, &job.shape, memory, &job.work);
-    job.plain = (job.shape.side + 2) * job.shape.width;
-    job.extended = (job.shape.side + 2 * options->correlation_half + 2) * job.shape.width;
+    Shape shape = shape_of(options);
+    Job job = {images, starts, options, limits, {.scores = scores}, shape, extended_numbers(shape), plain_numbers(shape)};
+    divide(images, options, shape, memory, &job.work);
     if (options->affine) fill_monomials(&job);
     int64_t reach = options->step * (options->half + options->correlation_half);
     for (int64_t p = 0; p < starts->count; p++) {

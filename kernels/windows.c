@@ -5,7 +5,6 @@
 
 #define TAPS_BEYOND 3 /* spline coefficients that a window needs beyond its side */
 #define VARIANCE_FLOOR 1e-5f
-#define MIN_CONTRAST 1e-6
 
 /* The four weights of the cubic B-spline at fractions t, and of its derivative. */
 static inline void spline(Vector t, Vector w[4], Vector d[4])

@@ -30,15 +30,6 @@ STRUCTURE_GIVEN: Final = 3
 
 CONVERGED: Final = 0
 """Status of a point: the shift has converged."""
-NOT_CONVERGED: Final = 1
-"""Status of a point: the iterations ended before the shift converged."""
-INVALID: Final = 2
-"""Status of a point: its window leaves the image or has too few valid pixels."""
-DIVERGED: Final = 3
-"""Status of a point: it moved too far or out of the image, or its equations are singular."""
-UNDETERMINED: Final = 4
-"""Status of a point: plain steps hardly shrink on the way, so that the position is not determined."""
-
 
 Int64 = NDArray[np.int64]
 
@@ -82,7 +73,9 @@ class Results(NamedTuple):
     covariance: Float64
     """(n, 2, 2) px²."""
     status: Int64
-    """(n,) `CONVERGED`, or why not."""
+    """(n,) `CONVERGED`; else 1: the iterations ended before, 2: the window leaves the image or has too few
+    valid pixels, 3: the point moved too far or out of the image, or its equations are singular, 4: plain
+    steps hardly shrink on the way, so that the position is not determined."""
 
 
 LONGEST_STEP_PX: Final = 1.0
@@ -166,7 +159,7 @@ def flat_width(extended: int) -> int:
 def refine_points(images: Images, starts: Starts, options: RefinementOptions) -> Results:
     """Refine every corner of `starts` on the maps of `images`.
 
-    Points whose window is not usable keep zeros and the status `INVALID`.
+    Points whose window is not usable keep zeros and the status 2.
     """
     n = len(starts.corners_rc)
     results = Results(np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)), np.zeros(n, np.int64))
