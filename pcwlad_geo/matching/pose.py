@@ -305,11 +305,13 @@ class _Image:
         for count in per_cell:
             maps, usable, to_map = self._level(side_cells * count / PIXELS_PER_CELL)
             sigma_px = 0.5 * _scale_of(to_map) * self.side_px / side_cells
-            several = len(per_cell) > 1
-            chosen = maps[:LAYER_HARMONICS] if several else maps
-            planes = [np.asarray(cv2.GaussianBlur(each, (0, 0), sigma_px), np.float32) for each in chosen]
-            deviation = np.float32(max(float(np.std(planes)), 1e-6) if several else 1.0)
-            result.append(([plane / deviation for plane in planes], usable, to_map))
+            if len(per_cell) > 1:
+                maps = maps[:LAYER_HARMONICS]
+            planes = [np.asarray(cv2.GaussianBlur(each, (0, 0), sigma_px), np.float32) for each in maps]
+            if len(per_cell) > 1:
+                deviation = np.float32(max(float(np.std(planes)), 1e-6))
+                planes = [plane / deviation for plane in planes]
+            result.append((planes, usable, to_map))
         return result
 
     def _level(self, side_cells: float) -> tuple[Float32, Float32, Float64]:
