@@ -39,7 +39,7 @@ class TrueLens:
     """(3,) position of its centre, in the reference's axes."""
     mix: tuple[float, float, float]
     """Weights of the ground's three textures."""
-    told: Lens | None
+    calibrated: Lens | None
     """The calibration that its frames tell."""
     blur_px: float = 0.5
     noise: float = 0.01
@@ -288,8 +288,8 @@ def write_capture(
         }
         if lens.wavelength_nm:
             words |= {"Camera:CentralWavelength": f"{lens.wavelength_nm}", "Camera:WavelengthFWHM": "20"}
-        if lens.told is not None:
-            f, cx, cy, k1, k2, k3, p1, p2 = lens.told.vector
+        if lens.calibrated is not None:
+            f, cx, cy, k1, k2, k3, p1, p2 = lens.calibrated.vector
             numbers = (f, f, cx - cols / 2, cy - rows / 2, k1, k2, p1, p2, k3)
             words["d:DewarpData"] = "2024-01-01;" + ",".join(f"{each:.9f}" for each in numbers)
         if height:

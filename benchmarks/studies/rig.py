@@ -185,8 +185,16 @@ def _learned_table(known: Rig, lenses: Sequence[TrueLens], seconds: float) -> Ta
     ratios = []
     for each, true in zip(known.lenses, lenses, strict=True):
         wrong = np.hypot(*true.lens.distortion_px(each.lens).T)
-        told = np.nan if true.told is None else float(np.hypot(*true.lens.distortion_px(true.told).T).max())
-        rows.append([each.name, told, float(wrong.max()), float(np.median(wrong)), each.distortion_sigma_px])
+        off = true.lens.distortion_px(true.calibrated) if true.calibrated else np.full((1, 2), np.nan)
+        rows.append(
+            [
+                each.name,
+                float(np.hypot(*off.T).max()),
+                float(wrong.max()),
+                float(np.median(wrong)),
+                each.distortion_sigma_px,
+            ]
+        )
         ratios.append(float(wrong.max()) / each.distortion_sigma_px)
     return Table(
         f"rig/synthetic: distortion learned from {LEARNED} captures ({seconds:.0f} s), px",
@@ -254,7 +262,7 @@ def applied_errors(
     """Return for each lens but the first the (n, 2) distances, px, from where it should have been read."""
     with ignoring(NotGeoreferencedWarning), rasterio.open(raster) as dataset:
         tags = dataset.tags()
-    plane = np.array([float(each) for each in tags["RIG_NEARNESS"].split()])
+    plane = np.array([float(each) for each in tags["RIG_INVERSE_DEPTH"].split()])
     turns = [np.array([float(v) for v in each.split()]) for each in tags["RIG_ROTATIONS_RAD"].split(";")]
     left, top, cols, rows = known.crop()
     rays = known.common_rays(lattice((rows, cols), 16) + np.array([left, top]))

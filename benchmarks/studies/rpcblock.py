@@ -173,7 +173,7 @@ def _dems(folder: Path, scratch: Path, right: Mapping[bool, Stack]) -> Table:
             check = each.block.dem if each.block else None
             if check is None:
                 raise RuntimeError("no DEM was looked at")
-            beside = check.beside_m or (np.nan, np.nan)
+            beside = check.offset_m or (np.nan, np.nan)
             rows.append(
                 [
                     f"{name}, {how}",

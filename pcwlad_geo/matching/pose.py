@@ -722,10 +722,10 @@ def _grown(
         if few.agreeing < MIN_SAMPLED and start.evidence < WORTH_VOTES:
             continue
         votes, pose = _climbed(voters, *voters.vote(pose), sample=False)
-        told = votes.evidence - math.log10(len(starts))  # of several starts one agrees by chance
-        evidence = min(start.evidence + told, MAX_EVIDENCE)
+        own_evidence = votes.evidence - math.log10(len(starts))  # of several starts one agrees by chance
+        evidence = min(start.evidence + own_evidence, MAX_EVIDENCE)
         within = scales[0] / SCALE_STEP <= _scale_of(pose) <= scales[1] * SCALE_STEP
-        if told > 0 and evidence >= MIN_EVIDENCE and within:
+        if own_evidence > 0 and evidence >= MIN_EVIDENCE and within:
             spread_px, of = voters.px(votes.spread_px), len(votes.agrees)
             return PoseProposal(pose[:2], start.score, evidence, of, votes.agreeing, spread_px)
     return None
@@ -771,12 +771,10 @@ def _ascended(
         chosen = _first_distinct(poses, reference.values.shape, REFINED, DISTINCT)
         poses = [poses[index] for index in chosen]
     best = [found[index] for index in chosen]
-    told = [0.0] * len(best)
+    evidence = [0.0] * len(best)
     if len(best) > 1:
-        told[0] = _standing_out(best[0][0], best[1][0], EVIDENCE_PER_ASCENDED_RATIO)
-    return [
-        PoseProposal(pose[:2], score, evidence) for (score, pose), evidence in zip(best, told, strict=True)
-    ]
+        evidence[0] = _standing_out(best[0][0], best[1][0], EVIDENCE_PER_ASCENDED_RATIO)
+    return [PoseProposal(pose[:2], score, own) for (score, pose), own in zip(best, evidence, strict=True)]
 
 
 class _Ascent:
@@ -815,14 +813,14 @@ class _Ascent:
             for _ in range(1 + ASCENT_HALVINGS):
                 change = inverse(np.eye(3) + np.vstack([step @ self._unit, np.zeros(3)]))
                 moved = pose @ inverse(self._from_px) @ change @ self._from_px
-                there, seen = self._placed(moved)
-                higher = self._score(there, seen)
+                there, valid = self._placed(moved)
+                higher = self._score(there, valid)
                 if higher > score:
                     break
                 step = step / 2
             else:
                 break
-            gain, score, pose, placed, known = higher - score, higher, moved, there, seen
+            gain, score, pose, placed, known = higher - score, higher, moved, there, valid
             if gain < LEAST_GAIN * abs(score):
                 break
         return score, pose
@@ -840,8 +838,8 @@ class _Ascent:
         energy = float(((self._planes * known) ** 2).sum()), float((placed**2).sum())
         ratio = math.sqrt(energy[0] / max(energy[1], 1e-6))
         correlation = float(np.vdot(placed, self._planes)) / max(math.sqrt(energy[0] * energy[1]), 1e-6)
-        told = (self._slopes @ placed.ravel()).astype(np.float64)
-        step = solve(normal, told).reshape(2, 3) * ratio / max(correlation, LEAST_CORRELATION)
+        right = (self._slopes @ placed.ravel()).astype(np.float64)
+        step = solve(normal, right).reshape(2, 3) * ratio / max(correlation, LEAST_CORRELATION)
         return step / max(1.0, math.sqrt(float((step**2 @ [1 / 3, 1 / 3, 1.0]).sum())))
 
     def _placed(self, pose: Float64) -> tuple[Float32, Float32]:

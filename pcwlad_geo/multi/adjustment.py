@@ -635,7 +635,7 @@ MANY: Final = 40
 """Of more images so many of those nearest to the datum, in pairs, decide."""
 CAP: Final = 3.0
 """A left-out point counts at most as one that lies off by so many scatters of its pair."""
-BELIEVED: Final = 2.0
+SIGNIFICANCE: Final = 2.0
 """An affine must predict better than a shift by so many standard errors of the difference."""
 
 
@@ -697,7 +697,7 @@ def _is_better(gain: Float64, before: bool, after: bool, scatter: float) -> bool
     if not before:
         return bool(gain.mean() > 0)
     if after:
-        return bool(gain.mean() > BELIEVED * error)
+        return bool(gain.mean() > SIGNIFICANCE * error)
     enough = scatter * np.sqrt(max(gain.mean(), 0.0)) >= MIN_GAIN_PX
     return bool(enough and gain.mean() > RESAMPLING_SIGNIFICANCE * error)
 

@@ -516,7 +516,7 @@ class Triangle:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Leg:
+class TriangleSide:
     """A measured pair as a mapping from the pixels of its reference to those of its target."""
 
     reference: RasterInfo
@@ -524,12 +524,12 @@ class Leg:
     points: TiePointTable
 
     @staticmethod
-    def of(pair: PairResult) -> Leg:
+    def of(pair: PairResult) -> TriangleSide:
         """Return the mapping of a measured pair."""
         if pair.points is None:
             raise ValueError(f"{pair.name} was refused")
         finite = np.asarray(np.isfinite(pair.points.displacement_px).all(axis=1))
-        return Leg(pair.reference.info, pair.target.info, pair.points[finite])
+        return TriangleSide(pair.reference.info, pair.target.info, pair.points[finite])
 
     def arrival(self, reference_px: Float64, neighbours: int) -> Float64:
         """Map (n, 2) `reference_px` to (n, 2) target px by the georeferencing and the local displacement.
@@ -558,29 +558,34 @@ def close_triangles(bands: Sequence[Band], pairs: Sequence[PairResult], window_p
     The `bands` are in the order of the pairs, the coarsest last. Tie points within a matching window,
     `window_px` of the coarsest band wide, are not independent.
     """
-    legs = {
-        (pair.reference.name, pair.target.name): Leg.of(pair) for pair in pairs if pair.status == "measured"
+    measured = {
+        (pair.reference.name, pair.target.name): TriangleSide.of(pair)
+        for pair in pairs
+        if pair.status == "measured"
     }
     triangles = []
     for a, b, c in combinations(bands, 3):
         sides = [(a.name, b.name), (b.name, c.name), (a.name, c.name)]
-        if all(side in legs for side in sides):
-            ab, bc, ac = (legs[side] for side in sides)
+        if all(side in measured for side in sides):
+            ab, bc, ac = (measured[side] for side in sides)
             triangles.append(close((a.name, b.name, c.name), (ab, bc, ac), window_px, c.px_m))
     return triangles
 
 
 def close(
-    names: tuple[str, str, str], legs: tuple[Leg, Leg, Leg], window_px: float, px_m: FloatPair | None = None
+    names: tuple[str, str, str],
+    sides: tuple[TriangleSide, TriangleSide, TriangleSide],
+    window_px: float,
+    px_m: FloatPair | None = None,
 ) -> Triangle:
     """Return the closure of one triangle on the ground that its three pairs share.
 
-    The `legs` are the pairs A to B, B to C and A to C of the bands `names`. A cell is at least `window_px`
+    The `sides` are the pairs A to B, B to C and A to C of the bands `names`. A cell is at least `window_px`
     wide, px of C; `px_m` is the pixel size of C (col, row), metres, if known.
     """
-    if not all(len(leg.points) for leg in legs):
+    if not all(len(side.points) for side in sides):
         return Triangle(names, 0, None, None, None, px_m)
-    (ab, bc, ac), net = legs, _Net.of(legs, window_px)
+    (ab, bc, ac), net = sides, _Net.of(sides, window_px)
     to_b, from_b, direct = net.neighbours
     closure_errors = bc.arrival(ab.arrival(net.places_px, to_b), from_b) - ac.arrival(net.places_px, direct)
     known = np.isfinite(closure_errors).all(axis=1)
@@ -628,12 +633,12 @@ class _Net:
     """Typical number of tie points in a cell of A to B, B to C and A to C."""
 
     @staticmethod
-    def of(legs: tuple[Leg, Leg, Leg], window_px: float) -> _Net:
+    def of(sides: tuple[TriangleSide, TriangleSide, TriangleSide], window_px: float) -> _Net:
         """Define the net: the side of a cell is that of the window, or larger where tie points are sparse.
 
-        The `legs` are the pairs A to B, B to C and A to C; the window is `window_px` wide, px of C.
+        The `sides` are the pairs A to B, B to C and A to C; the window is `window_px` wide, px of C.
         """
-        ab, bc, ac = (leg.points for leg in legs)
+        ab, bc, ac = (each.points for each in sides)
         per_a_px = _typical_reach_px(ac.predicted_px) / _typical_reach_px(ac.reference_px)
         reach_px = np.array(
             [

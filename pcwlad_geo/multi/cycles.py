@@ -171,14 +171,14 @@ class StackQuality:
         return StackQuality("poor" if grade == "refused" else grade, tuple(reasons), expected)
 
 
-def left_ce90(at_px: Float64, left_px: Float64) -> float:
+def residual_ce90(at_px: Float64, residual_px: Float64) -> float:
     """Return the distance within which 90 % of what a pair shows lies from the adjustment, px.
 
-    The (n, 2) `left_px` at the (n, 2) places `at_px` are averaged over neighbours, and the noise of single
-    points, by which neighbours differ, is taken out.
+    The (n, 2) `residual_px` at the (n, 2) places `at_px` are averaged over neighbours, and the noise of
+    single points, by which neighbours differ, is taken out.
     """
     places = at_px[:: math.ceil(len(at_px) / PLACES)]
-    residuals = Residuals(at_px, left_px, np.ones(len(at_px), bool))
+    residuals = Residuals(at_px, residual_px, np.ones(len(at_px), bool))
     left = left_by_correction(residuals, places, FIRST_WINDOW_PX)
     noise = SIGMA_90 * NOISE_OF_MEDIAN * float(np.median(left.spread_px))
     return math.sqrt(max(0.0, float(np.percentile(np.hypot(*left.median_px.T), 90)) ** 2 - noise**2))
@@ -294,10 +294,10 @@ def _judged(
     `off` is the share of its pairs that lie off by more than each limit.
     """
     used, reasons = [pair for pair in pairs if pair.status == "used"], []
-    left_px = median([pair.ce90_px or 0.0 for pair in used] or [0.0]) / unit_px
+    residual_px = median([pair.ce90_px or 0.0 for pair in used] or [0.0]) / unit_px
     causes = {
         f"the sigma of its position ({sigma_px:.2f} px)": SIGMA_90 * sigma_px,
-        "what its pairs leave": left_px,
+        "what its pairs leave": residual_px,
         "rows or columns that move within matching windows (jitter)": SIGMA_90 / 2**0.5 * jitter_px / unit_px,
         "heights of a DEM that lies beside its relief": heights_px,
     }

@@ -258,7 +258,7 @@ class BandEntry:
     CRS."""
     native_px_m: FloatPair | None
     """Pixel size that the sensor recorded; that of the file where nothing else is known."""
-    native_told: bool
+    native_known: bool
     """Whether a known sensor or the user says so."""
     crs: str | None
     mask: str | None
@@ -379,8 +379,8 @@ def to_csv(summary: Mapping[str, Any]) -> str:
 def _verdict(judged: Judged) -> BandRequirementEntry:
     worst = WorstEntry(*judged.worst) if judged.worst else None
     count = len(judged.values) + len(judged.unmeasured)
-    told = judged, judged.requirement, judged.requirement.rule
-    return filled(BandRequirementEntry, *told, worst=worst, judged=count)
+    rule = judged.requirement.rule
+    return filled(BandRequirementEntry, judged, judged.requirement, rule, worst=worst, judged=count)
 
 
 def _band(band: Band) -> BandEntry:
@@ -392,7 +392,6 @@ def _band(band: Band) -> BandEntry:
         band=band.info.band,
         shape=band.info.grid.shape,
         native_px_m=band.native_m,
-        native_told=band.native_known,
         crs=crs.to_string() if crs else None,
         mask=band.info.mask_uri,
     )

@@ -77,7 +77,7 @@ HEIGHT_LIMIT: Final = 0.2
 """Heights off by more of their standard deviations count by their sign: what the ground of most points tells
 is their median, whatever lies on the rest (forest, cliffs, cells of a coarse DEM)."""
 WORSE_PX: Final = 0.1
-"""Points left aside that lie farther off by less after an adjustment are no worse than before."""
+"""Points held out that lie farther off by less after an adjustment are no worse than before."""
 WORSE_SIGMAS: Final = 2.0
 """Nor are they within so many standard errors."""
 SLOPE_STEP_PX: Final = 1.0
@@ -115,7 +115,7 @@ class BlockPair:
 class Linearisation:
     """The linearised observations of a pair: its points as predicted in the second image, and derivatives."""
 
-    left_px: Float64
+    residual_px: Float64
     """(n, 2) observed less predicted."""
     first_rate: Float64
     """(n, 2, 2) derivatives of the predicted px by those of the first image, through the terrain: the mean of
@@ -146,7 +146,7 @@ class BlockFit:
     """Share of the offset that other pairs check."""
     scatter_px: float
     """Robust standard deviation of its points along an axis, heights free as far as the DEM is uncertain."""
-    left_px: Float64
+    residual_px: Float64
     """(n, 2) residuals."""
     weight: Float64
     """(n, 2, 2) weights of the points, 1/px²; 0 for those not used."""
@@ -185,7 +185,7 @@ class BlockAdjustment:
     dem_sigma_px: Float64
     """(2,) standard deviation of that."""
     hold_out: HoldOutCheck | None
-    """What points left aside say of the adjustment; None where all lie in one place."""
+    """What points held out say of the adjustment; None where all lie in one place."""
 
     @property
     def dem_moved(self) -> bool:
@@ -300,7 +300,7 @@ def adjust_block(
     }
     solved = {model: _solved(problem) for model, problem in problems.items()}
     judge = next(reversed(solved.values())).weights
-    errors = {model: _left_out_px2(problems[model], solved[model], judge) for model in models}
+    errors = {model: _squared_errors_px2(problems[model], solved[model], judge) for model in models}
     chosen = models[0]
     for model in models[1:]:
         gain = errors[chosen] - errors[model]
@@ -389,12 +389,12 @@ class _BlockProblem:
                 places.append(np.arange(begin, begin + self.size))
         return np.concatenate(blocks, axis=2), np.concatenate(places)
 
-    def left_px(self, number: int, state: _State) -> Float64:
+    def residual_px(self, number: int, state: _State) -> Float64:
         """Return the (n, 2) distances of a pair's points from the adjustment."""
         linear = state.linearised[number]
         design, places = self.design(self.pairs[number], linear)
         step = self.flat(state.parameters - state.start)[places]
-        return linear.left_px - design @ step - linear.dem_rate @ (state.dem_px - state.start_dem_px)
+        return linear.residual_px - design @ step - linear.dem_rate @ (state.dem_px - state.start_dem_px)
 
 
 def _design(terms: Float64) -> Float64:
@@ -420,7 +420,7 @@ def _solved(problem: _BlockProblem) -> _State:
         if turn and np.abs(state.dem_px - before_px).max() < STILL_PX:
             break
     for _ in range(count):
-        better = _without_the_worst(problem, state, datum)
+        better = _without_the_outlier(problem, state, datum)
         if better is None:
             break
         state = _reweighted(problem, better, datum)
@@ -449,7 +449,7 @@ def _linearised_again(problem: _BlockProblem, number: int, state: _State) -> Lin
     higher_m, slope = relief(problem.block, ground_px, pair.window_px, state.dem_px)
     return replace(
         problem.rates[number],
-        left_px=pair.second_px - other.forward(at_px + rate * higher_m[:, None]),
+        residual_px=pair.second_px - other.forward(at_px + rate * higher_m[:, None]),
         dem_rate=np.nan_to_num(-rate[:, :, None] * slope[:, None, :]),
         first_terms=ImageTerms.over(grids[0].shape).values(predicted_px),
         second_terms=ImageTerms.over(grids[1].shape).values(at_px),
@@ -487,7 +487,7 @@ def _linearised(block: RpcBlock, pair: BlockPair, *, level: bool = False) -> Lin
 
 
 def _crowding(block: RpcBlock, ground_px: Float64) -> float:
-    """Return `Sight.crowding` of points at the (n, 2) `ground_px` of the frame."""
+    """Return `Linearisation.crowding` of points at the (n, 2) `ground_px` of the frame."""
     if block.dem is None:
         return 1.0
     at_px = np.floor(map_px(ground_px, block.frame, block.dem.grid))
@@ -509,12 +509,12 @@ def relief(block: RpcBlock, ground_px: Float64, window_px: float, dem_px: Float6
     at_px = map_px(ground_px, frame, dem.grid)
     count = PARTS if window_px > 0 else 1
     parts = (np.arange(count) + 0.5) / count - 0.5
-    asides = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 2) * window_px @ rate.T
+    offsets_px = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 2) * window_px @ rate.T
     step_px = max(SLOPE_STEP_PX, 0.5 * window_px / count * float(np.sqrt(abs(np.linalg.det(rate)))))
-    given = [dem.at_px(at_px + aside, lon_lat) for aside in asides]
+    given = [dem.at_px(at_px + offset_px, lon_lat) for offset_px in offsets_px]
 
     def higher(by_px: Float64) -> Float64:
-        moved = [dem.at_px(at_px + aside - by_px, lon_lat) for aside in asides]
+        moved = [dem.at_px(at_px + offset_px - by_px, lon_lat) for offset_px in offsets_px]
         change = np.stack(moved) - np.stack(given)
         known = np.isfinite(change).any(axis=0)
         result = np.zeros(len(at_px))
@@ -552,7 +552,9 @@ def image_px(grid: Grid, frame: Grid, ground_px: Float64, height_m: Float64 | No
 
 def _weighted(problem: _BlockProblem, state: _State) -> _State:
     """Weight all points by their residuals, and estimate the uncertainty of the DEM."""
-    left = [problem.left_px(number, state) - state.offsets[number] for number in range(len(problem.pairs))]
+    left = [
+        problem.residual_px(number, state) - state.offsets[number] for number in range(len(problem.pairs))
+    ]
     sigma_m = _height_sigma(problem, state.linearised, left)
     weights, scatters = [], []
     for pair, linear, residual in zip(problem.pairs, state.linearised, left, strict=True):
@@ -577,7 +579,7 @@ def _weights(pair: BlockPair, linear: Linearisation, variance_m2: Float64 | floa
     """Return the (n, 2, 2) inverse covariances of points, heights eliminated; 0 where unknown."""
     rate = linear.height_rate
     covariance = pair.covariance_px2 + (variance_m2 * (rate[:, :, None] * rate[:, None, :]).T).T
-    known = np.isfinite(linear.left_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+    known = np.isfinite(linear.residual_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
     known &= np.isfinite(linear.first_rate).all(axis=(1, 2))
     weight = np.zeros_like(covariance)
     weight[known] = inverse(covariance[known], MEASURED)
@@ -634,7 +636,7 @@ def _equations(
         alike = np.broadcast_to(np.eye(2), (len(pair), 2, 2))
         design = np.concatenate([design, alike, linear.dem_rate], axis=2)[known]
         weight = weight[known] if keep is None else weight[known] * keep[number][known, None, None]
-        equations.observe(np.concatenate([places, shared, dem]), design, weight, linear.left_px[known])
+        equations.observe(np.concatenate([places, shared, dem]), design, weight, linear.residual_px[known])
     largest = float(equations.matrix.diagonal()[unknowns].max(initial=1.0))
     equations.add(unknowns, DATUM_FACTOR * largest * datum @ datum.T)
     equations.expect(unknowns, UNOBSERVED_PX)
@@ -689,7 +691,7 @@ def _redundancy(problem: _BlockProblem, state: _State, equations: NormalEquation
     return np.asarray(np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0))
 
 
-def _without_the_worst(problem: _BlockProblem, state: _State, datum: Float64) -> _State | None:
+def _without_the_outlier(problem: _BlockProblem, state: _State, datum: Float64) -> _State | None:
     """Return the state without the pair that contradicts all others; None if none does, or none can tell.
 
     Without it the others must still check each other, and contradict each other much less.
@@ -703,7 +705,7 @@ def _without_the_worst(problem: _BlockProblem, state: _State, datum: Float64) ->
         trial = replace(state, used=used, shared_px=USUAL_PX)
         for _ in range(3):
             trial = _step(problem, trial, datum)
-        off = float(np.hypot(*_mean_left(problem, trial, number)[0]))
+        off = float(np.hypot(*_mean_residual(problem, trial, number)[0]))
         if (
             off > OUTLIER_SIGMAS * max(trial.shared_px, USUAL_PX)
             and OUTLIER_SHARE * state.shared_px > trial.shared_px
@@ -722,7 +724,7 @@ def _connected(problem: _BlockProblem, used: Bool) -> bool:
     return len(set(components(ends[used], len(problem.block.grids))[ends].ravel().tolist())) == 1
 
 
-def _mean_left(problem: _BlockProblem, state: _State, number: int) -> tuple[Float64, Float64, Float64]:
+def _mean_residual(problem: _BlockProblem, state: _State, number: int) -> tuple[Float64, Float64, Float64]:
     """Return the (2,) weighted mean distance of a pair's points, its (2, 2) formal covariance, its design."""
     weight = state.weights[number]
     total = inverse(weight.sum(axis=0) + 1e-12 * np.eye(2), MEASURED)
@@ -730,7 +732,7 @@ def _mean_left(problem: _BlockProblem, state: _State, number: int) -> tuple[Floa
     design, places = problem.design(problem.pairs[number], state.linearised[number])
     mean = np.zeros((2, problem.unknowns))
     mean[:, places] = total @ np.einsum("nab,nbp->ap", weight[known], design[known])
-    left = problem.left_px(number, state)[known]
+    left = problem.residual_px(number, state)[known]
     return np.asarray(total @ np.einsum("nab,nb->a", weight[known], left)), total, mean
 
 
@@ -763,7 +765,7 @@ def _without_cells(
         yield [np.asarray(each) for each in inside], equations.solve(NEEDS)
 
 
-def _left_out_px2(problem: _BlockProblem, state: _State, judge: Sequence[Float64]) -> Float64:
+def _squared_errors_px2(problem: _BlockProblem, state: _State, judge: Sequence[Float64]) -> Float64:
     """Return the (cells,) mean squared error, px², of points that were predicted without their cell.
 
     Weighted by the (n, 2, 2) weights `judge` of each pair.
@@ -776,7 +778,7 @@ def _left_out_px2(problem: _BlockProblem, state: _State, judge: Sequence[Float64
             design, places = problem.design(problem.pairs[number], state.linearised[number])
             known = chosen & judge[number].any(axis=(1, 2)) & state.weights[number].any(axis=(1, 2))
             at = problem.unknowns + 2 * number
-            left = state.linearised[number].left_px[known] - design[known] @ solution[places]
+            left = state.linearised[number].residual_px[known] - design[known] @ solution[places]
             left = left - solution[at : at + 2] - state.linearised[number].dem_rate[known] @ solution[-2:]
             squares += float(np.einsum("na,nab,nb->", left, judge[number][known], left))
             count += int(known.sum())
@@ -830,8 +832,8 @@ def _hold_out_check(problem: _BlockProblem, state: _State) -> HoldOutCheck | Non
             known = inside[number] & state.weights[number].any(axis=(1, 2))
             design, places = problem.design(problem.pairs[number], linearised[number])
             step = (solution[: problem.unknowns] - begun)[places]
-            after = linearised[number].left_px[known] - design[known] @ step
-            before = problem.rates[number].left_px[known]
+            after = linearised[number].residual_px[known] - design[known] @ step
+            before = problem.rates[number].residual_px[known]
             sums.append(np.array([[known.sum(), np.hypot(*before.T).sum(), np.hypot(*after.T).sum()]]))
     count, before_px, after_px = (np.concatenate(sums) / max(1.0, np.concatenate(sums)[:, 0].sum())).T
     if not count.any():
@@ -844,7 +846,7 @@ def _hold_out_check(problem: _BlockProblem, state: _State) -> HoldOutCheck | Non
 def _response_to_height(problem: _BlockProblem, state: _State, datum: Float64) -> Float64:
     """Return `BlockAdjustment.by_height_px`, of level ground: its relief is told by the other unknowns."""
     level = [_linearised(problem.block, pair, level=True) for pair in problem.pairs]
-    linearised = tuple(replace(linear, left_px=-linear.height_rate) for linear in level)
+    linearised = tuple(replace(linear, residual_px=-linear.height_rate) for linear in level)
     state = replace(state, linearised=linearised, start_dem_px=np.zeros(2))
     step = _equations(problem, state, datum).solve(NEEDS)[: problem.unknowns]
     found = np.zeros((len(problem.block.grids), 2))
@@ -853,7 +855,7 @@ def _response_to_height(problem: _BlockProblem, state: _State, datum: Float64) -
 
 
 def _fit(problem: _BlockProblem, state: _State, number: int, covariance: Float64) -> BlockFit:
-    offset, formal, mean = _mean_left(problem, state, number)
+    offset, formal, mean = _mean_residual(problem, state, number)
     own = float(np.trace(formal)) / 2
     own += state.shared_px**2 if problem.pairs[number].height_m is None else 0.0
     adjusted = float(np.trace(mean @ covariance @ mean.T)) / 2
@@ -865,7 +867,7 @@ def _fit(problem: _BlockProblem, state: _State, number: int, covariance: Float64
         sigma_px=sigma_px,
         redundancy=redundancy,
         scatter_px=state.scatters[number],
-        left_px=problem.left_px(number, state),
+        residual_px=problem.residual_px(number, state),
         weight=state.weights[number],
         linear=state.linearised[number],
     )

@@ -19,7 +19,7 @@ from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsErr
 from pcwlad_geo.estimation.robust import sigma_of
 from pcwlad_geo.events import EventCallback, Progress, Warned, only_warnings
 from pcwlad_geo.limits import check_coordinates, check_grid
-from pcwlad_geo.multi.cycles import closure_of, left_ce90
+from pcwlad_geo.multi.cycles import closure_of, residual_ce90
 from pcwlad_geo.multi.rpc_block import (
     PLACE_SIGMAS,
     BlockAdjustment,
@@ -310,7 +310,7 @@ def adjusted(
     """Adjust a block, and ask the tie points what they say of the DEM.
 
     A wrong DEM looks like RPCs that drift: with one, a shift of each is all that is told. Raises
-    `RegistrationRejectedError` if points left aside lie farther apart with the corrections than without.
+    `RegistrationRejectedError` if points held out lie farther apart with the corrections than without.
     """
     block = placed.block
     control = any(pair.height_m is not None for pair in pairs)
@@ -325,7 +325,7 @@ def adjusted(
     unused = found.hold_out
     if unused is not None and unused.worse:
         raise RegistrationRejectedError(
-            f"tie points left aside lie {unused.after_px:.2f} px apart with the corrected RPCs and "
+            f"tie points held out lie {unused.after_px:.2f} px apart with the corrected RPCs and "
             f"{unused.before_px:.2f} px with those of the files, over the DEM as it is: nothing is written; "
             + "; ".join((check and check.wrong) or ["check the DEM and the pairs"])
         )
@@ -362,7 +362,7 @@ def block_stack(
         scores_px={model: round(score, 4) for model, score in adjustment.scores.items()},
         dem=check,
         misfits=tuple(_misfits(placed, pairs, adjustment)),
-        left_aside=adjustment.hold_out,
+        hold_out=adjustment.hold_out,
         warnings=((check and check.wrong) or ()) + tuple(control_warnings(placed, pairs, adjustment)),
     )
     return Stack(
@@ -394,7 +394,7 @@ def _pair(
         sigma_px=fit.sigma_px * size,
         redundancy=fit.redundancy,
         scatter_px=fit.scatter_px * size,
-        ce90_px=left_ce90(points.second_px, fit.left_px) * size,
+        ce90_px=residual_ce90(points.second_px, fit.residual_px) * size,
     )
 
 
@@ -440,7 +440,7 @@ def _misfits(placed: PlacedImages, pairs: Sequence[BlockPair], adjustment: Block
         if not control and (placed.placements[0] is not None or 0 not in ends):
             continue
         known = fit.weight.any(axis=(1, 2)) & ~(_off(pair, fit) if control else False)
-        left = fit.left_px[known]
+        left = fit.residual_px[known]
         size_m = _pixel_m(frame.infos[pair.second].grid)
         rmse = float(np.sqrt((left**2).sum(axis=1).mean())) if len(left) else float("nan")
         mean = np.median(left, axis=0) if len(left) else np.full(2, np.nan)
@@ -452,7 +452,7 @@ def _misfits(placed: PlacedImages, pairs: Sequence[BlockPair], adjustment: Block
                 (float(mean[0]), float(mean[1])),
                 rmse,
                 rmse * size_m,
-                tuple((float(col), float(row)) for col, row in fit.left_px) if control else None,
+                tuple((float(col), float(row)) for col, row in fit.residual_px) if control else None,
             )
         )
     return found
@@ -460,7 +460,7 @@ def _misfits(placed: PlacedImages, pairs: Sequence[BlockPair], adjustment: Block
 
 def _off(pair: BlockPair, fit: BlockFit) -> Bool:
     """Return the (n,) mask of the control points that contradict all others."""
-    off = np.hypot(*fit.left_px.T) / np.sqrt(np.trace(pair.covariance_px2, axis1=1, axis2=2) / 2)
+    off = np.hypot(*fit.residual_px.T) / np.sqrt(np.trace(pair.covariance_px2, axis1=1, axis2=2) / 2)
     return np.asarray(off > CONTROL_OFF * max(1.0, float(np.nanmedian(off))))
 
 
@@ -471,7 +471,7 @@ def control_warnings(placed: PlacedImages, pairs: Sequence[BlockPair], found: Bl
         if pair.height_m is None:
             continue
         for index in np.flatnonzero(_off(pair, fit)).tolist():
-            (col, row), length = pair.second_px[index], float(np.hypot(*fit.left_px[index]))
+            (col, row), length = pair.second_px[index], float(np.hypot(*fit.residual_px[index]))
             name = placed.frame.names[pair.second]
             warnings.append(
                 f"the control point at ({col:.1f}, {row:.1f}) px (col, row) of {name} lies {length:.1f} "
@@ -570,14 +570,14 @@ def check_dem(
     if dem is None:
         return None
     height_m, chance, separation_px = _too_high(block, pairs, found)
-    beside_m, sigma_m = _horizontal_offset(block, dem, found, absolute)
+    offset_m, sigma_m = _horizontal_offset(block, dem, found, absolute)
     scale, scale_sigma = _scale(block, pairs, found)
     reasons: list[str] = []
     if chance is not None and chance < BY_CHANCE and separation_px is not None and separation_px >= LEAST_PX:
         reasons.append(_height_message(dem, height_m or 0.0, separation_px))
-    if beside_m is not None and found.dem_moved and np.hypot(*beside_m) > _least_m(block, dem, absolute):
+    if offset_m is not None and found.dem_moved and np.hypot(*offset_m) > _least_m(block, dem, absolute):
         reasons.append(
-            f"the relief of the DEM {dem.uri} lies ({beside_m[0]:+.1f}, {beside_m[1]:+.1f}) m (x, y) beside "
+            f"the relief of the DEM {dem.uri} lies ({offset_m[0]:+.1f}, {offset_m[1]:+.1f}) m (x, y) beside "
             "the relief that the tie points show: check its position"
             + ("" if absolute else ", unless the RPCs of all images err by that")
         )
@@ -593,7 +593,7 @@ def check_dem(
             f"tie points, which sets orthoimages {rough_px:.1f} px apart from place to place"
         )
     return DemCheck(
-        dem.uri, height_m, chance, separation_px, beside_m, sigma_m, scale, scale_sigma,
+        dem.uri, height_m, chance, separation_px, offset_m, sigma_m, scale, scale_sigma,
         found.sigma_height_m, _off_m(block, found), tuple(reasons),
     )  # fmt: skip
 
@@ -695,7 +695,7 @@ def _points(
     dem = block.dem
     for pair, fit in zip(pairs, found.edges, strict=True):
         ground_px = fit.linear.ground_px
-        above, _ = implied_heights(pair, fit.linear, fit.left_px)
+        above, _ = implied_heights(pair, fit.linear, fit.residual_px)
         lon_lat = transform_xy(block.frame.to_xy(ground_px), block.frame.crs, WGS84)
         cell = np.floor(6 * ground_px / max(block.frame.shape)) @ np.array([1.0, 100.0])
         used = fit.weight.any(axis=(1, 2)) & (pair.height_m is None)

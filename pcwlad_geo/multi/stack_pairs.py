@@ -235,9 +235,9 @@ def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
     reasons += [(each.grade, each.text) for each in _displaced_otherwise(pair.folder)]
     grade: Grade = min((grade for grade, _ in reasons), key=GRADES.index, default="good")
     texts = tuple(text for _, text in reasons)
-    told = report.get("proof")
-    told = {**told, "map": ()} if isinstance(told, dict) else told
-    proof = _validated(Proof, told, pair.folder) if told else None
+    values = report.get("proof")
+    values = {**values, "map": ()} if isinstance(values, dict) else values
+    proof = _validated(Proof, values, pair.folder) if values else None
     return replace(pair, quality=grade, quality_reasons=texts, jitter_px=jitter_px, proof=proof)
 
 

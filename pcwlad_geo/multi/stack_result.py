@@ -28,8 +28,8 @@ from pcwlad_geo.multi.cycles import (
     StackQuality,
     closure_of,
     image_qualities,
-    left_ce90,
     misfit_sigmas,
+    residual_ce90,
     root_mean_square,
 )
 from pcwlad_geo.multi.network import SPLINE_CELLS, Basis, polynomial_over
@@ -117,11 +117,11 @@ class DemCheck:
     """How much too high the DEM would be if the biases of the RPCs came from it; null without parallax."""
     by_chance: float | None
     """Probability that biases of random directions look so much like it."""
-    disagreement_px: float | None
+    separation_px: float | None
     """By how much that would set two images apart, at most."""
-    beside_m: tuple[float, float] | None
+    offset_m: tuple[float, float] | None
     """How far (x, y) the relief of the DEM lies beside that of the tie points; null where it cannot tell."""
-    beside_sigma_m: tuple[float, float] | None
+    offset_sigma_m: tuple[float, float] | None
     scale: float | None
     """By how much a metre of the DEM's relief is too high; null where it cannot tell."""
     scale_sigma: float | None
@@ -145,7 +145,7 @@ class BlockNumbers:
     """What the tie points say of the DEM."""
     misfits: tuple[Misfit, ...]
     """How the images fit the reference and the control points."""
-    left_aside: HoldOutCheck | None
+    hold_out: HoldOutCheck | None
     """How far tie points on ground that was left out lie off with the RPCs as they came and as corrected."""
     warnings: tuple[str, ...]
     """What speaks against the DEM (`dem.wrong`) and against control points."""
@@ -342,7 +342,7 @@ def stack_of(
     for edge, pair in measured:
         if edge is not None:
             ground = adjustment.to_ground(edge.first, edge.first_xy)
-            left_px = edge.second_xy - adjustment.displacement(edge.second, ground) - ground
+            residual_px = edge.second_xy - adjustment.displacement(edge.second, ground) - ground
             fit = next(fits)
             pair = replace(
                 compared(pair, fit.used, fit.offset, warnings),
@@ -350,7 +350,7 @@ def stack_of(
                 sigma_px=fit.sigma,
                 redundancy=fit.redundancy,
                 scatter_px=fit.scatter,
-                ce90_px=left_ce90(edge.second_xy, left_px),
+                ce90_px=residual_ce90(edge.second_xy, residual_px),
             )
         pairs.append(pair)
     used = [pair for pair in pairs if pair.status == "used"]
@@ -634,9 +634,9 @@ class Asset:
 
 
 def _registered_asset(image: StackImage, grid: Grid, driver: str) -> Asset:
-    told: dict[str, Any] = {"shift_px": list(image.shift_px), "sigma_px": list(image.sigma_px)}
-    told |= {"quality": image.quality.grade}
-    properties = {f"pcwlad_geo:{name}": value for name, value in told.items()}
+    values: dict[str, Any] = {"shift_px": list(image.shift_px), "sigma_px": list(image.sigma_px)}
+    values |= {"quality": image.quality.grade}
+    properties = {f"pcwlad_geo:{name}": value for name, value in values.items()}
     return Asset(f"./{image.registered.name}", driver, grid, properties)
 
 

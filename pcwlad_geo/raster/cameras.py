@@ -64,9 +64,9 @@ def camera_of(dataset: DatasetReader) -> Camera | None:
         return None
     focal = [each for each in (_by_focal_plane(exif, dataset.shape), _by_35_mm(exif, dataset.shape)) if each]
     contradicts = len(focal) == 2 and max(focal) > AGREE * min(focal)
-    believed = focal[0] if focal and not contradicts else None
-    camera = Camera(believed, relative, number_of(exif, "GPSAltitude"), contradicts)
-    known = (believed, camera.height_m, camera.altitude_m)
+    plausible = focal[0] if focal and not contradicts else None
+    camera = Camera(plausible, relative, number_of(exif, "GPSAltitude"), contradicts)
+    known = (plausible, camera.height_m, camera.altitude_m)
     return camera if contradicts or any(each is not None for each in known) else None
 
 

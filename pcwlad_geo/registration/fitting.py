@@ -460,30 +460,30 @@ def assess(
     if len(places_px) == 0:
         places_px = matches.predicted_px
     correction = selection.fit.correction
-    left_px = matches.target_px - correction.forward(matches.predicted_px)
+    residual_px = matches.target_px - correction.forward(matches.predicted_px)
     if isinstance(correction, JitterCorrection):
         jitter_px = max(0.0, jitter_px**2 - correction.variance_px2) ** 0.5
     kept = matches.status != "rejected"
 
     def expected(at_px: Float64) -> float:
-        def told(by: Selection, residual_px: Float64) -> float:
-            residuals = Residuals(matches.predicted_px, residual_px, kept, matches.sigma_px)
+        def ce90_of(by: Selection, left_px: Float64) -> float:
+            residuals = Residuals(matches.predicted_px, left_px, kept, matches.sigma_px)
             return expected_ce90(by, residuals, at_px, footprint_px, jitter_px)
 
-        of_these = told(selection, left_px)
+        of_these = ce90_of(selection, residual_px)
         if of_all is None:
             return of_these
         whole = of_all.fit.correction
-        of_others = told(of_all, matches.target_px - whole.forward(matches.predicted_px))
-        apart_px = np.hypot(*(correction.forward(at_px) - whole.forward(at_px)).T)
-        return max(of_these, float(np.hypot(of_others, np.percentile(apart_px, 90))))
+        of_others = ce90_of(of_all, matches.target_px - whole.forward(matches.predicted_px))
+        difference_px = np.hypot(*(correction.forward(at_px) - whole.forward(at_px)).T)
+        return max(of_these, float(np.hypot(of_others, np.percentile(difference_px, 90))))
 
     expected_px = expected(places_px)
     extrapolated = float(selection.extrapolated(places_px).mean())
     reasons = (
         *_inaccurate(expected_px, selection.name, jitter_px),
         *_check_points_off(table, selection.name, footprint_px),
-        *displaced_otherwise(left_px[~kept], len(matches)),
+        *displaced_otherwise(residual_px[~kept], len(matches)),
         *_extrapolation(extrapolated),
     )
     worst_first = tuple(sorted(reasons, key=lambda reason: GRADES.index(reason.grade)))
@@ -527,13 +527,13 @@ def _typical_sigma_px(points: TiePointTable) -> float:
     return float(np.sqrt((points.sigma_px**2).mean()))
 
 
-def displaced_otherwise(left_px: Float64, matches: int) -> Iterator[Reason]:
+def displaced_otherwise(residual_px: Float64, matches: int) -> Iterator[Reason]:
     """Yield a reason where many rejected matches, of all `matches`, agree on one other displacement.
 
     It may be that of a tenth of the ground, in parts smaller than a window, in which some matches find it.
-    The (n, 2) `left_px` are what the correction leaves of the rejected ones, target px.
+    The (n, 2) `residual_px` are what the correction leaves of the rejected ones, target px.
     """
-    far_px = left_px[np.hypot(*left_px.T) > 2 * ALIKE_PX]
+    far_px = residual_px[np.hypot(*residual_px.T) > 2 * ALIKE_PX]
     if len(far_px) < OTHERWISE * matches:
         return
     tree = cKDTree(far_px)

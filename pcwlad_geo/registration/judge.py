@@ -19,13 +19,13 @@ MIN_POINTS: Final = 12
 """Least number of consistent tie points of an accepted pair."""
 MIN_CELLS: Final = 4
 """Least number of separate cells that must agree in an accepted pair."""
-APART_WINDOWS: Final = 0.5
+SEPARATION_WINDOWS: Final = 0.5
 """Distance along an axis from which matches count as independent evidence, in window sides: of radar over
 optical two wrong poses, each of three clusters, had 0.2 and 2.0 by it, and the right ones 11.5 and 14."""
 CERTAIN: Final = 3.2
 """Evidence of a search from which nothing but chance is asked of its pose; below it the pose may stand on one
 structure, which overlapping windows all show: a path, in an image beside itself transposed, gave 2.9."""
-APART_DOUBTFUL_WINDOWS: Final = 2 / 3
+DOUBTFUL_SEPARATION_WINDOWS: Final = 2 / 3
 """The distance of independent evidence for such a pose: of that path 8 of 8 places were half a window apart,
 and 4 of 4 this far."""
 COUNTED: Final = 0.75
@@ -129,8 +129,8 @@ def judge(
     """
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
     doubtful = evidence != 0 and evidence < CERTAIN
-    apart_px = (APART_DOUBTFUL_WINDOWS if doubtful else APART_WINDOWS) * window_px
-    cells, agreeing, found = _best_agreement(matches, kept, apart_px, share)
+    separation_px = (DOUBTFUL_SEPARATION_WINDOWS if doubtful else SEPARATION_WINDOWS) * window_px
+    cells, agreeing, found = _best_agreement(matches, kept, separation_px, share)
     # the common displacement is the best of 1 / share different ones
     significance = max(0.0, found + float(np.log10(share)))
     enough = kept.sum() >= MIN_POINTS and agreeing >= MIN_CELLS
@@ -152,7 +152,9 @@ def judge(
     return Verdict(False, by_chance, cells, agreeing, significance, beyond)
 
 
-def _best_agreement(matches: TiePoints, kept: Bool, apart_px: float, share: float) -> tuple[int, int, float]:
+def _best_agreement(
+    matches: TiePoints, kept: Bool, separation_px: float, share: float
+) -> tuple[int, int, float]:
     """Count places with matches, and those that agree with the common displacement, which may be a plane.
 
     The third value is -log10 of the probability that as many agree by chance with the better of the two.
@@ -161,7 +163,7 @@ def _best_agreement(matches: TiePoints, kept: Bool, apart_px: float, share: floa
         return 0, 0, 0.0
     chance = min(0.5, CHANCE_FACTOR * share)
     middle_px = np.median(matches.displacement_px[kept if kept.any() else slice(None)], axis=0)
-    place_of = _places(matches, apart_px)
+    place_of = _places(matches, separation_px)
     cells, agreeing = _agreement(matches, middle_px, place_of)
     level = cells, agreeing, evidence_against_chance(agreeing, cells, chance)
     if kept.sum() < 3 * MIN_POINTS:
@@ -181,8 +183,8 @@ def _agreement(matches: TiePoints, common_px: Float64, place_of: Index) -> tuple
     return len(total), int((share >= 0.5).sum())
 
 
-def _places(matches: TiePoints, apart_px: float) -> Index:
-    """Return the (n,) number of the place of each match; the middles of places lie `apart_px` apart.
+def _places(matches: TiePoints, separation_px: float) -> Index:
+    """Return the (n,) number of the place of each match; the middles of places lie `separation_px` apart.
 
     The densest come first, so that a cluster, whose windows show the same pixels, is one place: cells of a
     fixed grid cut clusters, and three clusters of chance, through which there is always a plane, counted as
@@ -190,12 +192,12 @@ def _places(matches: TiePoints, apart_px: float) -> Index:
     """
     xy = matches.reference_xy_px
     tree = cKDTree(xy)
-    around = tree.query_ball_point(xy, apart_px / 2, p=np.inf, return_length=True)
+    around = tree.query_ball_point(xy, separation_px / 2, p=np.inf, return_length=True)
     free, middles = np.ones(len(xy), bool), []
     for index in np.argsort(-around, kind="stable").tolist():
         if free[index]:
             middles.append(index)
-            free[tree.query_ball_point(xy[index], apart_px, p=np.inf)] = False
+            free[tree.query_ball_point(xy[index], separation_px, p=np.inf)] = False
     return np.asarray(cKDTree(xy[middles]).query(xy, p=np.inf)[1], np.intp)
 
 

@@ -243,10 +243,10 @@ def wrong_heights(reference: Grid, target: Grid, points: TiePointTable) -> str |
     up, down = (map_px(points.reference_px, *each) for each in grids)
     rate_px = np.nanmedian(up - down, axis=0)  # by a metre of height
     size_px = float(np.hypot(*rate_px))
-    left_px = points.residual_px - np.median(points.residual_px, axis=0)
+    residual_px = points.residual_px - np.median(points.residual_px, axis=0)
     if not size_px > MAX_PARALLAX / 10:
         return None
-    turned = left_px @ np.array([rate_px, [-rate_px[1], rate_px[0]]]).T / size_px
+    turned = residual_px @ np.array([rate_px, [-rate_px[1], rate_px[0]]]).T / size_px
     along, across = np.percentile(np.abs(turned), 90, axis=0).tolist()
     if along < ALONG * across:
         return None

@@ -698,9 +698,9 @@ def _of_the_ground(
     one_product = of_one_product(pair.reference.info.uri, pair.target.info.uri)
     if not can_be_posed(pair):  # by an RPC, which errs by more, and relief moves parts of the scene
         return replace(matched, motions=(), patches=())
-    believed = pair.georeferenced and before.pose is None and settings.prealign not in ("search", "none")
+    trusted = pair.georeferenced and before.pose is None and settings.prealign not in ("search", "none")
     sizes_m = middle_pixel_size_m(pair.reference.grid) if one_product else None
-    error_px = None if not believed else PRODUCT_M / max(sizes_m) if sizes_m else GEOREFERENCED_PX
+    error_px = None if not trusted else PRODUCT_M / max(sizes_m) if sizes_m else GEOREFERENCED_PX
     motions, usual, reason = motion_of_the_ground(matched.motions, matched.kept, error_px, one_product)
     matched = replace(matched, motions=motions)
     if reason is not None:

@@ -407,11 +407,11 @@ def seen_and_unseen(proof: Proof) -> str:
 def proof_answers(proof: Proof) -> list[Answer]:
     """Return the answers to the questions at the top of the section."""
     locking, sigma = max(proof.locking_px), proof.sigma
-    told = f"{100 * sigma.within_68:.0f} % of the errors lie within sigma (68 is right)"
+    text = f"{100 * sigma.within_68:.0f} % of the errors lie within sigma (68 is right)"
     if sigma.within_68 < SIGMA_HOLDS:
-        told += f": they would have to be {sigma.factor:.1f} times as large."
+        text += f": they would have to be {sigma.factor:.1f} times as large."
     else:
-        told += ", which leaves room for what is not seen." if sigma.factor < 1 else "."
+        text += ", which leaves room for what is not seen." if sigma.factor < 1 else "."
     wrong = proof.wrong / max(proof.wrong + proof.matches, 1)
     correction = proof.correction
     error = f"90 % of the points lie within {proof.ce90_px:.3f} px"
@@ -423,7 +423,7 @@ def proof_answers(proof: Proof) -> list[Answer]:
             f"By {locking:.3f} px, beside a scatter of {max(proof.scatter_px):.3f} px.",
             _state(locking, LOCKING_PX, 5 * LOCKING_PX),
         ),
-        Answer("Do the sigmas hold?", told, "good" if sigma.within_68 >= SIGMA_HOLDS else "caution"),
+        Answer("Do the sigmas hold?", text, "good" if sigma.within_68 >= SIGMA_HOLDS else "caution"),
         Answer(
             "Do wrong matches get through?",
             f"{proof.wrong} of {proof.wrong + proof.matches}, with every test passed.",

@@ -1,10 +1,10 @@
 """Least squares over all captures: lenses, how they stand, and the ground that each capture saw.
 
-A point that the reference lens sees in direction (x, y) at nearness q (the mean distance over its depth) is
-seen by lens i in the direction of R·(x, y, 1) + q·b. Nearness is a plane of the direction for each capture
-(level ground is one exactly), and a deviation of each point from it, the relief, which is eliminated. Two
-captures of the reference lens whose frames overlap are tied the same way, with a rotation and a base of their
-own: that tells the distortion that all lenses have in common, which frames of one moment hardly do.
+A point that the reference lens sees in direction (x, y) at inverse depth q (the mean distance over its depth)
+is seen by lens i in the direction of R·(x, y, 1) + q·b. Inverse depth is a plane of the direction for each
+capture (level ground is one exactly), and a deviation of each point from it, the relief, which is eliminated.
+Two captures of the reference lens whose frames overlap are tied the same way, with a rotation and a base of
+their own: that tells the distortion that all lenses have in common, which frames of one moment hardly do.
 
 References
 ----------
@@ -55,9 +55,9 @@ MODEL_SIGMA_PX: Final = 0.06
 RELIEF_PX: Final = 0.1
 """Standard deviation of a point from its capture's plane, as parallax of the lens of the longest baseline."""
 RELIEF: Final = (0.02, 0.3)
-"""Smallest and largest of it, in nearness."""
+"""Smallest and largest of it, in inverse depth."""
 MOST_RELIEF: Final = 0.5
-"""Largest relief of a point, in nearness."""
+"""Largest relief of a point, in inverse depth."""
 MOST_RELIEF_SIGMAS: Final = 3.0
 """Largest relief of a point, in standard deviations of the relief of all."""
 FARTHEST_PX: Final = 1e6
@@ -67,7 +67,7 @@ NEEDS: Final = (
 )
 """What its equations ask for."""
 MEAN_SIGMA: Final = 1e-3
-"""With this standard deviation the mean nearness of all captures is 1: the unit of the baselines."""
+"""With this standard deviation the mean inverse depth of all captures is 1: the unit of the baselines."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +116,7 @@ class RigState:
     poses: Float64
     """(poses, 6) rotation vector and baseline; the first is the reference's and stays zero."""
     planes: Float64
-    """(captures, 3) nearness on the axis, and its slopes by x and y."""
+    """(captures, 3) inverse depth on the axis, and its slopes by x and y."""
     overlaps: tuple[tuple[int, int], ...] = ()
     """For each pose beyond those of the lenses the two captures that it is between."""
 
@@ -176,7 +176,7 @@ def adjust(
     overlap : float
         How many points share a window: their errors are not independent.
     unit : bool
-        Whether the mean nearness of the captures is 1; otherwise it is free, as the baselines are known.
+        Whether the mean inverse depth of the captures is 1; otherwise it is free, as the baselines are known.
     by_lens : bool
         Whether the points of each lens, and those between captures, have the sigma that their residuals say.
 
@@ -295,7 +295,7 @@ class _Problem:
         return (self.expected - state.vector)[self.free] / self.scale[self.free]
 
     def _mean_row(self, state: RigState) -> tuple[Float64, float]:
-        """Return the derivatives of the mean nearness of the captures, and how far it is from 1."""
+        """Return the derivatives of the mean inverse depth of the captures, and how far it is from 1."""
         row = np.zeros(len(self.scale))
         row[state.lenses.size + state.poses.size :: OF_PLANE] = self.unit / len(state.planes)
         return (row * self.scale)[self.free], 1.0 - float(state.planes[:, 0].mean())
@@ -426,6 +426,6 @@ def _jacobian(
 
 
 def _relief_sigma(state: RigState) -> float:
-    """Return the standard deviation of a point's nearness from the plane of its capture."""
+    """Return the standard deviation of a point's inverse depth from the plane of its capture."""
     base = float(np.hypot(*state.poses[: len(state.lenses), 3:5].T).max())
     return float(np.clip(RELIEF_PX / max(base * state.lenses[0, 0], 1e-9), *RELIEF))

@@ -106,7 +106,7 @@ class CaptureOutcome:
     """Places that agree with the rig."""
     residual_px: float | None = None
     """Their median distance from it, px of the common frame."""
-    nearness: float | None = None
+    inverse_depth: float | None = None
     """Mean distance of the captures learned from over that of this one."""
     distance_m: float | None = None
     """Distance of the ground, where the rig knows metres."""
@@ -128,7 +128,7 @@ class Placed:
     rig: Rig
     """The rig, with the rotations of this capture."""
     plane: Float64
-    """(3,) nearness on the axis, and its slopes."""
+    """(3,) inverse depth on the axis, and its slopes."""
     points: int
     residual_px: float
     sigma_px: float
@@ -169,7 +169,7 @@ def correct_capture(task: CaptureTask) -> CaptureOutcome:
         file=f"{name}.tif",
         points=placed.points,
         residual_px=placed.residual_px,
-        nearness=near,
+        inverse_depth=near,
         distance_m=None if task.rig.distance_m is None else task.rig.distance_m / near,
         sigma_px=placed.sigma_px,
         quality=grade_of(placed.expected_ce90_px),
@@ -188,10 +188,10 @@ def placed_capture(rig: Rig, capture: Capture) -> tuple[Placed, list[Frame], lis
     try:
         sharpness = {name: measure_sharpness(plane) for name, plane in zip(rig.names, values, strict=True)}
         check_sharpness({each.name: each.sharpness for each in rig.lenses}, sharpness)
-        placed = tested(place(rig, values, _expected_nearness(rig, capture)), values)
+        placed = tested(place(rig, values, _expected_inverse_depth(rig, capture)), values)
     except BadCaptureError as error:
         raise BadCaptureError(panel_shown(frames, values) or str(error)) from error
-    near = placed.plane[0] > NEAR * rig.nearness[1]
+    near = placed.plane[0] > NEAR * rig.inverse_depth[1]
     panel = panel_shown(frames, values) if near or any(each.panel for each in frames) else None
     if panel is not None:
         raise BadCaptureError(panel)
@@ -247,7 +247,7 @@ def _displaced(one: Float32, other: Float32, row: int, col: int, half: int) -> t
     return float(right), float(down)
 
 
-def _expected_nearness(rig: Rig, capture: Capture) -> float | None:
+def _expected_inverse_depth(rig: Rig, capture: Capture) -> float | None:
     height = capture.height_m
     return None if height is None or rig.distance_m is None else rig.distance_m / height
 
@@ -277,10 +277,10 @@ def try_capture(rig: Rig, capture: Capture) -> float | str:
 def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed:
     """Find the ground of a capture and the small turns of its lenses.
 
-    The (rows, cols) `values` are its frames in the order of the lenses, and `expected` is the nearness, where
-    they tell it. Raises `BadCaptureError` if the lenses do not show one ground as the rig sees it.
+    The (rows, cols) `values` are its frames in the order of the lenses, and `expected` is the inverse depth,
+    where they tell it. Raises `BadCaptureError` if the lenses do not show one ground as the rig sees it.
     """
-    middle = math.sqrt(rig.nearness[0] * rig.nearness[1])
+    middle = math.sqrt(rig.inverse_depth[0] * rig.inverse_depth[1])
     near = expected if expected is not None else middle
     starts = [near] if expected is not None else _starts(rig, middle)
     best: Placed | None = None
@@ -308,12 +308,12 @@ def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed
 
 
 def _starts(rig: Rig, middle: float) -> list[float]:
-    """Return nearness to begin with: as learned, then others that move a lens by more than is searched."""
+    """Return inverse depths to begin with: as learned, then others that move a lens beyond the search."""
     parallax = max(float(np.hypot(*each.baseline[:2])) for each in rig.lenses) * rig.reference.lens.focal_px
     shape = rig.reference.lens.shape
     factor = max(shape) / measured_side(shape)
     starts = [middle]
-    for near in np.geomspace(rig.nearness[0] / 2, rig.nearness[1] * 2, 5):
+    for near in np.geomspace(rig.inverse_depth[0] / 2, rig.inverse_depth[1] * 2, 5):
         if abs(near - middle) * parallax > 1.5 * factor:
             starts.append(float(near))
     return starts
@@ -425,7 +425,7 @@ def _adjusted(
     poses = np.stack([np.concatenate([each.rotation, each.baseline]) for each in rig.lenses])
     lenses = np.stack([each.lens.vector for each in rig.lenses])
     first = RigState(tuple(each.lens.model for each in rig.lenses), lenses, poses, np.array([[near, 0, 0]]))
-    turn = rig.wander_px / rig.reference.lens.focal_px
+    turn = rig.drift_px / rig.reference.lens.focal_px
     free = np.zeros_like(poses)
     free[1:, :2], free[1:, 2] = turn, turn / rig.reference.lens.corner
     slack = INVERSE_DEPTH_SIGMA[0 if height_known else 1] * near
@@ -478,7 +478,7 @@ def _check_agreement(rig: Rig, observed: Observations, length: Float64, result: 
             f"lens {', '.join(lost)} does not see what {rig.names[0]} sees: "
             f"{where if len(lost) > 1 else 'it was covered, or it moved'}"
         )
-    if not rig.nearness[0] / FAR < near < rig.nearness[1] * FAR:
+    if not rig.inverse_depth[0] / FAR < near < rig.inverse_depth[1] * FAR:
         away = "" if rig.distance_m is None else f" ({rig.distance_m / max(near, 1e-9):.1f} m)"
         raise BadCaptureError(
             f"its ground is {1 / max(near, 1e-9):.2g} times as far as learned{away}: too near or too far"
@@ -603,5 +603,5 @@ def _common_tags(task: CaptureTask, placed: Placed, frame: Frame) -> Mapping[str
         "RIG_ROTATIONS_RAD": "; ".join(
             " ".join(f"{each:.9f}" for each in lens.rotation) for lens in placed.rig.lenses
         ),
-        "RIG_NEARNESS": " ".join(f"{each:.6f}" for each in placed.plane),
+        "RIG_INVERSE_DEPTH": " ".join(f"{each:.6f}" for each in placed.plane),
     }

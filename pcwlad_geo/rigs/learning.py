@@ -88,9 +88,9 @@ TURN_SIGMA: Final = 0.15
 BASE_SIGMA: Final = (0.004, 0.004, 0.001)
 """Of the baseline over the mean distance; the lenses of a rig stand in one plane, nearly."""
 TILT_SIGMA: Final = 0.2
-"""Of the slopes of nearness per direction."""
+"""Of the slopes of inverse depth per direction."""
 INVERSE_DEPTH_SIGMA: Final = (0.15, 0.6)
-"""Of the nearness of a capture: where the frames tell their height, and elsewhere."""
+"""Of the inverse depth of a capture: where the frames tell their height, and elsewhere."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -487,7 +487,8 @@ def _overlapping(
 def find_overlap(one: Frame, other: Frame, lens: Lens, plane: Float64) -> Float64 | None:
     """Return the (6,) rotation and base between two captures; None where they do not overlap clearly.
 
-    The frames are those of the reference lens, and the (3,) `plane` is the nearness of the first capture.
+    The frames are those of the reference lens, and the (3,) `plane` is the inverse depth of the
+    first.
     """
     images = [read_frame(each.path, each.shape) for each in (one, other)]
     found = overlap_of(images[0], images[1])
@@ -591,7 +592,7 @@ def _rig_of(
                 sigma=np.concatenate([deviation[first : first + 8], deviation[pose : pose + 6]]),
                 mapping_sigma_px=mapping,
                 distortion_sigma_px=distortion,
-                told=frame.calibrated,
+                calibrated=frame.calibrated,
                 sharpness=replace(usual_of(own), detail=min(each.detail for each in own)),
                 wavelength_nm=frame.wavelength_nm,
             )
@@ -605,9 +606,9 @@ def _rig_of(
         lenses=tuple(lenses),
         camera=order[0].camera,
         distance_m=distance,
-        nearness=(float(state.planes[:, 0].min()), float(state.planes[:, 0].max())),
+        inverse_depth=(float(state.planes[:, 0].min()), float(state.planes[:, 0].max())),
         tilt=float(np.clip(np.sqrt((state.planes[:, 1:] ** 2).mean()), 0.05, 0.5)),
-        wander_px=_drift_px(found, observed, len(order)),
+        drift_px=_drift_px(found, observed, len(order)),
         captures=len(chosen),
         points=int((found.kept & between).sum()),
         residual_px=float(np.median(length)),

@@ -214,10 +214,12 @@ SCHEMA_VERSION: Final = 1
 POSE: Final = ("rotation_x", "rotation_y", "rotation_z", "baseline_x", "baseline_y", "baseline_z")
 """How a lens stands to the reference: rotation vector, rad, and origin of its rays over the mean distance."""
 FIGURES: Final = (
-    "distance_m", "nearness", "tilt", "wander_px", "captures", "points", "residual_px", "quality",
+    "distance_m", "inverse_depth", "tilt", "drift_px", "captures", "points", "residual_px", "quality",
     "expected_ce90_px", "seconds",
 )  # fmt: skip
-"""What RIG.json says of the whole rig under the names of `Rig`."""
+"""What RIG.json says of the whole rig under the names of `Rig`, or of `KEYS`."""
+KEYS: Final = {"inverse_depth": "nearness", "drift_px": "wander_px"}
+"""Names in RIG.json that are older than those of `Rig`."""
 MAP_STEP_PX: Final = 8
 """Spacing of the exact positions of a warp; between them it is linear, to about 0.002 px."""
 LEAST_SIDE_PX: Final = 640
@@ -259,7 +261,7 @@ class RigLens:
     over the frame."""
     distortion_sigma_px: float
     """Largest standard deviation of its distortion over the frame."""
-    told: Lens | None
+    calibrated: Lens | None
     """The calibration that the frames themselves hold."""
     sharpness: Sharpness
     wavelength_nm: tuple[float, float] | None = None
@@ -271,20 +273,23 @@ class RigLens:
 
     def off_by_px(self) -> tuple[float, float] | None:
         """Return RMS and largest difference, px, of the calibration in the frames to the learned one."""
-        if self.told is None:
+        if self.calibrated is None:
             return None
-        length = np.hypot(*self.lens.distortion_px(self.told).T)
+        length = np.hypot(*self.lens.distortion_px(self.calibrated).T)
         if not len(length):  # it maps nothing into the frame
             return None
         return float(np.sqrt((length**2).mean())), float(length.max())
 
-    def project(self, rays: Float64, nearness: Float64) -> Float64:
+    def project(self, rays: Float64, inverse_depth: Float64) -> Float64:
         """Return the (n, 2) px at which the lens sees points.
 
-        The (n, 2) `rays` are their directions from the reference, and the (n,) `nearness` is the mean
+        The (n, 2) `rays` are their directions from the reference, and the (n,) `inverse_depth` is the mean
         distance over the depth of each.
         """
-        axes = np.column_stack([rays, np.ones(len(rays))]) @ self.matrix.T + nearness[:, None] * self.baseline
+        axes = (
+            np.column_stack([rays, np.ones(len(rays))]) @ self.matrix.T
+            + inverse_depth[:, None] * self.baseline
+        )
         ahead = axes[:, 2] > 0.05
         axes[~ahead] = np.nan
         return self.lens.project(axes[:, :2] / axes[:, 2:])
@@ -299,11 +304,11 @@ class Rig:
     """Make, model and serial number that the frames told."""
     distance_m: float | None
     """The mean distance, the unit of the baselines; None where no frame told its height."""
-    nearness: tuple[float, float]
+    inverse_depth: tuple[float, float]
     """Smallest and largest mean distance over distance of the captures that it was learned from."""
     tilt: float
-    """Standard deviation of the slope of nearness per direction."""
-    wander_px: float
+    """Standard deviation of the slope of inverse depth per direction."""
+    drift_px: float
     """Standard deviation of how a lens moves against the others from capture to capture."""
     captures: int
     points: int
@@ -355,7 +360,7 @@ class Rig:
         places = lattice((rows, cols), max(CROP_STEP_PX, max(rows, cols) // CROP_STEPS))
         visible = np.ones(len(places), bool)
         rays = self.common_rays(places)
-        for near in self.nearness:
+        for near in self.inverse_depth:
             for lens in self.lenses:
                 at = lens.project(rays, np.full(len(rays), near))
                 visible &= lens.lens.inside(np.nan_to_num(at, nan=-1e9), 1.0)
@@ -375,8 +380,8 @@ class Rig:
             "kind": "pcwlad-geo rig",
             "camera": self.camera,
             "reference": self.reference.name,
-            **{name: getattr(self, name) for name in FIGURES},
-            "nearness": list(self.nearness),
+            **{KEYS.get(name, name): getattr(self, name) for name in FIGURES},
+            KEYS["inverse_depth"]: list(self.inverse_depth),
             "lenses": [_lens_json(each) for each in self.lenses],
         }
 
@@ -392,8 +397,8 @@ class Rig:
         lenses = tuple(_lens_from(each) for each in values["lenses"])
         if not 2 <= len(lenses) <= 16 or len({each.name for each in lenses}) != len(lenses):
             raise ValueError("no two lenses")
-        low, high = (float(each) for each in values["nearness"])
-        numbers = [float(values[name]) for name in ("tilt", "wander_px", "residual_px", "seconds")]
+        low, high = (float(each) for each in values[KEYS["inverse_depth"]])
+        numbers = [float(values[name]) for name in ("tilt", KEYS["drift_px"], "residual_px", "seconds")]
         if not 0 < low <= high < 1e6 or not all(math.isfinite(each) for each in numbers):
             raise ValueError("no distances")
         metres, expected = values["distance_m"], values.get("expected_ce90_px")
@@ -401,9 +406,9 @@ class Rig:
             lenses=lenses,
             camera=str(values["camera"]),
             distance_m=None if metres is None else float(metres),
-            nearness=(low, high),
+            inverse_depth=(low, high),
             tilt=numbers[0],
-            wander_px=numbers[1],
+            drift_px=numbers[1],
             captures=int(values["captures"]),
             points=int(values["points"]),
             residual_px=numbers[2],
@@ -441,7 +446,7 @@ def _lens_json(each: RigLens) -> dict[str, Any]:
         "sigma": dict(zip([*names, *POSE], each.sigma.tolist(), strict=True)),
         "mapping_sigma_px": {"median": each.mapping_sigma_px[0], "largest": each.mapping_sigma_px[1]},
         "distortion_sigma_px": each.distortion_sigma_px,
-        "told": None if each.told is None else each.told.to_json(),
+        "told": None if each.calibrated is None else each.calibrated.to_json(),
         "told_off_by_px": None if off is None else {"rms": off[0], "largest": off[1]},
         "detail": each.sharpness.detail,
         "contrast": each.sharpness.contrast,
@@ -449,7 +454,7 @@ def _lens_json(each: RigLens) -> dict[str, Any]:
 
 
 def _lens_from(values: Mapping[str, Any]) -> RigLens:
-    lens, wavelength, told = Lens.from_json(values), values["wavelength_nm"], values["told"]
+    lens, wavelength, calibrated = Lens.from_json(values), values["wavelength_nm"], values["told"]
     sigma = np.array([float(each) for each in values["sigma"].values()])
     rotation, baseline = (_triple(values[name]) for name in ("rotation_rad", "baseline"))
     if sigma.shape != (14,) or not np.isfinite(sigma).all():
@@ -463,7 +468,7 @@ def _lens_from(values: Mapping[str, Any]) -> RigLens:
         sigma=sigma,
         mapping_sigma_px=(float(pair["median"]), float(pair["largest"])),
         distortion_sigma_px=float(values["distortion_sigma_px"]),
-        told=None if told is None else Lens.from_json(told),
+        calibrated=None if calibrated is None else Lens.from_json(calibrated),
         sharpness=Sharpness(float(values["detail"]), float(values["contrast"])),
         wavelength_nm=None if wavelength is None else (float(wavelength[0]), float(wavelength[1])),
     )

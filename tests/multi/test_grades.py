@@ -15,7 +15,7 @@ from pcwlad_geo.cli.app import run as run_command
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.events import ignore
 from pcwlad_geo.multi.adjustment import adjust
-from pcwlad_geo.multi.cycles import StackQuality, image_qualities, left_ce90
+from pcwlad_geo.multi.cycles import StackQuality, image_qualities, residual_ce90
 from pcwlad_geo.multi.pages import stack_page
 from pcwlad_geo.multi.stack_pairs import StackFrame, StackPair, measured_pair
 from pcwlad_geo.multi.stack_result import Stack, graded, judge, stack_of
@@ -179,9 +179,9 @@ def test_where_the_reference_is_contradicted_nothing_is_placed() -> None:
 def test_noise_of_single_points_is_not_what_a_pair_leaves() -> None:
     rng = np.random.default_rng(3)
     at_px = rng.uniform(0.0, 2000.0, (600, 2))
-    assert left_ce90(at_px, rng.normal(0.0, 0.4, at_px.shape)) < 0.35
+    assert residual_ce90(at_px, rng.normal(0.0, 0.4, at_px.shape)) < 0.35
     waves = 0.8 * np.sin(at_px / 300.0)
-    assert left_ce90(at_px, waves + rng.normal(0.0, 0.1, at_px.shape)) == pytest.approx(
+    assert residual_ce90(at_px, waves + rng.normal(0.0, 0.1, at_px.shape)) == pytest.approx(
         np.percentile(np.hypot(*waves.T), 90), rel=0.2
     )
 

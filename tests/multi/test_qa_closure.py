@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 from scipy.ndimage import uniform_filter
 
-from pcwlad_geo.multi.bands import Band, Leg, PairResult, close, close_triangles, standard_error
+from pcwlad_geo.multi.bands import Band, PairResult, TriangleSide, close, close_triangles, standard_error
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid, apply, apply_inverse
 from tests.multi.measured_bands import UTM, make_band, make_mapped_pair, make_pair, refused
@@ -26,13 +26,13 @@ RAW = {name: make_band(name, georeferenced=False, shape=(480, 640)) for name in 
 """Raw frames: pixels compared as they lie."""
 
 
-def leg(*rows: tuple[float, float, float, float]) -> Leg:
-    """A leg between raw frames, of columns, rows and displacements (col, row)."""
+def side(*rows: tuple[float, float, float, float]) -> TriangleSide:
+    """A side between raw frames, of columns, rows and displacements (col, row)."""
     table = np.array(rows).reshape(-1, 4)
     points = make_pair(RAW["a"], RAW["b"], n=len(table)).points
     assert points is not None
     here, there = table[:, :2], table[:, :2] + table[:, 2:]
-    return Leg(
+    return TriangleSide(
         RAW["a"].info, RAW["b"].info, replace(points, reference_px=here, predicted_px=here, target_px=there)
     )
 
@@ -88,8 +88,8 @@ def test_by_hand() -> None:
         for row in range(4)
     ]
 
-    def of(first: float, second: float) -> Leg:
-        return leg(*((col, row, first if col < 100 else second, 0.0) for col, row in places))
+    def of(first: float, second: float) -> TriangleSide:
+        return side(*((col, row, first if col < 100 else second, 0.0) for col, row in places))
 
     found = close(NAMES, (of(1.0, 2.0), of(0.5, 0.5), of(1.4, 2.2)), 100.0, (30.0, 20.0))
     assert found.cells == 2
@@ -105,9 +105,9 @@ def square(col: float, row: float, moved: float) -> list[tuple[float, float, flo
 
 
 def test_only_common_ground_counts() -> None:
-    """A leg with points elsewhere, displaced otherwise, does not spoil the closure."""
+    """A side with points elsewhere, displaced otherwise, does not spoil the closure."""
     here, there, still = square(5, 5, 0.2), square(505, 5, 9.0), square(5, 5, 0.0)
-    found = close(NAMES, (leg(*here, *there), leg(*still), leg(*here)), 60.0)
+    found = close(NAMES, (side(*here, *there), side(*still), side(*here)), 60.0)
     assert found.cells == 1
     assert found.mean_px == pytest.approx((0.0, 0.0))
     assert found.error_px is None
@@ -116,21 +116,21 @@ def test_only_common_ground_counts() -> None:
 
 @pytest.mark.parametrize("points", [0, 2, 5])
 def test_too_few_points_are_no_closure(points: int) -> None:
-    full = leg(*square(5, 5, 0.0))
+    full = side(*square(5, 5, 0.0))
     part = replace(full, points=full.points[:points])
-    for legs in ((full, part, full), (part, full, full), (full, full, part)):
-        found = close(NAMES, legs, 60.0)
+    for sides in ((full, part, full), (part, full, full), (full, full, part)):
+        found = close(NAMES, sides, 60.0)
         assert (found.cells, found.mean_px, found.rms_px) == (0, None, None)
 
 
 def test_points_elsewhere_say_nothing_about_a_place() -> None:
     """B to C has points beside those of the others only: what they say is not carried over to there."""
-    here, beside = leg(*square(5, 5, 0.0)), leg(*square(85, 5, 0.0))
+    here, beside = side(*square(5, 5, 0.0)), side(*square(85, 5, 0.0))
     assert close(NAMES, (here, beside, here), 60.0).cells == 0
 
 
 def test_triangles_of_bands_with_other_pixels_close_in_the_coarsest() -> None:
-    """Ground offsets (m): a 0, b (3, 6), c (12, -9). 10, 10 and 30 m pixels; the last leg lies 1.5 m off."""
+    """Ground offsets (m): a 0, b (3, 6), c (12, -9). 10, 10 and 30 m pixels; the last side lies 1.5 m off."""
     a, b = make_band("a", pixel_m=10, shape=(1200, 1200)), make_band("b", pixel_m=10, shape=(1200, 1200))
     c = make_band("c", pixel_m=30)
     pairs = [

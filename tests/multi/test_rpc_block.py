@@ -153,7 +153,7 @@ def test_a_dem_beside_its_place_is_told_and_moved_back(grids: tuple[RpcGrid, ...
     found = adjust_block(block, pairs, ("shift",))
     check = check_dem(block, pairs, found, absolute=True)
     assert check is not None
-    assert check.beside_m == pytest.approx((240.0, 180.0), abs=15.0)
+    assert check.offset_m == pytest.approx((240.0, 180.0), abs=15.0)
     assert len(check.wrong) == 1
     assert "beside" in check.wrong[0]
     assert shifts(found, 3) == pytest.approx(biases, abs=0.05)
@@ -311,7 +311,7 @@ def test_corrections_that_do_harm_are_refused(tmp_path: Path) -> None:
     placed = SimpleNamespace(
         block=RpcBlock(tuple(displaced), ground_grid(given[0])), placements=[object()] * 2
     )
-    with pytest.raises(RegistrationRejectedError, match=r"left aside lie .* px apart .* beside"):
+    with pytest.raises(RegistrationRejectedError, match=r"held out lie .* px apart .* beside"):
         adjusted(placed, [pair], Settings())  # type: ignore[arg-type]
 
 

@@ -73,7 +73,7 @@ def true_rig(rig: Sequence[TrueLens], frames: Path, name: str) -> Rig:
                 sigma=np.zeros(14),
                 mapping_sigma_px=(0.0, 0.0),
                 distortion_sigma_px=0.0,
-                told=each.told,
+                calibrated=each.calibrated,
                 sharpness=measure_sharpness(values),
                 wavelength_nm=(float(each.wavelength_nm or 0), 20.0),
             )
@@ -87,7 +87,7 @@ def applied_errors(
     """Return for each lens but the first a percentile of the distances, px, from where it should be read."""
     with ignoring(NotGeoreferencedWarning), rasterio.open(raster) as dataset:
         tags = dataset.tags()
-    plane = np.array([float(each) for each in tags["RIG_NEARNESS"].split()])
+    plane = np.array([float(each) for each in tags["RIG_INVERSE_DEPTH"].split()])
     turns = [np.array([float(v) for v in each.split()]) for each in tags["RIG_ROTATIONS_RAD"].split(";")]
     left, top, cols, rows = known.crop()
     rays = known.common_rays(lattice((rows, cols), 16) + np.array([left, top]))

@@ -29,7 +29,7 @@ NEAR_CORNERS_PX = 320.0
 
 
 def plane_of(lens: TrueLens, capture: Flown, distance_m: float) -> Float64:
-    """Return the (3,) nearness of the ground that the reference sees, and its slopes."""
+    """Return the (3,) inverse depth of the ground that the reference sees, and its slopes."""
     rays, place = lens_rays(lens, capture, lattice(SHAPE, 40))
     axes = (ground_points(ground(), capture, rays, place) - capture.place_m) * [1, 1, -1] @ capture.turn.T
     design = np.column_stack([np.ones(len(axes)), axes[:, :2] / axes[:, 2:]])

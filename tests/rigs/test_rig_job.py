@@ -81,7 +81,7 @@ def test_without_the_ground_of_the_capture_the_lenses_lie_apart(known: pg.Rig, t
     """The figure of the test before can fail: at the wrong distance it does."""
     raster = tmp_path / "level.tif"
     turns = "; ".join(" ".join(f"{v:.9f}" for v in each.rotation) for each in known.lenses)
-    written(raster, np.ones((8, 8), np.uint8), RIG_NEARNESS="2.5 0 0", RIG_ROTATIONS_RAD=turns)
+    written(raster, np.ones((8, 8), np.uint8), RIG_INVERSE_DEPTH="2.5 0 0", RIG_ROTATIONS_RAD=turns)
     errors = rigs.applied_errors(known, RIG, rigs.flown(40.0), rigs.ground(), raster)
     assert max(errors) > 0.3
 
@@ -136,7 +136,7 @@ def test_captures_of_all_parts_of_a_long_flight_are_corrected(
 def test_another_rig_does_it_again(known: pg.Rig, frames: Path, tmp_path: Path) -> None:
     files = sorted(frames.glob("GOOD_1_*"))
     pg.rig_apply(known, files, out_dir=tmp_path, executor=InThisProcess())
-    other = replace(known, wander_px=0.06)
+    other = replace(known, drift_px=0.06)
     again = pg.rig_apply(other, files, out_dir=tmp_path, executor=InThisProcess())
     assert [each.done_before for each in again.captures] == [False]
     assert again.count("corrected") == 1
