@@ -302,8 +302,6 @@ NAME_LENGTH: Final = 24
 """Largest number of characters of a name in the drawing."""
 OFFSET_CLASSES_PX: Final = (0.02, 0.05, 0.1, 0.3)
 """Class limits of the offset of a pair for its colour, constant so that pages can be compared."""
-SERIES_PX: Final = (760.0, 170.0)
-"""Width and height of a time series, CSS px."""
 CARE: Final = {"good": "", "fair": ", with care", "poor": ", poorly"}
 """What the headline adds by the grade of the stack."""
 STATES: Final[dict[str, State]] = {"good": "good", "fair": "caution", "poor": "bad", "refused": "bad"}
@@ -341,29 +339,6 @@ class Link:
     title: str
 
 
-@dataclass(frozen=True, slots=True)
-class SeriesBar:
-    """The shift of an image along an axis in a time series, CSS px, with one sigma on either side."""
-
-    name: str
-    x: float
-    y: float
-    top: float
-    bottom: float
-
-
-@dataclass(frozen=True, slots=True)
-class ShiftSeries:
-    """The shifts of the images along an axis, in the order of their dates."""
-
-    axis: str
-    bars: tuple[SeriesBar, ...]
-    ticks: tuple[tuple[float, str], ...]
-    """Height, CSS px, and value."""
-    dates: tuple[tuple[float, str], ...]
-    """Place, CSS px, and date."""
-
-
 def stack_page(found: Stack, frame: StackFrame | None = None) -> str:
     """Return the page, which holds everything that it shows; pictures only with the images of a frame."""
     from pcwlad_geo.report.figures import displacement_figure  # slow to load: matplotlib
@@ -397,8 +372,7 @@ def stack_page(found: Stack, frame: StackFrame | None = None) -> str:
             worst_pair.tie_points, worst_pair.reference.grid.shape, read_backdrop(worst_pair.reference)
         ),
         paper=False,
-        series=_series(found),
-        wide=SERIES_PX,
+        in_time=_shifts_in_time(found),
         groups=max(image.group for image in found.images) + 1,
         pairs=[(pair, pair.off_px) for pair in pairs],
         nodes=nodes,
@@ -522,41 +496,22 @@ def _worst_registration(found: Stack, frame: StackFrame, images: Sequence[StackI
     )
 
 
-def _series(found: Stack) -> list[ShiftSeries]:
-    """Return the time series of the shifts, along columns and rows; none of fewer than three dates."""
-    dated = sorted(
-        (image for image in found.images if image.given.day is not None),
-        key=lambda image: (str(image.date), image.name),
+def _shifts_in_time(found: Stack) -> tuple[bytes, str] | None:
+    """Return a picture of the shifts by date, and what it shows; None of fewer than three dates."""
+    from pcwlad_geo.report.figures import TimeLine, time_line_figure  # slow to load: matplotlib
+
+    dated = [image for image in found.images if image.given.day is not None]
+    dated.sort(key=lambda image: (str(image.date), image.name))
+    days = np.array([image.given.day for image in dated], "datetime64[D]")
+    if len(np.unique(days)) < DATES:
+        return None
+    moved_px, sigma_px = (
+        np.array([getattr(each, name) for each in dated]) for name in ("shift_px", "sigma_px")
     )
-    days = [image.given.day.toordinal() for image in dated if image.given.day is not None]
-    if len(set(days)) < DATES:
-        return []
-    width, height = SERIES_PX
-    across = [
-        NET_MARGIN_PX + (day - days[0]) / (days[-1] - days[0]) * (width - 2 * NET_MARGIN_PX) for day in days
-    ]
-    series = []
-    for axis, name in enumerate(("columns", "rows")):
-        ends = [image.shift_px[axis] + sign * image.sigma_px[axis] for image in dated for sign in (-1.0, 1.0)]
-        low, high = min(ends), max(max(ends), min(ends) + 1e-3)
-
-        def down(value: float, low: float = low, high: float = high) -> float:
-            return round(height - 25 - (value - low) / (high - low) * (height - 40), 1)
-
-        bars = [
-            SeriesBar(
-                f"{image.name}, {str(image.date)[:10]}: {image.shift_px[axis]:+.3f} px",
-                round(x, 1),
-                down(image.shift_px[axis]),
-                down(image.shift_px[axis] + image.sigma_px[axis]),
-                down(image.shift_px[axis] - image.sigma_px[axis]),
-            )
-            for image, x in zip(dated, across, strict=True)
-        ]
-        ticks = tuple((down(value), f"{value:+.2f}") for value in (low, (low + high) / 2, high))
-        dates = ((across[0], str(dated[0].date)[:10]), (across[-1], str(dated[-1].date)[:10]))
-        series.append(ShiftSeries(name, tuple(bars), ticks, dates))
-    return series
+    no_model, none = np.full(moved_px.shape, np.nan), np.zeros(len(dated), bool)
+    span = days[0], days[-1]
+    line = TimeLine(days, moved_px, np.hypot(*sigma_px.T) / 2**0.5, no_model, none, (), span)
+    return time_line_figure(line), f"{len(dated)} images from {span[0]} to {span[1]}"
 
 
 DATES: Final = 3

@@ -662,7 +662,7 @@ class TimeLine:
     sigma_px: Float64
     """(n,) their standard deviations along an axis."""
     expected_px: Float64
-    """(n, 2) what the model says."""
+    """(n, 2) what the model says; NaN where there is none."""
     outliers: Bool
     """(n,) displacements that it does not explain, drawn hollow, at the edge where they lie beyond."""
     steps: Sequence[int]
@@ -702,9 +702,9 @@ CROWDED: Final = 100
 
 
 def _span_of(*values: Float64) -> tuple[float, float]:
-    """Return the limits of an axis that shows all values."""
+    """Return the limits of an axis that shows all values but NaN."""
     every = np.concatenate(values)
-    low, high = float(every.min()), float(every.max())
+    low, high = float(np.nanmin(every)), float(np.nanmax(every))
     margin = 0.12 * max(high - low, 0.05)
     return low - margin, high + margin
 

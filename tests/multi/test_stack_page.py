@@ -74,10 +74,12 @@ def test_dates_are_drawn_as_a_series_and_cycles_name_the_pair_to_blame(tmp_path:
         for number, image in enumerate(found.images)
     )
     text = stack_page(replace(found, images=images))
-    drawing = text.partition('<svg class="series')[2].partition("</svg>")[0]
-    assert drawing.count("<circle") == 9
-    assert "2020-01-05" in drawing
-    assert "2020-09-05" in drawing
+    picture, shown = re.findall(
+        r'<img src="data:image/png;base64,([^"]*)" alt="Shifts by date[^"]*: ([^"]*)."', text
+    )[0]
+    assert shown == "9 images from 2020-01-05 to 2020-09-05"
+    moved = replace(images[4], shift_px=(images[4].shift_px[0] + 1.0, images[4].shift_px[1]))
+    assert picture not in stack_page(replace(found, images=(*images[:4], moved, *images[5:])))
 
 
 def test_names_of_strangers_are_text(tmp_path: Path) -> None:
