@@ -66,7 +66,7 @@ ROUNDS: Final = 30
 """Number of rounds in which pairs that contradict the others lose their weight."""
 LINEARISED: Final = 3
 """Number of times that the points are summed up at the ground found so far."""
-SETTLING: Final = 20
+MOST_ROUNDS: Final = 20
 """Largest number of times that the pairs in use are chosen anew."""
 FREEDOM: Final = 8
 """Degrees of freedom of the sigma of a pair: a few blocks tell it to a quarter."""
@@ -206,20 +206,13 @@ def adjust(
             network = replace(network, known=_known(edges, basis, before, sigma_known))
         parts = [part_of(edge, basis, before, side) for edge in edges]
         shared = shared or _first_shared(network, parts)
-        for turn in range(SETTLING):
-            # two answers that replace each other: that of more evidence is the last
-            settled = _settled(network, parts, used, shared, kept=turn == SETTLING - 1)
-            used = _consistent_pairs(network, parts, settled, evidence)
-            shared = settled.shared
-            if (used == settled.used).all():
-                break
-        used = settled.used
-        coefficients, fits = settled.solution.coefficients, settled.solution.fits
-    fits = tuple(replace(fit, used=bool(good)) for fit, good in zip(fits, used, strict=True))
-    spread = _spread(network, edges, basis, before, parts, used, settled.sigma, side)
+        found = _consistent_solution(network, parts, used, shared, evidence)
+        coefficients, used, shared = found.solution.coefficients, found.used, found.shared
+    fits = tuple(replace(fit, used=bool(good)) for fit, good in zip(found.solution.fits, used, strict=True))
+    spread = _spread(network, edges, basis, before, parts, used, found.sigma, side)
     if datum is None:
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
-    normal = settled.solution.normal
+    normal = found.solution.normal
     return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread)
 
 
@@ -350,45 +343,61 @@ def critical(pairs: int) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Settled:
-    """A solution, the pairs in use, and what they share."""
+class _RobustSolution:
+    """A solution, the pairs that it is of, and what the points of each share."""
 
     solution: NetworkSolution
     used: Bool
+    """(edges,) the pairs in use."""
     shared: float
+    """See `Adjustment.shared`."""
     sigma: Float64
     """(edges,) standard deviations of the shared error, with what its own offset tells of each."""
 
 
-def _settled(
-    network: Network, parts: Sequence[Part], used: Bool, shared: float, kept: bool = False
-) -> _Settled:
-    """Solve, and leave out pairs that contradict the others unless they are `kept`, until nothing changes.
+def _consistent_solution(
+    network: Network, parts: Sequence[Part], used: Bool, shared: float, evidence: Float64
+) -> _RobustSolution:
+    """Solve with the pairs that agree, and of groups that contradict each other the one of more evidence."""
+    for turn in range(MOST_ROUNDS):
+        # two answers that replace each other: that of more evidence is the last
+        found = _robust_solution(network, parts, used, shared, keep=turn == MOST_ROUNDS - 1)
+        used, shared = _consistent_pairs(network, parts, found, evidence), found.shared
+        if (used == found.used).all():
+            break
+    return found
 
-    What a pair shares has a sigma known to `FREEDOM` degrees of freedom: its own offset adds two more, so
-    that pairs somewhat off count for less (the weights of Student's t distribution: Lange, Little, Taylor
-    1989, doi:10.1080/01621459.1989.10478852). The test is against the sigma without that.
+
+def _robust_solution(
+    network: Network, parts: Sequence[Part], used: Bool, shared: float, *, keep: bool
+) -> _RobustSolution:
+    """Solve, test all pairs for outliers and weight them anew, until nothing changes.
+
+    The outlier test leaves out the pairs that contradict the others, unless it is to `keep` those `used`; one
+    that was left out is tested again, against the sigma of what is in use now. The weights are those of
+    Student's t distribution (Lange, Little, Taylor 1989, doi:10.1080/01621459.1989.10478852): what a pair
+    shares has a sigma known to `FREEDOM` degrees of freedom, and its own offset adds two more, so that pairs
+    somewhat off count for less. The test is against the sigma without that.
     """
     error, limit = errors_of(parts), critical(len(parts))
-    own = np.ones(len(parts))
-    for _ in range(SETTLING):
-        solution = network.solve(parts, used, shared * error * own)
+    factor = np.ones(len(parts))  # of the sigma of each, by its weight
+    for _ in range(MOST_ROUNDS):
+        sigma = shared * error * factor
+        solution = network.solve(parts, used, sigma)
         fits = tuple(
-            replace(fit, sigma=fit.sigma / more, shared=fit.shared / more)
-            for fit, more in zip(solution.fits, own, strict=True)
+            replace(fit, sigma=fit.sigma / own, shared=fit.shared / own)
+            for fit, own in zip(solution.fits, factor, strict=True)
         )
         solution = replace(solution, fits=fits)
-        sigma = shared * error * own
         before, shared = shared, max(_shared_error(solution, used, shared), LEAST_SHARED)
         ratio = np.array([fit.ratio for fit in fits]) * before / shared
-        # one that was left out is tested again, against the sigma of what is in use now
-        again = used if kept else _still_connected(parts, network.images, used, ratio <= limit, ratio)
-        more = np.sqrt((FREEDOM + np.minimum(ratio, limit) ** 2) / (FREEDOM + 2))
-        same = (again == used).all() and abs(shared - before) <= 0.01 * before
-        if same and np.abs(more / own - 1).max() <= 0.02:
+        passed = used if keep else _still_connected(parts, network.images, used, ratio <= limit, ratio)
+        weighted = np.sqrt((FREEDOM + np.minimum(ratio, limit) ** 2) / (FREEDOM + 2))
+        same = (passed == used).all() and abs(shared - before) <= 0.01 * before
+        if same and np.abs(weighted / factor - 1).max() <= 0.02:
             break
-        used, own = again, more
-    return _Settled(solution, used, shared, sigma)
+        used, factor = passed, weighted
+    return _RobustSolution(solution, used, shared, sigma)
 
 
 def _shared_error(solution: NetworkSolution, used: Bool, before: float) -> float:
@@ -404,13 +413,15 @@ def _shared_error(solution: NetworkSolution, used: Bool, before: float) -> float
     return before * float(np.median(checked)) / TYPICAL if checked else before
 
 
-def _consistent_pairs(network: Network, parts: Sequence[Part], settled: _Settled, evidence: Float64) -> Bool:
+def _consistent_pairs(
+    network: Network, parts: Sequence[Part], before: _RobustSolution, evidence: Float64
+) -> Bool:
     """Return the pairs in use.
 
     The pairs of an image give way to others that agree on another place and have more evidence together, as
     many may err by one cause.
     """
-    used, solution, limit = settled.used, settled.solution, critical(len(parts))
+    used, solution, limit = before.used, before.solution, critical(len(parts))
     found = used.copy()
     for image in range(network.images):
         at = [k for k, part in enumerate(parts) if image in (part.first, part.second)]

@@ -299,40 +299,50 @@ def adjust_block(
         model: _BlockProblem(block, tuple(pairs), model, rates, simpler.dem_moved) for model in models
     }
     solved = {model: _solved(problem) for model, problem in problems.items()}
-    judge = next(reversed(solved.values())).weights
-    errors = {model: _squared_errors_px2(problems[model], solved[model], judge) for model in models}
-    chosen = models[0]
-    for model in models[1:]:
-        gain = errors[chosen] - errors[model]
-        clear = len(gain) >= MIN_CELLS and gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain))
-        if clear and gain.mean() > MIN_GAIN_PX**2:
-            chosen = model
+    weights = solved[models[-1]].weights  # those of the most flexible model judge all
+    errors = {model: _squared_errors_px2(problems[model], solved[model], weights) for model in models}
+    chosen = _simplest_unbeaten(errors)
     scores = {model: float(np.sqrt(each.mean())) for model, each in errors.items() if len(each)}
     result = _result(problems[chosen], solved[chosen], scores)
     return replace(result, dem_shift_px=simpler.dem_shift_px, dem_sigma_px=simpler.dem_sigma_px)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _State:
-    """An adjustment as it proceeds."""
+def _simplest_unbeaten(errors: Mapping[str, Float64]) -> str:
+    """Return the first model that none of the next beats clearly, by the (cells,) squared errors of each."""
+    chosen, *others = errors
+    for model in others:
+        gain = errors[chosen] - errors[model]
+        clear = len(gain) >= MIN_CELLS and gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain))
+        if clear and gain.mean() > MIN_GAIN_PX**2:
+            chosen = model
+    return chosen
 
-    start: Float64
-    """(images, terms, 2) parameters with which the lines of sight were followed."""
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Estimate:
+    """The unknowns of an adjustment as it proceeds, and what it was linearised and weighted with."""
+
     parameters: Float64
-    start_dem_px: Float64
-    """(2,) shift of the DEM with which they were."""
-    linearised: tuple[Linearisation, ...]
-    weights: tuple[Float64, ...]
-    """(n, 2, 2) of each pair."""
-    scatters: tuple[float, ...]
-    """Of each pair, px."""
+    """(images, terms, 2)."""
+    start: Float64
+    """(images, terms, 2) those at which the observations were linearised."""
     offsets: Float64
     """(pairs, 2) error that the points of each pair share, px of its second image."""
     used: Bool
-    dem_px: Float64
+    """(pairs,) those that no outlier test has excluded."""
+    linearised: tuple[Linearisation, ...] = ()
+    weights: tuple[Float64, ...] = ()
+    """(n, 2, 2) of each pair."""
+    scatters: tuple[float, ...] = ()
+    """Of each pair, px."""
+    dem_px: Float64 = field(default_factory=lambda: np.zeros(2))
     """(2,) shift of the DEM (col, row), its px."""
+    start_dem_px: Float64 = field(default_factory=lambda: np.zeros(2))
+    """(2,) that at which the observations were linearised."""
     shared_px: float = USUAL_PX
+    """Standard deviation of the error that all points of a pair share."""
     sigma_height_m: float = 0.0
+    """That of the heights of the DEM."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,8 +375,22 @@ class _BlockProblem:
 
     @property
     def unknowns(self) -> int:
-        """Number of parameters of all free images."""
+        """Number of parameters of all free images; the shared errors and the DEM's shift follow them."""
         return len(self.block.free) * self.size
+
+    @property
+    def dem(self) -> Index:
+        """(2,) numbers of the unknown shift of the DEM, the last."""
+        return self.shared(len(self.pairs))
+
+    def shared(self, pair: int) -> Index:
+        """Return the (2,) numbers of the unknown error that the points of a pair share."""
+        return self.unknowns + 2 * pair + np.arange(2)
+
+    def start(self) -> _Estimate:
+        """Return the RPCs and the DEM as they are, all pairs in use."""
+        zero, count = np.zeros((len(self.block.grids), len(self.terms), 2)), len(self.pairs)
+        return _Estimate(zero, zero, np.zeros((count, 2)), np.ones(count, bool))
 
     def correction(self, image: int, parameters: Float64) -> AffineCorrection:
         """Return the correction of an image, given those of all, (images, terms, 2)."""
@@ -389,7 +413,7 @@ class _BlockProblem:
                 places.append(np.arange(begin, begin + self.size))
         return np.concatenate(blocks, axis=2), np.concatenate(places)
 
-    def residual_px(self, number: int, state: _State) -> Float64:
+    def residual_px(self, number: int, state: _Estimate) -> Float64:
         """Return the (n, 2) distances of a pair's points from the adjustment."""
         linear = state.linearised[number]
         design, places = self.design(self.pairs[number], linear)
@@ -402,14 +426,9 @@ def _design(terms: Float64) -> Float64:
     return np.asarray(np.kron(terms[:, None], np.eye(2)), np.float64)
 
 
-def _solved(problem: _BlockProblem) -> _State:
+def _solved(problem: _BlockProblem) -> _Estimate:
     """Iterate until lines of sight, weights and the pairs in use no longer change."""
-    count = len(problem.pairs)
-    zero = np.zeros((len(problem.block.grids), len(problem.terms), 2))
-    state = _State(
-        zero, zero, np.zeros(2), (), (), (), np.zeros((count, 2)), np.ones(count, bool), np.zeros(2)
-    )
-    datum = _datum(problem)
+    count, state, datum = len(problem.pairs), problem.start(), _datum(problem)
     for turn in range(LINEARISED):
         before_px = state.dem_px
         linearised = _without_mean_slope(
@@ -427,13 +446,13 @@ def _solved(problem: _BlockProblem) -> _State:
     return state
 
 
-def _reweighted(problem: _BlockProblem, state: _State, datum: Float64) -> _State:
+def _reweighted(problem: _BlockProblem, state: _Estimate, datum: Float64) -> _Estimate:
     for _ in range(REWEIGHTED):
         state = _step(problem, _weighted(problem, state), datum)
     return state
 
 
-def _linearised_again(problem: _BlockProblem, number: int, state: _State) -> Linearisation:
+def _linearised_again(problem: _BlockProblem, number: int, state: _Estimate) -> Linearisation:
     """Follow the points of a pair with the corrections and the place of the DEM so far.
 
     The images were matched over the DEM where it was given: a place elsewhere changes what a window shows by
@@ -550,7 +569,7 @@ def image_px(grid: Grid, frame: Grid, ground_px: Float64, height_m: Float64 | No
     return np.where(np.isfinite(height_m)[:, None], from_heights, at_px)
 
 
-def _weighted(problem: _BlockProblem, state: _State) -> _State:
+def _weighted(problem: _BlockProblem, state: _Estimate) -> _Estimate:
     """Weight all points by their residuals, and estimate the uncertainty of the DEM."""
     left = [
         problem.residual_px(number, state) - state.offsets[number] for number in range(len(problem.pairs))
@@ -613,19 +632,18 @@ def _height_sigma(
 
 
 def _equations(
-    problem: _BlockProblem, state: _State, datum: Float64, keep: Sequence[Float64] | None = None
+    problem: _BlockProblem, state: _Estimate, datum: Float64, keep: Sequence[Float64] | None = None
 ) -> NormalEquations:
     """Return the normal equations of the parameters, the shared errors, the DEM's shift.
 
     The (unknowns, d) combinations of the parameters that are the `datum` are zero. The points of each pair
     may have (n,) factors `keep`.
     """
-    unknowns = np.arange(problem.unknowns)
-    dem = problem.unknowns + 2 * len(problem.pairs) + np.arange(2)
+    unknowns, dem = np.arange(problem.unknowns), problem.dem
     equations = NormalEquations(int(dem[-1]) + 1)
     equations.expect(dem, problem.dem_prior_px, -state.start_dem_px)
     for number, pair in enumerate(problem.pairs):
-        shared = problem.unknowns + 2 * number + np.arange(2)
+        shared = problem.shared(number)
         # control points are seen one by one
         equations.expect(shared, state.shared_px if pair.height_m is None else NO_ERROR_PX)
         if not state.used[number]:
@@ -649,16 +667,12 @@ def _datum(problem: _BlockProblem) -> Float64:
     They are those that hardly change anything on level ground: the DEM's own relief is no datum.
     """
     block = problem.block
-    zero = np.zeros((len(block.grids), len(problem.terms), 2))
     linearised = tuple(_linearised(block, pair, level=True) for pair in problem.pairs)
     pairs = zip(problem.pairs, linearised, strict=True)
     known: list[Bool] = [np.asarray(_weights(*each).any(axis=(1, 2))) for each in pairs]
     # all pairs count alike: what few or uncertain control points say is known, and no matter of datum
     weights = tuple(each[:, None, None] * np.eye(2) / max(each.sum(), 1) for each in known)
-    none, used = np.zeros(2), np.ones(len(linearised), bool)
-    state = _State(
-        zero, zero, none, linearised, weights, (), np.zeros((len(linearised), 2)), used, none, NO_ERROR_PX
-    )
+    state = replace(problem.start(), linearised=linearised, weights=weights, shared_px=NO_ERROR_PX)
     whole = _equations(problem, state, np.zeros((problem.unknowns, 0))).matrix
     normal = whole[: problem.unknowns, : problem.unknowns].toarray()
     # in lengths on the ground, so that none but the smallest biases there are of the smallest sum of squares
@@ -668,12 +682,11 @@ def _datum(problem: _BlockProblem) -> Float64:
     return np.linalg.qr(free)[0]
 
 
-def _step(problem: _BlockProblem, state: _State, datum: Float64) -> _State:
+def _step(problem: _BlockProblem, state: _Estimate, datum: Float64) -> _Estimate:
     """Solve the equations, and estimate the error that the points of a pair share by the cycles."""
     equations = _equations(problem, state, datum)
     solution = equations.solve(NEEDS)
-    parameters = state.start.copy()
-    free = list(problem.block.free)
+    parameters, free = state.start.copy(), list(problem.block.free)
     parameters[free] += solution[: problem.unknowns].reshape(len(free), len(problem.terms), 2)
     offsets = np.asarray(solution[problem.unknowns : -2].reshape(-1, 2), np.float64)
     counted = state.used & np.array([pair.height_m is None for pair in problem.pairs])
@@ -681,22 +694,22 @@ def _step(problem: _BlockProblem, state: _State, datum: Float64) -> _State:
     shared_px = USUAL_PX
     if redundancy >= MIN_REDUNDANCY:
         shared_px = max(float(np.sqrt((offsets[counted] ** 2).sum() / (2 * redundancy))), LEAST_PX)
-    dem_px = state.start_dem_px + solution[-2:]
+    dem_px = state.start_dem_px + solution[problem.dem]
     return replace(state, parameters=parameters, offsets=offsets, shared_px=shared_px, dem_px=dem_px)
 
 
-def _redundancy(problem: _BlockProblem, state: _State, equations: NormalEquations) -> Float64:
+def _redundancy(problem: _BlockProblem, state: _Estimate, equations: NormalEquations) -> Float64:
     """Return for each of the (pairs,) how much of its shared error the other pairs check, from 0 to 1."""
     posterior = np.diagonal(equations.covariance(NEEDS))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
     return np.asarray(np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0))
 
 
-def _without_the_outlier(problem: _BlockProblem, state: _State, datum: Float64) -> _State | None:
+def _without_the_outlier(problem: _BlockProblem, state: _Estimate, datum: Float64) -> _Estimate | None:
     """Return the state without the pair that contradicts all others; None if none does, or none can tell.
 
     Without it the others must still check each other, and contradict each other much less.
     """
-    found: list[tuple[float, _State]] = []
+    found: list[tuple[float, _Estimate]] = []
     for number in np.flatnonzero(state.used).tolist():
         used = state.used.copy()
         used[number] = False
@@ -724,7 +737,7 @@ def _connected(problem: _BlockProblem, used: Bool) -> bool:
     return len(set(components(ends[used], len(problem.block.grids))[ends].ravel().tolist())) == 1
 
 
-def _mean_residual(problem: _BlockProblem, state: _State, number: int) -> tuple[Float64, Float64, Float64]:
+def _mean_residual(problem: _BlockProblem, state: _Estimate, number: int) -> tuple[Float64, Float64, Float64]:
     """Return the (2,) weighted mean distance of a pair's points, its (2, 2) formal covariance, its design."""
     weight = state.weights[number]
     total = inverse(weight.sum(axis=0) + 1e-12 * np.eye(2), MEASURED)
@@ -753,7 +766,7 @@ def _cells(dem: Dem | None, frame: Grid, linearised: Sequence[Linearisation]) ->
 
 
 def _without_cells(
-    problem: _BlockProblem, state: _State, dem: Dem | None
+    problem: _BlockProblem, state: _Estimate, dem: Dem | None
 ) -> Iterator[tuple[list[Bool], Float64]]:
     """Yield the points of each cell of the ground, pair by pair, and the (unknowns,) step without them."""
     datum, cells = _datum(problem), _cells(dem, problem.block.frame, state.linearised)
@@ -765,7 +778,7 @@ def _without_cells(
         yield [np.asarray(each) for each in inside], equations.solve(NEEDS)
 
 
-def _squared_errors_px2(problem: _BlockProblem, state: _State, judge: Sequence[Float64]) -> Float64:
+def _squared_errors_px2(problem: _BlockProblem, state: _Estimate, judge: Sequence[Float64]) -> Float64:
     """Return the (cells,) mean squared error, px², of points that were predicted without their cell.
 
     Weighted by the (n, 2, 2) weights `judge` of each pair.
@@ -777,9 +790,9 @@ def _squared_errors_px2(problem: _BlockProblem, state: _State, judge: Sequence[F
         for number, chosen in enumerate(inside):
             design, places = problem.design(problem.pairs[number], state.linearised[number])
             known = chosen & judge[number].any(axis=(1, 2)) & state.weights[number].any(axis=(1, 2))
-            at = problem.unknowns + 2 * number
-            left = state.linearised[number].residual_px[known] - design[known] @ solution[places]
-            left = left - solution[at : at + 2] - state.linearised[number].dem_rate[known] @ solution[-2:]
+            linear = state.linearised[number]
+            left = linear.residual_px[known] - design[known] @ solution[places]
+            left = left - solution[problem.shared(number)] - linear.dem_rate[known] @ solution[problem.dem]
             squares += float(np.einsum("na,nab,nb->", left, judge[number][known], left))
             count += int(known.sum())
         if count:
@@ -787,7 +800,7 @@ def _squared_errors_px2(problem: _BlockProblem, state: _State, judge: Sequence[F
     return np.array(found)
 
 
-def _result(problem: _BlockProblem, state: _State, scores: Mapping[str, float]) -> BlockAdjustment:
+def _result(problem: _BlockProblem, state: _Estimate, scores: Mapping[str, float]) -> BlockAdjustment:
     """Return the adjustment with its covariance and what it says of each pair."""
     datum, unknowns = _datum(problem), problem.unknowns
     covariance = _equations(problem, state, datum).covariance(NEEDS)
@@ -818,7 +831,7 @@ def _result(problem: _BlockProblem, state: _State, scores: Mapping[str, float]) 
     )
 
 
-def _hold_out_check(problem: _BlockProblem, state: _State) -> HoldOutCheck | None:
+def _hold_out_check(problem: _BlockProblem, state: _Estimate) -> HoldOutCheck | None:
     """Compare the points of each cell before and after an adjustment without them.
 
     Images are written over the DEM as it is, so that it is in its place here, wherever it may belong.
@@ -843,7 +856,7 @@ def _hold_out_check(problem: _BlockProblem, state: _State) -> HoldOutCheck | Non
     return HoldOutCheck(float(before_px.sum()), float(after_px.sum()), float(np.sqrt((spread**2).sum())))
 
 
-def _response_to_height(problem: _BlockProblem, state: _State, datum: Float64) -> Float64:
+def _response_to_height(problem: _BlockProblem, state: _Estimate, datum: Float64) -> Float64:
     """Return `BlockAdjustment.by_height_px`, of level ground: its relief is told by the other unknowns."""
     level = [_linearised(problem.block, pair, level=True) for pair in problem.pairs]
     linearised = tuple(replace(linear, residual_px=-linear.height_rate) for linear in level)
@@ -854,7 +867,7 @@ def _response_to_height(problem: _BlockProblem, state: _State, datum: Float64) -
     return found
 
 
-def _fit(problem: _BlockProblem, state: _State, number: int, covariance: Float64) -> BlockFit:
+def _fit(problem: _BlockProblem, state: _Estimate, number: int, covariance: Float64) -> BlockFit:
     offset, formal, mean = _mean_residual(problem, state, number)
     own = float(np.trace(formal)) / 2
     own += state.shared_px**2 if problem.pairs[number].height_m is None else 0.0
