@@ -4,6 +4,10 @@ The error of a point is what the match moved by, less what the target was moved 
 the images have is added afresh, as both matches would share their own otherwise. What both share all the
 same, structure that lies elsewhere in the other band, cannot be seen by this: `Unseen` tells what is known
 of it.
+
+`prove` is the whole of it: `set_up` chooses points and reads their surroundings, `measure` matches them after
+each of `moves_of`, and the rest sorts the errors. `sensitivity` then makes a part of the pair harder until it
+is refused.
 """
 
 from __future__ import annotations
@@ -208,14 +212,14 @@ def noise_level(values: Float64, other: Float64, valid: Bool) -> float:
     count in both.
     """
     known = np.asarray(_patches(valid).all(axis=2))
-    own, beside = (_patches(np.where(valid, image, 0.0)).astype(np.float64) for image in (values, other))
+    own, others = (_patches(np.where(valid, image, 0.0)).astype(np.float64) for image in (values, other))
     if np.count_nonzero(known) < MIN_PATCHES:
         return 0.0
     variance, axes = np.linalg.eigh(np.cov(own[known], rowvar=False))
     count = len(variance)
     while count > 1 and (variance[:count] > variance[:count].mean()).sum() * 2 < count:
         count -= 1
-    alike = _alike(own @ axes[:, :count], beside @ axes[:, :count], known)
+    alike = _alike(own @ axes[:, :count], others @ axes[:, :count], known)
     return float(np.sqrt(max(float(variance[:count].mean()), 0.0) * (1 - alike)))
 
 
@@ -620,43 +624,45 @@ def prove(
     errors, ends, by_window = measure(setup, moves, windows_px, log, threads, seed, tries)
     shifts = errors.part(np.array([move.kind == "shift" for move in moves]))
     amplitude, wave = _locking(shifts)
-    still = replace(shifts, moved=shifts.moved - wave)
-    beyond = _beyond_errors(matches, setup, still.own)
-    shrunk = min(1.0, beyond)
-    errors, still, own = errors.shrunk(shrunk), still.shrunk(shrunk), shrunk * still.own
-    mean_of_moves = _mean(still.moved, 1)
+    without_locking = replace(shifts, moved=shifts.moved - wave)
+    scatter_ratio = _scatter_ratio(matches, setup, without_locking.own)
+    shrunk = min(1.0, scatter_ratio)
+    errors, own = errors.shrunk(shrunk), shrunk * without_locking.own
+    without_locking = without_locking.shrunk(shrunk)
+    mean_of_moves = _mean(without_locking.moved, 1)
     bias_error = mean_of_moves.std(axis=0, ddof=1) / np.sqrt(len(mean_of_moves))
     bias = -_mean(shifts.moved, (0, 1))
     error = own + bias
     radial = np.linalg.norm(error[np.isfinite(error).all(axis=2)], axis=1)
     if not len(radial):
         raise InputError("nothing can be proved: no tie point is found again after a move")
+    windows = zip(windows_px, by_window, strict=True)
     return Proof(
-        effort,
-        moves,
-        len(setup.rows),
-        len(radial),
-        errors.lost,
-        errors.wrong,
-        setup.noise,
-        resampling_error_px(setup, moves, seed),
-        float_pair(bias),
-        float_pair(bias_error),
-        float_pair(_scatter(own)),
-        shrunk,
-        float(np.sqrt((radial**2).mean())),
-        float(np.percentile(radial, 90)),
-        float_pair(amplitude),
-        float_pair(np.sqrt(2) * bias_error),
-        _phases(shifts, wave),
-        _by_kind(errors, moves),
-        _by_texture(setup, ends[0], still),
-        tuple(_class(f"{each} px", part) for each, part in zip(windows_px, by_window, strict=True)),
-        _sigmas(error, setup.sigma_px * setup.unit_px, beyond),
-        None if fit is None else _of_correction(error, bias, setup, matches, fit, effort),
-        _unseen(setup, *ends),
-        _map(error, setup, matches),
-        sensitivity(matches, register, log, len(moves), seed) if register and tries else None,
+        effort=effort,
+        moves=moves,
+        points=len(setup.rows),
+        matches=len(radial),
+        lost=errors.lost,
+        wrong=errors.wrong,
+        noise=setup.noise,
+        resampling_px=resampling_error_px(setup, moves, seed),
+        bias_px=float_pair(bias),
+        bias_error_px=float_pair(bias_error),
+        scatter_px=float_pair(_scatter(own)),
+        shrunk=shrunk,
+        rmse_px=float(np.sqrt((radial**2).mean())),
+        ce90_px=float(np.percentile(radial, 90)),
+        locking_px=float_pair(amplitude),
+        locking_error_px=float_pair(np.sqrt(2) * bias_error),
+        phases=_phases(shifts, wave),
+        moved=_by_kind(errors, moves),
+        texture=_by_texture(setup, ends[0], without_locking),
+        windows=tuple(_class(f"{each} px", part) for each, part in windows),
+        sigma=_sigmas(error, setup.sigma_px * setup.unit_px, scatter_ratio),
+        correction=None if fit is None else _of_correction(error, bias, setup, matches, fit, effort),
+        unseen=_unseen(setup, *ends),
+        map=_map(error, setup, matches),
+        sensitivity=sensitivity(matches, register, log, len(moves), seed) if register and tries else None,
     )
 
 
@@ -670,7 +676,7 @@ def _map(error: Float64, setup: ProofSetup, matches: Matches) -> tuple[PointEntr
     return tuple(entries)
 
 
-def _beyond_errors(matches: Matches, setup: ProofSetup, own: Float64) -> float:
+def _scatter_ratio(matches: Matches, setup: ProofSetup, own: Float64) -> float:
     """Return the scatter of the tie points over that of their (k, n, 2) errors, both about an affine.
 
     That of the tie points holds their errors, and what no affine follows. An affine follows some of the
@@ -750,16 +756,16 @@ def _by_texture(setup: ProofSetup, before: MatchedAgain, errors: _Errors) -> tup
     return tuple(_class(name, part) for name, part in zip(names, parts, strict=True))
 
 
-def _sigmas(error: Float64, sigma_px: Float64, beyond: float = 1.0) -> SigmaEntry:
+def _sigmas(error: Float64, sigma_px: Float64, scatter_ratio: float = 1.0) -> SigmaEntry:
     """Compare (k, n, 2) errors with the (n, 2) sigmas of their points.
 
-    The tie points scatter `beyond` times as much as the errors do.
+    The tie points scatter `scatter_ratio` times as much as the errors do.
     """
     ratio = np.abs(error) / sigma_px
     ratio = ratio[np.isfinite(ratio)]
     one, two = np.percentile(ratio, (ONE_SIGMA, TWO_SIGMA)) / (1.0, 1.96)
     factor = float(np.sqrt(one * two))
-    calibration = max(factor, min(1.0, factor * max(beyond, 1.0)))
+    calibration = max(factor, min(1.0, factor * max(scatter_ratio, 1.0)))
     return SigmaEntry(float((ratio <= 1).mean()), float((ratio <= 1.96).mean()), factor, calibration)
 
 
@@ -830,8 +836,8 @@ def _of_all_points(sample_px: Float64, everywhere_px: Float64, footprint_px: flo
 
     variances = []
     for points in (every, sample_px):
-        apart = np.abs(points[:, None] - points[None]) / footprint_px
-        common = np.clip(1 - apart, 0, None).prod(axis=2)
+        separation = np.abs(points[:, None] - points[None]) / footprint_px
+        common = np.clip(1 - separation, 0, None).prod(axis=2)
         spread = terms(every) @ pseudo_inverse(terms(points), least=1e-10)
         variances.append(((spread @ common) * spread).sum(axis=1).mean())
     return float(np.sqrt(min(variances[0] / variances[1], 1.0)))

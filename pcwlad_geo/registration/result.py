@@ -1,4 +1,9 @@
-"""Where the matching looked, and what it lost where: why there are no tie points at a place."""
+"""What the steps of `registration.run` hand on, from two files to the verdict.
+
+A `Pair` are two rasters ready to be matched, `Matches` are its tie points before any fit, and a `Registration`
+is the result. The `MatchRecord` of the matches tells where the matching looked and what it lost where: why
+there are no tie points at a place.
+"""
 
 from __future__ import annotations
 

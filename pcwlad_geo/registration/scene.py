@@ -190,7 +190,7 @@ class _FirstPass:
         return np.repeat(np.arange(len(self.results)), [len(result.lost) for result in self.results])
 
     def without(self, found: Index) -> _FirstPass:
-        """Return the pass with those lost candidates struck off that were `found` later."""
+        """Return the pass without those lost candidates that were `found` later."""
         is_found = np.zeros(len(self.lost), bool)
         is_found[found] = True
         results = []
@@ -213,7 +213,13 @@ def match_scene(
     log: JobLog,
     runner: Runner,
 ) -> Matched:
-    """Match all tiles of a scene from one start, and judge what they gave."""
+    """Match all tiles of a scene from one start, and judge what they gave.
+
+    Every candidate is matched on its own (`_first_pass`), and those that agree with their neighbours are kept
+    and judged. If they are accepted, they are matched again, guided by the field of all of them, and what was
+    lost is tried once more where that tells its place (`_second_pass`); the outcome is checked and calibrated
+    (`_checked`).
+    """
     offset = target_offset_px(pair, prealignment)
     matching = _match_settings(pair, offset, prealignment, settings, log)
     planned = plan(pair, overviews, offset, matching, settings)
@@ -248,19 +254,19 @@ def match_scene(
         pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results
     )
     return Matched(
-        matches,
-        kept,
-        counts,
-        verdict,
-        prealignment,
-        record,
-        window_px,
-        epipolar,
-        motions,
-        moved,
-        jitter,
-        first.jobs[0] if first.jobs else None,
-        scales,
+        matches=matches,
+        kept=kept,
+        counts=counts,
+        verdict=verdict,
+        prealignment=prealignment,
+        record=record,
+        window_px=window_px,
+        epipolar=epipolar,
+        motions=motions,
+        patches=moved,
+        jitter_px=jitter,
+        job=first.jobs[0] if first.jobs else None,
+        scales=scales,
     )
 
 
