@@ -37,7 +37,7 @@ COARSE_STEPS: Final = 10
 """Number of steps, after a start from a simpler model, in which τ² comes from the median of the residuals."""
 POINT_LIMIT: Final = 3.0
 """Points that lie off their pair's by more sigmas lose weight."""
-ALIKE: Final = 1.4
+BLOCK_CORRELATION: Final = 1.4
 """Neighbouring blocks err alike, so that a jackknife tells too little by this factor: found on scenes of
 known truth (two sensors, 320 and 1,024 px)."""
 MEASURED: Final = "a pair of images needs tie points of ordinary size, with a sigma above 0"
@@ -109,7 +109,9 @@ def jackknife(found: Float64) -> Float64:
 
     The (k, ...) estimates are `found` (Tukey 1958, doi:10.1214/aoms/1177706647).
     """
-    return np.asarray((found - found.mean(axis=0)) * ALIKE * np.sqrt((len(found) - 1) / len(found)))
+    return np.asarray(
+        (found - found.mean(axis=0)) * BLOCK_CORRELATION * np.sqrt((len(found) - 1) / len(found))
+    )
 
 
 def propagated(design: Float64, covariance: Float64, changes: Float64) -> Float64:

@@ -54,9 +54,9 @@ TOLERANCE_PX: Final = 1e-5
 """They end where the coefficients change by less."""
 
 Kind = Literal["step", "drift", "season"]
-SMOOTH: Final[tuple[Kind, ...]] = ("drift", "season")
+SMOOTH_TERMS: Final[tuple[Kind, ...]] = ("drift", "season")
 """Terms that change slowly."""
-SUDDEN: Final[tuple[Kind, ...]] = ("step",)
+STEP_TERMS: Final[tuple[Kind, ...]] = ("step",)
 """Terms that change at once."""
 Clip = Literal["huber", "biweight"]
 
@@ -132,7 +132,7 @@ def analyse(
     if len(moved_px) < MIN_IMAGES:
         return _model(series, [])
     # steps can stand for a drift, and a season for steps: grown in either order, the simpler is taken
-    grown = [_grown(series, kinds) for kinds in (((*SMOOTH, *SUDDEN),), (SMOOTH, SUDDEN))]
+    grown = [_grown(series, kinds) for kinds in (((*SMOOTH_TERMS, *STEP_TERMS),), (SMOOTH_TERMS, STEP_TERMS))]
     return _model(series, min(grown, key=lambda terms: _criterion(series, terms)))
 
 

@@ -16,7 +16,7 @@ from scipy.special import gammaln
 
 from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN
 from pcwlad_geo.estimation.solving import inverse
-from pcwlad_geo.matching.outliers import ALIKE, NARROW_PX, NEIGHBOURS
+from pcwlad_geo.matching.outliers import CLUSTER_SPREAD, NARROW_PX, NEIGHBOURS
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.types import Bool, Float64, Index
@@ -133,7 +133,7 @@ def parallax_evidence(points: TiePoints, planar: Bool, window_px: int) -> float:
     if regained.sum() < max(LARGE_SHARE * (regained | (planar & on_line)).sum(), SUPPORT):
         return 0.0
     typical = np.median(plane[regained], axis=0)
-    others = np.hypot(*(plane[regained] - typical).T) > ALIKE * np.hypot(*typical)
+    others = np.hypot(*(plane[regained] - typical).T) > CLUSTER_SPREAD * np.hypot(*typical)
     if others.mean() < SEVERAL_DEPTHS:
         return 0.0
     cell = _cells(points.reference_xy_px[off], window_px)

@@ -19,9 +19,9 @@ SIMPLER_WITHIN_PX: Final = 0.02
 difference would reach the tie points."""
 EXCLUSION: Final = 0.75
 """Neighbours nearer than this share of the window see the same pixels and are not independent."""
-ALIKE: Final = 0.6
+NEIGHBOUR_CORRELATION: Final = 0.6
 """Mean correlation of the errors of points that are less than a window apart."""
-ROUGH: Final = 3.0
+ROUGH_SCATTERS: Final = 3.0
 """The field is too rough where independent neighbours err by more than this many times the scatter of the
 nearest points."""
 ROUGH_FROM_PX: Final = 0.15
@@ -120,7 +120,7 @@ def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int) -> 
     errors = [_typical(residual) for residual, _ in residuals]
     chosen = next((i for i, error in enumerate(errors) if error <= min(errors) + SIMPLER_WITHIN_PX), -1)
     residual, share = residuals[chosen]
-    smooth = errors[chosen] <= max(ROUGH_FROM_PX, ROUGH * _nearest_scatter(xy_px, displacement_px))
+    smooth = errors[chosen] <= max(ROUGH_FROM_PX, ROUGH_SCATTERS * _nearest_scatter(xy_px, displacement_px))
     return Choice(candidates[chosen], residual * share[:, None], smooth)
 
 
@@ -167,7 +167,8 @@ def _against_neighbours(
     }
     # points whose windows share pixels have correlated errors: together they say little more than one
     alike = {
-        step: ALIKE * search.typical_count(window_px / np.sqrt(np.pi)) for step, search in searches.items()
+        step: NEIGHBOUR_CORRELATION * search.typical_count(window_px / np.sqrt(np.pi))
+        for step, search in searches.items()
     }
     found: list[tuple[Float64, Float64]] = []
     for surface in surfaces:

@@ -77,7 +77,7 @@ MIN_DEFORMATION_PX: Final = 0.05
 """Deformations are modelled where they move the corner of a window by more than this."""
 MIN_FOR_FIELD: Final = 24
 """Least number of consistent points that a displacement field is fitted to."""
-OUTLYING: Final = 5.0
+OUTLYING_LIMITS: Final = 5.0
 """A forward-backward error larger than this many times the method's limit counts as outlying."""
 MAX_OUTLYING: Final = 0.005
 """Largest share of outlying errors in the sample at which no other point is matched backward."""
@@ -191,7 +191,7 @@ NOISE_POWER: Final = 1.1
 the 2 of the area. Measured: 1 to 1.4."""
 LARGEST_WEIGHT: Final = 2.0
 """Largest weight of one of two windows: beyond it the difference of the two is mostly noise."""
-GROWS: Final = 0.3
+LARGEST_WINDOW_WEIGHT: Final = 0.3
 """Where the largest window that was tried gets more weight than this, the next larger one is tried."""
 TRIED_FIRST: Final = 3
 """Number of windows that are always tried, the smallest."""
@@ -273,7 +273,7 @@ class WindowErrors:
 
 def tries_larger(scales: Scales, tried_px: Sequence[int]) -> bool:
     """Return whether a larger window than those tried may be better, as the largest of them has weight."""
-    return scales.windows_px[-1] == max(tried_px) and scales.weights[-1] > GROWS
+    return scales.windows_px[-1] == max(tried_px) and scales.weights[-1] > LARGEST_WINDOW_WEIGHT
 
 
 def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> WindowErrors | None:
@@ -313,7 +313,7 @@ def forward_is_enough(forward_backward_px: Float64, settings: MatchSettings) -> 
     settings sets the limit.
     """
     known, limit_px = forward_backward_px[~np.isnan(forward_backward_px)], TRAITS[settings.method].one_way_px
-    if len(known) == 0 or (known > OUTLYING * limit_px).mean() > MAX_OUTLYING:
+    if len(known) == 0 or (known > OUTLYING_LIMITS * limit_px).mean() > MAX_OUTLYING:
         return False
     return bool(np.sqrt(np.mean(known**2)) <= limit_px)
 
@@ -390,7 +390,7 @@ SAME_ROWS_PX: Final = 4.0
 """Windows whose rows are less apart lie on the same rows."""
 DISJOINT_PX: Final = 90.0
 """Windows of 61 px that are farther apart along the rows share no pixel."""
-LONGEST: Final = 4.0
+MAX_RESIDUALS: Final = 4.0
 """Longer residuals, in the median of all, are cut to that."""
 MIN_JITTER_PAIRS: Final = 50
 """Least number of pairs of windows of the same rows that tell."""
@@ -414,7 +414,7 @@ def _shared(xy_px: Float64, difference_px: Float64, across: int) -> float:
         return 0.0
     left = difference_px[known] - np.median(difference_px[known], axis=0)
     size = np.linalg.norm(left, axis=1)
-    left *= huber(np.maximum(size, 1e-9), LONGEST * np.median(size))[:, None]
+    left *= huber(np.maximum(size, 1e-9), MAX_RESIDUALS * np.median(size))[:, None]
     distance = np.abs(xy_px[known, None] - xy_px[known])
     first, second = np.nonzero(
         np.triu((distance[..., across] < SAME_ROWS_PX) & (distance[..., 1 - across] > DISJOINT_PX))

@@ -55,12 +55,12 @@ MIN_CLUSTER: Final = 6
 """Least number of matches of a cluster; fewer are outliers to any robust fit."""
 MAX_CLUSTERED: Final = 0.2
 """Largest share of the matches in clusters. More are a part of the scene, which no majority can overrule."""
-ALIKE: Final = 0.25
+CLUSTER_SPREAD: Final = 0.25
 """Largest typical deviation of a cluster's matches from their median, as a share of their distance from the
 prediction: ground that bends smoothly has all displacements between the two."""
-STEP: Final = 2 / 3
+CLUSTER_GAP: Final = 2 / 3
 """Least part of that distance that must lie between the cluster and the matches next to it."""
-STEPS: Final = 0.8
+CLUSTER_GAP_SHARE: Final = 0.8
 """Least share of the pairs of such neighbours where it does."""
 QUADRATIC_FROM: Final = 40
 """Number of matches from which a quadratic surface predicts a cluster, beside a plane: the nearer counts."""
@@ -217,13 +217,13 @@ def _against_all_others(
 
 def _is_isolated(left: Float64, inside: Bool, edges: Index, offset: Float64, size: float) -> bool:
     """Whether the matches inside are off by one and the same amount, and those next to them are not."""
-    if np.median(_length(left[inside] - offset)) > ALIKE * size:
+    if np.median(_length(left[inside] - offset)) > CLUSTER_SPREAD * size:
         return False
     across = edges[inside[edges[:, 0]] != inside[edges[:, 1]]]
     if len(across) == 0:
         return False
     step = _length(left[across[:, 0]] - left[across[:, 1]])
-    return bool((step >= STEP * size).mean() >= STEPS)
+    return bool((step >= CLUSTER_GAP * size).mean() >= CLUSTER_GAP_SHARE)
 
 
 def _groups(left: Float64, far: Bool, edges: Index) -> Iterator[Index]:
@@ -233,7 +233,7 @@ def _groups(left: Float64, far: Bool, edges: Index) -> Iterator[Index]:
 
     one, other = edges[far[edges].all(axis=1)].T
     least = np.minimum(_length(left[one]), _length(left[other]))
-    alike = _length(left[one] - left[other]) <= 2 * ALIKE * least
+    alike = _length(left[one] - left[other]) <= 2 * CLUSTER_SPREAD * least
     linked = coo_array((np.ones(alike.sum()), (one[alike], other[alike])), shape=(len(far), len(far)))
     _, group = connected_components(linked, directed=False)
     for number in np.unique(group[far]):

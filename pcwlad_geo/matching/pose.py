@@ -38,7 +38,7 @@ ANGLE_STEP_DEG: Final = 4.0
 """Step of the rotations; half of it moves the border of the image by two cells."""
 SCALE_STEP: Final = 1.08
 """Ratio of one scale to the next; half of it moves the border of the image by two cells."""
-SMALL: Final = 0.5
+SMALL_RATIO: Final = 0.5
 """Up to this share of the larger image, both steps may be twice as large: the border moves no farther."""
 SCALES: Final = (0.25, 4.0)
 """Smallest and largest scale, target px per reference px."""
@@ -46,13 +46,13 @@ MIN_OVERLAP: Final = 0.25
 """Least overlap of a pose, as a share of the smaller image's valid area."""
 MIN_CELLS: Final = 16.0
 """Least overlap of a pose, cells."""
-DISTINCT: Final = 0.08
+DISTINCT_DISTANCE: Final = 0.08
 """Two poses are distinct if they place an image this share of its longer side apart, on average."""
 REFINED: Final = 16
 """Number of distinct poses that are tried again with finer steps."""
 FINE_CELLS: Final = 160
 """Longer side of the larger image, in cells of the correlation with finer steps."""
-FINER: Final = 3
+FINE_STEPS: Final = 3
 """Number of fine steps to a coarse one."""
 REACH_CELLS: Final = 3
 """Largest change of the shift by the finer steps."""
@@ -112,8 +112,8 @@ LAYER_HARMONICS: Final = 3
 """Number of harmonics of each of these."""
 ASCENDING: Final = 96
 """Number of distinct poses, of those with stretched images, that ascend."""
-CLOSE: Final = 0.05
-"""Distance at which these are distinct, as `DISTINCT`."""
+CLOSE_DISTANCE: Final = 0.05
+"""Distance at which these are distinct, as `DISTINCT_DISTANCE`."""
 ASCENT_CELLS: Final = (56, 112)
 """Cells on which they ascend, and on which those that are the best and distinct then ascend once more."""
 ASCENT_ROUNDS: Final = 7
@@ -136,7 +136,7 @@ SAMPLED_VOTERS: Final = 2
 """In the sample is every so-manieth patch along each axis."""
 GROWTH_ROUNDS: Final = 5
 """Largest number of times that patches vote, each time from the pose that they agreed on."""
-BY_CHANCE: Final = 14.0
+AGREEING_BY_CHANCE: Final = 14.0
 """Number of these patches that agree in unrelated images (median of 63 pairs; the most were 24)."""
 PER_EVIDENCE: Final = 7.5
 """Number of patches beyond it that are ten times as rare by chance."""
@@ -360,7 +360,7 @@ class _Scan:
 
     def around(self, trial: _Trial) -> _Trial:
         """Return the best of finer steps around a trial."""
-        steps = trial.stride * np.arange(-(FINER // 2), FINER // 2 + 1) / FINER
+        steps = trial.stride * np.arange(-(FINE_STEPS // 2), FINE_STEPS // 2 + 1) / FINE_STEPS
         angles = trial.angle_rad + np.radians(ANGLE_STEP_DEG) * steps
         ratios = trial.ratio * SCALE_STEP**steps
         fine = replace(self, cells=FINE_CELLS)
@@ -419,7 +419,7 @@ class _Scan:
 
 
 def _stride(ratio: float) -> int:
-    return 2 if ratio <= SMALL else 1
+    return 2 if ratio <= SMALL_RATIO else 1
 
 
 def search_pose(
@@ -508,7 +508,7 @@ def mean_distance_px(first: Float64, second: Float64, shape: tuple[int, ...]) ->
 def _distinct(trials: Iterable[_Trial], shape: tuple[int, ...]) -> list[_Trial]:
     """Return the best trials that differ, the best first."""
     ranked = sorted(trials, key=lambda each: -each.score)
-    chosen = _first_distinct((trial.matrix for trial in ranked), shape, REFINED, DISTINCT)
+    chosen = _first_distinct((trial.matrix for trial in ranked), shape, REFINED, DISTINCT_DISTANCE)
     return [ranked[index] for index in chosen]
 
 
@@ -593,7 +593,7 @@ class _Votes:
     @property
     def evidence(self) -> float:
         """-log10 of the probability, as measured, that as many patches of unrelated images agree."""
-        return max(0.0, min((self.agreeing - BY_CHANCE) / PER_EVIDENCE, MAX_EVIDENCE))
+        return max(0.0, min((self.agreeing - AGREEING_BY_CHANCE) / PER_EVIDENCE, MAX_EVIDENCE))
 
 
 class _Voters:
@@ -756,7 +756,9 @@ def _stretched(reference: _Image, target: _Image, scales: tuple[float, float], t
     trials = list(itertools.chain(*in_threads([partial(scan.everywhere, limits) for scan in scans], threads)))
     trials.sort(key=lambda each: -each.score)
     poses = [trial.matrix for trial in trials[: 8 * ASCENDING]]
-    return [poses[index] for index in _first_distinct(poses, reference.values.shape, ASCENDING, CLOSE)]
+    return [
+        poses[index] for index in _first_distinct(poses, reference.values.shape, ASCENDING, CLOSE_DISTANCE)
+    ]
 
 
 def _ascended(
@@ -768,7 +770,7 @@ def _ascended(
         found = in_threads([partial(ascent.from_pose, pose) for pose in poses], threads)
         found.sort(key=lambda each: -each[0])
         poses = [pose for _, pose in found]
-        chosen = _first_distinct(poses, reference.values.shape, REFINED, DISTINCT)
+        chosen = _first_distinct(poses, reference.values.shape, REFINED, DISTINCT_DISTANCE)
         poses = [poses[index] for index in chosen]
     best = [found[index] for index in chosen]
     evidence = [0.0] * len(best)

@@ -78,18 +78,18 @@ MIN_SMOOTHING_PX: Final = 0.6
 """Sigma of the Gaussian that smooths the maps of images without noise, enough against aliasing."""
 MAX_SMOOTHING_PX: Final = 1.5
 """Sigma of the Gaussian that smooths the maps of the noisiest images."""
-CLEAN: Final = 0.8
+CLEAN_RATIO: Final = 0.8
 """Noise ratio up to which an image counts as free of noise; real scenes show 0.2 to 0.8."""
-WHITE: Final = 2.0
+WHITE_RATIO: Final = 2.0
 """Noise ratio of white noise."""
 MIN_PIXELS: Final = 1024
 """Least number of valid pixels from which noise is measured."""
 DETAIL_OF_UNIT_NOISE: Final = 6 * 0.7979
 """Mean absolute second difference of white noise of unit variance: its gain, 6, times E|z|."""
 
-WHOLE: Final = 0.6
+WHOLE_NUMBERS_RMS: Final = 0.6
 """RMS of the detail up to which an image of whole numbers may show nothing: twice that of rounding."""
-COMPRESSED: Final = 1.0
+COMPRESSED_RMS: Final = 1.0
 """The same of an image of 8 bits in which the blocks of compression show."""
 
 _SECOND_DIFFERENCE: Final = ((1.0, -2.0, 1.0), (-2.0, 4.0, -2.0), (1.0, -2.0, 1.0))
@@ -110,7 +110,7 @@ class Noise:
     @property
     def share(self) -> float:
         """How much of the finest detail is noise, 0 to 1."""
-        return float(np.clip((self.ratio - CLEAN) / (WHITE - CLEAN), 0, 1))
+        return float(np.clip((self.ratio - CLEAN_RATIO) / (WHITE_RATIO - CLEAN_RATIO), 0, 1))
 
 
 def rounding_of(dtype: str, *, compressed: bool = False) -> float:
@@ -119,7 +119,7 @@ def rounding_of(dtype: str, *, compressed: bool = False) -> float:
     Whole numbers are off by 0.29 RMS, and the edges between the steps of a ramp of them are as sharp as any:
     two images of bare walls or of still water agreed on those of theirs.
     """
-    return 0.0 if np.dtype(dtype).kind not in "uib" else COMPRESSED if compressed else WHOLE
+    return 0.0 if np.dtype(dtype).kind not in "uib" else COMPRESSED_RMS if compressed else WHOLE_NUMBERS_RMS
 
 
 def measure_noise(image: NDArray[np.floating[Any]], valid: Bool) -> Noise:

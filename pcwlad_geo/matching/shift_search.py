@@ -34,7 +34,7 @@ def evidence_against_chance(agreeing: int, places: int, chance: float) -> float:
 
 def patches_against_chance(agreeing: int, patches: int) -> float:
     """Return -log10 of the probability that so many `patches` agree by chance; 0 for a few patches."""
-    return evidence_against_chance(agreeing, patches, CHANCE) if patches >= MIN_PATCHES else 0.0
+    return evidence_against_chance(agreeing, patches, AGREEING_BY_CHANCE) if patches >= MIN_PATCHES else 0.0
 
 
 FINEST_SIDE_PX: Final = 512
@@ -76,7 +76,7 @@ TOLERANCE_PX: Final = 2.0
 """A patch agrees if its displacement is this close to that of the similarity."""
 LARGEST_DISTORTION: Final = 0.06
 """Largest deviation of a similarity from the identity: change of scale and rotation, radians, combined."""
-CHANCE: Final = 0.1
+AGREEING_BY_CHANCE: Final = 0.1
 """Share of patches of unrelated images that agree with the best similarity and candidate, as measured."""
 MIN_SIGNIFICANCE: Final = 5.0
 """Least significance, -log10 of the probability of chance, of an accepted shift."""

@@ -64,7 +64,7 @@ LEAST_SHARED: Final = 1.0
 """Least sigma of the shared error of a pair, in what its own blocks tell."""
 ROUNDS: Final = 30
 """Number of rounds in which pairs that contradict the others lose their weight."""
-LINEARISED: Final = 3
+LINEARISATIONS: Final = 3
 """Number of times that the points are summed up at the ground found so far."""
 MOST_ROUNDS: Final = 20
 """Largest number of times that the pairs in use are chosen anew."""
@@ -72,7 +72,7 @@ FREEDOM: Final = 8
 """Degrees of freedom of the sigma of a pair: a few blocks tell it to a quarter."""
 ALPHA: Final = 0.01
 """Probability that of all pairs of a stack, all right, one is left out."""
-TYPICAL: Final = (FREEDOM * (2.0 ** (2 / FREEDOM) - 1)) ** 0.5
+MEDIAN_SIGMAS: Final = (FREEDOM * (2.0 ** (2 / FREEDOM) - 1)) ** 0.5
 """Median of an offset of such a pair, in sigmas."""
 FAR_SIGMAS: Final = 5.0
 """What is known beforehand counts half where an image is found so many of its sigmas beyond."""
@@ -200,7 +200,7 @@ def adjust(
     coefficients = np.zeros((images, network.terms, 2))
     used, shared = np.ones(len(edges), bool), 0.0
     evidence = np.array([edge.evidence for edge in edges])
-    for _ in range(LINEARISED):  # at the ground that the displacements so far tell
+    for _ in range(LINEARISATIONS):  # at the ground that the displacements so far tell
         before = coefficients
         if sigma_known is not None and shared:  # not before the pairs themselves say how they err
             network = replace(network, known=_known(edges, basis, before, sigma_known))
@@ -410,7 +410,7 @@ def _shared_error(solution: NetworkSolution, used: Bool, before: float) -> float
         for fit, use in zip(solution.fits, used, strict=True)
         if use and fit.redundancy >= MIN_REDUNDANCY
     ]
-    return before * float(np.median(checked)) / TYPICAL if checked else before
+    return before * float(np.median(checked)) / MEDIAN_SIGMAS if checked else before
 
 
 def _consistent_pairs(
@@ -454,19 +454,19 @@ def _still_connected(edges: Sequence[Part], images: int, used: Bool, wanted: Boo
     return chosen
 
 
-STEPS: Final = 8
+GAUSS_NEWTON_STEPS: Final = 8
 """Largest number of Gauss-Newton steps."""
 STILL_PX: Final = 1e-4
 """They end where no corner of a frame moves by more."""
-LEAST: Final = 6
+MIN_HOMOGRAPHY_POINTS: Final = 6
 """Least number of tie points of a homography."""
 HOMOGRAPHY: Final = "projective"
 """Name of the model."""
-FLEXIBLE: Final = 2**0.5
+FLEXIBLE_RATIO: Final = 2**0.5
 """Where a more flexible model was chosen, less than this share of what that leaves."""
 NO_HOMOGRAPHY: Final = "no homography fits the tie points of all frames: choose another model"
 """Message where one puts ground beyond the horizon of a frame."""
-BETTER: Final = 0.9
+HOMOGRAPHY_RATIO: Final = 0.9
 """Homographies are taken where they leave less than this share of what affines leave between the frames."""
 
 
@@ -537,7 +537,7 @@ def or_homographies(
         float(np.median([math.hypot(fit.scatter, *fit.offset) for fit in each.edges if fit.used]))
         for each in (found, projective)
     ]
-    return projective if left[1] < (FLEXIBLE if flexible else BETTER) * left[0] else found
+    return projective if left[1] < (FLEXIBLE_RATIO if flexible else HOMOGRAPHY_RATIO) * left[0] else found
 
 
 def homographies(
@@ -551,7 +551,7 @@ def homographies(
     """
     edges = [on_epipolar_lines(edge) or edge for edge in edges]
     matrices = _chained(edges, images, datum or 0)
-    for _ in range(STEPS):
+    for _ in range(GAUSS_NEWTON_STEPS):
         rectified = [_rectified(edge, matrices) for edge in edges]
         basis = polynomial_over([edge.first_xy for edge in rectified], 2, HomographyBasis)
         found = adjust(rectified, images, datum=datum, split=split, basis=basis)
@@ -586,7 +586,10 @@ def _homography(basis: PolynomialBasis, coefficients: Float64) -> Float64:
 
 def _chained(edges: Sequence[Edge], images: int, first: int) -> Float64:
     """Return (images, 3, 3) homographies along the pairs of most points from the first of each group."""
-    pairwise = [plane_of(edge.first_xy, edge.second_xy) if len(edge) >= LEAST else None for edge in edges]
+    pairwise = [
+        plane_of(edge.first_xy, edge.second_xy) if len(edge) >= MIN_HOMOGRAPHY_POINTS else None
+        for edge in edges
+    ]
     matrices = np.tile(np.eye(3), (images, 1, 1))
     known: set[int] = set()
     by_points = sorted(range(len(edges)), key=lambda number: -len(edges[number]))
@@ -637,14 +640,14 @@ def _rate(matrix: Float64, xy: Float64) -> Float64:
     return rate / moved[:, 2:, None]
 
 
-TRIED: Final = {
+CANDIDATE_MODELS: Final = {
     "auto": IMAGE_MODELS,
     **{name: of_option(name) for name in ("shift", "affine", "polynomial", SPLINE)},
 }
 """Models of an image that are tried for each that can be asked for."""
-MANY: Final = 40
+MAX_IMAGES_TO_CHOOSE: Final = 40
 """Of more images so many of those nearest to the datum, in pairs, decide."""
-CAP: Final = 3.0
+MAX_SCATTERS: Final = 3.0
 """A left-out point counts at most as one that lies off by so many scatters of its pair."""
 SIGNIFICANCE: Final = 2.0
 """An affine must predict better than a shift by so many standard errors of the difference."""
@@ -657,12 +660,12 @@ def choose_basis(
 
     Cells of the ground are left out in turn, in all pairs at once; the tie points in them are held against
     the adjustment of the others. A simpler model stays unless a more flexible one is better by more than
-    chance, cell by cell. The `model` is a key of `TRIED`; the rest is as `adjust` takes it.
+    chance, cell by cell. The `model` is a key of `CANDIDATE_MODELS`; the rest is as `adjust` takes it.
     """
     places = [edge.first_xy for edge in edges]
     tried = [
         basis_over(places, name, roughness)
-        for name in TRIED[model]
+        for name in CANDIDATE_MODELS[model]
         for roughness in (ROUGHNESS if name == SPLINE else ROUGHNESS[:1])
     ]
     least = min(map(len, edges), default=0)  # control points may be few
@@ -717,12 +720,12 @@ def _nearest(
     edges: Sequence[Edge], images: int, datum: int | None
 ) -> tuple[Sequence[Edge], Sequence[int], int | None]:
     """Return the pairs of the images nearest to the datum, numbered anew if there are many, and these."""
-    if images <= MANY:
+    if images <= MAX_IMAGES_TO_CHOOSE:
         return edges, range(images), datum
     known = [datum or 0]
     for image in known:
         for edge in edges:
-            if image in (edge.first, edge.second) and len(known) < MANY:
+            if image in (edge.first, edge.second) and len(known) < MAX_IMAGES_TO_CHOOSE:
                 other = edge.first + edge.second - image
                 known += [] if other in known else [other]
     number = {image: index for index, image in enumerate(known)}
@@ -778,7 +781,7 @@ def _errors(trial: _ModelTrial, start: Adjustment, scatter: Float64, shared: Flo
             if fold is None or fold.kept is part:  # nothing of it was left out
                 continue
             off = fold.observed - fold.values @ (without[part.second] - without[part.first])
-            total += float(np.minimum((off / unit) ** 2, CAP**2).sum())
+            total += float(np.minimum((off / unit) ** 2, MAX_SCATTERS**2).sum())
             count += off.size
         if count:
             found[number] = total / count

@@ -15,14 +15,21 @@ from pcwlad_geo.correction.error_statistics import SIGMA_90, Residuals, left_by_
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.multi.adjustment import MIN_REDUNDANCY
 from pcwlad_geo.multi.stack_pairs import StackPair
-from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, GRADES, MANY_SIGMAS, MOSTLY, Reason
+from pcwlad_geo.registration.fitting import (
+    FAIR_PX,
+    GOOD_EXTRAPOLATED_SHARE,
+    GOOD_PX,
+    GRADES,
+    MANY_SIGMAS,
+    Reason,
+)
 from pcwlad_geo.types import Float64
 
 MAX_CYCLES: Final = 20_000
 """Largest number of cycles that are looked at."""
-OPEN: Final = 5.0
+OPEN_SIGMAS: Final = 5.0
 """A cycle that fails to close by more sigmas is listed."""
-LISTED: Final = 30
+MAX_LISTED: Final = 30
 """Largest number of cycles that are listed."""
 
 
@@ -72,13 +79,13 @@ def closure_of(pairs: Sequence[StackPair]) -> Closure:
         if all(pair.status == "used" for pair, _ in steps):
             good.append(length)
         sigma = math.sqrt(sum((pair.sigma_px or 0.0) ** 2 for pair, _ in steps))
-        if length > OPEN * max(sigma, 1e-9):
+        if length > OPEN_SIGMAS * max(sigma, 1e-9):
             worst = max(
                 (pair for pair, _ in steps), key=lambda pair: (pair.status != "used", misfit_sigmas(pair))
             )
             found.append(Cycle(images, (col, row), sigma, (worst.reference, worst.target)))
     found.sort(key=lambda each: -math.hypot(*each.closure_px))
-    return Closure(len(every), root_mean_square(every), root_mean_square(good), tuple(found[:LISTED]))
+    return Closure(len(every), root_mean_square(every), root_mean_square(good), tuple(found[:MAX_LISTED]))
 
 
 def misfit_sigmas(pair: StackPair) -> float:
@@ -130,11 +137,11 @@ def _of_four(near: dict[str, set[str]], order: dict[str, int]) -> list[tuple[str
     return found[:MAX_CYCLES]
 
 
-SUPPORTED: Final = 1 / 2
+SUPPORTED_SHARE: Final = 1 / 2
 """An image is refused unless a larger share of its pairs supports its place."""
-DOUBTED: Final = 1 / 3
+CONTRADICTED_SHARE: Final = 1 / 3
 """Share of the pairs of an image off its place from which it is not good: pairs may share a cause."""
-ORDER: Final = ("refused", *GRADES)
+GRADES_OF_IMAGES: Final = ("refused", *GRADES)
 """What an image can be graded, the worst first."""
 NOISE_OF_MEDIAN: Final = 0.53
 """Standard deviation along an axis of the median of five normal errors, in their median distance from it."""
@@ -159,12 +166,14 @@ class StackQuality:
 
     def doubted(self, text: str) -> StackQuality:
         """Return the quality, fair at most, with one more reason."""
-        return replace(self, grade=min(self.grade, "fair", key=ORDER.index), reasons=(*self.reasons, text))
+        return replace(
+            self, grade=min(self.grade, "fair", key=GRADES_OF_IMAGES.index), reasons=(*self.reasons, text)
+        )
 
     @staticmethod
     def of_all(found: Mapping[str, StackQuality]) -> StackQuality:
         """Return the quality of a stack by those of its images."""
-        worst_first = sorted(found, key=lambda name: ORDER.index(found[name].grade))
+        worst_first = sorted(found, key=lambda name: GRADES_OF_IMAGES.index(found[name].grade))
         grade = found[worst_first[0]].grade
         reasons = (f"{name}: {reason}" for name in worst_first for reason in found[name].reasons[:1])
         expected = max(each.expected_ce90_px for each in found.values())
@@ -218,7 +227,7 @@ def image_qualities(
         among = [pair for pair in measured if not {pair.reference, pair.target} & refused.keys()]
         shares = {name: off(name, among, FAIR_PX) for name in sigma_px if name not in refused}
         worst = max(shares.values(), default=0.0)
-        if worst < SUPPORTED:
+        if worst < SUPPORTED_SHARE:
             break
         refused |= {
             name: f"{100 * worst:.0f} % of its pairs lie more than {FAIR_PX:g} px off where the others put it"
@@ -308,8 +317,8 @@ def _judged(
         )
         text = f"a tenth of it is expected to lie more than {expected:.2f} px off: {parts}"
         reasons.append(Reason("fair" if expected <= FAIR_PX else "poor", text))
-    far = FAIR_PX if off[FAIR_PX] > DOUBTED else GOOD_PX
-    if off[far] >= DOUBTED:
+    far = FAIR_PX if off[FAIR_PX] > CONTRADICTED_SHARE else GOOD_PX
+    if off[far] >= CONTRADICTED_SHARE:
         text = f"{100 * off[far]:.0f} % of its pairs lie more than {far:g} px off its place"
         reasons.append(Reason("poor" if far == FAIR_PX else "fair", text))
     if not any((pair.redundancy or 0.0) >= MIN_REDUNDANCY for pair in used):
@@ -326,6 +335,6 @@ def _judged(
 def _own_grade(pair: StackPair) -> Reason:
     """Return the grade of a pair by itself, and why it is not better."""
     empty = pair.empty_share or 0.0
-    if empty > MOSTLY and pair.quality != "poor":
+    if empty > GOOD_EXTRAPOLATED_SHARE and pair.quality != "poor":
         return Reason("fair", f"{100 * empty:.0f} % of the common ground has no tie point")
     return Reason(pair.quality or "good", "; ".join(pair.quality_reasons[:1]))

@@ -19,7 +19,7 @@ from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.models import PolynomialBasis, SplineGrid
 from pcwlad_geo.correction.thin_plate import bending
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.estimation.robust import ALIKE, MEASURED, outlier_factors, reliability, sigma_of
+from pcwlad_geo.estimation.robust import BLOCK_CORRELATION, MEASURED, outlier_factors, reliability, sigma_of
 from pcwlad_geo.estimation.solving import (
     RANK,
     NormalEquations,
@@ -436,7 +436,7 @@ def _error(points: _Weighted, sums: Sequence[Float64], number: Index) -> float:
     changes = (np.array(found) - np.mean(found, axis=0)).reshape(len(found), 2, terms)
     moment = points.near.T @ points.near / len(points.near)
     variance = np.einsum("kat,ts,kas->", changes, moment, changes) / 2 * (len(found) - 1) / len(found)
-    return ALIKE * float(np.sqrt(variance))
+    return BLOCK_CORRELATION * float(np.sqrt(variance))
 
 
 def _solved(normal: Float64, right: Float64) -> Float64:

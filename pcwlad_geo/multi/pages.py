@@ -17,7 +17,7 @@ from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.models import AffineCorrection, affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.multi.bands import SQUARES
-from pcwlad_geo.multi.cycles import ORDER, root_mean_square
+from pcwlad_geo.multi.cycles import GRADES_OF_IMAGES, root_mean_square
 from pcwlad_geo.multi.qa_result import Summary
 from pcwlad_geo.multi.stack_pairs import StackFrame, StackPair
 from pcwlad_geo.multi.stack_result import Stack, StackImage
@@ -302,7 +302,7 @@ NAME_LENGTH: Final = 24
 """Largest number of characters of a name in the drawing."""
 OFFSET_CLASSES_PX: Final = (0.02, 0.05, 0.1, 0.3)
 """Class limits of the offset of a pair for its colour, constant so that pages can be compared."""
-CARE: Final = {"good": "", "fair": ", with care", "poor": ", poorly"}
+QUALIFIERS: Final = {"good": "", "fair": ", with care", "poor": ", poorly"}
 """What the headline adds by the grade of the stack."""
 STATES: Final[dict[str, State]] = {"good": "good", "fair": "caution", "poor": "bad", "refused": "bad"}
 """Colours of the grades of images."""
@@ -350,7 +350,7 @@ def stack_page(found: Stack, frame: StackFrame | None = None) -> str:
     images = sorted(
         found.images,
         key=lambda image: (
-            ORDER.index(image.quality.grade),
+            GRADES_OF_IMAGES.index(image.quality.grade),
             -image.suspicion,
             -image.quality.expected_ce90_px,
         ),
@@ -390,7 +390,7 @@ def _headline(found: Stack) -> Headline:
     placed, given = len(found.written.images), len(found.images)
     if not any(image.name != found.datum for image in found.written.images):
         return Headline("No image could be placed reliably", "bad")
-    qualifier = CARE[found.quality.grade] if placed == given else f", {given - placed} refused"
+    qualifier = QUALIFIERS[found.quality.grade] if placed == given else f", {given - placed} refused"
     qualifier = ", but a requirement is not met" if found.passed is False else qualifier
     count = f"{placed} of {given}" if placed < given else f"{given}"
     state = "bad" if found.passed is False else STATES[found.quality.grade]
@@ -406,7 +406,9 @@ def _accuracy_answer(found: Stack) -> Answer:
         f"90 % of every image is expected to lie within {expected.quality.expected_ce90_px:.2f} px "
         f"(worst: {expected.name}). Positions have a sigma of {sigma:.3f} px or better, relative to {datum}."
     )
-    return Answer("How well?", text, STATES[min((each.quality.grade for each in images), key=ORDER.index)])
+    return Answer(
+        "How well?", text, STATES[min((each.quality.grade for each in images), key=GRADES_OF_IMAGES.index)]
+    )
 
 
 def _doubts_answer(images: Sequence[StackImage]) -> Answer:
@@ -503,7 +505,7 @@ def _shifts_in_time(found: Stack) -> tuple[bytes, str] | None:
     dated = [image for image in found.images if image.given.day is not None]
     dated.sort(key=lambda image: (str(image.date), image.name))
     days = np.array([image.given.day for image in dated], "datetime64[D]")
-    if len(np.unique(days)) < DATES:
+    if len(np.unique(days)) < MIN_DATES:
         return None
     moved_px, sigma_px = (
         np.array([getattr(each, name) for each in dated]) for name in ("shift_px", "sigma_px")
@@ -514,7 +516,7 @@ def _shifts_in_time(found: Stack) -> tuple[bytes, str] | None:
     return time_line_figure(line), f"{len(dated)} images from {span[0]} to {span[1]}"
 
 
-DATES: Final = 3
+MIN_DATES: Final = 3
 """Least number of dates of a time series."""
 
 

@@ -34,11 +34,11 @@ from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, with_height_offset
 from pcwlad_geo.types import Bool, Float64, Index
 
-LINEARISED: Final = 10
+LINEARISATIONS: Final = 10
 """Largest number of times that lines of sight are intersected with the DEM anew."""
 STILL_PX: Final = 0.1
 """They are not, once the DEM moves by less, its px."""
-REWEIGHTED: Final = 5
+REWEIGHTINGS: Final = 5
 """Number of times that the points are weighted anew by how far they lie off."""
 GROUND_CELLS: Final = 5
 """The ground is divided into so many cells along each axis, which are left out in turn: fewer where they
@@ -47,17 +47,17 @@ MIN_CELLS: Final = 6
 """In fewer cells with points no model is chosen: it is the simplest."""
 MIN_GAIN_PX: Final = 0.05
 """Least error that a model must take out of points left out to replace a simpler one."""
-USUAL_PX: Final = 0.03
+PRIOR_SHARED_PX: Final = 0.03
 """Standard deviation of the error that the points of a pair share, where no cycle tells it."""
 MIN_REDUNDANCY: Final = 0.3
 """Sum of the redundancies of the pairs from which their cycles tell that error."""
-UNCHECKED: Final = 0.1
+LEAST_CHECKED: Final = 0.1
 """Of an offset that the other pairs check less, the rest is of the arithmetic."""
-NO_DATUM: Final = 1e-5
+DATUM_DEFECT: Final = 1e-5
 """Combinations of biases of less information than this share of the best known one are a matter of datum."""
 NO_PARALLAX: Final = 1e-3
 """Pairs that a metre of height displaces by fewer px tell nothing of heights."""
-LEAST_PX: Final = 0.01
+LEAST_SHARED_PX: Final = 0.01
 """Least standard deviation of the error that the points of a pair share."""
 OUTLIER_SIGMAS: Final = 5.0
 """A pair that lies off all others by more sigmas may be an outlier."""
@@ -65,7 +65,7 @@ OUTLIER_SHARE: Final = 0.5
 """It is, if without it the others contradict each other by less than this share."""
 NO_ERROR_PX: Final = 1e-6
 """Standard deviation of a shared error that there is not."""
-UNOBSERVED_PX: Final = 1e3
+UNOBSERVABLE_PX: Final = 1e3
 """What is unobservable stays as it is, with this standard deviation."""
 DATUM_FACTOR: Final = 1e3
 """Weight of the datum, in that of the best known parameter."""
@@ -82,7 +82,7 @@ WORSE_SIGMAS: Final = 2.0
 """Nor are they within so many standard errors."""
 SLOPE_STEP_PX: Final = 1.0
 """Least step of the slope of the DEM, its px."""
-PARTS: Final = 5
+WINDOW_PARTS: Final = 5
 """Heights are compared at so many by so many places of a window."""
 NEEDS: Final = "the correction of an RPC needs tie points or control points of each image"
 """What its equations ask for."""
@@ -339,7 +339,7 @@ class _Estimate:
     """(2,) shift of the DEM (col, row), its px."""
     start_dem_px: Float64 = field(default_factory=lambda: np.zeros(2))
     """(2,) that at which the observations were linearised."""
-    shared_px: float = USUAL_PX
+    shared_px: float = PRIOR_SHARED_PX
     """Standard deviation of the error that all points of a pair share."""
     sigma_height_m: float = 0.0
     """That of the heights of the DEM."""
@@ -429,7 +429,7 @@ def _design(terms: Float64) -> Float64:
 def _solved(problem: _BlockProblem) -> _Estimate:
     """Iterate until lines of sight, weights and the pairs in use no longer change."""
     count, state, datum = len(problem.pairs), problem.start(), _datum(problem)
-    for turn in range(LINEARISED):
+    for turn in range(LINEARISATIONS):
         before_px = state.dem_px
         linearised = _without_mean_slope(
             [_linearised_again(problem, number, state) for number in range(count)]
@@ -447,7 +447,7 @@ def _solved(problem: _BlockProblem) -> _Estimate:
 
 
 def _reweighted(problem: _BlockProblem, state: _Estimate, datum: Float64) -> _Estimate:
-    for _ in range(REWEIGHTED):
+    for _ in range(REWEIGHTINGS):
         state = _step(problem, _weighted(problem, state), datum)
     return state
 
@@ -526,7 +526,7 @@ def relief(block: RpcBlock, ground_px: Float64, window_px: float, dem_px: Float6
     lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
     rate = jacobian(frame.middle_px, frame, dem.grid)[0]
     at_px = map_px(ground_px, frame, dem.grid)
-    count = PARTS if window_px > 0 else 1
+    count = WINDOW_PARTS if window_px > 0 else 1
     parts = (np.arange(count) + 0.5) / count - 0.5
     offsets_px = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 2) * window_px @ rate.T
     step_px = max(SLOPE_STEP_PX, 0.5 * window_px / count * float(np.sqrt(abs(np.linalg.det(rate)))))
@@ -657,7 +657,7 @@ def _equations(
         equations.observe(np.concatenate([places, shared, dem]), design, weight, linear.residual_px[known])
     largest = float(equations.matrix.diagonal()[unknowns].max(initial=1.0))
     equations.add(unknowns, DATUM_FACTOR * largest * datum @ datum.T)
-    equations.expect(unknowns, UNOBSERVED_PX)
+    equations.expect(unknowns, UNOBSERVABLE_PX)
     return equations
 
 
@@ -678,7 +678,7 @@ def _datum(problem: _BlockProblem) -> Float64:
     # in lengths on the ground, so that none but the smallest biases there are of the smallest sum of squares
     scale = np.repeat([pixel_in_frame(block, image) for image in block.free], problem.size)
     value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
-    free = vector[:, value < NO_DATUM * value[-1]] * scale[:, None] if len(value) else vector
+    free = vector[:, value < DATUM_DEFECT * value[-1]] * scale[:, None] if len(value) else vector
     return np.linalg.qr(free)[0]
 
 
@@ -691,9 +691,9 @@ def _step(problem: _BlockProblem, state: _Estimate, datum: Float64) -> _Estimate
     offsets = np.asarray(solution[problem.unknowns : -2].reshape(-1, 2), np.float64)
     counted = state.used & np.array([pair.height_m is None for pair in problem.pairs])
     redundancy = float(_redundancy(problem, state, equations)[counted].sum())
-    shared_px = USUAL_PX
+    shared_px = PRIOR_SHARED_PX
     if redundancy >= MIN_REDUNDANCY:
-        shared_px = max(float(np.sqrt((offsets[counted] ** 2).sum() / (2 * redundancy))), LEAST_PX)
+        shared_px = max(float(np.sqrt((offsets[counted] ** 2).sum() / (2 * redundancy))), LEAST_SHARED_PX)
     dem_px = state.start_dem_px + solution[problem.dem]
     return replace(state, parameters=parameters, offsets=offsets, shared_px=shared_px, dem_px=dem_px)
 
@@ -715,12 +715,12 @@ def _without_the_outlier(problem: _BlockProblem, state: _Estimate, datum: Float6
         used[number] = False
         if not _connected(problem, used):
             continue
-        trial = replace(state, used=used, shared_px=USUAL_PX)
+        trial = replace(state, used=used, shared_px=PRIOR_SHARED_PX)
         for _ in range(3):
             trial = _step(problem, trial, datum)
         off = float(np.hypot(*_mean_residual(problem, trial, number)[0]))
         if (
-            off > OUTLIER_SIGMAS * max(trial.shared_px, USUAL_PX)
+            off > OUTLIER_SIGMAS * max(trial.shared_px, PRIOR_SHARED_PX)
             and OUTLIER_SHARE * state.shared_px > trial.shared_px
         ):
             found.append((trial.shared_px, trial))
@@ -873,7 +873,7 @@ def _fit(problem: _BlockProblem, state: _Estimate, number: int, covariance: Floa
     own += state.shared_px**2 if problem.pairs[number].height_m is None else 0.0
     adjusted = float(np.trace(mean @ covariance @ mean.T)) / 2
     used = bool(state.used[number])
-    sigma_px, redundancy = reliability(own, adjusted, used, UNCHECKED)
+    sigma_px, redundancy = reliability(own, adjusted, used, LEAST_CHECKED)
     return BlockFit(
         used=used,
         offset_px=(float(offset[0]), float(offset[1])),

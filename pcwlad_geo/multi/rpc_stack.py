@@ -77,7 +77,7 @@ from pcwlad_geo.types import Bool, Float64, PathLike
 
 POINTS: Final = 3000
 """Largest number of tie points of a pair in the adjustment, spread evenly."""
-CONTROL_OFF: Final = 5.0
+CONTROL_SIGMAS: Final = 5.0
 """A control point that lies off by more sigmas is named."""
 RPC_FILES: Final = ("rpc", "rpc_text")
 """Kinds of the files of a corrected RPC."""
@@ -461,7 +461,7 @@ def _misfits(placed: PlacedImages, pairs: Sequence[BlockPair], adjustment: Block
 def _off(pair: BlockPair, fit: BlockFit) -> Bool:
     """Return the (n,) mask of the control points that contradict all others."""
     off = np.hypot(*fit.residual_px.T) / np.sqrt(np.trace(pair.covariance_px2, axis1=1, axis2=2) / 2)
-    return np.asarray(off > CONTROL_OFF * max(1.0, float(np.nanmedian(off))))
+    return np.asarray(off > CONTROL_SIGMAS * max(1.0, float(np.nanmedian(off))))
 
 
 def control_warnings(placed: PlacedImages, pairs: Sequence[BlockPair], found: BlockAdjustment) -> list[str]:
@@ -536,9 +536,9 @@ def rpc_names(images: Sequence[str]) -> list[str]:
     return [NAMES[kind].format(stem=name) for name in images for kind in RPC_FILES]
 
 
-BY_CHANCE: Final = 0.1
+SIGNIFICANCE_LEVEL: Final = 0.1
 """Probability below which biases that all lie along the parallax are not taken for those of RPCs."""
-LEAST_PX: Final = 4.0
+LEAST_SEPARATION_PX: Final = 4.0
 """Least disagreement of two images, px, by which a DEM is called too high or too low."""
 OFFSET_PX: Final = 3.0
 """A DEM is called displaced by at least so many of its pixels, or of the images', if that is significant."""
@@ -573,7 +573,12 @@ def check_dem(
     offset_m, sigma_m = _horizontal_offset(block, dem, found, absolute)
     scale, scale_sigma = _scale(block, pairs, found)
     reasons: list[str] = []
-    if chance is not None and chance < BY_CHANCE and separation_px is not None and separation_px >= LEAST_PX:
+    if (
+        chance is not None
+        and chance < SIGNIFICANCE_LEVEL
+        and separation_px is not None
+        and separation_px >= LEAST_SEPARATION_PX
+    ):
         reasons.append(_height_message(dem, height_m or 0.0, separation_px))
     if offset_m is not None and found.dem_moved and np.hypot(*offset_m) > _least_m(block, dem, absolute):
         reasons.append(

@@ -22,8 +22,8 @@ from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore, on
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.multi.adjustment import (
+    CANDIDATE_MODELS,
     HOMOGRAPHY,
-    TRIED,
     Adjustment,
     adjust,
     choose_basis,
@@ -53,7 +53,7 @@ from pcwlad_geo.multi.stack_inputs import StackInput, check_reference, listed, w
 from pcwlad_geo.multi.stack_pairs import (
     ALL_PAIRS,
     PAIRS,
-    UNSURE,
+    UNCERTAIN_SIGMA,
     Candidate,
     ControlPoint,
     Measured,
@@ -469,7 +469,7 @@ def asked(
 def _kinds(frame: StackFrame, edges: Sequence[Edge], adjustment: Adjustment) -> list[tuple[object, ...]]:
     """Return the kind of each image: like images have pairs of small errors, one band and one pixel size."""
     error = np.array([fit.shared for fit in adjustment.edges])
-    near = error <= UNSURE * float(np.median(error))
+    near = error <= UNCERTAIN_SIGMA * float(np.median(error))
     like = components(ends_of(edges)[near], len(adjustment.coefficients))
     sizes = [round(math.log(frame.pixel(number)) / PIXELS_ALIKE) for number in range(len(frame.infos))]
     return [(int(like[number]), frame.given(number).band, size) for number, size in enumerate(sizes)]
@@ -492,7 +492,7 @@ def _of_before(before: Mapping[str, Any], folder: Path) -> tuple[list[StackInput
             and all(name and name == plain_name(name) for name in names)
             and names[len(names) - len(later) :] == later
             and {*ends, before["reference"]} <= set(names)
-            and before["model"] in (*TRIED, HOMOGRAPHY)
+            and before["model"] in (*CANDIDATE_MODELS, HOMOGRAPHY)
             and all(each["status"] in ("used", "left out", "refused") for each in before["pairs"])
             and all(isinstance(text, str) for text in (before["datum"], *before["warnings"]))
         )
@@ -548,7 +548,7 @@ def _measured_before(frame: StackFrame, folder: Path, entry: Mapping[str, Any]) 
 
 
 def _check_settings(settings: Settings) -> None:
-    models = (*TRIED, HOMOGRAPHY)
+    models = (*CANDIDATE_MODELS, HOMOGRAPHY)
     if settings.model not in models and settings.dem is None:  # images with RPCs have models of their own
         raise SettingsError(
             f"model = {settings.model!r}: a stack has the models {', '.join(models)}: choose one of them"

@@ -33,9 +33,9 @@ from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px, middle_p
 from pcwlad_geo.raster.source import RasterInfo, has_quick_overview, open_raster
 from pcwlad_geo.registration.fitting import (
     FAIR_PX,
-    FEW_KEPT,
     GOOD_PX,
     GRADES,
+    POOR_KEPT_SHARE,
     Grade,
     Reason,
     displaced_otherwise,
@@ -230,7 +230,7 @@ def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
     if off_px > GOOD_PX:
         text = f"a tenth of its points lie more than {off_px:.2f} px off a smooth displacement"
         reasons.append(("fair" if off_px <= FAIR_PX else "poor", text))
-    if kept < FEW_KEPT:
+    if kept < POOR_KEPT_SHARE:
         reasons.append(("poor", f"only {100 * kept:.0f} % of the matches agree with their neighbours"))
     reasons += [(each.grade, each.text) for each in _displaced_otherwise(pair.folder)]
     grade: Grade = min((grade for grade, _ in reasons), key=GRADES.index, default="good")
@@ -519,13 +519,13 @@ OVERLAP_CELLS: Final = 64
 """The common ground of all images is compared at so many places along each axis."""
 MIN_CELLS: Final = 64
 """Least number of common places at which overviews are compared."""
-FAR: Final = 0.75
+UNCERTAIN_VARIANCE: Final = 0.75
 """An image whose position has a larger variance, in those of a usual pair, gets one more pair."""
 LEAST_COST: Final = 0.2
 """The variance of a pair is taken as the square of this and its cost."""
-MOST: Final = 4
+MOST_PAIRS: Final = 4
 """Pairs an image, at most."""
-UNSURE: Final = 1.5
+UNCERTAIN_SIGMA: Final = 1.5
 """An image of a sigma larger than so many medians gets further pairs."""
 DIRECT_IMAGES: Final = 300
 """Of more images the variances are not asked for, which take dense matrices."""
@@ -678,7 +678,7 @@ def _strengthening(
     laplace = np.zeros((images, images))
     for pair in chosen:
         _connect(laplace, pair, weight[pair] / usual)
-    while len(taken) < MOST * images:
+    while len(taken) < MOST_PAIRS * images:
         variance = np.diag(pseudo_inverse(laplace[1:, 1:], hermitian=True))
         variance = np.concatenate([[0.0], variance])
         another = _another(found, taken, variance)
@@ -694,7 +694,7 @@ def _another(
 ) -> tuple[int, int] | None:
     """Return a pair for the image of the largest variance that can get one; None where none needs it."""
     for worst in np.argsort(-variance, kind="stable").tolist():
-        if variance[worst] <= FAR:
+        if variance[worst] <= UNCERTAIN_VARIANCE:
             return None
         for each in found:
             other = sum(each.pair) - worst
@@ -723,7 +723,7 @@ def asked_by_sigma(
     candidates are `found` the most promising first, and those `chosen` are there already. The (images,) array
     `sigma` has the standard deviation of the position of each; all are of one of the `kinds` by default.
     """
-    limit = UNSURE * float(np.median(sigma[sigma > 0])) if (sigma > 0).any() else np.inf
+    limit = UNCERTAIN_SIGMA * float(np.median(sigma[sigma > 0])) if (sigma > 0).any() else np.inf
     kinds = kinds if kinds is not None else [None] * len(sigma)
     taken, more = dict.fromkeys(chosen), []
     for image in np.flatnonzero(sigma > limit).tolist():

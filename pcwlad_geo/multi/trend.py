@@ -275,9 +275,9 @@ HEIGHT_PX: Final = 200.0
 """Height of a chart, CSS px."""
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44.0, 10.0, 10.0, 24.0
 """Margins of the plot, CSS px."""
-ENOUGH: Final = 4
+MIN_DATES: Final = 4
 """Least number of dates for a comparison of the latest with those before."""
-RISEN: Final = 1.5
+RISEN_FACTOR: Final = 1.5
 """Factor by which the latest CE90 must exceed the median of those before to be marked."""
 
 
@@ -361,10 +361,10 @@ def nice_ticks(low: float, high: float) -> list[float]:
 
 
 def has_risen(values: Sequence[float]) -> bool:
-    """Whether the last value is above all before it, and `RISEN` times above their median."""
-    if len(values) < ENOUGH:
+    """Whether the last value is above all before it, and `RISEN_FACTOR` times above their median."""
+    if len(values) < MIN_DATES:
         return False
-    return values[-1] > max(*values[:-1], RISEN * median(values[:-1]))
+    return values[-1] > max(*values[:-1], RISEN_FACTOR * median(values[:-1]))
 
 
 def _chart(series: Series, x: Axis, y: Axis) -> Chart:

@@ -85,7 +85,7 @@ MIN_CELL_PX: Final = 16.0
 """Least side of such a cell, px of the frame."""
 FIRST_YEAR, LAST_YEAR = 1900, 2200
 """Years in which an image may have been taken."""
-PACKED: Final = 120_000
+MAX_PACKED: Final = 120_000
 """Largest number of displacements of cells that the page holds, six bytes each."""
 PACKED_LARGEST: Final = 32767
 """Largest whole number of 16 bits."""
@@ -707,7 +707,7 @@ def _shown(known: Bool, regions: Index, dates: int) -> Index:
 
     Those that move come first, and of the others so many along each axis that all fit.
     """
-    most = max(1, PACKED // dates)
+    most = max(1, MAX_PACKED // dates)
     found = np.flatnonzero(known)
     for apart in range(1, max(known.shape) + 1):
         lattice = np.zeros(known.shape, bool)

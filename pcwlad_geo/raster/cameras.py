@@ -19,7 +19,7 @@ FULL_FRAME_MM: Final = math.hypot(36.0, 24.0)
 """Diagonal of the frame that 35-mm equivalents of focal lengths are of."""
 MM_PER_UNIT: Final = {"2": 25.4, "3": 10.0, "4": 1.0, "5": 0.001}
 """Of EXIF's FocalPlaneResolutionUnit: inch, cm; mm and µm of TIFF/EP."""
-AGREE: Final = 1.25
+MAX_FOCAL_RATIO: Final = 1.25
 """Largest ratio of two focal lengths of one camera that do not contradict each other."""
 SAME_HEIGHT_M: Final = 1.0
 """Largest difference of the heights above the sea of two frames taken from one height."""
@@ -63,7 +63,7 @@ def camera_of(dataset: DatasetReader) -> Camera | None:
     if not exif and relative is None:
         return None
     focal = [each for each in (_by_focal_plane(exif, dataset.shape), _by_35_mm(exif, dataset.shape)) if each]
-    contradicts = len(focal) == 2 and max(focal) > AGREE * min(focal)
+    contradicts = len(focal) == 2 and max(focal) > MAX_FOCAL_RATIO * min(focal)
     plausible = focal[0] if focal and not contradicts else None
     camera = Camera(plausible, relative, number_of(exif, "GPSAltitude"), contradicts)
     known = (plausible, camera.height_m, camera.altitude_m)

@@ -31,7 +31,7 @@ SIGMA_PX: Final = 1.0
 """Taken for points without a sigma that are too few to tell."""
 MAX_UNEXPLAINED: Final = 0.1
 """Scatter about an affine, as a share of the points' spread, beyond which they do not describe the pair."""
-DENSE: Final = 100
+DENSE_POINTS: Final = 100
 """From so many on, points are taken to come from overlapping matching windows; fewer were set one by one."""
 
 
@@ -227,7 +227,7 @@ def _with_history(given: GivenPoints, earlier: _Earlier, row_of: Index, pair: Vi
 
 def footprint_px(table: TiePointTable, window_px: float) -> float:
     """Return the side of the window that neighbouring points share, target px; 0 for a few set by hand."""
-    return window_px if np.count_nonzero(table.status == "matched") >= DENSE else 0.0
+    return window_px if np.count_nonzero(table.status == "matched") >= DENSE_POINTS else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -342,11 +342,11 @@ MANY_SIGMAS: Final = 3.0
 """Largest ratio of residuals to their sigmas at which the sigmas still explain them."""
 SHARED_SIGMAS: Final = 2.0
 """Least ratio of residuals to their sigmas with which they may be local displacements."""
-MOSTLY: Final = 0.5
+GOOD_EXTRAPOLATED_SHARE: Final = 0.5
 """Largest share of extrapolated common ground in a good registration."""
-NEARLY_ALL: Final = 0.8
+POOR_EXTRAPOLATED_SHARE: Final = 0.8
 """Share of extrapolated common ground beyond which a poor registration is refused."""
-FEW_KEPT: Final = 1 / 3
+POOR_KEPT_SHARE: Final = 1 / 3
 """Share of the matches that agree with their neighbours below which a poor registration is refused."""
 
 NEIGHBOURS: Final = 12
@@ -401,7 +401,10 @@ class Quality:
         Good points are never refused because of the ground beyond them; a poor correction is refused if
         hardly any of the matches or of the ground support it.
         """
-        little_kept, extrapolated = self.kept_share < FEW_KEPT, self.extrapolated_share > NEARLY_ALL
+        little_kept, extrapolated = (
+            self.kept_share < POOR_KEPT_SHARE,
+            self.extrapolated_share > POOR_EXTRAPOLATED_SHARE,
+        )
         if self.grade != "poor" or not (little_kept or extrapolated):
             return None
         share = self.kept_share if little_kept else self.extrapolated_share
@@ -417,7 +420,7 @@ class Quality:
         )
 
 
-OTHERWISE: Final = 0.05
+OTHER_DISPLACEMENT_SHARE: Final = 0.05
 """Share of the matches that agree on another displacement from which a tenth of the ground may have it: in
 parts smaller than a window at most half of the places are matched."""
 ALIKE_PX: Final = 1.0
@@ -534,7 +537,7 @@ def displaced_otherwise(residual_px: Float64, matches: int) -> Iterator[Reason]:
     The (n, 2) `residual_px` are what the correction leaves of the rejected ones, target px.
     """
     far_px = residual_px[np.hypot(*residual_px.T) > 2 * ALIKE_PX]
-    if len(far_px) < OTHERWISE * matches:
+    if len(far_px) < OTHER_DISPLACEMENT_SHARE * matches:
         return
     tree = cKDTree(far_px)
     near = tree.query_ball_point(far_px, ALIKE_PX, return_length=True)
@@ -542,7 +545,7 @@ def displaced_otherwise(residual_px: Float64, matches: int) -> Iterator[Reason]:
     around = tree.query_ball_point(most, 3 * ALIKE_PX, return_length=True)
     # wrong matches lie anywhere: as dense around the others as among them
     agree = float(near.max()) - (around - near.max()) / 8
-    if agree >= OTHERWISE * matches:
+    if agree >= OTHER_DISPLACEMENT_SHARE * matches:
         col, row = np.median(far_px[tree.query_ball_point(most, ALIKE_PX)], axis=0)
         yield Reason(
             "fair",
@@ -605,7 +608,7 @@ def _most_hold(table: TiePointTable) -> bool:
 
 
 def _extrapolation(share: float) -> Iterator[Reason]:
-    if share > MOSTLY:
+    if share > GOOD_EXTRAPOLATED_SHARE:
         yield Reason(
             "fair",
             f"{100 * share:.0f} % of the common ground lies beyond the tie points: there the correction is "

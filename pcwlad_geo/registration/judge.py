@@ -22,13 +22,13 @@ MIN_CELLS: Final = 4
 SEPARATION_WINDOWS: Final = 0.5
 """Distance along an axis from which matches count as independent evidence, in window sides: of radar over
 optical two wrong poses, each of three clusters, had 0.2 and 2.0 by it, and the right ones 11.5 and 14."""
-CERTAIN: Final = 3.2
+CERTAIN_EVIDENCE: Final = 3.2
 """Evidence of a search from which nothing but chance is asked of its pose; below it the pose may stand on one
 structure, which overlapping windows all show: a path, in an image beside itself transposed, gave 2.9."""
 DOUBTFUL_SEPARATION_WINDOWS: Final = 2 / 3
 """The distance of independent evidence for such a pose: of that path 8 of 8 places were half a window apart,
 and 4 of 4 this far."""
-COUNTED: Final = 0.75
+EVIDENCE_SHARE: Final = 0.75
 """Share of its evidence that is added to that of the points, which see what its patches have seen: that path
 has 5.8; of 85 pairs that the studies of poses, radar and refusal accept, those of such a pose have 6.3."""
 CELL_PER_WINDOW: Final = 0.75
@@ -39,33 +39,33 @@ MIN_SIGNIFICANCE: Final = 6.0
 """Least significance of an accepted pair: -log10 of the probability of such agreement by chance."""
 MIN_OWN_SIGNIFICANCE: Final = 2.0
 """Least significance of the points themselves from which the evidence of a search is added to it."""
-MOSTLY: Final = 0.75
+AGREEING_SHARE: Final = 0.75
 """Least share of agreeing cells with which a refusal says that they are too few, not that they disagree."""
 AT_BORDER: Final = 0.25
 """Share of candidates matched on the edge of the search above which a larger search radius is advised."""
 CHANCE_FACTOR: Final = 2.0
 """Factor on the chance of agreement, as matches of unrelated images are not uniform over the search."""
 
-TILTED: Final = 1.2
+PLANE_RATIO: Final = 1.2
 """Matches are compared about a common plane where so many times as many agree then."""
-BETWEEN: Final = 0.25
+MAX_SHARE_BETWEEN: Final = 0.25
 """Largest share of a motion's matches, in number, that lie halfway to another: a smooth field fills that."""
 SAMPLE: Final = 4000
 """Largest number of matches among which the most frequent displacement is looked for."""
 MIN_REJECTED: Final = 8
 """Least number of rejected matches that propose a displacement of patches smaller than a window."""
-DISPLACED: Final = 0.035
+DISPLACED_SHARE: Final = 0.035
 """Share of the points at whose surroundings it must fit better, so that it counts as one: patches on 15 % of
 the ground gave 4.8 to 5.7 %, clouds on 8 % of it 2.1 %, and images without patches at most 2.1 %."""
 GEOREFERENCED_PX: Final = 3.0
 """Typical error of a georeferencing, matching-grid px: of motions the likelier lies nearer to it (Cauchy)."""
 PRODUCT_M: Final = 15.0
 """The same of bands of one product, metres: half of what Landsat 8 allows its thermal bands (LE90 30 m)."""
-CLEARER: Final = 2.0
+MAIN_MOTION_RATIO: Final = 2.0
 """So many times as much must speak for the motion of most matches as for any other."""
-IMPOSSIBLE: Final = 10.0
+MAX_PRODUCT_SIGMAS: Final = 10.0
 """Bands of one product do not lie apart by so many typical errors."""
-DECISIVE: Final = 20.0
+OTHER_MOTION_RATIO: Final = 20.0
 """So many times as much must speak for another motion, so that it is taken instead."""
 
 
@@ -128,7 +128,7 @@ def judge(
     something themselves.
     """
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
-    doubtful = evidence != 0 and evidence < CERTAIN
+    doubtful = evidence != 0 and evidence < CERTAIN_EVIDENCE
     separation_px = (DOUBTFUL_SEPARATION_WINDOWS if doubtful else SEPARATION_WINDOWS) * window_px
     cells, agreeing, found = _best_agreement(matches, kept, separation_px, share)
     # the common displacement is the best of 1 / share different ones
@@ -137,7 +137,7 @@ def judge(
     if evidence < 0:
         significance = max(0.0, significance + evidence)
     elif significance >= MIN_OWN_SIGNIFICANCE:
-        significance += evidence * (COUNTED if doubtful else 1.0)
+        significance += evidence * (EVIDENCE_SHARE if doubtful else 1.0)
     accepted = bool(enough and significance >= MIN_SIGNIFICANCE)
     if accepted:
         return Verdict(True, None, cells, agreeing, significance)
@@ -237,7 +237,7 @@ def motions_of(
     moved = matches.displacement_px - offset_px
     plane_px = _common_plane(matches, kept)[0]
     flat = moved - plane_px + plane_px[kept].mean(axis=0)
-    if _most_frequent(flat)[1] > TILTED * _most_frequent(moved)[1]:
+    if _most_frequent(flat)[1] > PLANE_RATIO * _most_frequent(moved)[1]:
         moved = flat
     cell_of = _cells(matches, CELL_PER_WINDOW * window_px)
     total = np.bincount(cell_of)
@@ -326,7 +326,7 @@ def _are_distinct(moved: Float64, one: Motion, other: Motion) -> bool:
     along = (moved - begin) @ way / (way @ way)
     across = np.linalg.norm(moved - begin - along[:, None] * way, axis=1)
     halfway = (np.abs(along - 0.5) < 1 / 6) & (across < AGREE_PX)
-    return bool(halfway.sum() <= BETWEEN * min(one.points, other.points))
+    return bool(halfway.sum() <= MAX_SHARE_BETWEEN * min(one.points, other.points))
 
 
 def motion_of_the_ground(
@@ -344,14 +344,14 @@ def motion_of_the_ground(
     likely = sorted(motions, key=lambda each: -each[0].evidence(error_px))
     evidence = [motion.evidence(error_px) for motion, _ in likely]
     least = (
-        CLEARER * max(evidence[1:], default=0.0)
+        MAIN_MOTION_RATIO * max(evidence[1:], default=0.0)
         if likely[0] is usual
-        else DECISIVE * usual[0].evidence(error_px)
+        else OTHER_MOTION_RATIO * usual[0].evidence(error_px)
     )
     best, reason = likely[0][0], None
     if evidence[0] < least:
         reason = describe_motions([motion for motion, _ in likely], taken=False)
-    elif error_px and of_one_product and np.hypot(*best.displacement_px) > IMPOSSIBLE * error_px:
+    elif error_px and of_one_product and np.hypot(*best.displacement_px) > MAX_PRODUCT_SIGMAS * error_px:
         reason = (
             f"bands of a product lie within metres of each other, and the matches agree on {best}, probably "
             "clouds: mask them (--ref-mask, --tgt-mask), or give --prealign search if a band has been moved"
@@ -388,7 +388,7 @@ def _nothing_to_match(counts: dict[str, int]) -> str | None:
 
 def _too_few(points: int, agreeing: int, cells: int) -> str | None:
     """Return why points that agree are too few; None if they do not agree."""
-    if agreeing < MOSTLY * cells or min(agreeing, points) == 0:
+    if agreeing < AGREEING_SHARE * cells or min(agreeing, points) == 0:
         return None
     needed = f"at least {MIN_POINTS} are needed"
     if points >= MIN_POINTS:
@@ -399,7 +399,7 @@ def _too_few(points: int, agreeing: int, cells: int) -> str | None:
     )
 
 
-ELSE = "clouds may hide the ground, or the two may not show the same place"
+OTHER_CAUSES = "clouds may hide the ground, or the two may not show the same place"
 """Possible causes of a refusal beside a too small search radius, for messages."""
 
 
@@ -425,18 +425,23 @@ def _advice(start: Prealignment, beyond: bool) -> str:
             )
         return (
             f"the displacement may exceed the search radius of {radius_px} px (raise --search-radius), the "
-            f"two may be turned against each other (give --prealign search), or {ELSE}"
+            f"two may be turned against each other (give --prealign search), or {OTHER_CAUSES}"
         )
     if start.pose is not None:
         return (
             f"this is the best of {start.tried} starts, which a search over all rotations, scales and shifts "
-            f"found at {start.pose}; {ELSE}; check bands and masks"
+            f"found at {start.pose}; {OTHER_CAUSES}; check bands and masks"
         )
     if start.method != "search":
-        return f"a search over the whole image found no start that holds: {ELSE}; check bands and masks"
+        return (
+            f"a search over the whole image found no start that holds: {OTHER_CAUSES}; check bands and masks"
+        )
     if beyond:
         return (
             f"{edge} around the shift that a search over the whole image found: give --prealign search with "
             f"--search-radius {2 * radius_px}, unless the two do not show the same place"
         )
-    return f"this is from the shift that a search over the whole image found; {ELSE}; check bands and masks"
+    return (
+        "this is from the shift that a search over the whole image found; "
+        f"{OTHER_CAUSES}; check bands and masks"
+    )

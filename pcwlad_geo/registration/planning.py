@@ -199,9 +199,9 @@ POINTS_OF_A_SCENE: Final = 1000
 """Number of tie points wanted of a scene of several tiles if the user does not give it."""
 CANDIDATES_PER_POINT: Final = 1.25
 """Number of candidates for each tie point wanted."""
-POOR: Final = 1 / 3
+POOR_SHARE: Final = 1 / 3
 """A small window in which a smaller share of the candidates agrees is followed by another."""
-ENOUGH: Final = 0.95
+ENOUGH_SHARE: Final = 0.95
 """Share of the tie points wanted that is enough to end the matching."""
 AGREE_PX: Final = 1.0
 """Largest distance of a displacement from the median of its small window with which the point agrees."""
@@ -234,11 +234,11 @@ class Plan:
         for site in self.sites:
             upcoming = [job for job in site if job.id not in gave]
             most = max((gave[job.id] for job in site if job.id in gave), default=0)
-            if upcoming and most < POOR * upcoming[0].settings.features:
+            if upcoming and most < POOR_SHARE * upcoming[0].settings.features:
                 poor.append(upcoming[0])
             elif upcoming:
                 rich.append((most, upcoming[0]))
-        missing = ENOUGH * self.wanted - sum(gave.values())
+        missing = ENOUGH_SHARE * self.wanted - sum(gave.values())
         windows = max(0, int(np.ceil(missing / np.median(good))) - len(poor))
         rich.sort(key=lambda entry: (-entry[0], entry[1].id))
         return poor + [job for _, job in rich[:windows]]

@@ -966,7 +966,7 @@ Register = Callable[[str, str, Settings], Registration]
 """Registers a reference and a target as any pair, without writing."""
 PART_PX: Final = 512
 """Largest side of the part of the pair that is made harder."""
-HARDER: Final[dict[Difficulty, tuple[LevelUnit, Float64]]] = {
+DIFFICULTIES: Final[dict[Difficulty, tuple[LevelUnit, Float64]]] = {
     "displacement": ("px", 2.0 * 2 ** (np.arange(15) / 2)),
     "rotation": ("deg", 0.5 * 2 ** (np.arange(15) / 2)),
     "noise": ("share of the standard deviation", 0.0625 * 2 ** (np.arange(15) / 2)),
@@ -977,7 +977,7 @@ BEFORE_TRIALS: Final = 3
 """Number of registrations of the part as it lies, one of them in reverse."""
 TRIALS_EACH: Final = 5
 """Number that find the first of the levels that is not borne, at most."""
-MOST_TRIALS: Final = BEFORE_TRIALS + TRIALS_EACH * len(HARDER)
+MOST_TRIALS: Final = BEFORE_TRIALS + TRIALS_EACH * len(DIFFICULTIES)
 """Number of registrations of the part, at most."""
 DIRECTION: Final = (0.8, 0.6)
 """Of the displacement, (col, row)."""
@@ -1069,9 +1069,9 @@ def sensitivity(
     own = replace(part.settings, features=matches.pair.settings.features)
     reversal = _reversal(replace(part, settings=own), target)
     limits, done = [], begun + BEFORE_TRIALS
-    for number, name in enumerate(HARDER):
+    for number, name in enumerate(DIFFICULTIES):
         log.on_event(Progress("proving", done + TRIALS_EACH * number, begun + MOST_TRIALS))
-        unit, levels = HARDER[name]
+        unit, levels = DIFFICULTIES[name]
         if name == "displacement":
             levels = levels[levels <= min(part.window.shape) / 2]
         limits.append(_limit(name, unit, levels, partial(_trial, part, still, name, seed)))

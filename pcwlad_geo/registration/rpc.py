@@ -38,7 +38,7 @@ if TYPE_CHECKING:  # slow to load; workers are started before
 
 MAX_BIAS_M: Final = 500.0
 """Largest error of an RPC on the ground; no sensor errs by more, so beyond it the RPC is of another image."""
-ALONG: Final = 2.0
+PARALLAX_RATIO: Final = 2.0
 """Residuals so many times as large along the parallax as across it come from the DEM."""
 
 
@@ -248,7 +248,7 @@ def wrong_heights(reference: Grid, target: Grid, points: TiePointTable) -> str |
         return None
     turned = residual_px @ np.array([rate_px, [-rate_px[1], rate_px[0]]]).T / size_px
     along, across = np.percentile(np.abs(turned), 90, axis=0).tolist()
-    if along < ALONG * across:
+    if along < PARALLAX_RATIO * across:
         return None
     return (
         f"the residuals run along the parallax of height: a tenth of them are over {along:.1f} px along it, "

@@ -58,7 +58,7 @@ from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.judge import (
-    DISPLACED,
+    DISPLACED_SHARE,
     GEOREFERENCED_PX,
     MIN_SIGNIFICANCE,
     PRODUCT_M,
@@ -438,7 +438,7 @@ def _second_pass(
         scales,
         None if errors is None else errors.variance_px2(scales),
         jitter,
-        other if displaced >= DISPLACED else None,
+        other if displaced >= DISPLACED_SHARE else None,
     )
     return joined.part(~np.concatenate([unread, np.zeros(len(saved), bool)]))
 

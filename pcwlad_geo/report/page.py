@@ -36,11 +36,11 @@ if TYPE_CHECKING:
 
 ENOUGH_CHECK_POINTS: Final = 30
 """Least number of check points of the ASPRS Positional Accuracy Standards (2023)."""
-UNEVEN: Final = 1.5
+UNEVEN_RATIO: Final = 1.5
 """Ratio of net check-point to fit-point errors from which the model is doubtful between the fit points."""
-NOISY: Final = 0.3
+NOISY_RATIO: Final = 0.3
 """Ratio of net CE90 to CE90 below which the matching noise explains most of the error."""
-MUCH: Final = 0.2
+CAUTION_SHARE: Final = 0.2
 """Share of the image beyond the tie points, or without any, from which the page gives a caution."""
 
 State = Literal["good", "caution", "bad"]
@@ -104,7 +104,7 @@ def _accuracy_answer(report: Report, judged: GroupStatistics, before: float) -> 
     text = f"CE90 {_px(before)} before, {_px(ce90)} after the correction"
     if judged.m:
         text += f" ({judged.m.radial.ce90:.2f} m)"
-    if net < NOISY * ce90:
+    if net < NOISY_RATIO * ce90:
         text += "; nearly all of what is left is noise of the matching itself."
     else:
         text += f"; {_px(net)} of it once the noise of the matching is taken out."
@@ -135,7 +135,7 @@ def _coverage_answer(report: Report) -> Answer:
     return Answer(
         "Where not?",
         text[0].upper() + text[1:],
-        "caution" if max(extrapolated, empty_share) > MUCH else "good",
+        "caution" if max(extrapolated, empty_share) > CAUTION_SHARE else "good",
     )
 
 
@@ -150,7 +150,7 @@ def _reliability_answer(report: Report) -> Answer:
     doubts = []
     if check.n < ENOUGH_CHECK_POINTS:
         doubts.append(f"only {check.n} check points, {ENOUGH_CHECK_POINTS} are asked for (ASPRS 2023)")
-    if fit and check.px.net.ce90 > max(UNEVEN * fit.px.radial.ce90, NOTICEABLE_PX):
+    if fit and check.px.net.ce90 > max(UNEVEN_RATIO * fit.px.radial.ce90, NOTICEABLE_PX):
         doubts.append(
             "check points are much worse than fit points: the model does not hold between its points"
         )
@@ -446,7 +446,7 @@ def _answer_of_blind_spot(correction: CorrectionEntry | None) -> list[Answer]:
     return [Answer("What would a blind spot cost?", f"{text}{cost_px:.3f} px (RMS).", state)]
 
 
-BORNE: Final[dict[Difficulty, str]] = {
+LIMIT_TEXTS: Final[dict[Difficulty, str]] = {
     "displacement": "a displacement of {:.0f} px",
     "rotation": "a rotation of {:.3g} degrees",
     "noise": "fresh noise of {:.2g} times the standard deviation of the images",
@@ -458,8 +458,8 @@ BORNE: Final[dict[Difficulty, str]] = {
 def borne_text(limit: LimitEntry) -> str:
     """Return how much of a difficulty a pair bears, in words."""
     if limit.borne is None:
-        return f"not even {BORNE[limit.name].format(limit.failed)}"
-    return BORNE[limit.name].format(limit.borne) + (" or more" if limit.failed is None else "")
+        return f"not even {LIMIT_TEXTS[limit.name].format(limit.failed)}"
+    return LIMIT_TEXTS[limit.name].format(limit.borne) + (" or more" if limit.failed is None else "")
 
 
 def _answers_of_trials(proof: Proof) -> list[Answer]:

@@ -38,7 +38,7 @@ TRIES: Final = 8
 """Steps tried from one place, each shorter than the last, until one reduces the misfit."""
 ROUNDS: Final = 14
 """Largest number of Gauss–Newton steps."""
-PATIENT: Final = 3
+LENIENT_STEPS: Final = 3
 """Steps in which residuals may be larger, as the state is not yet near."""
 LEAST_SHARE: Final = 0.2
 """The sigma of a lens's points is not below this share of what their matching says."""
@@ -46,7 +46,7 @@ STILL_PX: Final = 1e-4
 """A step that moves no prediction further ends the iteration."""
 HUBER: Final = 1.5
 """Residuals beyond so many sigmas count by their size, not by its square."""
-TOO_FAR: Final = 6.0
+MAX_SIGMAS: Final = 6.0
 """Residuals beyond so many sigmas, and `LEAST_FAR_PX`, do not count."""
 LEAST_FAR_PX: Final = 0.6
 """A point nearer than this to the model is never left out."""
@@ -54,7 +54,7 @@ MODEL_SIGMA_PX: Final = 0.06
 """What the model itself leaves, and bands that look different, added to the sigma of every point."""
 RELIEF_PX: Final = 0.1
 """Standard deviation of a point from its capture's plane, as parallax of the lens of the longest baseline."""
-RELIEF: Final = (0.02, 0.3)
+RELIEF_LIMITS: Final = (0.02, 0.3)
 """Smallest and largest of it, in inverse depth."""
 MOST_RELIEF: Final = 0.5
 """Largest relief of a point, in inverse depth."""
@@ -202,7 +202,7 @@ def adjust(
         residual = observed.lens_px - _predicted(state, observed, level, along)
         relief = _relief_of(state, observed, point, residual, by_relief)
         jacobian = _jacobian(state, observed, level, along, set(free.tolist()))
-        if by_lens and turn >= PATIENT:
+        if by_lens and turn >= LENIENT_STEPS:
             observed = replace(
                 observed, sigma_px=given_px * _share_by_lens(state, observed, residual, by_relief, given_px)
             )
@@ -223,7 +223,7 @@ def adjust(
                 damping = damping / 10 if damping > 1e-9 else 0.0
                 break
             damping = max(10 * damping, 1e-6)  # too far for what is linear
-        if moved < STILL_PX and turn > PATIENT:
+        if moved < STILL_PX and turn > LENIENT_STEPS:
             break
     residual = _left(state, observed, point, level)
     weight, kept = _weights(residual, observed, ROUNDS)
@@ -365,7 +365,7 @@ def _weights(residual: Float64, observed: Observations, turn: int) -> tuple[Floa
     sigma, length = observed.sigma_px, np.hypot(*residual.T)
     spread = max(1.0, float(np.median(length / sigma)) / 1.18)
     ratio = length / (sigma * spread)
-    far = TOO_FAR * (4 if turn < PATIENT else 1)
+    far = MAX_SIGMAS * (4 if turn < LENIENT_STEPS else 1)
     kept = (ratio < far) | (length < LEAST_FAR_PX)
     weight = huber(np.maximum(ratio, 1e-9), HUBER * 1.41)
     return np.where(kept, weight / sigma**2, 0.0), np.asarray(kept)
@@ -428,4 +428,4 @@ def _jacobian(
 def _relief_sigma(state: RigState) -> float:
     """Return the standard deviation of a point's inverse depth from the plane of its capture."""
     base = float(np.hypot(*state.poses[: len(state.lenses), 3:5].T).max())
-    return float(np.clip(RELIEF_PX / max(base * state.lenses[0, 0], 1e-9), *RELIEF))
+    return float(np.clip(RELIEF_PX / max(base * state.lenses[0, 0], 1e-9), *RELIEF_LIMITS))

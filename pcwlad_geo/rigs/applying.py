@@ -19,7 +19,7 @@ from pcwlad_geo.matching.maps import oriented_gradients, scene_epsilon
 from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, refine
 from pcwlad_geo.raster.gdal import check_dataset, ignoring, reading
 from pcwlad_geo.raster.source import open_raster
-from pcwlad_geo.registration.fitting import FAIR_PX, FEW_KEPT, GOOD_PX, Grade
+from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, POOR_KEPT_SHARE, Grade
 from pcwlad_geo.rigs.adjustment import Adjusted, Observations, RigState, adjust, predict
 from pcwlad_geo.rigs.captures import Capture, Frame, panel_shown, read_frame
 from pcwlad_geo.rigs.learning import INVERSE_DEPTH_SIGMA, measure_sharpness
@@ -46,9 +46,9 @@ WINDOW_PX: Final = 61
 """Side of the window of a place."""
 SMOOTH_PX: Final = 1.0
 """Sigma of the Gaussian on the gradients."""
-BLURRED: Final = 0.55
+BLURRED_SHARE: Final = 0.55
 """Share of the least detail learned below which a frame is blurred."""
-COVERED: Final = 0.12
+COVERED_SHARE: Final = 0.12
 """Share of the contrast learned below which a lens is covered."""
 LEAST_AGREEING: Final = 0.3
 """Share of the places of a lens that must agree with the rig."""
@@ -58,19 +58,19 @@ AGREE_PX: Final = 1.0
 """Distance from the model within which a place agrees, px of the measured frame."""
 LEAST_SIGMA_PX: Final = 0.05
 """Standard deviation of a place, px of the measured frame, at best."""
-FAR: Final = 6.0
+DISTANCE_RATIO: Final = 6.0
 """How many times nearer than the nearest capture learned from, or farther than the farthest, is believed."""
-CHANCE: Final = 0.55
+CHANCE_RATIO: Final = 0.55
 """Median distance of the agreeing places of a lens, over that within which they agree, from which they do so
 by chance: of places that lie anywhere it is 0.7."""
-NEAR: Final = 1.5
+PANEL_RATIO: Final = 1.5
 """How many times nearer than the nearest capture learned from a panel is looked for."""
 TEST_SHARE: Final = 0.6
 """Side of a window by which a capture is tested, as a share of that of a place: what is
 nearer or farther than the ground may be small."""
 REACH_PX: Final = 12
 """How far a displaced place is looked for, px of the measured frame."""
-DISTINCT: Final = 0.1
+DISPLACED_GAIN: Final = 0.1
 """By how much the correlation elsewhere is better than near the prediction, if a place counts as displaced:
 rows and other repetition are not."""
 MOVED_PX: Final = 1.5
@@ -191,7 +191,7 @@ def placed_capture(rig: Rig, capture: Capture) -> tuple[Placed, list[Frame], lis
         placed = tested(place(rig, values, _expected_inverse_depth(rig, capture)), values)
     except BadCaptureError as error:
         raise BadCaptureError(panel_shown(frames, values) or str(error)) from error
-    near = placed.plane[0] > NEAR * rig.inverse_depth[1]
+    near = placed.plane[0] > PANEL_RATIO * rig.inverse_depth[1]
     panel = panel_shown(frames, values) if near or any(each.panel for each in frames) else None
     if panel is not None:
         raise BadCaptureError(panel)
@@ -225,7 +225,7 @@ def tested(placed: Placed, values: Sequence[Float32]) -> Placed:
     every = np.concatenate(off)
     held = int((every < FAIR_PX).sum())
     expected = max([np.percentile(every, 90), *map(np.median, off)]) if all(map(len, off)) else math.inf
-    if expected > FAIR_PX and held <= FEW_KEPT * places:
+    if expected > FAIR_PX and held <= POOR_KEPT_SHARE * places:
         raise BadCaptureError(
             f"only {held} of {places} places lie within {FAIR_PX:g} px of one ground: it has several depths, "
             "as near scenes do, its lenses show different ground, or the rig is not of this camera as it is"
@@ -241,7 +241,7 @@ def _displaced(one: Float32, other: Float32, row: int, col: int, half: int) -> t
     score = np.nan_to_num(cv2.matchTemplate(area, template, cv2.TM_CCOEFF_NORMED), posinf=-1.0)
     zero = row - half - top, col - half - left
     near = score[max(zero[0] - 2, 0) : zero[0] + 3, max(zero[1] - 2, 0) : zero[1] + 3]
-    if score.max() <= near.max() + DISTINCT:
+    if score.max() <= near.max() + DISPLACED_GAIN:
         return 0.0, 0.0
     down, right = np.array(np.unravel_index(score.argmax(), score.shape)) - zero
     return float(right), float(down)
@@ -255,9 +255,13 @@ def _expected_inverse_depth(rig: Rig, capture: Capture) -> float | None:
 def check_sharpness(expected: Mapping[str, Sharpness], measured: Mapping[str, Sharpness]) -> None:
     """Raise `BadCaptureError` where the frame of a lens is blurred, or shows nothing, against usual ones."""
     covered = [
-        name for name, usual in expected.items() if not measured[name].contrast > COVERED * usual.contrast
+        name
+        for name, usual in expected.items()
+        if not measured[name].contrast > COVERED_SHARE * usual.contrast
     ]
-    blurred = [name for name, usual in expected.items() if measured[name].detail < BLURRED * usual.detail]
+    blurred = [
+        name for name, usual in expected.items() if measured[name].detail < BLURRED_SHARE * usual.detail
+    ]
     if covered:
         raise BadCaptureError(
             f"lens {', '.join(covered)} shows hardly anything: it was covered, or it failed"
@@ -469,7 +473,10 @@ def _check_agreement(rig: Rig, observed: Observations, length: Float64, result: 
         own = length[observed.lens == number]
         agreeing = int((own < AGREE_PX * factor).sum())
         near_px = float(np.median(own[own < AGREE_PX * factor])) if agreeing else math.inf
-        if agreeing < max(LEAST_PLACES, LEAST_AGREEING * len(own)) or near_px > CHANCE * AGREE_PX * factor:
+        if (
+            agreeing < max(LEAST_PLACES, LEAST_AGREEING * len(own))
+            or near_px > CHANCE_RATIO * AGREE_PX * factor
+        ):
             lost.append(f"{each.name} ({agreeing} of {len(own)} places)")
     near = float(result.state.planes[0, 0])
     if lost:
@@ -478,7 +485,7 @@ def _check_agreement(rig: Rig, observed: Observations, length: Float64, result: 
             f"lens {', '.join(lost)} does not see what {rig.names[0]} sees: "
             f"{where if len(lost) > 1 else 'it was covered, or it moved'}"
         )
-    if not rig.inverse_depth[0] / FAR < near < rig.inverse_depth[1] * FAR:
+    if not rig.inverse_depth[0] / DISTANCE_RATIO < near < rig.inverse_depth[1] * DISTANCE_RATIO:
         away = "" if rig.distance_m is None else f" ({rig.distance_m / max(near, 1e-9):.1f} m)"
         raise BadCaptureError(
             f"its ground is {1 / max(near, 1e-9):.2g} times as far as learned{away}: too near or too far"

@@ -28,7 +28,7 @@ STEPS: Final = 12
 """Number of Newton steps of the inverse; fewer are enough within any sensible frame."""
 RADII: Final = 400
 """Number of radii at which the largest one is looked for."""
-FOLLOWED: Final = 1.6
+RAY_LIMIT: Final = 1.6
 """How far beyond the corners of the frame, times its half diagonal, a ray is still followed."""
 
 FRAME_SIDE_PX: Final = 20_000
@@ -78,7 +78,7 @@ class Lens:
 
     def _largest_radius(self) -> float:
         """Return the radius of a direction up to which the image grows with it."""
-        radii = np.linspace(0.0, FOLLOWED * self.corner, RADII)
+        radii = np.linspace(0.0, RAY_LIMIT * self.corner, RADII)
         if self.model == "fisheye":  # whose angles, not their tangents, grow with the image
             radii = np.tan(np.minimum(radii, WIDEST_RAD))
         slope = np.diff(radii * _radial(radii, self.vector[3:6], self.model))

@@ -15,7 +15,7 @@ from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.registration.proof import (
-    HARDER,
+    DIFFICULTIES,
     Resampler,
     _blind_spot_px,
     _clouded,
@@ -211,13 +211,13 @@ def test_of_a_sample_an_affine_errs_more_than_of_all_points() -> None:
 
 @pytest.mark.parametrize("borne", range(-1, 15))
 def test_halving_finds_the_largest_level_that_is_borne(borne: int) -> None:
-    levels = HARDER["noise"][1]
+    levels = DIFFICULTIES["noise"][1]
 
     def attempt(level: float) -> TrialEntry:
         right = borne >= 0 and level <= levels[borne]
         return TrialEntry(level, "right" if right else "refused", 10 * right, None)
 
-    found = _limit("noise", HARDER["noise"][0], levels, attempt)
+    found = _limit("noise", DIFFICULTIES["noise"][0], levels, attempt)
     assert found.borne == (None if borne < 0 else levels[borne])
     assert found.failed == (None if borne == 14 else levels[borne + 1])
     assert len(found.trials) <= 5
