@@ -1,7 +1,7 @@
 """What the steps of `registration.run` hand on, from two files to the verdict.
 
 A `Pair` are two rasters ready to be matched, `Matches` are its tie points before any fit, and a
-`Registration` is the result. The `MatchRecord` of the matches tells where the matching looked and what it lost.
+`Registration` is the result. The `MatchRecord` tells where the matching looked and what it lost.
 """
 
 from __future__ import annotations
