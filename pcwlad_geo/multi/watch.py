@@ -330,7 +330,7 @@ def watch(
     folder, place = Path(stack), watch_folder(stack, out_dir)
     if place.resolve() == folder.resolve():
         raise InputError(f"{place} is the folder of the stack itself: give another output folder")
-    numbers = _sound(numbers_of(folder), folder / STACK_NUMBERS)
+    numbers = _checked(numbers_of(folder), folder / STACK_NUMBERS)
     warnings: list[str] = []
 
     def warn(message: str) -> None:
@@ -347,10 +347,10 @@ def watch(
     with out_folder as out, trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
         infos = _described(numbers)
         motion, raster = None, None
-        with _telling(warn, "the motion of the ground is not known"):
+        with _warning_of(warn, "the motion of the ground is not known"):
             motion, raster = _moving_ground(numbers, folder, dated, infos, on_event)
         corrected = None
-        with nullcontext() if apply else _telling(warn, "there is no collection of the corrected images"):
+        with nullcontext() if apply else _warning_of(warn, "there is no collection of the corrected images"):
             corrected = _write_corrected(out, numbers, folder, infos, series, apply, on_event)
         results = _judged(series, offsets, motion, wanted)
         for left, why in ((undated, "have no date"), (refused, "were refused by the stack")):
@@ -377,7 +377,7 @@ def watch(
 
 
 @contextmanager
-def _telling(warn: Callable[[str], None], what: str) -> Iterator[None]:
+def _warning_of(warn: Callable[[str], None], what: str) -> Iterator[None]:
     """Make a warning of an `InputError`."""
     try:
         yield
@@ -404,7 +404,7 @@ class DatedImage:
     pixel_size_m: float | None
 
 
-def _sound(numbers: Mapping[str, Any], place: Path) -> Mapping[str, Any]:
+def _checked(numbers: Mapping[str, Any], place: Path) -> Mapping[str, Any]:
     """Return the content of stack.json; raises `InputError` if its pairs or names are none."""
     try:
         names = [numbers["reference"], *(entry["name"] for entry in numbers["images"])]
@@ -549,8 +549,8 @@ def _series(name: str, images: Sequence[DatedImage], covariance: Float64 | None)
 def _scaled(covariance: Float64, sigma_px: Float64) -> Float64 | None:
     """Return the (n, n) covariance in px of the images, whose sigmas are told but for that of the datum."""
     own = np.diag(covariance)
-    told = (sigma_px > 0) & (own > 0)
-    return covariance * float(np.median(sigma_px[told] ** 2 / own[told])) if told.any() else None
+    known = (sigma_px > 0) & (own > 0)
+    return covariance * float(np.median(sigma_px[known] ** 2 / own[known])) if known.any() else None
 
 
 def _watched(image: DatedImage, model: SeriesModel, number: int) -> WatchedImage:
@@ -851,10 +851,10 @@ def _corrected_item(
     """Return the item of an image; `known` are its series and what that says of it."""
     given, info, name = frame.given(number), frame.infos[number], frame.names[number]
     grid, error_px = _corrected_grid(info.grid, from_json(entry["model"]))
-    told = {each: entry.get(each) for each in ("shift_px", "sigma_px")}
-    told |= {"quality": (entry.get("quality") or {}).get("grade"), "transform_error_px": error_px}
-    told |= {} if known is None else {"series": known[0], "outlier": known[1].outlier}
-    told |= {} if known is None else {"expected_px": known[1].expected_px}
+    figures = {each: entry.get(each) for each in ("shift_px", "sigma_px")}
+    figures |= {"quality": (entry.get("quality") or {}).get("grade"), "transform_error_px": error_px}
+    figures |= {} if known is None else {"series": known[0], "outlier": known[1].outlier}
+    figures |= {} if known is None else {"expected_px": known[1].expected_px}
 
     def referred_to(file: str | Path) -> str:
         return referred(os.fspath(file), out.final_path(COLLECTION))[0].removeprefix("/vsicurl/")
@@ -872,7 +872,7 @@ def _corrected_item(
     links += [{"rel": "describedby", "type": "application/json", "href": referred_to(stack / STACK_NUMBERS)}]
     if given.item is not None:
         links.append({"rel": "derived_from", "type": "application/geo+json", "href": referred_to(given.item)})
-    properties = {f"pcwlad_geo:{each}": value for each, value in told.items()}
+    properties = {f"pcwlad_geo:{each}": value for each, value in figures.items()}
     return stac_item(name, given.date, assets, collection="watch", properties=properties, links=links)
 
 
