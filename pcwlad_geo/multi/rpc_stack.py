@@ -91,14 +91,15 @@ class PlacedImages:
     """Its grid is that of all orthorectified images."""
     placements: tuple[RpcPlacement | None, ...]
     """Of each image; None for the reference, which lies on the map."""
-    stays: int | None
+    datum_image: int | None
     """Number of the image that stays; None: the mean of all does, or control points tell."""
 
     @property
     def block(self) -> RpcBlock:
         """The images and, last, the ground itself."""
         grids = (*(info.grid for info in self.frame.infos), self.frame.grid)
-        return RpcBlock(grids, self.frame.grid, frozenset(() if self.stays is None else (self.stays,)))
+        fixed = frozenset(() if self.datum_image is None else (self.datum_image,))
+        return RpcBlock(grids, self.frame.grid, fixed)
 
 
 def has_rpcs(infos: Sequence[RasterInfo], settings: Settings) -> bool:
@@ -236,15 +237,15 @@ def without_ground(
 def part_of_images(placed: PlacedImages, chosen: Sequence[int]) -> PlacedImages:
     """Return a block of some of its images."""
     frame = placed.frame
-    stays = chosen.index(placed.stays) if placed.stays in chosen else None
+    datum_image = chosen.index(placed.datum_image) if placed.datum_image in chosen else None
     part = replace(
         frame,
         names=[frame.names[number] for number in chosen],
         infos=[frame.infos[number] for number in chosen],
         inputs=tuple(frame.inputs[number] for number in chosen),
-        reference=stays or 0,
+        reference=datum_image or 0,
     )
-    return PlacedImages(part, tuple(placed.placements[number] for number in chosen), stays)
+    return PlacedImages(part, tuple(placed.placements[number] for number in chosen), datum_image)
 
 
 def tie_points_of(measured: Sequence[Measured]) -> list[BlockPair]:
@@ -356,7 +357,7 @@ def block_stack(
     rasters = raster_paths(frame, folder, settings)
     images = tuple(_image(placed, number, adjustment, each, used) for number, each in enumerate(rasters))
     control = any(pair.height_m is not None for pair in pairs)
-    own_datum = "mean" if placed.stays is None else frame.names[placed.stays]
+    own_datum = "mean" if placed.datum_image is None else frame.names[placed.datum_image]
     numbers = BlockNumbers(
         model=adjustment.model,
         scores_px={model: round(score, 4) for model, score in adjustment.scores.items()},

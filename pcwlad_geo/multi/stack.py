@@ -223,7 +223,7 @@ def stack(
         given = [*images, *(each for each in (pairs, gcps) if each is not None)]
         if has_rpcs(infos, job.settings):
             placed = place_images(inputs, infos, reference, job.settings, unreadable, job.tell)
-            if allow_components or (datum == "mean" and placed.stays is not None):
+            if allow_components or (datum == "mean" and placed.datum_image is not None):
                 raise SettingsError("images with RPCs: a reference is the datum, and all hang together")
             return _stacked_rpcs(job, out, placed, unreadable, given, (pairs, max_pairs, gcps))
         overviews = _overviews(inputs, infos, unreadable, job.tell)
@@ -234,15 +234,15 @@ def stack(
         chosen, plan = _planned(frame, found, pairs, max_pairs, before)
         points = () if gcps is None else control_points(gcps)
         control = control_edges(points, frame)
-        stays = None if datum == "mean" else len(infos) if control else frame.reference
+        datum_image = None if datum == "mean" else len(infos) if control else frame.reference
         with named([*frame.names, "the control points"]):
             if chosen == "auto" and len(infos) > ALL_PAIRS:
                 edges = _edges(job, frame, plan, control, allow_components)
                 count = len(infos) + bool(control)
-                first = adjust(edges, count, datum=stays, split=allow_components)
+                first = adjust(edges, count, datum=datum_image, split=allow_components)
                 plan += asked(frame, found, plan, edges, first)
             edges = _edges(job, frame, plan, control, allow_components)
-            adjustment = _adjusted(job, frame, edges, stays, allow_components)
+            adjustment = _adjusted(job, frame, edges, datum_image, allow_components)
             measured = job.measured(frame, plan)
             result = stack_of(
                 frame, measured, adjustment, job.folder, job.settings, job.warnings, unreadable, chosen
@@ -380,12 +380,12 @@ def _one_after_another(
     """
     count = len(frame.names) - sum(added)
     control = control_edges(points, frame, count)
-    stays = None if before["datum"] == "mean" else count if control else frame.reference
+    datum_image = None if before["datum"] == "mean" else count if control else frame.reference
     known = [edge for edge in edges if max(edge.first, edge.second) < count]
     first, nodes = [*known, *control], count + bool(control)
-    basis = choose_basis(first, nodes, str(before["model"]), datum=stays, split=True)
-    prior = None if control else sigma_known(frame, stays, nodes)
-    found = adjust(first, nodes, basis=basis, datum=stays, split=True, sigma_known=prior)
+    basis = choose_basis(first, nodes, str(before["model"]), datum=datum_image, split=True)
+    prior = None if control else sigma_known(frame, datum_image, nodes)
+    found = adjust(first, nodes, basis=basis, datum=datum_image, split=True, sigma_known=prior)
     for number in added:
         more = [edge for edge in edges if count <= max(edge.first, edge.second) < count + number]
         control = control_edges(points, frame, count)
@@ -433,18 +433,19 @@ def _edges(
 
 
 def _adjusted(
-    job: _StackJob, frame: StackFrame, edges: Sequence[Edge], stays: int | None, split: bool
+    job: _StackJob, frame: StackFrame, edges: Sequence[Edge], datum_image: int | None, split: bool
 ) -> Adjustment:
     """Adjust all images by their pairs, with the model that these ask for."""
     count = max(len(frame.names), 1 + max(edge.first for edge in edges))  # control points are one more
     if job.settings.model == HOMOGRAPHY:
-        return homographies(edges, count, datum=stays, split=split)
-    basis = choose_basis(edges, count, job.settings.model, datum=stays, split=split)
-    known = sigma_known(frame, stays, count) if job.settings.prealign not in ("search", "none") else None
-    found = adjust(edges, count, basis=basis, datum=stays, split=split, sigma_known=known)
+        return homographies(edges, count, datum=datum_image, split=split)
+    basis = choose_basis(edges, count, job.settings.model, datum=datum_image, split=split)
+    search = job.settings.prealign in ("search", "none")
+    known = None if search else sigma_known(frame, datum_image, count)
+    found = adjust(edges, count, basis=basis, datum=datum_image, split=split, sigma_known=known)
     if frame.placed or job.settings.model != "auto":
         return found
-    return or_homographies(found, edges, count, datum=stays, split=split)
+    return or_homographies(found, edges, count, datum=datum_image, split=split)
 
 
 def asked(

@@ -74,7 +74,7 @@ def test_what_is_asked_for_is_given() -> None:
 
 
 def test_of_many_images_those_near_the_datum_decide(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcwlad_geo.multi.adjustment.MANY", 3)
+    monkeypatch.setattr("pcwlad_geo.multi.adjustment.MAX_IMAGES_TO_CHOOSE", 3)
     rng = np.random.default_rng(2)
     pairs = [(k, k + step) for step in (1, 2) for k in range(6 - step)]
     edges = [edge(rng, *pair, affine) for pair in pairs]

@@ -329,5 +329,5 @@ def test_a_page_of_many_dates_holds_the_moving_cells_and_some_others(monkeypatch
     some = _shown(known, regions, 500)
     assert set(np.flatnonzero(regions)) <= set(some)
     assert 500 * len(some) <= MAX_PACKED < 500 * 4 * len(some)
-    monkeypatch.setattr("pcwlad_geo.multi.watch.PACKED", 1000)
+    monkeypatch.setattr("pcwlad_geo.multi.watch.MAX_PACKED", 1000)
     assert len(_shown(known, np.ones((40, 50), int), 500)) <= 2
