@@ -213,7 +213,17 @@ def adjust(
     if datum is None:
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
     normal = found.solution.normal
-    return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread)
+    return Adjustment(
+        basis=basis,
+        coefficients=coefficients,
+        edges=fits,
+        shared=shared,
+        datum=datum,
+        normal=normal,
+        group=group,
+        fixed=fixed,
+        spread=spread,
+    )
 
 
 def _known(edges: Sequence[Edge], basis: Basis, coefficients: Float64, sigma: Float64) -> Float64:

@@ -257,7 +257,16 @@ def _described(wanted: Wanted) -> Band:
     known = native_px_m(Path(file_name(wanted.uri)).stem, description)
     native = (known, known) if known else px_m
     notes = (*wanted.notes, *collar)
-    return Band("", info, description, px_m, native, known is not None, wanted.product, notes)
+    return Band(
+        name="",
+        info=info,
+        description=description,
+        px_m=px_m,
+        native_m=native,
+        native_known=known is not None,
+        product=wanted.product,
+        notes=notes,
+    )
 
 
 def _names(bands: Sequence[Band]) -> list[str]:

@@ -494,14 +494,14 @@ def _linearised(block: RpcBlock, pair: BlockPair, *, level: bool = False) -> Lin
     rate = np.stack(sides, axis=2)
     height_rate = (predict(pair.first_px, HEIGHT_STEP_M) - at_px) / HEIGHT_STEP_M
     return Linearisation(
-        pair.second_px - at_px,
-        np.broadcast_to(np.nanmean(rate, axis=0), rate.shape),
-        ImageTerms.over(grids[0].shape).values(pair.first_px),
-        ImageTerms.over(grids[1].shape).values(at_px),
-        height_rate,
-        np.zeros((len(pair), 2, 2)),
-        ground_px,
-        _crowding(block, ground_px),
+        residual_px=pair.second_px - at_px,
+        first_rate=np.broadcast_to(np.nanmean(rate, axis=0), rate.shape),
+        first_terms=ImageTerms.over(grids[0].shape).values(pair.first_px),
+        second_terms=ImageTerms.over(grids[1].shape).values(at_px),
+        height_rate=height_rate,
+        dem_rate=np.zeros((len(pair), 2, 2)),
+        ground_px=ground_px,
+        crowding=_crowding(block, ground_px),
     )
 
 

@@ -442,18 +442,19 @@ def _misfits(placed: PlacedImages, pairs: Sequence[BlockPair], adjustment: Block
             continue
         known = fit.weight.any(axis=(1, 2)) & ~(_off(pair, fit) if control else False)
         left = fit.residual_px[known]
+        residuals_px = tuple((float(col), float(row)) for col, row in fit.residual_px)
         size_m = _pixel_m(frame.infos[pair.second].grid)
         rmse = float(np.sqrt((left**2).sum(axis=1).mean())) if len(left) else float("nan")
         mean = np.median(left, axis=0) if len(left) else np.full(2, np.nan)
         found.append(
             Misfit(
-                "control points" if control else "reference",
-                frame.names[max(number for number in ends if number < len(frame.names))],
-                int(known.sum()),
-                (float(mean[0]), float(mean[1])),
-                rmse,
-                rmse * size_m,
-                tuple((float(col), float(row)) for col, row in fit.residual_px) if control else None,
+                kind="control points" if control else "reference",
+                image=frame.names[max(number for number in ends if number < len(frame.names))],
+                points=int(known.sum()),
+                median_px=(float(mean[0]), float(mean[1])),
+                rmse_px=rmse,
+                rmse_m=rmse * size_m,
+                residuals_px=residuals_px if control else None,
             )
         )
     return found
@@ -599,9 +600,18 @@ def check_dem(
             f"tie points, which sets orthoimages {rough_px:.1f} px apart from place to place"
         )
     return DemCheck(
-        dem.uri, height_m, chance, separation_px, offset_m, sigma_m, scale, scale_sigma,
-        found.sigma_height_m, _off_m(block, found), tuple(reasons),
-    )  # fmt: skip
+        uri=dem.uri,
+        too_high_m=height_m,
+        by_chance=chance,
+        separation_px=separation_px,
+        offset_m=offset_m,
+        offset_sigma_m=sigma_m,
+        scale=scale,
+        scale_sigma=scale_sigma,
+        scatter_m=found.sigma_height_m,
+        off_m=_off_m(block, found),
+        wrong=tuple(reasons),
+    )
 
 
 def _off_m(block: RpcBlock, found: BlockAdjustment) -> float:

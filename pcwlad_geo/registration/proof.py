@@ -303,15 +303,15 @@ def set_up(matches: Matches, effort: Effort, seed: int = 0) -> ProofSetup:
     noise = [_noise(site, moved_px) for site in sites]
     reference_noise, target_noise = np.median(noise, axis=0).tolist()
     return ProofSetup(
-        sites,
-        places[chosen],
-        rows[chosen],
-        table.sigma_px[rows[chosen]] / unit_px,
-        settings,
-        scales,
-        (reference_noise, target_noise),
-        places.mean(axis=0) + job.target_offset_px,
-        unit_px,
+        sites=sites,
+        reference_px=places[chosen],
+        rows=rows[chosen],
+        sigma_px=table.sigma_px[rows[chosen]] / unit_px,
+        settings=settings,
+        scales=scales,
+        noise=(reference_noise, target_noise),
+        centre_px=places.mean(axis=0) + job.target_offset_px,
+        unit_px=unit_px,
     )
 
 

@@ -252,7 +252,16 @@ def open_pair(
             log.warn(
                 "reference and target are the same file and band: the displacement is zero by construction"
             )
-    return Pair(ref, tgt, views, settings, tuple(log.warnings), files, log.seconds, placed)
+    return Pair(
+        reference=ref,
+        target=tgt,
+        views=views,
+        settings=settings,
+        warnings=tuple(log.warnings),
+        inputs=files,
+        seconds=log.seconds,
+        rpc=placed,
+    )
 
 
 @one_blas_thread()
@@ -495,15 +504,15 @@ def _from_file(pair: Pair, path: Path | str, log: JobLog) -> Matches:
             "fit are those of chosen points; the check points are still all that were held out before"
         )
     return Matches(
-        pair,
-        given.table,
-        given.verdict,
-        given.counts,
-        Prealignment("tie points of a file", (0.0, 0.0), 0),
-        record,
-        pair.views,
-        given.every,
-        origin.window_px or pair.settings.window or FIRST_WINDOW_PX,
+        pair=pair,
+        tie_points=given.table,
+        verdict=given.verdict,
+        counts=given.counts,
+        prealignment=Prealignment("tie points of a file", (0.0, 0.0), 0),
+        record=record,
+        views=pair.views,
+        every=given.every,
+        window_px=origin.window_px or pair.settings.window or FIRST_WINDOW_PX,
         motions=given.motions,
         jitter_px=given.jitter_px,
         origin=origin,
@@ -523,13 +532,10 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
         check_start(pair.rpc, matched.prealignment, views.reference.grid, settings)
         matched, views = match_again_from_shifted_rpc(matched, views, settings, log, runner)
     table = located(matched, views, (pair.views.reference.info, pair.target))
-    start = matched.prealignment
     geometry = PairGeometry.of(table, matched.epipolar and matched.verdict.accepted)
-    verdict, record = matched.verdict, matched.record
-    window_px = matched.window_px
     several = len(matched.motions) > 1
     motions = tuple(motion for motion, _ in matched.motions) if several else tuple(matched.patches)
-    if motions and verdict.accepted:
+    if motions and matched.verdict.accepted:
         log.warn(describe_motions(motions, taken=True))
     jitter_px = matched.jitter_px * float(file_px_per_px(views.target).max())
     if jitter_px > 0:
@@ -539,20 +545,20 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
             "--window with --model jitter may follow"
         )
     return Matches(
-        pair,
-        table,
-        verdict,
-        matched.counts,
-        start,
-        record,
-        views,
-        table,
-        window_px,
-        geometry,
-        motions,
-        jitter_px,
-        matched.job,
-        matched.scales,
+        pair=pair,
+        tie_points=table,
+        verdict=matched.verdict,
+        counts=matched.counts,
+        prealignment=matched.prealignment,
+        record=matched.record,
+        views=views,
+        every=table,
+        window_px=matched.window_px,
+        geometry=geometry,
+        motions=motions,
+        jitter_px=jitter_px,
+        job=matched.job,
+        scales=matched.scales,
     )
 
 

@@ -428,17 +428,17 @@ def _second_pass(
     saved = np.concatenate([np.zeros(0, np.intp), *found])
     nothing = np.zeros(0, np.intp)
     joined = _SecondPass(
-        TiePoints.concatenate([moved, *(result.saved for result in results)]),
-        np.concatenate([index, tries.match_of[saved] if tries else nothing]),
-        np.concatenate([np.full(len(index), -1), tries.lost_of[saved] if tries else nothing]),
-        np.repeat([False, True], [len(index), len(saved)]),
-        guide.surface,
-        guide.shared_variance_px2,
-        bool(unread.any()),
-        scales,
-        None if errors is None else errors.variance_px2(scales),
-        jitter,
-        other if displaced >= DISPLACED_SHARE else None,
+        points=TiePoints.concatenate([moved, *(result.saved for result in results)]),
+        match_of=np.concatenate([index, tries.match_of[saved] if tries else nothing]),
+        lost_of=np.concatenate([np.full(len(index), -1), tries.lost_of[saved] if tries else nothing]),
+        again=np.repeat([False, True], [len(index), len(saved)]),
+        surface=guide.surface,
+        shared_variance_px2=guide.shared_variance_px2,
+        incomplete=bool(unread.any()),
+        scales=scales,
+        window_variance_px2=None if errors is None else errors.variance_px2(scales),
+        jitter_px=jitter,
+        other=other if displaced >= DISPLACED_SHARE else None,
     )
     return joined.part(~np.concatenate([unread, np.zeros(len(saved), bool)]))
 

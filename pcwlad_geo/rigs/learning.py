@@ -272,7 +272,19 @@ def _agreed_similarity(
     """
     side = round(np.clip(max(reference.shape) * second.focal_px / first.focal_px, 160, START_SIDE_PX))
     level = np.array([1.0, 0.0, 0.0])
-    task = _Task(0, 1, 1, reference, target, (first, second), np.zeros(6), level, side, 16, WINDOW_SHARE[0])
+    task = _Task(
+        capture=0,
+        pose=1,
+        lens=1,
+        reference=reference,
+        target=target,
+        models=(first, second),
+        pose_vector=np.zeros(6),
+        plane=level,
+        side_px=side,
+        radius_px=16,
+        share=WINDOW_SHARE[0],
+    )
     points = _matched_here(task, images[0], images[1])
     if points is None or len(points[0]) < MIN_START:
         return None
