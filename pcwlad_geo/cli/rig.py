@@ -45,7 +45,7 @@ Pattern = Annotated[
 Fisheye = Annotated[
     bool, o.option("--fisheye", help="Lenses without a calibration in their frames are fisheyes.")
 ]
-HEADER = ("lens", "focal px", "moved px", "sigma px", "told calibration off px")
+HEADER = ("lens", "focal px", "moved px", "sigma px", "calibration off px")
 """Header of the table of lenses."""
 
 

@@ -185,7 +185,7 @@ class PoseProposal:
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
+class _PoseTrial:
     """One rotation and ratio of sizes, and the best shift with them."""
 
     score: float
@@ -238,7 +238,7 @@ class _Cells:
 
 
 @dataclass(slots=True, eq=False)
-class _Image:
+class _PoseImage:
     """One image, with its channels at the resolutions that were asked for so far."""
 
     values: Float32
@@ -331,8 +331,8 @@ class _Image:
 class _Scan:
     """A moving image, not larger than the fixed one, against all rotations of that."""
 
-    moving: _Image
-    fixed: _Image
+    moving: _PoseImage
+    fixed: _PoseImage
     from_target: bool
     """Whether the target is the moving image."""
     cells: int = CORRELATION_CELLS
@@ -342,9 +342,9 @@ class _Scan:
     stretches: tuple[Float64, ...] = ()
     """(2, 2) matrices by which the moving image is stretched; none: as it is."""
     per_cell: tuple[float, ...] = (PIXELS_PER_CELL,)
-    """See `_Image.averaged`."""
+    """See `_PoseImage.averaged`."""
 
-    def everywhere(self, scales: tuple[float, float]) -> list[_Trial]:
+    def everywhere(self, scales: tuple[float, float]) -> list[_PoseTrial]:
         """Try all rotations and ratios of the sizes; two equal sizes count for the reference as moving."""
         largest = self.fixed.side_px / self.moving.side_px
         limits = (1 / scales[1], 1 / scales[0]) if self.from_target else scales
@@ -358,7 +358,7 @@ class _Scan:
         angles = np.radians(np.arange(0.0, 180.0, self.angle_step_deg)).tolist()
         return list(self._trials(ratios, angles, both_halves=True))
 
-    def around(self, trial: _Trial) -> _Trial:
+    def around(self, trial: _PoseTrial) -> _PoseTrial:
         """Return the best of finer steps around a trial."""
         steps = trial.stride * np.arange(-(FINE_STEPS // 2), FINE_STEPS // 2 + 1) / FINE_STEPS
         angles = trial.angle_rad + np.radians(ANGLE_STEP_DEG) * steps
@@ -375,7 +375,7 @@ class _Scan:
         *,
         both_halves: bool,
         near: Float64 | None = None,
-    ) -> Iterator[_Trial]:
+    ) -> Iterator[_PoseTrial]:
         """Try rotations and ratios; a rotation and its opposite have conjugate spectra."""
         if not ratios:
             return
@@ -398,7 +398,7 @@ class _Scan:
                     turned = angle + np.pi * opposite
                     cycle = size if near is None else None
                     if best > 0:
-                        yield _Trial(
+                        yield _PoseTrial(
                             best, turned, ratio, self, moving, cells, opposite, shift_rc, cycle, stride
                         )
 
@@ -456,8 +456,8 @@ def search_pose(
     ----------
     .. [1] Padfield, D. (2012), doi:10.1109/TIP.2011.2181402 (masked normalised cross-correlation).
     """
-    first = _Image(np.asarray(reference, np.float32), reference_valid)
-    second = _Image(np.asarray(target, np.float32), target_valid)
+    first = _PoseImage(np.asarray(reference, np.float32), reference_valid)
+    second = _PoseImage(np.asarray(target, np.float32), target_valid)
     scans = _Scan(first, second, from_target=False), _Scan(second, first, from_target=True)
     trials = in_threads([partial(scan.everywhere, scales) for scan in scans], threads)
     coarse = _distinct(itertools.chain(*trials), reference.shape)
@@ -481,7 +481,9 @@ def search_pose(
     return _moved_to_consensus(first, second, ascended[0])
 
 
-def _best_similarity(first: _Image, second: _Image, coarse: Sequence[_Trial], threads: int) -> PoseProposal:
+def _best_similarity(
+    first: _PoseImage, second: _PoseImage, coarse: Sequence[_PoseTrial], threads: int
+) -> PoseProposal:
     """Return the best of the similarities around those of the coarse search, and how it stands out."""
     shape = first.values.shape
     ranked = _distinct(in_threads([partial(trial.scan.around, trial) for trial in coarse], threads), shape)
@@ -505,7 +507,7 @@ def mean_distance_px(first: Float64, second: Float64, shape: tuple[int, ...]) ->
     return float(np.hypot(*((first - second)[:2] @ places)).mean())
 
 
-def _distinct(trials: Iterable[_Trial], shape: tuple[int, ...]) -> list[_Trial]:
+def _distinct(trials: Iterable[_PoseTrial], shape: tuple[int, ...]) -> list[_PoseTrial]:
     """Return the best trials that differ, the best first."""
     ranked = sorted(trials, key=lambda each: -each.score)
     chosen = _first_distinct((trial.matrix for trial in ranked), shape, REFINED, DISTINCT_DISTANCE)
@@ -599,7 +601,7 @@ class _Votes:
 class _Voters:
     """Patches of the reference, which are looked for in the target as poses place it."""
 
-    def __init__(self, reference: _Image, target: _Image, threads: int) -> None:
+    def __init__(self, reference: _PoseImage, target: _PoseImage, threads: int) -> None:
         self.threads = threads
         self._factor = min(1.0, VOTING_SIDE_PX / reference.side_px)
         values, self._valid, self._to_voting = _shrunk(reference.values, reference.valid, self._factor)
@@ -741,7 +743,9 @@ def _climbed(voters: _Voters, votes: _Votes, pose: Float64, *, sample: bool) -> 
     return votes, pose
 
 
-def _stretched(reference: _Image, target: _Image, scales: tuple[float, float], threads: int) -> list[Float64]:
+def _stretched(
+    reference: _PoseImage, target: _PoseImage, scales: tuple[float, float], threads: int
+) -> list[Float64]:
     """Search poses with the smaller image stretched in several directions; return the best (3, 3) ones."""
     limits = max(scales[0], STRETCHED_SCALES[0]), min(scales[1], STRETCHED_SCALES[1])
     turns = [(ratio, np.pi * (k + first) / n) for ratio, n, first in STRETCHES for k in range(n)]
@@ -762,7 +766,7 @@ def _stretched(reference: _Image, target: _Image, scales: tuple[float, float], t
 
 
 def _ascended(
-    reference: _Image, target: _Image, poses: Sequence[Float64], threads: int
+    reference: _PoseImage, target: _PoseImage, poses: Sequence[Float64], threads: int
 ) -> list[PoseProposal]:
     """Let (3, 3) poses ascend to better affine ones; return those that differ, the best first."""
     for cells in ASCENT_CELLS:
@@ -786,7 +790,7 @@ class _Ascent:
     correlation far below 1 wants them (doi:10.1109/TPAMI.2008.113).
     """
 
-    def __init__(self, reference: _Image, target: _Image, cells: int) -> None:
+    def __init__(self, reference: _PoseImage, target: _PoseImage, cells: int) -> None:
         per_px = cells / reference.side_px
         rows, cols = self._shape = tuple(max(8, round(n * per_px)) for n in reference.values.shape)
         middle = (np.array([cols, rows]) - 1) / 2
@@ -868,15 +872,15 @@ class _Ascent:
         return np.ascontiguousarray(np.concatenate(placed)), known
 
 
-def _packed(image: _Image, side_cells: float, per_cell: Sequence[float]) -> list[tuple[Float32, Float64]]:
-    """Return the layers of `_Image.averaged` as (rows, cols, planes), the last plane what is usable."""
+def _packed(image: _PoseImage, side_cells: float, per_cell: Sequence[float]) -> list[tuple[Float32, Float64]]:
+    """Return the layers of `_PoseImage.averaged` as (rows, cols, planes), the last plane what is usable."""
     return [
         (np.ascontiguousarray(np.stack([*planes, usable], axis=-1)), to_map)
         for planes, usable, to_map in image.averaged(side_cells, per_cell)
     ]
 
 
-def _moved_to_consensus(reference: _Image, target: _Image, proposal: PoseProposal) -> PoseProposal:
+def _moved_to_consensus(reference: _PoseImage, target: _PoseImage, proposal: PoseProposal) -> PoseProposal:
     """Compare patches of both images, the target warped by a proposal, and move that to where they agree."""
     factor = min(1.0, proposal.scale, FRAME_PX / reference.side_px)
     values, valid, to_frame = _shrunk(reference.values, reference.valid, factor)

@@ -37,14 +37,15 @@ from pcwlad_geo.multi.network import (
     SPLINE,
     Basis,
     Edge,
+    EdgeEquations,
     EdgeFit,
     Fold,
     HomographyBasis,
     Network,
     NetworkSolution,
-    Part,
     SplineBasis,
     basis_over,
+    edge_equations,
     ends_of,
     errors_of,
     factor_of,
@@ -52,7 +53,6 @@ from pcwlad_geo.multi.network import (
     linked,
     mixing_of,
     named,
-    part_of,
     penalty_of,
     polynomial_over,
     side_of_blocks,
@@ -204,7 +204,7 @@ def adjust(
         before = coefficients
         if sigma_known is not None and shared:  # not before the pairs themselves say how they err
             network = replace(network, known=_known(edges, basis, before, sigma_known))
-        parts = [part_of(edge, basis, before, side) for edge in edges]
+        parts = [edge_equations(edge, basis, before, side) for edge in edges]
         shared = shared or _first_shared(network, parts)
         found = _consistent_solution(network, parts, used, shared, evidence)
         coefficients, used, shared = found.solution.coefficients, found.used, found.shared
@@ -262,7 +262,7 @@ def extend(
         images, before.basis, tuple(images - 1 if ground and each == old else each for each in before.fixed)
     )
     side = side_of_blocks(every)
-    parts = [part_of(edge, before.basis, coefficients, side) for edge in every]
+    parts = [edge_equations(edge, before.basis, coefficients, side) for edge in every]
     used, sigma = np.array([fit.used for fit in fits]), shared * errors_of(parts)
     spread = _spread(network, every, before.basis, coefficients, parts, used, sigma, side)
     group = components(ends_of(every), images)
@@ -307,7 +307,7 @@ def _spread(
     edges: Sequence[Edge],
     basis: Basis,
     coefficients: Float64,
-    parts: Sequence[Part],
+    parts: Sequence[EdgeEquations],
     used: Bool,
     sigma: Float64,
     side: float,
@@ -326,7 +326,7 @@ def _spread(
     return jackknife(np.array(found))
 
 
-def _first_shared(network: Network, parts: Sequence[Part]) -> float:
+def _first_shared(network: Network, parts: Sequence[EdgeEquations]) -> float:
     """Return how much pairs typically contradict each other, as if each erred as it seems.
 
     In what the blocks of each tell of its error.
@@ -366,7 +366,7 @@ class _RobustSolution:
 
 
 def _consistent_solution(
-    network: Network, parts: Sequence[Part], used: Bool, shared: float, evidence: Float64
+    network: Network, parts: Sequence[EdgeEquations], used: Bool, shared: float, evidence: Float64
 ) -> _RobustSolution:
     """Solve with the pairs that agree, and of groups that contradict each other the one of more evidence."""
     for turn in range(MOST_ROUNDS):
@@ -379,7 +379,7 @@ def _consistent_solution(
 
 
 def _robust_solution(
-    network: Network, parts: Sequence[Part], used: Bool, shared: float, *, keep: bool
+    network: Network, parts: Sequence[EdgeEquations], used: Bool, shared: float, *, keep: bool
 ) -> _RobustSolution:
     """Solve, test all pairs for outliers and weight them anew, until nothing changes.
 
@@ -424,7 +424,7 @@ def _shared_error(solution: NetworkSolution, used: Bool, before: float) -> float
 
 
 def _consistent_pairs(
-    network: Network, parts: Sequence[Part], before: _RobustSolution, evidence: Float64
+    network: Network, parts: Sequence[EdgeEquations], before: _RobustSolution, evidence: Float64
 ) -> Bool:
     """Return the pairs in use.
 
@@ -453,7 +453,9 @@ def _consistent_pairs(
     return found
 
 
-def _still_connected(edges: Sequence[Part], images: int, used: Bool, wanted: Bool, ratio: Float64) -> Bool:
+def _still_connected(
+    edges: Sequence[EdgeEquations], images: int, used: Bool, wanted: Bool, ratio: Float64
+) -> Bool:
     """Return the edges wanted, with the best of the others that are needed to keep all images connected."""
     chosen = wanted.copy()
     for index in np.argsort(ratio):
@@ -752,7 +754,7 @@ class _ModelTrial:
     """A model, and what the pairs tell by it, which is the same for splines of any roughness."""
 
     basis: Basis
-    parts: list[Part]
+    parts: list[EdgeEquations]
     folds: list[list[Fold]]
     """Of each pair."""
     shared: Float64
@@ -765,7 +767,7 @@ def _trial(edges: Sequence[Edge], start: Adjustment, basis: Basis) -> _ModelTria
     network = _network(len(start.coefficients), basis, start.fixed)
     coefficients = np.zeros((network.images, network.terms, 2))
     for _ in range(2):  # at the ground that the displacements so far tell
-        parts = [part_of(edge, basis, coefficients, side) for edge in edges]
+        parts = [edge_equations(edge, basis, coefficients, side) for edge in edges]
         shared = errors_of(parts)
         coefficients = network.coefficients(parts, np.ones(len(parts), bool), shared)
     folds = [

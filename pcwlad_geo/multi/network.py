@@ -221,7 +221,7 @@ class EdgeFit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class EdgeEquations:
     """What the points of an edge say of the difference of its images' coefficients, axis by axis.
 
     The error that all its points share has a shift and slopes along x and y about their middle: three terms.
@@ -251,7 +251,7 @@ class Part:
     """Standard deviation, along an axis, of what all points share: of the change of their own affine
     without a block of them."""
 
-    def without(self, block: Sequence[Float64]) -> Part:
+    def without(self, block: Sequence[Float64]) -> EdgeEquations:
         """Return what is left without a block; the whole where that is more than half of it.
 
         The points of the `block` add (2 terms, 2 terms), (2 terms, 6), (6, 6), (2 terms,) and (6,) arrays to
@@ -282,7 +282,7 @@ class _Weighted:
     left: Float64
 
 
-def part_of(edge: Edge, basis: Basis, coefficients: Float64, side: float) -> Part:
+def edge_equations(edge: Edge, basis: Basis, coefficients: Float64, side: float) -> EdgeEquations:
     """Sum up the points of an edge, those that lie off the others with less weight.
 
     Blocks of its points are squares of a `side`, map units; `coefficients`, (images, terms, 2), tell the
@@ -291,7 +291,7 @@ def part_of(edge: Edge, basis: Basis, coefficients: Float64, side: float) -> Par
     return _summed(edge, _weighted(edge, basis, coefficients), basis, side)
 
 
-def errors_of(parts: Sequence[Part]) -> Float64:
+def errors_of(parts: Sequence[EdgeEquations]) -> Float64:
     """Return the (edges,) standard deviations of what the points of each share, relative to each other.
 
     A few blocks tell them with a quarter of error; the scatter of the points, which is well known, goes with
@@ -351,7 +351,7 @@ class Fold:
     """A block of the points of an edge, left out."""
 
     number: int
-    kept: Part
+    kept: EdgeEquations
     """What is left of the edge; the whole where the block held more than half of it."""
     observed: Float64
     """(n, 2) differences that the points of the block show, map units."""
@@ -359,7 +359,9 @@ class Fold:
     """(n, terms) values of the functions there."""
 
 
-def folds_of(edge: Edge, basis: Basis, coefficients: Float64, side: float, whole: Part) -> list[Fold]:
+def folds_of(
+    edge: Edge, basis: Basis, coefficients: Float64, side: float, whole: EdgeEquations
+) -> list[Fold]:
     """Return each block of the points of an edge, a square of a side in map units, left out.
 
     A block that holds more than half of the edge stays. Blocks are numbered 0 to BLOCKS² - 1, and the numbers
@@ -403,14 +405,14 @@ def _weighted(edge: Edge, basis: Basis, coefficients: Float64) -> _Weighted:
     return _Weighted(ground, values, near, weights, observed, left)
 
 
-def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> Part:
+def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> EdgeEquations:
     weights = points.weights
     total = weights.sum(axis=0)
     each = np.trace(weights, axis1=1, axis2=2) / np.trace(total)
     typical_sigma = float(np.median(np.sqrt(np.trace(edge.covariance, axis1=1, axis2=2) / 2)))
     scatter = max(sigma_of(points.left), LEAST_SCATTER * typical_sigma)
     sums = _sums(points, slice(None))
-    return Part(
+    return EdgeEquations(
         edge.first,
         edge.second,
         *sums,
@@ -423,7 +425,7 @@ def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> Part:
 
 
 def _error(points: _Weighted, sums: Sequence[Float64], number: Index) -> float:
-    """Return `Part.error`: the jackknife of the affine of an edge."""
+    """Return `EdgeEquations.error`: the jackknife of the affine of an edge."""
     inner, shared_rhs = sums[2], sums[4]
     found = []
     for each in np.unique(number):
@@ -447,7 +449,7 @@ def _solved(normal: Float64, right: Float64) -> Float64:
 
 
 def _sums(points: _Weighted, chosen: Bool | slice) -> tuple[Float64, Float64, Float64, Float64, Float64]:
-    """Return the matrices and right-hand sides of `Part` over points, axis by axis."""
+    """Return the matrices and right-hand sides of `EdgeEquations` over points, axis by axis."""
     terms, near = points.values.shape[1], points.near.shape[1]
     design = np.hstack([points.values, points.near, points.observed])[chosen]
     found = np.zeros((2, design.shape[1], 2, design.shape[1]))
@@ -464,7 +466,7 @@ def _sums(points: _Weighted, chosen: Bool | slice) -> tuple[Float64, Float64, Fl
     )
 
 
-def ends_of(edges: Sequence[Edge] | Sequence[Part]) -> Index:
+def ends_of(edges: Sequence[Edge] | Sequence[EdgeEquations]) -> Index:
     """Return the (edges, 2) numbers of the images of edges."""
     return np.array([(edge.first, edge.second) for edge in edges], np.intp).reshape(-1, 2)
 
@@ -521,7 +523,7 @@ class Network:
         every = np.arange(self.images * size).reshape(self.images, size)
         return np.delete(every, self.fixed, axis=0).ravel()
 
-    def solve(self, parts: Sequence[Part], used: Bool, shared: Float64) -> NetworkSolution:
+    def solve(self, parts: Sequence[EdgeEquations], used: Bool, shared: Float64) -> NetworkSolution:
         """Solve the normal equations of the edges in use, each with a sigma of its shared error.
 
         The (edges,) bool array `used` says which count, and the (edges,) array `shared` the standard
@@ -540,7 +542,9 @@ class Network:
         )
         return NetworkSolution(coefficients, fits, normal)
 
-    def equations(self, parts: Sequence[Part], used: Bool, shared: Float64) -> tuple[csc_array, Float64]:
+    def equations(
+        self, parts: Sequence[EdgeEquations], used: Bool, shared: Float64
+    ) -> tuple[csc_array, Float64]:
         """Return the (free, free) normal matrix of the coefficients, and the (free,) right-hand side.
 
         The (edges,) arrays `used` and `shared` are those of `solve`.
@@ -570,7 +574,7 @@ class Network:
         free = self.free
         return csc_array(equations.matrix[free][:, free]), equations.right[free]
 
-    def coefficients(self, parts: Sequence[Part], used: Bool, shared: Float64) -> Float64:
+    def coefficients(self, parts: Sequence[EdgeEquations], used: Bool, shared: Float64) -> Float64:
         """Return the (images, terms, 2) coefficients alone; (edges,) `used` and `shared` as in `solve`."""
         normal, right = self.equations(parts, used, shared)
         return self.unpacked(factor_of(normal, self.images, self.fixed).solve(right))
@@ -583,7 +587,9 @@ class Network:
             found = (found.reshape(self.images, -1) @ self.mixing.T).ravel()
         return found.reshape(self.images, 2, self.terms).transpose(0, 2, 1)
 
-    def _fit(self, part: Part, coefficients: Float64, used: bool, shared: float, factor: SuperLU) -> EdgeFit:
+    def _fit(
+        self, part: EdgeEquations, coefficients: Float64, used: bool, shared: float, factor: SuperLU
+    ) -> EdgeFit:
         """Return how an edge agrees with a solution, in which one not in use had no part."""
         offset = part.observed - part.values @ (coefficients[part.second] - coefficients[part.first])
         row = np.zeros((self.images, 2, self.terms))  # of x; the other axis is as well known

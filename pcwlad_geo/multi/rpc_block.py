@@ -319,7 +319,7 @@ def _simplest_unbeaten(errors: Mapping[str, Float64]) -> str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Estimate:
+class _BlockEstimate:
     """The unknowns of an adjustment as it proceeds, and what it was linearised and weighted with."""
 
     parameters: Float64
@@ -387,10 +387,10 @@ class _BlockProblem:
         """Return the (2,) numbers of the unknown error that the points of a pair share."""
         return self.unknowns + 2 * pair + np.arange(2)
 
-    def start(self) -> _Estimate:
+    def start(self) -> _BlockEstimate:
         """Return the RPCs and the DEM as they are, all pairs in use."""
         zero, count = np.zeros((len(self.block.grids), len(self.terms), 2)), len(self.pairs)
-        return _Estimate(zero, zero, np.zeros((count, 2)), np.ones(count, bool))
+        return _BlockEstimate(zero, zero, np.zeros((count, 2)), np.ones(count, bool))
 
     def correction(self, image: int, parameters: Float64) -> AffineCorrection:
         """Return the correction of an image, given those of all, (images, terms, 2)."""
@@ -413,7 +413,7 @@ class _BlockProblem:
                 places.append(np.arange(begin, begin + self.size))
         return np.concatenate(blocks, axis=2), np.concatenate(places)
 
-    def residual_px(self, number: int, state: _Estimate) -> Float64:
+    def residual_px(self, number: int, state: _BlockEstimate) -> Float64:
         """Return the (n, 2) distances of a pair's points from the adjustment."""
         linear = state.linearised[number]
         design, places = self.design(self.pairs[number], linear)
@@ -426,7 +426,7 @@ def _design(terms: Float64) -> Float64:
     return np.asarray(np.kron(terms[:, None], np.eye(2)), np.float64)
 
 
-def _solved(problem: _BlockProblem) -> _Estimate:
+def _solved(problem: _BlockProblem) -> _BlockEstimate:
     """Iterate until lines of sight, weights and the pairs in use no longer change."""
     count, state, datum = len(problem.pairs), problem.start(), _datum(problem)
     for turn in range(LINEARISATIONS):
@@ -446,13 +446,13 @@ def _solved(problem: _BlockProblem) -> _Estimate:
     return state
 
 
-def _reweighted(problem: _BlockProblem, state: _Estimate, datum: Float64) -> _Estimate:
+def _reweighted(problem: _BlockProblem, state: _BlockEstimate, datum: Float64) -> _BlockEstimate:
     for _ in range(REWEIGHTINGS):
         state = _step(problem, _weighted(problem, state), datum)
     return state
 
 
-def _linearised_again(problem: _BlockProblem, number: int, state: _Estimate) -> Linearisation:
+def _linearised_again(problem: _BlockProblem, number: int, state: _BlockEstimate) -> Linearisation:
     """Follow the points of a pair with the corrections and the place of the DEM so far.
 
     The images were matched over the DEM where it was given: a place elsewhere changes what a window shows by
@@ -569,7 +569,7 @@ def image_px(grid: Grid, frame: Grid, ground_px: Float64, height_m: Float64 | No
     return np.where(np.isfinite(height_m)[:, None], from_heights, at_px)
 
 
-def _weighted(problem: _BlockProblem, state: _Estimate) -> _Estimate:
+def _weighted(problem: _BlockProblem, state: _BlockEstimate) -> _BlockEstimate:
     """Weight all points by their residuals, and estimate the uncertainty of the DEM."""
     left = [
         problem.residual_px(number, state) - state.offsets[number] for number in range(len(problem.pairs))
@@ -632,7 +632,7 @@ def _height_sigma(
 
 
 def _equations(
-    problem: _BlockProblem, state: _Estimate, datum: Float64, keep: Sequence[Float64] | None = None
+    problem: _BlockProblem, state: _BlockEstimate, datum: Float64, keep: Sequence[Float64] | None = None
 ) -> NormalEquations:
     """Return the normal equations of the parameters, the shared errors, the DEM's shift.
 
@@ -682,7 +682,7 @@ def _datum(problem: _BlockProblem) -> Float64:
     return np.linalg.qr(free)[0]
 
 
-def _step(problem: _BlockProblem, state: _Estimate, datum: Float64) -> _Estimate:
+def _step(problem: _BlockProblem, state: _BlockEstimate, datum: Float64) -> _BlockEstimate:
     """Solve the equations, and estimate the error that the points of a pair share by the cycles."""
     equations = _equations(problem, state, datum)
     solution = equations.solve(NEEDS)
@@ -698,18 +698,20 @@ def _step(problem: _BlockProblem, state: _Estimate, datum: Float64) -> _Estimate
     return replace(state, parameters=parameters, offsets=offsets, shared_px=shared_px, dem_px=dem_px)
 
 
-def _redundancy(problem: _BlockProblem, state: _Estimate, equations: NormalEquations) -> Float64:
+def _redundancy(problem: _BlockProblem, state: _BlockEstimate, equations: NormalEquations) -> Float64:
     """Return for each of the (pairs,) how much of its shared error the other pairs check, from 0 to 1."""
     posterior = np.diagonal(equations.covariance(NEEDS))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
     return np.asarray(np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0))
 
 
-def _without_the_outlier(problem: _BlockProblem, state: _Estimate, datum: Float64) -> _Estimate | None:
+def _without_the_outlier(
+    problem: _BlockProblem, state: _BlockEstimate, datum: Float64
+) -> _BlockEstimate | None:
     """Return the state without the pair that contradicts all others; None if none does, or none can tell.
 
     Without it the others must still check each other, and contradict each other much less.
     """
-    found: list[tuple[float, _Estimate]] = []
+    found: list[tuple[float, _BlockEstimate]] = []
     for number in np.flatnonzero(state.used).tolist():
         used = state.used.copy()
         used[number] = False
@@ -737,7 +739,9 @@ def _connected(problem: _BlockProblem, used: Bool) -> bool:
     return len(set(components(ends[used], len(problem.block.grids))[ends].ravel().tolist())) == 1
 
 
-def _mean_residual(problem: _BlockProblem, state: _Estimate, number: int) -> tuple[Float64, Float64, Float64]:
+def _mean_residual(
+    problem: _BlockProblem, state: _BlockEstimate, number: int
+) -> tuple[Float64, Float64, Float64]:
     """Return the (2,) weighted mean distance of a pair's points, its (2, 2) formal covariance, its design."""
     weight = state.weights[number]
     total = inverse(weight.sum(axis=0) + 1e-12 * np.eye(2), MEASURED)
@@ -766,7 +770,7 @@ def _cells(dem: Dem | None, frame: Grid, linearised: Sequence[Linearisation]) ->
 
 
 def _without_cells(
-    problem: _BlockProblem, state: _Estimate, dem: Dem | None
+    problem: _BlockProblem, state: _BlockEstimate, dem: Dem | None
 ) -> Iterator[tuple[list[Bool], Float64]]:
     """Yield the points of each cell of the ground, pair by pair, and the (unknowns,) step without them."""
     datum, cells = _datum(problem), _cells(dem, problem.block.frame, state.linearised)
@@ -778,7 +782,7 @@ def _without_cells(
         yield [np.asarray(each) for each in inside], equations.solve(NEEDS)
 
 
-def _squared_errors_px2(problem: _BlockProblem, state: _Estimate, judge: Sequence[Float64]) -> Float64:
+def _squared_errors_px2(problem: _BlockProblem, state: _BlockEstimate, judge: Sequence[Float64]) -> Float64:
     """Return the (cells,) mean squared error, px², of points that were predicted without their cell.
 
     Weighted by the (n, 2, 2) weights `judge` of each pair.
@@ -800,7 +804,7 @@ def _squared_errors_px2(problem: _BlockProblem, state: _Estimate, judge: Sequenc
     return np.array(found)
 
 
-def _result(problem: _BlockProblem, state: _Estimate, scores: Mapping[str, float]) -> BlockAdjustment:
+def _result(problem: _BlockProblem, state: _BlockEstimate, scores: Mapping[str, float]) -> BlockAdjustment:
     """Return the adjustment with its covariance and what it says of each pair."""
     datum, unknowns = _datum(problem), problem.unknowns
     covariance = _equations(problem, state, datum).covariance(NEEDS)
@@ -831,7 +835,7 @@ def _result(problem: _BlockProblem, state: _Estimate, scores: Mapping[str, float
     )
 
 
-def _hold_out_check(problem: _BlockProblem, state: _Estimate) -> HoldOutCheck | None:
+def _hold_out_check(problem: _BlockProblem, state: _BlockEstimate) -> HoldOutCheck | None:
     """Compare the points of each cell before and after an adjustment without them.
 
     Images are written over the DEM as it is, so that it is in its place here, wherever it may belong.
@@ -856,7 +860,7 @@ def _hold_out_check(problem: _BlockProblem, state: _Estimate) -> HoldOutCheck | 
     return HoldOutCheck(float(before_px.sum()), float(after_px.sum()), float(np.sqrt((spread**2).sum())))
 
 
-def _response_to_height(problem: _BlockProblem, state: _Estimate, datum: Float64) -> Float64:
+def _response_to_height(problem: _BlockProblem, state: _BlockEstimate, datum: Float64) -> Float64:
     """Return `BlockAdjustment.by_height_px`, of level ground: its relief is told by the other unknowns."""
     level = [_linearised(problem.block, pair, level=True) for pair in problem.pairs]
     linearised = tuple(replace(linear, residual_px=-linear.height_rate) for linear in level)
@@ -867,7 +871,7 @@ def _response_to_height(problem: _BlockProblem, state: _Estimate, datum: Float64
     return found
 
 
-def _fit(problem: _BlockProblem, state: _Estimate, number: int, covariance: Float64) -> BlockFit:
+def _fit(problem: _BlockProblem, state: _BlockEstimate, number: int, covariance: Float64) -> BlockFit:
     offset, formal, mean = _mean_residual(problem, state, number)
     own = float(np.trace(formal)) / 2
     own += state.shared_px**2 if problem.pairs[number].height_m is None else 0.0

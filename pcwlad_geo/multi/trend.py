@@ -60,7 +60,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class PairSeries:
     """One pair over time, sorted by date."""
 
     name: str
@@ -75,7 +75,7 @@ class Trend:
 
     folder: Path
     reports: int
-    series: tuple[Series, ...]
+    series: tuple[PairSeries, ...]
     skipped: tuple[str, ...]
     """Reports without figures: refused pairs, files of other programs."""
     paths: Mapping[str, Path]
@@ -129,7 +129,7 @@ def trend(
             f"{top} holds no report.json or qa.json with figures: give a folder of finished reports"
         )
     series = tuple(
-        Series(name, kind, tuple(sorted(moments, key=lambda each: (each.date, each.report))))
+        PairSeries(name, kind, tuple(sorted(moments, key=lambda each: (each.date, each.report))))
         for (kind, name), moments in sorted(found.items())
     )
     return _write(top, len(files) - len(skipped), series, skipped, trend_folder(top, out_dir), overwrite)
@@ -231,7 +231,7 @@ def _date(stems: Sequence[str], file: Path, created: str | None) -> tuple[str, s
 def _write(
     top: Path,
     reports: int,
-    series: tuple[Series, ...],
+    series: tuple[PairSeries, ...],
     skipped: Sequence[str],
     out_dir: Path,
     overwrite: bool,
@@ -260,7 +260,7 @@ def _write(
     return found
 
 
-def _table(series: Sequence[Series]) -> str:
+def _table(series: Sequence[PairSeries]) -> str:
     rows = [
         (each.name, each.kind, at.date, at.dated_by, at.report, at.n, *at.mean_px, at.ce90_px, at.passed)
         for each in series
@@ -302,7 +302,7 @@ class Axis:
 class Chart:
     """The chart of a series."""
 
-    series: Series
+    series: PairSeries
     lines: dict[str, list[tuple[float, float]]]
     """Points (x, y) of `ce90`, `col`, `row`, CSS px."""
     ce90_latest: float | None
@@ -367,7 +367,7 @@ def has_risen(values: Sequence[float]) -> bool:
     return values[-1] > max(*values[:-1], RISEN_FACTOR * median(values[:-1]))
 
 
-def _chart(series: Series, x: Axis, y: Axis) -> Chart:
+def _chart(series: PairSeries, x: Axis, y: Axis) -> Chart:
     at = [(x(seconds_of(moment.date)), moment) for moment in series.moments]
     known = [moment.ce90_px for moment in series.moments if moment.ce90_px is not None]
     return Chart(

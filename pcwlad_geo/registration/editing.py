@@ -36,7 +36,7 @@ CANDIDATES: Final = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trial:
+class EditedFit:
     """A model fitted to the points that are on."""
 
     model: str
@@ -65,14 +65,14 @@ class Editor:
         self.off = np.flatnonzero(self.table.status == "rejected").tolist()
         """Rows that are off at first: those that the file disables or their neighbours contradict."""
 
-    def try_model(self, model: str, off: Collection[int]) -> Trial:
+    def try_model(self, model: str, off: Collection[int]) -> EditedFit:
         """Fit a model as `compare` does and keep its residuals, for `save`."""
         trial = self.compare(model, off)
         self.table = replace(self.table, residual_px=trial.residual_px)
         return trial
 
     @one_blas_thread()
-    def compare(self, model: str, off: Collection[int]) -> Trial:
+    def compare(self, model: str, off: Collection[int]) -> EditedFit:
         """Fit a model to all points but those `off`, numbered from 0 by their rows.
 
         Check points and points beside them stay out of the fit, as they did before.
@@ -89,7 +89,7 @@ class Editor:
         residual = table.target_px - correction.forward(table.predicted_px)
         judged = residual[check if check.any() else on]
         rmse_px = float(np.sqrt((judged**2).sum(axis=1).mean()))
-        return Trial(model, residual, rmse_px, int(on.sum()), int(check.sum()))
+        return EditedFit(model, residual, rmse_px, int(on.sum()), int(check.sum()))
 
     def add(
         self,

@@ -993,7 +993,7 @@ AS_GIVEN: Final = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
+class _HarderPart:
     """A part of the pair whose target can be read beyond it, and what registers it."""
 
     job: TileJob
@@ -1035,7 +1035,7 @@ def _with_nan(patch: Patch) -> Float64:
     return np.where(patch.valid, np.asarray(patch.values, np.float64), np.nan)
 
 
-def _part(matches: Matches, register: Register) -> _Part:
+def _part(matches: Matches, register: Register) -> _HarderPart:
     """Return the part of the pair that holds most tie points."""
     job, settings, table = matches.job, matches.pair.settings, matches.tie_points
     if job is None:
@@ -1050,7 +1050,7 @@ def _part(matches: Matches, register: Register) -> _Part:
     features = min(settings.features, PART_FEATURES)
     own = Settings(**{name: getattr(settings, name) for name in AS_GIVEN}, model=model, features=features)
     reference = _with_nan(job.reference.read(window))
-    return _Part(job, window, reference, own, register, Scratch())
+    return _HarderPart(job, window, reference, own, register, Scratch())
 
 
 def sensitivity(
@@ -1097,7 +1097,7 @@ def _limit(
     return LimitEntry(name, unit, borne, None if high == len(levels) else float(levels[high]), tuple(trials))
 
 
-def _trial(part: _Part, still: Registration, name: Difficulty, seed: int, level: float) -> TrialEntry:
+def _trial(part: _HarderPart, still: Registration, name: Difficulty, seed: int, level: float) -> TrialEntry:
     """Register the part at a level of a difficulty, and compare its points with those of it as it lies."""
     reference, target, move, centre = _harder(part, name, level, np.random.default_rng([seed, 77]))
     found = part.registered(target, reference)
@@ -1116,7 +1116,7 @@ def _trial(part: _Part, still: Registration, name: Difficulty, seed: int, level:
 
 
 def _harder(
-    part: _Part, name: Difficulty, level: float, random: np.random.Generator
+    part: _HarderPart, name: Difficulty, level: float, random: np.random.Generator
 ) -> tuple[Float64, Float64, Move, Float64]:
     """Return reference and target at a level of a difficulty, and the move of the target and its centre."""
     window, reference, still = part.window, part.reference, Move("shift", (0.0, 0.0))
@@ -1156,7 +1156,7 @@ def _kept(found: Registration) -> TiePointTable:
     return found.tie_points.select("matched", "fit", "check", "unused")
 
 
-def _reversal(part: _Part, target: Float64) -> Reversal | None:
+def _reversal(part: _HarderPart, target: Float64) -> Reversal | None:
     """Return how far points come from where they began, by one correction after the other."""
     there, back = part.registered(target), part.registered(target, reverse=True)
     if there is None or back is None or there.correction is None or back.correction is None:

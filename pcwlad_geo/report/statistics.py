@@ -162,7 +162,7 @@ def coverage_of(table: TiePointTable, shape_px: tuple[int, int], record: MatchRe
     unreadable part, no window or fewer points requested, the stage that rejected most candidates.
     """
     step = max(max(shape_px) / SQUARES, _spacing_px(record))
-    frame = _Frame(shape_px, (max(1, round(shape_px[0] / step)), max(1, round(shape_px[1] / step))))
+    frame = _Squares(shape_px, (max(1, round(shape_px[0] / step)), max(1, round(shape_px[1] / step))))
     points = frame.count(table.select(*KEPT).reference_px)
     reason = np.full(frame.squares, "unknown", dtype="<U24")
     if record is not None:
@@ -187,7 +187,7 @@ def _spacing_px(record: MatchRecord | None) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class _Frame:
+class _Squares:
     """The squares of an image."""
 
     shape_px: tuple[int, int]
@@ -214,7 +214,7 @@ class _Frame:
         return found
 
 
-def _by_ground(ground: NDArray[np.uint8], frame: _Frame) -> NDArray[np.str_]:
+def _by_ground(ground: NDArray[np.uint8], frame: _Squares) -> NDArray[np.str_]:
     """Return the reason why a square cannot be matched at all; empty where it can."""
     usable, flat, edge, *without = (_share(ground == index, frame.squares) for index in range(len(GROUND)))
     reason = np.where(usable < MIN_DATA, "no_texture", "")
@@ -223,7 +223,7 @@ def _by_ground(ground: NDArray[np.uint8], frame: _Frame) -> NDArray[np.str_]:
     return np.where(usable + flat + edge < MIN_DATA, worst, reason)
 
 
-def _by_matching(record: MatchRecord, rejected: Counts, frame: _Frame) -> NDArray[np.str_]:
+def _by_matching(record: MatchRecord, rejected: Counts, frame: _Squares) -> NDArray[np.str_]:
     """Return the reasons from the matching for squares without tie points."""
     lost = [_lost_to(record.lost, index, frame) for index in range(1, len(OUTCOMES))]
     losses = np.array([*lost, rejected])
@@ -235,7 +235,7 @@ def _by_matching(record: MatchRecord, rejected: Counts, frame: _Frame) -> NDArra
     return np.where(no_candidate & unread, "unread", reason)
 
 
-def _lost_to(lost: Candidates, outcome: int, frame: _Frame) -> Counts:
+def _lost_to(lost: Candidates, outcome: int, frame: _Squares) -> Counts:
     return frame.count(lost.reference_xy_px[lost.outcome == outcome])
 
 

@@ -134,7 +134,8 @@ def test_a_pose_that_others_outscore_is_found_by_its_patches(monkeypatch: pytest
 def test_a_pose_ascends_to_the_affine_one_beside_it() -> None:
     target, matrix = seen(-20.0, 1.0, (10.0, 4.0), 1.1)
     images = [
-        pose._Image(np.asarray(each, np.float32), np.ones(each.shape, bool)) for each in (REFERENCE, target)
+        pose._PoseImage(np.asarray(each, np.float32), np.ones(each.shape, bool))
+        for each in (REFERENCE, target)
     ]
     ascent = pose._Ascent(*images, 56)
     true = np.vstack([matrix, [0.0, 0.0, 1.0]])
