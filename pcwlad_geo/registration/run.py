@@ -31,6 +31,7 @@ from pcwlad_geo.raster.matching_grid import (
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
 from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
 from pcwlad_geo.raster.source import (
+    Bands,
     RasterInfo,
     describe,
     same_band,
@@ -213,13 +214,9 @@ def open_pair(
         inputs = resolve(reference, target, settings, all_bands=all_bands)
         settings = inputs.settings
         files = identify_inputs(inputs)  # before any of them is read
-        ref = describe(inputs.reference, band=inputs.ref_bands.first, mask=settings.ref_mask)
-        tgt = describe(inputs.target, band=inputs.tgt_bands.first, mask=settings.tgt_mask)
-        (ref, ref_collar), (tgt, tgt_collar) = without_collar(ref), without_collar(tgt)
-        ref, tgt = with_compression_blocks(ref), with_compression_blocks(tgt)
-        ref, tgt = with_bands(ref, inputs.ref_bands), with_bands(tgt, inputs.tgt_bands)
         content = digest(file.identity for file in files)
-        ref, tgt = replace(ref, content=content), replace(tgt, content=content)
+        ref, ref_collar = _described(inputs.reference, inputs.ref_bands, settings.ref_mask, content)
+        tgt, tgt_collar = _described(inputs.target, inputs.tgt_bands, settings.tgt_mask, content)
         reference_by_rpc, reference_warnings = place_reference(ref, tgt, settings)
         ref = reference_by_rpc.info if reference_by_rpc else ref
         placed, warnings = place_target(ref, tgt, settings)
@@ -262,6 +259,14 @@ def open_pair(
         seconds=log.seconds,
         rpc=placed,
     )
+
+
+def _described(
+    uri: str, bands: Bands, mask: PathLike | None, content: str
+) -> tuple[RasterInfo, tuple[str, ...]]:
+    """Return a raster as the matching takes it, and what is to be said of its border."""
+    info, notes = without_collar(describe(uri, band=bands.first, mask=mask))
+    return replace(with_bands(with_compression_blocks(info), bands), content=content), notes
 
 
 @one_blas_thread()
