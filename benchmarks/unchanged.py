@@ -190,6 +190,7 @@ def _run(arguments: Sequence[str], checkout: Path) -> None:
     """Run the command line of a checkout."""
     subprocess.run(
         [sys.executable, "-m", "pcwlad_geo", *arguments, "--progress", "none"],
+        cwd=checkout,  # -m imports from there before anything else
         env={**os.environ, "PYTHONPATH": str(checkout)},
         capture_output=True,
         check=False,
@@ -215,9 +216,16 @@ def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--against", type=Path, required=True, metavar="CHECKOUT", help="another checkout")
+    parser.add_argument(
+        "--against", type=lambda text: Path(text).resolve(), required=True, metavar="CHECKOUT", help="another"
+    )
     given = os.environ.get("PCWLAD_GEO_TEST_DATA")
-    parser.add_argument("--data", type=Path, default=Path(given) if given else None, help="the real data")
+    parser.add_argument(
+        "--data",
+        type=lambda text: Path(text).resolve(),
+        default=Path(given) if given else None,
+        help="the real data",
+    )
     parser.add_argument("--side", type=int, default=4096, metavar="PX", help="of the scene; 0 leaves it out")
     parser.add_argument("--kinds", nargs="+", metavar="KIND", help="only these")
     return parser.parse_args(arguments)
