@@ -1,6 +1,6 @@
 /* What the files of the kernels share. `pcwlad_geo/matching/kernels` calls them; what it calls is EXPORTed.
 
-   Arrays are C-contiguous. Windows are flat: rows of `width` numbers, of which the first `side` count; what
+   Arrays are C-contiguous. Windows are flat: rows of `width` numbers, of which the first `cols` count; what
    lies between is finite and has weight 0. Vectors of eight numbers may read and write it, and the rows after the
    last. Compilers make vectors of some loops only, and each of other ones: those that count are written so. */
 
@@ -38,9 +38,10 @@ typedef struct {
     int64_t rows, cols;
 } Plane;
 
-/* A window: pixels along its side, their distance, px, half a side of the local correlation, numbers in a row. */
+/* A window: its rows and columns of pixels, their distance, px, half a side of the local correlation, numbers in a
+   row. */
 typedef struct {
-    int64_t side, step, correlation_half, width;
+    int64_t rows, cols, step, correlation_half, width;
 } Shape;
 
 /* The window of a channel, the sides of the correlation included: the reference, the sampled target and its

@@ -10,7 +10,7 @@ enum { CONVERGED, NOT_CONVERGED, INVALID, DIVERGED, UNDETERMINED };
 
 /* The numbers below have their names in Python, which gives them, and their reasons. */
 typedef struct {
-    int64_t half, step, correlation_half, width, structure_mode, robust, affine, iterations, blocks;
+    int64_t half_rows, half_cols, step, correlation_half, width, structure_mode, robust, affine, iterations, blocks;
     double reached_by_px, tolerance_px, relaxation, least_valid, largest_move_px;
 } Options;
 
@@ -32,7 +32,7 @@ typedef struct {
     const double (*shift_xy)[2];
     const double (*linear)[2][2];
     const double (*structure_xy)[2];
-    const float *structure; /* (n, side, side) */
+    const float *structure; /* (n, rows, cols) of the window */
     int64_t count;
 } Starts;
 
@@ -66,9 +66,9 @@ typedef struct {
 /* Numbers of a window, with the sides of the correlation and without; vectors go beyond its last row. */
 static int64_t extended_numbers(Shape shape)
 {
-    return (shape.side + 2 * shape.correlation_half + 2) * shape.width;
+    return (shape.rows + 2 * shape.correlation_half + 2) * shape.width;
 }
-static int64_t plain_numbers(Shape shape) { return (shape.side + 2) * shape.width; }
+static int64_t plain_numbers(Shape shape) { return (shape.rows + 2) * shape.width; }
 
 /* Divide the memory of a point; with none, only count. */
 static int64_t divide(const Images *images, const Options *options, Shape shape, float *memory, Workspace *work)
@@ -89,7 +89,8 @@ static int64_t divide(const Images *images, const Options *options, Shape shape,
 
 static Shape shape_of(const Options *options)
 {
-    return (Shape){2 * options->half + 1, options->step, options->correlation_half, options->width};
+    return (Shape){2 * options->half_rows + 1, 2 * options->half_cols + 1, options->step, options->correlation_half,
+                   options->width};
 }
 
 /* Return how many float32 numbers of memory, all 0, `refine_points` needs. */
@@ -120,9 +121,9 @@ int invert(double *matrix, int64_t n, int64_t stride)
 static double length_of(double x, double y) { return __builtin_sqrt(x * x + y * y); }
 
 /* Fill the plain Gauss-Newton step of the shift, and add that of the deformation. */
-static void plain_step(const Equations *inverse, int64_t half, double step[2], double linear[2][2])
+static void plain_step(const Equations *inverse, const Options *options, double step[2], double linear[2][2])
 {
-    int64_t terms = inverse->terms;
+    int64_t terms = inverse->terms, half[2] = {options->half_cols, options->half_rows};
     for (int axis = 0; axis < 2; axis++) {
         for (int64_t k = 0; k < terms; k++) {
             double sum = 0.0;
@@ -130,7 +131,7 @@ static void plain_step(const Equations *inverse, int64_t half, double step[2], d
             if (k == 0)
                 step[axis] = sum;
             else
-                linear[axis][k - 1] += sum / (double)half;
+                linear[axis][k - 1] += sum / (double)half[k - 1];
         }
     }
 }
@@ -238,22 +239,30 @@ static Window window_of(const Job *job, int64_t channel)
     return (Window){work->references + channel * job->extended, work->value, work->slope_x, work->slope_y};
 }
 
+/* How far a window reaches above its centre, and before it along a row, px. */
+static void reach_of(const Options *options, int64_t *above, int64_t *before)
+{
+    *above = options->step * (options->half_rows + options->correlation_half);
+    *before = options->step * (options->half_cols + options->correlation_half);
+}
+
 /* Sample the window of a channel, its reference at the first call only; return 0 if it leaves the image. */
 static int load_channel(const Job *job, int64_t k, const int64_t corner[2], const double place[2],
                         const double linear[2][2], int deformed, int first, int slopes)
 {
     const Images *images = job->images;
     Window window = window_of(job, k);
-    int64_t reach = job->shape.step * (job->options->half + job->options->correlation_half);
+    int64_t above, before;
+    reach_of(job->options, &above, &before);
     if (first) {
         Plane plane = {images->reference + k * images->rows * images->cols, images->rows, images->cols};
-        copy_window(plane, corner[0] - reach, corner[1] - reach, job->shape, window.reference);
+        copy_window(plane, corner[0] - above, corner[1] - before, job->shape, window.reference);
     }
     int64_t numbers = images->target_rows * images->target_cols;
     Plane plane = {images->coefficients + k * numbers, images->target_rows, images->target_cols};
     double row = (double)corner[0] + place[1], col = (double)corner[1] + place[0];
     if (deformed) return sample_deformed(plane, row, col, linear, job->shape, slopes, window);
-    return sample_shift(plane, row - (double)reach, col - (double)reach, job->shape, job->work.rows, window);
+    return sample_shift(plane, row - (double)above, col - (double)before, job->shape, job->work.rows, window);
 }
 
 /* Add the equations of a channel, and its scores if they are wanted, unless its window is flat. */
@@ -333,7 +342,7 @@ static int64_t refine_point(const Job *job, int64_t p, double shift[2], double l
         int near = before_px < limits->near_px, first = iteration == 0 && !elsewhere;
         if (!measure(job, corner, shift, linear, deformed, first, 0, near, &all)) return DIVERGED;
         if (!invert(&all.matrix[0][0], 2 * all.terms, 2 * LARGEST_TERMS)) return DIVERGED;
-        plain_step(&all, options->half, step, linear);
+        plain_step(&all, options, step, linear);
         if (iteration > 0 && !options->affine) /* a deformation that moves too hides what the shift did */
             learn_slopes(limits, step, before, moved, iteration == 1, slopes);
         length = move(limits, step, slopes, moved, shift);
@@ -354,45 +363,45 @@ static int64_t refine_point(const Job *job, int64_t p, double shift[2], double l
 static double valid_share(const Job *job, const double shift_xy[2], int64_t row, int64_t col, float *valid)
 {
     const Images *images = job->images;
-    int64_t side = job->shape.side, step = job->shape.step, half = job->options->half, good = 0;
-    int64_t top = row - step * half, left = col - step * half;
+    int64_t rows = job->shape.rows, cols = job->shape.cols, step = job->shape.step, good = 0;
+    int64_t top = row - step * job->options->half_rows, left = col - step * job->options->half_cols;
     int64_t down = (int64_t)__builtin_rint(shift_xy[1]), right = (int64_t)__builtin_rint(shift_xy[0]);
     for (int64_t i = 0; i < job->plain; i++) valid[i] = 0.0f;
-    for (int64_t r = 0; r < side; r++) {
+    for (int64_t r = 0; r < rows; r++) {
         int64_t y = top + step * r, there = y + down, c = 0;
         if (there < 0 || there >= images->target_rows) continue;
         const uint8_t *here = images->reference_valid + y * images->valid_cols + left;
         const uint8_t *target = images->target_valid + there * images->target_valid_cols + left + right;
-        while (c < side && left + right + step * c < 0) c++;
-        for (int32_t both; c < side && left + right + step * c < images->target_valid_cols; c++, good += both) {
+        while (c < cols && left + right + step * c < 0) c++;
+        for (int32_t both; c < cols && left + right + step * c < images->target_valid_cols; c++, good += both) {
             both = here[step * c] & target[step * c];
             valid[r * job->shape.width + c] = (float)both;
         }
     }
-    return (double)good / (double)(side * side);
+    return (double)good / (double)(rows * cols);
 }
 
 /* Fill weights that are not computed from the images: 1, or the given structure; 0 where not valid. */
 static void set_structure(const Job *job, int64_t p)
 {
-    int64_t side = job->shape.side, width = job->shape.width;
-    const float *given = job->starts->structure + p * side * side;
+    int64_t rows = job->shape.rows, cols = job->shape.cols, width = job->shape.width;
+    const float *given = job->starts->structure + p * rows * cols;
     for (int64_t k = 0; k < job->images->channels; k++) {
         float *structure = job->work.structures + k * job->plain;
         for (int64_t i = 0; i < job->plain; i++) structure[i] = job->work.valid[i];
         if (job->options->structure_mode != STRUCTURE_GIVEN) continue;
-        for (int64_t r = 0; r < side; r++)
-            for (int64_t c = 0; c < side; c++) structure[r * width + c] *= given[r * side + c];
+        for (int64_t r = 0; r < rows; r++)
+            for (int64_t c = 0; c < cols; c++) structure[r * width + c] *= given[r * cols + c];
     }
 }
 
 /* x, y, x², xy, y² of the pixels of a window, in half windows. */
 static void fill_monomials(const Job *job)
 {
-    int64_t half = job->options->half;
-    for (int64_t r = 0; r < job->shape.side; r++)
-        for (int64_t c = 0; c < job->shape.side; c++) {
-            double x = (double)(c - half) / (double)half, y = (double)(r - half) / (double)half;
+    double half_cols = (double)job->options->half_cols, half_rows = (double)job->options->half_rows;
+    for (int64_t r = 0; r < job->shape.rows; r++)
+        for (int64_t c = 0; c < job->shape.cols; c++) {
+            double x = (double)c / half_cols - 1.0, y = (double)r / half_rows - 1.0;
             double values[5] = {x, y, x * x, x * y, y * y};
             for (int k = 0; k < 5; k++)
                 job->work.monomials[k * job->plain + r * job->shape.width + c] = (float)values[k];
@@ -409,11 +418,13 @@ EXPORT void refine_points(const Images *images, const Starts *starts, const Opti
     Job job = {images, starts, options, limits, {.scores = scores}, shape, extended_numbers(shape), plain_numbers(shape)};
     divide(images, options, shape, memory, &job.work);
     if (options->affine) fill_monomials(&job);
-    int64_t reach = options->step * (options->half + options->correlation_half);
+    int64_t above, before;
+    reach_of(options, &above, &before);
     for (int64_t p = 0; p < starts->count; p++) {
         int64_t row = starts->corners_rc[p][0], col = starts->corners_rc[p][1];
         results->status[p] = INVALID;
-        if (smaller(row, col) < reach || row + reach >= images->rows || col + reach >= images->cols) continue;
+        if (row < above || col < before) continue;
+        if (row + above >= images->rows || col + before >= images->cols) continue;
         /* a vector that is read earlier at the end of a plane still begins within it */
         if (smaller(images->target_rows, images->target_cols) < LANES) continue;
         const double *shift = starts->shift_xy[p];

@@ -49,22 +49,22 @@ static inline int64_t place_of(int64_t col, int64_t step, int64_t cols)
 
 void copy_window(Plane plane, int64_t row, int64_t col, Shape shape, float *out)
 {
-    int64_t side = shape.side + 2 * shape.correlation_half;
+    int64_t rows = shape.rows + 2 * shape.correlation_half, cols = shape.cols + 2 * shape.correlation_half;
     const float *first = plane.values + row * plane.cols + place_of(col, shape.step, plane.cols);
-    for (int64_t r = 0; r < side; r++) {
+    for (int64_t r = 0; r < rows; r++) {
         const float *from = first + r * shape.step * plane.cols;
         float *to = out + r * shape.width;
         int64_t c = 0;
-        for (; c + LANES <= side; c += LANES) store(to + c, load(from + c));
-        for (; c < side; c++) to[c] = from[c];
+        for (; c + LANES <= cols; c += LANES) store(to + c, load(from + c));
+        for (; c < cols; c++) to[c] = from[c];
     }
 }
 
 /* Interpolate a row of coefficients: values and derivatives along it. */
 static inline void across(Plane plane, int64_t row, const int64_t places[4], const Vector w[4], const Vector d[4],
-                          int64_t side, float *value, float *slope)
+                          int64_t cols, float *value, float *slope)
 {
-    for (int64_t i = 0; i < side; i += LANES) {
+    for (int64_t i = 0; i < cols; i += LANES) {
         int64_t at = row * plane.cols + i, over = overhang(plane, at + larger(places[1], places[3]));
         const float *from = plane.values + at - over;
         Vector a = load(from + places[0]), b = load(from + places[1]);
@@ -75,10 +75,10 @@ static inline void across(Plane plane, int64_t row, const int64_t places[4], con
 }
 
 /* Interpolate four rows of values and of slopes along the columns. */
-static inline void down(float *const rows[4], int64_t width, const Vector w[4], const Vector d[4], int64_t side,
+static inline void down(float *const rows[4], int64_t width, const Vector w[4], const Vector d[4], int64_t cols,
                         float *out, float *by_col, float *by_row)
 {
-    for (int64_t i = 0; i < side; i += LANES) {
+    for (int64_t i = 0; i < cols; i += LANES) {
         const float *first = rows[0] + i, *second = rows[1] + i, *third = rows[2] + i, *fourth = rows[3] + i;
         Vector a = load(first), b = load(second), c = load(third), e = load(fourth);
         store(out + i, weighted(w, a, b, c, e));
@@ -93,24 +93,25 @@ static inline void down(float *const rows[4], int64_t width, const Vector w[4], 
    eight rows and so stays in the first cache. */
 int sample_shift(Plane plane, double row, double col, Shape shape, float *scratch, Window out)
 {
-    int64_t side = shape.side + 2 * shape.correlation_half, step = shape.step;
+    int64_t window_rows = shape.rows + 2 * shape.correlation_half, step = shape.step;
+    int64_t window_cols = shape.cols + 2 * shape.correlation_half, beyond = TAPS_BEYOND / step;
     int64_t top = (int64_t)__builtin_floor(row) - 1, left = (int64_t)__builtin_floor(col) - 1;
-    int64_t span = step * (side + TAPS_BEYOND / step);
-    if (top < 0 || left < 0 || top + span > plane.rows || left + span > plane.cols) return 0;
+    if (top < 0 || left < 0) return 0;
+    if (top + step * (window_rows + beyond) > plane.rows || left + step * (window_cols + beyond) > plane.cols) return 0;
     Vector none = {0}, w[4], d[4], w_row[4], d_row[4];
     spline(none + (float)(col - __builtin_floor(col)), w, d);
     spline(none + (float)(row - __builtin_floor(row)), w_row, d_row);
     int64_t places[4];
     for (int k = 0; k < 4; k++) places[k] = place_of(left + k, step, plane.cols);
-    for (int64_t r = 0, done = 0; r < side; r++) {
+    for (int64_t r = 0, done = 0; r < window_rows; r++) {
         float *rows[4];
         for (; done < r * step + 4; done++) {
             float *memory = scratch + (done & 3) * 2 * shape.width;
-            across(plane, top + done, places, w, d, side, memory, memory + shape.width);
+            across(plane, top + done, places, w, d, window_cols, memory, memory + shape.width);
         }
         for (int k = 0; k < 4; k++) rows[k] = scratch + ((r * step + k) & 3) * 2 * shape.width;
         int64_t at = r * shape.width;
-        down(rows, shape.width, w_row, d_row, side, out.value + at, out.slope_x + at, out.slope_y + at);
+        down(rows, shape.width, w_row, d_row, window_cols, out.value + at, out.slope_x + at, out.slope_y + at);
     }
     return 1;
 }
@@ -156,17 +157,18 @@ static inline __attribute__((always_inline)) void sample_run(Plane plane, int64_
    between two of them is one loop. */
 int sample_deformed(Plane plane, double row, double col, const double linear[2][2], Shape shape, int slopes, Window out)
 {
-    int64_t side = shape.side + 2 * shape.correlation_half, step = shape.step, half = side / 2;
+    int64_t rows = shape.rows + 2 * shape.correlation_half, cols = shape.cols + 2 * shape.correlation_half;
+    int64_t step = shape.step, half_rows = rows / 2, half_cols = cols / 2;
     double x_by_x = (double)step * linear[0][0], y_by_x = (double)step * linear[1][0];
-    for (int64_t r = 0; r < side; r++) {
-        double down_by = (double)((r - half) * step);
-        double x0 = col - (double)half * ((double)step + x_by_x) + down_by * linear[0][1];
-        double y0 = row - (double)half * y_by_x + down_by * (1.0 + linear[1][1]);
-        for (int64_t c = 0; c < side;) {
+    for (int64_t r = 0; r < rows; r++) {
+        double down_by = (double)((r - half_rows) * step);
+        double x0 = col - (double)half_cols * ((double)step + x_by_x) + down_by * linear[0][1];
+        double y0 = row - (double)half_cols * y_by_x + down_by * (1.0 + linear[1][1]);
+        for (int64_t c = 0; c < cols;) {
             double x = x0 + (double)c * ((double)step + x_by_x), y = y0 + (double)c * y_by_x;
             int64_t top = (int64_t)__builtin_floor(y), left = (int64_t)__builtin_floor(x);
             double tx = x - (double)left, ty = y - (double)top;
-            int64_t run = smaller(side - c, smaller(run_length(tx, x_by_x), run_length(ty, y_by_x)));
+            int64_t run = smaller(cols - c, smaller(run_length(tx, x_by_x), run_length(ty, y_by_x)));
             if (top < 1 || left < 1 || top + 3 > plane.rows) return 0;
             if (left + step * (run - 1) + 3 > plane.cols) return 0;
             int64_t places[4];
@@ -198,11 +200,11 @@ static inline void add_row(const float *first, const float *second, float sign, 
 
 /* From sums of columns to the mutual structure, or, for the reference, to its mean and precision. */
 static inline __attribute__((always_inline)) void row_means(const float *columns, int64_t stride, int64_t size,
-                                                            int64_t side, float *mean, float *precision,
+                                                            int64_t cols, float *mean, float *precision,
                                                             const float *valid, float *structure)
 {
     float scale = 1.0f / (float)(size * size);
-    for (int64_t c = 0; c < side; c += LANES) {
+    for (int64_t c = 0; c < cols; c += LANES) {
         const float *ones = columns + c, *squares = ones + stride, *products = squares + stride;
         Vector sum = load(ones), square = load(squares), product = load(products);
         for (int64_t k = 1; k < size; k++) {
@@ -222,16 +224,16 @@ static inline __attribute__((always_inline)) void row_means(const float *columns
 }
 
 /* A sum of a constant number of terms is unrolled. */
-static void row_means_of(const float *columns, int64_t stride, int64_t size, int64_t side, float *mean,
+static void row_means_of(const float *columns, int64_t stride, int64_t size, int64_t cols, float *mean,
                          float *precision, const float *valid, float *structure)
 {
     switch (size) {
-    case 3: row_means(columns, stride, 3, side, mean, precision, valid, structure); break;
-    case 5: row_means(columns, stride, 5, side, mean, precision, valid, structure); break;
-    case 7: row_means(columns, stride, 7, side, mean, precision, valid, structure); break;
-    case 9: row_means(columns, stride, 9, side, mean, precision, valid, structure); break;
-    case 11: row_means(columns, stride, 11, side, mean, precision, valid, structure); break;
-    default: row_means(columns, stride, size, side, mean, precision, valid, structure);
+    case 3: row_means(columns, stride, 3, cols, mean, precision, valid, structure); break;
+    case 5: row_means(columns, stride, 5, cols, mean, precision, valid, structure); break;
+    case 7: row_means(columns, stride, 7, cols, mean, precision, valid, structure); break;
+    case 9: row_means(columns, stride, 9, cols, mean, precision, valid, structure); break;
+    case 11: row_means(columns, stride, 11, cols, mean, precision, valid, structure); break;
+    default: row_means(columns, stride, size, cols, mean, precision, valid, structure);
     }
 }
 
@@ -240,14 +242,14 @@ static void go_down(Shape shape, const float *first, const float *second, float 
                     float *precision, const float *valid, float *structure)
 {
     int64_t size = 2 * shape.correlation_half + 1, width = shape.width, stride = 2 * width;
-    int64_t extended = shape.side + size - 1;
+    int64_t extended = shape.cols + size - 1;
     for (int64_t i = 0; i < 3 * stride; i++) columns[i] = 0.0f;
     for (int64_t r = 0; r < size - 1; r++)
         add_row(first + r * width, second + r * width, 1.0f, extended, stride, columns);
-    for (int64_t r = 0; r < shape.side; r++) {
+    for (int64_t r = 0; r < shape.rows; r++) {
         int64_t top = r * width, bottom = (r + size - 1) * width;
         add_row(first + bottom, second + bottom, 1.0f, extended, stride, columns);
-        row_means_of(columns, stride, size, shape.side, mean + top, precision + top, valid ? valid + top : 0,
+        row_means_of(columns, stride, size, shape.cols, mean + top, precision + top, valid ? valid + top : 0,
                      structure ? structure + top : 0);
         add_row(first + top, second + top, -1.0f, extended, stride, columns);
     }
@@ -284,10 +286,10 @@ static inline int64_t inner(Shape shape, int64_t r)
 double fit_gain(Shape shape, const float *weight, Window window, double *offset, double *gain)
 {
     Vector sw = {0}, sx = {0}, sy = {0}, sxx = {0}, sxy = {0};
-    for (int64_t r = 0; r < shape.side; r++) {
+    for (int64_t r = 0; r < shape.rows; r++) {
         const float *weights = weight + r * shape.width;
         const float *value = window.value + inner(shape, r), *reference = window.reference + inner(shape, r);
-        for (int64_t c = 0; c < shape.side; c += LANES) {
+        for (int64_t c = 0; c < shape.cols; c += LANES) {
             Vector w = load(weights + c), x = load(value + c), y = load(reference + c), wx = w * x;
             sw += w;
             sx += wx;
@@ -311,17 +313,17 @@ double fit_gain(Shape shape, const float *weight, Window window, double *offset,
 double sum_of_deviations(Shape shape, const float *weight, Window window, Gain gain)
 {
     Vector sum = {0}, second = {0};
-    for (int64_t r = 0; r < shape.side; r++) {
+    for (int64_t r = 0; r < shape.rows; r++) {
         const float *weights = weight + r * shape.width;
         const float *value = window.value + inner(shape, r), *reference = window.reference + inner(shape, r);
         int64_t c = 0;
-        for (; c + LANES < shape.side; c += 2 * LANES) {
+        for (; c + LANES < shape.cols; c += 2 * LANES) {
             Vector left = load(reference + c) - gain.offset - gain.gain * load(value + c);
             Vector next = load(reference + c + LANES) - gain.offset - gain.gain * load(value + c + LANES);
             sum += load(weights + c) * magnitude(left);
             second += load(weights + c + LANES) * magnitude(next);
         }
-        for (; c < shape.side; c += LANES)
+        for (; c < shape.cols; c += LANES)
             sum += load(weights + c) * magnitude(load(reference + c) - gain.offset - gain.gain * load(value + c));
     }
     return total(sum + second);
@@ -336,12 +338,12 @@ void weighted_moments(Shape shape, const float *weight, const float *monomial, W
 {
     Vector sw = {0}, swx = {0}, swr = {0}, swp = {0}, swq = {0}, sxx = {0}, sxr = {0}, sxp = {0}, sxq = {0};
     Vector srr = {0}, srp = {0}, srq = {0}, spp = {0}, spq = {0}, sqq = {0};
-    for (int64_t r = 0; r < shape.side; r++) {
+    for (int64_t r = 0; r < shape.rows; r++) {
         const float *weights = weight + r * shape.width, *factors = monomial ? monomial + r * shape.width : 0;
         const float *value = window.value + inner(shape, r), *reference = window.reference + inner(shape, r);
         const float *slope_x = window.slope_x + inner(shape, r), *slope_y = window.slope_y + inner(shape, r);
         float *residuals = row_memory, *products = row_memory + shape.width;
-        for (int64_t c = 0; c < shape.side; c += LANES) {
+        for (int64_t c = 0; c < shape.cols; c += LANES) {
             Vector x = load(value + c), p = load(slope_x + c);
             Vector left = load(reference + c) - gain.offset - gain.gain * x;
             Vector w = load(weights + c) / (1.0f + magnitude(left) * gain.per_sigma);
@@ -358,7 +360,7 @@ void weighted_moments(Shape shape, const float *weight, const float *monomial, W
             srr += wr * left;
             srp += wr * p;
         }
-        for (int64_t c = 0; c < shape.side; c += LANES) {
+        for (int64_t c = 0; c < shape.cols; c += LANES) {
             Vector w = load(products + c), p = load(slope_x + c), q = load(slope_y + c), wp = w * p, wq = w * q;
             swp += wp;
             swq += wq;
@@ -382,21 +384,21 @@ void add_block_scores(Shape shape, const float *weight, Window window, Gain gain
     float r0 = (float)fit[0][0], r1 = (float)fit[0][1], p0 = (float)fit[1][0], p1 = (float)fit[1][1];
     float q0 = (float)fit[2][0], q1 = (float)fit[2][1];
     for (int64_t i = 0; i < 2 * shape.width; i++) row_memory[i] = 0.0f;
-    for (int64_t r = 0; r < shape.side; r++) {
+    for (int64_t r = 0; r < shape.rows; r++) {
         const float *weights = weight + r * shape.width;
         const float *value = window.value + inner(shape, r), *reference = window.reference + inner(shape, r);
         const float *slope_x = window.slope_x + inner(shape, r), *slope_y = window.slope_y + inner(shape, r);
-        for (int64_t c = 0; c < shape.side; c += LANES) {
+        for (int64_t c = 0; c < shape.cols; c += LANES) {
             Vector x = load(value + c), left = load(reference + c) - gain.offset - gain.gain * x;
             Vector pull = load(weights + c) / (1.0f + magnitude(left) * gain.per_sigma) * (left - r0 - r1 * x);
             store(sum_x + c, load(sum_x + c) + pull * (load(slope_x + c) - p0 - p1 * x));
             store(sum_y + c, load(sum_y + c) + pull * (load(slope_y + c) - q0 - q1 * x));
         }
-        int64_t block = r * blocks / shape.side;
-        if (r + 1 < shape.side && (r + 1) * blocks / shape.side == block) continue;
+        int64_t block = r * blocks / shape.rows;
+        if (r + 1 < shape.rows && (r + 1) * blocks / shape.rows == block) continue;
         for (int64_t b = 0, c = 0; b < blocks; b++) {
             double *score = scores[block * blocks + b];
-            for (; c * blocks < (b + 1) * shape.side; c++) {
+            for (; c * blocks < (b + 1) * shape.cols; c++) {
                 score[0] += scale * (double)sum_x[c];
                 score[1] += scale * (double)sum_y[c];
             }

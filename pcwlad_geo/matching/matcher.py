@@ -402,12 +402,18 @@ def displacement_by_stripes(pair: ChannelPair, points: TiePoints, guide: FieldGu
     """
     begin = np.where(guide.leads[:, None], guide.structure_xy_px, points.displacement_px)
     corners = to_index(points)
-    rows = np.zeros((len(points), STRIPE_PX, STRIPE_PX), np.float32)
-    rows[:, STRIPE_PX // 2 - STRIPE_WIDTH_PX // 2 :][:, :STRIPE_WIDTH_PX] = 1.0
+    start = InitialEstimate(begin, guide.linear)
     found_by = []
-    for weight in (rows, np.ascontiguousarray(rows.transpose(0, 2, 1))):
-        start = InitialEstimate(begin, guide.linear, structure=weight)
-        found = refine(pair.reference, pair.target, corners, start, window_px=STRIPE_PX, threads=pair.threads)
+    for window_px in ((STRIPE_WIDTH_PX, STRIPE_PX), (STRIPE_PX, STRIPE_WIDTH_PX)):
+        found = refine(
+            pair.reference,
+            pair.target,
+            corners,
+            start,
+            window_px=window_px,
+            use_structure=False,
+            threads=pair.threads,
+        )
         found_by.append(np.where(found.converged[:, None], found.shift_xy_px, np.nan))
     return np.stack(found_by)
 

@@ -135,7 +135,7 @@ class InitialEstimate:
     structure_xy_px: Float64 | None = None
     """(n, 2) shift at which the mutual structure is taken; None: wherever the iteration is."""
     structure: Float32 | None = None
-    """(n, window, window) mutual structure computed beforehand, 0 to 1; None: computed here."""
+    """(n, rows, cols) of the window: mutual structure computed beforehand, 0 to 1; None: computed here."""
     is_match: bool = False
     """Whether the shifts were refined before, from nearly the same pixels: one short move confirms them.
 
@@ -164,7 +164,7 @@ def refine(
     corners_rc: Index,
     start: InitialEstimate,
     *,
-    window_px: int,
+    window_px: int | tuple[int, int],
     step_px: int = 1,
     use_structure: bool = True,
     robust: bool = True,
@@ -183,8 +183,8 @@ def refine(
         Row, column of the window centres in the reference.
     start : InitialEstimate
         Initial shifts and deformations.
-    window_px : int
-        Side of the window, odd.
+    window_px : int, or (int, int)
+        Side of the window, or its rows and columns, odd.
     step_px : int
         Distance of the pixels of the window: 1, or `STEP_PX` for every second one of its rows and columns.
     use_structure : bool
@@ -202,13 +202,15 @@ def refine(
     """
     n = len(corners_rc)
     structure_mode = _structure_mode(start, use_structure)
-    half = window_px // 2 // step_px
-    correlation_half = correlation_half_px(2 * half + 1)
+    sides_px = np.broadcast_to(window_px, 2)
+    half_rows, half_cols = (sides_px // 2 // step_px).tolist()
+    correlation_half = correlation_half_px(2 * min(half_rows, half_cols) + 1)
     options = kernel.RefinementOptions(
-        half=half,
+        half_rows=half_rows,
+        half_cols=half_cols,
         step=step_px,
         correlation_half=correlation_half,
-        width=kernel.flat_width(2 * (half + correlation_half) + 1),
+        width=kernel.flat_width(2 * (half_cols + correlation_half) + 1),
         structure_mode=structure_mode,
         robust=robust,
         affine=affine,
@@ -218,7 +220,7 @@ def refine(
         relaxation=first_relaxation(robust, structure_mode == kernel.STRUCTURE_FOLLOWS),
         least_valid=float(least_valid),
         largest_move_px=LARGEST_MOVE_PX,
-        blocks=max(4, round(window_px / BLOCK_PX)),
+        blocks=max(4, round(max(sides_px) / BLOCK_PX)),
     )
     images = _images(reference, target, step_px)
 

@@ -151,6 +151,26 @@ def test_every_size_of_the_correlation_window_equals_the_plain_twin(window_px: i
     np.testing.assert_allclose(fast.covariance_px2 / scale, plain.covariance_px2 / scale, atol=1e-3)
 
 
+@pytest.mark.parametrize("affine", [False, True])
+@pytest.mark.parametrize("window_px", [(5, 61), (61, 5)])
+def test_windows_of_few_rows_or_columns_equal_the_plain_twin(
+    window_px: tuple[int, int], affine: bool
+) -> None:
+    pair, n = cross_modal(True, True), 4
+    corners = np.array([[80, 95], [112, 90], [100, 36], [36, 100]])
+    linear = np.tile([[0.01, 0.004], [-0.006, 0.008]], (n, 1, 1))
+    start = InitialEstimate(np.tile([0.8, -0.5], (n, 1)), linear)
+    options = {"window_px": window_px, "use_structure": False, "affine": affine}
+    fast = refine(pair.reference, pair.target, corners, start, **options)
+    plain = refine_plain(pair.reference, pair.target, corners, start, **options)
+    assert affine or plain.converged.any()
+    np.testing.assert_array_equal(fast.converged, plain.converged)
+    ok = plain.converged
+    np.testing.assert_allclose(fast.shift_xy_px[ok], plain.shift_xy_px[ok], atol=1e-4)
+    scale = np.trace(plain.covariance_px2[ok], axis1=1, axis2=2)[:, None, None]
+    np.testing.assert_allclose(fast.covariance_px2[ok] / scale, plain.covariance_px2[ok] / scale, atol=1e-3)
+
+
 FRACTIONS = np.linspace(-0.5, 0.5, 11)
 
 

@@ -48,7 +48,7 @@ def refine_plain(
     corners_rc: Index,
     start: InitialEstimate,
     *,
-    window_px: int,
+    window_px: int | tuple[int, int],
     step_px: int = 1,
     use_structure: bool = True,
     robust: bool = True,
@@ -146,23 +146,25 @@ class _Window:
         target: ChannelMaps,
         row: int,
         col: int,
-        window_px: int,
+        window_px: int | tuple[int, int],
         step_px: int,
         affine: bool,
     ) -> None:
         self.reference, self.target, self.affine = reference, target, affine
-        self.half = window_px // 2 // step_px
-        self.pad = correlation_half_px(2 * self.half + 1)
-        reach = self.half + self.pad
-        step = np.arange(-reach, reach + 1) * step_px
-        self.y, self.x = np.meshgrid(step, step, indexing="ij")
+        half_rows, half_cols = (side // 2 // step_px for side in np.broadcast_to(window_px, 2).tolist())
+        self.half = np.array([half_cols, half_rows])
+        self.pad = correlation_half_px(2 * int(self.half.min()) + 1)
+        down, across = (
+            np.arange(-half - self.pad, half + self.pad + 1) * step_px for half in (half_rows, half_cols)
+        )
+        self.y, self.x = np.meshgrid(down, across, indexing="ij")
         self.rows, self.cols = row + self.y, col + self.x
         self.inside = _inside(reference.valid.shape, self.rows, self.cols, 0, 0)
         self.maps = reference.maps[:, self.rows, self.cols].astype(float) if self.inside else reference.maps
         self.core = np.s_[self.pad : -self.pad, self.pad : -self.pad]
-        side = 2 * self.half + 1
-        in_blocks = np.arange(side) * max(4, round(window_px / BLOCK_PX)) // side
-        self.block = in_blocks[:, None] * (in_blocks[-1] + 1) + in_blocks
+        blocks = max(4, round(max(np.broadcast_to(window_px, 2)) / BLOCK_PX))
+        block_row, block_col = (np.arange(2 * n + 1) * blocks // (2 * n + 1) for n in (half_rows, half_cols))
+        self.block = block_row[:, None] * blocks + block_col
 
     def validity(self, shift: Float64) -> Float64 | None:
         """Return 1 where both images are valid, None where the reference's window sticks out."""

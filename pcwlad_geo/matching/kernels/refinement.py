@@ -60,7 +60,7 @@ class Starts(NamedTuple):
     structure_xy: Float64
     """(n, 2) px."""
     structure: Float32
-    """(n, window, window), or (1, 1, 1) where it is not given."""
+    """(n, rows, cols) of the window, or (1, 1, 1) where it is not given."""
 
 
 class Results(NamedTuple):
@@ -100,17 +100,18 @@ SIGMA_PER_MEAN_DEVIATION: Final = 1.2533
 class RefinementOptions(Structure):
     """Settings of the refinement; see `refinement.refine`.
 
-    `half` is half the side of the window and `correlation_half` that of the local correlation, in pixels that
-    are `step` apart: 1 for all pixels of the window, 2 for every second one of its rows and columns. `width`
-    is the number of values in a row of a flat window, see `flat_width`, `blocks` that of the blocks along a
-    side, and `reached_by_px` the length of the move that led to the start.
+    `half_rows` and `half_cols` are half the sides of the window and `correlation_half` that of the local
+    correlation, in pixels that are `step` apart: 1 for all pixels of the window, 2 for every second one of
+    its rows and columns. `width` is the number of values in a row of a flat window, see `flat_width`,
+    `blocks` that of the blocks along a side, and `reached_by_px` the length of the move that led to the
+    start.
     """
 
     _fields_ = (
         *(
             (name, WHOLE)
             for name in (
-                *("half", "step", "correlation_half", "width", "structure_mode"),
+                *("half_rows", "half_cols", "step", "correlation_half", "width", "structure_mode"),
                 *("robust", "affine", "iterations", "blocks"),
             )
         ),
