@@ -81,6 +81,9 @@ OUTLYING_LIMITS: Final = 5.0
 """A forward-backward error larger than this many times the method's limit counts as outlying."""
 MAX_OUTLYING: Final = 0.005
 """Largest share of outlying errors in the sample at which no other point is matched backward."""
+LED_ONE_WAY_FROM: Final = 160
+"""Number of consistent points from which those with a given structure are not matched backward in the second
+pass: the RMSE hardly changes. Of fewer each counts, and their way back takes no time."""
 LARGEST_PULL_PX: Final = 1.0
 """A point further than this from the prediction of its neighbours keeps its own structure."""
 
@@ -99,6 +102,8 @@ class FieldGuide:
     """Variance, per axis, of the error that points guided by the same neighbours share."""
     one_way: bool
     """Whether the backward match can be left out, as the forward-backward errors are negligible."""
+    led_one_way: bool = False
+    """Whether it is left out where the structure is given: the two directions hardly differ there."""
 
     @property
     def deforms(self) -> bool:
@@ -174,7 +179,9 @@ def guide_by_field(
     pulled = np.linalg.norm(moved - predicted.displacement_px, axis=1) > LARGEST_PULL_PX
     structure = np.where((rough | pulled)[:, None], np.nan, predicted.displacement_px)
     shared = shared_variance(xy, choice.residual_px, settings.window, surface.count)
-    return FieldGuide(_local(everywhere, predicted, reach), structure, surface, shared, one_way)
+    linear = _local(everywhere, predicted, reach)
+    led_one_way = one_way or len(points) >= LED_ONE_WAY_FROM
+    return FieldGuide(linear, structure, surface, shared, one_way, led_one_way)
 
 
 WINDOW_SAMPLE: Final = 160

@@ -267,17 +267,15 @@ def rematch(
     again, led = matched_again(guide, settings), guide.leads
     if window_px is not None:
         again, settings = np.ones_like(led), replace(settings, window=window_px)
-    # the two directions differ where each follows its own structure, hardly where the field gives it
-    own: Back = "never" if guide.one_way else "always"
-    given: Back = "sample" if settings.backward == "sample" and not guide.one_way else own
-    for some, structure, back in ((again & ~led, None, own), (again & led, guide.structure_xy_px, given)):
+    for some, follows in ((again & ~led, True), (again & led, False)):
         index = np.flatnonzero(some)
         begin = target[index] - points.reference_xy_px[index]
-        structure = None if structure is None else structure[index]
+        structure = None if follows else guide.structure_xy_px[index]
         if structure is not None and settings.window >= SPARSE_FROM_PX:
             begin = structure  # nearer to what a large window sees, and its structure is needed there anyway
         start = InitialEstimate(begin, guide.linear[index], structure, is_match=structure is not None)
         corners = to_index(points[index])
+        back: Back = "never" if (guide.one_way if follows else guide.led_one_way) else "always"
         refined, agree, _ = _refine_both(pair, corners, start, settings, back, step_of(settings.window))
         good = refined.converged & agree
         target[index[good]] = points.reference_xy_px[index[good]] + refined.shift_xy_px[good]

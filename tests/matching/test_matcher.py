@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching import matcher
+from pcwlad_geo.matching import guidance, matcher
 from pcwlad_geo.matching.guidance import FieldGuide, Lost, Scales, guide_by_field
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.matcher import Core, match_arrays, match_candidates, to_index
@@ -190,6 +190,23 @@ def test_the_second_pass_goes_back_where_the_first_one_did_not_come_back(
     noisy = image(1, SHIFT_XY) + np.random.default_rng(5).normal(0, 0.6 * np.std(image(1)), (SIDE, SIDE))
     match_arrays(image(0), noisy, settings=SMALL)
     assert set(ways) == {"as needed", "always"}
+
+
+def test_many_points_with_a_given_structure_are_matched_one_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    ways: list[str] = []
+    refine_both = matcher._refine_both
+
+    def note(*arguments: Any) -> Any:
+        ways.append(arguments[4])
+        return refine_both(*arguments)
+
+    monkeypatch.setattr(matcher, "_refine_both", note)
+    monkeypatch.setattr(guidance, "LED_ONE_WAY_FROM", 40)
+    forward = match_arrays(image(0), image(1, SHIFT_XY), settings=SMALL)
+    assert set(ways) == {"as needed", "always", "never"}  # no structure is given, and so both ways: "always"
+    both_ways = cross_modal_points()
+    ours, theirs = (np.sqrt((errors(points) ** 2).mean()) for points in (forward, both_ways))
+    assert 0 < abs(ours - theirs) < 0.05 * theirs
 
 
 LARGER = replace(SMALL, other_windows=(121,))
