@@ -353,7 +353,7 @@ def _preloading(on_event: EventCallback) -> EventCallback:
 
     def load() -> None:
         with suppress(Exception):  # whoever needs it will say it
-            import_module("pcwlad_geo.report.page")
+            import_module("pcwlad_geo.report.page").page_template()
             import_module("pcwlad_geo.report.figures")
 
     def tell(event: Event) -> None:

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image
@@ -207,8 +207,7 @@ def _page(report: Report, drawings: Drawings, *, paper: bool) -> str:
     names = {each.name: getattr(part, each.name) for part in (report, drawings) for each in fields(part)}
     grade = report.quality.grade if report.quality else None
     verdict = headline(report.status, grade, report.passed)
-    template = page_environment("pcwlad_geo.report").get_template("report.html.j2")
-    return template.render(
+    return page_template().render(
         {**names, **drawings.proved}, headline=verdict, answers=answers(report), paper=paper
     )
 
@@ -240,6 +239,11 @@ def warp_line(gcps_vrt: str) -> str:
     """Return the shell command that warps the target by a thin-plate spline through its tie points."""
     stem = gcps_vrt.removesuffix("_gcps.vrt")
     return shlex.join(["gdalwarp", "-tps", "-r", "lanczos", gcps_vrt, f"{stem}_tps.tif"])
+
+
+def page_template() -> Template:
+    """Return the template of the page, which takes a while the first time."""
+    return page_environment("pcwlad_geo.report").get_template("report.html.j2")
 
 
 @cache  # templates are compiled once per process
