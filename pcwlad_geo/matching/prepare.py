@@ -10,6 +10,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, TypeVar
@@ -21,8 +22,14 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching.coarse import MaskedMap
 from pcwlad_geo.matching.keypoints import FULL_SCALE, contrast_weight
-from pcwlad_geo.matching.maps import maximum_moment, oriented_gradients, oriented_phase_congruency
+from pcwlad_geo.matching.maps import (
+    maximum_moment,
+    oriented_gradients,
+    oriented_phase_congruency,
+    scene_epsilon,
+)
 from pcwlad_geo.matching.refinement import ChannelMaps, in_threads
+from pcwlad_geo.matching.speckle import Speckle, find_speckle, has_empty_border
 from pcwlad_geo.matching.types import Channels
 from pcwlad_geo.types import Bool, Float32, Float64
 
@@ -106,6 +113,8 @@ class Noise:
     rounding: float = 0.0
     """RMS of the local detail that whole numbers, or lossy compression, may leave of nothing, in units of the
     image."""
+    speckle: Speckle | None = None
+    """The multiplicative noise of a radar image; the rest is then that of what `Speckle.evened` returns."""
 
     @property
     def share(self) -> float:
@@ -128,6 +137,30 @@ def measure_noise(image: NDArray[np.floating[Any]], valid: Bool) -> Noise:
     The (rows, cols) `image` is at full resolution, and the (rows, cols) bool array `valid` says which pixels
     count. All is zero where these are too few.
     """
+    noise = noise_of_samples([(image, valid)])
+    if noise.speckle is None:
+        return noise
+    speckle = replace(noise.speckle, empty_border=has_empty_border(image, valid))
+    known = speckle.known(image, valid)
+    epsilon = scene_epsilon(speckle.evened(image, known), known)
+    return replace(noise, speckle=replace(speckle, epsilon=epsilon))
+
+
+def noise_of_samples(
+    samples: Sequence[tuple[NDArray[np.floating[Any]], Bool]], *, may_be_radar: bool = True
+) -> Noise:
+    """Return the typical noise of (rows, cols) samples of an image, each with its (rows, cols) validity."""
+    speckle = find_speckle(samples) if may_be_radar else None
+    found = []
+    for image, valid in samples:
+        noise = _white_noise(image if speckle is None else speckle.evened(image, valid), valid)
+        found += [noise] if noise.ratio > 0 else []
+    ratio, sigma = np.median([(noise.ratio, noise.sigma) for noise in found or [Noise()]], axis=0)
+    # speckle that hangs together, or has been averaged, is as rough as a scene: it is there all the same
+    return Noise(float(ratio) if speckle is None else WHITE, float(sigma), speckle=speckle)
+
+
+def _white_noise(image: NDArray[np.floating[Any]], valid: Bool) -> Noise:
     rows, cols = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
     fine = np.where(valid, image, 0.0)[:rows, :cols].astype(np.float64)
     fine_valid = np.asarray(valid[:rows, :cols])
@@ -220,6 +253,7 @@ def prepare(
     leaves out; `threads` may compute the maps, and refine points on them.
     """
     smooth = 0.0 if channels == "moment" else smoothing_px(reference.noise, target.noise)
+    reference, target = _without_speckle(reference), _without_speckle(target)
 
     def fill(image: Image) -> tuple[Floating, ChannelMaps, MaskedMap]:
         filled = fill_smoothly(image.values, image.valid)
@@ -234,6 +268,16 @@ def prepare(
         tgt_map,
         _inside(contrast, halo_px),
     )
+
+
+def _without_speckle(image: Image) -> Image:
+    """Return an image as its maps are made of it: radar evened out, all others as they are."""
+    speckle = image.noise.speckle
+    if speckle is None:
+        return image
+    valid = speckle.known(image.values, image.valid)
+    noise = replace(image.noise, rounding=0.0)
+    return Image(speckle.evened(image.values, valid).astype(np.float32), valid, speckle.epsilon, noise)
 
 
 def _maps(

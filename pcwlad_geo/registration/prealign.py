@@ -19,8 +19,9 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.pose import SCALES, search_pose
-from pcwlad_geo.matching.prepare import Noise, measure_noise, rounding_of
+from pcwlad_geo.matching.prepare import Noise, noise_of_samples, rounding_of
 from pcwlad_geo.matching.shift_search import SearchResult, search_shift
+from pcwlad_geo.matching.speckle import has_empty_border
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.grid import Grid, Window, map_px
@@ -28,7 +29,7 @@ from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo, bands_of
 from pcwlad_geo.raster.view import Patch, View, file_px_per_px
 from pcwlad_geo.registration.tiles import Scene
-from pcwlad_geo.types import Float32, Float64
+from pcwlad_geo.types import Bool, Float32, Float64
 
 OVERVIEW_SIDE_PX: Final = 1024
 """Largest side of the overview from which the shift is searched and ε is measured."""
@@ -149,13 +150,30 @@ def read_overviews(pair: ViewPair) -> Overviews:
     """
     views = pair.reference, pair.target
     factor = max(1.0, max(side for view in views for side in view.grid.shape) / OVERVIEW_SIDE_PX)
-    patches = [view.reduced(factor) for view in views]
-    scenes = []
-    for patch, view in zip(patches, views, strict=True):
+    patches, scenes = [], []
+    for view in views:
+        patch = view.reduced(factor)
         epsilon = scene_epsilon(patch.values, patch.valid)
         _check_content(patch, view.info, epsilon)
-        scenes.append(Scene(epsilon, _noise(view)))
+        scene = Scene(epsilon, _noise(view))
+        if scene.noise.speckle is not None:
+            patch, scene = _evened(patch, scene)
+        patches.append(patch)
+        scenes.append(scene)
     return Overviews(patches[0], patches[1], factor, (scenes[0], scenes[1]))
+
+
+def _evened(patch: Patch, scene: Scene) -> tuple[Patch, Scene]:
+    """Return the overview of a radar image without its speckle, and the scene by which tiles lose it."""
+    speckle = scene.noise.speckle
+    if speckle is None:
+        return patch, scene
+    speckle = replace(speckle, empty_border=has_empty_border(patch.values, patch.valid))
+    known = speckle.known(patch.values, patch.valid)
+    values = speckle.evened(patch.values, known)
+    speckle = replace(speckle, epsilon=scene_epsilon(values, known))
+    noise = replace(scene.noise, speckle=speckle)
+    return Patch(values.astype(np.float32), known), replace(scene, noise=noise)
 
 
 def by_georeferencing(search_radius: int | None) -> Prealignment:
@@ -302,17 +320,17 @@ def _noise(view: View) -> Noise:
     """Return the typical noise of samples spread over the view at full resolution."""
     rows, cols = view.grid.shape
     side_r, side_c = min(rows, SAMPLE_PX), min(cols, SAMPLE_PX)
-    found = []
+    found: list[tuple[Float32 | Float64, Bool]] = []
     for row in np.unique(np.linspace(0, rows - side_r, SAMPLES_ACROSS).astype(int)):
         for col in np.unique(np.linspace(0, cols - side_c, SAMPLES_ACROSS).astype(int)):
             with suppress(InputError):  # the tile that holds it reports what cannot be read
                 patch = view.read(Window(int(row), int(col), side_r, side_c))
-                noise = measure_noise(patch.values, patch.valid)
-                found += [noise] if noise.ratio > 0 else []
-    ratio, sigma = np.median([(noise.ratio, noise.sigma) for noise in found or [Noise()]], axis=0)
+                found.append((patch.values, patch.valid))
     averages = file_px_per_px(view).min() > LARGEST_OWN_PX
     rounding = 0.0 if averages else rounding_of(view.info.dtype, compressed=view.info.shows_blocks)
-    return Noise(float(ratio), float(sigma), rounding)
+    # pictures of 8 bits have tones of their own, also where they are averaged, and so have sums of bands
+    may_be_radar = np.dtype(view.info.dtype).itemsize > 1 and not view.info.several
+    return replace(noise_of_samples(found, may_be_radar=may_be_radar), rounding=rounding)
 
 
 def _check_content(patch: Patch, info: RasterInfo, epsilon: float) -> None:

@@ -1,0 +1,170 @@
+"""Speckle of radar images: recognised by its statistics, and averaged and made symmetric before the maps.
+
+The power that returns from even ground to a radar of L looks has a gamma distribution whose standard
+deviation is the mean divided by √L. Its cube root is nearly normal, whatever L is, and the root or the
+logarithm is not: so the noise itself tells which of them an image holds.
+
+References
+----------
+.. [1] Goodman, J. W. (1976), doi:10.1364/JOSA.66.001145 (statistics of speckle).
+.. [2] Wilson, E. B. and Hilferty, M. M. (1931), doi:10.1073/pnas.17.12.684 (cube root of a gamma variable).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.types import Bool, Float64
+
+Floating = NDArray[np.floating[Any]]
+Form = Literal["power", "amplitude", "decibels"]
+
+WINDOW_PX: Final = 7
+"""Side of the windows whose mean and standard deviation are compared."""
+MIN_WINDOWS: Final = 60
+"""Least number of windows from which speckle is told."""
+MAX_WINDOWS: Final = 3000
+"""Largest number of windows that are compared."""
+MIN_VARIATION: Final[dict[Form, float]] = {"power": 0.28, "decibels": 0.28, "amplitude": 0.4}
+"""Least standard deviation over the mean, of power, of the tenth most even windows: about ten looks, and five
+of amplitude. Of more looks there is nothing to do."""
+MAX_SPREAD: Final = 1.5
+"""Largest ratio of that of the middle of all windows and of these: 1.1 to 1.25 where it is simulated, 1.26 to
+1.37 on tiles of Sentinel-1, and 2 and more where images have texture and even ground."""
+MAX_TREND: Final = 1.5
+"""Largest ratio, either way, of the typical one of bright and dark windows: noise that is added has that of
+their means, and photons the root of it."""
+SYMMETRIC: Final = 0.12
+"""Largest skewness of the cube root of power within even windows; -0.07 to 0.05 was seen."""
+DECIBELS: Final = (-100.0, 60.0)
+"""Range of the values of backscatter in decibels."""
+LARGEST_OF_A_PICTURE: Final = 255.0
+"""Whole numbers up to this are a picture, of unknown tones and clipped: they are taken as they are."""
+TAPS: Final = (0.25, 0.5, 0.25)
+"""Weights along each axis with which power is averaged: of independent pixels seven times as many looks."""
+BORDER_PX: Final = 9
+"""A block of zeros as wide as this is no water or shadow where zeros also lie along the image's border."""
+
+
+@dataclass(frozen=True, slots=True)
+class Speckle:
+    """Multiplicative noise of a radar image."""
+
+    form: Form
+    """What the values are."""
+    looks: float
+    """The equivalent number of looks."""
+    epsilon: float = 0.0
+    """The scene's ε of what `evened` returns, see `maps.scene_epsilon`."""
+    empty_border: bool = False
+    """Whether blocks of zeros are no data."""
+
+    def to_power(self, values: Floating) -> Float64:
+        """Return the power of values of any shape, 0 where that is less."""
+        return _to_power(values, self.form)
+
+    def known(self, values: Floating, valid: Bool) -> Bool:
+        """Return which of the (rows, cols) `values` count: the `valid` ones without blocks of zeros."""
+        if not self.empty_border:
+            return valid
+        zero = (valid & (values == 0)).astype(np.uint8)
+        solid = cv2.morphologyEx(zero, cv2.MORPH_OPEN, np.ones((BORDER_PX, BORDER_PX), np.uint8))
+        # what the block's rounded corners left of it
+        around = cv2.dilate(solid, np.ones((BORDER_PX, BORDER_PX), np.uint8))
+        known: Bool = valid & ~np.asarray(around & zero, bool)
+        return known
+
+    def evened(self, values: Floating, valid: Bool) -> Float64:
+        """Return the cube root of power that is averaged over neighbours.
+
+        The (rows, cols) `values` count where the (rows, cols) bool array `valid` says so; the result, of the
+        same shape, is 0 elsewhere.
+        """
+        taps = np.array(TAPS)
+        total, weight = (
+            cv2.sepFilter2D(plane, cv2.CV_64F, taps, taps, borderType=cv2.BORDER_REFLECT)
+            for plane in (np.where(valid, self.to_power(values), 0.0), valid.astype(np.float64))
+        )
+        return np.cbrt(np.where(valid, total / np.maximum(weight, TAPS[0] ** 2), 0.0))
+
+
+def _to_power(values: Floating, form: Form) -> Float64:
+    numbers = np.asarray(values, np.float64)
+    if form == "decibels":
+        return np.asarray(10.0 ** (np.clip(numbers, *DECIBELS) / 10.0))
+    positive = np.maximum(numbers, 0.0)
+    return positive if form == "power" else np.square(positive)
+
+
+def find_speckle(samples: Sequence[tuple[Floating, Bool]]) -> Speckle | None:
+    """Return the speckle of an image, of which (rows, cols) `samples` are given with their validity.
+
+    None where the noise is not multiplicative, or of too many looks to matter.
+    """
+    windows = _windows(samples)
+    if len(windows) < MIN_WINDOWS:
+        return None
+    low, high = float(windows.min()), float(windows.max())
+    forms: tuple[Form, ...] = ("power", "amplitude")
+    if low < 0:
+        if low < DECIBELS[0] or high > DECIBELS[1]:
+            return None
+        forms = ("decibels",)
+    elif high <= LARGEST_OF_A_PICTURE and bool((windows == np.rint(windows)).all()):
+        return None
+    found = [(_looks_and_skewness(_to_power(windows, form), MIN_VARIATION[form]), form) for form in forms]
+    good = [(abs(skewness), looks, form) for (looks, skewness), form in found if looks > 0]
+    if not good:
+        return None
+    skewness, looks, form = min(good)
+    return Speckle(form, looks) if skewness <= SYMMETRIC else None
+
+
+def _windows(samples: Sequence[tuple[Floating, Bool]]) -> Float64:
+    """Return (n, pixels) windows in which all pixels count, and differ."""
+    parts = [np.zeros((0, WINDOW_PX**2))]
+    for values, valid in samples:
+        rows, cols = (side // WINDOW_PX for side in values.shape)
+        shape = rows, WINDOW_PX, cols, WINDOW_PX
+        inside = np.s_[: rows * WINDOW_PX, : cols * WINDOW_PX]
+        whole = valid[inside].reshape(shape).all(axis=(1, 3)).ravel()
+        some = np.flatnonzero(whole)[:: max(1, -(-int(whole.sum()) * len(samples) // MAX_WINDOWS))]
+        row, col = np.divmod(some, max(cols, 1))
+        chosen = values[inside].reshape(shape)[row, :, col].astype(np.float64)
+        parts.append(chosen.reshape(len(some), WINDOW_PX**2))
+    windows = np.concatenate(parts)
+    textured: Float64 = windows[(np.ptp(windows, axis=1) > 0) & (windows != 0).all(axis=1)]
+    return textured
+
+
+def _looks_and_skewness(power: Float64, least_variation: float) -> tuple[float, float]:
+    """Return the looks of (n, pixels) windows of power, and the skewness of its cube root.
+
+    Looks are 0 where their standard deviation is not proportional to their mean, or too small.
+    """
+    mean = power.mean(axis=1)
+    variation = power.std(axis=1, ddof=1) / mean
+    least, even, middle = np.percentile(variation, (10, 25, 50)).tolist()
+    if least < least_variation or middle > MAX_SPREAD * least:
+        return 0.0, 0.0
+    bright = mean > np.median(mean)
+    trend = float(np.median(variation[bright]) / np.median(variation[~bright]))
+    if not 1 / MAX_TREND <= trend <= MAX_TREND:
+        return 0.0, 0.0
+    root = np.cbrt(power[variation <= middle])
+    centred = root - root.mean(axis=1, keepdims=True)
+    skewness = (centred**3).mean(axis=1) / (centred**2).mean(axis=1) ** 1.5
+    return 1 / even**2, float(np.median(skewness))
+
+
+def has_empty_border(values: Floating, valid: Bool) -> bool:
+    """Return whether zeros lie along a part of the border of (rows, cols) `values`, in blocks."""
+    zero = (valid & (values == 0)).astype(np.uint8)
+    solid = cv2.erode(zero, np.ones((BORDER_PX, BORDER_PX), np.uint8), borderValue=1)
+    return bool(solid[0].any() or solid[-1].any() or solid[:, 0].any() or solid[:, -1].any())
