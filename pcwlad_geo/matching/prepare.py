@@ -91,6 +91,9 @@ WHITE_RATIO: Final = 2.0
 """Noise ratio of white noise."""
 MIN_PIXELS: Final = 1024
 """Least number of valid pixels from which noise is measured."""
+INDEPENDENT: Final = 0.5
+"""Share of noise in the finest detail of a radar image from which speckle of neighbours is independent: it
+hangs together, and the share is 0, in terrain-corrected tiles of Sentinel-1."""
 DETAIL_OF_UNIT_NOISE: Final = 6 * 0.7979
 """Mean absolute second difference of white noise of unit variance: its gain, 6, times E|z|."""
 
@@ -149,15 +152,27 @@ def measure_noise(image: NDArray[np.floating[Any]], valid: Bool) -> Noise:
 def noise_of_samples(
     samples: Sequence[tuple[NDArray[np.floating[Any]], Bool]], *, may_be_radar: bool = True
 ) -> Noise:
-    """Return the typical noise of (rows, cols) samples of an image, each with its (rows, cols) validity."""
+    """Return the typical noise of an image, of which (rows, cols) `samples` are given with their validity.
+
+    Sums of bands and pictures are not asked whether they `may_be_radar`.
+    """
     speckle = find_speckle(samples) if may_be_radar else None
+    noise = _typical_noise(samples, speckle)
+    if speckle is None or noise.share < INDEPENDENT:
+        return noise
+    noise_of_it = _typical_noise(samples, speckle.of_independent_pixels)
+    return replace(noise_of_it, ratio=noise.ratio)  # what averaging leaves of speckle is as rough as a scene
+
+
+def _typical_noise(
+    samples: Sequence[tuple[NDArray[np.floating[Any]], Bool]], speckle: Speckle | None
+) -> Noise:
     found = []
     for image, valid in samples:
         noise = _white_noise(image if speckle is None else speckle.evened(image, valid), valid)
         found += [noise] if noise.ratio > 0 else []
     ratio, sigma = np.median([(noise.ratio, noise.sigma) for noise in found or [Noise()]], axis=0)
-    # speckle that hangs together, or has been averaged, is as rough as a scene: it is there all the same
-    return Noise(float(ratio) if speckle is None else WHITE, float(sigma), speckle=speckle)
+    return Noise(float(ratio), float(sigma), speckle=speckle)
 
 
 def _white_noise(image: NDArray[np.floating[Any]], valid: Bool) -> Noise:

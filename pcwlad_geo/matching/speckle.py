@@ -13,7 +13,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import cv2
@@ -46,6 +46,11 @@ DECIBELS: Final = (-100.0, 60.0)
 """Range of the values of backscatter in decibels."""
 LARGEST_OF_A_PICTURE: Final = 255.0
 """Whole numbers up to this are a picture, of unknown tones and clipped: they are taken as they are."""
+FEW_LOOKS: Final = 1.6
+"""Looks below which power is averaged over neighbours where these are independent. Of one look that gave 705
+and 491 points instead of 297 and 206 of decibels; of two and four looks these are the more precise."""
+LEAST_POWER: Final = 1e-4
+"""Of the typical power, what zeros count as in decibels."""
 TAPS: Final = (0.25, 0.5, 0.25)
 """Weights along each axis with which power is averaged: of independent pixels seven times as many looks."""
 BORDER_PX: Final = 9
@@ -62,15 +67,20 @@ class Speckle:
     """The equivalent number of looks."""
     epsilon: float = 0.0
     """The scene's ε of what `evened` returns, see `maps.scene_epsilon`."""
+    level: float = 1.0
+    """The typical power."""
+    scale: Literal["root", "averaged", "logarithm"] = "root"
+    """What maps are made of: the cube root of power, that of averaged power, or decibels."""
     empty_border: bool = False
     """Whether blocks of zeros are no data."""
 
-    def to_power(self, values: Floating) -> Float64:
-        """Return the power of values of any shape, 0 where that is less."""
-        return _to_power(values, self.form)
+    @property
+    def of_independent_pixels(self) -> Speckle:
+        """The same where the speckle of neighbours is independent."""
+        return replace(self, scale="averaged" if self.looks < FEW_LOOKS else "logarithm")
 
     def known(self, values: Floating, valid: Bool) -> Bool:
-        """Return which of the (rows, cols) `values` count: the `valid` ones without blocks of zeros."""
+        """Return which (rows, cols) `values` count: the (rows, cols) `valid` ones without blocks of zeros."""
         if not self.empty_border:
             return valid
         zero = (valid & (values == 0)).astype(np.uint8)
@@ -81,17 +91,24 @@ class Speckle:
         return known
 
     def evened(self, values: Floating, valid: Bool) -> Float64:
-        """Return the cube root of power that is averaged over neighbours.
+        """Return what the maps are made of, see `scale`.
 
         The (rows, cols) `values` count where the (rows, cols) bool array `valid` says so; the result, of the
         same shape, is 0 elsewhere.
         """
-        taps = np.array(TAPS)
-        total, weight = (
-            cv2.sepFilter2D(plane, cv2.CV_64F, taps, taps, borderType=cv2.BORDER_REFLECT)
-            for plane in (np.where(valid, self.to_power(values), 0.0), valid.astype(np.float64))
-        )
-        return np.cbrt(np.where(valid, total / np.maximum(weight, TAPS[0] ** 2), 0.0))
+        if (self.scale, self.form) == ("logarithm", "decibels"):
+            return np.where(valid, values, 0.0).astype(np.float64)
+        power = np.where(valid, _to_power(values, self.form), 0.0)
+        if self.scale == "logarithm":
+            return np.where(valid, 10 * np.log10(np.maximum(power, LEAST_POWER * self.level)), 0.0)
+        if self.scale == "averaged":
+            taps = np.array(TAPS)
+            total, weight = (
+                cv2.sepFilter2D(plane, cv2.CV_64F, taps, taps, borderType=cv2.BORDER_REFLECT)
+                for plane in (power, valid.astype(np.float64))
+            )
+            power = np.where(valid, total / np.maximum(weight, TAPS[0] ** 2), 0.0)
+        return np.cbrt(power)
 
 
 def _to_power(values: Floating, form: Form) -> Float64:
@@ -123,7 +140,8 @@ def find_speckle(samples: Sequence[tuple[Floating, Bool]]) -> Speckle | None:
     if not good:
         return None
     skewness, looks, form = min(good)
-    return Speckle(form, looks) if skewness <= SYMMETRIC else None
+    level = float(np.median(_to_power(windows, form)))
+    return Speckle(form, looks, level=level) if skewness <= SYMMETRIC else None
 
 
 def _windows(samples: Sequence[tuple[Floating, Bool]]) -> Float64:
@@ -164,7 +182,7 @@ def _looks_and_skewness(power: Float64, least_variation: float) -> tuple[float, 
 
 
 def has_empty_border(values: Floating, valid: Bool) -> bool:
-    """Return whether zeros lie along a part of the border of (rows, cols) `values`, in blocks."""
+    """Return whether blocks of zeros lie along the border of (rows, cols) `values`, (rows, cols) `valid`."""
     zero = (valid & (values == 0)).astype(np.uint8)
     solid = cv2.erode(zero, np.ones((BORDER_PX, BORDER_PX), np.uint8), borderValue=1)
     return bool(solid[0].any() or solid[-1].any() or solid[:, 0].any() or solid[:, -1].any())

@@ -171,9 +171,9 @@ def _evened(patch: Patch, scene: Scene) -> tuple[Patch, Scene]:
     speckle = replace(speckle, empty_border=has_empty_border(patch.values, patch.valid))
     known = speckle.known(patch.values, patch.valid)
     values = speckle.evened(patch.values, known)
-    speckle = replace(speckle, epsilon=scene_epsilon(values, known))
-    noise = replace(scene.noise, speckle=speckle)
-    return Patch(values.astype(np.float32), known), replace(scene, noise=noise)
+    epsilon = scene_epsilon(values, known)
+    noise = replace(scene.noise, speckle=replace(speckle, epsilon=epsilon))
+    return Patch(values.astype(np.float32), known), replace(scene, epsilon=epsilon, noise=noise)
 
 
 def by_georeferencing(search_radius: int | None) -> Prealignment:

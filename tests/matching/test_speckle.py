@@ -83,11 +83,22 @@ def test_too_little_is_no_speckle() -> None:
     assert find_speckle([]) is None
 
 
-def test_maps_of_speckle_are_smooth_even_where_it_hangs_together() -> None:
-    together = uniform_filter(speckled(fields(1), 1), 2)
-    noise = measure_noise(together, EVERYWHERE)
+def test_speckle_is_averaged_and_maps_are_smoothed_where_pixels_are_independent() -> None:
+    noise = measure_noise(speckled(fields(1), 1), EVERYWHERE)
+    together = measure_noise(uniform_filter(speckled(fields(1), 1), (1, 2)), EVERYWHERE)
     assert noise.speckle is not None
-    assert smoothing_px(noise) == MAX_SMOOTHING_PX
+    assert noise.speckle.scale == "averaged"
+    assert smoothing_px(noise) == pytest.approx(MAX_SMOOTHING_PX, abs=0.1)
+    assert together.speckle is not None
+    assert together.speckle.scale == "root"
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_of_some_looks_all_forms_become_decibels(form: str) -> None:
+    power = speckled(fields(1), 4)
+    noise = measure_noise(FORMS[form](power), EVERYWHERE)
+    assert noise.speckle is not None
+    np.testing.assert_allclose(noise.speckle.evened(FORMS[form](power), EVERYWHERE), in_db(power), rtol=1e-6)
 
 
 def test_what_is_evened_has_the_same_noise_everywhere_and_keeps_the_ground() -> None:
