@@ -117,7 +117,7 @@ class Noise:
     """RMS of the local detail that whole numbers, or lossy compression, may leave of nothing, in units of the
     image."""
     speckle: Speckle | None = None
-    """The multiplicative noise of a radar image; the rest is then that of what `Speckle.evened` returns."""
+    """The multiplicative noise of a radar image; the rest is then that of `Speckle.stabilised` values."""
 
     @property
     def share(self) -> float:
@@ -140,12 +140,19 @@ def measure_noise(image: NDArray[np.floating[Any]], valid: Bool) -> Noise:
     The (rows, cols) `image` is at full resolution, and the (rows, cols) bool array `valid` says which pixels
     count. All is zero where these are too few.
     """
-    noise = noise_of_samples([(image, valid)])
+    return of_whole_image(noise_of_samples([(image, valid)]), image, valid)
+
+
+def of_whole_image(noise: Noise, image: NDArray[np.floating[Any]], valid: Bool) -> Noise:
+    """Return the noise of samples with what only the whole (rows, cols) `image`, or an overview of it, tells.
+
+    The (rows, cols) bool array `valid` says which pixels count.
+    """
     if noise.speckle is None:
         return noise
     speckle = replace(noise.speckle, empty_border=has_empty_border(image, valid))
     known = speckle.known(image, valid)
-    epsilon = scene_epsilon(speckle.evened(image, known), known)
+    epsilon = scene_epsilon(speckle.stabilised(image, known), known)
     return replace(noise, speckle=replace(speckle, epsilon=epsilon))
 
 
@@ -169,7 +176,7 @@ def _typical_noise(
 ) -> Noise:
     found = []
     for image, valid in samples:
-        noise = _white_noise(image if speckle is None else speckle.evened(image, valid), valid)
+        noise = _white_noise(image if speckle is None else speckle.stabilised(image, valid), valid)
         found += [noise] if noise.ratio > 0 else []
     ratio, sigma = np.median([(noise.ratio, noise.sigma) for noise in found or [Noise()]], axis=0)
     return Noise(float(ratio), float(sigma), speckle=speckle)
@@ -268,7 +275,7 @@ def prepare(
     leaves out; `threads` may compute the maps, and refine points on them.
     """
     smooth = 0.0 if channels == "moment" else smoothing_px(reference.noise, target.noise)
-    reference, target = _without_speckle(reference), _without_speckle(target)
+    reference, target = without_speckle(reference), without_speckle(target)
 
     def fill(image: Image) -> tuple[Floating, ChannelMaps, MaskedMap]:
         filled = fill_smoothly(image.values, image.valid)
@@ -285,14 +292,14 @@ def prepare(
     )
 
 
-def _without_speckle(image: Image) -> Image:
-    """Return an image as its maps are made of it: radar evened out, all others as they are."""
+def without_speckle(image: Image) -> Image:
+    """Return an image as its maps are made of it: radar stabilised, all others as they are."""
     speckle = image.noise.speckle
     if speckle is None:
         return image
     valid = speckle.known(image.values, image.valid)
     noise = replace(image.noise, rounding=0.0)
-    return Image(speckle.evened(image.values, valid).astype(np.float32), valid, speckle.epsilon, noise)
+    return Image(speckle.stabilised(image.values, valid).astype(np.float32), valid, speckle.epsilon, noise)
 
 
 def _maps(

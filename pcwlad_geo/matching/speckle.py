@@ -66,7 +66,7 @@ class Speckle:
     looks: float
     """The equivalent number of looks."""
     epsilon: float = 0.0
-    """The scene's ε of what `evened` returns, see `maps.scene_epsilon`."""
+    """The scene's ε of what `stabilised` returns, see `maps.scene_epsilon`."""
     level: float = 1.0
     """The typical power."""
     scale: Literal["root", "averaged", "logarithm"] = "root"
@@ -90,7 +90,7 @@ class Speckle:
         known: Bool = valid & ~np.asarray(around & zero, bool)
         return known
 
-    def evened(self, values: Floating, valid: Bool) -> Float64:
+    def stabilised(self, values: Floating, valid: Bool) -> Float64:
         """Return what the maps are made of, see `scale`.
 
         The (rows, cols) `values` count where the (rows, cols) bool array `valid` says so; the result, of the

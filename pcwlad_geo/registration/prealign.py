@@ -19,9 +19,15 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.pose import SCALES, search_pose
-from pcwlad_geo.matching.prepare import Noise, noise_of_samples, rounding_of
+from pcwlad_geo.matching.prepare import (
+    Image,
+    Noise,
+    noise_of_samples,
+    of_whole_image,
+    rounding_of,
+    without_speckle,
+)
 from pcwlad_geo.matching.shift_search import SearchResult, search_shift
-from pcwlad_geo.matching.speckle import has_empty_border
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.grid import Grid, Window, map_px
@@ -155,25 +161,11 @@ def read_overviews(pair: ViewPair) -> Overviews:
         patch = view.reduced(factor)
         epsilon = scene_epsilon(patch.values, patch.valid)
         _check_content(patch, view.info, epsilon)
-        scene = Scene(epsilon, _noise(view))
-        if scene.noise.speckle is not None:
-            patch, scene = _evened(patch, scene)
-        patches.append(patch)
-        scenes.append(scene)
+        noise = of_whole_image(_noise(view), patch.values, patch.valid)
+        image = without_speckle(Image(patch.values, patch.valid, epsilon, noise))
+        patches.append(Patch(np.asarray(image.values, np.float32), image.valid))
+        scenes.append(Scene(image.epsilon, noise))
     return Overviews(patches[0], patches[1], factor, (scenes[0], scenes[1]))
-
-
-def _evened(patch: Patch, scene: Scene) -> tuple[Patch, Scene]:
-    """Return the overview of a radar image without its speckle, and the scene by which tiles lose it."""
-    speckle = scene.noise.speckle
-    if speckle is None:
-        return patch, scene
-    speckle = replace(speckle, empty_border=has_empty_border(patch.values, patch.valid))
-    known = speckle.known(patch.values, patch.valid)
-    values = speckle.evened(patch.values, known)
-    epsilon = scene_epsilon(values, known)
-    noise = replace(scene.noise, speckle=replace(speckle, epsilon=epsilon))
-    return Patch(values.astype(np.float32), known), replace(scene, epsilon=epsilon, noise=noise)
 
 
 def by_georeferencing(search_radius: int | None) -> Prealignment:

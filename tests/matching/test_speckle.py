@@ -98,14 +98,16 @@ def test_of_some_looks_all_forms_become_decibels(form: str) -> None:
     power = speckled(fields(1), 4)
     noise = measure_noise(FORMS[form](power), EVERYWHERE)
     assert noise.speckle is not None
-    np.testing.assert_allclose(noise.speckle.evened(FORMS[form](power), EVERYWHERE), in_db(power), rtol=1e-6)
+    np.testing.assert_allclose(
+        noise.speckle.stabilised(FORMS[form](power), EVERYWHERE), in_db(power), rtol=1e-6
+    )
 
 
-def test_what_is_evened_has_the_same_noise_everywhere_and_keeps_the_ground() -> None:
+def test_what_is_stabilised_has_the_same_noise_everywhere_and_keeps_the_ground() -> None:
     noise = measure_noise(in_db(speckled(fields(1), 1)), EVERYWHERE)
     assert noise.speckle is not None
-    evened = noise.speckle.evened(in_db(speckled(fields(1), 1)), EVERYWHERE)
-    assert np.corrcoef(evened.ravel(), np.cbrt(fields(1)).ravel())[0, 1] > 0.9
+    stabilised = noise.speckle.stabilised(in_db(speckled(fields(1), 1)), EVERYWHERE)
+    assert np.corrcoef(stabilised.ravel(), np.cbrt(fields(1)).ravel())[0, 1] > 0.9
     assert noise.speckle.epsilon > 0
 
 
@@ -115,7 +117,7 @@ def test_invalid_pixels_do_not_reach_their_neighbours() -> None:
     speckle = measure_noise(power, valid).speckle
     assert speckle is not None
     spoilt = np.where(valid, power, 1e6)
-    np.testing.assert_allclose(speckle.evened(spoilt, valid), speckle.evened(power, valid))
+    np.testing.assert_allclose(speckle.stabilised(spoilt, valid), speckle.stabilised(power, valid))
 
 
 def test_zeros_along_the_border_are_no_data_and_single_ones_are() -> None:
