@@ -173,17 +173,21 @@ def test_all_points_go_back_where_a_sample_does_not_come_back_to_where_it_began(
     assert np.sqrt((different.forward_backward_px**2).mean()) > 0.02
 
 
-def test_the_second_pass_goes_back_where_the_first_one_did_not_come_back(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    ways: list[str] = []
+@pytest.fixture
+def ways(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return the list to which every refinement adds which points it matches backward."""
+    noted: list[str] = []
     refine_both = matcher._refine_both
 
     def note(*arguments: Any) -> Any:
-        ways.append(arguments[4])
+        noted.append(arguments[4])
         return refine_both(*arguments)
 
     monkeypatch.setattr(matcher, "_refine_both", note)
+    return noted
+
+
+def test_the_second_pass_goes_back_where_the_first_one_did_not_come_back(ways: list[str]) -> None:
     match_arrays(image(0), image(0, SHIFT_XY), settings=SMALL)
     assert set(ways) == {"as needed", "never"}
     ways.clear()
@@ -192,15 +196,9 @@ def test_the_second_pass_goes_back_where_the_first_one_did_not_come_back(
     assert set(ways) == {"as needed", "always"}
 
 
-def test_many_points_with_a_given_structure_are_matched_one_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    ways: list[str] = []
-    refine_both = matcher._refine_both
-
-    def note(*arguments: Any) -> Any:
-        ways.append(arguments[4])
-        return refine_both(*arguments)
-
-    monkeypatch.setattr(matcher, "_refine_both", note)
+def test_many_points_with_a_given_structure_are_matched_one_way(
+    ways: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(guidance, "LED_ONE_WAY_FROM", 40)
     forward = match_arrays(image(0), image(1, SHIFT_XY), settings=SMALL)
     assert set(ways) == {"as needed", "always", "never"}  # no structure is given, and so both ways: "always"
