@@ -305,9 +305,8 @@ class _PoseImage:
         for count in per_cell:
             maps, usable, to_map = self._level(side_cells * count / PIXELS_PER_CELL)
             sigma_px = 0.5 * _scale_of(to_map) * self.side_px / side_cells
-            if len(per_cell) > 1:
-                maps = maps[:LAYER_HARMONICS]
-            planes = [np.asarray(cv2.GaussianBlur(each, (0, 0), sigma_px), np.float32) for each in maps]
+            chosen = maps[:LAYER_HARMONICS] if len(per_cell) > 1 else maps
+            planes = [np.asarray(cv2.GaussianBlur(each, (0, 0), sigma_px), np.float32) for each in chosen]
             if len(per_cell) > 1:
                 deviation = np.float32(max(float(np.std(planes)), 1e-6))
                 planes = [plane / deviation for plane in planes]
