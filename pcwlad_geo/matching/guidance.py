@@ -397,7 +397,7 @@ SAME_ROWS_PX: Final = 4.0
 """Windows whose rows are less apart lie on the same rows."""
 DISJOINT_PX: Final = 90.0
 """Windows of 61 px that are farther apart along the rows share no pixel."""
-MAX_RESIDUALS: Final = 4.0
+RESIDUAL_LIMIT_MEDIANS: Final = 4.0
 """Longer residuals, in the median of all, are cut to that."""
 MIN_JITTER_PAIRS: Final = 50
 """Least number of pairs of windows of the same rows that tell."""
@@ -421,7 +421,7 @@ def _shared(xy_px: Float64, difference_px: Float64, across: int) -> float:
         return 0.0
     left = difference_px[known] - np.median(difference_px[known], axis=0)
     size = np.linalg.norm(left, axis=1)
-    left *= huber(np.maximum(size, 1e-9), MAX_RESIDUALS * np.median(size))[:, None]
+    left *= huber(np.maximum(size, 1e-9), RESIDUAL_LIMIT_MEDIANS * np.median(size))[:, None]
     distance = np.abs(xy_px[known, None] - xy_px[known])
     first, second = np.nonzero(
         np.triu((distance[..., across] < SAME_ROWS_PX) & (distance[..., 1 - across] > DISJOINT_PX))
