@@ -392,7 +392,7 @@ def prove(
     reference, target : path or rasterio dataset
         As for `register`.
     effort : {"quick", "full"}
-        quick: a sample of the points; full: more points and moves, and how much a part of the pair bears.
+        quick: a sample of the points; full: more points and moves, and how much a part of the pair tolerates.
     out_dir : path, optional
         Output folder; ``<target stem>_proof`` in the working folder by default.
     overwrite : bool

@@ -112,7 +112,9 @@ def match(
 EffortOption = Annotated[
     Effort,
     o.option(
-        "--effort", help="quick: a sample of points; full: more, and what the pair bears.", show_default=True
+        "--effort",
+        help="quick: a sample of points; full: more, and what the pair tolerates.",
+        show_default=True,
     ),
 ]
 

@@ -508,9 +508,9 @@ def proof_text(proof: Proof) -> str:
         f"{proof.lost}",
     ]
     if proof.sensitivity is not None:
-        from pcwlad_geo.report.page import borne_text
+        from pcwlad_geo.report.page import tolerated_text
 
-        lines.append("bears " + "; ".join(map(borne_text, proof.sensitivity.limits)))
+        lines.append("tolerates " + "; ".join(map(tolerated_text, proof.sensitivity.limits)))
         if (back := proof.sensitivity.reversal) is not None:
             col, row = back.bias_px
             lines.append(f"both directions: RMS {back.rms_px:.4f} px, bias {col:+.4f}, {row:+.4f} px")

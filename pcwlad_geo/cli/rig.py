@@ -122,7 +122,7 @@ def _learned(found: Rig, out: Path) -> Ending:
                 "none told" if off is None else f"{off[0]:.2f} (at most {off[1]:.2f})",
             )
         )
-        lenses.append({"name": each.name, "told_off_by_px": None if off is None else list(off)})
+        lenses.append({"name": each.name, "calibration_difference_px": None if off is None else list(off)})
     lines = columns(rows, (0,))
     lines += [
         "",

@@ -282,15 +282,18 @@ def expected_ce90(
     left = left_by_correction(residuals, places_px, footprint_px)
     reach_px = selection.fit.support.reach_px
     known = left.by_all & (left.distance_px <= reach_px) & (left.spread_px <= CLOSELY_PX)
-    unseen = selection.extrapolated(places_px) & ~known
+    extrapolated = selection.extrapolated(places_px) & ~known
     mean_px = np.zeros_like(places_px)
-    mean_px[~unseen] = _mean_error(residuals, left.median_px[~unseen], places_px[~unseen], footprint_px)
-    mean_px[unseen] = _extrapolated_mean_error(selection, residuals, places_px[unseen], footprint_px)
+    inside = ~extrapolated
+    mean_px[inside] = _mean_error(residuals, left.median_px[inside], places_px[inside], footprint_px)
+    mean_px[extrapolated] = _extrapolated_mean_error(
+        selection, residuals, places_px[extrapolated], footprint_px
+    )
     # The misfit of the model is in the mean, so not in the covariance.
     common_px2 = np.maximum(selection.common_px2, LEAST_COMMON_PX**2) + jitter_px**2 / 2
     covariance = selection.fit.covariance(places_px) + np.diag(common_px2)
-    growth = _extrapolation_variance(selection, residuals, places_px[unseen])
-    covariance[unseen] += growth[:, None, None] * np.eye(2)
+    growth = _extrapolation_variance(selection, residuals, places_px[extrapolated])
+    covariance[extrapolated] += growth[:, None, None] * np.eye(2)
     values, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     errors = mean_px[:, None, :] + np.einsum("nij,kj->nki", root, _normal_draws())
@@ -528,7 +531,7 @@ class EvidenceEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class Unseen:
+class UnobservableError:
     """What is known of an error that every match shares: structure that lies elsewhere in the other band."""
 
     evidence: tuple[EvidenceEntry, ...]
@@ -570,15 +573,15 @@ class TrialEntry:
 
 @dataclass(frozen=True, slots=True)
 class LimitEntry:
-    """How much of a difficulty a part of the pair bears."""
+    """How much of a difficulty a part of the pair tolerates."""
 
     name: Difficulty
     unit: LevelUnit
     """Of the levels; noise is added to both images, by the standard deviation of the values of each."""
-    borne: Amount | None
+    tolerated: Amount | None
     """Largest level at which it was registered rightly; null: not even the least that was tried."""
     failed: Amount | None
-    """Least level beyond at which it was refused, or wrong; null: the largest that was tried was borne."""
+    """Least level beyond at which it was refused, or wrong; null: the largest tried was tolerated."""
     trials: tuple[TrialEntry, ...]
     """By level."""
 
@@ -597,7 +600,7 @@ class Reversal:
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """What a part of the pair bears, registered again and again as any pair is."""
+    """What a part of the pair tolerates, registered again and again as any pair is."""
 
     shape_px: tuple[Count, Count]
     """Size of the part (rows, columns), px of the matching grid."""
@@ -654,7 +657,7 @@ class Proof:
     sigma: SigmaEntry
     correction: CorrectionEntry | None
     """Null where nothing was fitted."""
-    unseen: Unseen
+    unseen: UnobservableError
     """What no move of the target can show."""
     map: tuple[PointEntry, ...]
     """Point by point."""

@@ -371,14 +371,15 @@ def left_out_errors(fit: Fit, blocks: CrossValidationBlocks, noise: SharedNoise)
     """Return the (n,) squared errors of points predicted without their fold, px².
 
     A point and its prediction from points whose windows overlap its own have errors in common, which make the
-    prediction look better than it is: twice their expected covariance, from `noise`, is added. Raises
-    `InputError` if the points outside some fold do not determine the model.
+    prediction look better than it is: their optimism, twice their expected covariance by `noise`, is added
+    (doi:10.1080/01621459.1986.10478291). Raises `InputError` if the points outside some fold do not
+    determine the model.
     """
     squared = np.empty(len(noise.probes))
     for test, shared in zip(blocks.tests, noise.shared, strict=True):
         values = np.concatenate([fit.remainder_px[:, :, None], shared], axis=2)
         predicted = fit.predictions(~test, test, values)
         missed = fit.remainder_px[test] - predicted[:, :, 0]
-        flattery = (noise.probes[test] * predicted[:, :, 1:]).sum(axis=(1, 2)) / PROBES
-        squared[test] = (missed**2).sum(axis=1) + 2 * flattery
+        optimism = (noise.probes[test] * predicted[:, :, 1:]).sum(axis=(1, 2)) / PROBES
+        squared[test] = (missed**2).sum(axis=1) + 2 * optimism
     return squared

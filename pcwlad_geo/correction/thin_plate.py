@@ -143,22 +143,22 @@ class ThinPlateSystem:
         planes = self.design @ np.column_stack([np.ones(len(nodes)), nodes])
         return np.linalg.qr(root[:, None] * planes)[0]
 
-    def freedom(self, stiffness: float, probes: Float64) -> float:
-        """Return the effective number of parameters of an axis at a `stiffness`, all precisions equal.
+    def freedom(self, relative_smoothing: float, probes: Float64) -> float:
+        """Return the effective number of parameters of an axis, all precisions equal.
 
         It is the trace of the smoother. A spline reproduces planes, which count as 3; the (n, m) random signs
         `probes` estimate the rest.
         """
         precision = np.ones(len(probes))
-        factor = self.factor(self.normal(precision), self.smoothing(stiffness, precision))
+        factor = self.factor(self.normal(precision), self.smoothing(relative_smoothing, precision))
         planes = self.planes(precision)
         bent = probes - planes @ (planes.T @ probes)
         smoothed = self.design @ factor.solve(self.design.T @ bent)
         return 3 + float((bent * smoothed).sum()) / float(probes.shape[1])
 
-    def smoothing(self, stiffness: float, precision: Float64) -> float:
-        """Return λ for the (n,) `precision`, 1/px²: `stiffness` times the mean total precision of a cell."""
-        return stiffness * float(precision.sum()) / float(np.prod(self.grid.cells))
+    def smoothing(self, relative_smoothing: float, precision: Float64) -> float:
+        """Return λ for the (n,) `precision`, 1/px²: it is relative to the mean total precision of a cell."""
+        return relative_smoothing * float(precision.sum()) / float(np.prod(self.grid.cells))
 
     def factor(self, normal: Sparse, smoothing: float) -> BandedFactor:
         """Factorise the matrix `normal` plus `smoothing` times the bending energy."""
@@ -300,9 +300,9 @@ class SmoothingTrials:
         """(n,) 1/px², 0 for outliers."""
         return self.root[:, 0] ** 2
 
-    def smoothing(self, stiffness: float) -> float:
-        """Return the λ of a stiffness."""
-        return self.system.smoothing(stiffness, self.precision)
+    def smoothing(self, relative_smoothing: float) -> float:
+        """Return the λ of a relative smoothing parameter."""
+        return self.system.smoothing(relative_smoothing, self.precision)
 
     def at(self, smoothing: float) -> SmoothingTrial:
         """Fit the spline, and estimate how it follows independent and shared errors."""
@@ -340,7 +340,7 @@ def best(trials: list[SmoothingTrial], alpha: float) -> tuple[int, float]:
     """Return the index of the best of several smoothings, and α, which says how far errors are shared.
 
     The two depend on each other: the residuals of the spline determine α, and α the smoothing. The iteration
-    starts from errors shared in full, which smooths most. There is a trial of each smoothing, the stiffest
+    starts from errors shared in full, which smooths most. There is a trial of each smoothing, the smoothest
     first; `alpha` is 1 or an earlier result.
     """
     index = 0
@@ -448,13 +448,13 @@ MIN_SPLINE_POINTS = 12
 SOFTEST = 0.02
 """Stiffness over side⁴ at which the softest mode of a square plate is reduced to a tenth."""
 FACTOR = 4.0
-"""Ratio of successive stiffnesses tried, which doubles the effective number of parameters."""
+"""Ratio of successive smoothing parameters tried, which doubles the effective number of parameters."""
 MAX_TRIES = 14
-"""Largest number of stiffnesses tried."""
+"""Largest number of smoothing parameters tried."""
 HOLE = 2.0
 """A field returns to the affine over so many times the distance up to which a point supports a correction."""
 FINER_STEPS = 6
-"""Number of stiffnesses that are compared by cross-validation."""
+"""Number of smoothing parameters that are compared by cross-validation."""
 FOLD_COEFFICIENTS = 8000
 """Number of coefficients, those of a spline times the folds, up to which more folds are computed."""
 MIN_FOLDS = 4
@@ -515,13 +515,13 @@ def _fit_spline(
     overlaps, rest = Overlaps.of(predicted, footprint_px), displacement - affine.fitted_px
     task = _SplineTask(system, overlaps, probes_of(predicted), rest, covariance)
     start = local_surface(predicted, rest)
-    stiffness = (
-        _validated_stiffness(task, start, footprint_px, predicted)
+    relative_smoothing = (
+        _smoothing_by_blocks(task, start, footprint_px, predicted)
         if name == "field"
-        else _stiffness(task, start)
+        else _smoothing_by_score(task, start)
     )
-    found = task.fitted(stiffness, start)
-    smoothing = system.smoothing(stiffness, mean_precision(found.whitener, found.weight))
+    found = task.fitted(relative_smoothing, start)
+    smoothing = system.smoothing(relative_smoothing, mean_precision(found.whitener, found.weight))
     trial = task.trials(found).at(smoothing)
     coefficients = found.parameters + plane(system.grid.nodes_px()) @ affine.parameters
     return SplineFit(
@@ -538,16 +538,16 @@ def _fit_spline(
     )
 
 
-def _validated_stiffness(task: _SplineTask, start_px: Float64, footprint_px: float, xy_px: Float64) -> float:
-    """Return the stiffness with the least error at blocks left out.
+def _smoothing_by_blocks(task: _SplineTask, start_px: Float64, footprint_px: float, xy_px: Float64) -> float:
+    """Return the relative smoothing parameter with the least error at blocks left out.
 
     Generalised cross-validation, which smooths too much where errors are shared, says where to begin. A block
     and its prediction from windows that overlap its own have errors in common, which flatters the prediction:
-    twice their expected covariance is added (see `points.left_out_errors`).
+    twice their expected covariance, its optimism, is added (see `points.left_out_errors`).
     """
     tried = _tried(task)
     trials = task.trials(task.weighted(start_px))
-    stiffest, _ = _best(trials, tried)
+    smoothest, _ = _best(trials, tried)
     blocks = cross_validation_blocks(xy_px, footprint_px)
     folds = int(np.clip(FOLD_COEFFICIENTS // task.system.energy.shape[0], MIN_FOLDS, len(blocks.tests)))
     tests = [np.asarray(test) for test in blocks.tests[:folds]]
@@ -555,40 +555,40 @@ def _validated_stiffness(task: _SplineTask, start_px: Float64, footprint_px: flo
     sigma = np.where(precision > 0, 1 / np.sqrt(np.where(precision > 0, precision, 1.0)), 0.0)[:, None]
     signs = random_signs(xy_px, PROBES)
     shared = [sigma * task.overlaps.times(signs * sigma * test[:, None]) for test in tests]
-    errors = trials.at(trials.smoothing(tried[stiffest])).errors
-    finer = tried[stiffest : stiffest + FINER_STEPS]
+    errors = trials.at(trials.smoothing(tried[smoothest])).errors
+    finer = tried[smoothest : smoothest + FINER_STEPS]
     scores = np.zeros(len(finer))
     for test, noise in zip(tests, shared, strict=True):
         kept = np.where(test, 0.0, precision)
         normal, values = system.normal(kept), np.column_stack([task.rest_px, noise])
         right = system.design.T @ (kept[:, None] * values)
-        for step, stiffness in enumerate(finer):
-            factor = system.factor(normal, trials.smoothing(stiffness))
+        for step, relative_smoothing in enumerate(finer):
+            factor = system.factor(normal, trials.smoothing(relative_smoothing))
             predicted = system.design[test] @ factor.solve(right)
             missed = ((task.rest_px[test] - predicted[:, :2]) ** 2).sum(axis=1)
             # 2 of the covariance, of 2 axes
-            flattery = 4 * (signs[test] * predicted[:, 2:]).mean(axis=1)
-            missed += errors.alpha * errors.scale * flattery
+            optimism = 4 * (signs[test] * predicted[:, 2:]).mean(axis=1)
+            missed += errors.alpha * errors.scale * optimism
             scores[step] += float((precision[test] * missed).sum())
     return finer[int(np.argmin(scores))]
 
 
-def _stiffness(task: _SplineTask, start_px: Float64) -> float:
-    """Return the stiffness of the best score.
+def _smoothing_by_score(task: _SplineTask, start_px: Float64) -> float:
+    """Return the relative smoothing parameter of the best score.
 
-    While stiffnesses are compared, the robust weights are those about the points' own neighbours, as a stiff
+    While these are compared, the robust weights are those about the points' own neighbours, as a smooth
     spline takes detail for outliers.
     """
     tried = _tried(task)
     trials = task.trials(task.weighted(start_px))
     found, alpha = _best(trials, tried)
     between = [tried[found] * factor for factor in (2.0, 1.0, 0.5)]
-    near = [trials.at(trials.smoothing(stiffness)) for stiffness in between]
+    near = [trials.at(trials.smoothing(relative_smoothing)) for relative_smoothing in between]
     return between[best(near, alpha)[0]]
 
 
 def _tried(task: _SplineTask) -> list[float]:
-    """Return the stiffnesses that are tried, the largest first."""
+    """Return the smoothing parameters that are tried, the largest first."""
     side = float(max(task.system.grid.cells))
     return [SOFTEST * side**4 / FACTOR**step for step in range(MAX_TRIES)]
 
@@ -596,8 +596,8 @@ def _tried(task: _SplineTask) -> list[float]:
 def _best(trials: SmoothingTrials, tried: list[float]) -> tuple[int, float]:
     """Return the step of the best score, and how far errors are shared."""
     done = []
-    for stiffness in tried:
-        done.append(trials.at(trials.smoothing(stiffness)))
+    for relative_smoothing in tried:
+        done.append(trials.at(trials.smoothing(relative_smoothing)))
         if not np.isfinite(done[-1].score(alpha=0.0)):
             break
     return best(done, alpha=1.0)
@@ -628,14 +628,14 @@ class _SplineTask:
 
         return reweighted(stay, start_px, self.rest_px, self.covariance_px2)
 
-    def fitted(self, stiffness: float, start_px: Float64) -> Estimate:
+    def fitted(self, relative_smoothing: float, start_px: Float64) -> Estimate:
         """Return the robust fit that starts from given (n, 2) values."""
-        freedom = self.system.freedom(stiffness, self.probes)
+        freedom = self.system.freedom(relative_smoothing, self.probes)
         successive = Successive(self.system, self.rest_px)
 
         def solve(whitener: Float64, weight: Float64) -> Solution:
             precision = weight[:, None, None] * (whitener.transpose(0, 2, 1) @ whitener)
-            smoothing = self.system.smoothing(stiffness, mean_precision(whitener, weight))
+            smoothing = self.system.smoothing(relative_smoothing, mean_precision(whitener, weight))
             found = successive.solve(precision, smoothing)
             return Solution(found, self.system.design @ found, freedom)
 

@@ -74,17 +74,17 @@ MIN_EVIDENCE: Final = 2.0
 """Least evidence of a pose that is worth a match; tie points alone would accept a chance pose of many."""
 VOTING_SIDE_PX: Final = 192
 """Longer side of the reference where patches vote for an affine pose."""
-VOTER_PX: Final = 36
+PATCH_PX: Final = 36
 """Side of such a patch."""
-VOTER_STEP_PX: Final = 12
+PATCH_STEP_PX: Final = 12
 """Distance between the patches, which overlap."""
-VOTER_REACH_PX: Final = 30
+PATCH_REACH_PX: Final = 30
 """Largest displacement of such a patch from the pose that it starts from, per axis."""
-VOTER_BLUR_PX: Final = 0.75
+PATCH_BLUR_PX: Final = 0.75
 """Sigma of the Gaussian that smooths their channels further."""
-VOTER_VALID: Final = 0.5
+PATCH_VALID: Final = 0.5
 """Least share of such a patch that must be valid, and of its displacements at which it is."""
-VOTER_CLEARANCE_PX: Final = 4
+PATCH_CLEARANCE_PX: Final = 4
 """Displacements this close to a peak, per axis, belong to it."""
 VOTE_TOLERANCE_PX: Final = 2.25
 """A patch agrees with an affine pose if its displacement is this close to it."""
@@ -132,7 +132,7 @@ WORTH_VOTES: Final = 1.0
 """Evidence of such a pose from which all patches vote however few of the sample agree."""
 FULLY_GROWN: Final = 2
 """Number of these poses from which all patches vote."""
-SAMPLED_VOTERS: Final = 2
+SAMPLED_PATCHES: Final = 2
 """In the sample is every so-manieth patch along each axis."""
 GROWTH_ROUNDS: Final = 5
 """Largest number of times that patches vote, each time from the pose that they agreed on."""
@@ -462,8 +462,8 @@ def search_pose(
     coarse = _distinct(itertools.chain(*trials), reference.shape)
     if not coarse:
         return None
-    voters = _Voters(first, second, threads)
-    grown = _grown(voters, [PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)], scales)
+    patches = _Patches(first, second, threads)
+    grown = _grown(patches, [PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)], scales)
     if grown is not None:
         return grown
     similarity = _best_similarity(first, second, coarse, threads)
@@ -473,7 +473,7 @@ def search_pose(
     ascended = _ascended(first, second, starts, threads)
     if not ascended:
         return similarity
-    grown = _grown(voters, ascended[:GROWN], scales)
+    grown = _grown(patches, ascended[:GROWN], scales)
     within = scales[0] / SCALE_STEP <= ascended[0].scale <= scales[1] * SCALE_STEP
     if grown is not None or not (ascended[0].accepted and within):
         return grown or similarity
@@ -597,7 +597,7 @@ class _Votes:
         return max(0.0, min((self.agreeing - AGREEING_BY_CHANCE) / PER_EVIDENCE, MAX_EVIDENCE))
 
 
-class _Voters:
+class _Patches:
     """Patches of the reference, which are looked for in the target as poses place it."""
 
     def __init__(self, reference: _PoseImage, target: _PoseImage, threads: int) -> None:
@@ -606,12 +606,12 @@ class _Voters:
         values, self._valid, self._to_voting = _shrunk(reference.values, reference.valid, self._factor)
         self._channels, usable = _voting_channels(values, self._valid)
         self._target = target
-        rows, cols = (range(0, n - VOTER_PX + 1, VOTER_STEP_PX) for n in usable.shape)
+        rows, cols = (range(0, n - PATCH_PX + 1, PATCH_STEP_PX) for n in usable.shape)
         self._corners = [
-            (row, col, not (i % SAMPLED_VOTERS or j % SAMPLED_VOTERS))
+            (row, col, not (i % SAMPLED_PATCHES or j % SAMPLED_PATCHES))
             for i, row in enumerate(rows)
             for j, col in enumerate(cols)
-            if usable[row : row + VOTER_PX, col : col + VOTER_PX].mean() >= VOTER_VALID
+            if usable[row : row + PATCH_PX, col : col + PATCH_PX].mean() >= PATCH_VALID
         ]
 
     def vote(self, pose: Float64, *, sample: bool = False) -> tuple[_Votes, Float64]:
@@ -620,7 +620,7 @@ class _Voters:
             self._target.values, self._target.valid, min(1.0, self._factor / _scale_of(pose))
         )
         to_placed = to_small @ pose @ inverse(self._to_voting)
-        placed = _warped_image(small, known, to_placed, self._valid.shape, VOTER_REACH_PX)
+        placed = _warped_image(small, known, to_placed, self._valid.shape, PATCH_REACH_PX)
         votes = _consensus(*self._displacements(*_voting_channels(*placed), sample=sample))
         return votes, inverse(to_small) @ to_placed @ votes.matrix @ self._to_voting
 
@@ -632,34 +632,34 @@ class _Voters:
         self, channels: Float32, usable: Float32, *, sample: bool
     ) -> tuple[Float64, Float64, Float64]:
         """Return (n, 2) middles and displacements (col, row) of the patches, and how distinct each is."""
-        side = 2 * VOTER_REACH_PX + 1
+        side = 2 * PATCH_REACH_PX + 1
         energy, count = (
-            window_sums(np.asarray(cv2.integral(plane, sdepth=cv2.CV_64F), np.float64), VOTER_PX)
+            window_sums(np.asarray(cv2.integral(plane, sdepth=cv2.CV_64F), np.float64), PATCH_PX)
             for plane in ((channels**2).sum(axis=2), usable)
         )
-        norm = np.where(count >= VOTER_VALID * VOTER_PX**2, 1 / np.sqrt(np.maximum(energy, 1e-6)), 0)
+        norm = np.where(count >= PATCH_VALID * PATCH_PX**2, 1 / np.sqrt(np.maximum(energy, 1e-6)), 0)
         found = []
         for row, col, sampled in self._corners:
             shifts = np.s_[row : row + side, col : col + side]
-            if (sample and not sampled) or np.count_nonzero(norm[shifts]) < VOTER_VALID * side**2:
+            if (sample and not sampled) or np.count_nonzero(norm[shifts]) < PATCH_VALID * side**2:
                 continue
-            patch = self._channels[row : row + VOTER_PX, col : col + VOTER_PX]
-            search = channels[row : row + VOTER_PX + side - 1, col : col + VOTER_PX + side - 1]
+            patch = self._channels[row : row + PATCH_PX, col : col + PATCH_PX]
+            search = channels[row : row + PATCH_PX + side - 1, col : col + PATCH_PX + side - 1]
             surface = cv2.matchTemplate(search, patch, cv2.TM_CCORR) * norm[shifts]
-            found.append((col + (VOTER_PX - 1) / 2, row + (VOTER_PX - 1) / 2, *_peak(surface)))
+            found.append((col + (PATCH_PX - 1) / 2, row + (PATCH_PX - 1) / 2, *_peak(surface)))
         table = np.array(found, np.float64).reshape(-1, 5)
-        return table[:, :2], table[:, 2:4] - VOTER_REACH_PX, table[:, 4]
+        return table[:, :2], table[:, 2:4] - PATCH_REACH_PX, table[:, 4]
 
 
 def _voting_channels(values: Float32, valid: Bool) -> tuple[Float32, Float32]:
     channels, usable = normalised_channels(values, valid)
-    return np.asarray(cv2.GaussianBlur(channels, (0, 0), VOTER_BLUR_PX), np.float32), usable
+    return np.asarray(cv2.GaussianBlur(channels, (0, 0), PATCH_BLUR_PX), np.float32), usable
 
 
 def _peak(surface: NDArray[Any]) -> tuple[int, int, float]:
     """Return (col, row) of the highest value, and that over the highest of those apart from it, minus 1."""
     row, col = divmod(int(surface.argmax()), surface.shape[1])
-    highest, k = float(surface[row, col]), VOTER_CLEARANCE_PX
+    highest, k = float(surface[row, col]), PATCH_CLEARANCE_PX
     surface[max(row - k, 0) : row + k + 1, max(col - k, 0) : col + k + 1] = 0
     return col, row, highest / max(float(surface.max()), 1e-6) - 1
 
@@ -706,7 +706,7 @@ def _is_plausible(linear: Float64) -> Bool:
 
 
 def _grown(
-    voters: _Voters, starts: Sequence[PoseProposal], scales: tuple[float, float]
+    patches: _Patches, starts: Sequence[PoseProposal], scales: tuple[float, float]
 ) -> PoseProposal | None:
     """Let affine poses grow from others, whose evidence counts; None where patches add too little to it.
 
@@ -715,27 +715,27 @@ def _grown(
 
     def sampled(start: PoseProposal) -> tuple[_Votes, Float64, PoseProposal]:
         pose = _affine(start.matrix[:, :2], start.matrix[:, 2])
-        return *_climbed(voters, *voters.vote(pose, sample=True), sample=True), start
+        return *_climbed(patches, *patches.vote(pose, sample=True), sample=True), start
 
-    tries = in_threads([partial(sampled, start) for start in starts], voters.threads)
+    tries = in_threads([partial(sampled, start) for start in starts], patches.threads)
     tries.sort(key=lambda each: -each[0].agreeing)
     for few, pose, start in tries[:FULLY_GROWN]:
         if few.agreeing < MIN_SAMPLED and start.evidence < WORTH_VOTES:
             continue
-        votes, pose = _climbed(voters, *voters.vote(pose), sample=False)
+        votes, pose = _climbed(patches, *patches.vote(pose), sample=False)
         own_evidence = votes.evidence - math.log10(len(starts))  # of several starts one agrees by chance
         evidence = min(start.evidence + own_evidence, MAX_EVIDENCE)
         within = scales[0] / SCALE_STEP <= _scale_of(pose) <= scales[1] * SCALE_STEP
         if own_evidence > 0 and evidence >= MIN_EVIDENCE and within:
-            spread_px, of = voters.px(votes.spread_px), len(votes.agrees)
+            spread_px, of = patches.px(votes.spread_px), len(votes.agrees)
             return PoseProposal(pose[:2], start.score, evidence, of, votes.agreeing, spread_px)
     return None
 
 
-def _climbed(voters: _Voters, votes: _Votes, pose: Float64, *, sample: bool) -> tuple[_Votes, Float64]:
+def _climbed(patches: _Patches, votes: _Votes, pose: Float64, *, sample: bool) -> tuple[_Votes, Float64]:
     """Let patches vote again from the (3, 3) pose that they agreed on, until no more agree."""
     for _ in range(GROWTH_ROUNDS):
-        again, moved = voters.vote(pose, sample=sample)
+        again, moved = patches.vote(pose, sample=sample)
         if again.agreeing <= votes.agreeing:
             break
         votes, pose = again, moved

@@ -454,13 +454,13 @@ class _PairEvents:
 
     def __init__(self, on_event: EventCallback) -> None:
         self._on_event = on_event
-        self.raised: BaseException | None = None
+        self.error: BaseException | None = None
 
     def __call__(self, event: Event) -> None:
         try:
             self._on_event(event)
         except BaseException as error:
-            self.raised = error
+            self.error = error
             raise
 
     def counted(self, done: int, total: int) -> _PairEvents:
@@ -551,7 +551,7 @@ def _do(pair: BatchPair, overwrite: bool, events: _PairEvents, runner: Runner) -
     except RequirementError:
         return _registered(pair, read_report(pair.out_dir))
     except Exception as error:  # of any kind: the other pairs are processed nevertheless
-        if error is events.raised:
+        if error is events.error:
             raise
         return _not_done(pair, error)
     return _registered(pair, read_report(pair.out_dir))

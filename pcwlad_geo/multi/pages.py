@@ -351,7 +351,7 @@ def stack_page(found: Stack, frame: StackFrame | None = None) -> str:
         found.images,
         key=lambda image: (
             GRADES_OF_IMAGES.index(image.quality.grade),
-            -image.suspicion,
+            -image.misfit_sigmas,
             -image.quality.expected_ce90_px,
         ),
     )

@@ -60,7 +60,7 @@ PAGE: Final = "stack.html"
 """File name of the page."""
 COLUMNS: Final = (
     *("name", "path", "date", "shift_col_px", "shift_row_px", "sigma_col_px", "sigma_row_px"),
-    *("sigma_x_m", "sigma_y_m", "pairs", "suspicion", "group", "registered", "quality"),
+    *("sigma_x_m", "sigma_y_m", "pairs", "misfit_sigmas", "group", "registered", "quality"),
 )
 """Columns of that table."""
 FILES: Final = (NUMBERS, TABLE, PAGE)
@@ -135,7 +135,7 @@ class DemCheck:
 
 @dataclass(frozen=True, slots=True)
 class BlockNumbers:
-    """What is told of images with RPCs that were adjusted together over a DEM."""
+    """Figures of images with RPCs that were adjusted together over a DEM."""
 
     model: str
     """Correction of each RPC: shift, drift or affine."""
@@ -169,7 +169,7 @@ class PlacedImage:
     """The same in metres; null without a CRS."""
     pairs: int
     """Number of its pairs in use."""
-    suspicion: float
+    misfit_sigmas: float
     """Root mean square, over its pairs, of by how many sigmas each disagrees with all others."""
     group: int
     """Number of the group of images that pairs connect; those of another have another datum."""
@@ -486,7 +486,7 @@ def placed_values(
         "sigma_px": float_pair(sigma_px),
         "sigma_m": None if sizes_m is None else float_pair(sigma_px * sizes_m[0]),
         "pairs": len(own),
-        "suspicion": root_mean_square([misfit_sigmas(pair) for pair in own]) or 0.0,
+        "misfit_sigmas": root_mean_square([misfit_sigmas(pair) for pair in own]) or 0.0,
         "group": group,
         "given": frame.given(number),
         "pixel_size_m": None if sizes_m is None else float_pair(sizes_m[0]),
@@ -557,7 +557,7 @@ def _table(found: Stack) -> str:
     for image in found.images:
         metres = image.sigma_m or (None, None)
         figures = [each and round(each, 6) for each in (*image.shift_px, *image.sigma_px, *metres)]
-        row = [image.name, image.path, image.date, *figures, image.pairs, round(image.suspicion, 3)]
+        row = [image.name, image.path, image.date, *figures, image.pairs, round(image.misfit_sigmas, 3)]
         row += [image.group, None if image.refused else image.registered.name, image.quality.grade]
         rows.append(dict(zip(COLUMNS, row, strict=True)))
     return csv_of(rows)

@@ -709,9 +709,9 @@ def _shown(known: Bool, regions: Index, dates: int) -> Index:
     """
     most = max(1, MAX_PACKED // dates)
     found = np.flatnonzero(known)
-    for apart in range(1, max(known.shape) + 1):
+    for spacing in range(1, max(known.shape) + 1):
         lattice = np.zeros(known.shape, bool)
-        lattice[apart // 2 :: apart, apart // 2 :: apart] = True
+        lattice[spacing // 2 :: spacing, spacing // 2 :: spacing] = True
         for chosen in (lattice | (regions > 0), lattice):
             found = np.flatnonzero(known & chosen)
             if len(found) <= most:

@@ -360,8 +360,8 @@ def open_written_raster(uri: str) -> Iterator[DatasetReader]:
     Temporary files of GDAL (of a warp by a table of positions) lie beside it. GDAL itself would choose the
     working folder, which need not be one that can be written.
     """
-    beside = {} if uri.startswith("<") else {"CPL_TMPDIR": str(Path(uri).parent)}
-    with rasterio.Env(**beside), _opened(open_own, uri, {}) as dataset:
+    options = {} if uri.startswith("<") else {"CPL_TMPDIR": str(Path(uri).parent)}
+    with rasterio.Env(**options), _opened(open_own, uri, {}) as dataset:
         yield dataset
 
 

@@ -2,8 +2,8 @@
 
 The error of a point is what the match moved by, less what the target was moved by. Noise of the level that
 the images have is added afresh, as both matches would share their own otherwise. What both share all the
-same, structure that lies elsewhere in the other band, cannot be seen by this: `Unseen` tells what is known
-of it.
+same, structure that lies elsewhere in the other band, is not observable so: `UnobservableError` says what is
+known of it.
 
 `prove` is the whole of it: `set_up` chooses points and reads their surroundings, `measure` matches them after
 each of `moves_of`, and the rest sorts the errors. `sensitivity` then makes a part of the pair harder until it
@@ -40,7 +40,7 @@ from pcwlad_geo.correction.error_statistics import (
     Sensitivity,
     SigmaEntry,
     TrialEntry,
-    Unseen,
+    UnobservableError,
     float_pair,
 )
 from pcwlad_geo.correction.fit import MODELS
@@ -452,7 +452,7 @@ CHESSBOARD_PX: Final = 121
 COMMON_PX: Final = 0.1
 """What all structure of a band may have in common is never said to be less: images tell nothing of it.
 Between bands of the same sensor four matchers saw 0.1 to 0.2 px."""
-TIMES_SEEN: Final = 3.0
+COMMON_FACTOR: Final = 3.0
 """Of what two halves of the evidence see differently, so much may be the same in both."""
 
 
@@ -615,7 +615,7 @@ def prove(
     seed : int
         Of the choice of the points and of the noise.
     register : callable, optional
-        Registers two files; with it a full proof tells what a part of the pair bears.
+        Registers two files; with it a full proof tells what a part of the pair tolerates.
     """
     setup = set_up(matches, effort, seed)
     moves = moves_of(effort, setup.scales.window_px)
@@ -660,7 +660,7 @@ def prove(
         windows=tuple(_class(f"{each} px", part) for each, part in windows),
         sigma=_sigmas(error, setup.sigma_px * setup.unit_px, scatter_ratio),
         correction=None if fit is None else _of_correction(error, bias, setup, matches, fit, effort),
-        unseen=_unseen(setup, *ends),
+        unseen=_unobservable(setup, *ends),
         map=_map(error, setup, matches),
         sensitivity=sensitivity(matches, register, log, len(moves), seed) if register and tries else None,
     )
@@ -877,20 +877,20 @@ def resampling_error_px(setup: ProofSetup, moves: Sequence[Move], seed: int = 0)
     return float(np.sqrt(np.mean(squares)))
 
 
-def _unseen(setup: ProofSetup, before: MatchedAgain, after: MatchedAgain) -> Unseen:
+def _unobservable(setup: ProofSetup, before: MatchedAgain, after: MatchedAgain) -> UnobservableError:
     """Compare kinds of evidence, of the pair as it lies and with fresh noise."""
     ask: dict[EvidenceKind, Callable[..., Float64]] = {"windows": _chessboard, "directions": _directions}
     if len(before.of_site[0][0].reference.maps) > 1:
         ask = {"channels": _channels, **ask}
     entries = []
-    for name, see in ask.items():
-        first, second = (_asked(see, setup, again) * setup.unit_px for again in (before, after))
+    for name, measure in ask.items():
+        first, second = (_asked(measure, setup, again) * setup.unit_px for again in (before, after))
         entries.append(_evidence_entry(name, first, second, setup))
     lengths = [(np.hypot(*each.mean_px), np.hypot(*each.error_px)) for each in entries]
     least = max((length - 2 * error) / 2 for length, error in lengths)
     most = max(max(length, *each.scatter_px) for (length, _), each in zip(lengths, entries, strict=True))
-    unit = float(setup.unit_px.max())
-    return Unseen(tuple(entries), float(max(least, 0.0)), float(max(TIMES_SEEN * most / 2, COMMON_PX * unit)))
+    bound = max(COMMON_FACTOR * most / 2, COMMON_PX * float(setup.unit_px.max()))
+    return UnobservableError(tuple(entries), float(max(least, 0.0)), float(bound))
 
 
 def _evidence_entry(name: EvidenceKind, first: Float64, second: Float64, setup: ProofSetup) -> EvidenceEntry:
@@ -976,7 +976,7 @@ DIFFICULTIES: Final[dict[Difficulty, tuple[LevelUnit, Float64]]] = {
 BEFORE_TRIALS: Final = 3
 """Number of registrations of the part as it lies, one of them in reverse."""
 TRIALS_EACH: Final = 5
-"""Number that find the first of the levels that is not borne, at most."""
+"""Number that find the first of the levels that is not tolerated, at most."""
 MOST_TRIALS: Final = BEFORE_TRIALS + TRIALS_EACH * len(DIFFICULTIES)
 """Number of registrations of the part, at most."""
 DIRECTION: Final = (0.8, 0.6)
@@ -1082,9 +1082,9 @@ def sensitivity(
 def _limit(
     name: Difficulty, unit: LevelUnit, levels: Float64, attempt: Callable[[float], TrialEntry]
 ) -> LimitEntry:
-    """Find the largest level that is borne, by halving the levels between it and the least that is not.
+    """Find the largest level that is tolerated, by halving the levels between it and the least that is not.
 
-    The largest of all is tried first, which is often borne.
+    The largest of all is tried first, which is often tolerated.
     """
     trials: list[TrialEntry] = []
     low, high, number = -1, len(levels), len(levels) - 1
@@ -1093,8 +1093,10 @@ def _limit(
         low, high = (number, high) if trials[-1].outcome == "right" else (low, number)
         number = (low + high) // 2
     trials.sort(key=lambda each: each.level)
-    borne = None if low < 0 else float(levels[low])
-    return LimitEntry(name, unit, borne, None if high == len(levels) else float(levels[high]), tuple(trials))
+    tolerated = None if low < 0 else float(levels[low])
+    return LimitEntry(
+        name, unit, tolerated, None if high == len(levels) else float(levels[high]), tuple(trials)
+    )
 
 
 def _trial(part: _HarderPart, still: Registration, name: Difficulty, seed: int, level: float) -> TrialEntry:

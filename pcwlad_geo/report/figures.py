@@ -647,7 +647,7 @@ def trials_figure(found: Sensitivity) -> bytes:
         if number:
             axes.set_yticklabels([])
     figure.axes[0].set_ylabel("tie points", fontsize=9)
-    title = "what a part of the pair bears (dot: right, x: refused, star: wrong; dotted line: as it lies)"
+    title = "what a part of the pair tolerates (dot: right, x: refused, star: wrong; dotted line: as it lies)"
     figure.axes[0].set_title(title, fontsize=10, loc="left", y=TITLE_Y)
     return to_png(figure)
 

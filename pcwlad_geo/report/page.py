@@ -397,12 +397,12 @@ WRONG_SHARE: Final = 0.002
 """Share of wrong matches up to which none to speak of get through."""
 
 
-def seen_and_unseen(proof: Proof) -> str:
-    """Return the sentence that tells what the proof sees from what no image tells."""
+def observability_sentence(proof: Proof) -> str:
+    """Return the sentence that tells which errors the proof observes, and which none can."""
     unseen = proof.unseen
     return (
-        "Seen, by moving the target: pixel locking, interpolation and noise, which these figures are of. Not "
-        "seen: structure that lies elsewhere in the other band; halves of the evidence differ by "
+        "Observed, by moving the target: pixel locking, interpolation and noise, which these figures are of. "
+        "Not observable: structure that lies elsewhere in the other band; halves of the evidence differ by "
         f"{unseen.at_least_px:.3f} px or more in it (a lower bound, not the error), and up to "
         f"{unseen.up_to_px:.2f} px have to be allowed for unless a third band closes a triangle."
     )
@@ -415,7 +415,7 @@ def proof_answers(proof: Proof) -> list[Answer]:
     if sigma.within_68 < SIGMA_HOLDS:
         text += f": they would have to be {sigma.factor:.1f} times as large."
     else:
-        text += ", which leaves room for what is not seen." if sigma.factor < 1 else "."
+        text += ", which leaves room for what is not observable." if sigma.factor < 1 else "."
     wrong = proof.wrong / max(proof.wrong + proof.matches, 1)
     correction = proof.correction
     error = f"90 % of the points lie within {proof.ce90_px:.3f} px"
@@ -456,28 +456,30 @@ LIMIT_TEXTS: Final[dict[Difficulty, str]] = {
     "noise": "fresh noise of {:.2g} times the standard deviation of the images",
     "clouds": "clouds over a share of {:.2g} of the target",
 }
-"""What is borne, with its level."""
+"""What is tolerated, with its level."""
 
 
-def borne_text(limit: LimitEntry) -> str:
-    """Return how much of a difficulty a pair bears, in words."""
-    if limit.borne is None:
+def tolerated_text(limit: LimitEntry) -> str:
+    """Return how much of a difficulty a pair tolerates, in words."""
+    if limit.tolerated is None:
         return f"not even {LIMIT_TEXTS[limit.name].format(limit.failed)}"
-    return LIMIT_TEXTS[limit.name].format(limit.borne) + (" or more" if limit.failed is None else "")
+    return LIMIT_TEXTS[limit.name].format(limit.tolerated) + (" or more" if limit.failed is None else "")
 
 
 def _answers_of_trials(proof: Proof) -> list[Answer]:
-    """Return what a full proof answers beside: what the pair bears, and whether both directions agree."""
+    """Return what a full proof answers beside: what the pair tolerates, and whether both directions agree."""
     found = proof.sensitivity
     if found is None:
         return []
     wrong = sum(each.outcome == "wrong" for limit in found.limits for each in limit.trials)
-    said = [borne_text(limit) for limit in found.limits]
+    said = [tolerated_text(limit) for limit in found.limits]
     if wrong:
         said.append(f"{wrong} results beyond were accepted, and wrong")
     elif any(limit.failed is not None for limit in found.limits):
         said.append("beyond, it was refused")
-    answers = [Answer("What does it bear?", "; ".join(said).capitalize() + ".", "bad" if wrong else "good")]
+    answers = [
+        Answer("What does it tolerate?", "; ".join(said).capitalize() + ".", "bad" if wrong else "good")
+    ]
     back = found.reversal
     if back is not None:
         text = f"Points return to {back.rms_px:.3f} px (RMS) from where they began."
@@ -509,7 +511,7 @@ def proof_section(registration: Registration, proof: Proof) -> dict[str, object]
     return {
         "proof": proof,
         "proof_answers": proof_answers(proof),
-        "proof_sentence": seen_and_unseen(proof),
+        "proof_sentence": observability_sentence(proof),
         "proof_figures": {
             "errors": errors_figure(proof),
             "places": places_figure(proof, reference.grid.shape, read_backdrop(reference)),

@@ -105,7 +105,7 @@ class Lens:
 
     @staticmethod
     def from_json(values: Mapping[str, Any]) -> Lens:
-        """Return the lens that `to_json` has told; raises `KeyError`, `TypeError` or `ValueError`."""
+        """Return the lens that `to_json` has written; raises `KeyError`, `TypeError` or `ValueError`."""
         vector = np.array([float(values[name]) for name in PARAMETERS])
         model = values["model"]
         rows, cols = int(values["rows"]), int(values["cols"])
@@ -217,9 +217,7 @@ FIGURES: Final = (
     "distance_m", "inverse_depth", "tilt", "drift_px", "captures", "points", "residual_px", "quality",
     "expected_ce90_px", "seconds",
 )  # fmt: skip
-"""What RIG.json says of the whole rig under the names of `Rig`, or of `KEYS`."""
-KEYS: Final = {"inverse_depth": "nearness", "drift_px": "wander_px"}
-"""Names in RIG.json that are older than those of `Rig`."""
+"""What RIG.json says of the whole rig under the names of `Rig`."""
 MAP_STEP_PX: Final = 8
 """Spacing of the exact positions of a warp; between them it is linear, to about 0.002 px."""
 LEAST_SIDE_PX: Final = 640
@@ -380,8 +378,8 @@ class Rig:
             "kind": "pcwlad-geo rig",
             "camera": self.camera,
             "reference": self.reference.name,
-            **{KEYS.get(name, name): getattr(self, name) for name in FIGURES},
-            KEYS["inverse_depth"]: list(self.inverse_depth),
+            **{name: getattr(self, name) for name in FIGURES},
+            "inverse_depth": list(self.inverse_depth),
             "lenses": [_lens_json(each) for each in self.lenses],
         }
 
@@ -391,14 +389,14 @@ class Rig:
 
     @staticmethod
     def from_json(values: Mapping[str, Any]) -> Rig:
-        """Return the rig that `to_json` has told; raises `KeyError`, `TypeError` or `ValueError`."""
+        """Return the rig that `to_json` has written; raises `KeyError`, `TypeError` or `ValueError`."""
         if values["kind"] != "pcwlad-geo rig" or int(values["schema_version"]) != SCHEMA_VERSION:
             raise ValueError("no rig of this version")
         lenses = tuple(_lens_from(each) for each in values["lenses"])
         if not 2 <= len(lenses) <= 16 or len({each.name for each in lenses}) != len(lenses):
             raise ValueError("no two lenses")
-        low, high = (float(each) for each in values[KEYS["inverse_depth"]])
-        numbers = [float(values[name]) for name in ("tilt", KEYS["drift_px"], "residual_px", "seconds")]
+        low, high = (float(each) for each in values["inverse_depth"])
+        numbers = [float(values[name]) for name in ("tilt", "drift_px", "residual_px", "seconds")]
         if not 0 < low <= high < 1e6 or not all(math.isfinite(each) for each in numbers):
             raise ValueError("no distances")
         metres, expected = values["distance_m"], values.get("expected_ce90_px")
@@ -446,15 +444,15 @@ def _lens_json(each: RigLens) -> dict[str, Any]:
         "sigma": dict(zip([*names, *POSE], each.sigma.tolist(), strict=True)),
         "mapping_sigma_px": {"median": each.mapping_sigma_px[0], "largest": each.mapping_sigma_px[1]},
         "distortion_sigma_px": each.distortion_sigma_px,
-        "told": None if each.calibrated is None else each.calibrated.to_json(),
-        "told_off_by_px": None if off is None else {"rms": off[0], "largest": off[1]},
+        "calibrated": None if each.calibrated is None else each.calibrated.to_json(),
+        "calibration_difference_px": None if off is None else {"rms": off[0], "largest": off[1]},
         "detail": each.sharpness.detail,
         "contrast": each.sharpness.contrast,
     }
 
 
 def _lens_from(values: Mapping[str, Any]) -> RigLens:
-    lens, wavelength, calibrated = Lens.from_json(values), values["wavelength_nm"], values["told"]
+    lens, wavelength, calibrated = Lens.from_json(values), values["wavelength_nm"], values["calibrated"]
     sigma = np.array([float(each) for each in values["sigma"].values()])
     rotation, baseline = (_triple(values[name]) for name in ("rotation_rad", "baseline"))
     if sigma.shape != (14,) or not np.isfinite(sigma).all():

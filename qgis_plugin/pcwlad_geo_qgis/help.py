@@ -212,7 +212,7 @@ LABELS = {
     "landsat-oli": mark("Landsat OLI"),
     "landsat-tirs": mark("Landsat TIRS"),
     "quick": mark("Quick (a sample of points)"),
-    "full": mark("Full (more points, and what the pair bears)"),
+    "full": mark("Full (more points, and what the pair tolerates)"),
     "reference": mark("The reference"),
     "mean": mark("The mean position of all"),
 }

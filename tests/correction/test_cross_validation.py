@@ -52,9 +52,9 @@ def test_errors_shared_with_the_others_do_not_flatter(name: str) -> None:
         for test in has_foldover.tests:
             missed[test] += fit.predictions(~test, test, fit.remainder_px[:, :, None])[..., 0]
         true.append(((observed - points) ** 2 + missed**2).sum(axis=1).mean())
-    flattery = np.mean(true) - np.mean(flattered)
-    assert flattery > 5e-4
-    assert np.mean(corrected) - np.mean(flattered) == pytest.approx(flattery, rel=0.45)
+    optimism = np.mean(true) - np.mean(flattered)
+    assert optimism > 5e-4
+    assert np.mean(corrected) - np.mean(flattered) == pytest.approx(optimism, rel=0.45)
 
 
 def test_exact_points_leave_nothing() -> None:

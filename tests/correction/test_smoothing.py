@@ -20,12 +20,12 @@ def trials_of(points: Array, values: Array, side_px: float, outliers: int = 0) -
     return SmoothingTrials.of(ThinPlateSystem.of(points, 81), overlaps, probes, values, whitener, weight)
 
 
-@pytest.mark.parametrize("stiffness", [0.3, 30.0, 3e3])
+@pytest.mark.parametrize("relative_smoothing", [0.3, 30.0, 3e3])
 @pytest.mark.parametrize("outliers", [0, 20])
-def test_the_information_used_up_is_that_of_dense_algebra(outliers: int, stiffness: float) -> None:
+def test_the_information_used_up_is_that_of_dense_algebra(outliers: int, relative_smoothing: float) -> None:
     points = scattered(0, 200)
     trials = trials_of(points, noise(0, 200, 0.1), 81, outliers)
-    smoothing = trials.smoothing(stiffness)
+    smoothing = trials.smoothing(relative_smoothing)
     trial = trials.at(smoothing)
     design, energy = trials.system.design.toarray()[outliers:], trials.system.energy.toarray()
     precision = trials.precision[outliers:]
@@ -79,9 +79,9 @@ def test_waves_are_followed_about_as_well_as_can_be() -> None:
     system = ThinPlateSystem.of(points, 81)
     errors = []
     for step in range(12):
-        stiffness = 2e4 / 4.0**step
+        relative_smoothing = 2e4 / 4.0**step
         precision = np.full(500, 100.0)
-        factor = system.factor(system.normal(precision), system.smoothing(stiffness, precision))
+        factor = system.factor(system.normal(precision), system.smoothing(relative_smoothing, precision))
         found = factor.solve(system.design.T @ (100 * (observed - points)))
         errors.append(rmse(places + system.grid.design(places) @ found))
     assert rmse(fit.correction.forward(places)) < 1.25 * min(errors)

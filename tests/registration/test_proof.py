@@ -209,17 +209,17 @@ def test_of_a_sample_an_affine_errs_more_than_of_all_points() -> None:
     assert _of_all_points(every[:50], every, footprint_px=600.0) > 0.8  # of the same few windows
 
 
-@pytest.mark.parametrize("borne", range(-1, 15))
-def test_halving_finds_the_largest_level_that_is_borne(borne: int) -> None:
+@pytest.mark.parametrize("tolerated", range(-1, 15))
+def test_halving_finds_the_largest_level_that_is_tolerated(tolerated: int) -> None:
     levels = DIFFICULTIES["noise"][1]
 
     def attempt(level: float) -> TrialEntry:
-        right = borne >= 0 and level <= levels[borne]
+        right = tolerated >= 0 and level <= levels[tolerated]
         return TrialEntry(level, "right" if right else "refused", 10 * right, None)
 
     found = _limit("noise", DIFFICULTIES["noise"][0], levels, attempt)
-    assert found.borne == (None if borne < 0 else levels[borne])
-    assert found.failed == (None if borne == 14 else levels[borne + 1])
+    assert found.tolerated == (None if tolerated < 0 else levels[tolerated])
+    assert found.failed == (None if tolerated == 14 else levels[tolerated + 1])
     assert len(found.trials) <= 5
     assert list(found.trials) == sorted(found.trials, key=lambda each: each.level)
 
@@ -264,19 +264,19 @@ def matches_of(table: TiePointTable, matched: Matches) -> Matches:
 
 
 @pytest.mark.slow
-def test_a_pair_bears_displacements_up_to_its_search_radius(matched: Matches) -> None:
+def test_a_pair_tolerates_displacements_up_to_its_search_radius(matched: Matches) -> None:
     found = sensitivity(matched, run, JobLog(ignore))
     assert found is not None
     limits = {limit.name: limit for limit in found.limits}
     # by its settings, the pair is searched within 6 px and nowhere else
-    assert limits["displacement"].borne == pytest.approx(5.66, abs=1.7)
-    assert limits["rotation"].borne is not None
-    assert limits["rotation"].borne < 12
+    assert limits["displacement"].tolerated == pytest.approx(5.66, abs=1.7)
+    assert limits["rotation"].tolerated is not None
+    assert limits["rotation"].tolerated < 12
     for limit in found.limits:
         for trial in limit.trials:
             assert trial.outcome != "wrong"
             assert (trial.error_px is None) == (trial.outcome == "refused")
-            assert limit.borne is None or (trial.level <= limit.borne) == (trial.outcome == "right")
+            assert limit.tolerated is None or (trial.level <= limit.tolerated) == (trial.outcome == "right")
     assert found.reversal is not None
     assert found.reversal.rms_px < 0.05
 
@@ -293,7 +293,7 @@ def test_a_result_that_is_accepted_and_lies_elsewhere_is_wrong(matched: Matches)
 
     told = sensitivity(matched, register, JobLog(ignore))
     assert told is not None
-    assert all(limit.borne is None for limit in told.limits)
+    assert all(limit.tolerated is None for limit in told.limits)
     outcomes = {limit.name: {trial.outcome for trial in limit.trials} for limit in told.limits}
     assert set(map(frozenset, outcomes.values())) == {frozenset({"wrong"})}
     (noise,) = (limit for limit in told.limits if limit.name == "noise")

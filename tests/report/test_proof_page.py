@@ -23,7 +23,7 @@ from pcwlad_geo.correction.error_statistics import (
     Sensitivity,
     SigmaEntry,
     TrialEntry,
-    Unseen,
+    UnobservableError,
 )
 from pcwlad_geo.registration.proof import moves_of
 from pcwlad_geo.report.content import proof_numbers, to_json
@@ -55,13 +55,15 @@ PROOF = Proof(
     windows=(),
     sigma=SigmaEntry(0.41, 0.7, 2.04, 2.04),
     correction=CorrectionEntry("shift", (0.012, -0.003), 0.012, 0.02, None),
-    unseen=Unseen((EvidenceEntry("channels", 2, (0.04, 0.0), (0.01, 0.01), (0.0, 0.0)),), 0.01, 0.1),
+    unseen=UnobservableError(
+        (EvidenceEntry("channels", 2, (0.04, 0.0), (0.01, 0.01), (0.0, 0.0)),), 0.01, 0.1
+    ),
     map=tuple(PointEntry(n, (100.0 * n + 50, 80.0), ((0.01, 0.02), (-0.01, 0.0))) for n in range(2)),
 )
 
 
 RIGHT, REFUSED = TrialEntry(0.5, "right", 80, 0.02), TrialEntry(0.71, "refused", 0, None)
-BEARS = Sensitivity(
+TOLERATES = Sensitivity(
     (512, 400),
     100,
     (
@@ -76,7 +78,7 @@ BEARS = Sensitivity(
 def test_proof_json_is_as_its_schema_says() -> None:
     numbers = json.loads(to_json(proof_numbers(make_registration(), PROOF, ["proof.json"])))
     full = json.loads(
-        to_json(proof_numbers(make_registration(), replace(PROOF, sensitivity=BEARS), ["proof.json"]))
+        to_json(proof_numbers(make_registration(), replace(PROOF, sensitivity=TOLERATES), ["proof.json"]))
     )
     checked = jsonschema.Draft202012Validator(json.loads(SCHEMA.read_text(encoding="utf-8")))
     checked.validate(numbers | {"noise": [1.5, 1.5]})
@@ -108,7 +110,7 @@ def test_the_page_tells_the_error_and_what_no_image_tells() -> None:
             SigmaEntry(0.41, 0.7, 2.04, 2.04),
             "41 % of the errors lie within sigma (68 is right): they would have",
         ),
-        (SigmaEntry(1.0, 1.0, 0.2, 1.0), "leaves room for what is not seen"),
+        (SigmaEntry(1.0, 1.0, 0.2, 1.0), "leaves room for what is not observable"),
     ],
 )
 def test_sigmas_are_called_too_small_but_never_too_large(sigma: SigmaEntry, says: str) -> None:
@@ -124,21 +126,23 @@ def test_what_is_printed_has_the_figures() -> None:
     assert "correction" not in without
 
 
-def test_the_page_tells_what_the_pair_bears_and_whether_it_returns() -> None:
-    page = proof_page(make_registration(), replace(PROOF, sensitivity=BEARS))
+def test_the_page_tells_what_the_pair_tolerates_and_whether_it_returns() -> None:
+    page = proof_page(make_registration(), replace(PROOF, sensitivity=TOLERATES))
     assert (
         "A displacement of 181 px or more; fresh noise of 0.5 times the standard deviation of the images; "
         "not even clouds over a share of 0.06 of the target; beyond, it was refused." in words(page)
     )
     assert "Points return to 0.034 px (RMS)" in words(page)
     assert page.count("<img") == proof_page(make_registration(), PROOF).count("<img") + 1
-    assert "What does it bear?" not in words(proof_page(make_registration(), PROOF))
+    assert "What does it tolerate?" not in words(proof_page(make_registration(), PROOF))
 
 
 def test_a_wrong_result_that_was_accepted_is_told() -> None:
     wrong = replace(REFUSED, outcome="wrong", points=40, error_px=12.0)
-    limit = replace(BEARS.limits[1], trials=(RIGHT, wrong))
-    page = words(proof_page(make_registration(), replace(PROOF, sensitivity=replace(BEARS, limits=(limit,)))))
+    limit = replace(TOLERATES.limits[1], trials=(RIGHT, wrong))
+    page = words(
+        proof_page(make_registration(), replace(PROOF, sensitivity=replace(TOLERATES, limits=(limit,))))
+    )
     assert "1 results beyond were accepted, and wrong" in page
     assert "beyond, it was refused" not in page
 
@@ -151,14 +155,16 @@ def test_what_a_blind_spot_costs_is_told_where_it_was_asked() -> None:
     assert "0.310 px" in page
 
 
-def test_nothing_is_called_refused_where_all_was_borne() -> None:
-    limits = tuple(replace(each, borne=0.5, failed=None, trials=(RIGHT,)) for each in BEARS.limits)
-    page = words(proof_page(make_registration(), replace(PROOF, sensitivity=replace(BEARS, limits=limits))))
-    assert "What does it bear?" in page
+def test_nothing_is_called_refused_where_all_was_tolerated() -> None:
+    limits = tuple(replace(each, tolerated=0.5, failed=None, trials=(RIGHT,)) for each in TOLERATES.limits)
+    page = words(
+        proof_page(make_registration(), replace(PROOF, sensitivity=replace(TOLERATES, limits=limits)))
+    )
+    assert "What does it tolerate?" in page
     assert "beyond, it was refused" not in page
 
 
-def test_what_is_printed_of_a_full_proof_has_what_it_bears() -> None:
-    text = proof_text(replace(PROOF, sensitivity=BEARS))
-    assert "bears a displacement of 181 px or more; fresh noise of 0.5" in text
+def test_what_is_printed_of_a_full_proof_has_what_it_tolerates() -> None:
+    text = proof_text(replace(PROOF, sensitivity=TOLERATES))
+    assert "tolerates a displacement of 181 px or more; fresh noise of 0.5" in text
     assert "both directions: RMS 0.0340 px, bias +0.0100, -0.0200 px" in text

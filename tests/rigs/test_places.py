@@ -70,7 +70,7 @@ def changed(values: dict[str, Any], *path: str | int, to: object) -> dict[str, A
         (("lenses", 0, "cols"), 0),
         (("lenses", 0, "wavelength_nm"), [475.0]),
         (("lenses", 0, "sigma"), {}),
-        (("nearness",), [1.0]),
+        (("inverse_depth",), [1.0]),
         (("captures",), "many"),
     ],
 )
@@ -86,7 +86,7 @@ def test_a_calibration_that_maps_nothing_into_the_frame_is_not_compared(folder: 
     values = json.loads(file.read_text())
     told = {name: values["lenses"][0][name] for name in ("model", "rows", "cols")}
     told |= dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), 0.0)
-    values["lenses"][0]["told"] = {**told, "focal_px": 1e9, "centre_col": 1e12, "centre_row": 1e12}
+    values["lenses"][0]["calibrated"] = {**told, "focal_px": 1e9, "centre_col": 1e12, "centre_row": 1e12}
     file.write_text(json.dumps(values))
     rig = Rig.read(file)
     off = rig.lenses[0].off_by_px()

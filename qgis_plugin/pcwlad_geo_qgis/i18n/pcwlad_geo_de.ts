@@ -1008,7 +1008,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Schnell (eine Stichprobe der Punkte)</translation>
     </message>
     <message>
-      <source>Full (more points, and what the pair bears)</source>
+      <source>Full (more points, and what the pair tolerates)</source>
       <translation>Vollständig (mehr Punkte, und was das Paar aushält)</translation>
     </message>
     <message>
