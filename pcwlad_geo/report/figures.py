@@ -264,9 +264,9 @@ def sigma_figure(precision: PrecisionMap, points_px: Float64) -> bytes:
     return to_png(figure)
 
 
-BINS = 31
+BINS: Final = 31
 """Number of bars of a histogram."""
-MAX_POINTS = 2000
+MAX_POINTS: Final = 2000
 """Largest number of points of the scatter plot."""
 
 
@@ -502,11 +502,11 @@ def wave_text(profiles: ProfilesEntry, along: str) -> str:
     return f"Along the {along}s: jitter of " + "; ".join(waves)
 
 
-BINS = 12
+TREND_BINS: Final = 12
 """Number of intervals of a trend."""
 MIN_IN_BIN = 5
 """Least number of values of an interval for its mean to be drawn."""
-MAX_POINTS = 1500
+TREND_POINTS: Final = 1500
 """Largest number of points that are drawn; of more every n-th is."""
 
 
@@ -541,7 +541,7 @@ def trend_figure(
 
 
 def _draw(axes: Axes, places: Float64, values: Float64, span: tuple[float, float], colour: str) -> None:
-    every = max(1, -(-len(places) // MAX_POINTS))
+    every = max(1, -(-len(places) // TREND_POINTS))
     axes.plot(places[::every], values[::every], ".", color=colour, ms=2.5, alpha=0.45)
     axes.axhline(0, color="0.4", lw=0.8)
     middles, means, errors = stretch_means(places, values, span)
@@ -553,20 +553,20 @@ def stretch_means(
 ) -> tuple[Float64, Float64, Float64]:
     """Return the means of values in intervals of a span that hold enough of them.
 
-    The (n,) `places` are px or metres, and the (n,) `values` may be NaN; the span is divided into `BINS`
-    intervals. The results are the middle of each interval, the mean of its values, and the standard error of
-    the mean, (m,) arrays.
+    The (n,) `places` are px or metres, and the (n,) `values` may be NaN; the span is divided into
+    `TREND_BINS` intervals. The results are the middle of each interval, the mean of its values, and the
+    standard error of the mean, (m,) arrays.
     """
     low, high = span
     known = np.isfinite(places) & np.isfinite(values)
     places, values = places[known], values[known]
-    stretch = np.clip(((places - low) * BINS / (high - low)).astype(int), 0, BINS - 1)
-    count = np.bincount(stretch, minlength=BINS)
+    stretch = np.clip(((places - low) * TREND_BINS / (high - low)).astype(int), 0, TREND_BINS - 1)
+    count = np.bincount(stretch, minlength=TREND_BINS)
     enough = count >= MIN_IN_BIN
     safe = np.maximum(count, 1)
-    mean = np.bincount(stretch, values, BINS) / safe
-    variance = np.bincount(stretch, (values - mean[stretch]) ** 2, BINS) / np.maximum(count - 1, 1)
-    middles = low + (np.arange(BINS) + 0.5) * (high - low) / BINS
+    mean = np.bincount(stretch, values, TREND_BINS) / safe
+    variance = np.bincount(stretch, (values - mean[stretch]) ** 2, TREND_BINS) / np.maximum(count - 1, 1)
+    middles = low + (np.arange(TREND_BINS) + 0.5) * (high - low) / TREND_BINS
     return middles[enough], mean[enough], np.sqrt(variance / safe)[enough]
 
 

@@ -136,9 +136,10 @@ def test_docstrings_give_the_shape_of_every_array(module: str) -> None:
 
 
 @pytest.mark.parametrize("module", MODULES)
-def test_every_constant_has_a_sentence_of_its_own(module: str) -> None:
-    lacking = [name for name, said in constants(module) if not re.fullmatch(r"[^a-z\s].*[.]", said)]
-    assert lacking == []
+def test_every_constant_has_one_value_and_a_sentence_of_its_own(module: str) -> None:
+    named = list(constants(module))
+    assert [name for name, said in named if not re.fullmatch(r"[^a-z\s].*[.]", said)] == []
+    assert len(dict(named)) == len(named)
 
 
 def test_the_checks_can_fail() -> None:
