@@ -43,7 +43,7 @@ from pcwlad_geo.registration.fitting import Quality
 from pcwlad_geo.registration.result import Matches, Pair, Registration
 from pcwlad_geo.registration.rpc import check_model
 from pcwlad_geo.report.finished import finished
-from pcwlad_geo.text import html_table, one_line_of
+from pcwlad_geo.text import Shown
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64, PathLike
 
@@ -195,8 +195,8 @@ class _WarpKeywords(WarpOptions, total=False):
     on_event: EventCallback
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedCorrection:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class FittedCorrection(Shown):
     """A correction fitted to tie points, with its precision, and what can be made of it.
 
     It maps the target pixel that the original georeferencing predicts for a place on the ground (without
@@ -369,12 +369,6 @@ class FittedCorrection:
         if isinstance(grid, RpcGrid) or not grid.located:
             return raster
         return replace(raster, transform=grid.transform, crs=grid.crs)
-
-    def __repr__(self) -> str:
-        return one_line_of(self, *self._facts().values())
-
-    def _repr_html_(self) -> str:
-        return html_table("FittedCorrection", self._facts())
 
     def _facts(self) -> dict[str, str]:
         facts = {"model": self.name, "tie points": self.tie_points.summary()}

@@ -221,9 +221,24 @@ def joined(message: object) -> str:
     return " ".join(str(message).split())
 
 
-def one_line_of(value: object, *facts: str) -> str:
-    """Return the `repr` of an object: its class and some facts, on one line."""
-    return f"<{type(value).__name__}: {one_line(', '.join(facts))}>"
+class Shown:
+    """What prints as its class and some facts on a line, and in a notebook as a table of them."""
+
+    __slots__ = ()
+
+    def _facts(self) -> dict[str, str]:
+        """Return the facts of either by name."""
+        raise NotImplementedError
+
+    def _more(self) -> dict[str, str]:
+        """Return those of the table only, which come last and replace others."""
+        return {}
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {one_line(', '.join(self._facts().values()))}>"
+
+    def _repr_html_(self) -> str:
+        return html_table(type(self).__name__, self._facts() | self._more())
 
 
 def html_table(title: str, facts: Mapping[str, str]) -> str:

@@ -8,7 +8,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.text import html_table, one_line_of
+from pcwlad_geo.text import Shown
 from pcwlad_geo.types import Bool, Float64, Index
 
 Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
@@ -126,8 +126,8 @@ TRAITS: dict[str, MethodTraits] = {
 """The traits of each matching method, by name."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TiePoints:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class TiePoints(Shown):
     """Matched points of two images on the same matching grid.
 
     All coordinates are GDAL pixel coordinates, (col, row) with (0, 0) at the top-left
@@ -147,12 +147,6 @@ class TiePoints:
 
     def __len__(self) -> int:
         return len(self.score)
-
-    def __repr__(self) -> str:
-        return one_line_of(self, *self._facts().values())
-
-    def _repr_html_(self) -> str:
-        return html_table("TiePoints", self._facts())
 
     def _facts(self) -> dict[str, str]:
         facts = {"tie points": f"{len(self)} tie points"}

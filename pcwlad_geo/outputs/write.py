@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from affine import Affine
+from rasterio.crs import CRS
 
 from pcwlad_geo.correction.dense import Lattice
 from pcwlad_geo.correction.models import AffineCorrection, Correction
@@ -20,9 +21,8 @@ from pcwlad_geo.events import Event, EventCallback, Progress, Warned
 from pcwlad_geo.limits import check_grid
 from pcwlad_geo.products import ProductBand
 from pcwlad_geo.raster import vrt, warping
-from pcwlad_geo.raster.crs import displacement_m, transform_xy
 from pcwlad_geo.raster.gdal import small_block_cache
-from pcwlad_geo.raster.grid import Grid, jacobian, map_px
+from pcwlad_geo.raster.grid import Grid, jacobian, map_px, metres_between
 from pcwlad_geo.raster.matching_grid import grid_on_plane_of
 from pcwlad_geo.raster.output_format import OutputFormat, files_of, write_cog
 from pcwlad_geo.raster.output_grid import check_covered, corrected_outline, output_grids
@@ -221,10 +221,6 @@ def _sigma(job: Writing, path: Path) -> None:
     write_sigma(path, job.registration.selection, job.registration.target.grid, job.grid)
 
 
-def _displacement(job: Writing, path: Path) -> None:
-    write_displacement(path, job.registration)
-
-
 def _rpc_text(job: Writing, path: Path) -> None:
     write_rpc_text(_corrected_rpc(job.registration), path)
 
@@ -273,7 +269,7 @@ OUTPUTS: Final = (
         "{stem}_displacement.tif",
         _FIELD,
         "the displacement field, its sigma and quality",
-        _displacement,
+        lambda job, path: write_displacement(path, job.registration),
     ),
 )
 """All files that a job may write, besides the other bands of a product."""
@@ -360,13 +356,13 @@ def _write_report(
 ) -> None:
     """Write the report's page, as PDF too where that is wanted, and its numbers, with the `seconds` spent."""
     from pcwlad_geo.report.content import SECONDS_DIGITS, rounded, to_json
-    from pcwlad_geo.report.page import on_paper, on_screen, to_pdf
+    from pcwlad_geo.report.page import report_page, to_pdf
 
     report = replace(report, seconds=rounded(seconds, SECONDS_DIGITS))
-    staged["report"].write_text(on_screen(report, drawings), encoding="utf-8", newline="\n")
+    staged["report"].write_text(report_page(report, drawings), encoding="utf-8", newline="\n")
     if report.settings.pdf:
         since = time.perf_counter()
-        staged["pdf"].write_bytes(to_pdf(on_paper(report, drawings)))
+        staged["pdf"].write_bytes(to_pdf(report_page(report, drawings, paper=True)))
         seconds = seconds | {"pdf": time.perf_counter() - since}
         report = replace(report, seconds=rounded(seconds, SECONDS_DIGITS))
     staged["numbers"].write_text(to_json(report), encoding="utf-8", newline="\n")
@@ -594,7 +590,7 @@ class _Field:
         if settings.displacement_unit == "m":
             if reference.crs is None:
                 raise InputError("a displacement in metres needs a CRS: leave out --displacement-unit m")
-            metres = _Metres(own, reference)
+            metres = _Metres(own, reference.crs)
         statuses = ("fit", "check", "unused") if settings.points == "dense" else ()
         measured = _Measured.of(registration.tie_points.select(*statuses), places)
         covariance = _Interpolated.of(selection, target.grid.shape)
@@ -620,17 +616,13 @@ class _Field:
             self.precision.extrapolated(predicted[observable]), EXTRAPOLATED, MODELLED
         )
         quality[own] = MEASURED
-        moved, spread = self._in_unit(predicted[observable], observed[observable], spread[observable])
+        predicted, observed, spread = (each[observable] for each in (predicted, observed, spread))
+        moved = observed - predicted
+        if self.metres is not None:
+            moved, spread = self.metres.of(predicted, observed, spread)
         sigma = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
         found[observable] = np.column_stack([moved, sigma, quality[observable]])
         return found
-
-    def _in_unit(
-        self, predicted_px: Float64, observed_px: Float64, covariance_px2: Float64
-    ) -> tuple[Float64, Float64]:
-        if self.metres is None:
-            return observed_px - predicted_px, covariance_px2
-        return self.metres.of(predicted_px, observed_px, covariance_px2)
 
 
 def _spacing_px(selection: Selection, reference: Grid, target: Grid) -> int:
@@ -714,22 +706,17 @@ class _Metres:
 
     own: Grid
     """The grid of the predicted and observed px."""
-    reference: Grid
+    crs: CRS
 
     def of(
         self, predicted_px: Float64, observed_px: Float64, covariance_px2: Float64
     ) -> tuple[Float64, Float64]:
         """Return (n, 2) displacements (x, y) and their (n, 2, 2) covariances, metres and m²."""
-        level = at_mean_height(self.own)
+        level, crs = at_mean_height(self.own), self.crs
         steps = [
-            self._between(level, observed_px - half, observed_px + half)
+            metres_between(level, observed_px - half, observed_px + half, crs)
             for half in np.array([[0.5, 0.0], [0.0, 0.5]])
         ]
         per_px = np.stack(steps, axis=2)
         covariance = per_px @ covariance_px2 @ per_px.transpose(0, 2, 1)
-        return self._between(self.own, predicted_px, observed_px), covariance
-
-    def _between(self, grid: Grid, from_px: Float64, to_px: Float64) -> Float64:
-        crs = self.reference.crs
-        xy_from, xy_to = (transform_xy(grid.to_xy(px), grid.crs, crs) for px in (from_px, to_px))
-        return displacement_m(xy_from, xy_to, crs)
+        return metres_between(self.own, predicted_px, observed_px, crs), covariance

@@ -22,7 +22,7 @@ from rasterio.io import DatasetReader
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring, open_own
 from pcwlad_geo.raster.grid import apply, apply_inverse
-from pcwlad_geo.text import html_table, one_line_of
+from pcwlad_geo.text import Shown
 from pcwlad_geo.types import PathLike
 
 X_NAMES: Final = ("x", "lon", "longitude")
@@ -67,8 +67,8 @@ class DataArrayLike(Protocol):
         """Its name."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Raster:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Raster(Shown):
     """Bands held in memory, and where their pixels lie.
 
     Parameters
@@ -104,12 +104,6 @@ class Raster:
         rows, cols = self.array.shape[-2:]
         return rows, cols
 
-    def __repr__(self) -> str:
-        return one_line_of(self, *self._facts().values())
-
-    def _repr_html_(self) -> str:
-        return html_table("Raster", self._facts())
-
     def _facts(self) -> dict[str, str]:
         rows, cols = self.shape
         bands = self.array.shape[0] if self.array.ndim == 3 else 1
@@ -139,10 +133,8 @@ class Scratch:
 
         Raises `InputError` if it is none of what `RasterLike` lists, or cannot be written.
         """
-        if isinstance(raster, str | os.PathLike):
-            return os.fspath(raster)
-        if is_dataset(raster) and _has_file(raster):
-            return str(raster.name)
+        if (place := _place_of(raster)) is not None:
+            return place
         path = self.folder / f"{name}.tif"
         if is_dataset(raster):
             _copy(raster, path)
@@ -161,14 +153,19 @@ def file_of(raster: object) -> str:
 
     Raises `InputError` if it is in memory only.
     """
-    if isinstance(raster, str | os.PathLike):
-        return os.fspath(raster)
-    if is_dataset(raster) and _has_file(raster):
-        return str(raster.name)
+    if (place := _place_of(raster)) is not None:
+        return place
     raise InputError(
         f"{_kind(raster)} cannot be registered into a folder, whose files refer to the raster: give a path "
         "or an open dataset of a file, or compose open_pair, match and fit, which take rasters in memory"
     )
+
+
+def _place_of(raster: object) -> str | None:
+    """Return the path or URI of a raster; None of one in memory."""
+    if isinstance(raster, str | os.PathLike):
+        return os.fspath(raster)
+    return str(raster.name) if is_dataset(raster) and _has_file(raster) else None
 
 
 def is_dataset(raster: object) -> TypeGuard[DatasetReader]:

@@ -268,6 +268,12 @@ def map_px(points_px: Float64, from_grid: Grid, to_grid: Grid) -> Float64:
     return to_grid.to_px(transform_xy(from_grid.to_xy(points_px), from_grid.crs, to_grid.crs))
 
 
+def metres_between(grid: Grid, from_px: Float64, to_px: Float64, crs: CRS) -> Float64:
+    """Return the (n, 2) metres along the axes of a CRS from the (n, 2) px `from_px` to (n, 2) `to_px`."""
+    from_xy, to_xy = (transform_xy(grid.to_xy(px), grid.crs, crs) for px in (from_px, to_px))
+    return displacement_m(from_xy, to_xy, crs)
+
+
 def jacobian(points_px: Float64, from_grid: Grid, to_grid: Grid) -> Float64:
     """Return the (n, 2, 2) Jacobian of `map_px` at the (n, 2) `points_px`, by differences over one pixel.
 

@@ -37,7 +37,7 @@ from pcwlad_geo.registration.prealign import Overviews, Prealignment, direct_sta
 from pcwlad_geo.registration.rpc import RpcRegistration
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 from pcwlad_geo.requirements import RequirementResult
-from pcwlad_geo.text import html_table, one_line_of
+from pcwlad_geo.text import Shown, html_table, one_line
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
 
@@ -291,7 +291,8 @@ class Pair:
         return None if searches_first(self.views, self.settings) else direct_start(self.views, self.settings)
 
     def __repr__(self) -> str:
-        return one_line_of(self, " <- ".join(map(_band_text, (self.reference, self.target))), *self._facts())
+        pair = " <- ".join(map(_band_text, (self.reference, self.target)))
+        return f"<Pair: {one_line(', '.join([pair, *self._facts()]))}>"
 
     def _repr_html_(self) -> str:
         rows, cols = self.matching_grid.shape
@@ -315,8 +316,8 @@ class Pair:
         return facts + ([f"{len(self.warnings)} warnings"] if self.warnings else [])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Matches:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Matches(Shown):
     """The tie points of a pair, before any fit."""
 
     pair: Pair
@@ -373,11 +374,8 @@ class Matches:
             "target as it is, not to an image that it was cropped or decimated from"
         )
 
-    def __repr__(self) -> str:
-        return one_line_of(self, *self._facts().values())
-
-    def _repr_html_(self) -> str:
-        return html_table("Matches", self._facts() | {"warnings": "; ".join(self.warnings) or "none"})
+    def _more(self) -> dict[str, str]:
+        return {"warnings": "; ".join(self.warnings) or "none"}
 
     def _facts(self) -> dict[str, str]:
         used = self.tie_points.select("matched")
@@ -396,8 +394,8 @@ def _band_text(info: RasterInfo) -> str:
     return f"{file_name(info.uri)} {bands_of(info).text} ({cols} x {rows} px)"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Registration:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Registration(Shown):
     """What a job found, written or not."""
 
     status: RegistrationStatus
@@ -447,15 +445,9 @@ class Registration:
     outputs: Mapping[str, Path] = field(default_factory=dict)
     """The files written, by kind: raster, report, tiepoints, and so on; none where nothing was."""
 
-    def __repr__(self) -> str:
-        return one_line_of(self, *self._facts().values())
-
-    def _repr_html_(self) -> str:
-        more = {
-            "warnings": "; ".join(self.warnings) or "none",
-            "outputs": ", ".join(map(str, self.outputs.values())) or "none",
-        }
-        return html_table("Registration", self._facts() | more)
+    def _more(self) -> dict[str, str]:
+        outputs = ", ".join(map(str, self.outputs.values())) or "none"
+        return {"warnings": "; ".join(self.warnings) or "none", "outputs": outputs}
 
     def _facts(self) -> dict[str, str]:
         facts = {"status": self.status if self.reason is None else f"{self.status}: {self.reason}"}

@@ -192,18 +192,11 @@ class Drawings:
     """What the section on the tool's own error needs; empty without a proof."""
 
 
-def on_screen(report: Report, drawings: Drawings) -> str:
-    """Return the page for browsers."""
-    return _page(report, drawings, paper=False)
+def report_page(report: Report, drawings: Drawings, *, paper: bool = False) -> str:
+    """Return the page: the template reads the fields of `report` and `drawings` by their names.
 
-
-def on_paper(report: Report, drawings: Drawings) -> str:
-    """Return the page for renderers without scripts and masks, such as PDF converters."""
-    return _page(report, drawings, paper=True)
-
-
-def _page(report: Report, drawings: Drawings, *, paper: bool) -> str:
-    """Return the page: the template reads the fields of `report` and `drawings` by their names."""
+    That on `paper` is for renderers without scripts and masks, such as PDF converters.
+    """
     names = {each.name: getattr(part, each.name) for part in (report, drawings) for each in fields(part)}
     grade = report.quality.grade if report.quality else None
     verdict = headline(report.status, grade, report.passed)

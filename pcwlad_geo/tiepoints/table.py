@@ -12,12 +12,11 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.types import TiePoints
-from pcwlad_geo.raster.crs import displacement_m, transform_xy
-from pcwlad_geo.raster.grid import jacobian, map_px
+from pcwlad_geo.raster.grid import jacobian, map_px, metres_between
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.grid import at_mean_height
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.text import html_table, one_line_of
+from pcwlad_geo.text import html_table
 from pcwlad_geo.types import Bool, Float64, Index
 
 if TYPE_CHECKING:
@@ -57,7 +56,7 @@ class TiePointTable:
         return len(self.score)
 
     def __repr__(self) -> str:
-        return one_line_of(self, self.summary())
+        return f"<TiePointTable: {self.summary()}>"
 
     def _repr_html_(self) -> str:
         facts = {status: str(count) for status, count in self._statuses().items()}
@@ -269,7 +268,4 @@ def _displacement_m(predicted_px: Float64, target_px: Float64, pair: ViewPair) -
         return np.full(target_px.shape, np.nan)
     # the predicted pixels of a target without georeferencing are the reference's
     grid = pair.target.info.grid if pair.georeferenced else pair.reference.info.grid
-    predicted_xy, target_xy = (
-        transform_xy(grid.to_xy(pixels), grid.crs, crs) for pixels in (predicted_px, target_px)
-    )
-    return displacement_m(predicted_xy, target_xy, crs)
+    return metres_between(grid, predicted_px, target_px, crs)

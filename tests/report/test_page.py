@@ -16,7 +16,7 @@ import pytest
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.content import summarise
-from pcwlad_geo.report.page import MARKS, compose, headline, on_screen, warp_line
+from pcwlad_geo.report.page import MARKS, compose, headline, report_page, warp_line
 from tests.chromium import show
 from tests.registrations import of_files, write_pair
 
@@ -55,7 +55,7 @@ class Reader(HTMLParser):
 
 def page_of(made: Registration, gcps_vrt: str | None = "b10_gcps.vrt") -> str:
     report = summarise(made, OUTPUTS)
-    return on_screen(report, compose(made, report, gcps_vrt))
+    return report_page(report, compose(made, report, gcps_vrt))
 
 
 def read(made: Registration, gcps_vrt: str | None = "b10_gcps.vrt") -> Reader:

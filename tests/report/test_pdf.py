@@ -20,7 +20,7 @@ from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.raster.output_format import verify_output
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.content import summarise
-from pcwlad_geo.report.page import check_pdf, compose, on_paper, on_screen, to_pdf
+from pcwlad_geo.report.page import check_pdf, compose, report_page, to_pdf
 from pcwlad_geo.report.views import checkered
 from pcwlad_geo.tiepoints import writers
 from tests.registrations import of_files, write_pair
@@ -39,7 +39,7 @@ def _weasyprint() -> None:
 
 def paper_of(made: Registration) -> str:
     report = summarise(made, ["report.html", "report.pdf"])
-    return on_paper(report, compose(made, report, "b10_gcps.vrt"))
+    return report_page(report, compose(made, report, "b10_gcps.vrt"), paper=True)
 
 
 @pytest.mark.usefixtures("_weasyprint")
@@ -69,7 +69,7 @@ def test_paper_has_checkerboards_for_sliders(registration: Make, tmp_path: Path)
     assert "<input" not in paper
     assert paper.count("reference and target in alternate squares") == 4
     report = summarise(made, [])
-    screen = on_screen(report, compose(made, report, None))
+    screen = report_page(report, compose(made, report, None))
     assert "alternate squares" not in screen
 
 

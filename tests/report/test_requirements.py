@@ -74,7 +74,7 @@ def test_the_page_shows_them(registration: Make) -> None:
     wanted = [parse_requirement(text, "register") for text in ("CE90<=0.01px", "points>=100")]
     made = replace(made, requirements=judge_requirements(made, wanted))
     report = summarise(made, [])
-    shown = page.on_screen(report, page.compose(made, report, None))
+    shown = page.report_page(report, page.compose(made, report, None))
     assert "Registered, but a requirement is not met" in shown
     assert "CE90 &lt;= 0.01 px: not met (" in shown
     assert "points &gt;= 100: met (108)" in shown
