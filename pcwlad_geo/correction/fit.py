@@ -24,12 +24,11 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.robust import (
     COARSE_STEPS,
     COLLINEAR,
-    Estimate,
     Solution,
     design,
     estimate,
+    linear,
     reweighted,
-    weighted_least_squares,
 )
 from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.types import Float64
@@ -182,7 +181,9 @@ def fit_polynomial(
     values, displacement = basis.values(predicted)[:, columns], observed - predicted
     found = estimate(values[:, :3], displacement, covariance)
     if order > 1:
-        found = _refined(values, displacement, covariance, found)
+        # from the affine, as samples of ten points are hardly ever free of outliers
+        start, fit = found.fitted_px, linear(values, displacement)
+        found = reweighted(fit, start, displacement, covariance, coarse_steps=COARSE_STEPS)
     return ParametricFit.of(
         correction=_correction(name, basis, found.parameters, columns),
         jacobian=partial(_jacobian, basis=basis, columns=columns),
@@ -200,16 +201,6 @@ def _basis(order: int, predicted_px: Float64) -> PolynomialBasis:
     low, high = predicted_px.min(axis=0), predicted_px.max(axis=0)
     corners = [(float(corner[0]), float(corner[1])) for corner in (centre, low, high)]
     return PolynomialBasis(order, corners[0], radius, corners[1], corners[2])
-
-
-def _refined(values: Float64, displacement_px: Float64, covariance_px2: Float64, start: Estimate) -> Estimate:
-    """Fit all terms, starting from the affine, as samples of ten points are hardly ever free of outliers."""
-
-    def solve(whitener: Float64, weight: Float64) -> Solution:
-        parameters = weighted_least_squares(values, displacement_px, whitener, weight)
-        return Solution(parameters, values @ parameters, values.shape[1])
-
-    return reweighted(solve, start.fitted_px, displacement_px, covariance_px2, coarse_steps=COARSE_STEPS)
 
 
 def _correction(

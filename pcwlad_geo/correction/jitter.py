@@ -11,7 +11,7 @@ import numpy as np
 
 from pcwlad_geo.correction.fitted import ParametricFit, checked
 from pcwlad_geo.correction.models import AffineCorrection, JitterCorrection, JitterWave
-from pcwlad_geo.estimation.robust import Solution, design, estimate, reweighted, weighted_least_squares
+from pcwlad_geo.estimation.robust import design, estimate, linear, reweighted
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.types import Float64, Index
 
@@ -168,11 +168,7 @@ def fit_jitter(
     found = estimate(values[:, :3], displacement, covariance)
     if waves:
         # the affine takes waves for errors at most; they are smaller than what it rejects
-        def solve(whitener: Float64, weight: Float64) -> Solution:
-            parameters = weighted_least_squares(values, displacement, whitener, weight)
-            return Solution(parameters, values @ parameters, values.shape[1])
-
-        found = reweighted(solve, found.fitted_px, displacement, covariance)
+        found = reweighted(linear(values, displacement), found.fitted_px, displacement, covariance)
     return ParametricFit.of(
         correction=_correction(found.parameters, centre, waves),
         jacobian=partial(_jacobian, centre_px=centre, waves=waves),

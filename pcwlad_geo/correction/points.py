@@ -261,7 +261,7 @@ def hold_out(xy_px: Float64, footprint_px: float, wanted: int = 30) -> NDArray[n
     least_fit = min(int(np.ceil(FIT_SHARE * n)), n - count)
     for number in (max(n // 20, count), count):
         check = _spread(xy_px, number)
-        nearest = _distance(xy_px, xy_px[check])
+        nearest = cKDTree(xy_px[check]).query(xy_px, p=np.inf)[0]
         guard = min(footprint_px, float(np.sort(nearest[~check])[-least_fit]))
         if guard >= footprint_px:
             break
@@ -274,11 +274,6 @@ def _spread(xy_px: Float64, count: int) -> Bool:
     chosen = np.zeros(len(xy_px), dtype=bool)
     chosen[best_of_cells(cell, centre_distance)[:count]] = True
     return chosen
-
-
-def _distance(xy_px: Float64, centres_px: Float64) -> Float64:
-    """Return the (n,) distance (Chebyshev) of the points from the nearest of the centres."""
-    return np.asarray(cKDTree(centres_px).query(xy_px, p=np.inf)[0])
 
 
 GROUPS = 16

@@ -182,13 +182,18 @@ def estimate(basis: Float64, displacement_px: Float64, covariance_px2: Float64) 
     covariance_px2 : (n, 2, 2) array of float
         Their covariances C, px², symmetric and not negative.
     """
+    start = basis @ _least_median(basis, displacement_px)
+    return reweighted(linear(basis, displacement_px), start, displacement_px, covariance_px2)
+
+
+def linear(basis: Float64, displacement_px: Float64) -> Solve:
+    """Return what fits an (n, k) `basis` to the (n, 2) displacements `displacement_px` (col, row)."""
 
     def solve(whitener: Float64, weight: Float64) -> Solution:
         parameters = weighted_least_squares(basis, displacement_px, whitener, weight)
         return Solution(parameters, basis @ parameters, basis.shape[1])
 
-    start = basis @ _least_median(basis, displacement_px)
-    return reweighted(solve, start, displacement_px, covariance_px2)
+    return solve
 
 
 def reweighted(
