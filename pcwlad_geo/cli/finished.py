@@ -195,6 +195,7 @@ def _answer(
     editor: Editor, request: dict[str, Any], tell: Tell, waiting: queue.Queue[dict[str, Any] | None]
 ) -> None:
     from pcwlad_geo.registration.editing import RADIUS_PX
+    from pcwlad_geo.tiepoints.table import columns_of
 
     what, number = request.get("do"), request.get("number")
     off, gone = ({int(index) for index in request.get(name, ())} for name in ("off", "gone"))
@@ -218,7 +219,8 @@ def _answer(
         places = tuple(request["reference_xy"]), tuple(request["target_xy"])
         radius_px = min(float(request.get("radius_px", RADIUS_PX)), RADIUS_PX)
         refined = editor.add(*places, radius_px, gone)
-        tell("added", {"number": number, "refined": refined, "point": _last(editor)})
+        point = {name: values[-1].item() for name, values in columns_of(editor.table).items()}
+        tell("added", {"number": number, "refined": refined, "point": point})
     elif what == "save":
         _save(editor, Path(request["path"]), off, gone)
         tell("saved", {"number": number, "path": request["path"]})
@@ -245,10 +247,3 @@ def _tell_model(editor: Editor, model: str, off: set[int], number: object, tell:
         tell("model", {"number": number, "model": model, "rmse_px": None, "message": str(error)})
         return
     tell("model", {"number": number, "model": model, "rmse_px": trial.rmse_px})
-
-
-def _last(editor: Editor) -> dict[str, object]:
-    """Return the point that was added, as a row of tiepoints.csv."""
-    from pcwlad_geo.tiepoints.table import columns_of
-
-    return {name: values[-1].item() for name, values in columns_of(editor.table).items()}

@@ -111,7 +111,10 @@ def _attempt(
                 ending = work(report.event)
             report.result(ending.figures, ending.text)
         except (KeyboardInterrupt, CancelledError):
-            _clean_up(abandon)
+            # otherwise nothing was staged, and loading it takes time
+            if "pcwlad_geo.outputs.folder" in sys.modules:
+                with suppress(OSError, PcwladGeoError):  # files left between a step and its record
+                    abandon()
             report.cancelled()
             return INTERRUPTED
     except Exception as error:  # also of the removal after an interrupt
@@ -121,16 +124,12 @@ def _attempt(
     return ending.exit_status
 
 
-def _clean_up(abandon: Callable[[], None]) -> None:
-    """Remove files left by an interrupt between a step and its record."""
-    if "pcwlad_geo.outputs.folder" in sys.modules:  # otherwise nothing was staged, and loading it takes time
-        with suppress(OSError, PcwladGeoError):
-            abandon()
-
-
 def _report_error(error: Exception, report: Reporter) -> int:
     if isinstance(error, PcwladGeoError):
-        report.error(str(error), {"exit_status": error.exit_status, **_rejection(error)})
+        details: dict[str, object] = {"exit_status": error.exit_status}
+        if isinstance(error, RegistrationRejectedError) and isinstance(error.out_dir, Path):
+            details |= {"status": "rejected", "out_dir": str(error.out_dir)}
+        report.error(str(error), details)
         return error.exit_status
     known = _not_loaded(error)
     if known is None:
@@ -191,13 +190,6 @@ def _job(command: PairCommand) -> Literal["registered", "matched"]:
 
 def _places(params: Mapping[str, Any]) -> dict[str, Any]:
     return {name: params[name] for name in ("out_dir", *OUTPUT_OPTIONS) if name in params}
-
-
-def _rejection(error: PcwladGeoError) -> dict[str, object]:
-    """Return the paths of the report of a rejected registration."""
-    if not isinstance(error, RegistrationRejectedError) or not isinstance(error.out_dir, Path):
-        return {}
-    return {"status": "rejected", "out_dir": str(error.out_dir)}
 
 
 def columns(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:

@@ -36,13 +36,9 @@ def collect(given: Mapping[str, object], config: Path | None) -> dict[str, Any]:
     the file, which is TOML, cannot be read, names an option that does not exist, or a value has a wrong type.
     """
     values = read_config(config) if config else {}
-    values |= {name: value for name, value in given.items() if name in SETTINGS and _is_given(value)}
+    absent: tuple[object, ...] = (None, (), [])  # Click gives () for a repeatable option that was not given
+    values |= {name: value for name, value in given.items() if name in SETTINGS and value not in absent}
     return {name: to_setting(name, value) for name, value in values.items()}
-
-
-def _is_given(value: object) -> bool:
-    # Click gives () for a repeatable option that was not given.
-    return not (value is None or (isinstance(value, list | tuple) and not value))
 
 
 def read_config(path: Path) -> dict[str, object]:

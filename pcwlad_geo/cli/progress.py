@@ -52,7 +52,11 @@ def own_standard_error() -> TextIO:
     ``sys.stderr`` if that is not file descriptor 2, because it is closed or was replaced by a program that
     runs the command in its own process.
     """
-    return _take_standard_error() if _is_descriptor_2(sys.stderr) else sys.stderr
+    try:
+        own = sys.stderr is not None and sys.stderr.fileno() == 2 and os.fstat(2) is not None
+    except (OSError, ValueError):  # closed, or in memory
+        own = False
+    return _take_standard_error() if own else sys.stderr
 
 
 @cache
@@ -64,13 +68,6 @@ def _take_standard_error() -> TextIO:
     os.dup2(nothing, 2)
     os.close(nothing)
     return taken
-
-
-def _is_descriptor_2(stream: TextIO | None) -> bool:
-    try:
-        return stream is not None and stream.fileno() == 2 and os.fstat(2) is not None
-    except (OSError, ValueError):  # closed, or in memory
-        return False
 
 
 class Reporter(Protocol):

@@ -119,7 +119,7 @@ def _learned(found: Rig, out: Path) -> Ending:
                 f"{each.lens.focal_px:.1f}",
                 f"{moved[0]:+.1f} {moved[1]:+.1f}",
                 f"{each.mapping_sigma_px[0]:.3f}",
-                "none told" if off is None else f"{off[0]:.2f} (at most {off[1]:.2f})",
+                "none" if off is None else f"{off[0]:.2f} (at most {off[1]:.2f})",
             )
         )
         lenses.append({"name": each.name, "calibration_difference_px": None if off is None else list(off)})

@@ -525,15 +525,12 @@ class OwnProcesses:
             return workers_ready[worker].submit(in_environment, (settings, trust, function, calls[index]))
 
         def tell(event: Event) -> None:
-            self._tell_losses(on_event)
+            while not self._losses.empty():
+                on_event(Warned(self._losses.get()))
             on_event(event)
 
         results, workers = run_calls(submit, wanted, len(workers_ready), stage, tell)
         return CallResults(results, list(workers))
-
-    def _tell_losses(self, on_event: EventCallback) -> None:
-        while not self._losses.empty():
-            on_event(Warned(self._losses.get()))
 
 
 @contextmanager

@@ -32,11 +32,6 @@ def evidence_against_chance(agreeing: int, places: int, chance: float) -> float:
     return float(-np.log10(max(float(bdtrc(agreeing - 1, places, chance)), MIN_PROBABILITY)))
 
 
-def patches_against_chance(agreeing: int, patches: int) -> float:
-    """Return -log10 of the probability that so many `patches` agree by chance; 0 for a few patches."""
-    return evidence_against_chance(agreeing, patches, AGREEING_BY_CHANCE) if patches >= MIN_PATCHES else 0.0
-
-
 FINEST_SIDE_PX: Final = 512
 """Approximate longer side of the smaller image at the finest level; modalities share coarse structure."""
 LARGEST_SIDE_PX: Final = 1200
@@ -129,7 +124,8 @@ class _Vote:
 
     @property
     def significance(self) -> float:
-        return patches_against_chance(self.agreeing, self.patches)
+        few = self.patches < MIN_PATCHES
+        return 0.0 if few else evidence_against_chance(self.agreeing, self.patches, AGREEING_BY_CHANCE)
 
 
 def search_shift(

@@ -429,13 +429,6 @@ class PairResult:
         return native_m(self.reference, self.target)
 
 
-def plan_pairs(bands: Sequence[Band], against: Band | None) -> list[tuple[Band, Band]]:
-    """Return the pairs (reference, target) of `bands`: all of them, or each band with `against`."""
-    if against is None:
-        return list(combinations(bands, 2))
-    return [(against, band) for band in bands if band.name != against.name]
-
-
 def measured(reference: Band, target: Band, found: Registration) -> PairResult:
     """Return the result of a pair that was matched.
 

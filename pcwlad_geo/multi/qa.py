@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -22,7 +23,6 @@ from pcwlad_geo.multi.bands import (
     list_bands,
     measured,
     parse_bands,
-    plan_pairs,
     split_bands,
     with_native_px,
 )
@@ -142,7 +142,9 @@ def qa(
     with trusting(settings.trust):
         stack = with_native_px(list_bands(rasters, numbers, mask), native_px)
     base = find_band(stack, against) if against is not None else None
-    planned = plan_pairs(stack, base)
+    planned = list(combinations(stack, 2))
+    if base is not None:
+        planned = [(base, each) for each in stack if each.name != base.name]
     requirements = check_applicable(requirements, planned, base is None and len(stack) > 2)
     folder = OutputFolder(qa_folder(rasters, out_dir), overwrite=overwrite, results=NAMES["numbers"])
     with trusting(settings.trust), folder:

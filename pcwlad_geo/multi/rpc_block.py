@@ -712,10 +712,11 @@ def _without_the_outlier(
     Without it the others must still check each other, and contradict each other much less.
     """
     found: list[tuple[float, _BlockEstimate]] = []
+    ends = np.array([(pair.first, pair.second) for pair in problem.pairs])
     for number in np.flatnonzero(state.used).tolist():
         used = state.used.copy()
         used[number] = False
-        if not _connected(problem, used):
+        if len(np.unique(components(ends[used], len(problem.block.grids))[ends])) > 1:  # it connects others
             continue
         trial = replace(state, used=used, shared_px=PRIOR_SHARED_PX)
         for _ in range(3):
@@ -732,11 +733,6 @@ def _without_the_outlier(
     # do the pairs in use form cycles, which tell that they agree?
     redundancy = _redundancy(problem, best, _equations(problem, best, datum))
     return best if redundancy[best.used].sum() >= MIN_REDUNDANCY else None
-
-
-def _connected(problem: _BlockProblem, used: Bool) -> bool:
-    ends = np.array([(pair.first, pair.second) for pair in problem.pairs])
-    return len(set(components(ends[used], len(problem.block.grids))[ends].ravel().tolist())) == 1
 
 
 def _mean_residual(

@@ -72,18 +72,19 @@ from pcwlad_geo.multi.stack_pairs import (
     sigma_known,
 )
 from pcwlad_geo.multi.stack_result import (
+    COLLECTION,
     FILES,
+    ITEM,
     NUMBERS,
     PAGE,
     SCHEMA_VERSION,
     Chosen,
     Stack,
     StackImage,
-    catalogue_names,
+    catalogue,
     graded,
     judge,
     stack_of,
-    write_catalogue,
     write_numbers,
 )
 from pcwlad_geo.options import Settings
@@ -643,8 +644,9 @@ def frame_of(
 def _check_places(job: _StackJob, out: OutputFolder, frame: StackFrame, given: Sequence[PathLike]) -> None:
     """Raise where a result would replace an input, or a file that no earlier stack has written."""
     extension = OutputFormat.of(job.settings.of, job.settings.co).extension
-    rasters = [name.format(each) for each in frame.names for name in (f"{{}}_registered.{extension}", VRT)]
-    names = [*FILES, *rasters, *catalogue_names(frame.names), *rpc_names(frame.names)]
+    own = (f"{{}}_registered.{extension}", VRT, ITEM)
+    files = [name.format(each) for each in frame.names for name in own]
+    names = [*FILES, *files, COLLECTION, *rpc_names(frame.names)]
     inputs = [*given, *(info.uri for info in frame.infos)]
     check_outputs([out.final_path(name) for name in names], inputs)
     out.protect(inputs)
@@ -683,7 +685,8 @@ def _written(
             write_corrected(staged)
             if keep:
                 out.keep()
-            write_catalogue(staged, job.settings.of)
+            for name, text in catalogue(staged, job.settings.of).items():
+                (out.stage / name).write_text(text, encoding="utf-8", newline="")
         write_numbers(found, job.settings, stack_page(found, frame), out.stage)
     out.commit()
     if not left:

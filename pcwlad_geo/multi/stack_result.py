@@ -740,14 +740,3 @@ def _whole(items: Sequence[Mapping[str, Any]], collection: str, description: str
         "extent": {"spatial": {"bbox": [_box(corners)]}, "temporal": {"interval": [[times[0], times[-1]]]}},
         "links": links,
     }
-
-
-def write_catalogue(found: Stack, driver: str) -> None:
-    """Write the collection and its items beside the rasters."""
-    for name, text in catalogue(found, driver).items():
-        (found.out_dir / name).write_text(text, encoding="utf-8", newline="")
-
-
-def catalogue_names(images: Sequence[str]) -> list[str]:
-    """Return the names of the files that the catalogue of images of these names may have."""
-    return [COLLECTION, *(ITEM.format(name) for name in images)]

@@ -109,7 +109,11 @@ def trend(
     if not top.is_dir():
         raise InputError(f"{top} is no folder: give the one that holds the reports")
     files = sorted(
-        file for name in ("report.json", "qa.json") for file in top.rglob(name) if _is_plain(file, top)
+        file
+        for name in ("report.json", "qa.json")
+        for file in top.rglob(name)
+        # not those of a run in progress
+        if not any(part.startswith(".") for part in file.relative_to(top).parts)
     )
     found: dict[tuple[str, str], list[Moment]] = {}
     skipped, held = [], 0
@@ -152,11 +156,6 @@ def date_in(name: str) -> str | None:
 def without_dates(name: str) -> str:
     """Return a name without its dates, which is the same for a band on every date."""
     return _ANY_DATE.sub("", name).strip("_-. ") or name
-
-
-def _is_plain(file: Path, top: Path) -> bool:
-    """Whether a file does not belong to a run in progress."""
-    return not any(part.startswith(".") for part in file.relative_to(top).parts)
 
 
 def _moments(file: Path, top: Path) -> list[tuple[str, str, Moment]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -268,11 +268,10 @@ class OutputFolder:
         """Return the final path of a file."""
         return self.out_dir / name
 
-    def commit(self, verify: Callable[[Path], None] = verify_output) -> None:
+    def commit(self) -> None:
         """Verify all files and move them into the folder.
 
         Raises `OutputError` if a file is not complete or cannot be moved; the folder is then unchanged.
-        `verify` raises an error if a file is not complete.
         """
         with disk_errors(self.out_dir):
             for scratch in self.stage.glob(".*"):
@@ -282,7 +281,7 @@ class OutputFolder:
             )
             self._check_all_there(names)
             for name in names:
-                verify(self.stage / name)
+                verify_output(self.stage / name)
                 seal(self.stage / name)
             sync_folder(self.stage)
             if os.path.lexists(self.out_dir) or not self._rename():

@@ -37,7 +37,6 @@ from pcwlad_geo.raster.trust import (
     UntrustedFileError,
     check_file,
     check_named_by,
-    check_source,
     current_trust,
     destination,
     drivers_for,
@@ -241,7 +240,7 @@ def _drivers(uri: str, found: Destination, place: Place | None) -> list[str]:
             _check_remote_sidecars(uri)
         return list(PLAIN_DRIVERS)
     if view:  # GDAL opens what it shows by itself
-        check_source(place)
+        check_file(place, any_driver=True)
         return ["VRT"]
     drivers = drivers_for(check_file(place))
     if not drivers:

@@ -208,7 +208,10 @@ def find_collar(read: Read, shape: tuple[int, int]) -> Collar | None:
     if value is None:
         return None
     if overview.shape == shape:
-        read = _from_memory(overview)
+
+        def read(window: Window, _: tuple[int, int]) -> NDArray[np.generic]:
+            return overview[window.row : window.row_stop, window.col : window.col_stop]
+
     data = _solid(_differs(overview, value))
     px = np.array([shape[1] / small[1], shape[0] / small[0]])
     outline = _outline(data) * px
@@ -255,10 +258,6 @@ def _extreme_near(value: float, values: NDArray[np.generic]) -> float | None:
         extremes += [float(np.fmin.reduce(values, axis=None)), float(np.fmax.reduce(values, axis=None))]
     nearest = min(extremes, key=lambda extreme: abs(value - extreme))
     return nearest if abs(value - nearest) <= _tolerance(values, JPEG_NOISE) else None
-
-
-def _from_memory(values: NDArray[np.generic]) -> Read:
-    return lambda window, shape: values[window.row : window.row_stop, window.col : window.col_stop]
 
 
 def _differs(values: NDArray[np.generic], value: float) -> Bool:

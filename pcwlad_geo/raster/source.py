@@ -348,7 +348,10 @@ def open_raster(uri: str, **options: object) -> Iterator[DatasetReader]:
     beside it (GDAL would store properties of a .gz file there). Raises `InputError` if it cannot be opened,
     or reading within the context fails. The `uri` is a path or a GDAL URI; the options are GDAL's.
     """
-    _check_files(uri)
+    if "\0" in uri:  # where GDAL would end the name
+        raise InputError(f"the name {uri!r} holds a NUL character: no file has such a name")
+    check_regular(uri)  # GDAL could wait for a pipe for ever
+    check_sidecars(uri)
     with _opened(open_for_reading, uri, options) as dataset:
         yield dataset
 
@@ -382,14 +385,6 @@ def _opened(
             raise InputError(_why_not_opened(uri, error)) from error
         with dataset, reading(uri):
             yield dataset
-
-
-def _check_files(uri: str) -> None:
-    """Raise where GDAL could wait for a pipe for ever: the raster, or what it looks for beside it."""
-    if "\0" in uri:  # where GDAL would end the name
-        raise InputError(f"the name {uri!r} holds a NUL character: no file has such a name")
-    check_regular(uri)
-    check_sidecars(uri)
 
 
 def _why_not_opened(uri: str, error: Exception) -> str:
@@ -550,17 +545,12 @@ def _samples(shape: tuple[int, int]) -> list[Window]:
     return [Window(row, col, side_r, side_c) for row in rows for col in cols]
 
 
-def _steps(values: NDArray[Any]) -> NDArray[Any]:
-    """Return (rows - 3, cols) steps from row i + 1 to row i + 2, less the mean of the slopes beside them."""
-    slopes = np.diff(values, axis=0)
-    return slopes[1:-1] - (slopes[:-2] + slopes[2:]) / 2
-
-
 def _mean_steps(samples: Iterable[tuple[NDArray[Any], Bool, int]]) -> Float64:
     """Return the (8,) mean absolute steps into rows of each number modulo 8; the scene's edges are capped."""
     total, count = np.zeros(BLOCK_PX), np.zeros(BLOCK_PX)
     for values, valid, first in samples:
-        size = np.abs(_steps(values.astype(np.float64)))
+        slopes = np.diff(values.astype(np.float64), axis=0)
+        size = np.abs(slopes[1:-1] - (slopes[:-2] + slopes[2:]) / 2)  # less the slopes beside the step
         good = valid[:-3] & valid[1:-2] & valid[2:-1] & valid[3:]  # the four pixels of each step
         if not good.any():
             continue

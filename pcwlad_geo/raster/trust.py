@@ -397,15 +397,6 @@ class UntrustedVrtError(ValueError):
     """A VRT holds something that is not known to be harmless; the message says what."""
 
 
-def named_files(text: bytes) -> list[Named]:
-    """Return the files that a VRT names.
-
-    Raises `UntrustedVrtError` if it is not well-formed XML, declares a document type (and with it entities),
-    or holds an element that is not known to be harmless. The content of the VRT is `text`.
-    """
-    return list(dict.fromkeys(_names(_parse(text))))
-
-
 def gcps_only(path: Path) -> str | None:
     """Return the text of a VRT with the size and the ground control points of another, without its pixels.
 
@@ -559,28 +550,20 @@ _BASE: Final = ":::BASE:::"
 """GDAL's placeholder for the folder of the file in the name of its overviews."""
 
 
-def check_file(file: Place) -> Kind:
+def check_file(file: Place, *, any_driver: bool = False) -> Kind:
     """Check the files that GDAL opens besides a file, and return the kind of the file itself.
 
     Raises `UntrustedFileError` if one of them is not in the file's folder or below, or has a format whose
-    files may name others; the message says which.
+    files may name others; the message says which. A file that GDAL will open by itself, with `any_driver`,
+    must also begin like a raster of a common format.
     """
-    return _checked(file, set(), any_driver=False)
-
-
-def check_source(file: Place) -> None:
-    """Check a file that GDAL will open by itself, with any driver.
-
-    Raises `UntrustedFileError` as for `check_file`, and if it does not begin like a raster of a common
-    format.
-    """
-    _checked(file, set(), any_driver=True)
+    return _checked(file, set(), any_driver=any_driver)
 
 
 def check_named_by(dataset: DatasetReader, file: Place | None) -> None:
     """Check the files named by the metadata of an open raster, which GDAL has not opened yet.
 
-    Raises `UntrustedFileError` as for `check_source`. The `file` is the raster's; None for one that is not on
+    Raises `UntrustedFileError` as for `check_file`. The `file` is the raster's; None for one that is not on
     this machine, whose metadata may name no file.
     """
     for name in _names_in_tags(dataset):
@@ -614,7 +597,7 @@ def _check_vrt(file: Place, visited: set[Place]) -> None:
     if len(text) > VRT_BYTES:
         raise UntrustedFileError(f"{file.uri} is a VRT of more than {VRT_BYTES} bytes")
     try:
-        names = named_files(text)
+        names = list(dict.fromkeys(_names(_parse(text))))
     except UntrustedVrtError as error:
         raise UntrustedFileError(f"{file.uri} is a VRT, and {error}") from error
     for each in names:

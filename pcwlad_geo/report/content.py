@@ -57,7 +57,7 @@ from pcwlad_geo.report.statistics import (
     statistics_of,
     target_px_m,
 )
-from pcwlad_geo.requirements import Requirement, RequirementResult
+from pcwlad_geo.requirements import Requirement
 from pcwlad_geo.text import plain
 from pcwlad_geo.types import Float64
 
@@ -409,7 +409,10 @@ def summarise(
         Report,
         registration,
         schema_version=SCHEMA_VERSION,
-        requirements=tuple(_requirement(each) for each in registration.requirements),
+        requirements=tuple(
+            filled(RequirementEntry, each, text=each.requirement.text, message=each.text)
+            for each in registration.requirements
+        ),
         reference=reference_entry(registration.reference),
         target=raster_entry(registration.target),
         output_grid=_grid(output_grid) if output_grid else None,
@@ -472,10 +475,6 @@ def reference_entry(info: RasterInfo) -> ReferenceEntry:
     """Return the reference; with an RPC, also the grid onto which it is orthorectified."""
     ground = _grid(ground_grid(info.grid)) if isinstance(info.grid, RpcGrid) else None
     return filled(ReferenceEntry, raster_entry(info), ground=ground)
-
-
-def _requirement(result: RequirementResult) -> RequirementEntry:
-    return filled(RequirementEntry, result, text=result.requirement.text, message=result.text)
 
 
 def raster_entry(info: RasterInfo) -> RasterEntry:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
+from pcwlad_geo.matching.keypoints import OUTCOMES
 from pcwlad_geo.products import native_per_px, native_px_m
 from pcwlad_geo.raster.grid import pixel_sizes_m
 from pcwlad_geo.raster.rpc.dem import Dem
@@ -225,7 +225,8 @@ def _by_ground(ground: NDArray[np.uint8], frame: _Squares) -> NDArray[np.str_]:
 
 def _by_matching(record: MatchRecord, rejected: Counts, frame: _Squares) -> NDArray[np.str_]:
     """Return the reasons from the matching for squares without tie points."""
-    lost = [_lost_to(record.lost, index, frame) for index in range(1, len(OUTCOMES))]
+    places, outcome = record.lost.reference_xy_px, record.lost.outcome
+    lost = [frame.count(places[outcome == index]) for index in range(1, len(OUTCOMES))]
     losses = np.array([*lost, rejected])
     reason = np.array(LOST, dtype="<U24")[losses.argmax(axis=0)]
     no_candidate = losses.sum(axis=0) == 0
@@ -233,10 +234,6 @@ def _by_matching(record: MatchRecord, rejected: Counts, frame: _Squares) -> NDAr
     reason = np.where(no_candidate, np.where(asked | without_structure, "no_texture", "not_asked"), reason)
     unread = frame.touched(record.windows_px[record.unread])
     return np.where(no_candidate & unread, "unread", reason)
-
-
-def _lost_to(lost: Candidates, outcome: int, frame: _Squares) -> Counts:
-    return frame.count(lost.reference_xy_px[lost.outcome == outcome])
 
 
 def _share(mask: Bool, squares: tuple[int, int]) -> Float64:

@@ -147,7 +147,8 @@ def learn(
     if len(captures) > 1:
         extra = _overlapping(state, captures, names[0], lenses[0], runner, on_event)
         state, sigma = _with_poses(state, sigma, extra)
-        expected = replace(expected, poses=state.poses * _between_captures(state), overlaps=state.overlaps)
+        between = np.arange(len(state.poses)) >= len(state.lenses)  # only of these a start is an expectation
+        expected = replace(expected, poses=state.poses * between[:, None], overlaps=state.overlaps)
     for radius in ROUND_RADII_PX:
         lenses = [replace(lens, vector=v) for lens, v in zip(lenses, state.lenses, strict=True)]
         later = radius != ROUND_RADII_PX[0] and len(state.overlaps) > 0
@@ -175,11 +176,6 @@ def evenly(captures: Sequence[Capture], most: int) -> list[Capture]:
 
 def _all_heights(chosen: Sequence[Capture]) -> bool:
     return all(each.height_m is not None for each in chosen)
-
-
-def _between_captures(state: RigState) -> Float64:
-    """Return the (poses, 1) mask of poses between captures: only of these a start is an expectation."""
-    return np.asarray(np.arange(len(state.poses)) >= len(state.lenses), np.float64)[:, None]
 
 
 def _sigmas(state: RigState, order: Sequence[Frame], heights: bool) -> RigState:

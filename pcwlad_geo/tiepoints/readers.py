@@ -92,14 +92,14 @@ def read_point_file(path: Path | str, *, reference_name: str = "", target_name: 
     path = str(path)
     text = _text_of(Path(path))
     if text is None:
-        points = _read_geopackage(path) if _begins_with(path, _SQLITE) else _read_gcps(path)
+        points = _read_geopackage(path) if _head_of(Path(path)).startswith(_SQLITE) else _read_gcps(path)
     else:
         lines = text.splitlines()
         first = next((line for line in lines if line.strip() and not line.startswith("#")), "").lower()
         if "mapx" in first:
             points = _read_qgis(path, lines)
         elif all(name in first for name in _OWN):
-            points = _read_csv(path, lines)
+            points = _own_columns(_Table.read(path, lines))
         elif first.lstrip().startswith(";") or _only_numbers(first, 4):
             points = _read_envi(path, lines, reference_name, target_name)
         elif first.lstrip().startswith("<"):
@@ -119,7 +119,8 @@ def _text_of(path: Path) -> str | None:
     """Return the content of a text file; None for a file of another kind."""
     try:
         check_regular(path)
-        data = read_bytes(path) if path.is_file() and _may_be_text(path) else None
+        # a raster may be large
+        data = read_bytes(path) if path.is_file() and b"\0" not in _head_of(path) else None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from error
     if data is None or b"\0" in data[:_HEAD_BYTES]:
@@ -132,16 +133,12 @@ def _text_of(path: Path) -> str | None:
     return None
 
 
-def _may_be_text(path: Path) -> bool:
-    with path.open("rb") as file:  # a raster may be large
-        return b"\0" not in file.read(_HEAD_BYTES)
-
-
-def _begins_with(path: str, signature: bytes) -> bool:
-    if not Path(path).is_file():
-        return False
-    with Path(path).open("rb") as file:
-        return file.read(len(signature)) == signature
+def _head_of(path: Path) -> bytes:
+    """Return the first bytes of a file; none of what is no file."""
+    if not path.is_file():
+        return b""
+    with path.open("rb") as file:
+        return file.read(_HEAD_BYTES)
 
 
 def _unknown(path: str) -> InputError:
@@ -170,10 +167,6 @@ def _read_geopackage(path: str) -> PointFile:
         for number, row in enumerate(cells, start=1)
     ]
     return _own_columns(_Table(path, COLUMNS, rows))
-
-
-def _read_csv(path: str, lines: Sequence[str]) -> PointFile:
-    return _own_columns(_Table.read(path, lines))
 
 
 def _own_columns(table: _Table) -> PointFile:

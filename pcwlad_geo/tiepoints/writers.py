@@ -312,7 +312,10 @@ def write_geopackage(table: TiePointTable, path: Path, target_grid: Grid | None 
             pyogrio.raw.write(
                 str(path),
                 geometry=shapely.to_wkb(geometry),
-                field_data=[_field(values) for values in columns.values()],
+                field_data=[
+                    values.astype(object) if values.dtype.kind == "U" else np.ascontiguousarray(values)
+                    for values in columns.values()
+                ],
                 fields=list(columns),
                 layer=name,
                 driver="GPKG",
@@ -349,10 +352,6 @@ def observed_xy(table: TiePointTable, target_grid: Grid | None = None) -> Float6
         plane_xy: Float64 = table.xy + table.displacement_px * np.array([1.0, -1.0])
         return plane_xy
     return moved_xy(table.xy, table.displacement_m, table.crs)
-
-
-def _field(values: NDArray[np.generic]) -> NDArray[np.generic]:
-    return values.astype(object) if values.dtype.kind == "U" else np.ascontiguousarray(values)
 
 
 _LAYER_STYLES = """
