@@ -795,6 +795,7 @@ class _Ascent:
         middle = (np.array([cols, rows]) - 1) / 2
         middle_px = (np.array(reference.values.shape[::-1]) - 1) / 2
         self._from_px = _affine(per_px * np.eye(2), middle - per_px * middle_px)
+        self._to_px = inverse(self._from_px)
         self._per_cell = tuple(side / cells for side in LAYERS_PX)
         self._target, self._per_px, self._levels = target, per_px, dict[int, list[tuple[Float32, Float64]]]()
         self._known = np.ones(self._shape, np.float32)
@@ -817,7 +818,7 @@ class _Ascent:
             step = self._step(placed, known, normal)
             for _ in range(1 + ASCENT_HALVINGS):
                 change = inverse(np.eye(3) + np.vstack([step @ self._unit, np.zeros(3)]))
-                moved = pose @ inverse(self._from_px) @ change @ self._from_px
+                moved = pose @ self._to_px @ change @ self._from_px
                 there, valid = self._placed(moved)
                 higher = self._score(there, valid)
                 if higher > score:
@@ -863,7 +864,7 @@ class _Ascent:
     ) -> tuple[Float32, Float32]:
         flags, placed = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, []
         for packed, to_map in layers:
-            to_image = (to_map @ pose @ inverse(self._from_px))[:2]
+            to_image = (to_map @ pose @ self._to_px)[:2]
             warped = cv2.warpAffine(packed, to_image, self._shape[::-1], flags=flags)
             known = np.where(warped[..., -1] > 0.5, self._known, np.float32(0))
             planes = np.asarray((warped[..., :-1] * known[..., None]).transpose(2, 0, 1), np.float32)
