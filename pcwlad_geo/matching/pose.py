@@ -27,7 +27,12 @@ from pcwlad_geo.estimation.solving import inverse, least_squares, solve
 from pcwlad_geo.matching.coarse import window_sums
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
 from pcwlad_geo.matching.refinement import in_threads
-from pcwlad_geo.matching.shift_search import MIN_PATCHES, Patches, normalised_channels
+from pcwlad_geo.matching.shift_search import (
+    MIN_PATCHES,
+    Patches,
+    normalised_channels,
+    similarity_between,
+)
 from pcwlad_geo.types import Bool, Complex64, Float32, Float64
 
 CORRELATION_CELLS: Final = 112
@@ -134,6 +139,9 @@ FULLY_GROWN: Final = 2
 """Number of these poses from which all patches vote."""
 SAMPLED_PATCHES: Final = 2
 """In the sample is every so-manieth patch along each axis."""
+SIMILARITY_SHARE: Final = 0.85
+"""Least share of the patches of an affine pose with which a similarity is taken for it: where that was so of
+60 pairs whose true pose is a similarity, it was nearer to the truth."""
 GROWTH_ROUNDS: Final = 5
 """Largest number of times that patches vote, each time from the pose that they agreed on."""
 AGREEING_BY_CHANCE: Final = 14.0
@@ -621,8 +629,15 @@ class _Patches:
         )
         to_placed = to_small @ pose @ inverse(self._to_voting)
         placed = _warped_image(small, known, to_placed, self._valid.shape, PATCH_REACH_PX)
-        votes = _consensus(*self._displacements(*_voting_channels(*placed), sample=sample))
-        return votes, inverse(to_small) @ to_placed @ votes.matrix @ self._to_voting
+        middles, displacements, distinct = self._displacements(*_voting_channels(*placed), sample=sample)
+        votes, to_target = _consensus(middles, displacements, distinct), inverse(to_small) @ to_placed
+        agreed = to_target @ votes.matrix @ self._to_voting
+        if not sample and votes.agrees.any():
+            reference_px = _moved(inverse(self._to_voting), middles)
+            target_px = _moved(to_target, middles + displacements)
+            tolerance_px = VOTE_TOLERANCE_PX * _scale_of(agreed) / self._factor
+            agreed = _as_similarity(agreed, reference_px, target_px, votes.agrees, tolerance_px)
+        return votes, agreed
 
     def px(self, voting_px: float) -> float:
         """Return a length in px of the reference."""
@@ -694,6 +709,23 @@ def _consensus(middles: Float64, displacements: Float64, distinct: Float64) -> _
     if not _is_plausible(change[None, :2])[0]:
         return nobody
     return _Votes(_affine(change[:2].T, change[2]), agrees, float(np.percentile(off[agrees], 95)))
+
+
+def _as_similarity(
+    affine: Float64, reference_px: Float64, target_px: Float64, agrees: Bool, tolerance_px: float
+) -> Float64:
+    """Return the similarity with which nearly as many of n patches agree as with an affine pose, or that.
+
+    Patches in one part of an image tell two scales badly, and what follows from them elsewhere is far off.
+    The poses are (3, 3), the positions (n, 2) (col, row), and `agrees` (n,) are those of the affine pose.
+    """
+    near = agrees
+    for _ in range(CONSENSUS_ROUNDS):
+        similarity = similarity_between(reference_px[near], target_px[near])
+        near = np.hypot(*(_moved(similarity, reference_px) - target_px).T) <= tolerance_px
+        if np.count_nonzero(near) < SIMILARITY_SHARE * np.count_nonzero(agrees):
+            return affine
+    return similarity
 
 
 def _is_plausible(linear: Float64) -> Bool:
@@ -935,6 +967,11 @@ def _turned(maps: Float32, angle_rad: float) -> Float32:
         result[index] = cos * maps[index] - sin * maps[index + 1]
         result[index + 1] = sin * maps[index] + cos * maps[index + 1]
     return result
+
+
+def _moved(matrix: Float64, xy: Float64) -> Float64:
+    """Return the (n, 2) positions to which a (3, 3) affine matrix takes those of an (n, 2) array."""
+    return np.asarray(xy @ matrix[:2, :2].T + matrix[:2, 2], np.float64)
 
 
 def _affine(linear: Float64, origin: Float64) -> Float64:

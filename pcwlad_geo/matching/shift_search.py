@@ -362,14 +362,21 @@ class Patches:
         Return the (3, 3) matrix that gives target px minus the start for reference px, array indices, and the
         distance from it within which 95 % of the agreeing patches lie, px.
         """
-        z = (self.centres_px[self.agrees] - 0.5) @ (1, 1j)
-        moved = z + self.displacements_px[self.agrees] @ (1, 1j)
-        spread = float((np.abs(z - z.mean()) ** 2).sum())
-        factor = ((z - z.mean()).conj() * (moved - moved.mean())).sum() / spread if spread > 0 else 1.0 + 0j
-        origin = moved.mean() - factor * z.mean()
-        left_px = np.percentile(np.abs(moved - factor * z - origin), 95)
-        rows = [factor.real, -factor.imag, origin.real], [factor.imag, factor.real, origin.imag], [0, 0, 1]
-        return np.array(rows, np.float64), float(left_px)
+        xy = self.centres_px[self.agrees] - 0.5
+        moved = xy + self.displacements_px[self.agrees]
+        matrix = similarity_between(xy, moved)
+        left_px = np.percentile(np.hypot(*(xy @ matrix[:2, :2].T + matrix[:2, 2] - moved).T), 95)
+        return matrix, float(left_px)
+
+
+def similarity_between(from_xy: Float64, to_xy: Float64) -> Float64:
+    """Return the (3, 3) similarity of least squares between the (n, 2) points `from_xy` and `to_xy`."""
+    z, moved = from_xy @ (1, 1j), to_xy @ (1, 1j)
+    spread = float((np.abs(z - z.mean()) ** 2).sum())
+    factor = ((z - z.mean()).conj() * (moved - moved.mean())).sum() / spread if spread > 0 else 1.0 + 0j
+    origin = moved.mean() - factor * z.mean()
+    rows = [factor.real, -factor.imag, origin.real], [factor.imag, factor.real, origin.imag], [0, 0, 1]
+    return np.array(rows, np.float64)
 
 
 def _match_patches(reference: _Channels, target: _Channels, start_xy: Index) -> tuple[Float64, Float64]:
