@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.matching import pose
 from pcwlad_geo.matching.pose import PoseProposal, mean_distance_px, search_pose
 from tests.matching.test_global_search import cover, modality
@@ -144,3 +145,24 @@ def test_a_pose_ascends_to_the_affine_one_beside_it() -> None:
     score, found = ascent.from_pose(beside)
     assert mean_distance_px(found, true, REFERENCE.shape) < 2.0
     assert score >= ascent.from_pose(true)[0] * 0.99
+
+
+@pytest.mark.parametrize("stretch", [1.0, 1.3])
+def test_patches_in_one_part_tell_a_similarity_unless_it_fits_worse(stretch: float) -> None:
+    draw = np.random.default_rng(3)
+    reference_px = draw.uniform((0, 150), (500, 280), (60, 2))
+    turn = np.array([[np.cos(0.2), -np.sin(0.2)], [np.sin(0.2), np.cos(0.2)]])
+    target_px = reference_px @ (turn @ np.diag([1.0, stretch])).T + (5.0, -30.0)
+    target_px += draw.normal(0.0, 2.5, target_px.shape)
+    agrees = np.arange(60) < 50
+    target_px[~agrees] += draw.uniform(20.0, 60.0, (10, 2))
+    affine = np.vstack([affine_between(reference_px[agrees], target_px[agrees]), [0.0, 0.0, 1.0]])
+    found = pose._as_similarity(affine, reference_px, target_px, agrees, 6.0)
+    values = np.linalg.svd(found[:2, :2], compute_uv=False)
+    if stretch == 1.0:
+        assert values[0] == pytest.approx(values[1])
+        assert values[0] == pytest.approx(1.0, abs=0.01)
+        right_px = turn @ [250.0, 0.0] + (5.0, -30.0)
+        np.testing.assert_allclose(found[:2] @ [250.0, 0.0, 1.0], right_px, atol=4.0)
+    else:
+        np.testing.assert_array_equal(found, affine)
