@@ -657,7 +657,7 @@ class Proof:
     sigma: SigmaEntry
     correction: CorrectionEntry | None
     """Null where nothing was fitted."""
-    unseen: UnobservableError
+    unobservable: UnobservableError
     """What no move of the target can show."""
     map: tuple[PointEntry, ...]
     """Point by point."""

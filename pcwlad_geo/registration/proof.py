@@ -660,7 +660,7 @@ def prove(
         windows=tuple(_class(f"{each} px", part) for each, part in windows),
         sigma=_sigmas(error, setup.sigma_px * setup.unit_px, scatter_ratio),
         correction=None if fit is None else _of_correction(error, bias, setup, matches, fit, effort),
-        unseen=_unobservable(setup, *ends),
+        unobservable=_unobservable(setup, *ends),
         map=_map(error, setup, matches),
         sensitivity=sensitivity(matches, register, log, len(moves), seed) if register and tries else None,
     )

@@ -392,12 +392,12 @@ WRONG_SHARE: Final = 0.002
 
 def observability_sentence(proof: Proof) -> str:
     """Return the sentence that tells which errors the proof observes, and which none can."""
-    unseen = proof.unseen
+    unobservable = proof.unobservable
     return (
         "Observed, by moving the target: pixel locking, interpolation and noise, which these figures are of. "
         "Not observable: structure that lies elsewhere in the other band; halves of the evidence differ by "
-        f"{unseen.at_least_px:.3f} px or more in it (a lower bound, not the error), and up to "
-        f"{unseen.up_to_px:.2f} px have to be allowed for unless a third band closes a triangle."
+        f"{unobservable.at_least_px:.3f} px or more in it (a lower bound, not the error), and up to "
+        f"{unobservable.up_to_px:.2f} px have to be allowed for unless a third band closes a triangle."
     )
 
 

@@ -151,9 +151,9 @@ def test_a_proof_is_whole_and_denies_nothing(told: Proof) -> None:
     assert np.hypot(*told.bias_px) < np.hypot(*told.scatter_px) / 2
     assert sum(entry.points[0] for entry in told.phases) == told.matches
     assert len({point.row for point in told.map}) == len(told.map)
-    assert 0 <= told.unseen.at_least_px < told.unseen.up_to_px
-    assert told.unseen.up_to_px >= 0.1
-    assert {each.name for each in told.unseen.evidence} == {"channels", "windows", "directions"}
+    assert 0 <= told.unobservable.at_least_px < told.unobservable.up_to_px
+    assert told.unobservable.up_to_px >= 0.1
+    assert {each.name for each in told.unobservable.evidence} == {"channels", "windows", "directions"}
 
 
 def test_a_pair_that_is_not_matched_proves_nothing(tmp_path: Path) -> None:

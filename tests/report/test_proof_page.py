@@ -55,7 +55,7 @@ PROOF = Proof(
     windows=(),
     sigma=SigmaEntry(0.41, 0.7, 2.04, 2.04),
     correction=CorrectionEntry("shift", (0.012, -0.003), 0.012, 0.02, None),
-    unseen=UnobservableError(
+    unobservable=UnobservableError(
         (EvidenceEntry("channels", 2, (0.04, 0.0), (0.01, 0.01), (0.0, 0.0)),), 0.01, 0.1
     ),
     map=tuple(PointEntry(n, (100.0 * n + 50, 80.0), ((0.01, 0.02), (-0.01, 0.0))) for n in range(2)),
