@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
 import numpy as np
@@ -379,15 +379,18 @@ def _extrapolated_mean_error(
 ) -> Float64:
     """Return the (k, 2) mean error of the correction at places beyond the tie points, px.
 
-    The affine trend of the matches goes on there, and so does what the nearest of them lie beside it. A shift
-    ignores the trend, and a curved correction bends on although nothing says that the ground does.
+    The affine trend of the consistent matches goes on there, and so does what the nearest of them lie beside
+    it. A shift ignores the trend, and a curved correction bends on although nothing says the ground does.
+    Other matches do not count there: ground without structure, where most of them lie, has only wrong ones.
     """
-    xy, kept, correction = residuals.predicted_px, residuals.kept, selection.fit.correction
+    kept, correction = residuals.kept, selection.fit.correction
     if len(places_px) == 0 or kept.sum() < 3:
         return np.zeros_like(places_px)
-    observed = correction.forward(xy) + residuals.residual_px
-    trend = AffineCorrection("affine", affine_between(xy[kept], observed[kept]))
-    about_trend = replace(residuals, residual_px=observed - trend.forward(xy))
+    xy, sigma_px = residuals.predicted_px[kept], residuals.sigma_px
+    observed = correction.forward(xy) + residuals.residual_px[kept]
+    trend = AffineCorrection("affine", affine_between(xy, observed))
+    sigma_px = None if sigma_px is None else sigma_px[kept]
+    about_trend = Residuals(xy, observed - trend.forward(xy), np.ones(len(xy), bool), sigma_px)
     nearest = left_by_correction(about_trend, places_px, footprint_px).median_px
     mean = _mean_error(about_trend, nearest, places_px, footprint_px)
     return np.asarray(mean + trend.forward(places_px) - correction.forward(places_px))

@@ -145,3 +145,19 @@ def test_a_bending_correction_is_expected_to_err_beyond_its_points() -> None:
     )
     assert inside < 0.5
     assert everywhere > 2.0
+
+
+def test_wrong_matches_beyond_the_points_say_nothing_of_a_curved_correction() -> None:
+    """Ground without structure beside the points: windows there find something, in any direction."""
+    xy = points(400, 300.0)
+    moved = np.asarray(0.5 * np.sin(2 * np.pi * xy[:, ::-1] / 400)) + noise(len(xy))
+    selection = fitted(xy, moved, "polynomial3")
+    draw = np.random.default_rng(7)
+    beyond, off = draw.uniform((320, 0), (500, 300), (15, 2)), draw.uniform(-12, 12, (15, 2))
+    every, kept = np.concatenate([xy, beyond]), np.arange(415) < 400
+    alone = residuals_of(selection, xy, moved)
+    among_wrong = residuals_of(selection, every, np.concatenate([moved, off]), kept)
+    places = np.stack(np.meshgrid(np.arange(5.0, 400, 10), np.arange(5.0, 300, 10)), axis=-1).reshape(-1, 2)
+    expected = expected_ce90(selection, alone, places, WINDOW_PX)
+    assert expected < 3.0
+    assert expected_ce90(selection, among_wrong, places, WINDOW_PX) == pytest.approx(expected, rel=0.05)
