@@ -111,7 +111,7 @@ def _attempt(
                 ending = work(report.event)
             report.result(ending.figures, ending.text)
         except (KeyboardInterrupt, CancelledError):
-            # otherwise nothing was staged, and loading it takes time
+            # without that module nothing was staged, and to load it takes time
             if "pcwlad_geo.outputs.folder" in sys.modules:
                 with suppress(OSError, PcwladGeoError):  # files left between a step and its record
                     abandon()

@@ -391,7 +391,7 @@ def _extrapolated_mean_error(
     trend = AffineCorrection("affine", affine_between(xy, observed))
     sigma_px = None if sigma_px is None else sigma_px[kept]
     about_trend = Residuals(xy, observed - trend.forward(xy), np.ones(len(xy), bool), sigma_px)
-    nearest = left_by_correction(about_trend, places_px, footprint_px).median_px
+    nearest, _, _ = _around(xy, about_trend.residual_px, places_px, footprint_px)
     mean = _mean_error(about_trend, nearest, places_px, footprint_px)
     return np.asarray(mean + trend.forward(places_px) - correction.forward(places_px))
 

@@ -446,7 +446,7 @@ def _pairs(left: Float64, right: Float64) -> Float64:
 MIN_SPLINE_POINTS = 12
 """Least number of tie points of a thin-plate spline."""
 SOFTEST = 0.02
-"""Stiffness over side⁴ at which the softest mode of a square plate is reduced to a tenth."""
+"""Relative smoothing over side⁴ at which the softest mode of a square plate is reduced to a tenth."""
 FACTOR = 4.0
 """Ratio of successive smoothing parameters tried, which doubles the effective number of parameters."""
 MAX_TRIES = 14

@@ -30,6 +30,7 @@ from pcwlad_geo.matching.refinement import in_threads
 from pcwlad_geo.matching.shift_search import (
     MIN_PATCHES,
     Patches,
+    mapped,
     normalised_channels,
     similarity_between,
 )
@@ -140,8 +141,8 @@ FULLY_GROWN: Final = 2
 SAMPLED_PATCHES: Final = 2
 """In the sample is every so-manieth patch along each axis."""
 SIMILARITY_SHARE: Final = 0.85
-"""Least share of the patches of an affine pose with which a similarity is taken for it: where that was so of
-60 pairs whose true pose is a similarity, it was nearer to the truth."""
+"""Least share of the patches of an affine pose with which a similarity is taken for it: of 60 pairs, most of
+whose true poses are similarities, 13 came nearer to the truth by more than 0.5 px; one went off by 3 px."""
 GROWTH_ROUNDS: Final = 5
 """Largest number of times that patches vote, each time from the pose that they agreed on."""
 AGREEING_BY_CHANCE: Final = 14.0
@@ -470,7 +471,7 @@ def search_pose(
     coarse = _distinct(itertools.chain(*trials), reference.shape)
     if not coarse:
         return None
-    patches = _Patches(first, second, threads)
+    patches = _OverlappingPatches(first, second, threads)
     grown = _grown(patches, [PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)], scales)
     if grown is not None:
         return grown
@@ -605,7 +606,7 @@ class _Votes:
         return max(0.0, min((self.agreeing - AGREEING_BY_CHANCE) / PER_EVIDENCE, MAX_EVIDENCE))
 
 
-class _Patches:
+class _OverlappingPatches:
     """Patches of the reference, which are looked for in the target as poses place it."""
 
     def __init__(self, reference: _PoseImage, target: _PoseImage, threads: int) -> None:
@@ -627,14 +628,15 @@ class _Patches:
         small, known, to_small = _shrunk(
             self._target.values, self._target.valid, min(1.0, self._factor / _scale_of(pose))
         )
-        to_placed = to_small @ pose @ inverse(self._to_voting)
+        from_voting = inverse(self._to_voting)
+        to_placed = to_small @ pose @ from_voting
         placed = _warped_image(small, known, to_placed, self._valid.shape, PATCH_REACH_PX)
         middles, displacements, distinct = self._displacements(*_voting_channels(*placed), sample=sample)
         votes, to_target = _consensus(middles, displacements, distinct), inverse(to_small) @ to_placed
         agreed = to_target @ votes.matrix @ self._to_voting
         if not sample and votes.agrees.any():
-            reference_px = _moved(inverse(self._to_voting), middles)
-            target_px = _moved(to_target, middles + displacements)
+            reference_px = mapped(from_voting, middles)
+            target_px = mapped(to_target, middles + displacements)
             tolerance_px = VOTE_TOLERANCE_PX * _scale_of(agreed) / self._factor
             agreed = _as_similarity(agreed, reference_px, target_px, votes.agrees, tolerance_px)
         return votes, agreed
@@ -722,7 +724,7 @@ def _as_similarity(
     near = agrees
     for _ in range(CONSENSUS_ROUNDS):
         similarity = similarity_between(reference_px[near], target_px[near])
-        near = np.hypot(*(_moved(similarity, reference_px) - target_px).T) <= tolerance_px
+        near = np.hypot(*(mapped(similarity, reference_px) - target_px).T) <= tolerance_px
         if np.count_nonzero(near) < SIMILARITY_SHARE * np.count_nonzero(agrees):
             return affine
     return similarity
@@ -738,7 +740,7 @@ def _is_plausible(linear: Float64) -> Bool:
 
 
 def _grown(
-    patches: _Patches, starts: Sequence[PoseProposal], scales: tuple[float, float]
+    patches: _OverlappingPatches, starts: Sequence[PoseProposal], scales: tuple[float, float]
 ) -> PoseProposal | None:
     """Let affine poses grow from others, whose evidence counts; None where patches add too little to it.
 
@@ -764,7 +766,9 @@ def _grown(
     return None
 
 
-def _climbed(patches: _Patches, votes: _Votes, pose: Float64, *, sample: bool) -> tuple[_Votes, Float64]:
+def _climbed(
+    patches: _OverlappingPatches, votes: _Votes, pose: Float64, *, sample: bool
+) -> tuple[_Votes, Float64]:
     """Let patches vote again from the (3, 3) pose that they agreed on, until no more agree."""
     for _ in range(GROWTH_ROUNDS):
         again, moved = patches.vote(pose, sample=sample)
@@ -967,11 +971,6 @@ def _turned(maps: Float32, angle_rad: float) -> Float32:
         result[index] = cos * maps[index] - sin * maps[index + 1]
         result[index + 1] = sin * maps[index] + cos * maps[index + 1]
     return result
-
-
-def _moved(matrix: Float64, xy: Float64) -> Float64:
-    """Return the (n, 2) positions to which a (3, 3) affine matrix takes those of an (n, 2) array."""
-    return np.asarray(xy @ matrix[:2, :2].T + matrix[:2, 2], np.float64)
 
 
 def _affine(linear: Float64, origin: Float64) -> Float64:

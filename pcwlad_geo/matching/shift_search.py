@@ -365,7 +365,7 @@ class Patches:
         xy = self.centres_px[self.agrees] - 0.5
         moved = xy + self.displacements_px[self.agrees]
         matrix = similarity_between(xy, moved)
-        left_px = np.percentile(np.hypot(*(xy @ matrix[:2, :2].T + matrix[:2, 2] - moved).T), 95)
+        left_px = np.percentile(np.hypot(*(mapped(matrix, xy) - moved).T), 95)
         return matrix, float(left_px)
 
 
@@ -377,6 +377,11 @@ def similarity_between(from_xy: Float64, to_xy: Float64) -> Float64:
     origin = moved.mean() - factor * z.mean()
     rows = [factor.real, -factor.imag, origin.real], [factor.imag, factor.real, origin.imag], [0, 0, 1]
     return np.array(rows, np.float64)
+
+
+def mapped(matrix: Float64, xy: Float64) -> Float64:
+    """Return the (n, 2) positions to which the (3, 3) affine `matrix` takes the (n, 2) `xy`."""
+    return np.asarray(xy @ matrix[:2, :2].T + matrix[:2, 2], np.float64)
 
 
 def _match_patches(reference: _Channels, target: _Channels, start_xy: Index) -> tuple[Float64, Float64]:

@@ -27,7 +27,7 @@ from pcwlad_geo.matching.prepare import (
     rounding_of,
     without_speckle,
 )
-from pcwlad_geo.matching.shift_search import SearchResult, search_shift
+from pcwlad_geo.matching.shift_search import SearchResult, mapped, search_shift
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.grid import Grid, Window, map_px
@@ -281,8 +281,7 @@ def _posed_grid(grid: Grid, pair: ViewPair, matrix: Float64) -> Grid:
     """Return a grid of the target moved by a pose, in the CRS of the reference."""
     places = grid.lattice_px(POSE_NODES)
     target_px = map_px(places, grid, pair.target.grid)
-    back = inverse(matrix)
-    reference_px = pair.reference.to_file_px(target_px @ back[:2, :2].T + back[:2, 2])
+    reference_px = pair.reference.to_file_px(mapped(inverse(matrix), target_px))
     if not np.isfinite(reference_px).all():
         raise InputError("the pose places the target where the CRS of the reference is not defined")
     affine = affine_between(places, pair.reference.info.grid.to_xy(reference_px))
