@@ -16,6 +16,7 @@ from jinja2 import Environment
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.models import AffineCorrection, affine_between
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.multi.adjustment import MIN_REDUNDANCY
 from pcwlad_geo.multi.bands import SQUARES
 from pcwlad_geo.multi.cycles import GRADES_OF_IMAGES, root_mean_square
 from pcwlad_geo.multi.qa_result import Summary
@@ -403,7 +404,7 @@ def _accuracy_answer(found: Stack) -> Answer:
     sigma = max(max(image.sigma_px) for image in images)
     datum = "the mean of all" if found.datum == "mean" else f"{found.datum}, which stays"
     text = (
-        f"90 % of every image is expected to lie within {expected.quality.expected_ce90_px:.2f} px "
+        f"90 % of every image is expected to lie within {expected.quality.expected_ce90_px:.3f} px "
         f"(worst: {expected.name}). Positions have a sigma of {sigma:.3f} px or better, relative to {datum}."
     )
     return Answer(
@@ -424,17 +425,21 @@ def _agreement_answer(found: Stack) -> Answer:
     """Tell how far the pairs of the images that are not refused agree."""
     placed = {image.name for image in found.written.images}
     pairs = [each for each in found.pairs if each.offset_px and {each.reference, each.target} <= placed]
-    used = [pair.off_px for pair in pairs if pair.status == "used"]
-    away, closure = len(pairs) - len(used), found.closure
-    if closure.before_px is None and not away:
-        several = f"{len(pairs)} pairs that form no cycle cannot check each other"
-        text = f"Nothing tells: {'one pair cannot be checked by others' if len(pairs) == 1 else several}."
-        return Answer("Do the pairs agree?", text, "caution")
-    text = f"{len(used)} of {len(pairs)} pairs agree to {root_mean_square(used) or 0.0:.3f} px (RMS)"
-    if away:
-        text += f"; {away} {'pair contradicts' if away == 1 else 'pairs contradict'} the others"
+    used = [pair for pair in pairs if pair.status == "used"]
+    checked = [pair.off_px for pair in used if (pair.redundancy or 0.0) >= MIN_REDUNDANCY]
+    away, alone, closure = len(pairs) - len(used), len(used) - len(checked), found.closure
+    against = f"; {away} {'pair contradicts' if away == 1 else 'pairs contradict'} the others" if away else ""
+    if not checked:
+        several = f"{len(used)} pairs that form no cycle cannot check each other"
+        text = "one pair cannot be checked by others" if len(used) == 1 else several
+        return Answer("Do the pairs agree?", f"Nothing tells: {text}{against}.", "caution")
+    unchecked = f", {alone} of them checked by no other" if alone else ""
+    text = (
+        f"{len(used)} of {len(pairs)} pairs agree to {root_mean_square(checked) or 0.0:.3f} px (RMS)"
+        f"{unchecked}{against}"
+    )
     if closure.before_px is None:
-        return Answer("Do the pairs agree?", f"{text}. No cycle of pairs checks them.", "caution")
+        return Answer("Do the pairs agree?", f"{text}. No three or four of them form a cycle.", "caution")
     text += f". Cycles of pairs ({closure.cycles}) close to {closure.before_px:.3f} px"
     if closure.after_px not in (None, closure.before_px):
         text += f", without those left out to {closure.after_px:.3f} px"

@@ -65,6 +65,18 @@ def test_the_net_is_drawn_and_what_does_not_fit_comes_first(tmp_path: Path) -> N
     assert "of each is an affine." in text
 
 
+def test_pairs_that_nothing_checks_are_not_said_to_agree(tmp_path: Path) -> None:
+    found = make_stack(tmp_path, [f"date{number}" for number in range(9)])
+    used = sum(pair.status == "used" for pair in found.pairs)
+    assert f"{used} of {used + 1} pairs agree to " in stack_page(found)
+    pairs = tuple(replace(pair, redundancy=0.0) for pair in found.pairs)
+    text = stack_page(replace(found, pairs=pairs))
+    assert f"{used} pairs that form no cycle cannot check each other; 1 pair contradicts the others." in text
+    assert "agree to" not in text
+    text = stack_page(replace(found, pairs=(found.pairs[0], *pairs[1:3], *found.pairs[3:])))
+    assert "(RMS), 2 of them checked by no other; 1 pair contradicts" in text
+
+
 def test_dates_are_drawn_as_a_series_and_cycles_name_the_pair_to_blame(tmp_path: Path) -> None:
     found = make_stack(tmp_path, [f"date{number}" for number in range(9)])
     assert "Shifts in time" not in stack_page(found)
