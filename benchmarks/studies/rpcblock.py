@@ -152,7 +152,7 @@ def _recovered(before: Stack, after: Stack, biased: str, with_reference: bool) -
 
 def _told(found: Stack) -> int:
     check = found.block.dem if found.block else None
-    return len(check.wrong) if check else 0
+    return len(check.faults) if check else 0
 
 
 def _dems(folder: Path, scratch: Path, right: Mapping[bool, Stack]) -> Table:
@@ -177,13 +177,13 @@ def _dems(folder: Path, scratch: Path, right: Mapping[bool, Stack]) -> Table:
             rows.append(
                 [
                     f"{name}, {how}",
-                    len(check.wrong),
+                    len(check.faults),
                     f"{check.too_high_m or 0.0:+.2f}",
                     check.by_chance or 1.0,
                 ]
                 + [f"{value:+.2f}" for value in beside]
             )
-            missed = int((len(check.wrong) > 0) != (name != "as it is"))
+            missed = int((len(check.faults) > 0) != (name != "as it is"))
             checks.append(at_most(f"DEM {name}, {how}: told wrongly", missed, 0, "", 0))
     header = ("DEM moved by 20 m", "messages", "too high, m", "by chance", "beside x, m", "y, m")
     return Table("A DEM that is moved", header, rows, checks)

@@ -321,14 +321,14 @@ def adjusted(
     found = adjust_block(block, pairs, ("shift",))
     check = check_dem(block, pairs, found, absolute)
     left_open = settings.model in ("auto", "rpc")
-    if settings.model != "shift" and not (left_open and check is not None and check.wrong):
+    if settings.model != "shift" and not (left_open and check is not None and check.faults):
         found = adjust_block(block, pairs, tuple(LOSSLESS) if left_open else (settings.model,), found)
     unused = found.hold_out
     if unused is not None and unused.worse:
         raise RegistrationRejectedError(
             f"tie points held out lie {unused.after_px:.2f} px apart with the corrected RPCs and "
             f"{unused.before_px:.2f} px with those of the files, over the DEM as it is: nothing is written; "
-            + "; ".join((check and check.wrong) or ["check the DEM and the pairs"])
+            + "; ".join((check and check.faults) or ["check the DEM and the pairs"])
         )
     return found, check
 
@@ -364,7 +364,7 @@ def block_stack(
         dem=check,
         misfits=tuple(_misfits(placed, pairs, adjustment)),
         hold_out=adjustment.hold_out,
-        warnings=((check and check.wrong) or ()) + tuple(control_warnings(placed, pairs, adjustment)),
+        warnings=((check and check.faults) or ()) + tuple(control_warnings(placed, pairs, adjustment)),
     )
     return Stack(
         images=images,
@@ -610,7 +610,7 @@ def check_dem(
         scale_sigma=scale_sigma,
         scatter_m=found.sigma_height_m,
         off_m=_off_m(block, found),
-        wrong=tuple(reasons),
+        faults=tuple(reasons),
     )
 
 

@@ -278,7 +278,7 @@ def _stacked_rpcs(
     check_connected(frame, edges, frame.reference, job.folder, False)
     points = [*tie_points_of(measured), *control]
     adjustment, check = adjusted(placed, points, job.settings)
-    for message in [*(check.wrong if check else ()), *control_warnings(placed, points, adjustment)]:
+    for message in [*(check.faults if check else ()), *control_warnings(placed, points, adjustment)]:
         job.tell(Warned(message))
     details = job.folder, job.settings, job.warnings, unreadable, chosen
     result = block_stack(placed, measured, points, adjustment, check, *details)

@@ -129,8 +129,8 @@ class DemCheck:
     """Robust standard deviation of the DEM's heights at the tie points."""
     off_m: float
     """Error of 90 % of the heights, less their mean, where the relief clearly lies elsewhere; 0 otherwise."""
-    wrong: tuple[str, ...]
-    """Why it is taken for wrong; empty if nothing speaks against it."""
+    faults: tuple[str, ...]
+    """What speaks against it, each a sentence; empty if nothing does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +148,7 @@ class BlockNumbers:
     hold_out: HoldOutCheck | None
     """How far tie points on ground that was left out lie off with the RPCs as they came and as corrected."""
     warnings: tuple[str, ...]
-    """What speaks against the DEM (`dem.wrong`) and against control points."""
+    """What speaks against the DEM (`dem.faults`) and against control points."""
 
 
 UNGRADED: Final = StackQuality("good", (), 0.0)
@@ -397,10 +397,10 @@ def graded(found: Stack) -> Stack:
         off_px = check.off_m * np.hypot(*found.adjustment.by_height_px.T)
         heights_px = {image.name: float(off_px[number]) for number, image in enumerate(found.images)}
     qualities = image_qualities(found.pairs, sigma_px, unit_px, anchors, heights_px)
-    wrong = check.wrong if check else ()
-    for image in found.images if wrong else ():
+    faults = check.faults if check else ()
+    for image in found.images if faults else ():
         if image.rpc is not None:
-            qualities[image.name] = qualities[image.name].doubted(wrong[0])
+            qualities[image.name] = qualities[image.name].doubted(faults[0])
     images = tuple(replace(image, quality=qualities[image.name]) for image in found.images)
     return replace(found, images=images)
 

@@ -215,6 +215,6 @@ def test_orthoimages_of_a_block_over_a_coarse_dem_lie_on_each_other(
     # what the DEM does to them is told everywhere, and no image is called good
     assert found.block is not None
     assert found.block.dem is not None
-    assert set(found.block.dem.wrong) <= set(found.warnings)
-    assert any("scatter" in each for each in found.block.dem.wrong)
+    assert set(found.block.dem.faults) <= set(found.warnings)
+    assert any("scatter" in each for each in found.block.dem.faults)
     assert {each.quality.grade for each in found.images if each.quality} == {"poor"}

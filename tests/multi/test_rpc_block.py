@@ -142,7 +142,7 @@ def test_a_dem_that_is_too_high_is_told(grids: tuple[RpcGrid, ...], too_high_m: 
     check = check_dem(block, pairs, adjust_block(block, pairs, ("shift",)), absolute=False)
     assert check is not None
     assert check.too_high_m == pytest.approx(too_high_m, abs=30.0)
-    assert any("too high" if too_high_m > 0 else "too low" in each for each in check.wrong)
+    assert any("too high" if too_high_m > 0 else "too low" in each for each in check.faults)
 
 
 def test_a_dem_beside_its_place_is_told_and_moved_back(grids: tuple[RpcGrid, ...]) -> None:
@@ -154,8 +154,8 @@ def test_a_dem_beside_its_place_is_told_and_moved_back(grids: tuple[RpcGrid, ...
     check = check_dem(block, pairs, found, absolute=True)
     assert check is not None
     assert check.offset_m == pytest.approx((240.0, 180.0), abs=15.0)
-    assert len(check.wrong) == 1
-    assert "beside" in check.wrong[0]
+    assert len(check.faults) == 1
+    assert "beside" in check.faults[0]
     assert shifts(found, 3) == pytest.approx(biases, abs=0.05)
 
 
@@ -194,7 +194,7 @@ def test_a_right_dem_is_not_called_wrong(grids: tuple[RpcGrid, ...]) -> None:
     block = RpcBlock(grids, ground_grid(grids[0]))
     check = check_dem(block, pairs, adjust_block(block, pairs, ("shift",)), absolute=False)
     assert check is not None
-    assert check.wrong == ()
+    assert check.faults == ()
     assert check.scale == pytest.approx(0.0, abs=0.01)
 
 
@@ -262,7 +262,7 @@ def test_a_small_block_does_not_bend_to_its_dem(
     check = check_dem(block, [pair], found, absolute=False)
     assert check is not None
     assert not found.dem_moved
-    assert not any("beside" in each or " % too " in each for each in check.wrong)
+    assert not any("beside" in each or " % too " in each for each in check.faults)
     before_px, after_px = left_over(given, pair), left_over(given, pair, found)
     assert np.hypot(*np.median(after_px, axis=0)) < 0.1
     assert found.hold_out is not None
@@ -283,8 +283,8 @@ def test_a_rough_dem_is_told_and_no_reason_for_a_drift(tmp_path: Path) -> None:
     found, check = adjusted(placed, [seen_small(true, SMALL_BIASES)], Settings())  # type: ignore[arg-type]
     assert found.model == "shift"
     assert check is not None
-    assert len(check.wrong) == 1
-    assert "scatter" in check.wrong[0]
+    assert len(check.faults) == 1
+    assert "scatter" in check.faults[0]
 
 
 def test_residuals_along_the_parallax_of_a_pair_are_laid_to_the_dem(tmp_path: Path) -> None:
@@ -325,4 +325,4 @@ def test_another_scale_of_heights_is_told(grids: tuple[RpcGrid, ...]) -> None:
     check = check_dem(block, pairs, adjust_block(block, pairs, ("shift",)), absolute=False)
     assert check is not None
     assert check.scale == pytest.approx(0.1, abs=0.02)
-    assert any("10 % too high" in each or "9 % too high" in each for each in check.wrong)
+    assert any("10 % too high" in each or "9 % too high" in each for each in check.faults)

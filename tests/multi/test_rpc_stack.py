@@ -71,7 +71,7 @@ def test_relative_biases_are_found(pair: Stack) -> None:
     assert pair.block is not None
     assert pair.block.model == "shift"
     assert pair.block.dem is not None
-    assert pair.block.dem.wrong == ()
+    assert pair.block.dem.faults == ()
 
 
 @pytest.mark.slow
@@ -115,7 +115,7 @@ def test_the_corrected_rpcs_are_the_original_ones_moved(pair: Stack, folder: Pat
 def test_numbers_and_page(pair: Stack) -> None:
     numbers = json.loads((pair.out_dir / "stack.json").read_text(encoding="utf-8"))
     jsonschema.validate(numbers, json.loads(SCHEMA.read_text(encoding="utf-8")))
-    assert numbers["block"]["dem"]["wrong"] == []
+    assert numbers["block"]["dem"]["faults"] == []
     assert numbers["images"][0]["rpc"]["vrt"] == "view0_rpc.vrt"
     page = (pair.out_dir / "stack.html").read_text(encoding="utf-8")
     assert "mean of all" in page
