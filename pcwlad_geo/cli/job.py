@@ -48,7 +48,7 @@ class Ending:
     """The result of a command that has finished."""
 
     figures: dict[str, object]
-    """Values of the result event."""
+    """Values of the result event, but for the exit status."""
     text: str
     """The text that is printed."""
     exit_status: int = 0
@@ -70,7 +70,7 @@ def do_pair(command: PairCommand, params: Mapping[str, Any], on_event: EventCall
     """Do a job on one pair, and return its result; `params` are those of its command."""
     status, paths = _work(command, params, collect(params, params["config"]), on_event)
     outcome = Outcome.read(paths)
-    return Ending({**outcome.figures(), "exit_status": status}, visible(outcome.text()), status)
+    return Ending(outcome.figures(), visible(outcome.text()), status)
 
 
 def run_guarded(
@@ -109,7 +109,7 @@ def _attempt(
             with cancellable(end_by_force, watch_stdin=params["watch_stdin"]):
                 check_address_space()
                 ending = work(report.event)
-            report.result(ending.figures, ending.text)
+            report.result({**ending.figures, "exit_status": ending.exit_status}, ending.text)
         except (KeyboardInterrupt, CancelledError):
             # without that module nothing was staged, and to load it takes time
             if "pcwlad_geo.outputs.folder" in sys.modules:
@@ -527,11 +527,9 @@ def prove_pair(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
         **settings,
     )
     folder = output_folder(params["target"], "proof", params["out_dir"])
-    paths = {kind: str((folder / name).absolute()) for kind, name in PROOF_NAMES.items()}
     figures: dict[str, object] = {
         **{name: getattr(proof, name) for name in ("bias_px", "scatter_px", "rmse_px", "ce90_px", "wrong")},
-        "exit_status": 0,
-        "paths": paths,
+        "paths": {kind: str((folder / name).absolute()) for kind, name in PROOF_NAMES.items()},
     }
     text = f"{proof_text(proof)}report: {folder / PROOF_NAMES['report']}\n"
     return Ending(figures, visible(text))

@@ -79,7 +79,7 @@ def _batch_ending(result: BatchResult) -> Ending:
     counts["not_passed"] = sum(outcome.passed is False for outcome in result.pairs)
     summary = result.summary.absolute()
     status = next((STATUS_OF[each] for each in STATUS_OF if counts[each]), 0)
-    figures = {**counts, "exit_status": status, "pairs": rows, "paths": {"summary": str(summary)}}
+    figures = {**counts, "pairs": rows, "paths": {"summary": str(summary)}}
     counted = ", ".join(f"{count} {WORDS.get(each, each)}" for each, count in counts.items() if count)
     return Ending(figures, f"{table(rows)}\n{visible(counted)}\nsummary: {visible(str(summary))}\n", status)
 
@@ -243,7 +243,6 @@ def _ending(found: Stack) -> Ending:
         "closure_px": found.closure.after_px,
         "passed": found.passed,
         "shared": found.shared,
-        "exit_status": status,
         "paths": {kind: str(path.absolute()) for kind, path in paths.items()},
     }
     lines = columns([HEADER, *(_row(image) for image in found.images)], (0, 1))
@@ -349,7 +348,6 @@ def _watch_ending(found: WatchNumbers, params: Mapping[str, Any], added: int) ->
         "moving": len(found.motion.regions) if found.motion else None,
         "corrected": found.corrected and asdict(found.corrected),
         "passed": found.passed,
-        "exit_status": status,
         "paths": {
             kind: str((folder / name).absolute()) for kind, name in NAMES.items() if name in found.outputs
         },

@@ -200,7 +200,7 @@ def _ending(result: QaResult) -> Ending:
         status = RequirementError.exit_status
     elif result.refused:
         status = RegistrationRejectedError.exit_status
-    return Ending({**outcome_of(result), "exit_status": status}, visible(stack_text(result)), status)
+    return Ending(outcome_of(result), visible(stack_text(result)), status)
 
 
 def _trend(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
@@ -219,12 +219,10 @@ def _trend(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
 
 
 def _trend_ending(found: Trend) -> Ending:
-    paths = {kind: str(path) for kind, path in found.paths.items()}
     figures: dict[str, object] = {
         "reports": found.reports,
         "series": len(found.series),
-        "exit_status": 0,
-        "paths": paths,
+        "paths": {kind: str(path) for kind, path in found.paths.items()},
     }
     text = f"{found.reports} reports, {len(found.series)} series\nreport: {found.paths['report']}\n"
     return Ending(figures, visible(text))

@@ -134,7 +134,6 @@ def _learned(found: Rig, out: Path) -> Ending:
     figures: dict[str, object] = {
         **{name: getattr(found, name) for name in names},
         "lenses": lenses,
-        "exit_status": 0,
         "paths": {"rig": str(out.absolute())},
     }
     return Ending(figures, visible("\n".join(lines)) + "\n")
@@ -172,7 +171,6 @@ def _applied(found: RigApplied) -> Ending:
         **counts,
         "quality": grades,
         "bad": [{"capture": each.name, "status": each.status, "reason": each.reason} for each in bad],
-        "exit_status": status,
         "paths": {"summary": str(found.summary.absolute())},
     }
     return Ending(figures, visible("\n".join(lines)) + "\n", status)
