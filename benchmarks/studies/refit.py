@@ -23,7 +23,7 @@ import rasterio
 
 from benchmarks.runs import Array, Runner
 from benchmarks.tables import Cell, Check, Table, within
-from pcwlad_geo.correction.models import from_json
+from pcwlad_geo.correction.models import from_dict
 
 REPOSITORY: Final = Path(__file__).resolve().parents[2]
 SEEDS: Final = (6, 1, 2, 3, 4)
@@ -128,7 +128,7 @@ def _registered(way: str, folder: Path, out: Path, truth: tuple[Array, Array], *
     _python("-m", "pcwlad_geo", "register", *pair, "--out-dir", out, "--jobs", 1, *options)
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     places, displacement = truth
-    error = from_json(report["model"]).forward(places) - places - displacement
+    error = from_dict(report["model"]).forward(places) - places - displacement
     quality = report["quality"]
     true = float(np.percentile(np.hypot(*error.T), 90))
     return Figures(way, quality["grade"], quality["expected_ce90_px"], true)

@@ -393,7 +393,7 @@ def _extrapolated_mean_error(
     about_trend = Residuals(xy, observed - trend.forward(xy), np.ones(len(xy), bool), sigma_px)
     nearest, _, _ = _around(xy, about_trend.residual_px, places_px, footprint_px)
     mean = _mean_error(about_trend, nearest, places_px, footprint_px)
-    return np.asarray(mean + trend.forward(places_px) - correction.forward(places_px))
+    return mean + trend.forward(places_px) - correction.forward(places_px)
 
 
 def _extrapolation_variance(selection: Selection, residuals: Residuals, places_px: Float64) -> Float64:

@@ -55,7 +55,7 @@ class Correction(ABC):
         """Return the type and the parameters of the mapping as report.json holds them."""
 
     def to_dict(self) -> dict[str, object]:
-        """Return the model as report.json holds it, which alone is enough to warp (see `from_json`)."""
+        """Return the model as report.json holds it, which alone is enough to warp (see `from_dict`)."""
         return {"name": self.name, "forward": self._parameters()}
 
     def invert(self) -> Correction:
@@ -483,7 +483,7 @@ def _homogeneous(matrix: Float64, at_px: Float64) -> Float64:
     return moved[:, :2] / w
 
 
-def from_json(model: Mapping[str, Any]) -> Correction:
+def from_dict(model: Mapping[str, Any]) -> Correction:
     """Make a correction from the `model` of a report.json.
 
     Raises `InputError` if the mapping does not describe a correction model. The `model` has `name` and
@@ -558,7 +558,7 @@ def _composition(name: str, forward: Mapping[str, Any]) -> Correction:
     steps = forward["steps"]
     if not 1 <= len(steps) <= MAX_STEPS or any(each["forward"]["type"] == "composition" for each in steps):
         raise ValueError(f"expected 1 to {MAX_STEPS} steps, none of them a composition")
-    return Composition(name, tuple((from_json(each), bool(each["inverted"])) for each in steps))
+    return Composition(name, tuple((from_dict(each), bool(each["inverted"])) for each in steps))
 
 
 def _length(value: float | str) -> float:

@@ -485,7 +485,7 @@ def _of_before(before: Mapping[str, Any], folder: Path) -> tuple[list[StackInput
     """Return the images and control points of a finished stack; raises `InputError` if it takes no more."""
     try:
         projective = HOMOGRAPHY in [entry["model"]["name"] for entry in before["images"]]
-        old = [StackInput.from_json(entry["given"]) for entry in before["images"]]
+        old = [StackInput.from_dict(entry["given"]) for entry in before["images"]]
         names = [each.name for each in old]
         later = [name for each in before["added"] for name in each]
         ends = [pair[end] for pair in before["pairs"] for end in ("reference", "target")]

@@ -49,7 +49,7 @@ class StackInput:
     """The STAC item that names it: its own address, or the file it was read from."""
 
     @staticmethod
-    def from_json(values: Mapping[str, Any]) -> StackInput:
+    def from_dict(values: Mapping[str, Any]) -> StackInput:
         """Return an image as stack.json names it; raises `TypeError` if a value is of a wrong type."""
         found = StackInput(**values)
         texts = (found.path, found.name, found.mask or "", found.date or "")

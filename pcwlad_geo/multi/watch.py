@@ -26,7 +26,7 @@ from affine import Affine
 from scipy import ndimage
 
 from pcwlad_geo.correction.error_statistics import float_pair
-from pcwlad_geo.correction.models import AffineCorrection, Correction, affine_between, from_json
+from pcwlad_geo.correction.models import AffineCorrection, Correction, affine_between, from_dict
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import RANK, pseudo_inverse
 from pcwlad_geo.estimation.time_series import (
@@ -429,7 +429,7 @@ def _dated(
     found, undated, refused = [], [], []
     try:
         for number, entry in enumerate(numbers["images"]):
-            given = StackInput.from_json(entry["given"])
+            given = StackInput.from_dict(entry["given"])
             if given.name != plain_name(given.name):
                 raise ValueError(f"{given.name!r} is no name of an image")
             shift, sigma = (np.array(entry[name], np.float64) for name in ("shift_px", "sigma_px"))
@@ -634,7 +634,7 @@ def _described(numbers: Mapping[str, Any]) -> list[Described]:
     found: list[Described] = []
     for entry in numbers["images"]:
         try:
-            found.append(StackInput.from_json(entry["given"]).describe())
+            found.append(StackInput.from_dict(entry["given"]).describe())
         except InputError as error:
             found.append(error)
     return found
@@ -644,7 +644,7 @@ def _frame(numbers: Mapping[str, Any], infos: Sequence[Described]) -> StackFrame
     """Return the frame of a stack; raises `InputError` if an image cannot be read, or it has RPCs."""
     if numbers.get("block") is not None:
         raise InputError("the images have RPCs, and what relief leaves of them is no motion")
-    inputs = [StackInput.from_json(entry["given"]) for entry in numbers["images"]]
+    inputs = [StackInput.from_dict(entry["given"]) for entry in numbers["images"]]
     if numbers["reference"] not in [each.name for each in inputs]:
         raise InputError(f"{STACK_NUMBERS} is damaged (no image is its reference): stack again")
     readable = []
@@ -672,7 +672,7 @@ def _moving_ground(
             f"{len(dated)} dates in {span:.2f} years are too few: {MIN_MOVING_IMAGES} are needed"
         )
     frame = _frame(numbers, infos)
-    corrections = [from_json(entry["model"]) for entry in numbers["images"]]
+    corrections = [from_dict(entry["model"]) for entry in numbers["images"]]
     years = {image.given.name: (image.number, image.year) for image in dated}
     rows, cols = frame.grid.shape
     cell_px = max(MIN_CELL_PX, max(rows, cols) / CELLS_ALONG)
@@ -800,7 +800,7 @@ def region_velocity(velocity_px: Float64) -> Float64:
     """
     along = velocity_px @ velocity_px.mean(axis=0)
     whole = along > np.percentile(along, 90) / 2
-    return np.asarray(np.median(velocity_px[whole if whole.any() else slice(None)], axis=0))
+    return np.median(velocity_px[whole if whole.any() else slice(None)], axis=0)
 
 
 def _write_corrected(
@@ -833,7 +833,7 @@ def _write_corrected(
             like = stack / (numbers["images"][frame.reference]["registered"] or "")
             settings = Settings(like=like) if like.is_file() else Settings()
             tell = partial(only_warnings, on_event)
-            warp_onto(frame, number, from_json(entry["model"]), place, settings, tell)
+            warp_onto(frame, number, from_dict(entry["model"]), place, settings, tell)
         items.append(_corrected_item(out, frame, number, entry, stack, known.get(frame.names[number])))
     for name, text in stac_texts(items, "watch", CORRECTED).items() if items else ():
         out.path(name).write_text(text, encoding="utf-8", newline="")
@@ -850,7 +850,7 @@ def _corrected_item(
 ) -> dict[str, Any]:
     """Return the item of an image; `known` are its series and what that says of it."""
     given, info, name = frame.given(number), frame.infos[number], frame.names[number]
-    grid, error_px = _corrected_grid(info.grid, from_json(entry["model"]))
+    grid, error_px = _corrected_grid(info.grid, from_dict(entry["model"]))
     figures = {each: entry.get(each) for each in ("shift_px", "sigma_px")}
     figures |= {"quality": (entry.get("quality") or {}).get("grade"), "transform_error_px": error_px}
     figures |= {} if known is None else {"series": known[0], "outlier": known[1].outlier}

@@ -44,7 +44,7 @@ class FileIdentity:
     """SHA-256, in hexadecimal digits, of the first `HEADER_BYTES` bytes; None for a file on a server."""
 
     @staticmethod
-    def from_json(values: Mapping[str, Any]) -> FileIdentity:
+    def from_dict(values: Mapping[str, Any]) -> FileIdentity:
         """Build an identity from its entry in report.json; other keys are ignored."""
         return FileIdentity(**{name: values[name] for name in FileIdentity.__slots__})
 

@@ -12,7 +12,7 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from pcwlad_geo.correction.models import Correction, from_json
+from pcwlad_geo.correction.models import Correction, from_dict
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import check_geotransform, check_shape
 from pcwlad_geo.options import RUNNING, Settings
@@ -67,14 +67,14 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
         _check_requirements(path, report)
         settings = report["settings"]
         return FinishedRegistration(
-            correction=from_json(report["model"]),
+            correction=from_dict(report["model"]),
             reference_grid=_grid(path, report["reference"].get("ground") or report["reference"]),
             target_grid=_grid(path, report["target"]),
             request=_request(path, report),
             fmt=OutputFormat.of(settings.get("of", "COG"), settings.get("co", ())),
             resampling=Settings.from_options({"resampling": settings["resampling"]}).resampling,
             rpc=_rpc(report["rpc"], report["target"], settings) if report.get("rpc") else None,
-            inputs=tuple(FileIdentity.from_json(each) for each in report.get("inputs", ())),
+            inputs=tuple(FileIdentity.from_dict(each) for each in report.get("inputs", ())),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, CRSError, SettingsError) as error:
         raise InputError(
@@ -138,7 +138,7 @@ def _same_inputs(inputs: Inputs, report: Mapping[str, Any]) -> bool:
     try:
         if [report[which]["path"] for which in ("reference", "target")] != names:
             return False
-        before = [FileIdentity.from_json(each) for each in report["inputs"]]
+        before = [FileIdentity.from_dict(each) for each in report["inputs"]]
     except (KeyError, TypeError):  # a report of an earlier version, or a damaged one
         return False
     return same(before, [file.identity for file in identify_inputs(inputs)])

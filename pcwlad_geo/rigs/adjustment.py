@@ -335,7 +335,7 @@ def _relief_of(
     along = np.bincount(point, weight * (residual * by_relief).sum(axis=1))
     own = np.bincount(point, weight * (by_relief**2).sum(axis=1))
     most = min(MOST_RELIEF_SIGMAS * sigma, MOST_RELIEF)
-    return np.asarray(np.clip(along / (own + sigma**-2), -most, most))
+    return np.clip(along / (own + sigma**-2), -most, most)
 
 
 def predict(state: RigState, observed: Observations, relief: Float64) -> Float64:

@@ -98,14 +98,14 @@ class Lens:
             return np.empty((0, 2))
         return homography_residual(places[good], projected[good])
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the lens as JSON values."""
         values = {name: float(value) for name, value in zip(PARAMETERS, self.vector, strict=True)}
         return {"model": self.model, "rows": self.shape[0], "cols": self.shape[1], **values}
 
     @staticmethod
-    def from_json(values: Mapping[str, Any]) -> Lens:
-        """Return the lens that `to_json` has written; raises `KeyError`, `TypeError` or `ValueError`."""
+    def from_dict(values: Mapping[str, Any]) -> Lens:
+        """Return the lens that `to_dict` has written; raises `KeyError`, `TypeError` or `ValueError`."""
         vector = np.array([float(values[name]) for name in PARAMETERS])
         model = values["model"]
         rows, cols = int(values["rows"]), int(values["cols"])
@@ -371,7 +371,7 @@ class Rig:
             f"the lenses {', '.join(self.names)} hardly look at the same ground: is this one rig?"
         )
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the content of RIG.json."""
         return {
             "schema_version": SCHEMA_VERSION,
@@ -385,11 +385,11 @@ class Rig:
 
     def write(self, path: Path) -> None:
         """Write RIG.json."""
-        path.write_text(json.dumps(self.to_json(), indent=1) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(self.to_dict(), indent=1) + "\n", encoding="utf-8")
 
     @staticmethod
-    def from_json(values: Mapping[str, Any]) -> Rig:
-        """Return the rig that `to_json` has written; raises `KeyError`, `TypeError` or `ValueError`."""
+    def from_dict(values: Mapping[str, Any]) -> Rig:
+        """Return the rig that `to_dict` has written; raises `KeyError`, `TypeError` or `ValueError`."""
         if values["kind"] != "pcwlad-geo rig" or int(values["schema_version"]) != SCHEMA_VERSION:
             raise ValueError("no rig of this version")
         lenses = tuple(_lens_from(each) for each in values["lenses"])
@@ -418,7 +418,7 @@ class Rig:
     def read(path: PathLike) -> Rig:
         """Read RIG.json; raises `InputError` if it is none."""
         try:
-            return Rig.from_json(read_json(Path(path)))
+            return Rig.from_dict(read_json(Path(path)))
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror or error}") from error
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
@@ -434,17 +434,17 @@ def grade_of(expected_ce90_px: float) -> Grade:
 
 def _lens_json(each: RigLens) -> dict[str, Any]:
     off = each.off_by_px()
-    names = [*each.lens.to_json()][3:]
+    names = [*each.lens.to_dict()][3:]
     return {
         "name": each.name,
         "wavelength_nm": None if each.wavelength_nm is None else list(each.wavelength_nm),
-        **each.lens.to_json(),
+        **each.lens.to_dict(),
         "rotation_rad": each.rotation.tolist(),
         "baseline": each.baseline.tolist(),
         "sigma": dict(zip([*names, *POSE], each.sigma.tolist(), strict=True)),
         "mapping_sigma_px": {"median": each.mapping_sigma_px[0], "largest": each.mapping_sigma_px[1]},
         "distortion_sigma_px": each.distortion_sigma_px,
-        "calibrated": None if each.calibrated is None else each.calibrated.to_json(),
+        "calibrated": None if each.calibrated is None else each.calibrated.to_dict(),
         "calibration_difference_px": None if off is None else {"rms": off[0], "largest": off[1]},
         "detail": each.sharpness.detail,
         "contrast": each.sharpness.contrast,
@@ -452,7 +452,7 @@ def _lens_json(each: RigLens) -> dict[str, Any]:
 
 
 def _lens_from(values: Mapping[str, Any]) -> RigLens:
-    lens, wavelength, calibrated = Lens.from_json(values), values["wavelength_nm"], values["calibrated"]
+    lens, wavelength, calibrated = Lens.from_dict(values), values["wavelength_nm"], values["calibrated"]
     sigma = np.array([float(each) for each in values["sigma"].values()])
     rotation, baseline = (_triple(values[name]) for name in ("rotation_rad", "baseline"))
     if sigma.shape != (14,) or not np.isfinite(sigma).all():
@@ -466,7 +466,7 @@ def _lens_from(values: Mapping[str, Any]) -> RigLens:
         sigma=sigma,
         mapping_sigma_px=(float(pair["median"]), float(pair["largest"])),
         distortion_sigma_px=float(values["distortion_sigma_px"]),
-        calibrated=None if calibrated is None else Lens.from_json(calibrated),
+        calibrated=None if calibrated is None else Lens.from_dict(calibrated),
         sharpness=Sharpness(float(values["detail"]), float(values["contrast"])),
         wavelength_nm=None if wavelength is None else (float(wavelength[0]), float(wavelength[1])),
     )

@@ -433,7 +433,7 @@ def _other_camera(rig: Rig, capture: Capture) -> str | None:
 
 def _digest(rig: Rig, capture: Capture) -> str:
     """Return what tells whether a capture was corrected from the same files with the same rig."""
-    state: list[object] = [{**rig.to_json(), "seconds": 0}]
+    state: list[object] = [{**rig.to_dict(), "seconds": 0}]
     for name in rig.names:
         path = capture.frames[name].path
         try:

@@ -10,7 +10,7 @@ from affine import Affine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcwlad_geo.correction.models import AffineCorrection, Composition, Correction, from_json
+from pcwlad_geo.correction.models import AffineCorrection, Composition, Correction, from_dict
 from pcwlad_geo.errors import InputError
 
 from .points import affine, polynomial, projective, scattered, spline
@@ -70,19 +70,19 @@ def test_affines_stay_affines() -> None:
 
 @pytest.mark.parametrize("correction", [MADE["tps"].invert(), MADE["tps"] @ MADE["polynomial3"].invert()])
 def test_a_composition_is_read_back(correction: Correction) -> None:
-    again = from_json(json.loads(json.dumps(correction.to_dict(), allow_nan=False)))
+    again = from_dict(json.loads(json.dumps(correction.to_dict(), allow_nan=False)))
     np.testing.assert_array_equal(again.forward(PLACES), correction.forward(PLACES))
 
 
 @pytest.mark.parametrize("count", [0, 21])
 def test_a_composition_of_no_or_many_steps_is_refused(count: int) -> None:
     with pytest.raises(InputError, match="steps"):
-        from_json(Composition("tps", ((MADE["shift"], False),) * count).to_dict())
+        from_dict(Composition("tps", ((MADE["shift"], False),) * count).to_dict())
 
 
 def test_a_composition_of_compositions_is_refused() -> None:
     with pytest.raises(InputError, match="none of them a composition"):
-        from_json(Composition("tps", ((MADE["tps"].invert(), False),)).to_dict())
+        from_dict(Composition("tps", ((MADE["tps"].invert(), False),)).to_dict())
 
 
 @pytest.mark.parametrize("kind", ["shift", "affine"])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fit import CANDIDATES, MODELS
 from pcwlad_geo.correction.jitter import Peak, peaks, profile, smooth_rest
-from pcwlad_geo.correction.models import JitterCorrection, from_json
+from pcwlad_geo.correction.models import JitterCorrection, from_dict
 from pcwlad_geo.errors import InputError
 
 from .points import isotropic, noise, scattered, window_noise
@@ -83,7 +83,7 @@ def test_the_model_takes_it_out() -> None:
     assert np.sqrt((left[:, 0] ** 2).mean()) > 0.03
     there = fit.correction.forward(places)
     np.testing.assert_allclose(fit.correction.inverse(there), places, atol=1e-7)
-    again = from_json(json.loads(json.dumps(fit.correction.to_dict())))
+    again = from_dict(json.loads(json.dumps(fit.correction.to_dict())))
     np.testing.assert_array_equal(again.forward(places), there)
 
 
@@ -104,7 +104,7 @@ def test_a_damaged_wave_is_refused() -> None:
     forward = {"type": "jitter", "matrix": [[1, 0, 0], [0, 1, 0]], "waves": [wave]}
     for change in ({}, {"along": "row", "period": 0.0}, {"along": "row", "origin": float("nan")}):
         with pytest.raises(InputError, match="no correction model"):
-            from_json({"name": "jitter", "forward": {**forward, "waves": [wave | change]}})
+            from_dict({"name": "jitter", "forward": {**forward, "waves": [wave | change]}})
 
 
 def test_a_profile_shows_the_wave_within_its_band() -> None:

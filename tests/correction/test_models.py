@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcwlad_geo.correction.models import AffineCorrection, Correction, from_json
+from pcwlad_geo.correction.models import AffineCorrection, Correction, from_dict
 from pcwlad_geo.errors import InputError
 
 from .points import affine, inside, polynomial, projective, scattered, spline
@@ -76,7 +76,7 @@ def test_there_is_nothing_beyond_the_horizon() -> None:
 def test_the_dictionary_alone_is_enough_to_warp(name: str) -> None:
     correction, points = ALL[name], scattered(1, 100, 1000) - 200
     document = json.loads(json.dumps(correction.to_dict() | {"candidates": []}, allow_nan=False))
-    again = from_json(document)
+    again = from_dict(document)
     assert again.name == correction.name == name
     np.testing.assert_array_equal(again.forward(points), correction.forward(points))
     np.testing.assert_array_equal(again.inverse(points), correction.inverse(points))
@@ -132,4 +132,4 @@ def stored(correction: Correction, **changes: object) -> dict[str, Any]:
 )
 def test_what_is_no_model_is_refused(document: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=r"no correction model .*report\.json"):
-        from_json(document)
+        from_dict(document)

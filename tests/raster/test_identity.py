@@ -67,7 +67,7 @@ def test_a_file_is_told_by_size_times_number_and_header(tmp_path: Path) -> None:
         etag=None,
         header_sha256=hashlib.sha256(path.read_bytes()[:HEADER_BYTES]).hexdigest(),
     )
-    assert FileIdentity.from_json({"role": "target", **asdict(found)}) == found
+    assert FileIdentity.from_dict({"role": "target", **asdict(found)}) == found
 
 
 def test_every_kind_of_change_is_told(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.correction.fit import CANDIDATES
-from pcwlad_geo.correction.models import from_json
+from pcwlad_geo.correction.models import from_dict
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.raster.identity import FileIdentity
 from pcwlad_geo.registration.inputs import InputFile
@@ -71,7 +71,7 @@ def test_model_tells_what_it_was_chosen_from(registration: Make) -> None:
     made = replace(made, selection=selection, correction=selection.fit.correction)
     model = json_of(made)["model"]
     np.testing.assert_allclose(
-        from_json(model).forward(points.predicted_px), selection.fit.correction.forward(points.predicted_px)
+        from_dict(model).forward(points.predicted_px), selection.fit.correction.forward(points.predicted_px)
     )
     assert [entry["name"] for entry in model["candidates"]] == list(CANDIDATES)
     shift = model["candidates"][0]

@@ -61,12 +61,12 @@ def test_homography_residual_is_zero_for_a_homography() -> None:
 
 
 def test_lens_goes_to_json_and_back() -> None:
-    again = Lens.from_json(FISHEYE.to_json())
+    again = Lens.from_dict(FISHEYE.to_dict())
     assert again.model == "fisheye"
     assert again.shape == SHAPE
     assert again.vector == pytest.approx(FISHEYE.vector, abs=0)
     with pytest.raises(ValueError, match="no lens"):
-        Lens.from_json({**FISHEYE.to_json(), "focal_px": float("nan")})
+        Lens.from_dict({**FISHEYE.to_dict(), "focal_px": float("nan")})
 
 
 def test_micasense_calibration_is_read() -> None:

@@ -91,4 +91,4 @@ def test_a_calibration_that_maps_nothing_into_the_frame_is_not_compared(folder: 
     rig = Rig.read(file)
     off = rig.lenses[0].off_by_px()
     assert off is None or off[0] >= 0
-    rig.to_json()
+    rig.to_dict()

@@ -19,8 +19,8 @@ def test_rig_json_is_as_its_schema_says(tmp_path: Path) -> None:
     known = rigs.true_rig(lenses, tmp_path, "A_1")
     schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
     checked = jsonschema.Draft202012Validator(schema)
-    checked.validate(known.to_json())
-    damaged = known.to_json()
+    checked.validate(known.to_dict())
+    damaged = known.to_dict()
     del damaged["lenses"][0]["focal_px"]
     with pytest.raises(jsonschema.ValidationError):
         checked.validate(damaged)
