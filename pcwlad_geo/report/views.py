@@ -257,10 +257,8 @@ def _sampled(info: RasterInfo, read: Reader, at_px: Float64) -> tuple[Float64, B
     if np.isnan(at_px).any():  # beyond the horizon of the correction
         return nothing, nothing > 0
     at_px = np.clip(at_px, -1.0, np.array(info.grid.shape[::-1]) + 1.0)  # beyond whole numbers, far outside
-    low = np.floor(at_px.min(axis=(0, 1))).astype(int) - MARGIN_PX
-    high = np.ceil(at_px.max(axis=(0, 1))).astype(int) + MARGIN_PX
-    window = Window.from_bounds(int(low[1]), int(low[0]), int(high[1]), int(high[0]))
-    window = window.intersection(Window.whole(info.grid.shape))
+    window = Window.around(at_px.min(axis=(0, 1)), at_px.max(axis=(0, 1))).padded(MARGIN_PX)
+    window = window.clipped(info.grid.shape)
     if window.empty or max(window.shape) > MAX_SOURCE_PX:
         return nothing, nothing > 0
     patch = read(window)
