@@ -368,7 +368,10 @@ class Outcome:
 
 def _size(px: float | None, metres: float | None) -> str:
     """Return a length as text; empty if it is not known."""
-    return "" if px is None else f"{px:.2f} px" + (f" ({metres:.2f} m)" if metres is not None else "")
+    if px is None:
+        return ""
+    digits = 2 if px >= 0.01 else 3  # 0.00 px would be a promise
+    return f"{px:.{digits}f} px" + (f" ({metres:.{digits}f} m)" if metres is not None else "")
 
 
 def _row(title: str, statistics: Mapping[str, Any]) -> tuple[str, ...]:
