@@ -360,6 +360,110 @@ def _between(data: Bool, axis: int) -> Bool:
     return before & after
 
 
+FRAME_STRIP_PX: Final = 3
+"""Rows at the top, in the middle and at the bottom that show whether a raster may be a framed scan."""
+FRAME_EVEN: Final = 0.25
+"""Largest spread of the outer ones of these strips, as a share of the spread of the middle one."""
+FRAME_TOLERANCE: Final = 0.08
+"""Difference from its tone, as a share of that spread, that the border of a scan may have at least."""
+FRAME_DEPTH: Final = 0.2
+"""Largest depth of a border, as a share of the image."""
+FRAME_SLOPES: Final = np.linspace(-0.03, 0.03, 25)
+"""Slopes of the border's end that are tried: a scan is laid down within two degrees."""
+FRAME_EDGE_PX: Final = 8
+"""Depth of the strips on both sides of the border's end, px of the overview."""
+FRAME_OUTSIDE: Final = 0.7
+"""Least share of the border that has its tone: fiducial marks, clocks and text have the rest."""
+FRAME_INSIDE: Final = 0.4
+"""Largest share of the image just inside that has the tone of the border."""
+FRAME_SIDES: Final = 3
+"""Number of sides of a scan at least that have a border."""
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def find_frame(read: Read, shape: tuple[int, int]) -> Collar | None:
+    """Find the border of a scanned frame: film of one tone, with fiducial marks, clocks and text in it.
+
+    All frames of a camera have the same one, on which they would agree whatever they show. Its tone is that
+    of the outermost pixels, and at least three sides of it must end on a straight line beyond which hardly
+    a pixel has that tone. Scans are of unsigned numbers. The band has `shape` rows and columns and is read
+    by `read`.
+    """
+    rows, cols = shape
+    if min(shape) < 8 * FRAME_EDGE_PX:
+        return None
+    across = FRAME_STRIP_PX, min(cols, COLLAR_OVERVIEW_PX)
+    begins = (0, (rows - FRAME_STRIP_PX) // 2, rows - FRAME_STRIP_PX)
+    read_strips = [read(Window(row, 0, FRAME_STRIP_PX, cols), across) for row in begins]
+    strips = [strip.astype(np.float64) for strip in read_strips]
+    top, middle, bottom = (float(np.ptp(np.percentile(strip, (10, 90)))) for strip in strips)
+    if read_strips[0].dtype.kind != "u" or max(top, bottom) > FRAME_EVEN * middle or middle == 0:
+        return None
+    factor = max(1.0, max(shape) / COLLAR_OVERVIEW_PX)
+    small = round(rows / factor), round(cols / factor)
+    seen = read(Window.whole(shape), small).astype(np.float64)
+    views = {(0, -1): seen, (0, 1): seen[::-1], (-1, 0): seen.T, (1, 0): seen.T[::-1]}
+    sides = []
+    for outward, view in views.items():
+        ends = _border_end(view, FRAME_TOLERANCE * middle)
+        if ends is not None:
+            sides.append(_side_of(outward, np.add(ends, BLENDED_PX) * factor, shape))
+    if len(sides) < FRAME_SIDES:
+        return None
+    value = float(np.median([np.median(strips[0]), np.median(strips[2])]))
+    collar = Collar(shape, value, tuple(sides))
+    return replace(collar, share=float((~collar.valid(Window.whole(small), small)).mean()))
+
+
+def _border_end(seen: Float64, tolerance: float) -> tuple[float, float] | None:
+    """Return how deep the border at the top of an image reaches at its left and at its right side, px.
+
+    None where there is none. `tolerance` is the least difference from its tone that it may have.
+    """
+    rim = seen[:FRAME_STRIP_PX]
+    tone = float(np.median(rim))
+    spread = float(np.median(np.abs(rim - tone)))
+    same = np.abs(seen[:, ::2] - tone) <= max(6 * spread, tolerance)
+    depth = np.arange(int(FRAME_DEPTH * len(seen)))
+    col = np.arange(same.shape[1])
+    edge = np.ones(FRAME_EDGE_PX) / FRAME_EDGE_PX
+    best, found = 0.0, None
+    for slope in FRAME_SLOPES:
+        tilt = slope * (2 * col - seen.shape[1] / 2)
+        at = np.clip(np.rint(depth[:, None] + tilt).astype(int), 0, len(seen) - 1)
+        share = same[at, col].mean(axis=1)
+        mean = np.convolve(share, edge, "valid")
+        outer, inner = mean[: -FRAME_EDGE_PX - 2], mean[FRAME_EDGE_PX + 2 :]
+        ends = depth[: len(outer)] + FRAME_EDGE_PX
+        all_of_it = np.cumsum(share)[ends - 1] / ends
+        step = np.where(
+            (np.minimum(outer, all_of_it) >= FRAME_OUTSIDE) & (inner <= FRAME_INSIDE), outer - inner, 0
+        )
+        if step.max() > best:
+            best, end = float(step.max()), float(ends[step.argmax()])
+            found = end + 2 - slope * seen.shape[1] / 2, end + 2 + slope * seen.shape[1] / 2
+    return found
+
+
+def _side_of(
+    outward: tuple[int, int], ends_px: Float64, shape: tuple[int, int]
+) -> tuple[float, float, float]:
+    """Return the side of a collar (see `Collar.sides`) whose (2,) depths at both ends of a border are given.
+
+    `outward` is the direction (col, row) of the border.
+    """
+    rows, cols = shape
+    along = np.array([0.0, cols if outward[1] else rows])
+    far = cols if outward == (1, 0) else rows if outward == (0, 1) else 0
+    depth = far - ends_px if far else ends_px
+    places = np.column_stack([along, depth] if outward[1] else [depth, along])
+    edge = places[1] - places[0]
+    normal = np.array([edge[1], -edge[0]]) / np.hypot(*edge)
+    normal *= np.sign(normal @ outward)
+    a, b = normal.tolist()
+    return a, b, float(normal @ places[0])
+
+
 @dataclass(frozen=True, slots=True)
 class Areas:
     """Ground that counts, as polygons in the map coordinates of a raster."""

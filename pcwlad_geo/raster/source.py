@@ -38,7 +38,7 @@ from pcwlad_geo.raster.gdal import (
     reading,
 )
 from pcwlad_geo.raster.grid import Grid, Window, geotransform_of, is_invertible, linear_part
-from pcwlad_geo.raster.masks import Areas, Collar, MaskKind, find_collar, kind_of, read_areas
+from pcwlad_geo.raster.masks import Areas, Collar, MaskKind, find_collar, find_frame, kind_of, read_areas
 from pcwlad_geo.raster.trust import current_trust
 from pcwlad_geo.text import check_regular, check_sidecars, is_uri, joined
 from pcwlad_geo.types import Bool, Float64, PathLike
@@ -231,15 +231,18 @@ def without_collar(info: RasterInfo) -> tuple[RasterInfo, tuple[str, ...]]:
     """
     if info.nodata is not None or info.mask_uri is not None:
         return info, ()
-    collar = None
+    collar, framed = None, False
     with suppress(InputError), open_raster(info.uri) as dataset:
         marked = dataset.mask_flag_enums[info.band - 1] != [MaskFlags.all_valid]
         if not marked and ColorInterp.alpha not in dataset.colorinterp:
-            collar = find_collar(partial(_read_nearest, dataset, info.band), dataset.shape)
+            read = partial(_read_nearest, dataset, info.band)
+            collar = find_collar(read, dataset.shape)
+            framed = collar is None and (collar := find_frame(read, dataset.shape)) is not None
     if collar is None:
         return info, ()
+    what = "border of a scanned frame (tone about" if framed else "constant border (value"
     note = (
-        f"a constant border (value {collar.value:g}) of {100 * collar.share:.2g} % of {info.uri} is taken "
+        f"a {what} {collar.value:g}) of {100 * collar.share:.2g} % of {info.uri} is taken "
         "for nodata; if it is data, declare another nodata value, or give a mask"
     )
     return replace(info, collar=collar), (note,)

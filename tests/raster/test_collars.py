@@ -262,3 +262,27 @@ def test_pair_is_matched_without_the_collar(tmp_path: Path) -> None:
     assert np.hypot(*np.median(off_px, axis=0)) < 0.05
     row, col = (np.floor(points.reference_px[:, axis]).astype(int) for axis in (1, 0))
     assert (depth[row, col] > 0).all()
+
+
+def scan(degrees: float, tone: float, seed: int) -> tuple[NDArray[np.uint8], Array]:
+    """Return a frame on film of a tone, with marks and a strip of text, and how deep pixels lie inside it."""
+    depth = np.minimum(depth_in_frame(SHAPE, degrees, 0.87), 40.0)
+    values = np.where(depth > 0, texture(seed=seed), tone)
+    values[4:10, 60:200:7] = 128  # text
+    row, col = np.indices(SHAPE)
+    for down, across in ((12, 12), (12, 348), (288, 12), (288, 348)):
+        values[np.abs(np.hypot(row - down, col - across) - 5) < 1.5] = 128
+    noisy = values + np.random.default_rng(seed).normal(0, 3, SHAPE)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8), depth
+
+
+@pytest.mark.parametrize("degrees", [0.0, 0.9, -1.3])
+@pytest.mark.parametrize(("tone", "dtype"), [(6, np.uint8), (250, np.uint8), (6, np.uint16)])
+def test_border_of_a_scanned_frame(tmp_path: Path, degrees: float, tone: float, dtype: type) -> None:
+    """Noise of the film, fiducial marks and text do not hide it."""
+    values, depth = scan(degrees, tone, 0)
+    path = write(tmp_path / "a.tif", values.astype(dtype) * (1 if dtype is np.uint8 else 200))
+    found = valid(path)
+    assert not found[depth < -0.5].any()
+    assert found[depth > 8].all()
+    assert "border of a scanned frame (tone about" in collared(path)[1][0]
