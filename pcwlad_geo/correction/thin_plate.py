@@ -12,7 +12,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 from pcwlad_geo.correction.dense import Lattice, positions
 from pcwlad_geo.correction.fitted import Fit, Support, checked
 from pcwlad_geo.correction.models import SplineCorrection, SplineGrid, cubic_b_splines
-from pcwlad_geo.correction.points import cross_validation_blocks, local_surface
+from pcwlad_geo.correction.points import PROBES, cross_validation_blocks, local_surface
 from pcwlad_geo.estimation.robust import Estimate, Solution, estimate, reweighted
 from pcwlad_geo.estimation.shared_errors import Overlaps, SharedErrors, probes_of, random_signs
 from pcwlad_geo.estimation.solving import BandedFactor
@@ -459,8 +459,6 @@ FOLD_COEFFICIENTS = 8000
 """Number of coefficients, those of a spline times the folds, up to which more folds are computed."""
 MIN_FOLDS = 4
 """Least number of folds."""
-PROBES = 8
-"""Number of random sign vectors that estimate the errors shared with a fold."""
 TOLERANCE_PX = 1e-3
 """The reweighting ends where the spline changes by less than this at every point."""
 

@@ -108,7 +108,8 @@ EXTENT_MARGIN_PX = 256
 """Margin of the target around an extent, for its displacement, matching-grid px."""
 _SAME_SIZE_PX = 0.01  # what differing pixel sizes may add up to over the overlap
 _SAME_COORDINATES_PX = 0.001
-_FINER = 0.99  # the reference counts as finer below this ratio of the pixel sizes
+FINER: Final = 0.99
+"""The reference counts as finer below this ratio of the pixel sizes."""
 # File px per matching-grid px from which area averages are used. Below it the edges of the cells, which fall
 # anywhere in a pixel, would displace the image by more than 0.02 px, varying from pixel to pixel.
 _AVERAGE_FROM = 2.0 - 1e-6
@@ -241,7 +242,7 @@ def _plan_resampled(
 ) -> ViewPair:
     """Plan for one of the two on its own pixels, the other resampled onto them."""
     matrix = jacobian(_centre(common), reference.grid, target.grid)[0]
-    if np.sqrt(abs(np.linalg.det(matrix))) < _FINER:
+    if np.sqrt(abs(np.linalg.det(matrix))) < FINER:
         box = _window_around(_mapped(common, reference.grid, target.grid))
         view = _resampled(reference, target.grid, box, common)
         overlap = box.clipped(target.grid.shape).moved(MARGIN_PX - box.row, MARGIN_PX - box.col)

@@ -25,14 +25,19 @@ from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo, open_raster, open_written_raster
 from pcwlad_geo.raster.trust import gcps_only
 from pcwlad_geo.text import check_regular, read_bytes
-from pcwlad_geo.tiepoints.table import COLUMNS, TiePointTable, ground_xy, place, predict_target_px
+from pcwlad_geo.tiepoints.table import (
+    COLUMNS,
+    ENVI_ORIGIN_PX,
+    TiePointTable,
+    ground_xy,
+    place,
+    predict_target_px,
+)
 from pcwlad_geo.types import Bool, Float64
 
 CRS_LINE: Final = "#CRS:"
 """Beginning of the line of a `.points` file that holds the CRS."""
 _HEAD_BYTES: Final = 65536
-# ENVI counts from (1, 1) at the top-left corner of the first pixel, GDAL from (0, 0).
-_ENVI_ORIGIN_PX: Final = 1.0
 _ENVI_SIDE: Final = re.compile(r"(base|warp|map|image)(?:\s+image)?\s*\(([^()]*)\)", re.IGNORECASE)
 _ENVI_FILE: Final = re.compile(r";\s*(base|warp) file\s*:\s*(.*\S)", re.IGNORECASE)
 _QGIS_SOURCE: Final = (("sourcex", "sourcey"), ("pixelx", "pixely"))
@@ -225,8 +230,8 @@ def _read_envi(path: str, lines: Sequence[str], reference_name: str, target_name
     enabled = np.ones(len(rows), bool)
     if "map" in halves:
         image = halves["image"] if "image" in halves else halves["warp"]
-        return PointFile(halves["map"], image - _ENVI_ORIGIN_PX, enabled, "map", "px")
-    base, warp = halves["base"] - _ENVI_ORIGIN_PX, halves["warp"] - _ENVI_ORIGIN_PX
+        return PointFile(halves["map"], image - ENVI_ORIGIN_PX, enabled, "map", "px")
+    base, warp = halves["base"] - ENVI_ORIGIN_PX, halves["warp"] - ENVI_ORIGIN_PX
     files = {which.lower(): _name(name) for line in comments for which, name in _ENVI_FILE.findall(line)}
     ours = _name(reference_name), _name(target_name)
     if ours[0] != ours[1] and (files.get("warp"), files.get("base")) == ours:

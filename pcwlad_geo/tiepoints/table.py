@@ -146,6 +146,8 @@ COLUMNS: Final = (
     *("sigma_col", "sigma_row", "correlation", "score", "residual_col", "residual_row", "status"),
 )
 """Of `tiepoints.csv`, in order."""
+ENVI_ORIGIN_PX: Final = 1.0
+"""ENVI counts from (1, 1) at the top-left corner of the first pixel, GDAL from (0, 0)."""
 
 
 def columns_of(table: TiePointTable) -> dict[str, NDArray[np.generic]]:

@@ -21,7 +21,7 @@ from pcwlad_geo.errors import OutputError
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import moved_xy
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.tiepoints.table import COLUMNS, TiePointTable, columns_of
+from pcwlad_geo.tiepoints.table import COLUMNS, ENVI_ORIGIN_PX, TiePointTable, columns_of
 from pcwlad_geo.types import Float64
 
 
@@ -45,10 +45,6 @@ def _cells(name: str, values: list[Any]) -> list[str]:
     zero = form.format(-0.0)
     texts = ["" if text in ("nan", "inf", "-inf") else text for text in map(form.format, values)]
     return [text[1:] if text == zero else text for text in texts]
-
-
-# ENVI counts from (1, 1) at the top-left corner of the first pixel, GDAL from (0, 0).
-_ENVI_ORIGIN_PX = 1.0
 
 
 def write_points(
@@ -92,7 +88,7 @@ def write_envi(table: TiePointTable, path: Path, reference_name: str, target_nam
         "; Base Image (x,y), Warp Image (x,y)",
         ";",
     ]
-    for base, warp in zip(used.reference_px + _ENVI_ORIGIN_PX, used.target_px + _ENVI_ORIGIN_PX, strict=True):
+    for base, warp in zip(used.reference_px + ENVI_ORIGIN_PX, used.target_px + ENVI_ORIGIN_PX, strict=True):
         lines.append(" ".join(f"{value:14.6f}" for value in (*base, *warp)))
     _write_lines(path, lines)
 

@@ -26,7 +26,7 @@ from pcwlad_geo.limits import check_grid, check_pixel_ratio
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import WGS84, name_of
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
-from pcwlad_geo.raster.matching_grid import MARGIN_PX, ViewPair
+from pcwlad_geo.raster.matching_grid import FINER, MARGIN_PX, ViewPair
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import SLIVER_PX, GridRequest, lay_out, output_lattice, snapped_size
 from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem, Vertical, in_words, open_dem
@@ -51,7 +51,6 @@ HIGHEST_M: Final = 9500.0
 """Highest plausible height of the ground above the ellipsoid, with a margin."""
 ALL: Final = 0.999
 """Share of a raster from which a DEM counts as covering all of it."""
-_FINER: Final = 0.99
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +120,7 @@ def plan_rpc_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
         check_pixel_ratio(reference.uri, target.uri, np.linalg.svd(steps, compute_uv=False).tolist())
     size = np.sqrt(abs(np.linalg.det(steps)))
     coarser, factor = ground, 1.0 / float(size)
-    if np.isfinite(size) and size < _FINER:
+    if np.isfinite(size) and size < FINER:
         coarser = ground.scaled((max(1, round(rows / factor)), max(1, round(cols / factor))))
     own = View(reference, coarser, "none" if coarser is reference.grid else "cubic")
     scale = np.array([coarser.shape[1] / cols, coarser.shape[0] / rows])
