@@ -401,8 +401,8 @@ def find_frame(read: Read, shape: tuple[int, int]) -> Collar | None:
         return None
     factor = max(1.0, max(shape) / COLLAR_OVERVIEW_PX)
     small = round(rows / factor), round(cols / factor)
-    seen = read(Window.whole(shape), small).astype(np.float64)
-    views = {(0, -1): seen, (0, 1): seen[::-1], (-1, 0): seen.T, (1, 0): seen.T[::-1]}
+    overview = read(Window.whole(shape), small).astype(np.float64)
+    views = {(0, -1): overview, (0, 1): overview[::-1], (-1, 0): overview.T, (1, 0): overview.T[::-1]}
     sides = []
     for outward, view in views.items():
         ends = _border_end(view, FRAME_TOLERANCE * middle)
@@ -415,22 +415,22 @@ def find_frame(read: Read, shape: tuple[int, int]) -> Collar | None:
     return replace(collar, share=float((~collar.valid(Window.whole(small), small)).mean()))
 
 
-def _border_end(seen: Float64, tolerance: float) -> tuple[float, float] | None:
+def _border_end(overview: Float64, tolerance: float) -> tuple[float, float] | None:
     """Return how deep the border at the top of an image reaches at its left and at its right side, px.
 
     None where there is none. `tolerance` is the least difference from its tone that it may have.
     """
-    rim = seen[:FRAME_STRIP_PX]
-    tone = float(np.median(rim))
-    spread = float(np.median(np.abs(rim - tone)))
-    same = np.abs(seen[:, ::2] - tone) <= max(6 * spread, tolerance)
-    depth = np.arange(int(FRAME_DEPTH * len(seen)))
+    outermost = overview[:FRAME_STRIP_PX]
+    tone = float(np.median(outermost))
+    spread = float(np.median(np.abs(outermost - tone)))
+    same = np.abs(overview[:, ::2] - tone) <= max(6 * spread, tolerance)
+    depth = np.arange(int(FRAME_DEPTH * len(overview)))
     col = np.arange(same.shape[1])
     edge = np.ones(FRAME_EDGE_PX) / FRAME_EDGE_PX
     best, found = 0.0, None
     for slope in FRAME_SLOPES:
-        tilt = slope * (2 * col - seen.shape[1] / 2)
-        at = np.clip(np.rint(depth[:, None] + tilt).astype(int), 0, len(seen) - 1)
+        tilt = slope * (2 * col - overview.shape[1] / 2)
+        at = np.clip(np.rint(depth[:, None] + tilt).astype(int), 0, len(overview) - 1)
         share = same[at, col].mean(axis=1)
         mean = np.convolve(share, edge, "valid")
         outer, inner = mean[: -FRAME_EDGE_PX - 2], mean[FRAME_EDGE_PX + 2 :]
@@ -441,7 +441,7 @@ def _border_end(seen: Float64, tolerance: float) -> tuple[float, float] | None:
         )
         if step.max() > best:
             best, end = float(step.max()), float(ends[step.argmax()])
-            found = end + 2 - slope * seen.shape[1] / 2, end + 2 + slope * seen.shape[1] / 2
+            found = end + 2 - slope * overview.shape[1] / 2, end + 2 + slope * overview.shape[1] / 2
     return found
 
 
