@@ -3,7 +3,7 @@
 
 #include "kernels.h"
 
-#define TAPS_BEYOND 3 /* spline coefficients that a window needs beyond its side */
+#define EXTRA_TAPS 3 /* spline coefficients that a window needs beyond its side */
 #define VARIANCE_FLOOR 1e-5f
 
 /* The four weights of the cubic B-spline at fractions t, and of its derivative. */
@@ -94,7 +94,7 @@ static inline void down(float *const rows[4], int64_t width, const Vector w[4], 
 int sample_shift(Plane plane, double row, double col, Shape shape, float *scratch, Window out)
 {
     int64_t window_rows = shape.rows + 2 * shape.correlation_half, step = shape.step;
-    int64_t window_cols = shape.cols + 2 * shape.correlation_half, beyond = TAPS_BEYOND / step;
+    int64_t window_cols = shape.cols + 2 * shape.correlation_half, beyond = EXTRA_TAPS / step;
     int64_t top = (int64_t)__builtin_floor(row) - 1, left = (int64_t)__builtin_floor(col) - 1;
     if (top < 0 || left < 0) return 0;
     if (top + step * (window_rows + beyond) > plane.rows || left + step * (window_cols + beyond) > plane.cols) return 0;

@@ -65,7 +65,7 @@ def test_a_proof_tells_the_figures_of_its_file(proof: Run) -> None:
     assert "<html" in Path(proof.results["OUTPUT_HTML"]).read_text(encoding="utf-8")
     assert numbers["settings"]["model"] == "affine"
     assert numbers["effort"] == "quick"
-    for name, key in (("RMSE", "rmse_px"), ("CE90", "ce90_px"), ("WRONG", "wrong")):
+    for name, key in (("RMSE", "rmse_px"), ("CE90", "ce90_px"), ("FALSE_MATCHES", "false_matches")):
         assert proof.results[name] == pytest.approx(numbers[key], abs=1e-5)
     bias = (proof.results["BIAS_COL"], proof.results["BIAS_ROW"])
     assert bias == pytest.approx(numbers["bias_px"], abs=1e-5)

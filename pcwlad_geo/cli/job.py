@@ -499,8 +499,8 @@ def proof_text(proof: Proof) -> str:
     lines += [
         f"within sigma {100 * proof.sigma.within_68:.0f} % (68 is right), within 1.96 sigma "
         f"{100 * proof.sigma.within_95:.0f} % (95); the sigmas hold times {proof.sigma.factor:.2f}",
-        f"wrong matches that passed every test: {proof.wrong} of {proof.matches + proof.wrong}; lost: "
-        f"{proof.lost}",
+        f"wrong matches that passed every test: {proof.false_matches} of "
+        f"{proof.matches + proof.false_matches}; lost: {proof.lost}",
     ]
     if proof.sensitivity is not None:
         from pcwlad_geo.report.page import tolerated_text
@@ -531,7 +531,10 @@ def prove_pair(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     )
     folder = output_folder(params["target"], "proof", params["out_dir"])
     figures: dict[str, object] = {
-        **{name: getattr(proof, name) for name in ("bias_px", "scatter_px", "rmse_px", "ce90_px", "wrong")},
+        **{
+            name: getattr(proof, name)
+            for name in ("bias_px", "scatter_px", "rmse_px", "ce90_px", "false_matches")
+        },
         "paths": {kind: str((folder / name).absolute()) for kind, name in PROOF_NAMES.items()},
     }
     text = f"{proof_text(proof)}report: {folder / PROOF_NAMES['report']}\n"

@@ -566,8 +566,8 @@ class TrialEntry:
     """What became of a part of the pair that was made harder."""
 
     level: Amount
-    outcome: Literal["right", "refused", "wrong"]
-    """wrong: accepted, and off by more than a pixel beyond what the part as it lies differs by."""
+    outcome: Literal["correct", "refused", "incorrect"]
+    """incorrect: accepted, and off by more than a pixel beyond what the part as it lies differs by."""
     points: Count
     """Tie points; 0 where it was refused."""
     error_px: Amount | None
@@ -626,7 +626,7 @@ class Proof:
     """Matches of these after all moves."""
     lost: Count
     """Points that found no match after a move, all moves together."""
-    wrong: Count
+    false_matches: Count
     """Matches that passed every test and err by more than a pixel; no other figure counts them."""
     noise: FloatPair
     """Standard deviation of the noise that was added to the reference and to the target, in their units."""

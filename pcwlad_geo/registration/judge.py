@@ -106,7 +106,7 @@ class Verdict:
     """Number of cells that agree with the common displacement."""
     significance: float
     """-log10 of the probability that unrelated images agree as much."""
-    beyond: bool | None = None
+    past_search_border: bool | None = None
     """Whether many best matches lie on the edge of the search; None unless the points agree by chance."""
 
 
@@ -148,8 +148,8 @@ def judge(
         f"only {int(kept.sum())} of {counts['candidates']} candidates agree with their neighbours, in "
         f"{min(agreeing, int(kept.sum()))} of {cells} separate places, no better than chance"
     )
-    beyond = counts.get("at_search_border", 0) > AT_BORDER * counts["candidates"]
-    return Verdict(False, by_chance, cells, agreeing, significance, beyond)
+    past_search_border = counts.get("at_search_border", 0) > AT_BORDER * counts["candidates"]
+    return Verdict(False, by_chance, cells, agreeing, significance, past_search_border)
 
 
 def _best_agreement(
@@ -409,16 +409,16 @@ def refusal(verdict: Verdict, start: Prealignment) -> str:
     The verdict is that on the last start; `start` says whether the whole image has been searched.
     """
     reason = verdict.reason or ""
-    if verdict.beyond is None:
+    if verdict.past_search_border is None:
         return reason
-    return f"{reason}: {_advice(start, verdict.beyond)}"
+    return f"{reason}: {_advice(start, verdict.past_search_border)}"
 
 
-def _advice(start: Prealignment, beyond: bool) -> str:
+def _advice(start: Prealignment, past_search_border: bool) -> str:
     radius_px = start.search_radius_px
     edge = f"many best matches lie on the edge of the search radius of {radius_px} px"
     if not start.searched:
-        if beyond:
+        if past_search_border:
             return (
                 f"{edge}: raise --search-radius, or give --prealign search, unless the two do not show the "
                 "same place"
@@ -436,7 +436,7 @@ def _advice(start: Prealignment, beyond: bool) -> str:
         return (
             f"a search over the whole image found no start that holds: {OTHER_CAUSES}; check bands and masks"
         )
-    if beyond:
+    if past_search_border:
         return (
             f"{edge} around the shift that a search over the whole image found: give --prealign search with "
             f"--search-radius {2 * radius_px}, unless the two do not show the same place"

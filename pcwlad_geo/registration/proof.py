@@ -476,7 +476,7 @@ class _Errors:
     """(k, n, 2) moved minus unmoved match, minus the known move; NaN for lost and wrong ones."""
     phase: Float64
     """(k, n, 2) fraction of a pixel, 0 to 1, of the displacement that was matched."""
-    wrong: int
+    false_matches: int
     lost: int
 
     @property
@@ -643,7 +643,7 @@ def prove(
         points=len(setup.rows),
         matches=len(radial),
         lost=errors.lost,
-        wrong=errors.wrong,
+        false_matches=errors.false_matches,
         noise=setup.noise,
         resampling_px=resampling_error_px(setup, moves, seed),
         bias_px=float_pair(bias),
@@ -1090,7 +1090,7 @@ def _limit(
     low, high, number = -1, len(levels), len(levels) - 1
     while high - low > 1:
         trials.append(attempt(float(levels[number])))
-        low, high = (number, high) if trials[-1].outcome == "right" else (low, number)
+        low, high = (number, high) if trials[-1].outcome == "correct" else (low, number)
         number = (low + high) // 2
     trials.sort(key=lambda each: each.level)
     tolerated = None if low < 0 else float(levels[low])
@@ -1113,8 +1113,8 @@ def _trial(part: _HarderPart, still: Registration, name: Difficulty, seed: int, 
         return float(np.median(np.linalg.norm(target_px - known, axis=1)))
 
     error = off_px(table.reference_px, move.source(table.target_px, centre))
-    right = error <= WRONG_PX + off_px(before.reference_px, before.target_px)
-    return TrialEntry(level, "right" if right else "wrong", len(table), error)
+    correct = error <= WRONG_PX + off_px(before.reference_px, before.target_px)
+    return TrialEntry(level, "correct" if correct else "incorrect", len(table), error)
 
 
 def _harder(

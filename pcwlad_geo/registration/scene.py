@@ -297,7 +297,9 @@ def _by_geometry(
         epipolar_evidence(matches, window_px, prealignment.search_radius_px) + prealignment.net_evidence
     )
     if not verdict.accepted and found.sum() >= MIN_EPIPOLAR_MATCHES and significance >= MIN_SIGNIFICANCE:
-        verdict = replace(verdict, accepted=True, reason=None, significance=significance, beyond=None)
+        verdict = replace(
+            verdict, accepted=True, reason=None, significance=significance, past_search_border=None
+        )
     return found, verdict, True
 
 

@@ -615,7 +615,7 @@ def places_figure(proof: Proof, shape: tuple[int, int], backdrop: NDArray[np.uin
     return to_png(figure)
 
 
-OUTCOMES: Final = {"right": ("o", ROW_COLOUR), "refused": ("x", "black"), "wrong": ("*", CHECK_COLOUR)}
+OUTCOMES: Final = {"correct": ("o", ROW_COLOUR), "refused": ("x", "black"), "incorrect": ("*", CHECK_COLOUR)}
 """Mark and colour of what became of a trial."""
 LEVEL_AXES: Final = {
     "displacement": "displacement, px",

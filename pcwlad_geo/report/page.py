@@ -409,7 +409,7 @@ def proof_answers(proof: Proof) -> list[Answer]:
         text += f": they would have to be {sigma.factor:.1f} times as large."
     else:
         text += ", which leaves room for what is not observable." if sigma.factor < 1 else "."
-    wrong = proof.wrong / max(proof.wrong + proof.matches, 1)
+    wrong = proof.false_matches / max(proof.false_matches + proof.matches, 1)
     correction = proof.correction
     error = f"90 % of the points lie within {proof.ce90_px:.3f} px"
     error += f", 90 % of the correction within {correction.ce90_px:.3f} px." if correction else "."
@@ -423,7 +423,7 @@ def proof_answers(proof: Proof) -> list[Answer]:
         Answer("Do the sigmas hold?", text, "good" if sigma.within_68 >= SIGMA_HOLDS else "caution"),
         Answer(
             "Do wrong matches get through?",
-            f"{proof.wrong} of {proof.wrong + proof.matches}, with every test passed.",
+            f"{proof.false_matches} of {proof.false_matches + proof.matches}, with every test passed.",
             _state(wrong, WRONG_SHARE, 10 * WRONG_SHARE),
         ),
         *_answer_of_blind_spot(correction),
@@ -464,7 +464,7 @@ def _answers_of_trials(proof: Proof) -> list[Answer]:
     found = proof.sensitivity
     if found is None:
         return []
-    wrong = sum(each.outcome == "wrong" for limit in found.limits for each in limit.trials)
+    wrong = sum(each.outcome == "incorrect" for limit in found.limits for each in limit.trials)
     said = [tolerated_text(limit) for limit in found.limits]
     if wrong:
         said.append(f"{wrong} results beyond were accepted, and wrong")

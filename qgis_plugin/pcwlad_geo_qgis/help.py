@@ -176,7 +176,7 @@ TITLES = {
     "prove.out.CE90": mark("CE90 of a tie point, target pixels"),
     "out.BIAS_COL": mark("Bias to the right, target pixels"),
     "out.BIAS_ROW": mark("Bias down, target pixels"),
-    "out.WRONG": mark("Wrong matches that passed every test"),
+    "out.FALSE_MATCHES": mark("Wrong matches that passed every test"),
     "out.STEPS": mark("Steps"),
     "out.MOVING": mark("Parts of the ground that move"),
     "out.ENGINE": mark("Engine"),
@@ -319,7 +319,7 @@ QA_LINE = mark(
 """What is told of a pair of bands."""
 PROOF_LINE = mark(
     "Bias: {BIAS_COL:+.3f} px to the right, {BIAS_ROW:+.3f} px down. A tie point errs by RMSE {RMSE:.3f} px, "
-    "CE90 {CE90:.3f} px; wrong matches that passed every test: {WRONG}"
+    "CE90 {CE90:.3f} px; wrong matches that passed every test: {FALSE_MATCHES}"
 )
 """What is told of a proof."""
 WATCH_LINE = mark("Series: {series}; steps: {steps}; parts of the ground that move: {moving}")

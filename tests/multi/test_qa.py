@@ -290,7 +290,7 @@ def test_each_pair_that_is_measured_is_proved(proved: QaResult) -> None:
     assert numbers["pairs"][1]["proof"] is None
     page = (proved.out_dir / "qa.html").read_text(encoding="utf-8")
     assert "The tool’s own error" in page
-    assert f"of {good.proof.matches + good.proof.wrong}</td>" in page
+    assert f"of {good.proof.matches + good.proof.false_matches}</td>" in page
 
 
 def test_a_pair_with_too_few_points_for_a_proof_is_measured_all_the_same(

@@ -154,12 +154,12 @@ def test_what_cannot_be_matched_at_all_is_said_first(counts: dict[str, int], sai
 
 
 @pytest.mark.parametrize(
-    ("counts", "beyond"),
+    ("counts", "past_border"),
     [
         ({"candidates": 200, "at_search_border": 50}, False),
         ({"candidates": 200, "at_search_border": 51}, True),
         ({"candidates": 2}, False),
     ],
 )
-def test_a_quarter_on_the_edge_of_the_search_is_not_many(counts: dict[str, int], beyond: bool) -> None:
-    assert verdict([[RIGHT]] * 2 + [[WRONG]] * 8, **counts).beyond is beyond
+def test_a_quarter_on_the_edge_of_the_search_is_not_many(counts: dict[str, int], past_border: bool) -> None:
+    assert verdict([[RIGHT]] * 2 + [[WRONG]] * 8, **counts).past_search_border is past_border

@@ -145,7 +145,7 @@ def test_the_error_that_is_told_is_the_true_one(told: Proof, tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_a_proof_is_whole_and_denies_nothing(told: Proof) -> None:
-    assert (told.wrong, told.points) == (0, 96)
+    assert (told.false_matches, told.points) == (0, 96)
     assert told.resampling_px < 0.001
     # the scene has none; the noise of the pair itself, which all matches share, is in what is told
     assert np.hypot(*told.bias_px) < np.hypot(*told.scatter_px) / 2
@@ -215,7 +215,7 @@ def test_halving_finds_the_largest_level_that_is_tolerated(tolerated: int) -> No
 
     def attempt(level: float) -> TrialEntry:
         right = tolerated >= 0 and level <= levels[tolerated]
-        return TrialEntry(level, "right" if right else "refused", 10 * right, None)
+        return TrialEntry(level, "correct" if right else "refused", 10 * right, None)
 
     found = _limit("noise", DIFFICULTIES["noise"][0], levels, attempt)
     assert found.tolerated == (None if tolerated < 0 else levels[tolerated])
@@ -274,9 +274,9 @@ def test_a_pair_tolerates_displacements_up_to_its_search_radius(matched: Matches
     assert limits["rotation"].tolerated < 12
     for limit in found.limits:
         for trial in limit.trials:
-            assert trial.outcome != "wrong"
+            assert trial.outcome != "incorrect"
             assert (trial.error_px is None) == (trial.outcome == "refused")
-            assert limit.tolerated is None or (trial.level <= limit.tolerated) == (trial.outcome == "right")
+            assert limit.tolerated is None or (trial.level <= limit.tolerated) == (trial.outcome == "correct")
     assert found.reversal is not None
     assert found.reversal.rms_px < 0.05
 
@@ -295,7 +295,7 @@ def test_a_result_that_is_accepted_and_lies_elsewhere_is_wrong(matched: Matches)
     assert told is not None
     assert all(limit.tolerated is None for limit in told.limits)
     outcomes = {limit.name: {trial.outcome for trial in limit.trials} for limit in told.limits}
-    assert set(map(frozenset, outcomes.values())) == {frozenset({"wrong"})}
+    assert set(map(frozenset, outcomes.values())) == {frozenset({"incorrect"})}
     (noise,) = (limit for limit in told.limits if limit.name == "noise")
     assert [trial.error_px for trial in noise.trials] == pytest.approx([np.hypot(1, 1.5)] * 4, abs=0.15)
 

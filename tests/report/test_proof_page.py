@@ -38,7 +38,7 @@ PROOF = Proof(
     points=2,
     matches=16,
     lost=0,
-    wrong=1,
+    false_matches=1,
     noise=(1.5, float("nan")),
     resampling_px=1e-5,
     bias_px=(0.012, -0.003),
@@ -62,7 +62,7 @@ PROOF = Proof(
 )
 
 
-RIGHT, REFUSED = TrialEntry(0.5, "right", 80, 0.02), TrialEntry(0.71, "refused", 0, None)
+RIGHT, REFUSED = TrialEntry(0.5, "correct", 80, 0.02), TrialEntry(0.71, "refused", 0, None)
 TOLERATES = Sensitivity(
     (512, 400),
     100,
@@ -138,7 +138,7 @@ def test_the_page_tells_what_the_pair_tolerates_and_whether_it_returns() -> None
 
 
 def test_a_wrong_result_that_was_accepted_is_told() -> None:
-    wrong = replace(REFUSED, outcome="wrong", points=40, error_px=12.0)
+    wrong = replace(REFUSED, outcome="incorrect", points=40, error_px=12.0)
     limit = replace(TOLERATES.limits[1], trials=(RIGHT, wrong))
     page = words(
         proof_page(make_registration(), replace(PROOF, sensitivity=replace(TOLERATES, limits=(limit,))))

@@ -16,7 +16,7 @@ from pcwlad_geo.types import Bool, Float32, Float64
 
 LANES: Final = 16
 """A row of a flat window is a multiple of this, so that rows begin on cache lines."""
-TAPS_BEYOND: Final = 3
+EXTRA_TAPS: Final = 3
 """Number of spline coefficients that a window needs beyond its side, per axis."""
 
 STRUCTURE_NONE: Final = 0
@@ -154,7 +154,7 @@ class _Results(Structure):
 
 def flat_width(extended: int) -> int:
     """Return the number of values in a row of a flat window that is `extended` pixels wide."""
-    return -(-(extended + TAPS_BEYOND) // LANES) * LANES
+    return -(-(extended + EXTRA_TAPS) // LANES) * LANES
 
 
 def refine_points(images: Images, starts: Starts, options: RefinementOptions) -> Results:

@@ -65,7 +65,9 @@ class ProvePair(PairAlgorithm):
         self.add_matching()
         self.add(core.QgsProcessingParameterFeatureSink, "OUTPUT_ERRORS", optional=True)
         self.add_folder(optional=False)
-        self.add_results(core.QgsProcessingOutputNumber, "BIAS_COL", "BIAS_ROW", "RMSE", "CE90", "WRONG")
+        self.add_results(
+            core.QgsProcessingOutputNumber, "BIAS_COL", "BIAS_ROW", "RMSE", "CE90", "FALSE_MATCHES"
+        )
 
     def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         pair = self.pair_options(parameters, context)
@@ -73,7 +75,7 @@ class ProvePair(PairAlgorithm):
         shares = {stage: (0.6 * first, 0.6 * last) for stage, (first, last) in SHARES.items()}
         found, files = self.run_in_folder(command, feedback, {**shares, "proving": (60, 100)})
         figures = dict(zip(("BIAS_COL", "BIAS_ROW"), found["bias_px"]))
-        figures.update(RMSE=found["rmse_px"], CE90=found["ce90_px"], WRONG=found["wrong"])
+        figures.update(RMSE=found["rmse_px"], CE90=found["ce90_px"], FALSE_MATCHES=found["false_matches"])
         feedback.pushInfo(tr(PROOF_LINE).format(**figures))
         points = errors_of(self.numbers(found), self.crs)
         errors = self.write("OUTPUT_ERRORS", points, parameters, context)

@@ -300,8 +300,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>{target} auf {reference}: {n} Punkte, im Mittel {mean_col_px} px nach rechts, {mean_row_px} px nach unten; CE90 {ce90_px} px</translation>
     </message>
     <message>
-      <source>Bias: {BIAS_COL:+.3f} px to the right, {BIAS_ROW:+.3f} px down. A tie point errs by RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px; wrong matches that passed every test: {WRONG}</source>
-      <translation>Systematischer Fehler: {BIAS_COL:+.3f} px nach rechts, {BIAS_ROW:+.3f} px nach unten. Fehler eines Verknüpfungspunkts: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px; falsche Zuordnungen, die jede Prüfung bestanden: {WRONG}</translation>
+      <source>Bias: {BIAS_COL:+.3f} px to the right, {BIAS_ROW:+.3f} px down. A tie point errs by RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px; wrong matches that passed every test: {FALSE_MATCHES}</source>
+      <translation>Systematischer Fehler: {BIAS_COL:+.3f} px nach rechts, {BIAS_ROW:+.3f} px nach unten. Fehler eines Verknüpfungspunkts: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px; falsche Zuordnungen, die jede Prüfung bestanden: {FALSE_MATCHES}</translation>
     </message>
     <message>
       <source>Series: {series}; steps: {steps}; parts of the ground that move: {moving}</source>
