@@ -386,8 +386,8 @@ def _weasyprint() -> ModuleType:
 
 SIGMA_HOLDS: Final = 0.6
 """Least share of errors within one sigma at which sigmas count as holding."""
-WRONG_SHARE: Final = 0.002
-"""Share of wrong matches up to which none to speak of get through."""
+FALSE_SHARE: Final = 0.002
+"""Share of false matches up to which none to speak of get through."""
 
 
 def observability_sentence(proof: Proof) -> str:
@@ -409,7 +409,7 @@ def proof_answers(proof: Proof) -> list[Answer]:
         text += f": they would have to be {sigma.factor:.1f} times as large."
     else:
         text += ", which leaves room for what is not observable." if sigma.factor < 1 else "."
-    wrong = proof.false_matches / max(proof.false_matches + proof.matches, 1)
+    false_share = proof.false_matches / max(proof.false_matches + proof.matches, 1)
     correction = proof.correction
     error = f"90 % of the points lie within {proof.ce90_px:.3f} px"
     error += f", 90 % of the correction within {correction.ce90_px:.3f} px." if correction else "."
@@ -424,7 +424,7 @@ def proof_answers(proof: Proof) -> list[Answer]:
         Answer(
             "Do wrong matches get through?",
             f"{proof.false_matches} of {proof.false_matches + proof.matches}, with every test passed.",
-            _state(wrong, WRONG_SHARE, 10 * WRONG_SHARE),
+            _state(false_share, FALSE_SHARE, 10 * FALSE_SHARE),
         ),
         *_answer_of_blind_spot(correction),
         *_answers_of_trials(proof),
@@ -464,14 +464,14 @@ def _answers_of_trials(proof: Proof) -> list[Answer]:
     found = proof.sensitivity
     if found is None:
         return []
-    wrong = sum(each.outcome == "incorrect" for limit in found.limits for each in limit.trials)
+    incorrect = sum(each.outcome == "incorrect" for limit in found.limits for each in limit.trials)
     said = [tolerated_text(limit) for limit in found.limits]
-    if wrong:
-        said.append(f"{wrong} results beyond were accepted, and wrong")
+    if incorrect:
+        said.append(f"{incorrect} results beyond were accepted, and wrong")
     elif any(limit.failed is not None for limit in found.limits):
         said.append("beyond, it was refused")
     answers = [
-        Answer("What does it tolerate?", "; ".join(said).capitalize() + ".", "bad" if wrong else "good")
+        Answer("What does it tolerate?", "; ".join(said).capitalize() + ".", "bad" if incorrect else "good")
     ]
     back = found.reversal
     if back is not None:
