@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -18,11 +19,12 @@ from shapely.geometry.polygon import orient
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import AREAS, check_count
-from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.file_tree import name_of_uri
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring
 from pcwlad_geo.raster.grid import Grid, Window
-from pcwlad_geo.text import check_regular
+from pcwlad_geo.raster.trust import current_trust
+from pcwlad_geo.text import check_regular, read_bytes
 from pcwlad_geo.types import Bool, Float64, PathLike
 
 MaskKind = Literal["zeros", "QA_PIXEL", "BQA", "SCL", "MSK_CLASSI"]
@@ -494,33 +496,8 @@ def read_areas(path: PathLike, grid: Grid) -> bytes:
     Raises `InputError` if the file at `path` is missing or of another format, has several layers, no CRS or
     no polygons, or its CRS has no relation to that of the `grid`.
     """
-    import pyogrio.raw  # slow to load, and seldom needed
-
     name = _checked_vector(path)
-    try:
-        with ignoring(Warning):  # of fields, which are not read
-            layers = pyogrio.list_layers(name)
-            if len(layers) != 1:
-                raise InputError(
-                    f"{name} has {len(layers)} layers: write that of the areas to a file of its own"
-                )
-            found_crs = pyogrio.read_info(name)["crs"]
-            if not found_crs:
-                raise InputError(f"{name} has no CRS: assign it (ogr2ogr -a_srs EPSG:… areas.gpkg)")
-            crs = CRS.from_user_input(found_crs)
-            box = _surroundings(transform_xy(grid.to_xy(grid.boundary_px()), grid.crs, crs))
-            _, _, found, _ = pyogrio.raw.read(
-                name, columns=[], force_2d=True, max_features=AREAS + 1, bbox=box
-            )
-        check_count(name, len(found), AREAS, "areas")
-        shapes = shapely.from_wkb(found)
-    except (
-        *LIBRARY_ERRORS,
-        pyogrio.errors.DataSourceError,
-        pyogrio.errors.DataLayerError,
-        ValueError,
-    ) as error:
-        raise InputError(f"{name} cannot be read as a vector file: {error}") from error
+    shapes, crs, box = (_shapes_of_kml if _is_kml(name) else _shapes_by_ogr)(name, grid)
     kinds = set(shapely.get_type_id(shapes).tolist())
     if not kinds <= {shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON}:
         raise InputError(f"{name} holds other than polygons: give areas (of lines or points a buffer)")
@@ -531,6 +508,80 @@ def read_areas(path: PathLike, grid: Grid) -> bytes:
     return bytes(shapely.to_wkb(shapely.make_valid(placed)))
 
 
+Shapes = tuple[NDArray[np.object_], CRS, tuple[float, float, float, float]]
+"""Geometries, their CRS, and in it left, bottom, right, top of where they are of use."""
+
+
+def _shapes_by_ogr(name: str, grid: Grid) -> Shapes:
+    """Return the geometries around a grid of a vector file that OGR opens.
+
+    Raises `InputError` if it cannot, or the file has several layers or no CRS.
+    """
+    import pyogrio.raw  # slow to load, and seldom needed
+
+    try:
+        with ignoring(Warning):  # of fields, which are not read
+            layers = pyogrio.list_layers(name)
+            if len(layers) != 1:
+                raise InputError(
+                    f"{name} has {len(layers)} layers: write that of the areas to a file of its own"
+                )
+            found_crs = pyogrio.read_info(name)["crs"]
+            if not found_crs:
+                raise InputError(f"{name} has no CRS: assign it (ogr2ogr -a_srs EPSG:… areas.gpkg {name})")
+            crs = CRS.from_user_input(found_crs)
+            box = _surroundings(transform_xy(grid.to_xy(grid.boundary_px()), grid.crs, crs))
+            _, _, found, _ = pyogrio.raw.read(
+                name, columns=[], force_2d=True, max_features=AREAS + 1, bbox=box
+            )
+        check_count(name, len(found), AREAS, "areas")
+        return shapely.from_wkb(found), crs, box
+    except (
+        *LIBRARY_ERRORS,
+        pyogrio.errors.DataSourceError,
+        pyogrio.errors.DataLayerError,
+        ValueError,
+    ) as error:
+        raise InputError(f"{name} cannot be read as a vector file: {error}") from error
+
+
+def _is_kml(name: str) -> bool:
+    return Path(name).suffix.lower() == ".kml"
+
+
+def _shapes_of_kml(name: str, grid: Grid) -> Shapes:
+    """Return the geometries of all folders of a KML file, whose links and styles are not followed.
+
+    Raises `InputError` if it cannot be understood.
+    """
+    box = _surroundings(transform_xy(grid.to_xy(grid.boundary_px()), grid.crs, WGS84))
+    try:
+        root = ET.fromstring(read_bytes(Path(name)))
+        others = [root.find(f".//{{*}}{kind}") is not None for kind in ("Point", "LineString")]
+        found = [
+            shapely.Polygon(
+                _ring(each.find("{*}outerBoundaryIs")), list(map(_ring, each.findall("{*}innerBoundaryIs")))
+            )
+            for each in root.findall(".//{*}Polygon")
+        ]
+    except OSError as error:
+        raise InputError(f"{name} cannot be opened: {error}") from error
+    except (ET.ParseError, ValueError, shapely.errors.ShapelyError) as error:
+        raise InputError(f"{name} cannot be read as KML: {error}") from error
+    check_count(name, len(found), AREAS, "areas")
+    shapes = np.array([*found, *([shapely.Point()] if any(others) else [])], dtype=object)
+    return shapes, WGS84, box
+
+
+def _ring(boundary: ET.Element | None) -> Float64:
+    """Return the (n, 2) longitudes and latitudes of a boundary of a polygon."""
+    text = "" if boundary is None else boundary.findtext(".//{*}coordinates", "")
+    lon_lat = np.array([[float(number) for number in place.split(",")[:2]] for place in text.split()])
+    if not np.isfinite(lon_lat).all():
+        raise ValueError("a coordinate is no number")
+    return lon_lat
+
+
 def _surroundings(xy: Float64) -> tuple[float, float, float, float]:
     """Return left, bottom, right, top of (n, 2) coordinates that are known, and as much on each side."""
     low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)
@@ -539,18 +590,22 @@ def _surroundings(xy: Float64) -> tuple[float, float, float, float]:
 
 
 def _checked_vector(path: PathLike) -> str:
-    """Return the name of a vector file whose format cannot name other files."""
+    """Return the name of a vector file whose format cannot name other files, unless it is trusted."""
     name = str(path)
     check_regular(name)
+    if current_trust().vrt or _is_kml(name):
+        return name
     try:
         with Path(name).open("rb") as file:
             begin = file.read(16).lstrip(b"\xef\xbb\xbf \t\r\n")
+    except IsADirectoryError:
+        begin = b""
     except (OSError, ValueError) as error:
         raise InputError(f"{name} cannot be opened: {error}") from error
     if not begin.startswith(VECTOR_BEGINNINGS):
         raise InputError(
-            f"{name} is no GeoPackage, GeoJSON, Shapefile (.shp) or FlatGeobuf: convert it "
-            "(ogr2ogr areas.gpkg)"
+            f"{name} is no GeoPackage, GeoJSON, Shapefile (.shp), FlatGeobuf or KML: convert it "
+            f"(ogr2ogr areas.gpkg {name}), or give --trust-vrt, with which all that OGR reads is read"
         )
     return name
 

@@ -18,6 +18,7 @@ from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.masks import Areas
 from pcwlad_geo.raster.source import describe, with_areas
+from pcwlad_geo.raster.trust import Trust, trusting
 from pcwlad_geo.raster.view import View
 from tests.rpc_scene import rpc_grid, write_dem
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write
@@ -78,6 +79,46 @@ def test_the_pixels_whose_centres_lie_in_the_areas_count(
     np.testing.assert_array_equal(both, expected & (np.arange(150) < 50))
 
 
+KML = """<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"><Document><NetworkLink><Link>
+<href>other.kml</href></Link></NetworkLink><Folder><Placemark>{}</Placemark></Folder></Document></kml>"""
+
+
+def boundary(kind: str, ring: shapely.LinearRing) -> str:
+    at = " ".join(f"{lon!r},{lat!r},0" for lon, lat in shapely.get_coordinates(ring).tolist())
+    return f"<{kind}><LinearRing><coordinates>{at}</coordinates></LinearRing></{kind}>"
+
+
+def test_polygons_of_kml(raster: Path, tmp_path: Path) -> None:
+    areas = polygon(LEFT_PX, HOLE_PX, crs=WGS84)
+    rings = boundary("outerBoundaryIs", areas.exterior) + boundary("innerBoundaryIs", areas.interiors[0])
+    path = tmp_path / "areas.kml"
+    path.write_text(KML.format(f"<MultiGeometry><Polygon>{rings}</Polygon></MultiGeometry>"))
+    (tmp_path / "other.kml").write_text(KML.format(f"<Polygon>{rings}</Polygon>"))
+    same = save(tmp_path / "areas.geojson", areas, crs=WGS84)
+    np.testing.assert_array_equal(valid(raster, aoi=path), valid(raster, aoi=same))
+    for text, message in {
+        KML.format("<Point><coordinates>15,41</coordinates></Point>"): "holds other than polygons",
+        KML.format("<Polygon><outerBoundaryIs/></Polygon>"): "leaves nothing",
+        KML.format(f"<Polygon>{rings.replace(',0 ', ',0 nan,1 ', 1)}</Polygon>"): "cannot be read as KML",
+        "<kml": "cannot be read as KML",
+    }.items():
+        path.write_text(text)
+        with pytest.raises(InputError, match=message):
+            valid(raster, aoi=path)
+
+
+def test_other_formats_are_read_where_they_are_trusted(raster: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "areas.gdb"
+    wkb = shapely.to_wkb(np.array([polygon(LEFT_PX)], object))
+    pyogrio.raw.write(
+        folder, wkb, [], [], geometry_type="Polygon", crs=CRS_OF_SCENE.to_wkt(), driver="OpenFileGDB"
+    )
+    with pytest.raises(InputError, match=r"or KML: convert it .*, or give --trust-vrt"):
+        valid(raster, aoi=folder)
+    with trusting(Trust(vrt=True)):
+        assert valid(raster, aoi=folder).sum() == 60 * 120
+
+
 def test_a_window_is_a_part_of_the_whole_on_any_grid(tmp_path: Path) -> None:
     by_rpc = rpc_grid(write_dem(tmp_path / "dem.tif"))
     rows, cols = by_rpc.shape
@@ -126,6 +167,7 @@ def test_what_cannot_be_used_is_said(raster: Path, tmp_path: Path) -> None:
         broken: "cannot be read as a vector file",
         empty: "leaves nothing of .*raster.tif",
         tmp_path / "absent.gpkg": "cannot be opened",
+        tmp_path / "absent.kml": "cannot be opened",
     }
     for path, message in cases.items():
         with pytest.raises(InputError, match=message):
