@@ -63,6 +63,8 @@ SAMPLES_ACROSS: Final = 3
 
 EXACT_PX: Final = 0.05
 """Up to this residual control points count as fitted by a geotransform of their own CRS."""
+MAX_NAMED: Final = 12
+"""Number of subdatasets that a message names at most."""
 AREA_CELLS: Final = 1024
 """Number of cells along the longer side in which areas must leave one."""
 
@@ -417,8 +419,17 @@ def _why_not_opened(uri: str, error: Exception) -> str:
 def check_band(uri: str, dataset: DatasetReader, band: int) -> None:
     """Raise `InputError` if an open raster has no such band, or the band is complex."""
     if dataset.count == 0 and dataset.subdatasets:
+        first, *others = dataset.subdatasets
+        ends = ", ".join(re.split("[/:]", name)[-1] for name in others[:MAX_NAMED])
         raise InputError(
-            f"{uri} holds subdatasets, not bands: give one of them, such as {dataset.subdatasets[0]}"
+            f"{uri} holds subdatasets, not bands: give one of them, such as {first}"
+            + (f"; the others end in {ends}{' …' * (len(others) > MAX_NAMED)}" if others else "")
+        )
+    if dataset.driver == "HDF5Image" and 2 * dataset.height < min(dataset.count, dataset.width):
+        raise InputError(
+            f"{uri} looks like {dataset.count} bands of {dataset.width} x {dataset.height} pixels: its bands "
+            "are in the middle (rows, bands, columns), as those of PRISMA; convert it with "
+            "gdalmdimtranslate -array name=…,transpose=[1,0,2]"
         )
     if dataset.count == 0 or dataset.width == 0 or dataset.height == 0:
         raise InputError(

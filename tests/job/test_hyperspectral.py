@@ -12,8 +12,8 @@ import rasterio.shutil
 from numpy.typing import NDArray
 
 import pcwlad_geo
-from pcwlad_geo.errors import RegistrationRejectedError, TrustError
-from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.errors import InputError, RegistrationRejectedError, TrustError
+from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.source import Bands, describe
 from pcwlad_geo.raster.trust import Trust, trusting
 from pcwlad_geo.raster.view import View, with_bands
@@ -62,9 +62,11 @@ def test_infrared_bands_against_visible_ones(tmp_path: Path) -> None:
         pcwlad_geo.match_files(path, path, ref_band=5, tgt_band=35, out_dir=tmp_path / "one", **SMALL)
 
 
-def write_hdf5(folder: Path, bands: int = 6) -> Path:
+def write_hdf5(folder: Path, bands: int = 6, grid: Grid = GRID) -> Path:
     """Write a cube of (bands, rows from the south, columns) as an array of a file that ends like HDF-EOS."""
-    made = write(folder / "cube.tif", cube(bands).astype("float32"), GRID, dtype="float32")
+    rows, cols = grid.shape
+    values = cube(bands).astype("float32")[:, :rows, :cols]
+    made = write(folder / "cube.tif", values, grid, dtype="float32")
     with rasterio.open(made, "r+") as file:
         numbers = ",".join(str(number) for number in range(1, bands + 1))
         file.update_tags(
@@ -93,3 +95,16 @@ def test_arrays_of_hdf5_are_read_for_those_who_trust_the_file(tmp_path: Path) ->
         assert np.allclose(seen[::-1], expected, rtol=1e-5, atol=1e-3)
     with pytest.raises(TrustError, match="over a network"):
         describe("HDF5:/vsicurl/https://example.com/cube.he5://cube")
+
+
+def test_what_arrays_of_hdf5_cannot_be_is_said(tmp_path: Path) -> None:
+    """GDAL takes the rows of PRISMA's cubes for bands; and files of many arrays are given by one."""
+    path = write_hdf5(tmp_path, 40, make_grid((10, 50)))
+    with trusting(Trust(vrt=True)):
+        with pytest.raises(InputError, match=r"bands are in the middle .*,transpose="):
+            describe(f"HDF5:{path}://cube")
+        made = write(tmp_path / "two.tif", cube(2).astype("float32"), GRID, dtype="float32")
+        rasterio.shutil.copy(str(made), str(tmp_path / "two.nc"), driver="netCDF", FORMAT="NC4")
+        several = shutil.copy(tmp_path / "two.nc", tmp_path / "two.he5")
+        with pytest.raises(InputError, match=r"subdatasets.* such as HDF5:.*Band1; the others end in Band2"):
+            describe(several)
