@@ -57,6 +57,8 @@ WRONG_PX: Final = 5.0
 """An accepted pair with a larger mean error is wrong."""
 RIGHT_PX: Final = 3.0
 MEDIAN_PX: Final = 1.0
+BEST_OF_OTHERS_PX: Final = 47.0
+"""Least mean corner error of a learned matcher on 600 pairs of the set (arXiv 2604.10217)."""
 BEYOND: Final = {"affine": (draw_stretch, 95.0), "perspective": (draw_perspective, 85.0)}
 """What is drawn, and the percentage that must register."""
 BEYOND_KINDS: Final = ("Optical-Optical", "Optical-Infrared", "Nighttime", "Optical-Depth")
@@ -106,6 +108,8 @@ class Trial:
     """Largest error of a pair that counts as registered."""
     shared: tuple[float, float] | None = None
     """Mutual information of the grey values where the correction puts the target, and by the truth."""
+    corners_px: float = math.nan
+    """Mean error at the four corners of the reference; NaN where refused."""
 
     @property
     def verdict(self) -> Literal["registered", "truth off", "inexact", "WRONG", "refused"]:
@@ -237,8 +241,26 @@ def _real_pairs(data: Path, _scratch: Path, runner: Runner, share: float) -> Ite
         checks.append(at_least(what, _registered(trials), reach.share, "%", 1))
         checks.append(at_most(f"{name}: median of those", _median_px(trials), MEDIAN_PX, "px", 2))
     checks.append(at_most(f"accepted, off by more than {WRONG_PX:.0f} px", _wrong(every), 0, digits=0))
-    rows = [_counts(name, trials) for name, trials in [*of_kind.items(), ("all", every)]]
+    named = [*of_kind.items(), ("all", every)]
+    rows = [_counts(name, trials) for name, trials in named]
     yield Table(f"{len(every)} pairs of data/pose", HEADER, rows, checks)
+    yield _corner_errors(named)
+
+
+def _corner_errors(named: Sequence[tuple[str, Sequence[Trial]]]) -> Table:
+    """Return the mean corner errors by the truths given, as others state theirs, with what was refused."""
+    rows: list[list[Cell]] = []
+    for name, trials in named:
+        errors_px = np.array([trial.corners_px for trial in trials if trial.verdict != "refused"])
+        refused = len(trials) - len(errors_px)
+        if refused == len(trials):
+            rows.append([name, len(trials), refused, "-", "-", "-"])
+            continue
+        even = f"{(BEST_OF_OTHERS_PX * len(trials) - errors_px.sum()) / refused:.0f}" if refused else "-"
+        found = float(errors_px.mean()), float(np.median(errors_px)), even
+        rows.append([name, len(trials), refused, *found])
+    header = ("", "pairs", "refused", "mean corner error, px", "median", "a refusal that costs as much, px")
+    return Table(f"Corner errors, beside {BEST_OF_OTHERS_PX} px", header, rows)
 
 
 def _pair_job(folder: Path, number: int) -> Job:
@@ -255,7 +277,15 @@ def _compared(folder: Path, number: int, outcome: Outcome, right_px: float) -> T
         return Trial(name, outcome, math.nan, right_px)
     true = _true_px(folder, number, at_px, found)
     shared = [mutual_information(*images, affine_between(at_px, places)) for places in (found, true)]
-    return Trial(name, outcome, mean_distance_px(found, true), right_px, (shared[0], shared[1]))
+    corners = np.isin(at_px, [at_px[0], at_px[-1]]).all(axis=1)
+    return Trial(
+        name,
+        outcome,
+        mean_distance_px(found, true),
+        right_px,
+        (shared[0], shared[1]),
+        mean_distance_px(found[corners], true[corners]),
+    )
 
 
 def _true_px(folder: Path, number: int, at_px: Array, found: Array) -> Array:

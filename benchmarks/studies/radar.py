@@ -2,8 +2,9 @@
 
 The tiles lie on one grid to about a pixel, no better: told is how far the band combinations of a tile agree.
 The simulation has a truth: backscatter by land cover and the slope towards the sensor, layover and shadow
-where that is steep, and speckle of independent pixels. It does not show corner reflectors, wind on water,
-the direction of furrows, the moisture of a day, or speckle that hangs together.
+where that is steep, and speckle of independent pixels. Steep slopes are bright or dark in their place, as in
+an orthoimage: none is heaped on its foot, and ridges cast no shadow. It does not show corner reflectors, wind
+on water, the direction of furrows, the moisture of a day, or speckle that hangs together.
 """
 
 from __future__ import annotations

@@ -11,7 +11,15 @@ import pytest
 
 from benchmarks.poses import Warp, mapped
 from benchmarks.runs import Job, Outcome
-from benchmarks.studies.pose import Ground, Precision, Trial, moved, pooled_ratio, precision_of
+from benchmarks.studies.pose import (
+    Ground,
+    Precision,
+    Trial,
+    _corner_errors,
+    moved,
+    pooled_ratio,
+    precision_of,
+)
 
 SHAPE = 400, 400
 TRUTH = np.array([3.0, -2.0])
@@ -40,6 +48,13 @@ def with_points(positions: np.ndarray) -> Any:
 )
 def test_verdict(error_px: float, right_px: float, verdict: str) -> None:
     assert Trial("pair", REFUSED, error_px, right_px).verdict == verdict
+
+
+def test_a_refusal_counts_beside_the_corner_errors() -> None:
+    trials = [Trial("pair", REFUSED, 1.0, corners_px=error_px) for error_px in (2.0, 4.0)]
+    refused = Trial("pair", REFUSED, math.nan)
+    rows = _corner_errors([("two", [*trials, refused]), ("none", [refused])]).rows
+    assert rows == [["two", 3, 1, 3.0, 3.0, "135"], ["none", 1, 1, "-", "-", "-"]]
 
 
 def test_scales_keep_to_those_that_are_looked_for() -> None:

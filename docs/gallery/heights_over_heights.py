@@ -1,0 +1,40 @@
+"""Two terrain models of one ground: registered by their relief; what is left is the bias of their heights."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from scene import ground, panels, read, save, write_band
+
+import pcwlad_geo
+
+OFF_PX, BIAS_M, NOISE_M, SIDE, PIXEL_M = (-3.0, -5.0), 7.0, 0.5, 400, 30.0
+
+
+def write_heights(path: Path, off_px: tuple = (0.0, 0.0), bias_m: float = 0.0, seed: int = 0) -> Path:
+    """Write the heights of the landscape, seen `off_px` (col, row) beside where the file says."""
+    at = np.arange(SIDE) + 0.5
+    x, y = (at - off_px[0])[None] * PIXEL_M, -(at - off_px[1])[:, None] * PIXEL_M
+    noise = np.random.default_rng(seed).normal(0, NOISE_M, (SIDE, SIDE))
+    with rasterio.open(write_band(path, side=SIDE)) as like:
+        profile = {**like.profile, "dtype": "float32", "nodata": -9999.0}
+    with rasterio.open(path, "w", **profile) as file:
+        file.write((ground(x, y, 11).height + bias_m + noise).astype("float32"), 1)
+    return path
+
+
+with tempfile.TemporaryDirectory() as folder:
+    old = write_heights(Path(folder) / "old.tif")
+    new = write_heights(Path(folder) / "new.tif", OFF_PX, BIAS_M, seed=1)
+    pcwlad_geo.register(old, new, out_dir=Path(folder) / "out")
+    after = Path(folder) / "out" / "new_registered.tif"
+    differences = [read(path, like=old) - read(old) for path in (new, after)]
+
+told = [f"{np.nanmedian(each):.2f} m, scatter {np.nanstd(each):.2f} m" for each in differences]
+figure, axes = panels([f"before: {told[0]}", f"after: {told[1]}"])
+for axis, difference in zip(axes, differences, strict=True):
+    drawn = axis.imshow(difference, cmap="RdBu", vmin=BIAS_M - 15, vmax=BIAS_M + 15)
+    axis.set(xticks=[], yticks=[])
+figure.colorbar(drawn, ax=axes, label="new less old heights, m", shrink=0.7)
+save(figure, __file__)

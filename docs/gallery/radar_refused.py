@@ -1,0 +1,38 @@
+"""Radar over an optical image of a coast with nothing on it but forest and sea: refused, with the reason."""
+
+import tempfile
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from scene import ndimage, panels, read, save, show, write_band
+
+import pcwlad_geo
+
+SIDE, OFF_PX = 320, (6.3, -4.4)
+row, col = np.indices((SIDE, SIDE)) + 0.5
+rng = np.random.default_rng(2)
+is_sea = col > 150 + 0.25 * row
+sea_seen = col - OFF_PX[0] > 150 + 0.25 * (row - OFF_PX[1])
+forest = ndimage.gaussian_filter(rng.standard_normal((SIDE, SIDE)), 1.5)
+red = np.where(is_sea, 3000.0, 9000 + 4000 * forest) + 60 * rng.standard_normal((SIDE, SIDE))
+power = np.where(sea_seen, 10**-1.9, 10**-0.85) * rng.gamma(4, 1 / 4, (SIDE, SIDE))  # four looks
+with tempfile.TemporaryDirectory() as folder:
+    optical, radar = (write_band(Path(folder) / f"{name}.tif", side=SIDE) for name in ("red", "radar"))
+    for path, values in ((optical, red), (radar, 10 * np.log10(power))):
+        with rasterio.open(path) as like:
+            profile = {**like.profile, "dtype": "float32", "nodata": None}
+        with rasterio.open(path, "w", **profile) as file:
+            file.write(values.astype("float32"), 1)
+    reason = "registered"
+    try:
+        pcwlad_geo.register(optical, radar, out_dir=Path(folder) / "out")
+    except pcwlad_geo.RegistrationRejectedError as error:
+        reason = str(error)
+    images = read(optical), read(radar)
+figure, axes = panels(["reference: red light", "target: radar, 4 looks"], height=4.6)
+for axis, image in zip(axes, images, strict=True):
+    show(axis, image, np.s_[60:220, 90:250])
+figure.supxlabel("exit status 3: " + textwrap.shorten(reason, 200), fontsize=9, wrap=True)
+save(figure, __file__)
