@@ -96,7 +96,7 @@ def test_points_that_agree_and_are_too_few_are_not_called_chance(n: int, side_px
     assert f"{n} tie points agree" in (found.reason or "")
     assert "share more ground" in (found.reason or "")
     assert "chance" not in (found.reason or "")
-    assert found.beyond is None
+    assert found.past_search_border is None
 
 
 def test_an_affine_field_counts_as_agreement() -> None:
@@ -122,13 +122,13 @@ def test_no_point_at_all() -> None:
 def test_the_reason_says_what_to_do(counts: dict[str, int], advice: str) -> None:
     found = verdict(matches(100, 400, right=0.0), **counts)
     assert re.search(advice, found.reason or "")
-    assert found.beyond is None
+    assert found.past_search_border is None
 
 
-@pytest.mark.parametrize(("at_search_border", "beyond"), [(80, True), (20, False)])
+@pytest.mark.parametrize(("at_search_border", "past_border"), [(80, True), (20, False)])
 def test_many_matches_on_the_edge_of_the_search_tell_of_what_lies_beyond(
-    at_search_border: int, beyond: bool
+    at_search_border: int, past_border: bool
 ) -> None:
     found = verdict(matches(100, 400, right=0.0), at_search_border=at_search_border)
     assert "no better than chance" in (found.reason or "")
-    assert found.beyond is beyond
+    assert found.past_search_border is past_border
