@@ -227,7 +227,11 @@ def find_collar(read: Read, shape: tuple[int, int]) -> Collar | None:
             length += float(np.hypot(*(end - begin))) / min(shape)
     if length < _least_length(~_differs(overview, value), data):
         return None
-    collar = Collar(shape, value, tuple(sides))
+    return _measured(Collar(shape, value, tuple(sides)), small)
+
+
+def _measured(collar: Collar, small: tuple[int, int]) -> Collar:
+    """Return the collar with its share, measured on an overview of the shape `small`."""
     return replace(collar, share=float((~collar.valid(Window.whole(small), small)).mean()))
 
 
@@ -413,8 +417,7 @@ def find_frame(read: Read, shape: tuple[int, int]) -> Collar | None:
     if len(sides) < FRAME_SIDES:
         return None
     value = float(np.median([np.median(strips[0]), np.median(strips[2])]))
-    collar = Collar(shape, value, tuple(sides))
-    return replace(collar, share=float((~collar.valid(Window.whole(small), small)).mean()))
+    return _measured(Collar(shape, value, tuple(sides)), small)
 
 
 def _border_end(overview: Float64, tolerance: float) -> tuple[float, float] | None:
