@@ -4,8 +4,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import rasterio
-from scene import ground, panels, read, save, write_band
+from scene import ground, panels, read, save, write_values
 
 import pcwlad_geo
 
@@ -17,11 +16,8 @@ def write_heights(path: Path, off_px: tuple = (0.0, 0.0), bias_m: float = 0.0, s
     at = np.arange(SIDE) + 0.5
     x, y = (at - off_px[0])[None] * PIXEL_M, -(at - off_px[1])[:, None] * PIXEL_M
     noise = np.random.default_rng(seed).normal(0, NOISE_M, (SIDE, SIDE))
-    with rasterio.open(write_band(path, side=SIDE)) as like:
-        profile = {**like.profile, "dtype": "float32", "nodata": -9999.0}
-    with rasterio.open(path, "w", **profile) as file:
-        file.write((ground(x, y, 11).height + bias_m + noise).astype("float32"), 1)
-    return path
+    heights = ground(x, y, 11).height + bias_m + noise
+    return write_values(path, heights.astype("float32"), pixel_m=PIXEL_M, nodata=-9999.0)
 
 
 with tempfile.TemporaryDirectory() as folder:

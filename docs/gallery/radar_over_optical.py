@@ -4,8 +4,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import rasterio
-from scene import ground, outline, panels, read, save, show, write_band
+from scene import ground, outline, panels, read, save, show, write_band, write_values
 
 import pcwlad_geo
 
@@ -19,10 +18,7 @@ with tempfile.TemporaryDirectory() as folder:
     cover = ground((centres - OFF_PX[0])[None] * 30.0, -(centres - OFF_PX[1])[:, None] * 30.0, 11).cover
     power = (10 ** (BACKSCATTER_DB[cover] / 10)).reshape(SIDE, 2, SIDE, 2).mean(axis=(1, 3))
     speckled = power * np.random.default_rng(1).gamma(4, 1 / 4, power.shape)  # four looks
-    with rasterio.open(optical) as like:
-        profile = {**like.profile, "dtype": "float32", "nodata": None}
-    with rasterio.open(radar, "w", **profile) as file:
-        file.write((10 * np.log10(speckled)).astype("float32"), 1)
+    write_values(radar, (10 * np.log10(speckled)).astype("float32"))
     result = pcwlad_geo.register(optical, radar, out_dir=Path(folder) / "out")
     seen = [read(path, like=optical) for path in (radar, Path(folder) / "out" / "radar_registered.tif")]
     red = read(optical)

@@ -5,8 +5,7 @@ import textwrap
 from pathlib import Path
 
 import numpy as np
-import rasterio
-from scene import ndimage, panels, read, save, show, write_band
+from scene import ndimage, panels, read, save, show, write_values
 
 import pcwlad_geo
 
@@ -19,12 +18,8 @@ forest = ndimage.gaussian_filter(rng.standard_normal((SIDE, SIDE)), 1.5)
 red = np.where(is_sea, 3000.0, 9000 + 4000 * forest) + 60 * rng.standard_normal((SIDE, SIDE))
 power = np.where(sea_seen, 10**-1.9, 10**-0.85) * rng.gamma(4, 1 / 4, (SIDE, SIDE))  # four looks
 with tempfile.TemporaryDirectory() as folder:
-    optical, radar = (write_band(Path(folder) / f"{name}.tif", side=SIDE) for name in ("red", "radar"))
-    for path, values in ((optical, red), (radar, 10 * np.log10(power))):
-        with rasterio.open(path) as like:
-            profile = {**like.profile, "dtype": "float32", "nodata": None}
-        with rasterio.open(path, "w", **profile) as file:
-            file.write(values.astype("float32"), 1)
+    optical = write_values(Path(folder) / "red.tif", red.astype("float32"))
+    radar = write_values(Path(folder) / "radar.tif", (10 * np.log10(power)).astype("float32"))
     reason = "registered"
     try:
         pcwlad_geo.register(optical, radar, out_dir=Path(folder) / "out")

@@ -98,13 +98,27 @@ def write_band(
     if clouds:
         image = np.where(cloud_cover(side, clouds), 0.05 + 0.1 * np.sin(image * 40) ** 2, image)
     noise = np.random.default_rng(len(kind)).standard_normal(image.shape)
-    place = {
-        "crs": "EPSG:32633",
-        "transform": Affine(pixel_m, 0, CORNER_XY_M[0], 0, -pixel_m, CORNER_XY_M[1]),
-    }
-    shape = {"width": side, "height": side, "count": 1, "dtype": "uint16", "nodata": 0}
+    band = np.clip(8000 + 20000 * image + 60 * noise, 1, 65535).astype("uint16")
+    return write_values(path, band, pixel_m=pixel_m, nodata=0)
+
+
+def write_values(
+    path: Path | str,
+    values: NDArray[np.generic],
+    *,
+    pixel_m: float = 30.0,
+    corner_xy_m: Values = CORNER_XY_M,
+    nodata: float | None = None,
+) -> Path:
+    """Write (rows, cols) `values` of the landscape as GeoTIFF and return its path.
+
+    The upper left corner is at the (2,) `corner_xy_m`, and a pixel is `pixel_m` wide.
+    """
+    rows, cols = values.shape
+    shape = {"width": cols, "height": rows, "count": 1, "dtype": values.dtype, "nodata": nodata}
+    place = {"crs": UTM, "transform": Affine(pixel_m, 0, corner_xy_m[0], 0, -pixel_m, corner_xy_m[1])}
     with rasterio.open(path, "w", driver="GTiff", **shape, **place) as file:
-        file.write(np.clip(8000 + 20000 * image + 60 * noise, 1, 65535).astype("uint16"), 1)
+        file.write(values, 1)
     return Path(path)
 
 
@@ -113,11 +127,7 @@ def write_dem(path: Path | str, side: int = 260, pixel_m: float = 60.0) -> Path:
     corner = CORNER_XY_M + 60 * pixel_m * np.array([-1, 1])
     col, row = np.meshgrid(np.arange(side) + 0.5, np.arange(side) + 0.5)
     heights = 400 + 150 * np.sin((col - 60) * pixel_m / 1500) * np.cos((row - 60) * pixel_m / 1900)
-    shape = {"width": side, "height": side, "count": 1, "dtype": "float32"}
-    place = {"crs": "EPSG:32633", "transform": Affine(pixel_m, 0, corner[0], 0, -pixel_m, corner[1])}
-    with rasterio.open(path, "w", driver="GTiff", **shape, **place) as file:
-        file.write(heights.astype("float32"), 1)
-    return Path(path)
+    return write_values(path, heights.astype("float32"), pixel_m=pixel_m, corner_xy_m=corner)
 
 
 def write_raw(
