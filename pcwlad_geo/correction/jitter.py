@@ -11,7 +11,7 @@ import numpy as np
 
 from pcwlad_geo.correction.fitted import ParametricFit, checked
 from pcwlad_geo.correction.models import AffineCorrection, JitterCorrection, JitterWave
-from pcwlad_geo.estimation.robust import design, estimate, linear, reweighted
+from pcwlad_geo.estimation.robust import biweight, design, estimate, irls, linear, reweighted, weighted
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.types import Float64, Index
 
@@ -67,14 +67,12 @@ def smooth_rest(at_px: Float64, displacement_px: Float64) -> Float64:
     """Return the (n, 2) `displacement_px` at the (n, 2) `at_px` less their cubic trend."""
     u = (at_px - at_px.mean(axis=0)) / max(float(np.ptp(at_px, axis=0).max()), 1e-9)
     terms = np.stack([u[:, 0] ** i * u[:, 1] ** j for i in range(4) for j in range(4 - i)], axis=1)
-    weight = np.ones(len(u))
-    rest = displacement_px
-    for _ in range(5):
-        root = np.sqrt(weight)[:, None]
-        rest = displacement_px - terms @ least_squares(terms * root, displacement_px * root)
+
+    def weigh(rest: Float64) -> Float64:
         size = np.linalg.norm(rest, axis=1)
-        limit = 4.0 * float(np.median(size)) or 1.0
-        weight = np.maximum(1.0 - (size / limit) ** 2, 0.0) ** 2
+        return biweight((size / (4.0 * float(np.median(size)) or 1.0)) ** 2, 1.0)
+
+    _, rest, weight = irls(weighted(terms, displacement_px), weigh, np.ones(len(u)), rounds=5)
     return np.where((weight > 0)[:, None], rest, 0.0)
 
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pcwlad_geo.correction.fitted import Fit
-from pcwlad_geo.estimation.robust import axis_sigma, sigma_of
+from pcwlad_geo.estimation.robust import axis_sigma, irls, sigma_of, weighted
 from pcwlad_geo.estimation.shared_errors import Overlaps, random_signs
-from pcwlad_geo.estimation.solving import check_observations, least_squares, solve
+from pcwlad_geo.estimation.solving import check_observations, solve
 from pcwlad_geo.types import Bool, Float64, Index
 
 SURFACE_NEIGHBOURS = 40
@@ -63,7 +63,6 @@ AGREEMENT_ROUNDS: Final = 4
 """Largest number of repetitions of the comparison."""
 MIN_PX: Final = 1e-3
 """Least limit, and least sigma."""
-_STEPS: Final = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,13 +117,13 @@ def _about_the_trend(predicted_px: Float64, observed_px: Float64) -> tuple[Float
     centre_px = np.median(predicted_px, axis=0)
     scale_px = max(float(np.abs(predicted_px - centre_px).mean()), MIN_PX)
     basis = np.column_stack([np.ones(len(predicted_px)), (predicted_px - centre_px) / scale_px])
-    weight = np.ones(len(basis))
-    for _ in range(_STEPS):
-        root = np.sqrt(weight)[:, None]
-        found = least_squares(basis * root, observed_px * root)
-        distance_px = np.linalg.norm(observed_px - basis @ found, axis=1)
-        weight = 1 / np.maximum(distance_px, MIN_PX)
-    return observed_px - basis @ found, found[1:].T / scale_px
+    found, left_px, _ = irls(
+        weighted(basis, observed_px),
+        lambda left_px: 1 / np.maximum(np.linalg.norm(left_px, axis=1), MIN_PX),
+        np.ones(len(basis)),
+        rounds=50,
+    )
+    return left_px, found[1:].T / scale_px
 
 
 def _from_neighbours(xy_px: Float64, residual_px: Float64, kept: Bool) -> Float64:

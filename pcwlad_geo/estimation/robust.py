@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
-from pcwlad_geo.estimation.solving import check_rank, inverse, pseudo_inverse, solve, triangular
+from pcwlad_geo.estimation.solving import (
+    check_rank,
+    inverse,
+    least_squares,
+    pseudo_inverse,
+    solve,
+    triangular,
+)
 from pcwlad_geo.types import Float64
 
 SIGMA_OF_MEDIAN: Final = 1.4826
@@ -69,9 +76,9 @@ def unit_sigma(lengths: Float64) -> float:
 def huber(lengths: Float64, limit: float) -> Float64:
     """Return (...,) weights, 1 up to a limit and falling with the length of an error beyond.
 
-    The (...,) `lengths` are above zero, in the unit of `limit` (Huber 1964, doi:10.1214/aoms/1177703732).
+    The (...,) `lengths` are in the unit of `limit` (Huber 1964, doi:10.1214/aoms/1177703732).
     """
-    return np.minimum(1.0, limit / lengths)
+    return np.minimum(1.0, limit / np.maximum(lengths, 1e-12))
 
 
 def biweight(squared: Float64, limit: float = REJECTION_SIGMA) -> Float64:
@@ -131,6 +138,42 @@ def propagated(design: Float64, covariance: Float64, changes: Float64) -> Float6
     turned = root @ axes
     found = turned @ (np.maximum(ratio, 1.0)[:, :, None] * turned.transpose(0, 2, 1))
     return np.where(size[:, None, None] > 0, found, 0.0)
+
+
+Found = TypeVar("Found")
+
+
+def irls(
+    solve: Callable[[Float64], tuple[Found, Float64]],
+    weigh: Callable[[Float64], Float64],
+    weight: Float64,
+    rounds: int,
+    still: Callable[[Found, Found], bool] | None = None,
+) -> tuple[Found, Float64, Float64]:
+    """Solve and weight in turn: iteratively reweighted least squares, in so many rounds at most.
+
+    Of (n,) weights, first `weight`, `solve` makes a solution and what it leaves, and `weigh` makes weights
+    of that. It ends with a solution that is `still` that before, given both. Returned are the last solution,
+    what it leaves, and the weights of that, or its own if it was still.
+    """
+    before: Found | None = None
+    for _ in range(rounds):
+        found, left = solve(weight)
+        if still and before is not None and still(found, before):
+            break
+        before, weight = found, weigh(left)
+    return found, left, weight
+
+
+def weighted(basis: Float64, values: Float64) -> Callable[[Float64], tuple[Float64, Float64]]:
+    """Return what solves for the (k, 2) parameters of an (n, k) `basis` of (n, 2) `values`, for `irls`."""
+
+    def solve(weight: Float64) -> tuple[Float64, Float64]:
+        root = np.sqrt(weight)[:, None]
+        found = least_squares(root * basis, root * values)
+        return found, values - basis @ found
+
+    return solve
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,8 +22,8 @@ from typing import Final, Literal
 import numpy as np
 from scipy.special import fdtri
 
-from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN_LENGTH, biweight, huber
-from pcwlad_geo.estimation.solving import components, inverse, least_squares, solve, triangular
+from pcwlad_geo.estimation.robust import axis_sigma, biweight, huber, irls, weighted
+from pcwlad_geo.estimation.solving import components, inverse, solve, triangular
 from pcwlad_geo.types import Bool, Float64, Index
 
 FALSE_ALARM: Final = 0.004
@@ -179,7 +179,7 @@ class _Series:
         if len(years) > 2:
             lengths = np.hypot(*np.diff(moved_px, axis=0).T)
             own = np.diag(covariance)[1:] + np.diag(covariance)[:-1] - 2 * np.diag(covariance, 1)
-            more = max(0.0, (SIGMA_OF_MEDIAN_LENGTH * float(np.median(lengths))) ** 2 - float(np.median(own)))
+            more = max(0.0, axis_sigma(lengths) ** 2 - float(np.median(own)))
         covariance = covariance + more / 2 * np.eye(len(years))
         white = inverse(triangular(covariance, NEEDED))
         return _Series(years, moved_px, white, np.sqrt(np.diag(covariance)))
@@ -196,21 +196,24 @@ NEEDED: Final = "errors of images that are neither negative nor infinite"
 def _fit(series: _Series, terms: Sequence[Term], clip: Clip) -> tuple[Float64, Float64, Float64]:
     """Return the (k, 2) coefficients of a robust fit, the (n, 2) residuals in sigmas, and (n,) weights."""
     design, moved = series.white @ series.design(terms), series.white @ series.moved_px
-    factor, before = np.ones(len(moved)), np.full((design.shape[1], 2), np.inf)
-    for _ in range(ITERATIONS):
-        root = np.sqrt(factor)[:, None]
-        coefficients = least_squares(root * design, root * moved)
-        left = moved - design @ coefficients
-        if np.abs(coefficients - before).max() < TOLERANCE_PX:
-            break
-        before, off = coefficients, np.hypot(*left.T)
-        unit = max(SIGMA_OF_MEDIAN_LENGTH * float(np.median(off)), 1e-6)
-        factor = huber(np.maximum(off, 1e-12), CLIPPED_SIGMA * unit) if clip == "huber" else _kept(off, unit)
-    return coefficients, left, factor
+    weigh = _clipped if clip == "huber" else _kept
+    return irls(weighted(design, moved), weigh, np.ones(len(moved)), ITERATIONS, _still)
 
 
-def _kept(off: Float64, unit: float) -> Float64:
-    factor = biweight((off / unit) ** 2)
+def _still(found: Float64, before: Float64) -> bool:
+    return bool(np.abs(found - before).max() < TOLERANCE_PX)
+
+
+def _clipped(left: Float64) -> Float64:
+    """Return (n,) weights of (n, 2) residuals by Huber."""
+    off = np.hypot(*left.T)
+    return huber(off, CLIPPED_SIGMA * max(axis_sigma(off), 1e-6))
+
+
+def _kept(left: Float64) -> Float64:
+    """Return (n,) weights of (n, 2) residuals by Tukey; 1 if most of them are 0."""
+    off = np.hypot(*left.T)
+    factor = biweight((off / max(axis_sigma(off), 1e-6)) ** 2)
     return factor if np.count_nonzero(factor) > len(factor) / 2 else np.ones(len(factor))
 
 
@@ -227,10 +230,8 @@ class _ScoreTest:
     @staticmethod
     def of(series: _Series, terms: Sequence[Term]) -> _ScoreTest:
         _, left, _ = _fit(series, terms, "huber")
-        lengths = np.maximum(np.hypot(*left.T), 1e-12)
-        unit = max(SIGMA_OF_MEDIAN_LENGTH * float(np.median(lengths)), 1e-6)
         basis = np.linalg.qr(series.white @ series.design(terms))[0]
-        return _ScoreTest(series, left * huber(lengths, CLIPPED_SIGMA * unit)[:, None], basis)
+        return _ScoreTest(series, left * _clipped(left)[:, None], basis)
 
     def candidate(self, term: Term) -> Float64:
         """Return (n, k) orthonormal columns of a term, less what the model has of them."""
@@ -338,7 +339,7 @@ def _model(series: _Series, terms: list[Term]) -> SeriesModel:
     coefficients, left, factor = _fit(
         series, terms, "biweight" if len(series.years) >= MIN_IMAGES else "huber"
     )
-    unit = max(1.0, SIGMA_OF_MEDIAN_LENGTH * float(np.median(np.hypot(*left.T))))
+    unit = max(1.0, axis_sigma(np.hypot(*left.T)))
     white = series.white @ design
     normal = white.T @ (factor[:, None] * white) + 1e-12 * np.eye(design.shape[1])
     covariance = inverse(normal) * unit**2
@@ -358,7 +359,7 @@ def _model(series: _Series, terms: list[Term]) -> SeriesModel:
         fitted_px=design @ coefficients,
         level_px=last @ coefficients,
         level_sigma_px=float(np.sqrt(last @ covariance @ last)),
-        noise_px=SIGMA_OF_MEDIAN_LENGTH * float(np.median(off_px)),
+        noise_px=axis_sigma(off_px),
         outliers=_outliers(off_px / (series.sigma_px * unit)),
     )
 
@@ -417,16 +418,24 @@ def velocities(motions: Motions, cells: int, images: int) -> Velocities:
     count images, by their share in what tells the velocity.
     """
     weight = motions.sigma_px**-2.0
-    factor = np.ones(len(weight))
-    for _ in range(VELOCITY_ROUNDS):
+
+    def solved(factor: Float64) -> tuple[Float64, Float64]:
         found = _line(motions, weight * factor, cells)
-        off = (
-            np.hypot(*(motions.moved_px - motions.years[:, None] * found[motions.cell]).T) / motions.sigma_px
-        )
-        off = np.where(np.isfinite(off), off, 0.0)
-        unit = max(1.0, SIGMA_OF_MEDIAN_LENGTH * float(np.median(off)))
-        factor = huber(np.maximum(off, 1e-12), CLIPPED_MOTION_SIGMA * unit)
+        left_px = motions.moved_px - motions.years[:, None] * found[motions.cell]
+        off = np.hypot(*left_px.T) / motions.sigma_px
+        return found, np.where(np.isfinite(off), off, 0.0)
+
+    found, _, factor = irls(solved, _motion_weights, np.ones(len(weight)), VELOCITY_ROUNDS)
     return _tested(motions, weight * factor, found, cells, images)
+
+
+def _motion_weights(off: Float64) -> Float64:
+    """Return (n,) weights of residuals of (n,) lengths, in standard deviations."""
+    return huber(off, CLIPPED_MOTION_SIGMA * _unit(off))
+
+
+def _unit(off: Float64) -> float:
+    return max(1.0, axis_sigma(off)) if len(off) else 1.0
 
 
 def displacements(motions: Motions, images: int) -> tuple[Float64, Float64]:
@@ -447,16 +456,17 @@ def displacements(motions: Motions, images: int) -> tuple[Float64, Float64]:
     inside = place[motions.ends[:, 0]] >= 0
     ends = place[motions.ends[inside]]
     moved_px, weight = motions.moved_px[inside], motions.sigma_px[inside] ** -2.0
-    factor = np.ones(len(weight))
-    for _ in range(DISPLACEMENT_ROUNDS):
+
+    def solved(factor: Float64) -> tuple[tuple[Float64, Float64], Float64]:
         found, normal = _network(ends, moved_px, weight * factor, len(own))
-        off = np.hypot(*(moved_px - found[ends[:, 1]] + found[ends[:, 0]]).T) * np.sqrt(weight)
-        unit = max(1.0, SIGMA_OF_MEDIAN_LENGTH * float(np.median(off))) if len(off) else 1.0
-        factor = huber(np.maximum(off, 1e-12), CLIPPED_MOTION_SIGMA * unit)
+        left_px = moved_px - found[ends[:, 1]] + found[ends[:, 0]]
+        return (found, normal), np.hypot(*left_px.T) * np.sqrt(weight)
+
+    (found, normal), off, _ = irls(solved, _motion_weights, np.ones(len(weight)), DISPLACEMENT_ROUNDS)
     every, sigma_px = np.full((images, 2), np.nan), np.full(images, np.nan)
     if len(own) > 1:
         variance = np.diag(inverse(normal, NEEDED)).clip(0.0)
-        every[own], sigma_px[own] = found - found.mean(axis=0), unit * np.sqrt(variance)
+        every[own], sigma_px[own] = found - found.mean(axis=0), _unit(off) * np.sqrt(variance)
     return every, sigma_px
 
 

@@ -367,7 +367,7 @@ def _weights(residual: Float64, observed: Observations, turn: int) -> tuple[Floa
     ratio = length / (sigma * spread)
     far = MAX_SIGMAS * (4 if turn < LENIENT_STEPS else 1)
     kept = (ratio < far) | (length < LEAST_FAR_PX)
-    weight = huber(np.maximum(ratio, 1e-9), HUBER * 1.41)
+    weight = huber(ratio, HUBER * 1.41)
     return np.where(kept, weight / sigma**2, 0.0), np.asarray(kept)
 
 
