@@ -11,11 +11,12 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict, get_args
 
+from pcwlad_geo.correction import Effort
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, ignore
 from pcwlad_geo.execution.processes import open_runner
 from pcwlad_geo.execution.runner import InThisProcess, Runner
-from pcwlad_geo.options import Effort, Settings
+from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder, place_file, place_with_files
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.outputs.write import OUTPUTS, write

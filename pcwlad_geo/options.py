@@ -12,15 +12,12 @@ from typing import Any, Final, Literal, TypedDict, TypeVar, cast, get_args, get_
 
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.limits import FEATURES, ITERATIONS, JOBS, POINTS, SEARCH_RADIUS_PX, SPACING_PX, TILE_PX
+from pcwlad_geo.matching import Consensus, Keypoints, Method
 from pcwlad_geo.raster.trust import Trust
 
-Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
-Keypoints = Literal["cells", "strongest"]
 Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps", "field", "jitter", "rpc"]
 Prealign = Literal["auto", "georef", "search", "none"]
-Consensus = Literal["auto", "off"]
 Geometry = Literal["auto", "planar", "epipolar"]
-Effort = Literal["quick", "full"]
 OutputGrid = Literal["reference", "reference-exact", "target"]
 DisplacementUnit = Literal["px", "m"]
 Resampling = Literal["nearest", "bilinear", "cubic", "cubic_spline", "lanczos"]

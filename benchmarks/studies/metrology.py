@@ -19,7 +19,8 @@ from benchmarks.pairs import Image, landsat, read, rgbnir, write
 from benchmarks.runs import Array, Job, Outcome, Runner, common_points
 from benchmarks.studies.difference import difference
 from benchmarks.tables import Cell, Check, Table, at_most
-from pcwlad_geo.options import Method, Settings
+from pcwlad_geo.matching import Method
+from pcwlad_geo.options import Settings
 
 METHODS: Final[tuple[Method, ...]] = ("oriented", "gradient")
 WINDOWS_PX: Final = (31, 61)

@@ -20,9 +20,9 @@ from pcwlad_geo.cli.multi import batch, stack, watch
 from pcwlad_geo.cli.progress import show_error
 from pcwlad_geo.cli.qa import qa
 from pcwlad_geo.cli.rig import rig
+from pcwlad_geo.correction import Effort
 from pcwlad_geo.errors import InputError, PcwladGeoError
 from pcwlad_geo.events import EventCallback
-from pcwlad_geo.options import Effort
 
 PAIR: Final = "One pair"
 """Title of the commands for one pair, in the help."""

@@ -9,6 +9,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pcwlad_geo.correction import Effort
 from pcwlad_geo.correction.models import AffineCorrection, affine_between
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.types import Bool, Float64
@@ -432,7 +433,6 @@ def _normal_draws() -> Float64:
     return np.column_stack([length * np.cos(angle), length * np.sin(angle)])
 
 
-Effort = Literal["quick", "full"]
 Kind = Literal["shift", "turn", "field"]
 EvidenceKind = Literal["channels", "windows", "directions"]
 

@@ -32,10 +32,10 @@ from pcwlad_geo.matching.guidance import (
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.mutual_structure import (
-    alike_beyond_chance,
     correlations,
     passes_paper,
     shared_structure,
+    significantly_correlated,
 )
 from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, measure_noise, prepare, rounding_of
@@ -71,7 +71,7 @@ STRIPE_PX: Final = 61
 STRIPE_WIDTH_PX: Final = 5
 """Their width across."""
 
-Back = Literal["never", "sample", "as needed", "always"]
+Back = Literal["forward only", "sample", "as needed", "always"]
 
 
 LARGEST_VALUE: Final = 1e100
@@ -275,7 +275,7 @@ def rematch(
             begin = structure  # nearer to what a large window sees, and its structure is needed there anyway
         start = InitialEstimate(begin, guide.linear[index], structure, is_match=structure is not None)
         corners = to_index(points[index])
-        back: Back = "never" if (guide.one_way if follows else guide.led_one_way) else "always"
+        back: Back = "forward only" if (guide.one_way if follows else guide.led_one_way) else "always"
         refined, agree, _ = _refine_both(pair, corners, start, settings, back, step_of(settings.window))
         good = refined.converged & agree
         target[index[good]] = points.reference_xy_px[index[good]] + refined.shift_xy_px[good]
@@ -352,7 +352,7 @@ def try_again(
     good &= _on_valid_target(pair, corners, refined.shift_xy_px)
     index = np.flatnonzero(good)
     # a window that is so large sees across a cloud, but nothing was measured in the middle of it
-    index = index[alike_beyond_chance(pair, corners[index], refined.shift_xy_px[index])]
+    index = index[significantly_correlated(pair, corners[index], refined.shift_xy_px[index])]
     points = _points(
         corners[index],
         refined.shift_xy_px[index],
@@ -535,7 +535,7 @@ def _refine_both(
     # points whose forward match did not converge need no backward match
     arrived = np.flatnonzero(forward.converged)
     all_of_them = back == "always" or (back == "as needed" and len(arrived) < MIN_TO_SAMPLE)
-    if back != "never":
+    if back != "forward only":
         match_backward(arrived[:: 1 if all_of_them else SAMPLED])
     if back == "as needed" and not forward_is_enough(forward_backward, settings):
         match_backward(arrived[np.isnan(forward_backward[arrived])])

@@ -153,8 +153,8 @@ def passes_paper(
     return result
 
 
-def alike_beyond_chance(pair: ChannelPair, corners_rc: Index, shift_xy_px: Float64) -> Bool:
-    """Return the (n,) mask of the matches around which the two images are more alike than by chance.
+def significantly_correlated(pair: ChannelPair, corners_rc: Index, shift_xy_px: Float64) -> Bool:
+    """Return the (n,) mask of the matches around which the two images correlate more than by chance.
 
     The (n, 2) `corners_rc` are pixels of the reference, `shift_xy_px` where they are in the target beside
     that. The correlation of the maps around each is compared with those that the same places have with places

@@ -8,12 +8,10 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.matching import Consensus, Keypoints, Method
 from pcwlad_geo.text import Shown
 from pcwlad_geo.types import Bool, Float64, Index
 
-Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
-Keypoints = Literal["cells", "strongest"]
-Consensus = Literal["auto", "off"]
 Backward = Literal["as needed", "sample"]
 Channels = Literal["orientations", "gradients", "moment"]
 FIRST_WINDOW_PX: Final = 81

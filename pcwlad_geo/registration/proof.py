@@ -23,6 +23,7 @@ import scipy.fft
 import scipy.ndimage
 from numpy.typing import NDArray
 
+from pcwlad_geo.correction import Effort
 from pcwlad_geo.correction.error_statistics import (
     ClassEntry,
     CorrectionEntry,
@@ -61,7 +62,7 @@ from pcwlad_geo.matching.matcher import (
 from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, fast_even, fill_smoothly, prepare
 from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, in_threads, refine
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
-from pcwlad_geo.options import Effort, Settings
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.arrays import Raster, Scratch
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.view import Patch, file_px_per_px
@@ -93,8 +94,8 @@ REACH_PX: Final = 3
 """By so much the search radius is larger, for the moves."""
 LOCKING_PX: Final = 0.01
 """Amplitude of pixel locking up to which there is none to speak of."""
-WRONG_PX: Final = 1.0
-"""A match that errs by more is wrong."""
+FALSE_MATCH_PX: Final = 1.0
+"""A match that errs by more is false."""
 MIN_POINTS: Final = 12
 """Fewer points prove nothing."""
 FRAME_PX: Final = 32
@@ -473,7 +474,7 @@ class _Errors:
     """Errors of n points after k moves, target px."""
 
     moved: Float64
-    """(k, n, 2) moved minus unmoved match, minus the known move; NaN for lost and wrong ones."""
+    """(k, n, 2) moved minus unmoved match, minus the known move; NaN for lost and false ones."""
     phase: Float64
     """(k, n, 2) fraction of a pixel, 0 to 1, of the displacement that was matched."""
     false_matches: int
@@ -561,10 +562,10 @@ def _errors(
     sources = [move.source(each, setup.centre_px) for move, each in zip(moves, found, strict=False)]
     moved = (np.stack(sources) - before_px) * setup.unit_px
     off = np.linalg.norm(moved, axis=2)
-    wrong = off > WRONG_PX
+    false = off > FALSE_MATCH_PX
     lost = int((~np.isfinite(off[:, np.isfinite(before_px).all(axis=1)])).sum())
-    moved[wrong] = np.nan
-    return _Errors(moved, (np.stack(found) - setup.reference_px) % 1.0, int(wrong.sum()), lost)
+    moved[false] = np.nan
+    return _Errors(moved, (np.stack(found) - setup.reference_px) % 1.0, int(false.sum()), lost)
 
 
 def _locking(errors: _Errors) -> tuple[Float64, Float64]:
@@ -698,7 +699,7 @@ def _about_affine(places_px: Float64, values_px: Float64) -> float:
     linear, _ = global_affine(places_px, values_px)
     left = values_px - (places_px - places_px.mean(axis=0)) @ linear.T
     left -= np.median(left, axis=0)
-    return float(np.linalg.norm(left[np.linalg.norm(left, axis=1) < WRONG_PX].std(axis=0)))
+    return float(np.linalg.norm(left[np.linalg.norm(left, axis=1) < FALSE_MATCH_PX].std(axis=0)))
 
 
 def _phases(shifts: _Errors, wave: Float64) -> tuple[PhaseEntry, ...]:
@@ -912,7 +913,7 @@ def _asked(see: Callable[..., Float64], setup: ProofSetup, again: MatchedAgain) 
     found = np.full((len(setup.rows), 2), np.nan)
     for channels, points, guide, which in again.of_site:
         found[which] = see(setup, channels, points, guide)
-    found[np.linalg.norm(found, axis=1) > WRONG_PX] = np.nan
+    found[np.linalg.norm(found, axis=1) > FALSE_MATCH_PX] = np.nan
     return found
 
 
@@ -1113,7 +1114,7 @@ def _trial(part: _HarderPart, still: Registration, name: Difficulty, seed: int, 
         return float(np.median(np.linalg.norm(target_px - known, axis=1)))
 
     error = off_px(table.reference_px, move.source(table.target_px, centre))
-    correct = error <= WRONG_PX + off_px(before.reference_px, before.target_px)
+    correct = error <= FALSE_MATCH_PX + off_px(before.reference_px, before.target_px)
     return TrialEntry(level, "correct" if correct else "incorrect", len(table), error)
 
 

@@ -232,7 +232,7 @@ def _folded(placed: RpcPlacement, correction: AffineCorrection, what: str, advic
     return RpcRegistration(source.origin, grid, replace(grid, rpc=corrected), error_px, heights_m)
 
 
-def wrong_heights(reference: Grid, target: Grid, points: TiePointTable) -> str | None:
+def height_errors(reference: Grid, target: Grid, points: TiePointTable) -> str | None:
     """Return that residuals run along the parallax, as errors of the DEM make them; None where they do not.
 
     The `points` are those that agree, with the residuals of a correction.

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pcwlad_geo.correction import Effort
 from pcwlad_geo.correction.error_statistics import Proof
 from pcwlad_geo.correction.fit import CANDIDATES, LOSSLESS, VRT_MODELS
 from pcwlad_geo.correction.points import thin
@@ -16,7 +17,7 @@ from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner, one_blas_thread
 from pcwlad_geo.matching.outliers import consistent, contradicted_clusters
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
-from pcwlad_geo.options import Effort, Settings
+from pcwlad_geo.options import Settings
 from pcwlad_geo.products import of_one_product
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.grid import pixel_size_m, pixel_sizes_m
@@ -69,9 +70,9 @@ from pcwlad_geo.registration.result import (
 from pcwlad_geo.registration.rpc import (
     check_start,
     corrected_rpc,
+    height_errors,
     place_reference,
     place_target,
-    wrong_heights,
 )
 from pcwlad_geo.registration.scene import located, match_again_from_shifted_rpc, match_from_best_start
 from pcwlad_geo.text import joined
@@ -335,7 +336,7 @@ def fit(
             quality = quality.at_most("fair", UNKNOWN_ORIGIN)
         if sizes_m is not None and of_one_product(matches.pair.reference.uri, target.uri):
             quality = _with_prior(quality, table[table.status == "matched"], float(sizes_m.max()))
-        heights = wrong_heights(
+        heights = height_errors(
             matches.pair.reference.grid, target.grid, fitted.table.select("fit", "check", "unused")
         )
         if heights and quality.grade != "good":

@@ -5,10 +5,10 @@ import numpy as np
 from pcwlad_geo.matching.keypoints import FULL_SCALE
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.mutual_structure import (
-    alike_beyond_chance,
     mutual_structure,
     passes_paper,
     shared_structure,
+    significantly_correlated,
 )
 from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
 from pcwlad_geo.matching.refinement import InitialEstimate, Refined
@@ -72,10 +72,10 @@ def test_nothing_is_shared_under_a_cloud_however_well_the_match_is_placed() -> N
     channels = prepare(*images, channels="orientations").channels
     rows, cols = np.meshgrid(np.arange(60, side - 60, 20), np.arange(60, side - 60, 20), indexing="ij")
     corners = np.column_stack([rows.ravel(), cols.ravel()])
-    shared = alike_beyond_chance(channels, corners, np.tile([2.0, -3.0], (len(corners), 1)))
+    shared = significantly_correlated(channels, corners, np.tile([2.0, -3.0], (len(corners), 1)))
     assert shared[corners[:, 1] < 150].all()
     assert shared[corners[:, 1] > 250].mean() < 0.15
-    assert alike_beyond_chance(channels, corners[:0], np.zeros((0, 2))).shape == (0,)
+    assert significantly_correlated(channels, corners[:0], np.zeros((0, 2))).shape == (0,)
 
 
 def test_a_match_passes_when_it_became_more_similar_and_is_similar_enough() -> None:

@@ -20,7 +20,7 @@ MIN_SCALE_PX: Final = 1e-6
 """Least scale of the residuals, which keeps the weights finite where the fit is exact."""
 
 
-class _Limits(Structure):
+class _SurfaceLimits(Structure):
     _fields_ = (("rounds", WHOLE), ("ridge", REAL), ("tiny", REAL), ("min_scale_px", REAL))
 
 
@@ -54,7 +54,7 @@ def fit_surfaces(
         than two neighbours for each term.
     """
     n, most = neighbours.shape
-    limits = _Limits(ROUNDS, RIDGE, TINY, MIN_SCALE_PX)
+    limits = _SurfaceLimits(ROUNDS, RIDGE, TINY, MIN_SCALE_PX)
     neighbours, usable = np.ascontiguousarray(neighbours, np.int64), np.ascontiguousarray(usable)
     points = [address(array, np.float64) for array in (xy_px, displacement_px, at_xy_px)]
     filled = [address(array, np.float64) for array in (value, slope, scale, leverage)]
