@@ -19,7 +19,7 @@ from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.rpc.dem import Dem, Undulation
 from pcwlad_geo.raster.rpc.grid import RpcGrid, with_height_offset
 from pcwlad_geo.raster.rpc.ortho import ground_grid
-from pcwlad_geo.registration.rpc import wrong_heights
+from pcwlad_geo.registration.rpc import height_errors
 from tests.multi.rpc_views import grids_of_views, view_rpc
 from tests.rpc_scene import (
     ORIGIN_XY_M,
@@ -293,7 +293,7 @@ def test_residuals_along_the_parallax_of_a_pair_are_laid_to_the_dem(tmp_path: Pa
 
     def told(grids: list[RpcGrid]) -> str | None:
         points = SimpleNamespace(reference_px=pair.first_px, residual_px=left_over(grids, pair))
-        return wrong_heights(*grids, points)  # type: ignore[arg-type]
+        return height_errors(*grids, points)  # type: ignore[arg-type]
 
     assert told(true) is None
     found = told(given) or ""
