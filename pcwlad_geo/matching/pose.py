@@ -14,8 +14,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from threading import Lock
+from functools import cached_property
 from typing import Any, Final
 
 import cv2
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.estimation.solving import inverse, least_squares, solve
 from pcwlad_geo.matching.coarse import window_sums
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
-from pcwlad_geo.matching.refinement import in_threads
+from pcwlad_geo.matching.kernels.pose_search import cross_spectra, place_layer, weigh_by_overlap
 from pcwlad_geo.matching.shift_search import (
     MIN_PATCHES,
     Patches,
@@ -34,7 +33,7 @@ from pcwlad_geo.matching.shift_search import (
     normalised_channels,
     similarity_between,
 )
-from pcwlad_geo.types import Bool, Complex64, Float32, Float64
+from pcwlad_geo.types import Bool, Float32, Float64
 
 CORRELATION_CELLS: Final = 112
 """Longer side of the larger image, in cells of the correlation."""
@@ -64,6 +63,8 @@ REACH_CELLS: Final = 3
 """Largest change of the shift by the finer steps."""
 MASK_STEP: Final = 4
 """The overlap of two images is counted on every so-manieth cell along each axis."""
+IN_CACHE: Final = 2**16
+"""Number of scores that are computed together."""
 FRAME_PX: Final = 288
 """Longer side of the frame in which the patches of a pose are compared."""
 FRAME_MARGIN_PX: Final = 16
@@ -234,10 +235,10 @@ class _PoseTrial:
 class _Cells:
     """One image in cells, transformed for the correlation."""
 
-    spectra: Complex64
-    """(harmonics, rows, half the cols)."""
-    mask: Complex64
-    """Spectrum of the mask, of a coarser lattice."""
+    spectra: Float32
+    """(harmonics, 2, rows, half the cols) real and imaginary part."""
+    mask: Float32
+    """(1, 2, …) spectrum of the mask, of a coarser lattice."""
     shape: tuple[int, int]
     """Rows and columns before the zeros that the transform adds."""
     area: float
@@ -253,7 +254,6 @@ class _PoseImage:
     values: Float32
     valid: Bool
     _levels: dict[int, tuple[Float32, Float32, Float64]] = field(default_factory=dict)
-    _lock: Lock = field(default_factory=Lock)  # threads that need the same level compute it once
 
     @property
     def side_px(self) -> int:
@@ -295,7 +295,7 @@ class _PoseImage:
                 warped = np.stack([_warped(plane, warp, (rows, cols)) * known for plane in planes])
                 values.append(_turned(warped, angle_rad))
             yield _Cells(
-                scipy.fft.rfft2(np.concatenate(values), (size, size)),
+                _spectra(np.concatenate(values), (size, size)),
                 _mask_spectrum(known, size),
                 (rows, cols),
                 float(known.sum()),
@@ -325,14 +325,13 @@ class _PoseImage:
     def _level(self, side_cells: float) -> tuple[Float32, Float32, Float64]:
         """Return channels, usable px and the (3, 3) matrix from px, at the nearest half octave."""
         step = round(2 * math.log2(side_cells / CORRELATION_CELLS))
-        with self._lock:
-            if step not in self._levels:
-                factor = min(1.0, PIXELS_PER_CELL * CORRELATION_CELLS * 2 ** (step / 2) / self.side_px)
-                values, valid, to_map = _shrunk(self.values, self.valid, factor)
-                channels, usable = normalised_channels(values, valid)
-                maps = np.einsum("rco,ho->hrc", channels, _HARMONICS / ORIENTATIONS)
-                self._levels[step] = np.ascontiguousarray(maps), usable, to_map
-            return self._levels[step]
+        if step not in self._levels:
+            factor = min(1.0, PIXELS_PER_CELL * CORRELATION_CELLS * 2 ** (step / 2) / self.side_px)
+            values, valid, to_map = _shrunk(self.values, self.valid, factor)
+            channels, usable = normalised_channels(values, valid)
+            maps = np.einsum("rco,ho->hrc", channels, _HARMONICS / ORIENTATIONS)
+            self._levels[step] = np.ascontiguousarray(maps), usable, to_map
+        return self._levels[step]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -392,22 +391,24 @@ class _Scan:
         coarse = math.ceil(max(side, 1.6 * self.cells) / MASK_STEP)
         size = MASK_STEP * scipy.fft.next_fast_len(coarse, real=True)
         rotated = list(self.fixed.in_cells(self.cells, size, angles, per_cell=self.per_cell))
-        spectra = np.stack([cells.spectra for cells in rotated], axis=1)
-        masks = np.stack([cells.mask for cells in rotated])[None]
+        chosen = {
+            stride: _Rotations.of(list(zip(angles, rotated, strict=True))[::stride]) for stride in (1, 2)
+        }
         fixed_area = max(cells.area for cells in rotated)
         for ratio, moving in self._moving(ratios, size):
             least = max(MIN_OVERLAP * min(fixed_area, moving.area), MIN_CELLS)
             stride = _stride(ratio) if near is None else 1
             for opposite in (False, True) if both_halves else (False,):
-                scores = _scores(moving, spectra[:, ::stride], masks[:, ::stride], opposite, size, least)
-                for angle, cells, score in zip(angles[::stride], rotated[::stride], scores, strict=True):
-                    shift_rc = _highest(score, self._expected(moving, cells, near))
+                for angle, fixed, score, highest in chosen[stride].scores(moving, opposite, size, least):
+                    shift_rc = divmod(highest, size)
+                    if near is not None:
+                        shift_rc = _highest(score, self._expected(moving, fixed, near))
                     best = float(score[shift_rc[0] % size, shift_rc[1] % size])
                     turned = angle + np.pi * opposite
                     cycle = size if near is None else None
                     if best > 0:
                         yield _PoseTrial(
-                            best, turned, ratio, self, moving, cells, opposite, shift_rc, cycle, stride
+                            best, turned, ratio, self, moving, fixed, opposite, shift_rc, cycle, stride
                         )
 
     def _moving(self, ratios: Sequence[float], size: int) -> Iterator[tuple[float, _Cells]]:
@@ -416,10 +417,8 @@ class _Scan:
             for each in self.moving.in_cells(side, size, stretches=self.stretches, per_cell=self.per_cell):
                 yield ratio, each
 
-    def _expected(self, moving: _Cells, fixed: _Cells, near: Float64 | None) -> tuple[int, int] | None:
+    def _expected(self, moving: _Cells, fixed: _Cells, near: Float64) -> tuple[int, int]:
         """Return the shift (col, row), cells, at which a pose places the middle of the moving image."""
-        if near is None:
-            return None
         pose = inverse(near) if self.from_target else near
         middle = np.array([(moving.shape[1] - 1) / 2, (moving.shape[0] - 1) / 2, 1.0])
         col, row, _ = fixed.from_px @ pose @ inverse(moving.from_px) @ middle - middle
@@ -438,7 +437,6 @@ def search_pose(
     *,
     scales: tuple[float, float] = SCALES,
     stretched: bool = True,
-    threads: int = 1,
 ) -> PoseProposal | None:
     """Find the similarity, or the affine transformation, between two images whose structure agrees best.
 
@@ -452,8 +450,6 @@ def search_pose(
         Smallest and largest scale that is tried, target px per reference px.
     stretched : bool
         Whether the search goes on where no similarity is found: from others, and with a stretched reference.
-    threads : int
-        Number of threads that share the search; the result does not depend on it.
 
     Returns
     -------
@@ -467,19 +463,18 @@ def search_pose(
     first = _PoseImage(np.asarray(reference, np.float32), reference_valid)
     second = _PoseImage(np.asarray(target, np.float32), target_valid)
     scans = _Scan(first, second, from_target=False), _Scan(second, first, from_target=True)
-    trials = in_threads([partial(scan.everywhere, scales) for scan in scans], threads)
-    coarse = _distinct(itertools.chain(*trials), reference.shape)
+    coarse = _distinct(itertools.chain(*(scan.everywhere(scales) for scan in scans)), reference.shape)
     if not coarse:
         return None
-    patches = _OverlappingPatches(first, second, threads)
+    patches = _OverlappingPatches(first, second)
     grown = _grown(patches, [PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)], scales)
     if grown is not None:
         return grown
-    similarity = _best_similarity(first, second, coarse, threads)
+    similarity = _best_similarity(first, second, coarse)
     if similarity.accepted or not stretched:
         return similarity
-    starts = [trial.matrix for trial in coarse] + _stretched(first, second, scales, threads)
-    ascended = _ascended(first, second, starts, threads)
+    starts = [trial.matrix for trial in coarse] + _stretched(first, second, scales)
+    ascended = _ascended(first, second, starts)
     if not ascended:
         return similarity
     grown = _grown(patches, ascended[:GROWN], scales)
@@ -489,12 +484,10 @@ def search_pose(
     return _moved_to_consensus(first, second, ascended[0])
 
 
-def _best_similarity(
-    first: _PoseImage, second: _PoseImage, coarse: Sequence[_PoseTrial], threads: int
-) -> PoseProposal:
+def _best_similarity(first: _PoseImage, second: _PoseImage, coarse: Sequence[_PoseTrial]) -> PoseProposal:
     """Return the best of the similarities around those of the coarse search, and how it stands out."""
     shape = first.values.shape
-    ranked = _distinct(in_threads([partial(trial.scan.around, trial) for trial in coarse], threads), shape)
+    ranked = _distinct((trial.scan.around(trial) for trial in coarse), shape)
     best, rival = ranked[0], ranked[1].score if len(ranked) > 1 else 0.0
     proposal = PoseProposal(best.matrix[:2], best.score, _standing_out(best.score, rival, EVIDENCE_PER_RATIO))
     return _moved_to_consensus(first, second, proposal)
@@ -539,50 +532,64 @@ def _first_distinct(poses: Iterable[Float64], shape: tuple[int, ...], wanted: in
     return chosen
 
 
-def _scores(
-    moving: _Cells, spectra: Complex64, masks: Complex64, opposite: bool, size: int, least: float
-) -> Float32:
-    """Return the (rotations, size, size) scores of all shifts against every rotation of the fixed image.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rotations:
+    """Rotations of the fixed image, which are compared together."""
 
-    Its `spectra` are (harmonics, rotations, size, half the size), those of its mask (1, rotations, rows, half
-    the cols); `least` is the least overlap, cells.
-    """
-    blocks = (size // MASK_STEP, MASK_STEP) * 2
-    scores = scipy.fft.irfft2(_cross_spectra(moving.spectra, spectra, opposite), (size, size))
-    overlap = scipy.fft.irfft2(_cross_spectra(moving.mask[None], masks, opposite), blocks[::2])
-    overlap /= MASK_STEP**2
-    weight = (overlap >= least) / np.sqrt(np.maximum(overlap, 1.0))
-    by_block = scores.reshape(-1, *blocks)
-    by_block *= weight[:, :, None, :, None]
-    return np.asarray(scores)
+    angles_rad: tuple[float, ...]
+    cells: tuple[_Cells, ...]
+    spectra: Float32
+    """(n, harmonics, 2, rows, half the cols)."""
+    masks: Float32
+    """(n, 1, 2, …)."""
+
+    @staticmethod
+    def of(rotated: Sequence[tuple[float, _Cells]]) -> _Rotations:
+        """Return these angles, radians, and images."""
+        angles, cells = zip(*rotated, strict=True)
+        return _Rotations(
+            angles, cells, np.stack([each.spectra for each in cells]), np.stack([each.mask for each in cells])
+        )
+
+    def scores(
+        self, moving: _Cells, opposite: bool, size: int, least: float
+    ) -> Iterator[tuple[float, _Cells, Float32, int]]:
+        """Yield the angle, the image, the (size, size) scores of all shifts, and where the highest is.
+
+        `opposite` is whether the fixed image is turned by half, and `least` the least overlap, cells.
+        """
+        masks = cross_spectra(moving.mask, self.masks, opposite=opposite)
+        overlaps = scipy.fft.irfft2(masks, [size // MASK_STEP] * 2, overwrite_x=True) / MASK_STEP**2
+        some = max(1, IN_CACHE // size**2)
+        for start in range(0, len(self.cells), some):
+            part = slice(start, start + some)
+            spectra = cross_spectra(moving.spectra, self.spectra[part], opposite=opposite)
+            scores = scipy.fft.irfft2(spectra, (size, size), overwrite_x=True)
+            highest = weigh_by_overlap(scores, overlaps[part], least)
+            yield from zip(self.angles_rad[part], self.cells[part], scores, highest.tolist(), strict=True)
 
 
-def _highest(score: Float32, expected: tuple[int, int] | None) -> tuple[int, int]:
-    """Return the shift (row, col) of the highest score, near the (col, row) that is expected."""
-    if expected is None:
-        row, col = divmod(int(score.argmax()), score.shape[1])
-        return row, col
+def _highest(score: Float32, expected: tuple[int, int]) -> tuple[int, int]:
+    """Return the shift (row, col) of the highest score near the (col, row) that is expected."""
     reach = np.arange(-REACH_CELLS, REACH_CELLS + 1)
     part = score[np.ix_((expected[1] + reach) % len(score), (expected[0] + reach) % len(score))]
     down, right = divmod(int(part.argmax()), part.shape[1])
     return expected[1] + int(reach[down]), expected[0] + int(reach[right])
 
 
-def _cross_spectra(moving: Complex64, fixed: Complex64, opposite: bool) -> Complex64:
-    """Sum the cross spectra over the harmonics; the fixed image turned by half has the conjugate."""
-    moving = moving if opposite else moving.conj()
-    total, product = moving[0] * fixed[0], np.empty_like(fixed[0])
-    for first, second in zip(moving[1:], fixed[1:], strict=True):
-        total += np.multiply(first, second, out=product)
-    return np.asarray(total.conj() if opposite else total)
+def _spectra(maps: Float32, shape: tuple[int, int]) -> Float32:
+    """Transform (n, rows, cols) maps; return (n, 2, rows, half the cols), the real and the imaginary part."""
+    found = scipy.fft.rfft2(maps, shape)
+    return np.stack([found.real, found.imag], axis=1)
 
 
-def _mask_spectrum(known: Float32, size: int) -> Complex64:
+def _mask_spectrum(known: Float32, size: int) -> Float32:
     """Transform a mask summed over blocks, for a count of the overlap that may be coarse."""
     padded = np.zeros((size, size), np.float32)
     padded[: known.shape[0], : known.shape[1]] = known
     blocks = padded.reshape((size // MASK_STEP, MASK_STEP) * 2)
-    return np.asarray(scipy.fft.rfft2(blocks.sum(axis=(1, 3))), np.complex64)
+    summed = blocks.sum(axis=(1, 3))
+    return _spectra(summed[None], summed.shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -609,8 +616,7 @@ class _Votes:
 class _OverlappingPatches:
     """Patches of the reference, which are looked for in the target as poses place it."""
 
-    def __init__(self, reference: _PoseImage, target: _PoseImage, threads: int) -> None:
-        self.threads = threads
+    def __init__(self, reference: _PoseImage, target: _PoseImage) -> None:
         self._factor = min(1.0, VOTING_SIDE_PX / reference.side_px)
         values, self._valid, self._to_voting = _shrunk(reference.values, reference.valid, self._factor)
         self._channels, usable = _voting_channels(values, self._valid)
@@ -751,8 +757,7 @@ def _grown(
         pose = _affine(start.matrix[:, :2], start.matrix[:, 2])
         return *_climbed(patches, *patches.vote(pose, sample=True), sample=True), start
 
-    tries = in_threads([partial(sampled, start) for start in starts], patches.threads)
-    tries.sort(key=lambda each: -each[0].agreeing)
+    tries = sorted(map(sampled, starts), key=lambda each: -each[0].agreeing)
     for few, pose, start in tries[:FULLY_GROWN]:
         if few.agreeing < MIN_SAMPLED and start.evidence < WORTH_VOTES:
             continue
@@ -778,9 +783,7 @@ def _climbed(
     return votes, pose
 
 
-def _stretched(
-    reference: _PoseImage, target: _PoseImage, scales: tuple[float, float], threads: int
-) -> list[Float64]:
+def _stretched(reference: _PoseImage, target: _PoseImage, scales: tuple[float, float]) -> list[Float64]:
     """Search poses with the smaller image stretched in several directions; return the best (3, 3) ones."""
     limits = max(scales[0], STRETCHED_SCALES[0]), min(scales[1], STRETCHED_SCALES[1])
     turns = [(ratio, np.pi * (k + first) / n) for ratio, n, first in STRETCHES for k in range(n)]
@@ -792,22 +795,20 @@ def _stretched(
         _Scan(*images, *COARSE, stretches, per_cell)
         for images in ((reference, target, False), (target, reference, True))
     ]
-    trials = list(itertools.chain(*in_threads([partial(scan.everywhere, limits) for scan in scans], threads)))
-    trials.sort(key=lambda each: -each.score)
+    trials = sorted(
+        itertools.chain(*(scan.everywhere(limits) for scan in scans)), key=lambda each: -each.score
+    )
     poses = [trial.matrix for trial in trials[: 8 * ASCENDING]]
     return [
         poses[index] for index in _first_distinct(poses, reference.values.shape, ASCENDING, CLOSE_DISTANCE)
     ]
 
 
-def _ascended(
-    reference: _PoseImage, target: _PoseImage, poses: Sequence[Float64], threads: int
-) -> list[PoseProposal]:
+def _ascended(reference: _PoseImage, target: _PoseImage, poses: Sequence[Float64]) -> list[PoseProposal]:
     """Let (3, 3) poses ascend to better affine ones; return those that differ, the best first."""
     for cells in ASCENT_CELLS:
         ascent = _Ascent(reference, target, cells)
-        found = in_threads([partial(ascent.from_pose, pose) for pose in poses], threads)
-        found.sort(key=lambda each: -each[0])
+        found = sorted(map(ascent.from_pose, poses), key=lambda each: -each[0])
         poses = [pose for _, pose in found]
         chosen = _first_distinct(poses, reference.values.shape, REFINED, DISTINCT_DISTANCE)
         poses = [poses[index] for index in chosen]
@@ -890,22 +891,18 @@ class _Ascent:
         level = round(4 * math.log2(side_cells))
         if level not in self._levels:
             self._levels[level] = _packed(self._target, 2 ** (level / 4), self._per_cell)
-        left, _, right = np.linalg.svd(pose[:2, :2])
-        turn = left @ right
-        angle_rad = -math.atan2(turn[1, 0], turn[0, 0])
-        return self._placed_layers(self._levels[level], pose, angle_rad)
+        (a, b), (c, d) = pose[:2, :2].tolist()
+        return self._placed_layers(self._levels[level], pose, -math.atan2(c - b, a + d))
 
     def _placed_layers(
         self, layers: Sequence[tuple[Float32, Float64]], pose: Float64, angle_rad: float
     ) -> tuple[Float32, Float32]:
-        flags, placed = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, []
-        for packed, to_map in layers:
-            to_image = (to_map @ pose @ self._to_px)[:2]
-            warped = cv2.warpAffine(packed, to_image, self._shape[::-1], flags=flags)
-            known = np.where(warped[..., -1] > 0.5, self._known, np.float32(0))
-            planes = np.asarray((warped[..., :-1] * known[..., None]).transpose(2, 0, 1), np.float32)
-            placed.append(_turned(planes, angle_rad))
-        return np.ascontiguousarray(np.concatenate(placed)), known
+        placed = np.empty((len(layers), LAYER_HARMONICS, *self._shape), np.float32)
+        known = np.empty(self._shape, np.float32)
+        for (packed, to_map), planes in zip(layers, placed, strict=True):
+            to_image = np.ascontiguousarray((to_map @ pose @ self._to_px)[:2])
+            place_layer(packed, to_image, -2 * angle_rad, self._known, known, planes)
+        return placed.reshape(-1, *self._shape), known
 
 
 def _packed(image: _PoseImage, side_cells: float, per_cell: Sequence[float]) -> list[tuple[Float32, Float64]]:

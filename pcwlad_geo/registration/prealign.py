@@ -210,12 +210,9 @@ def by_search(
 
 
 def by_pose_search(
-    pair: ViewPair, overviews: Overviews, search_radius: int | None, threads: int = 1
+    pair: ViewPair, overviews: Overviews, search_radius: int | None
 ) -> StartingAlignment | None:
-    """Search the pose on the overviews, with `search_radius` as for `by_search`; None if none is accepted.
-
-    The `threads` share the search.
-    """
+    """Search the pose on the overviews, with `search_radius` as for `by_search`; None if none is accepted."""
     expected, _ = expected_scale(pair.reference.info.camera, pair.target.info.camera)
     if expected is None or pair.georeferenced:
         expected, factors = None, [overviews.factor] * 2
@@ -232,7 +229,6 @@ def by_pose_search(
         target.valid,
         scales=(SCALES[0] * by_px, SCALES[1] * by_px),
         stretched=not pair.georeferenced,  # a geotransform that errs is seldom stretched
-        threads=threads,
     )
     if found is None or not found.accepted:
         return None

@@ -612,7 +612,7 @@ def match_from_best_start(
     """
     best: tuple[Matched, StartingAlignment] | None = None
     searched, tried = False, 0
-    for start in _starts(pair, overviews, settings, log, runner.threads):
+    for start in _starts(pair, overviews, settings, log):
         searched |= start is None or start.prealignment.searched
         if start is None:
             continue
@@ -642,7 +642,7 @@ def match_from_best_start(
 
 
 def _starts(
-    pair: ViewPair, overviews: Overviews, settings: Settings, log: JobLog, threads: int
+    pair: ViewPair, overviews: Overviews, settings: Settings, log: JobLog
 ) -> Iterator[StartingAlignment | None]:
     """Yield what to start from, the best first; None where a search finds nothing credible."""
     radius = settings.search_radius
@@ -664,7 +664,7 @@ def _starts(
     yield None if found is None else StartingAlignment(found, pair, overviews)
     if can_be_posed(pair):
         with log.stage("prealignment"):
-            posed = by_pose_search(pair, overviews, radius, threads)
+            posed = by_pose_search(pair, overviews, radius)
         yield posed
     if search_first:
         yield direct

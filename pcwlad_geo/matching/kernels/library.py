@@ -101,4 +101,4 @@ def address(array: NDArray[Any], dtype: Any) -> int:  # noqa: ANN401
             f"a kernel needs a C-contiguous array of {np.dtype(dtype)}, "
             f"got {array.dtype} with strides {array.strides}"
         )
-    return array.ctypes.data
+    return int(array.__array_interface__["data"][0])  # `ctypes.data` takes twice as long
