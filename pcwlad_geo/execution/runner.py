@@ -92,13 +92,14 @@ def one_opencv_thread() -> Iterator[None]:
 
 
 @contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Limit the BLAS libraries to one thread in this process; a context manager, or a decorator.
+def one_library_thread() -> Iterator[None]:
+    """Limit OpenCV and the BLAS libraries to one thread in this process; a context manager, or a decorator.
 
-    Our systems of equations are small: further threads make them no faster, spin while they wait, and give
-    results that depend on the number of cores in their last digits.
+    Our images and systems of equations are small: further threads make them no faster, spin while they wait
+    (a seventh of the CPU time of a search for a pose), and give results that depend on the number of cores in
+    their last digits.
     """
-    with threadpool_limits(1, user_api="blas"):
+    with one_opencv_thread(), threadpool_limits(1, user_api="blas"):
         yield
 
 

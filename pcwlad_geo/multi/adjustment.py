@@ -28,7 +28,7 @@ from pcwlad_geo.correction.selection import MIN_GAIN_PX, RESAMPLING_SIGNIFICANCE
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.robust import jackknife, propagated
 from pcwlad_geo.estimation.solving import check_observations, components, inverse
-from pcwlad_geo.execution.runner import one_blas_thread
+from pcwlad_geo.execution.runner import one_library_thread
 from pcwlad_geo.matching.epipolar import MIN_EPIPOLAR_MATCHES, EpipolarGeometry, largest_distance_px, plane_of
 from pcwlad_geo.multi.network import (
     BLOCKS,
@@ -143,7 +143,7 @@ class Adjustment:
         return factor_of(self.normal, len(self.coefficients), self.fixed, check=True)
 
 
-@one_blas_thread()
+@one_library_thread()
 def adjust(
     edges: Sequence[Edge],
     images: int,
@@ -239,7 +239,7 @@ def _network(images: int, basis: Basis, fixed: tuple[int, ...]) -> Network:
     return Network(images, terms_of(basis), fixed, penalty_of(basis), mixing_of(basis))
 
 
-@one_blas_thread()
+@one_library_thread()
 def extend(
     before: Adjustment, edges: Sequence[Edge], more: Sequence[Edge], images: int, ground: bool = False
 ) -> Adjustment:

@@ -27,7 +27,7 @@ from pcwlad_geo.estimation.robust import (
     sigma_of,
 )
 from pcwlad_geo.estimation.solving import NormalEquations, components, inverse
-from pcwlad_geo.execution.runner import one_blas_thread
+from pcwlad_geo.execution.runner import one_library_thread
 from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px, middle_pixel_size_m
 from pcwlad_geo.raster.rpc.dem import Dem
@@ -276,7 +276,7 @@ def pixel_in_frame(block: RpcBlock, image: int) -> float:
     return float(np.sqrt(abs(np.linalg.det(jacobian(grid.middle_px, grid, block.frame)[0]))))
 
 
-@one_blas_thread()
+@one_library_thread()
 def adjust_block(
     block: RpcBlock,
     pairs: Sequence[BlockPair],

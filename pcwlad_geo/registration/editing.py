@@ -11,7 +11,7 @@ import numpy as np
 
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.execution.runner import one_blas_thread
+from pcwlad_geo.execution.runner import one_library_thread
 from pcwlad_geo.matching.matcher import margin_px, match_arrays
 from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.raster.grid import Window
@@ -71,7 +71,7 @@ class Editor:
         self.table = replace(self.table, residual_px=trial.residual_px)
         return trial
 
-    @one_blas_thread()
+    @one_library_thread()
     def compare(self, model: str, off: Collection[int]) -> EditedFit:
         """Fit a model to all points but those `off`, numbered from 0 by their rows.
 

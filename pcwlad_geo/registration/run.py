@@ -14,7 +14,7 @@ from pcwlad_geo.correction.fit import CANDIDATES, LOSSLESS, VRT_MODELS
 from pcwlad_geo.correction.points import thin
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
-from pcwlad_geo.execution.runner import InThisProcess, Runner, one_blas_thread
+from pcwlad_geo.execution.runner import InThisProcess, Runner, one_library_thread
 from pcwlad_geo.matching.outliers import consistent, contradicted_clusters
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.options import Settings
@@ -270,7 +270,7 @@ def _described(
     return replace(with_bands(with_compression_blocks(info), bands), content=content), notes
 
 
-@one_blas_thread()
+@one_library_thread()
 def match(pair: Pair, runner: Runner, *, on_event: EventCallback = ignore) -> Matches:
     """Find the tie points of a pair, or read those of the file that its settings name.
 
@@ -289,7 +289,7 @@ def match(pair: Pair, runner: Runner, *, on_event: EventCallback = ignore) -> Ma
     return replace(_only_wanted(found), warnings=tuple(log.warnings), seconds=log.seconds)
 
 
-@one_blas_thread()
+@one_library_thread()
 def fit(
     matches: Matches, settings: Settings | None = None, *, on_event: EventCallback = ignore
 ) -> AssessedFit:

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback
-from pcwlad_geo.execution.runner import Runner, one_blas_thread
+from pcwlad_geo.execution.runner import Runner, one_library_thread
 from pcwlad_geo.matching.matcher import match_arrays
 from pcwlad_geo.matching.pose import search_pose
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
@@ -116,7 +116,7 @@ class _Task:
         return _between(first, second, self.pose_vector, self.plane, reference_px)
 
 
-@one_blas_thread()
+@one_library_thread()
 def learn(
     captures: Sequence[Capture],
     sharpness: Sequence[Mapping[str, Sharpness]],
