@@ -41,7 +41,6 @@ if TYPE_CHECKING:  # slow to load; workers are started before
     from pcwlad_geo.registration.result import Registration
     from pcwlad_geo.report.content import Report
     from pcwlad_geo.report.page import Drawings
-    from pcwlad_geo.report.statistics import PrecisionMap
     from pcwlad_geo.tiepoints.table import TiePointTable
 
 
@@ -291,10 +290,6 @@ def write(
     kinds `elsewhere` end outside the output folder. Each other band of a product is written to its path in
     `bands`.
     """
-    # inside: slow to load, which the job may have done meanwhile
-    from pcwlad_geo.report.content import summarise
-    from pcwlad_geo.report.statistics import precision_of
-
     since = time.perf_counter()
     messages: list[str] = []
 
@@ -313,16 +308,14 @@ def write(
         *(staged[kind].name for kind in written if kind not in elsewhere),
         *(p.name for p in bands.values()),
     ]
-    precision = precision_of(registration)
-    report = summarise(registration, sorted(names), precision, grids[0] if grids else None)
     gcps = staged["gcps"].name if "gcps" in written else None
     side = ThreadPoolExecutor(1)  # GDAL warps without Python's lock
     try:
-        drawing = side.submit(copy_context().run, _draw, registration, report, gcps, precision)
+        drawing = side.submit(copy_context().run, _draw, registration, sorted(names), grids, gcps)
         job = Writing(registration, grids[0] if grids else None, places, tell)
         for done, _ in enumerate(_write_files(job, staged, bands, grids), start=1):
             on_event(Progress("writing", done, total))
-        drawings, seconds_drawing = drawing.result()
+        report, drawings, seconds_drawing = drawing.result()
     finally:
         side.shutdown(wait=False)  # an interrupt must not wait for a page that is discarded
     seconds = registration.seconds | {"writing": time.perf_counter() - since, "report": seconds_drawing}
@@ -369,16 +362,24 @@ def _write_report(
 
 
 def _draw(
-    registration: Registration, report: Report, gcps: str | None, precision: PrecisionMap | None
-) -> tuple[Drawings, float]:
-    """Return the drawings of the page, and the seconds they took, including the loading of libraries."""
+    registration: Registration, names: Sequence[str], grids: Sequence[Grid], gcps: str | None
+) -> tuple[Report, Drawings, float]:
+    """Return the report, the drawings of its page, and the seconds they took, with the loading of libraries.
+
+    The output files have the `names`, the raster is on the first of the `grids`; `gcps` is that with GCPs.
+    """
+    # inside: slow to load, which the job may have done meanwhile
+    from pcwlad_geo.report.content import summarise
     from pcwlad_geo.report.figures import close_fonts
     from pcwlad_geo.report.page import compose
+    from pcwlad_geo.report.statistics import precision_of
 
     since = time.perf_counter()
+    precision = precision_of(registration)
+    report = summarise(registration, names, precision, grids[0] if grids else None)
     drawings = compose(registration, report, gcps, precision)
     close_fonts()  # those of this thread, which ends here
-    return drawings, time.perf_counter() - since
+    return report, drawings, time.perf_counter() - since
 
 
 def _corrected_rpc(registration: Registration) -> RpcModel:

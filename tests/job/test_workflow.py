@@ -280,11 +280,11 @@ def test_an_interrupted_job_does_not_wait_for_the_page(
     use()
     begun, released, drawn = threading.Event(), threading.Event(), threading.Event()
 
-    def draw(*_: object) -> tuple[dict[str, object], float]:
+    def draw(*_: object) -> tuple[None, dict[str, object], float]:
         begun.set()
         released.wait(PATIENCE_S)
         drawn.set()
-        return {}, 0.0
+        return None, {}, 0.0
 
     def interrupt(event: Event) -> None:
         if isinstance(event, Progress) and event.stage == "warping":
