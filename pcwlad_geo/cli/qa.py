@@ -24,13 +24,11 @@ if TYPE_CHECKING:
 
 HEADER: Final = ("pair (reference – target)", "n", "mean px", "LE90 px", "CE90 px", "net", "CE90 m", "")
 """Header of the table of pairs."""
-LEFT: Final = (0, 7)
-"""Indices of the text columns, which are aligned on the left."""
 
 
 def stack_text(result: QaResult) -> str:
     """Return the text that is printed at the end of a band QA."""
-    lines = columns([HEADER, *(_pair(pair) for pair in result.pairs)], LEFT)
+    lines = columns([HEADER, *(_pair(pair) for pair in result.pairs)], left=(0, 7))
     if result.triangles:
         rows = [("triangle", "closure px", "places"), *(_triangle(each) for each in result.triangles)]
         lines += ["", *columns(rows, (0,))]

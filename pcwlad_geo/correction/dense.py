@@ -11,10 +11,6 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.types import Float64
 
-TOLERANCE_PX = 1e-9
-"""The inversion ends where the forward mapping misses the observed pixel by no more than this, per axis."""
-STEPS = 60
-"""Largest number of Newton steps of an inversion."""
 CHUNK = 1 << 16
 """Number of positions evaluated at once, which limits the memory for a raster of any size."""
 
@@ -39,11 +35,11 @@ def invert(
     observed = np.asarray(observed_px, dtype=np.float64)
     predicted = observed.copy()
     # Coordinates of a million px have no more digits than that.
-    tolerance = TOLERANCE_PX + 4 * np.finfo(np.float64).eps * np.abs(observed).max(axis=1)
+    tolerance = 1e-9 + 4 * np.finfo(np.float64).eps * np.abs(observed).max(axis=1)
     moving = np.isfinite(observed).all(axis=1)
     predicted[~moving] = np.nan
     index = np.flatnonzero(moving)
-    for _ in range(STEPS):
+    for _ in range(60):
         miss = observed[index] - forward(predicted[index])
         far = ~(np.abs(miss).max(axis=1) <= tolerance[index])
         index, miss = index[far], miss[far]
@@ -119,14 +115,10 @@ class Lattice:
 Mapping = Callable[[Float64], Float64]
 """A function from (n, 2) positions to (n, 2) positions (col, row), px; NaN where it has no value."""
 
-FIRST_STEPS = 64
-"""Number of steps along the longer side that is tried first; no correction has detail between them."""
 MIN_STEP_PX = 1.0
 """Least step of the lattice."""
 BETWEEN = ((0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (0.25, 0.25), (0.75, 0.25))
 """Positions in a cell (col, row) at which the interpolation is compared with the mapping."""
-SAFETY = 0.7
-"""Largest interpolation error at these positions, as a share of the tolerance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,12 +146,12 @@ def dense_mapping(
     row), px; the lattice covers the box from `low_px` to `high_px`.
     """
     low, high = np.array(low_px, dtype=np.float64), np.array(high_px, dtype=np.float64)
-    step = max(float((high - low).max()) / FIRST_STEPS, MIN_STEP_PX)
+    step = max(float((high - low).max()) / 64, MIN_STEP_PX)  # no correction has detail between them
     while True:
         lattice = Lattice.over(low, high, step)
         moved = in_chunks(mapping, lattice.nodes_px()).reshape(*lattice.shape, 2)
         error = _largest_error(mapping, lattice, moved)
-        if error <= SAFETY * tolerance_px or step <= MIN_STEP_PX:
+        if error <= 0.7 * tolerance_px or step <= MIN_STEP_PX:
             return DenseMapping(lattice, moved, error)
         step = max(step / 2, MIN_STEP_PX)
 

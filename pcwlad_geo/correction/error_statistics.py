@@ -19,9 +19,6 @@ Amount = Annotated[float, ("minimum", 0)]
 Count = Annotated[int, ("minimum", 0)]
 Share = Annotated[float, ("minimum", 0), ("maximum", 1)]
 
-THREE_SIGMA_PERCENT = 99.73
-"""Percentage of errors that a requirement "at 3 sigma" covers."""
-
 
 @dataclass(frozen=True, slots=True)
 class AxisStatistics:
@@ -166,7 +163,7 @@ def axis_statistics(errors: Float64) -> AxisStatistics:
 def radial_statistics(errors_xy: Float64) -> RadialStatistics:
     """Return the statistics of the lengths of the (n, 2) errors `errors_xy`, in any unit; n ≥ 1."""
     length = np.hypot(errors_xy[:, 0], errors_xy[:, 1])
-    ce90, ce95, ce99_7 = np.percentile(length, [90, 95, THREE_SIGMA_PERCENT]).tolist()
+    ce90, ce95, ce99_7 = np.percentile(length, [90, 95, 99.73]).tolist()
     return RadialStatistics(float(np.sqrt((length**2).mean())), ce90, ce95, ce99_7)
 
 
@@ -240,15 +237,11 @@ UNSURPRISING: Final = 1.25
 """Largest ratio of residuals to their sigmas that is expected of correct sigmas."""
 LAGS: Final = 8
 """Number of distances at which the roughness of the displacements is measured."""
-SAMPLE: Final = 400
-"""Largest number of points from which the roughness is measured."""
 DRAWS: Final = 64
 """Number of errors that represent a unit normal distribution."""
 LEAST_COMMON_PX: Final = 0.03
 """Least error per axis that all points of two images have in common: the structure of one does not lie just
 where that of the other does, however well the points agree (rows of an orchard: 0.09 to 0.17 px at 90 %)."""
-GOLDEN_ANGLE: Final = np.pi * (3 - np.sqrt(5))
-"""Angle between the directions of successive errors, with which directions are even at any length."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -411,7 +404,7 @@ def _extrapolation_variance(selection: Selection, residuals: Residuals, places_p
     if not isinstance(selection.fit.correction, AffineCorrection):
         observed = left + selection.fit.correction.forward(xy)
         left = observed - AffineCorrection("affine", affine_between(xy, observed)).forward(xy)
-    sample = np.linspace(0, len(xy) - 1, min(len(xy), SAMPLE)).astype(np.intp)
+    sample = np.linspace(0, len(xy) - 1, min(len(xy), 400)).astype(np.intp)
     separation = np.linalg.norm(xy[sample, None] - xy[None, sample], axis=2)
     halved = ((left[sample, None] - left[None, sample]) ** 2).sum(axis=2) / 4  # of two points, of two axes
     reach = max(float(np.ptp(xy, axis=0).max()) / 2, 1e-9)
@@ -429,7 +422,7 @@ def _extrapolation_variance(selection: Selection, residuals: Residuals, places_p
 def _normal_draws() -> Float64:
     """Return (DRAWS, 2) errors distributed like a unit normal distribution."""
     length = np.sqrt(-2 * np.log1p(-(np.arange(DRAWS) + 0.5) / DRAWS))
-    angle = GOLDEN_ANGLE * np.arange(DRAWS)
+    angle = np.pi * (3 - np.sqrt(5)) * np.arange(DRAWS)  # golden angles: even at any length
     return np.column_stack([length * np.cos(angle), length * np.sin(angle)])
 
 

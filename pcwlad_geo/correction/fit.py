@@ -35,10 +35,6 @@ from pcwlad_geo.types import Float64
 
 MIN_PROJECTIVE_POINTS = 6
 """Least number of tie points of a projective transformation."""
-STEPS = 30
-"""Largest number of Gauss-Newton steps of a projective transformation."""
-STEP_TOLERANCE_PX = 1e-6
-"""The iteration ends after a step shorter than this: the next would be its square over the points' radius."""
 
 
 def fit_projective(
@@ -83,7 +79,7 @@ def _gauss_newton(
 ) -> Float64:
     """Return the parameters of least squares: six of the affine numerator, two of the horizon, px."""
     parameters = start
-    for _ in range(STEPS):
+    for _ in range(30):
         rows = (root @ _projective_jacobian(parameters, place, radius_px)).reshape(-1, 8)
         values = np.einsum("iab,ib->ia", root, moved_px - _moved(parameters, place, radius_px)).ravel()
         if not (np.isfinite(rows).all() and np.isfinite(values).all()):
@@ -97,7 +93,7 @@ def _gauss_newton(
         )
         step = solve(rows.T @ rows, rows.T @ values, needs, least=COLLINEAR**2)
         parameters = parameters + step
-        if np.abs(step).max() < STEP_TOLERANCE_PX:
+        if np.abs(step).max() < 1e-6:  # the next would be its square over the radius
             break
     return parameters
 

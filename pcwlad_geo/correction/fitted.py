@@ -53,10 +53,6 @@ def _hull_area(points_px: Float64) -> float:
         return 0.0  # fewer than three points, or all on a line
 
 
-DETERMINED = 1e-12
-"""Least ratio of the smallest to the largest eigenvalue of normal equations that determine the parameters."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit(ABC):
     """A correction, and how well the tie points determine it."""
@@ -177,7 +173,7 @@ class ParametricFit(Fit):
         rows = (root @ self.jacobian(self.predicted_px[training])).reshape(-1, len(self.parameter_covariance))
         values = (root @ values_px[training]).reshape(len(rows), -1)
         needs = f"the {self.correction.name} model needs tie points in other parts of the image as well"
-        found = solve(rows.T @ rows, rows.T @ values, needs, least=DETERMINED)
+        found = solve(rows.T @ rows, rows.T @ values, needs, least=1e-12)
         return self.jacobian(self.predicted_px[test]) @ found
 
 

@@ -27,16 +27,10 @@ CYCLES: Final = 2.0
 """Least number of periods over the extent of the points; longer waves are what models take out."""
 OVERSAMPLED: Final = 4
 """Number of frequencies that are tried for each independent one."""
-MAX_FREQUENCIES: Final = 800
-"""Largest number of frequencies along an axis."""
 DIRECTIONS: Final = np.radians([*range(20, 75, 6), *range(110, 165, 6)])
 """Directions of waves, from the rows, that say what chance does: jitter runs along rows or columns."""
 CHANCE: Final = 1e-3
 """Largest probability that chance makes the highest peak of all, at which it is jitter."""
-MAX_WAVES: Final = 3
-"""Largest number of waves."""
-MAX_SEARCHED: Final = 4_000
-"""Largest number of points in which waves are looked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +78,7 @@ def peaks(at_px: Float64, rest_px: Float64, footprint_px: float) -> tuple[Peak, 
     distributed exponentially about it. The (n, 2) `rest_px` (col, row) are what a smooth model leaves of the
     displacements at the (n, 2) `at_px`, target px; the matching window is `footprint_px` wide.
     """
-    every = max(1, -(-len(at_px) // MAX_SEARCHED))
+    every = max(1, -(-len(at_px) // 4_000))
     at_px, rest_px = at_px[::every], rest_px[::every]
     if len(at_px) < MIN_WAVE_POINTS:
         return ()
@@ -104,7 +98,7 @@ def _peak(
     at_px: Float64, rest_px: Float64, along: int, of: int, shortest_px: float, footprint_px: float
 ) -> Peak:
     extent = float(np.ptp(at_px[:, along]))
-    most = min(int(OVERSAMPLED * extent / shortest_px), MAX_FREQUENCIES * OVERSAMPLED)
+    most = min(int(OVERSAMPLED * extent / shortest_px), 800 * OVERSAMPLED)
     frequency = np.arange(int(CYCLES * OVERSAMPLED), most + 1) / (OVERSAMPLED * extent)
     values = rest_px[:, of] - rest_px[:, of].mean()
     power = _power(at_px[:, along], values, frequency)
@@ -154,7 +148,7 @@ def fit_jitter(
     displacement, centre = observed - predicted, predicted.mean(axis=0)
     waves: tuple[tuple[int, float], ...] = ()
     rest = smooth_rest(predicted, displacement)
-    for _ in range(MAX_WAVES):
+    for _ in range(3):
         more = [each for each in peaks(predicted, rest, footprint_px) if each.significant]
         if not more:
             break
@@ -210,12 +204,8 @@ def _correction(
     return JitterCorrection("jitter", AffineCorrection("affine", matrix), fitted)
 
 
-BINS: Final = 48
-"""Largest number of intervals of a profile."""
 PARTS: Final = 8
 """Number of parts across the profile whose scatter gives its confidence band."""
-MIN_IN_BIN: Final = 5
-"""Least number of points of an interval, and least number of parts with points in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +230,7 @@ def profile(along: Float64, across: Float64, rest_px: Float64, least_step: float
     along, across, rest_px = along[known], across[known], rest_px[known]
     if len(along) < MIN_WAVE_POINTS or np.ptp(along) <= 0:
         return Profile((), (), ())
-    count = int(np.clip(np.ptp(along) / max(least_step, 1e-9), 1, BINS))
+    count = int(np.clip(np.ptp(along) / max(least_step, 1e-9), 1, 48))
     edges = np.linspace(along.min(), along.max(), count + 1)
     interval = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, count - 1)
     part = np.argsort(np.argsort(across, kind="stable"), kind="stable") * PARTS // len(across)
@@ -258,7 +248,7 @@ def _intervals(
         inside = interval == index
         parts = [rest_px[inside & (part == each)] for each in range(PARTS)]
         means = np.array([each.mean(axis=0) for each in parts if len(each)])
-        if np.count_nonzero(inside) < MIN_IN_BIN or len(means) < 3:
+        if np.count_nonzero(inside) < 5 or len(means) < 3:
             continue
         weight = np.array([len(each) for each in parts if len(each)], dtype=float)
         weight /= weight.sum()

@@ -585,16 +585,13 @@ _READERS = {
 }
 
 
-ORIENTATION_CELLS = 320
-"""Number of cells along the longer side whose orientation is tested, four per cell of the finest spline."""
-
-
 def has_foldover(correction: Correction, low_px: Float64, high_px: Float64) -> bool:
     """Return whether a correction has a foldover, or no value, anywhere in a box of predicted pixels.
 
     The (2,) `low_px` and `high_px` are corners of the box (col, row), px.
     """
-    lattice = Lattice.over(low_px, high_px, float((high_px - low_px).max()) / ORIENTATION_CELLS)
+    # four per cell of the finest spline
+    lattice = Lattice.over(low_px, high_px, float((high_px - low_px).max()) / 320)
     moved = correction.forward(lattice.nodes_px()).reshape(*lattice.shape, 2)
     along_cols, along_rows = np.diff(moved, axis=1), np.diff(moved, axis=0)
     for cols in (along_cols[:-1], along_cols[1:]):

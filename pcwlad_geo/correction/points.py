@@ -17,10 +17,6 @@ from pcwlad_geo.types import Bool, Float64, Index
 
 SURFACE_NEIGHBOURS = 40
 """Number of neighbours that a local surface is fitted to."""
-SURFACE_ROUNDS = 8
-"""Number of reweighted fits of a local surface."""
-MIN_SCALE_PX = 1e-6
-"""Least scale of the residuals, which keeps the weights finite where the fit is exact."""
 
 
 def local_surface(xy_px: Float64, values_px: Float64) -> Float64:
@@ -39,9 +35,9 @@ def local_surface(xy_px: Float64, values_px: Float64) -> Float64:
     around = values_px[near]
     scatter = around - np.median(around, axis=1, keepdims=True)
     value = np.empty_like(values_px)
-    for _ in range(SURFACE_ROUNDS):
+    for _ in range(8):
         size = np.hypot(scatter[..., 0], scatter[..., 1])
-        scale = np.maximum(np.median(size, axis=1, keepdims=True), MIN_SCALE_PX)
+        scale = np.maximum(np.median(size, axis=1, keepdims=True), 1e-6)  # 0 where the fit is exact
         weighted = design / (1 + (size / (2 * scale)) ** 2)[..., None]
         normal = np.einsum("nki,nkj->nij", weighted, design)
         normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(design.shape[2])
@@ -59,8 +55,6 @@ SCATTERS: Final = 6.11
 """The limit is this many times the robust scatter, per axis, of all points about their neighbours."""
 SIGMAS: Final = 4.0
 """The limit is at least this many times the sigma of the point, where it has one."""
-AGREEMENT_ROUNDS: Final = 4
-"""Largest number of repetitions of the comparison."""
 MIN_PX: Final = 1e-3
 """Least limit, and least sigma."""
 
@@ -97,7 +91,7 @@ def agreement(predicted_px: Float64, observed_px: Float64, sigma_px: Float64 | N
     unexplained = float(np.median(np.linalg.norm(residual_px, axis=1))) / max(spread_px, MIN_PX)
     own = np.zeros(n) if sigma_px is None else np.nan_to_num(sigma_px)
     kept = np.ones(n, bool)
-    for _ in range(AGREEMENT_ROUNDS):
+    for _ in range(4):
         difference_px = _from_neighbours(predicted_px, residual_px, kept)
         size_px = np.linalg.norm(difference_px, axis=1)
         scatter_px = axis_sigma(size_px[kept])
@@ -210,16 +204,6 @@ def _cell_of(xy_px: Float64, low: Float64, extent: Float64, side: float) -> tupl
     return index[:, 1] * shape[0] + index[:, 0], np.abs(place - index - 0.5).max(axis=1)
 
 
-MIN_TO_HOLD_OUT = 10
-"""Least number of points of which check points are held out."""
-ENOUGH_POINTS = 100
-"""Least number of points of which all check points wanted are held out; of fewer, a fifth of the points."""
-CHECK_SHARE = 0.4
-"""Largest share of the points that are check points."""
-FIT_SHARE = 0.75
-"""Least share of the points that stays in the fit; the guard distance shrinks to keep it."""
-
-
 def hold_out(xy_px: Float64, footprint_px: float, wanted: int = 30) -> NDArray[np.str_]:
     """Divide tie points into fit points, check points and points that are neither.
 
@@ -253,11 +237,11 @@ def hold_out(xy_px: Float64, footprint_px: float, wanted: int = 30) -> NDArray[n
         ``fit``, ``check`` or ``unused``.
     """
     n = len(xy_px)
-    if n < MIN_TO_HOLD_OUT or wanted < 1:
+    if n < 10 or wanted < 1:
         return np.full(n, "fit", dtype="<U6")
-    count = wanted if n >= ENOUGH_POINTS else min(wanted, n // 5)
-    count = min(count, int(CHECK_SHARE * n))
-    least_fit = min(int(np.ceil(FIT_SHARE * n)), n - count)
+    count = wanted if n >= 100 else min(wanted, n // 5)
+    count = min(count, int(0.4 * n))
+    least_fit = min(int(np.ceil(0.75 * n)), n - count)
     for number in (max(n // 20, count), count):
         check = _spread(xy_px, number)
         nearest = cKDTree(xy_px[check]).query(xy_px, p=np.inf)[0]
@@ -279,8 +263,6 @@ GROUPS = 16
 """Largest number of folds of a cross-validation."""
 MAX_BLOCKS = 1024
 """Largest number of blocks of a cross-validation."""
-POINTS_PER_BLOCK = 3
-"""Least number of points of a block, on average."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,7 +284,7 @@ def cross_validation_blocks(xy_px: Float64, footprint_px: float) -> CrossValidat
     """
     area = float(np.prod(np.ptp(xy_px, axis=0)))
     room = min(area / footprint_px**2, MAX_BLOCKS) if footprint_px > 0 else MAX_BLOCKS
-    block = spatial_blocks(xy_px, int(min(max(GROUPS, room), len(xy_px) // POINTS_PER_BLOCK)))
+    block = spatial_blocks(xy_px, int(min(max(GROUPS, room), len(xy_px) // 3)))
     # The last four halvings number 16 neighbours: equal remainders are 16 blocks apart.
     group = block % GROUPS
     return CrossValidationBlocks(block, tuple(group == number for number in np.unique(group)))

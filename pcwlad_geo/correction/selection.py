@@ -15,8 +15,6 @@ from pcwlad_geo.correction.points import SharedNoise, cross_validation_blocks, l
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.types import Bool, Float64
 
-MIN_BLOCKS = 4
-"""Least number of blocks with which models are compared by cross-validation."""
 SIGNIFICANCE = 1.0
 """Number of standard errors by which the affine must predict better than the shift."""
 CLEAR_SHARE = 0.25
@@ -50,8 +48,6 @@ COMMON_SIGMA = 0.6
 Residuals do not show it, and no number of points averages it out."""
 COMMON_CHANGE = 0.5
 """Share of the variance of that error which changes from place to place, as a deformation does."""
-SAMPLE = 64
-"""Number of points at which the precisions of two fits are compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +221,7 @@ def _block_errors(points: _Points, fits: dict[str, Fit], notes: dict[str, str]) 
     n = len(points.predicted_px)
     division = cross_validation_blocks(points.predicted_px, points.footprint_px)
     counted, block = np.unique(division.block[weight > 0], return_inverse=True)
-    if len(counted) < MIN_BLOCKS:
+    if len(counted) < 4:
         notes.update(dict.fromkeys(fits, f"{n} tie points are too few for a cross-validation"))
         return errors
     flexible = fits[next(reversed(fits))]
@@ -358,7 +354,7 @@ def _common(points: _Points, fit: Fit) -> tuple[float, float]:
 
 def _sample(predicted_px: Float64) -> Float64:
     ordered = predicted_px[np.lexsort(predicted_px.T)]
-    return ordered[np.linspace(0, len(ordered) - 1, min(len(ordered), SAMPLE)).astype(np.intp)]
+    return ordered[np.linspace(0, len(ordered) - 1, min(len(ordered), 64)).astype(np.intp)]
 
 
 def _differs(simple: Fit, other: Fit, points: _Points) -> bool:

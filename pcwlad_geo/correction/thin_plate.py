@@ -30,10 +30,6 @@ FIELD_CELL_PER_WINDOW = 0.5
 """Likewise, of a field, whose displacements are means over the windows and show finer detail."""
 WINDOW_NODES = 4
 """Number of places along the side of a window whose mean stands for that over the window."""
-MAX_STEPS = 12
-"""Largest number of conjugate gradient steps before the system is factorised again."""
-REST = 1e-7
-"""Relative residual at which the conjugate gradients end."""
 
 
 def grid_of(xy_px: Float64, footprint_px: float, *, field: bool = False) -> SplineGrid:
@@ -204,7 +200,7 @@ class Successive:
         if self._factor is not None:
             before = LinearOperator(energy.shape, matvec=self._factor.solve, dtype=np.float64)
             system = LinearOperator(energy.shape, matvec=times, dtype=np.float64)
-            self._found, left = cg(system, right, self._found, rtol=REST, maxiter=MAX_STEPS, M=before)
+            self._found, left = cg(system, right, self._found, rtol=1e-7, maxiter=12, M=before)
             rests = left == 0
         if not rests:
             self._factor = self._system.factor(self._system.normal(precision), smoothing)
@@ -218,14 +214,6 @@ def mean_precision(whitener: Float64, weight: Float64) -> Float64:
     The (n, 2, 2) `whitener` and the (n,) `weight` are those of `Estimate`.
     """
     return np.asarray(weight * (whitener**2).sum(axis=(1, 2)) / 2)
-
-
-MAX_FREEDOM = 0.6
-"""Largest effective number of parameters of the spline as a share of the number of points."""
-ROUNDS = 4
-"""Largest number of iterations between the choice of the smoothing and the estimate of α."""
-SETTLED = 0.02
-"""That iteration ends where α changes by less than this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +236,7 @@ class SmoothingTrial:
         Nonparametric regression with correlated errors, Statistical Science 16(2), 134-153).
         """
         used = (1 - alpha) * self.used[0] + alpha * self.used[1]
-        return self.squares / (1 - used) ** 2 if used < MAX_FREEDOM else np.inf
+        return self.squares / (1 - used) ** 2 if used < 0.6 else np.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -344,10 +332,10 @@ def best(trials: list[SmoothingTrial], alpha: float) -> tuple[int, float]:
     first; `alpha` is 1 or an earlier result.
     """
     index = 0
-    for _ in range(ROUNDS):
+    for _ in range(4):
         index = int(np.argmin([trial.score(alpha) for trial in trials]))
         before, alpha = alpha, trials[index].errors.alpha
-        if abs(alpha - before) < SETTLED:
+        if abs(alpha - before) < 0.02:
             break
     return index, alpha
 
@@ -356,8 +344,6 @@ LATTICE_SIDE = 32
 """Number of places whose precision is computed at once."""
 NODES = 20
 """Largest number of nodes along an axis between which the precision at many places is interpolated."""
-NEGLIGIBLE = 1e-3
-"""Influence of a point, as a share of the largest, up to which it is left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -414,7 +400,7 @@ class SplineFit(Fit):
         missed = self.smoothing * _pairs(answer.reshape(2 * k, m, 2), energy.reshape(2 * k, m, 2))
         influence = _influence(self.system, self.estimate, answer)
         size = np.abs(influence).max(axis=(1, 2))
-        near = size > NEGLIGIBLE * size.max()
+        near = size > 1e-3 * size.max()
         influence = influence[near]
         noise = _pairs(influence.reshape(-1, m, 2), influence.reshape(-1, m, 2))
         if self.footprint_px > 0:
@@ -445,22 +431,8 @@ def _pairs(left: Float64, right: Float64) -> Float64:
 
 MIN_SPLINE_POINTS = 12
 """Least number of tie points of a thin-plate spline."""
-SOFTEST = 0.02
-"""Relative smoothing over side⁴ at which the softest mode of a square plate is reduced to a tenth."""
-FACTOR = 4.0
-"""Ratio of successive smoothing parameters tried, which doubles the effective number of parameters."""
-MAX_TRIES = 14
-"""Largest number of smoothing parameters tried."""
 HOLE = 2.0
 """A field returns to the affine over so many times the distance up to which a point supports a correction."""
-FINER_STEPS = 6
-"""Number of smoothing parameters that are compared by cross-validation."""
-FOLD_COEFFICIENTS = 8000
-"""Number of coefficients, those of a spline times the folds, up to which more folds are computed."""
-MIN_FOLDS = 4
-"""Least number of folds."""
-TOLERANCE_PX = 1e-3
-"""The reweighting ends where the spline changes by less than this at every point."""
 
 
 def fit_tps(
@@ -547,14 +519,14 @@ def _smoothing_by_blocks(task: _SplineTask, start_px: Float64, footprint_px: flo
     trials = task.trials(task.weighted(start_px))
     smoothest, _ = _best(trials, tried)
     blocks = cross_validation_blocks(xy_px, footprint_px)
-    folds = int(np.clip(FOLD_COEFFICIENTS // task.system.energy.shape[0], MIN_FOLDS, len(blocks.tests)))
+    folds = int(np.clip(8000 // task.system.energy.shape[0], 4, len(blocks.tests)))
     tests = [np.asarray(test) for test in blocks.tests[:folds]]
     precision, system = trials.precision, task.system
     sigma = np.where(precision > 0, 1 / np.sqrt(np.where(precision > 0, precision, 1.0)), 0.0)[:, None]
     signs = random_signs(xy_px, PROBES)
     shared = [sigma * task.overlaps.times(signs * sigma * test[:, None]) for test in tests]
     errors = trials.at(trials.smoothing(tried[smoothest])).errors
-    finer = tried[smoothest : smoothest + FINER_STEPS]
+    finer = tried[smoothest : smoothest + 6]
     scores = np.zeros(len(finer))
     for test, noise in zip(tests, shared, strict=True):
         kept = np.where(test, 0.0, precision)
@@ -588,7 +560,8 @@ def _smoothing_by_score(task: _SplineTask, start_px: Float64) -> float:
 def _tried(task: _SplineTask) -> list[float]:
     """Return the smoothing parameters that are tried, the largest first."""
     side = float(max(task.system.grid.cells))
-    return [SOFTEST * side**4 / FACTOR**step for step in range(MAX_TRIES)]
+    # the first leaves a tenth of a square plate's softest mode; each next one doubles the parameters
+    return [0.02 * side**4 / 4.0**step for step in range(14)]
 
 
 def _best(trials: SmoothingTrials, tried: list[float]) -> tuple[int, float]:
@@ -637,4 +610,4 @@ class _SplineTask:
             found = successive.solve(precision, smoothing)
             return Solution(found, self.system.design @ found, freedom)
 
-        return reweighted(solve, start_px, self.rest_px, self.covariance_px2, tolerance_px=TOLERANCE_PX)
+        return reweighted(solve, start_px, self.rest_px, self.covariance_px2, tolerance_px=1e-3)

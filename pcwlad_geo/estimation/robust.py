@@ -32,14 +32,6 @@ MIN_VARIANCE_PX2 = 1e-8
 """Variance added to every covariance: no position is known to better than 1e-4 px, also where C_i is zero."""
 COLLINEAR: Final = 1e-6
 """Least ratio of the smallest to the largest singular value of a basis that the points determine."""
-TOLERANCE_PX: Final = 1e-7
-"""The reweighting ends where the fit changes by less than this at every point."""
-ITERATIONS: Final = 50
-"""Largest number of reweighted fits."""
-UNDAMPED_STEPS: Final = 10
-"""Number of steps after which weights are averaged with the old ones, so that all of them converge."""
-DAMPING: Final = 0.5
-"""Share of the new weights in that average."""
 COARSE_STEPS: Final = 10
 """Number of steps, after a start from a simpler model, in which τ² comes from the median of the residuals."""
 POINT_LIMIT: Final = 3.0
@@ -246,7 +238,7 @@ def reweighted(
     covariance_px2: Float64,
     *,
     coarse_steps: int = 0,
-    tolerance_px: float = TOLERANCE_PX,
+    tolerance_px: float = 1e-7,
 ) -> Estimate:
     """Iterate a weighted fit and its robust weights until the fit converges.
 
@@ -271,7 +263,7 @@ def reweighted(
     principal = _rotate(axes, displacement_px - fitted)
     floor = _variance_floor(principal, variance, MEDIAN_CHI2, median=True)
     weight = biweight(_squared(principal, variance + floor))
-    for step in range(ITERATIONS):
+    for step in range(50):
         before = fitted
         solution = solve(axes / np.sqrt(variance + floor)[:, :, None], weight)
         fitted = solution.fitted_px
@@ -283,7 +275,7 @@ def reweighted(
             floor = _variance_floor(principal, variance, MEDIAN_CHI2 * left, median=True)
         else:
             floor = _variance_floor(principal[inlier], variance[inlier], 2 * left, median=False)
-        share = 1.0 if step < UNDAMPED_STEPS else DAMPING
+        share = 1.0 if step < 10 else 0.5  # so that all weights converge
         weight = (1 - share) * weight + share * biweight(
             _squared(principal, variance + floor), REJECTION_SIGMA
         )

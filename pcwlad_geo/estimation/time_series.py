@@ -42,16 +42,10 @@ MIN_SEASON_YEARS: Final = 1.5
 """Shortest series in which a yearly wave can be told from a drift."""
 MIN_SEASON_IMAGES: Final = 12
 """Least number of images in which one is sought."""
-MAX_TERMS: Final = 12
-"""Largest number of terms of a series."""
 CLIPPED_SIGMA: Final = 2.0
 """Residuals beyond are clipped in the tests, in standard deviations."""
 MIN_SIGMA_PX: Final = 1e-3
 """Least standard deviation of a displacement: that of an image that is its own datum is none."""
-ITERATIONS: Final = 30
-"""Reweighted fits, at most."""
-TOLERANCE_PX: Final = 1e-5
-"""They end where the coefficients change by less."""
 
 Kind = Literal["step", "drift", "season"]
 SMOOTH_TERMS: Final[tuple[Kind, ...]] = ("drift", "season")
@@ -140,7 +134,7 @@ def _grown(series: _Series, orders: Sequence[Collection[Kind]]) -> list[Term]:
     """Add terms, of the first kinds before others, as long as they are more than chance."""
     terms: list[Term] = []
     before: set[tuple[Term, ...]] = set()
-    while len(terms) < MAX_TERMS and tuple(terms) not in before:
+    while len(terms) < 12 and tuple(terms) not in before:
         before.add(tuple(terms))
         found = (_strongest(series, terms, kinds) for kinds in orders)
         term = next((each for each in found if each is not None), None)
@@ -197,11 +191,11 @@ def _fit(series: _Series, terms: Sequence[Term], clip: Clip) -> tuple[Float64, F
     """Return the (k, 2) coefficients of a robust fit, the (n, 2) residuals in sigmas, and (n,) weights."""
     design, moved = series.white @ series.design(terms), series.white @ series.moved_px
     weigh = _clipped if clip == "huber" else _kept
-    return irls(weighted(design, moved), weigh, np.ones(len(moved)), ITERATIONS, _still)
+    return irls(weighted(design, moved), weigh, np.ones(len(moved)), rounds=30, still=_still)
 
 
 def _still(found: Float64, before: Float64) -> bool:
-    return bool(np.abs(found - before).max() < TOLERANCE_PX)
+    return bool(np.abs(found - before).max() < 1e-5)
 
 
 def _clipped(left: Float64) -> Float64:
@@ -375,12 +369,6 @@ FALSE_MOTION: Final = 0.01
 """Probability that any cell of a scene that stands still is said to move."""
 MIN_MOVING_IMAGES: Final = 6
 """Least number of images, counted by their share, that tell the velocity of a cell."""
-CLIPPED_MOTION_SIGMA: Final = 3.0
-"""Residuals of tie points beyond lose weight, in standard deviations."""
-VELOCITY_ROUNDS: Final = 10
-"""Number of reweighted fits of the velocities."""
-DISPLACEMENT_ROUNDS: Final = 4
-"""Of the displacements of a cell, which take longer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -425,13 +413,13 @@ def velocities(motions: Motions, cells: int, images: int) -> Velocities:
         off = np.hypot(*left_px.T) / motions.sigma_px
         return found, np.where(np.isfinite(off), off, 0.0)
 
-    found, _, factor = irls(solved, _motion_weights, np.ones(len(weight)), VELOCITY_ROUNDS)
+    found, _, factor = irls(solved, _motion_weights, np.ones(len(weight)), rounds=10)
     return _tested(motions, weight * factor, found, cells, images)
 
 
 def _motion_weights(off: Float64) -> Float64:
     """Return (n,) weights of residuals of (n,) lengths, in standard deviations."""
-    return huber(off, CLIPPED_MOTION_SIGMA * _unit(off))
+    return huber(off, 3.0 * _unit(off))
 
 
 def _unit(off: Float64) -> float:
@@ -462,7 +450,7 @@ def displacements(motions: Motions, images: int) -> tuple[Float64, Float64]:
         left_px = moved_px - found[ends[:, 1]] + found[ends[:, 0]]
         return (found, normal), np.hypot(*left_px.T) * np.sqrt(weight)
 
-    (found, normal), off, _ = irls(solved, _motion_weights, np.ones(len(weight)), DISPLACEMENT_ROUNDS)
+    (found, normal), off, _ = irls(solved, _motion_weights, np.ones(len(weight)), rounds=4)
     every, sigma_px = np.full((images, 2), np.nan), np.full(images, np.nan)
     if len(own) > 1:
         variance = np.diag(inverse(normal, NEEDED)).clip(0.0)

@@ -29,10 +29,6 @@ C_CONTRAST: Final = 0.03**2
 """C₂ stabilises the contrast term of the SSIM where both windows are flat; half of it the structure term."""
 PEAK_CLEARANCE_PX: Final = 3
 """Offsets within this distance of the peak, per axis, belong to it and are not taken for the second peak."""
-MAX_AT_ONCE: Final = 16
-"""Largest number of corners whose SSIM surfaces are computed at once."""
-VALUES_AT_ONCE: Final = 10_000
-"""Largest number of SSIM values computed at once, so that they stay in the processor's cache."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +78,7 @@ def match_coarsely(
         np.zeros((n, 2), np.intp), np.full(n, -1.0), np.zeros(n), np.zeros(n, bool), np.zeros((n, 2))
     )
     search = _SsimSearch(reference, target, template_px, radius_px, least_valid)
-    at_once = max(1, min(MAX_AT_ONCE, VALUES_AT_ONCE // (2 * radius_px + 1) ** 2))
+    at_once = max(1, min(16, 10_000 // (2 * radius_px + 1) ** 2))  # values that stay in the processor's cache
     for begin in range(0, n, at_once):
         some = np.arange(begin, min(begin + at_once, n))
         surfaces = search.surfaces(corners_rc[some])

@@ -29,10 +29,6 @@ SCATTERS: Final = 5.0
 """The limit is this many times the robust scatter of the matches about their lines."""
 SUPPORT: Final = 3
 """Least number of neighbours of about the same depth, as along its line nothing else holds a match."""
-ITERATIONS: Final = 20000
-"""Largest number of samples from which a fundamental matrix is fitted."""
-CONFIDENCE: Final = 0.9999
-"""Probability of a sample without outliers at which the sampling ends."""
 SAMPLE: Final = 7
 """Number of matches that determine a fundamental matrix."""
 MIN_EPIPOLAR_MATCHES: Final = 24
@@ -47,7 +43,6 @@ CELL_PER_WINDOW: Final = 0.75
 """Side of the cells that count as independent, in window sides."""
 CHANCE_FACTOR: Final = 2.0
 """Factor on the chance of agreement, as matches of unrelated images are not uniform over the search."""
-_SEED: Final = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,8 +208,8 @@ def plane_of(reference_xy_px: Float64, target_xy_px: Float64) -> Float64 | None:
 def _sampling() -> cv2.UsacParams:
     """Return the settings of the robust fits; the same matches always give the same geometry."""
     settings = cv2.UsacParams()
-    settings.threshold, settings.confidence = TOLERANCE_PX, CONFIDENCE
-    settings.maxIterations, settings.randomGeneratorState = ITERATIONS, _SEED
+    settings.threshold, settings.confidence = TOLERANCE_PX, 0.9999
+    settings.maxIterations, settings.randomGeneratorState = 20000, 1
     settings.score, settings.loMethod = cv2.SCORE_METHOD_MAGSAC, cv2.LOCAL_OPTIM_SIGMA
     settings.final_polisher = cv2.MAGSAC
     settings.sampler, settings.isParallel = cv2.SAMPLING_UNIFORM, False

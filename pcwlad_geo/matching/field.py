@@ -29,12 +29,8 @@ ROUGH_FROM_PX: Final = 0.15
 MAX_NEIGHBOURS: Final = 384
 """Largest number of neighbours that a surface is fitted to. Of more neighbours every k-th is taken, as its
 window shares pixels with those between."""
-NEAREST: Final = 12
-"""Number of neighbours whose median measures the scatter of the nearest points."""
 SAMPLE: Final = 400
 """Largest number of points that are compared with the prediction of their neighbours."""
-CHUNK_VALUES: Final = 2_000_000
-"""Largest number of (place, neighbour) pairs that are predicted at once, which limits the memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +96,7 @@ def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, surface
     """
     others, moved, thinned = _thinned(xy_px, displacement_px, surface)
     tree = cKDTree(others)
-    step = max(1, CHUNK_VALUES // max(min(len(others), thinned.count), 1))
+    step = max(1, 2_000_000 // max(min(len(others), thinned.count), 1))  # limits the memory
     parts = [
         _NeighbourSearch.of(tree, at_xy_px[begin : begin + step], thinned.count).predict(moved, thinned)
         for begin in range(0, max(len(at_xy_px), 1), step)
@@ -127,7 +123,7 @@ def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int) -> 
 def _nearest_scatter(xy: Float64, displacement: Float64) -> float:
     """Return the typical distance of a displacement from the median of its nearest neighbours."""
     sample = np.unique(np.linspace(0, len(xy) - 1, min(SAMPLE, len(xy))).astype(np.intp))
-    _, near = cKDTree(xy).query(xy[sample], k=np.arange(1, min(NEAREST, len(xy)) + 1))
+    _, near = cKDTree(xy).query(xy[sample], k=np.arange(1, min(12, len(xy)) + 1))
     return _typical(displacement[sample] - np.median(displacement[near], axis=1))
 
 

@@ -35,8 +35,6 @@ SIGMAS: Final = 3.0
 """The narrow limit is at least this many times the radial sigma of the point."""
 MIN_SUPPORT: Final = 1 / 3
 """Least share of the neighbours that must agree with a point within the wide, then the narrow limit."""
-ROUNDS: Final = 6
-"""Largest number of repetitions of each test, which ends when no further match is removed."""
 CONFIRMING: Final = 3
 """Number of neighbours that confirm an inconsistent match."""
 CONFIRMING_SHARE: Final = 0.2
@@ -66,7 +64,6 @@ QUADRATIC_FROM: Final = 40
 """Number of matches from which a quadratic surface predicts a cluster, beside a plane: the nearer counts."""
 TYPICAL_SIDES: Final = 3.0
 """Neighbours farther apart than so many typical ones, and than two windows, are none."""
-_REWEIGHTED: Final = 30
 
 
 def consistent(xy_px: Float64, displacement_px: Float64, sigma_px: Float64, window_px: int) -> Bool:
@@ -78,7 +75,7 @@ def consistent(xy_px: Float64, displacement_px: Float64, sigma_px: Float64, wind
     """
     kept = np.ones(len(xy_px), bool)
     for narrow in (False, True):
-        for _ in range(ROUNDS):
+        for _ in range(6):
             before = kept
             kept = _one_round(xy_px, displacement_px, sigma_px, kept, narrow)
             if (kept == before).all():
@@ -258,7 +255,7 @@ def _trend(xy: Float64, displacement: Float64, used: Bool, order: int) -> Float6
     x, y = place.T
     terms = [np.ones_like(x), x, y] + ([x * x, x * y, y * y] if order == 2 else [])
     basis, weight = np.column_stack(terms), used.astype(np.float64)
-    for _ in range(_REWEIGHTED):
+    for _ in range(30):
         weighted = basis.T * weight
         fitted = basis @ least_squares(weighted @ basis, weighted @ displacement)
         off = _length(displacement - fitted)

@@ -33,11 +33,6 @@ from pcwlad_geo.matching.speckle import Speckle, find_speckle, has_empty_border
 from pcwlad_geo.matching.types import Channels
 from pcwlad_geo.types import Bool, Float32, Float64
 
-RELAXATIONS: Final = 4
-"""Number of averaging steps per level, which make the fill continue the valid values smoothly."""
-COARSEST_PX: Final = 2
-"""Longest side of the coarsest level of the pyramid, which is filled with the mean."""
-
 _NEIGHBOURS: Final = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float64) / 4
 
 Floating = NDArray[np.floating[Any]]
@@ -64,7 +59,7 @@ def fill_smoothly(image: Floating, valid: Bool) -> Floating:
 def _fill_level(known: Float32, valid: Bool) -> Float32:
     """Fill one level from the next coarser one, then relax what was filled; `known` is 0 where invalid."""
     rows, cols = known.shape
-    if valid.all() or max(rows, cols) <= COARSEST_PX:
+    if valid.all() or max(rows, cols) <= 2:
         mean = known.sum() / max(int(valid.sum()), 1)
         return np.where(valid, known, mean).astype(np.float32)
     # Pull: means of the valid pixels only. Push: the coarse level is used only where this one has nothing.
@@ -75,7 +70,7 @@ def _fill_level(known: Float32, valid: Bool) -> Float32:
     filled = np.asarray(cv2.pyrUp(_fill_level(coarse, coarse_valid), dstsize=(cols, rows)), np.float32)
     known_mask, unknown_mask = valid.astype(np.uint8), (~valid).astype(np.uint8)
     cv2.copyTo(known, known_mask, filled)
-    for _ in range(RELAXATIONS):
+    for _ in range(4):
         smoothed = cv2.filter2D(filled, -1, _NEIGHBOURS, borderType=cv2.BORDER_REPLICATE)
         cv2.copyTo(smoothed, unknown_mask, filled)
     return filled

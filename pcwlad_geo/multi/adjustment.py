@@ -62,10 +62,6 @@ from pcwlad_geo.types import Bool, Float64, Index
 
 LEAST_SHARED: Final = 1.0
 """Least sigma of the shared error of a pair, in what its own blocks tell."""
-ROUNDS: Final = 30
-"""Number of rounds in which pairs that contradict the others lose their weight."""
-LINEARISATIONS: Final = 3
-"""Number of times that the points are summed up at the ground found so far."""
 MOST_ROUNDS: Final = 20
 """Largest number of times that the pairs in use are chosen anew."""
 FREEDOM: Final = 8
@@ -74,8 +70,6 @@ ALPHA: Final = 0.01
 """Probability that of all pairs of a stack, all right, one is left out."""
 MEDIAN_SIGMAS: Final = (FREEDOM * (2.0 ** (2 / FREEDOM) - 1)) ** 0.5
 """Median of an offset of such a pair, in sigmas."""
-FAR_SIGMAS: Final = 5.0
-"""What is known beforehand counts half where an image is found so many of its sigmas beyond."""
 MIN_REDUNDANCY: Final = 0.1
 """A pair that the others check less says nothing about the error that pairs have."""
 
@@ -200,7 +194,7 @@ def adjust(
     coefficients = np.zeros((images, network.terms, 2))
     used, shared = np.ones(len(edges), bool), 0.0
     evidence = np.array([edge.evidence for edge in edges])
-    for _ in range(LINEARISATIONS):  # at the ground that the displacements so far tell
+    for _ in range(3):  # at the ground that the displacements so far tell
         before = coefficients
         if sigma_known is not None and shared:  # not before the pairs themselves say how they err
             network = replace(network, known=_known(edges, basis, before, sigma_known))
@@ -231,7 +225,7 @@ def _known(edges: Sequence[Edge], basis: Basis, coefficients: Float64, sigma: Fl
     values = basis.values(np.concatenate([edge.first_xy for edge in edges]))
     moment = values.T @ values / len(values)
     squares = np.einsum("ita,ts,isa->i", coefficients, moment, coefficients)
-    weight = 1 / (sigma**2 + squares / FAR_SIGMAS**2)
+    weight = 1 / (sigma**2 + squares / 5.0**2)  # half as much at five sigmas
     return np.asarray(weight[:, None, None] * moment)
 
 
@@ -333,7 +327,7 @@ def _first_shared(network: Network, parts: Sequence[EdgeEquations]) -> float:
     """
     used, error = np.ones(len(parts), bool), errors_of(parts)
     shared = np.full(len(parts), 1e3)
-    for _ in range(ROUNDS):
+    for _ in range(30):  # L1 norm
         fits = network.solve(parts, used, shared * error).fits
         size = np.array([np.hypot(*fit.offset) for fit in fits]) / error
         typical = max(float(np.median(size)), LEAST_SHARED)
@@ -466,12 +460,6 @@ def _still_connected(
     return chosen
 
 
-GAUSS_NEWTON_STEPS: Final = 8
-"""Largest number of Gauss-Newton steps."""
-STILL_PX: Final = 1e-4
-"""They end where no corner of a frame moves by more."""
-MIN_HOMOGRAPHY_POINTS: Final = 6
-"""Least number of tie points of a homography."""
 HOMOGRAPHY: Final = "projective"
 """Name of the model."""
 FLEXIBLE_RATIO: Final = 2**0.5
@@ -563,7 +551,7 @@ def homographies(
     """
     edges = [on_epipolar_lines(edge) or edge for edge in edges]
     matrices = _chained(edges, images, datum or 0)
-    for _ in range(GAUSS_NEWTON_STEPS):
+    for _ in range(8):
         rectified = [_rectified(edge, matrices) for edge in edges]
         basis = polynomial_over([edge.first_xy for edge in rectified], 2, HomographyBasis)
         found = adjust(rectified, images, datum=datum, split=split, basis=basis)
@@ -575,7 +563,7 @@ def homographies(
                 for matrix, coefficients in zip(matrices, found.coefficients, strict=True)
             ]
         )
-        if max(float(np.abs(step).max()) for step in steps) < STILL_PX:
+        if max(float(np.abs(step).max()) for step in steps) < 1e-4:
             break
     values = {name: getattr(found, name) for name in Adjustment.__dataclass_fields__}
     adjusted = FrameAdjustment(**values, matrices=matrices)
@@ -598,10 +586,7 @@ def _homography(basis: PolynomialBasis, coefficients: Float64) -> Float64:
 
 def _chained(edges: Sequence[Edge], images: int, first: int) -> Float64:
     """Return (images, 3, 3) homographies along the pairs of most points from the first of each group."""
-    pairwise = [
-        plane_of(edge.first_xy, edge.second_xy) if len(edge) >= MIN_HOMOGRAPHY_POINTS else None
-        for edge in edges
-    ]
+    pairwise = [plane_of(edge.first_xy, edge.second_xy) if len(edge) >= 6 else None for edge in edges]
     matrices = np.tile(np.eye(3), (images, 1, 1))
     known: set[int] = set()
     by_points = sorted(range(len(edges)), key=lambda number: -len(edges[number]))
@@ -659,10 +644,6 @@ CANDIDATE_MODELS: Final = {
 """Models of an image that are tried for each that can be asked for."""
 MAX_IMAGES_TO_CHOOSE: Final = 40
 """Of more images so many of those nearest to the datum, in pairs, decide."""
-MAX_SCATTERS: Final = 3.0
-"""A left-out point counts at most as one that lies off by so many scatters of its pair."""
-SIGNIFICANCE: Final = 2.0
-"""An affine must predict better than a shift by so many standard errors of the difference."""
 
 
 def choose_basis(
@@ -723,7 +704,7 @@ def _is_better(gain: Float64, before: bool, after: bool, scatter: float) -> bool
     if not before:
         return bool(gain.mean() > 0)
     if after:
-        return bool(gain.mean() > SIGNIFICANCE * error)
+        return bool(gain.mean() > 2 * error)
     enough = scatter * np.sqrt(max(gain.mean(), 0.0)) >= MIN_GAIN_PX
     return bool(enough and gain.mean() > RESAMPLING_SIGNIFICANCE * error)
 
@@ -793,7 +774,7 @@ def _errors(trial: _ModelTrial, start: Adjustment, scatter: Float64, shared: Flo
             if fold is None or fold.kept is part:  # nothing of it was left out
                 continue
             off = fold.observed - fold.values @ (without[part.second] - without[part.first])
-            total += float(np.minimum((off / unit) ** 2, MAX_SCATTERS**2).sum())
+            total += float(np.minimum((off / unit) ** 2, 3.0**2).sum())
             count += off.size
         if count:
             found[number] = total / count

@@ -134,12 +134,6 @@ def _of_product(product: Product, wanted: Sequence[int | str] | None, mask: Path
     return [Wanted(band.opened_as(), 1, chosen, band.name, product.path, notes) for band in bands]
 
 
-LONGEST_NAME: Final = 24
-"""Largest length of a description that is used as a name."""
-_ONE_SIZE: Final = 1.05
-"""Ratio of pixel areas below which pixels count as equal in size."""
-
-
 @dataclass(frozen=True, slots=True)
 class Band:
     """A band of the set that is compared."""
@@ -242,7 +236,7 @@ def _finest_first(bands: Sequence[Band]) -> list[Band]:
     areas = [0.0 if band.px_m is None else band.px_m[0] * band.px_m[1] for band in bands]
     size, sizes = 0.0, {}
     for area in sorted(set(areas)):
-        size = area if area > size * _ONE_SIZE else size
+        size = area if area > size * 1.05 else size  # about equal ones count as equal
         sizes[area] = size
     return [band for _, band in sorted(zip(areas, bands, strict=True), key=lambda pair: sizes[pair[0]])]
 
@@ -312,7 +306,7 @@ def _without_zero(name: str) -> str:
 def _own_name(band: Band) -> str:
     """Return the name of a band within its file."""
     text = " ".join((band.description or "").split())
-    return text if 0 < len(text) <= LONGEST_NAME else f"band {band.info.band}"
+    return text if 0 < len(text) <= 24 else f"band {band.info.band}"
 
 
 def _short_stems(stems: Sequence[str]) -> list[str]:
@@ -328,10 +322,6 @@ def _short_stems(stems: Sequence[str]) -> list[str]:
     cut = max(low.rfind(mark, 0, shared) for mark in "_-. ") + 1
     short = [stem[cut:] for stem in stems]
     return short if all(short) else list(stems)
-
-
-MIN_CELL_POINTS: Final = 3
-"""Least number of points of a cell for its mean."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,7 +349,7 @@ def cell_means(at_px: Float64, values_px: Float64, side_px: float) -> dict[tuple
     return {
         (int(col), int(row)): CellMean(int(count[index]), (float(col_mean[index]), float(row_mean[index])))
         for index, (col, row) in enumerate(cells)
-        if count[index] >= MIN_CELL_POINTS
+        if count[index] >= 3
     }
 
 

@@ -29,8 +29,6 @@ MAX_CYCLES: Final = 20_000
 """Largest number of cycles that are looked at."""
 OPEN_SIGMAS: Final = 5.0
 """A cycle that fails to close by more sigmas is listed."""
-MAX_LISTED: Final = 30
-"""Largest number of cycles that are listed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +83,7 @@ def closure_of(pairs: Sequence[StackPair]) -> Closure:
             )
             found.append(Cycle(images, (col, row), sigma, (worst.reference, worst.target)))
     found.sort(key=lambda each: -math.hypot(*each.closure_px))
-    return Closure(len(every), root_mean_square(every), root_mean_square(good), tuple(found[:MAX_LISTED]))
+    return Closure(len(every), root_mean_square(every), root_mean_square(good), tuple(found[:30]))
 
 
 def misfit_sigmas(pair: StackPair) -> float:
@@ -147,8 +145,6 @@ NOISE_OF_MEDIAN: Final = 0.53
 """Standard deviation along an axis of the median of five normal errors, in their median distance from it."""
 LEAST_CAUSE_PX: Final = 0.05
 """Least part of the expected error of an image that is told."""
-PLACES: Final = 500
-"""Largest number of places at which the residuals of a pair are looked at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +182,7 @@ def residual_ce90(at_px: Float64, residual_px: Float64) -> float:
     The (n, 2) `residual_px` at the (n, 2) places `at_px` are averaged over neighbours, and the noise of
     single points, by which neighbours differ, is taken out.
     """
-    places = at_px[:: math.ceil(len(at_px) / PLACES)]
+    places = at_px[:: math.ceil(len(at_px) / 500)]
     residuals = Residuals(at_px, residual_px, np.ones(len(at_px), bool))
     left = left_by_correction(residuals, places, FIRST_WINDOW_PX)
     noise = SIGMA_90 * NOISE_OF_MEDIAN * float(np.median(left.spread_px))

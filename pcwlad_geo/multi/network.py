@@ -139,14 +139,8 @@ def basis_over(places: Sequence[Float64], model: str, roughness: float = ROUGHNE
     return SplineBasis(grid, polynomial.centre_px, polynomial.low_px, roughness)
 
 
-LEAST_SCATTER: Final = 0.1
-"""Least scatter of the points of a pair, in medians of their own sigmas."""
 SAME_PX: Final = 0.5
 """Points that lie nearer to each other in an image are of one feature, map units (px of the frame)."""
-NEIGHBOURS: Final = 16
-"""Points near a point that are looked for: enough to connect those of one feature."""
-MIN_BLOCKS: Final = 4
-"""Fewer blocks tell nothing of what the points of a pair share."""
 LEAST_CHECKED: Final = 0.01
 """Of an offset that the other pairs check less, the rest is of the arithmetic: it is not called wrong."""
 LARGEST_GROWTH: Final = 1e4
@@ -334,7 +328,8 @@ def _near_pairs(at: Float64) -> Index:
     equal = np.column_stack([order[same], order[same + 1]])
     first = np.full(len(places), len(at))
     np.minimum.at(first, of_place.ravel(), np.arange(len(at)))
-    distance, near = cKDTree(places).query(places, k=NEIGHBOURS + 1, distance_upper_bound=SAME_PX)
+    # itself, and enough to connect those of one feature
+    distance, near = cKDTree(places).query(places, k=17, distance_upper_bound=SAME_PX)
     one, other = np.nonzero(np.isfinite(distance))
     found = np.column_stack([first[one], first[near[one, other]]])
     return np.vstack([equal, found[found[:, 0] != found[:, 1]]]).astype(np.intp)
@@ -410,7 +405,7 @@ def _summed(edge: Edge, points: _Weighted, basis: Basis, side: float) -> EdgeEqu
     total = weights.sum(axis=0)
     each = np.trace(weights, axis1=1, axis2=2) / np.trace(total)
     typical_sigma = float(np.median(np.sqrt(np.trace(edge.covariance, axis1=1, axis2=2) / 2)))
-    scatter = max(sigma_of(points.left), LEAST_SCATTER * typical_sigma)
+    scatter = max(sigma_of(points.left), 0.1 * typical_sigma)
     sums = _sums(points, slice(None))
     return EdgeEquations(
         edge.first,
@@ -432,7 +427,7 @@ def _error(points: _Weighted, sums: Sequence[Float64], number: Index) -> float:
         block = _sums(points, number == each)
         if np.trace(block[2]) <= np.trace(inner) / 2:
             found.append(_solved(inner - block[2], shared_rhs - block[4]))
-    if len(found) < MIN_BLOCKS:
+    if len(found) < 4:  # fewer blocks tell nothing
         return 0.0
     terms = points.near.shape[1]
     changes = (np.array(found) - np.mean(found, axis=0)).reshape(len(found), 2, terms)

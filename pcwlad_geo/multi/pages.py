@@ -33,12 +33,8 @@ from pcwlad_geo.tiepoints.table import TiePointTable, predict_px
 
 MAP_SIDE_PX: Final = 220.0
 """Longer side of a map, CSS px."""
-MIN_SCALE_PX: Final = 0.05
-"""Least displacement for the scale of the arrows, px: smaller ones would only show noise."""
 MAP_MARGIN_PX: Final = 8.0
 """Margin around a map for the arrows at its edge, CSS px."""
-MAX_MAPS: Final = 12
-"""Largest number of maps on the page."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +66,7 @@ def displacement_maps(
     """Return the maps of the measured pairs of a summary, by decreasing CE90; `shapes` are (rows, cols)."""
     measured = [pair for pair in pairs if pair["local"]]
     worst = sorted(measured, key=lambda pair: -float(pair["displacement"]["px"]["radial"]["ce90"]))
-    return [_map(pair, shapes[pair["target"]]) for pair in worst[:MAX_MAPS]]
+    return [_map(pair, shapes[pair["target"]]) for pair in worst[:12]]
 
 
 def _map(pair: Mapping[str, Any], shape: Sequence[int]) -> DisplacementMap:
@@ -78,7 +74,7 @@ def _map(pair: Mapping[str, Any], shape: Sequence[int]) -> DisplacementMap:
     scale = MAP_SIDE_PX / max(rows, cols)
     longest = max(math.hypot(*each["mean_px"]) for each in pair["local"])
     arrow = 0.85 * MAP_SIDE_PX / SQUARES
-    per_px = arrow / max(longest, MIN_SCALE_PX)
+    per_px = arrow / max(longest, 0.05)  # smaller ones would only show noise
     return DisplacementMap(
         name=pair["name"],
         width=round(cols * scale + 2 * MAP_MARGIN_PX, 1),
@@ -297,8 +293,6 @@ NET_SIDE_PX: Final = 460.0
 """Side of the drawing of the net, CSS px."""
 NET_MARGIN_PX: Final = 60.0
 """Margin around the ring of images for their names, CSS px."""
-NAME_WIDTH_PX: Final = 100.0
-"""Width on either side for longer names, CSS px."""
 NAME_LENGTH: Final = 24
 """Largest number of characters of a name in the drawing."""
 OFFSET_CLASSES_PX: Final = (0.02, 0.05, 0.1, 0.3)
@@ -309,8 +303,6 @@ STATES: Final[dict[str, State]] = {"good": "good", "fair": "caution", "poor": "b
 """Colours of the grades of images."""
 NAMED_DOUBTS: Final = 5
 """Number of images that the verdict names with what speaks against them."""
-MAX_NAMED: Final = 40
-"""Largest number of images whose names stand in the drawing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -379,8 +371,8 @@ def stack_page(found: Stack, frame: StackFrame | None = None) -> str:
         nodes=nodes,
         links=[_link(pair, at) for pair in reversed(pairs)],
         side=NET_SIDE_PX,
-        name_width=NAME_WIDTH_PX,
-        named=len(nodes) <= MAX_NAMED,
+        name_width=100.0,
+        named=len(nodes) <= 40,
         classes=_class_names(OFFSET_CLASSES_PX, " to ", " px"),
         model=MODELS[found.images[-1].correction.name].words,
         added=[name for names in found.added for name in names],
@@ -510,7 +502,7 @@ def _shifts_in_time(found: Stack) -> tuple[bytes, str] | None:
     dated = [image for image in found.images if image.given.day is not None]
     dated.sort(key=lambda image: (str(image.date), image.name))
     days = np.array([image.given.day for image in dated], "datetime64[D]")
-    if len(np.unique(days)) < MIN_DATES:
+    if len(np.unique(days)) < 3:
         return None
     moved_px, sigma_px = (
         np.array([getattr(each, name) for each in dated]) for name in ("shift_px", "sigma_px")
@@ -519,10 +511,6 @@ def _shifts_in_time(found: Stack) -> tuple[bytes, str] | None:
     span = days[0], days[-1]
     line = TimeLine(days, moved_px, np.hypot(*sigma_px.T) / 2**0.5, no_model, none, (), span)
     return time_line_figure(line), f"{len(dated)} images from {span[0]} to {span[1]}"
-
-
-MIN_DATES: Final = 3
-"""Least number of dates of a time series."""
 
 
 def _ring(names: Sequence[str]) -> list[Node]:

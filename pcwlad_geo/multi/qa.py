@@ -51,8 +51,6 @@ if TYPE_CHECKING:
 
 NAMES: Final = {"numbers": "qa.json", "table": "qa.csv", "report": "qa.html", "pdf": "qa.pdf"}
 """File names of the outputs in OUT_DIR; the PDF on request."""
-OVERVIEW_PX: Final = 256
-"""Side of the overview that is read to check that a band is readable, px."""
 NOT_HERE: Final = {
     **dict.fromkeys(("ref_band", "tgt_band"), "is for a single pair: give bands"),
     **dict.fromkeys(("ref_mask", "tgt_mask"), "is for a single pair: give mask"),
@@ -231,7 +229,7 @@ def _why_unreadable(band: Band) -> str | None:
     from pcwlad_geo.raster.view import View  # slow to load
 
     try:
-        View(band.info, band.info.grid, "none").read_decimated(OVERVIEW_PX)
+        View(band.info, band.info.grid, "none").read_decimated(256)
     except InputError as error:
         return str(error)
     return None

@@ -162,8 +162,6 @@ def judge_triangles(requirement: BandRequirement, triangles: Sequence[Triangle])
     return Judged(requirement, values)
 
 
-SCHEMA_VERSION: Final = 1
-"""Version of the structure of qa.json."""
 UNITS: Final[Mapping[Literal["px", "native_px", "m"], Unit]] = {
     "px": "px",
     "native_px": "native px",
@@ -356,7 +354,7 @@ def summarise(result: QaResult, outputs: Sequence[str]) -> Summary:
     numbers = filled(
         QaNumbers,
         result,
-        schema_version=SCHEMA_VERSION,
+        schema_version=1,
         kind="qa",
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         requirements=tuple(_verdict(verdict) for verdict in result.verdicts),

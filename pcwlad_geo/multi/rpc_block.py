@@ -34,19 +34,9 @@ from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, with_height_offset
 from pcwlad_geo.types import Bool, Float64, Index
 
-LINEARISATIONS: Final = 10
-"""Largest number of times that lines of sight are intersected with the DEM anew."""
-STILL_PX: Final = 0.1
-"""They are not, once the DEM moves by less, its px."""
-REWEIGHTINGS: Final = 5
-"""Number of times that the points are weighted anew by how far they lie off."""
 GROUND_CELLS: Final = 5
 """The ground is divided into so many cells along each axis, which are left out in turn: fewer where they
 would be smaller than a pixel of the DEM, whose error neighbours would share."""
-MIN_CELLS: Final = 6
-"""In fewer cells with points no model is chosen: it is the simplest."""
-MIN_GAIN_PX: Final = 0.05
-"""Least error that a model must take out of points left out to replace a simpler one."""
 PRIOR_SHARED_PX: Final = 0.03
 """Standard deviation of the error that the points of a pair share, where no cycle tells it."""
 MIN_REDUNDANCY: Final = 0.3
@@ -57,18 +47,12 @@ DATUM_DEFECT: Final = 1e-5
 """Combinations of biases of less information than this share of the best known one are a matter of datum."""
 NO_PARALLAX: Final = 1e-3
 """Pairs that a metre of height displaces by fewer px tell nothing of heights."""
-LEAST_SHARED_PX: Final = 0.01
-"""Least standard deviation of the error that the points of a pair share."""
 OUTLIER_SIGMAS: Final = 5.0
 """A pair that lies off all others by more sigmas may be an outlier."""
 OUTLIER_SHARE: Final = 0.5
 """It is, if without it the others contradict each other by less than this share."""
 NO_ERROR_PX: Final = 1e-6
 """Standard deviation of a shared error that there is not."""
-UNOBSERVABLE_PX: Final = 1e3
-"""What is unobservable stays as it is, with this standard deviation."""
-DATUM_FACTOR: Final = 1e3
-"""Weight of the datum, in that of the best known parameter."""
 DEM_PLACE_M: Final = 100.0
 """Standard deviation of the horizontal place of a DEM, as weak as errors of a datum are large."""
 PLACE_SIGMAS: Final = 5.0
@@ -76,14 +60,6 @@ PLACE_SIGMAS: Final = 5.0
 HEIGHT_LIMIT: Final = 0.2
 """Heights off by more of their standard deviations count by their sign: what the ground of most points tells
 is their median, whatever lies on the rest (forest, cliffs, cells of a coarse DEM)."""
-WORSE_PX: Final = 0.1
-"""Points held out that lie farther off by less after an adjustment are no worse than before."""
-WORSE_SIGMAS: Final = 2.0
-"""Nor are they within so many standard errors."""
-SLOPE_STEP_PX: Final = 1.0
-"""Least step of the slope of the DEM, its px."""
-WINDOW_PARTS: Final = 5
-"""Heights are compared at so many by so many places of a window."""
 NEEDS: Final = "the correction of an RPC needs tie points or control points of each image"
 """What its equations ask for."""
 HEIGHT_STEP_M: Final = 1.0
@@ -218,7 +194,7 @@ class HoldOutCheck:
     @property
     def worse(self) -> bool:
         """Whether the adjustment did harm."""
-        return self.after_px - self.before_px > max(WORSE_PX, WORSE_SIGMAS * self.sigma_px)
+        return self.after_px - self.before_px > max(0.1, 2.0 * self.sigma_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,8 +288,8 @@ def _simplest_unbeaten(errors: Mapping[str, Float64]) -> str:
     chosen, *others = errors
     for model in others:
         gain = errors[chosen] - errors[model]
-        clear = len(gain) >= MIN_CELLS and gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain))
-        if clear and gain.mean() > MIN_GAIN_PX**2:
+        clear = len(gain) >= 6 and gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain))
+        if clear and gain.mean() > 0.05**2:
             chosen = model
     return chosen
 
@@ -429,14 +405,14 @@ def _design(terms: Float64) -> Float64:
 def _solved(problem: _BlockProblem) -> _BlockEstimate:
     """Iterate until lines of sight, weights and the pairs in use no longer change."""
     count, state, datum = len(problem.pairs), problem.start(), _datum(problem)
-    for turn in range(LINEARISATIONS):
+    for turn in range(10):
         before_px = state.dem_px
         linearised = _without_mean_slope(
             [_linearised_again(problem, number, state) for number in range(count)]
         )
         state = replace(state, start=state.parameters, start_dem_px=state.dem_px, linearised=linearised)
         state = _reweighted(problem, state, datum)
-        if turn and np.abs(state.dem_px - before_px).max() < STILL_PX:
+        if turn and np.abs(state.dem_px - before_px).max() < 0.1:  # px of the DEM
             break
     for _ in range(count):
         better = _without_the_outlier(problem, state, datum)
@@ -447,7 +423,7 @@ def _solved(problem: _BlockProblem) -> _BlockEstimate:
 
 
 def _reweighted(problem: _BlockProblem, state: _BlockEstimate, datum: Float64) -> _BlockEstimate:
-    for _ in range(REWEIGHTINGS):
+    for _ in range(5):
         state = _step(problem, _weighted(problem, state), datum)
     return state
 
@@ -526,10 +502,10 @@ def relief(block: RpcBlock, ground_px: Float64, window_px: float, dem_px: Float6
     lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
     rate = jacobian(frame.middle_px, frame, dem.grid)[0]
     at_px = map_px(ground_px, frame, dem.grid)
-    count = WINDOW_PARTS if window_px > 0 else 1
+    count = 5 if window_px > 0 else 1
     parts = (np.arange(count) + 0.5) / count - 0.5
     offsets_px = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 2) * window_px @ rate.T
-    step_px = max(SLOPE_STEP_PX, 0.5 * window_px / count * float(np.sqrt(abs(np.linalg.det(rate)))))
+    step_px = max(1.0, 0.5 * window_px / count * float(np.sqrt(abs(np.linalg.det(rate)))))
     given = [dem.at_px(at_px + offset_px, lon_lat) for offset_px in offsets_px]
 
     def higher(by_px: Float64) -> Float64:
@@ -656,8 +632,8 @@ def _equations(
         weight = weight[known] if keep is None else weight[known] * keep[number][known, None, None]
         equations.observe(np.concatenate([places, shared, dem]), design, weight, linear.residual_px[known])
     largest = float(equations.matrix.diagonal()[unknowns].max(initial=1.0))
-    equations.add(unknowns, DATUM_FACTOR * largest * datum @ datum.T)
-    equations.expect(unknowns, UNOBSERVABLE_PX)
+    equations.add(unknowns, 1e3 * largest * datum @ datum.T)  # far more than any point says
+    equations.expect(unknowns, 1e3)  # what is unobservable stays as it is
     return equations
 
 
@@ -693,7 +669,7 @@ def _step(problem: _BlockProblem, state: _BlockEstimate, datum: Float64) -> _Blo
     redundancy = float(_redundancy(problem, state, equations)[counted].sum())
     shared_px = PRIOR_SHARED_PX
     if redundancy >= MIN_REDUNDANCY:
-        shared_px = max(float(np.sqrt((offsets[counted] ** 2).sum() / (2 * redundancy))), LEAST_SHARED_PX)
+        shared_px = max(float(np.sqrt((offsets[counted] ** 2).sum() / (2 * redundancy))), 0.01)
     dem_px = state.start_dem_px + solution[problem.dem]
     return replace(state, parameters=parameters, offsets=offsets, shared_px=shared_px, dem_px=dem_px)
 

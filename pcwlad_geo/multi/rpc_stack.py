@@ -77,10 +77,6 @@ from pcwlad_geo.types import Bool, Float64, PathLike
 
 POINTS: Final = 3000
 """Largest number of tie points of a pair in the adjustment, spread evenly."""
-CONTROL_SIGMAS: Final = 5.0
-"""A control point that lies off by more sigmas is named."""
-RPC_FILES: Final = ("rpc", "rpc_text")
-"""Kinds of the files of a corrected RPC."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -463,7 +459,7 @@ def _misfits(placed: PlacedImages, pairs: Sequence[BlockPair], adjustment: Block
 def _off(pair: BlockPair, fit: BlockFit) -> Bool:
     """Return the (n,) mask of the control points that contradict all others."""
     off = np.hypot(*fit.residual_px.T) / np.sqrt(np.trace(pair.covariance_px2, axis1=1, axis2=2) / 2)
-    return np.asarray(off > CONTROL_SIGMAS * max(1.0, float(np.nanmedian(off))))
+    return np.asarray(off > 5.0 * max(1.0, float(np.nanmedian(off))))
 
 
 def control_warnings(placed: PlacedImages, pairs: Sequence[BlockPair], found: BlockAdjustment) -> list[str]:
@@ -535,7 +531,7 @@ def warp_image(
 
 def rpc_names(images: Sequence[str]) -> list[str]:
     """Return the names of the files of corrected RPCs that images of these names would have."""
-    return [NAMES[kind].format(stem=name) for name in images for kind in RPC_FILES]
+    return [NAMES[kind].format(stem=name) for name in images for kind in ("rpc", "rpc_text")]
 
 
 SIGNIFICANCE_LEVEL: Final = 0.1

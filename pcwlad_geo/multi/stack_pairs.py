@@ -508,23 +508,16 @@ def check_connected(
 
 ALL_PAIRS: Final = 8
 """Of so many images every pair is measured."""
-SPANNING_TREES: Final = 3
-"""Beyond, so many spanning trees without a common pair: each gives every image a pair, and two close
-a cycle with every pair."""
 MIN_OVERLAP: Final = 0.1
 """Least common ground of a pair, as a share of the smaller image."""
 OVERVIEW_PX: Final = 128
 """Longer side of an overview, px."""
 OVERLAP_CELLS: Final = 64
 """The common ground of all images is compared at so many places along each axis."""
-MIN_CELLS: Final = 64
-"""Least number of common places at which overviews are compared."""
 UNCERTAIN_VARIANCE: Final = 0.75
 """An image whose position has a larger variance, in those of a usual pair, gets one more pair."""
 LEAST_COST: Final = 0.2
 """The variance of a pair is taken as the square of this and its cost."""
-MOST_PAIRS: Final = 4
-"""Pairs an image, at most."""
 UNCERTAIN_SIGMA: Final = 1.5
 """An image of a sigma larger than so many medians gets further pairs."""
 DIRECT_IMAGES: Final = 300
@@ -616,7 +609,7 @@ def _likeness(frame: StackFrame, overviews: Sequence[Float64 | None]) -> Float64
         mean = (values @ weight.T) / count  # of the first over what both show
         square = ((values**2) @ weight.T) / count - mean**2
         found = ((values @ values.T) / count - mean * mean.T) / np.sqrt(square * square.T)
-    known = (count >= MIN_CELLS) & np.isfinite(found)
+    known = (count >= 64) & np.isfinite(found)
     return np.where(known, np.clip(found, 0.0, 1.0), 0.5)
 
 
@@ -645,7 +638,7 @@ def choose_pairs(
     """
     known = {image for pair in before for image in pair}
     chosen = dict.fromkeys(before)
-    for _ in range(SPANNING_TREES):
+    for _ in range(3):  # two close a cycle with every pair
         chosen |= dict.fromkeys(_spanning_tree(found, images, known, chosen))
     if images <= ALL_PAIRS:
         chosen |= dict.fromkeys(each.pair for each in found if not known.issuperset(each.pair))
@@ -678,7 +671,7 @@ def _strengthening(
     laplace = np.zeros((images, images))
     for pair in chosen:
         _connect(laplace, pair, weight[pair] / usual)
-    while len(taken) < MOST_PAIRS * images:
+    while len(taken) < 4 * images:
         variance = np.diag(pseudo_inverse(laplace[1:, 1:], hermitian=True))
         variance = np.concatenate([[0.0], variance])
         another = _another(found, taken, variance)

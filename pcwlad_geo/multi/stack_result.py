@@ -573,8 +573,6 @@ ITEM: Final = "item_{}.json"
 """File name of an item."""
 STAC_ASSET: Final = "data"
 """The asset of an item where no item has several."""
-UNKNOWN: Final = "1970-01-01T00:00:00Z"
-"""Time of an image whose date is not known: STAC asks for one."""
 MEDIA_TYPES: Final = {
     "COG": "image/tiff; application=geotiff; profile=cloud-optimized",
     "JP2OPENJPEG": "image/jp2",
@@ -667,7 +665,7 @@ def stac_item(
         "geometry": {"type": "MultiPolygon", "coordinates": outlines},
         "bbox": _box(rings),
         "properties": {
-            "datetime": UNKNOWN if date is None else _time(date),
+            "datetime": "1970-01-01T00:00:00Z" if date is None else _time(date),  # STAC asks for one
             **_reference_system(first),
             **_placed(first),
             "pcwlad_geo:date_known": date is not None,

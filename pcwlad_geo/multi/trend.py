@@ -28,8 +28,6 @@ COLUMNS: Final = (
     *("n", "mean_col_px", "mean_row_px", "ce90_px", "passed"),
 )
 """Columns of trend.csv."""
-SCHEMA_VERSION: Final = 1
-"""Version of the structure of trend.json."""
 _DAMAGED: Final = (InputError, OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError)
 """What a damaged report raises."""
 _DATE: Final = re.compile(
@@ -241,7 +239,7 @@ def _write(
         paths = {kind: folder.final_path(name) for kind, name in NAMES.items()}
         found = Trend(top, reports, series, tuple(skipped), paths)
         numbers = {
-            "schema_version": SCHEMA_VERSION,
+            "schema_version": 1,
             "kind": "trend",
             "folder": str(top),
             "reports": reports,
@@ -274,8 +272,6 @@ HEIGHT_PX: Final = 200.0
 """Height of a chart, CSS px."""
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44.0, 10.0, 10.0, 24.0
 """Margins of the plot, CSS px."""
-MIN_DATES: Final = 4
-"""Least number of dates for a comparison of the latest with those before."""
 RISEN_FACTOR: Final = 1.5
 """Factor by which the latest CE90 must exceed the median of those before to be marked."""
 
@@ -361,7 +357,7 @@ def nice_ticks(low: float, high: float) -> list[float]:
 
 def has_risen(values: Sequence[float]) -> bool:
     """Whether the last value is above all before it, and `RISEN_FACTOR` times above their median."""
-    if len(values) < MIN_DATES:
+    if len(values) < 4:
         return False
     return values[-1] > max(*values[:-1], RISEN_FACTOR * median(values[:-1]))
 

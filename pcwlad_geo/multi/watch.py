@@ -73,24 +73,16 @@ from pcwlad_geo.types import Bool, Float64, Index, PathLike
 
 NAMES: Final = {"numbers": "watch.json", "table": "watch.csv", "report": "watch.html", "motion": "motion.tif"}
 """File names of the outputs by kind."""
-SCHEMA_VERSION: Final = 1
-"""Of watch.json."""
 SATELLITE: Final = re.compile(r"(?<![A-Za-z0-9])(S[1-3][A-D]|L[COTEM]0[4-9])(?![A-Za-z0-9])")
 """The satellite in the name of a product: Sentinel or Landsat."""
 YEAR_S: Final = 365.25 * 86400
 """Length of a year, s."""
-CELLS_ALONG: Final = 48
-"""Number of cells along the longer side of the frame in which the motion of the ground is sought."""
-MIN_CELL_PX: Final = 16.0
-"""Least side of such a cell, px of the frame."""
 FIRST_YEAR, LAST_YEAR = 1900, 2200
 """Years in which an image may have been taken."""
 MAX_PACKED: Final = 120_000
 """Largest number of displacements of cells that the page holds, six bytes each."""
 PACKED_LARGEST: Final = 32767
 """Largest whole number of 16 bits."""
-MIN_SPAN_YEARS: Final = 0.1
-"""Shortest time in which a velocity is sought."""
 APPLIED: Final = "{}_registered.tif"
 """File name of an image that was written on the grid of the stack."""
 CORRECTED: Final = (
@@ -358,7 +350,7 @@ def watch(
                 warn(f"in no series, as they {why}: {', '.join(left)}")
         names = {name for kind, name in NAMES.items() if kind != "motion" or raster}
         watched = WatchNumbers(
-            schema_version=SCHEMA_VERSION,
+            schema_version=1,
             stack=str(folder),
             datum=str(numbers["datum"]),
             series=series,
@@ -667,7 +659,7 @@ def _moving_ground(
     Raises `InputError` if too few dates tell, an image or a pair cannot be read, or the images have RPCs.
     """
     span = dated[-1].year - dated[0].year
-    if len(dated) < MIN_MOVING_IMAGES or span < MIN_SPAN_YEARS:
+    if len(dated) < MIN_MOVING_IMAGES or span < 0.1:  # years
         raise InputError(
             f"{len(dated)} dates in {span:.2f} years are too few: {MIN_MOVING_IMAGES} are needed"
         )
@@ -675,7 +667,7 @@ def _moving_ground(
     corrections = [from_dict(entry["model"]) for entry in numbers["images"]]
     years = {image.given.name: (image.number, image.year) for image in dated}
     rows, cols = frame.grid.shape
-    cell_px = max(MIN_CELL_PX, max(rows, cols) / CELLS_ALONG)
+    cell_px = max(16.0, max(rows, cols) / 48)
     shape = int(np.ceil(rows / cell_px)), int(np.ceil(cols / cell_px))
     parts = []
     pairs = [pair for pair in numbers["pairs"] if pair["status"] == "used"]

@@ -29,10 +29,6 @@ X_NAMES: Final = ("x", "lon", "longitude")
 """Dimensions of a DataArray that are columns."""
 Y_NAMES: Final = ("y", "lat", "latitude")
 """Dimensions of a DataArray that are rows."""
-UNEVEN: Final = 1e-3
-"""Coordinates whose steps differ by more than this share of a step are not those of a regular grid."""
-ROUNDING: Final = 1e-6
-"""Geotransforms that differ by no more, px, differ by the rounding of the coordinates."""
 _STORED: Final[Mapping[str, str]] = {"bool": "uint8", "float16": "float32"}
 """Data types that GDAL has none for, and what holds their values."""
 _WIDER: Final = ("uint8", "int8", "uint16", "int16")
@@ -331,7 +327,7 @@ def _transform_of(data: DataArrayLike, place: Mapping[Any, Any]) -> Affine | Non
         if centres.ndim != 1 or len(centres) < 2:
             return written
         step = (centres[-1] - centres[0]) / (len(centres) - 1)
-        even = np.abs(np.diff(centres) - step).max() <= UNEVEN * abs(step)
+        even = np.abs(np.diff(centres) - step).max() <= 1e-3 * abs(step)
         if step == 0 or not even:
             raise InputError(
                 f"the coordinate {name} of the DataArray is not evenly spaced: resample it to a regular grid"
@@ -343,7 +339,7 @@ def _transform_of(data: DataArrayLike, place: Mapping[Any, Any]) -> Affine | Non
         return found
     corners_px = np.array([[0.0, 0.0], [cols, rows]])
     off_px = np.abs(apply_inverse(found, apply(written, corners_px)) - corners_px).max()
-    return written if off_px <= ROUNDING else found
+    return written if off_px <= 1e-6 else found  # rounding of the coordinates
 
 
 def like_the_source(raster: Raster, source: object) -> object:

@@ -21,17 +21,12 @@ MM_PER_UNIT: Final = {"2": 25.4, "3": 10.0, "4": 1.0, "5": 0.001}
 """Of EXIF's FocalPlaneResolutionUnit: inch, cm; mm and µm of TIFF/EP."""
 MAX_FOCAL_RATIO: Final = 1.25
 """Largest ratio of two focal lengths of one camera that do not contradict each other."""
-SAME_HEIGHT_M: Final = 1.0
-"""Largest difference of the heights above the sea of two frames taken from one height."""
 FOCAL_PX: Final = (10.0, 1e6)
 """Smallest and largest focal length, px, that is believed."""
-HEIGHT_M: Final = (0.5, 2e4)
-"""Smallest and largest height above the ground that is believed."""
 RATIO: Final = (1 / 64, 64.0)
 """Smallest and largest ratio of the pixels of two frames that is believed."""
 STATED_FROM: Final = 1.05
 """Ratio of the pixels from which it is told."""
-_DRONE: Final = "http://www.dji.com/drone-dji/1.0/"
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns# "
 """Elements of lists, which name nothing."""
 _NUMBER: Final = re.compile(r"[(\s]*([+-]?\d+(?:\.\d+)?)\s*\)?\s*$")
@@ -58,8 +53,10 @@ def camera_of(dataset: DatasetReader) -> Camera | None:
     GPSAltitude) and the attribute or element RelativeAltitude of DJI's XMP.
     """
     exif = tags_of(dataset, "EXIF")
-    match = _NUMBER.match(xmp_of(dataset).get(f"{_DRONE} RelativeAltitude", ("",))[0][:40])
-    relative = _within(float(match[1]), HEIGHT_M) if match else None
+    match = _NUMBER.match(
+        xmp_of(dataset).get("http://www.dji.com/drone-dji/1.0/ RelativeAltitude", ("",))[0][:40]
+    )
+    relative = _within(float(match[1]), (0.5, 2e4)) if match else None
     if not exif and relative is None:
         return None
     focal = [each for each in (_by_focal_plane(exif, dataset.shape), _by_35_mm(exif, dataset.shape)) if each]
@@ -113,7 +110,7 @@ def _lacking(reference: Camera | None, target: Camera | None) -> str | None:
     if reference.height_m is not None and target.height_m is not None:
         return None
     heights = reference.altitude_m, target.altitude_m
-    if heights[0] is None or heights[1] is None or abs(heights[0] - heights[1]) > SAME_HEIGHT_M:
+    if heights[0] is None or heights[1] is None or abs(heights[0] - heights[1]) > 1.0:
         return "the cameras' heights above the ground are not known of both frames"
     return None
 

@@ -121,8 +121,6 @@ _PROBE_M = 50.0
 _ROUNDS = 4
 """Most iterations of the conversion from metres to map units; each reduces the error to the share by which
 the map's scale changes along the displacement."""
-_EXACT_M = 1e-6
-"""What they end at: the next error is a share of it."""
 
 
 def displacement_m(xy_from: Float64, xy_to: Float64, crs: CRS | None) -> Float64:
@@ -159,7 +157,7 @@ def moved_xy(xy: Float64, along_m: Float64, crs: CRS) -> Float64:
         stretch = ground.stretch(xy + step / 2)
         missing_m = along_m - ground.along_m(xy, step, stretch)
         step = step + solve(stretch, missing_m[..., None])[..., 0]
-        if not np.nanmax(np.abs(missing_m), initial=0.0) > _EXACT_M:
+        if not np.nanmax(np.abs(missing_m), initial=0.0) > 1e-6:
             break
     return xy + step
 

@@ -21,8 +21,6 @@ from pcwlad_geo.types import PathLike
 
 _ZIP: Final = (".zip",)
 _TAR: Final = (".tar", ".tar.gz", ".tgz")
-MAX_DEPTH: Final = 6
-"""Number of folder levels that are searched."""
 _DAMAGED: Final = (
     *(OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zlib.error, lzma.LZMAError),
     *(zipfile.BadZipFile, tarfile.TarError),
@@ -87,7 +85,7 @@ def tree_of(path: Path) -> FileTree:
     """
     try:
         if path.is_dir():
-            return FileTree(path, tuple(sorted(_below(path, MAX_DEPTH))))
+            return FileTree(path, tuple(sorted(_below(path, levels=6))))
         archive = _Archive.of(path)
         return FileTree(path, tuple(sorted(_members(archive))), "/vsizip" if archive.zipped else "/vsitar")
     except _DAMAGED as error:

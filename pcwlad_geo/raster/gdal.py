@@ -63,9 +63,6 @@ GDAL_ERRORS: Final = (RasterioError, CPLE_BaseError)
 CACHE_BYTES: Final = 2**26
 """Largest size of GDAL's block cache; its default is a twentieth of the machine's memory."""
 
-GDAL_LOG: Final = "rasterio._env"
-"""Name of the logger that GDAL's own errors go to."""
-
 
 class _Records(logging.Handler):
     """Keeps what is logged."""
@@ -84,7 +81,7 @@ def gdal_log(level: int, *, passes_on: bool = True) -> Iterator[list[logging.Log
 
     Levels of `logging` below `level` are left out; other handlers receive it as well if `passes_on`.
     """
-    kept, logger = _Records(level), logging.getLogger(GDAL_LOG)
+    kept, logger = _Records(level), logging.getLogger("rasterio._env")
     before = logger.level, logger.propagate
     logger.addHandler(kept)
     logger.setLevel(level)
@@ -258,10 +255,6 @@ def _check_remote_sidecars(uri: str) -> None:
             raise UntrustedFileError(f"{uri}{ending} is a VRT")
 
 
-_SAMPLES: Final = 16
-"""Number of blocks sampled along each side of a large TIFF."""
-
-
 def check_dataset(uri: str, dataset: DatasetReader, band: int) -> None:
     """Check that a raster declares no more pixels than its files can hold and fit into memory.
 
@@ -323,7 +316,7 @@ def _stored_share(dataset: DatasetReader, band: int) -> float:
     """Return the share of evenly spread sample blocks of a TIFF that are stored in the file."""
     rows, cols = dataset.block_shapes[band - 1]
     counts = -(-dataset.height // rows), -(-dataset.width // cols)
-    places = [np.unique(np.linspace(0, count - 1, _SAMPLES).astype(int)).tolist() for count in counts]
+    places = [np.unique(np.linspace(0, count - 1, 16).astype(int)).tolist() for count in counts]
     found = [
         dataset.get_tag_item(f"BLOCK_OFFSET_{col}_{row}", "TIFF", bidx=band) is not None
         for row in places[0]

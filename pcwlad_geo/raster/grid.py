@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 from affine import Affine
@@ -119,19 +119,13 @@ class Window:
         )
 
 
-MIN_GCPS: Final = 3
-"""Least number of ground control points that determine a geotransform."""
-_FLATTEST: Final = 1e-6
-"""Ratio of the points' extents below which they count as lying on a line."""
-
-
 def geotransform_of(gcps: Sequence[GroundControlPoint]) -> tuple[Affine, float] | None:
     """Fit a geotransform to ground control points by least squares; None if fewer than three, or on a line.
 
     Pixel and line are corner-based: (0, 0) is the top-left corner of the first pixel. The second result is
     the largest residual of a control point, px; infinite for a geotransform that cannot be inverted.
     """
-    if len(gcps) < MIN_GCPS:
+    if len(gcps) < 3:
         return None
     px = np.array([[gcp.col, gcp.row] for gcp in gcps], dtype=np.float64)
     xy = np.array([[gcp.x, gcp.y] for gcp in gcps], dtype=np.float64)
@@ -149,7 +143,7 @@ def geotransform_of(gcps: Sequence[GroundControlPoint]) -> tuple[Affine, float] 
 
 def _on_a_line(points: Float64) -> bool:
     large, small = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(small <= _FLATTEST * large)
+    return bool(small <= 1e-6 * large)
 
 
 @dataclass(frozen=True, slots=True)

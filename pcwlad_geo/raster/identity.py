@@ -18,8 +18,6 @@ HEADER_BYTES: Final = 65536
 """Number of bytes at the beginning of a file that count as its header."""
 MAX_FILES: Final = 200
 """Largest number of files identified per input; a mosaic of more sources is identified by the first."""
-PATIENCE_S: Final = 10.0
-"""Timeout of a request for the version of a file on a server."""
 _REMOTE: Final = re.compile(r"(?:/vsicurl/)?(?P<url>https?://.+)", re.DOTALL)
 _NO_PIXELS: Final = (".aux.xml",)
 """Endings of files that other programs write beside a raster at any time: statistics, as QGIS keeps them."""
@@ -174,7 +172,7 @@ def _of_server(url: str) -> FileIdentity | None:
 
     request = urllib.request.Request(url, method="HEAD")
     try:
-        with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
+        with urllib.request.urlopen(request, timeout=10.0) as answer:
             said = answer.headers
             size, modified = said.get("Content-Length"), said.get("Last-Modified")
             return FileIdentity(

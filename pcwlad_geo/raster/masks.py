@@ -124,8 +124,6 @@ def _check(kind: MaskKind, uri: str, dtypes: Sequence[str]) -> None:
 Read = Callable[[Window, tuple[int, int]], NDArray[np.generic]]
 """A function that reads a window of a band, by nearest neighbour, into (rows, columns)."""
 
-CORNER_PX: Final = 3
-"""Side of the squares in the corners of a raster that show whether it may have a collar."""
 COLLAR_OVERVIEW_PX: Final = 1024
 """Largest side of the overview on which the outline of the data is sought."""
 JPEG_NOISE: Final = 8
@@ -141,12 +139,8 @@ OUTLINE_PX: Final = 1.5
 """Accuracy with which the outline of the data is simplified to sides, px of the overview."""
 MIN_SIDE: Final = 0.04
 """Least length of a side that is looked at, as a share of the larger side of the raster."""
-PLACES: Final = 32
-"""Number of places along a side at which the end of the data is located at full resolution."""
 REACH_PX: Final = 8
 """Distance from the side of the overview within which the data must end, in px beside two of the overview."""
-STRAIGHT_PX: Final = 1.0
-"""Largest distance from a straight line at which the end of the data counts as lying on it."""
 MIN_SUPPORT: Final = 0.6
 """Least share of the places at which the data end on a straight line. Shores touch one here and there."""
 PROTRUSION_PX: Final = 6.0
@@ -237,7 +231,7 @@ def _measured(collar: Collar, small: tuple[int, int]) -> Collar:
 
 def _corner_value(read: Read, shape: tuple[int, int]) -> float | None:
     """Return the commonest value of the constant corners, but for noise; None if there is none."""
-    side = min(CORNER_PX, *shape)
+    side = min(3, *shape)
     found = []
     for row in (0, shape[0] - side):
         for col in (0, shape[1] - side):
@@ -310,13 +304,13 @@ def _straight_side(
     length = float(np.hypot(*(end - begin)))
     along = (end - begin) / length
     outward = np.array([along[1], -along[0]])
-    at = np.linspace(0.04, 0.96, PLACES) * length
+    at = np.linspace(0.04, 0.96, 32) * length
     reach = round(2 * overview_px) + REACH_PX
     depth = np.array([_data_depth(read, shape, value, begin + s * along, outward, reach) for s in at])
     one, other = np.nonzero(at[None, :] - at[:, None] > length / 4)
     slope = (depth[other] - depth[one]) / (at[other] - at[one])
     off = np.abs(depth - (depth[one, None] + slope[:, None] * (at - at[one, None])))
-    on_line = off <= STRAIGHT_PX
+    on_line = off <= 1.0
     best = on_line[on_line.sum(axis=1).argmax()]
     if best.mean() < MIN_SUPPORT:
         return None
@@ -374,16 +368,12 @@ FRAME_TOLERANCE: Final = 0.08
 """Difference from its tone, as a share of that spread, that the border of a scan may have at least."""
 FRAME_DEPTH: Final = 0.2
 """Largest depth of a border, as a share of the image."""
-FRAME_SLOPES: Final = np.linspace(-0.03, 0.03, 25)
-"""Slopes of the border's end that are tried: a scan is laid down within two degrees."""
 FRAME_EDGE_PX: Final = 8
 """Depth of the strips on both sides of the border's end, px of the overview."""
 FRAME_OUTSIDE: Final = 0.7
 """Least share of the border that has its tone: fiducial marks, clocks and text have the rest."""
 FRAME_INSIDE: Final = 0.4
 """Largest share of the image just inside that has the tone of the border."""
-FRAME_SIDES: Final = 3
-"""Number of sides of a scan at least that have a border."""
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -414,7 +404,7 @@ def find_frame(read: Read, shape: tuple[int, int]) -> Collar | None:
         ends = _border_end(view, FRAME_TOLERANCE * middle)
         if ends is not None:
             sides.append(_side_of(outward, np.add(ends, BLENDED_PX) * factor, shape))
-    if len(sides) < FRAME_SIDES:
+    if len(sides) < 3:  # of the four of a scan
         return None
     value = float(np.median([np.median(strips[0]), np.median(strips[2])]))
     return _measured(Collar(shape, value, tuple(sides)), small)
@@ -433,7 +423,7 @@ def _border_end(overview: Float64, tolerance: float) -> tuple[float, float] | No
     col = np.arange(same.shape[1])
     edge = np.ones(FRAME_EDGE_PX) / FRAME_EDGE_PX
     best, found = 0.0, None
-    for slope in FRAME_SLOPES:
+    for slope in np.linspace(-0.03, 0.03, 25):  # a scan is laid down within two degrees
         tilt = slope * (2 * col - overview.shape[1] / 2)
         at = np.clip(np.rint(depth[:, None] + tilt).astype(int), 0, len(overview) - 1)
         share = same[at, col].mean(axis=1)
@@ -489,8 +479,6 @@ class Areas:
 
 VECTOR_BEGINNINGS: Final = (b"SQLite format 3\0", b"\0\0\x27\x0a", b"fgb", b"{")
 """What the files begin with that are read: GeoPackage, Shapefile, FlatGeobuf, GeoJSON. None names others."""
-PARTS_OF_AN_EDGE: Final = 192
-"""Edges are divided into so many along the longer side of what is read: in another CRS they are curved."""
 
 
 def read_areas(path: PathLike, grid: Grid) -> bytes:
@@ -506,7 +494,7 @@ def read_areas(path: PathLike, grid: Grid) -> bytes:
         raise InputError(f"{name} holds other than polygons: give areas (of lines or points a buffer)")
     left, bottom, right, top = box
     near = shapely.clip_by_rect(shapely.union_all(shapely.make_valid(shapes)), *box)
-    edges = shapely.segmentize(near, max(right - left, top - bottom) / PARTS_OF_AN_EDGE)
+    edges = shapely.segmentize(near, max(right - left, top - bottom) / 192)  # in another CRS they are curved
     placed = shapely.transform(edges, lambda xy: transform_xy(xy, crs, grid.crs))
     return bytes(shapely.to_wkb(shapely.make_valid(placed)))
 

@@ -107,7 +107,6 @@ MARGIN_PX = 64
 EXTENT_MARGIN_PX = 256
 """Margin of the target around an extent, for its displacement, matching-grid px."""
 _SAME_SIZE_PX = 0.01  # what differing pixel sizes may add up to over the overlap
-_SAME_COORDINATES_PX = 0.001
 FINER: Final = 0.99
 """The reference counts as finer below this ratio of the pixel sizes."""
 # File px per matching-grid px from which area averages are used. Below it the edges of the cells, which fall
@@ -280,7 +279,7 @@ def _same_coordinates(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) 
         return True
     dense = shapely.get_coordinates(shapely.segmentize(common, max(common.length / 64, 1.0)))
     as_if_equal = to_grid.to_px(from_grid.to_xy(dense))
-    return bool(np.abs(map_px(dense, from_grid, to_grid) - as_if_equal).max() <= _SAME_COORDINATES_PX)
+    return bool(np.abs(map_px(dense, from_grid, to_grid) - as_if_equal).max() <= 0.001)
 
 
 def _flipped(grid: Grid, signs: Float64) -> Grid:

@@ -25,8 +25,6 @@ _SAME_ACROSS_UNITS: Final = 0.02
 """Where units differ, sizes within this share of a multiple or fraction of the reference's become that."""
 _SAME_SCALE: Final = 0.1
 """Between two CRSs of the same unit whose scales differ by less, a pixel size is kept: 30 m stay 30 m."""
-_ALIGNED: Final = 1e-9
-"""Axes that deviate by at most this share of a pixel's side count as parallel."""
 
 
 def pixel_sizes(lattice: Grid, reference: Grid, target: Grid, rasters: Sequence[Grid]) -> list[Float64]:
@@ -77,7 +75,7 @@ def _own_size(lattice: Grid, raster: Grid, reference_size: Float64 | None) -> Fl
     matrix = np.abs(inverse(linear_part(lattice.transform)) @ linear_part(raster.transform))
     if matrix[0, 1] > matrix[0, 0]:
         matrix = matrix[:, ::-1]  # columns along y
-    if max(matrix[0, 1], matrix[1, 0]) > _ALIGNED * matrix.max():
+    if max(matrix[0, 1], matrix[1, 0]) > 1e-9 * matrix.max():
         return None
     size: Float64 = np.diagonal(matrix).copy()
     return size if reference_size is None else _or_equal(size, reference_size)
@@ -147,10 +145,6 @@ Box = tuple[Float64, Float64]
 
 SLIVER_PX: Final = 1e-3
 """A strip of the footprint thinner than this adds no row or column of pixels."""
-_WHOLE: Final = 1e-6
-"""Ratios of pixel sizes this close to a whole number count as that number."""
-_MAX_PX: Final = 2**31 - 1
-"""GDAL's limit of the number of pixels along a side of a raster."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -347,7 +341,7 @@ def _count(steps: Float64, step: Float64, size: Float64) -> Float64:
     """Return the (2,) numbers of pixels of a size that cover a number of steps."""
     ratio = step / size
     whole = np.rint(ratio)
-    exact = np.abs(ratio / whole - 1.0) <= _WHOLE
+    exact = np.abs(ratio / whole - 1.0) <= 1e-6
     return np.where(exact, steps * whole, np.ceil(steps * ratio - SLIVER_PX))
 
 
@@ -366,7 +360,7 @@ def _within(lattice: Grid, request: GridRequest, size: Float64, step: Float64) -
 
 def _laid(lattice: Grid, origin_px: Float64, size: Float64, counts: Float64) -> Grid:
     """Return the grid of (2,) counts of pixels of a (2,) size, from an origin on the lattice on."""
-    if not (counts >= 1).all() or (counts > _MAX_PX).any():
+    if not (counts >= 1).all() or (counts > 2**31 - 1).any():  # GDAL's limit
         raise InputError(
             f"the output grid would have {counts[0]:.0f} x {counts[1]:.0f} pixels of {size[0]:.10g} x "
             f"{size[1]:.10g}: check --te and --tr, which are in units of {name_of(lattice.crs)}"

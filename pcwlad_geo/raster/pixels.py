@@ -81,7 +81,6 @@ def _equals(values: NDArray[np.generic], nodata: float | None) -> Bool:
 
 
 _NODE_STEP_PX = 16
-_FAR_OUTSIDE_PX = -1e6
 
 
 def box_average(
@@ -140,7 +139,7 @@ def spline_samples(values: Float64, fraction: Float64, positions_rc: Float64) ->
     if not known.all():
         nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
         values = values[tuple(nearest)]
-    indices = np.where(np.isfinite(positions_rc), positions_rc - 0.5, _FAR_OUTSIDE_PX)
+    indices = np.where(np.isfinite(positions_rc), positions_rc - 0.5, -1e6)
     samples = map_coordinates(values, indices, order=3, mode="nearest")
     return samples, map_coordinates(fraction, indices, order=1, mode="grid-constant", cval=0.0)
 

@@ -31,8 +31,6 @@ RADIUS_PX: Final = 16.0
 """Distance from the two places shown within which a point is refined, matching-grid px."""
 MIN_SPACING_PX: Final = 3.0
 """Two tie points do not lie nearer to each other in the reference, matching-grid px."""
-CANDIDATES: Final = 60
-"""Number of corners tried around it, so that they can be checked against one another."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +158,7 @@ class Editor:
         views, settings = self._pair.views, self._pair.settings
         matching = MatchSettings(
             method=settings.method,
-            features=CANDIDATES,
+            features=60,
             template=settings.template,
             window=self._side,
             search_radius=max(1, int(np.ceil(radius_px))),

@@ -27,8 +27,6 @@ from pcwlad_geo.tiepoints.readers import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable, joined
 from pcwlad_geo.types import Bool, Float64, Index
 
-SIGMA_PX: Final = 1.0
-"""Taken for points without a sigma that are too few to tell."""
 MAX_UNEXPLAINED: Final = 0.1
 """Scatter about an affine, as a share of the points' spread, beyond which they do not describe the pair."""
 DENSE_POINTS: Final = 100
@@ -42,8 +40,6 @@ UNKNOWN_ORIGIN: Final = (
 """Why tie points without a history make no good registration."""
 SAME_PX: Final = 0.002
 """A point of a file that lies within this distance of one of a table, in both rasters, is that one."""
-GENERATIONS: Final = 16
-"""Largest number of registrations that are followed back to the one that has matched."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +123,7 @@ def _contradicted(
             f"by {found.unexplained:.0%} of their spread): check their columns, and whose they are"
         )
     known = np.asarray(np.isfinite(table.covariance_px2).all(axis=(1, 2), keepdims=True))
-    sigma_px = SIGMA_PX if np.isnan(found.sigma_px) else found.sigma_px
+    sigma_px = 1.0 if np.isnan(found.sigma_px) else found.sigma_px
     if known_origin and known.any():  # a point set by hand is no better than one that was matched
         variances_px2 = np.diagonal(table.covariance_px2[known.ravel()], axis1=1, axis2=2)
         sigma_px = max(sigma_px, float(np.sqrt(variances_px2.mean())))
@@ -153,7 +149,7 @@ def _earlier(path: Path | str, pair: ViewPair) -> _Earlier | None:
     Points that were given to a registration, too, are followed back to the one that has matched them.
     """
     folder = Path(path).absolute().parent
-    for _ in range(GENERATIONS):
+    for _ in range(16):
         try:
             report = read_json(folder / "report.json")
             given = report["settings"].get("tie_points")
@@ -354,8 +350,6 @@ NEIGHBOURS: Final = 12
 NOISE_SHARE: Final = 0.75
 """Residuals that differ from those around by at least this share of their size are not shared with them:
 noise differs by its whole size, and displacements change over a window, too."""
-SAMPLE: Final = 500
-"""Largest number of points that are compared with their neighbours."""
 SIGMA_68: Final = 1.51
 """Radius that holds 68 % of a circular normal distribution, in sigmas of an axis."""
 
@@ -509,7 +503,7 @@ def shared_residual_px(table: TiePointTable, footprint_px: float) -> float:
     size = float(np.percentile(np.linalg.norm(points.residual_px, axis=1), 68))
     if size < SHARED_SIGMAS * SIGMA_68 * _typical_sigma_px(points):
         return 0.0
-    sample = points[np.linspace(0, len(points) - 1, min(len(points), SAMPLE)).astype(np.intp)]
+    sample = points[np.linspace(0, len(points) - 1, min(len(points), 500)).astype(np.intp)]
     around = np.array([_plane_nearby(points, at_px, footprint_px) for at_px in sample.predicted_px])
     noise = np.percentile(np.linalg.norm(sample.residual_px - around, axis=1), 68)
     return size if noise < NOISE_SHARE * size else 0.0

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pcwlad_geo.estimation.solving import least_squares
+from pcwlad_geo.matching.epipolar import CHANCE_FACTOR
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.registration.prealign import Prealignment
@@ -43,15 +44,11 @@ AGREEING_SHARE: Final = 0.75
 """Least share of agreeing cells with which a refusal says that they are too few, not that they disagree."""
 AT_BORDER: Final = 0.25
 """Share of candidates matched on the edge of the search above which a larger search radius is advised."""
-CHANCE_FACTOR: Final = 2.0
-"""Factor on the chance of agreement, as matches of unrelated images are not uniform over the search."""
 
 PLANE_RATIO: Final = 1.2
 """Matches are compared about a common plane where so many times as many agree then."""
 MAX_SHARE_BETWEEN: Final = 0.25
 """Largest share of a motion's matches, in number, that lie halfway to another: a smooth field fills that."""
-SAMPLE: Final = 4000
-"""Largest number of matches among which the most frequent displacement is looked for."""
 MIN_REJECTED: Final = 8
 """Least number of rejected matches that propose a displacement of patches smaller than a window."""
 DISPLACED_SHARE: Final = 0.035
@@ -312,7 +309,7 @@ def patches(
 
 def _most_frequent(moved: Float64) -> tuple[Float64, int]:
     """Return the displacement with which most agree, and how many do."""
-    some = moved[:: -(-len(moved) // SAMPLE)]
+    some = moved[:: -(-len(moved) // 4000)]
     tree = cKDTree(some)
     count = tree.query_ball_point(some, AGREE_PX, return_length=True)
     around = some[tree.query_ball_point(some[np.argmax(count)], AGREE_PX)]

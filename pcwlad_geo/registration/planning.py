@@ -28,8 +28,6 @@ from pcwlad_geo.registration.prealign import Overviews
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 from pcwlad_geo.types import Float32, Float64, Index
 
-MIN_WINDOWS: Final = 64
-"""Least number of places of the lattice."""
 CANDIDATES_PER_WINDOW: Final = 20
 """Number of candidates at which a small window aims."""
 CELLS_ACROSS: Final = 2
@@ -48,7 +46,7 @@ CENTRE_PREFERENCE: Final = 0.3
 
 def lattice_shape(region: Window, candidates: int) -> tuple[int, int]:
     """Return the numbers of rows and columns of places into which `region` is divided for `candidates`."""
-    count = max(MIN_WINDOWS, round(candidates / CANDIDATES_PER_WINDOW))
+    count = max(64, round(candidates / CANDIDATES_PER_WINDOW))
     rows = max(1, round(np.sqrt(count * region.rows / region.cols)))
     return rows, int(np.ceil(count / rows))
 
@@ -203,8 +201,6 @@ POOR_SHARE: Final = 1 / 3
 """A small window in which a smaller share of the candidates agrees is followed by another."""
 ENOUGH_SHARE: Final = 0.95
 """Share of the tie points wanted that is enough to end the matching."""
-AGREE_PX: Final = 1.0
-"""Largest distance of a displacement from the median of its small window with which the point agrees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,7 +245,7 @@ def agreeing(result: TileResult) -> int:
     moved = result.points.displacement_px
     if len(moved) == 0:
         return 0
-    return int((np.linalg.norm(moved - np.median(moved, axis=0), axis=1) < AGREE_PX).sum())
+    return int((np.linalg.norm(moved - np.median(moved, axis=0), axis=1) < 1.0).sum())
 
 
 def plan(

@@ -51,8 +51,6 @@ SAMPLES_ACROSS: Final = 3
 """Number of these samples along each axis."""
 POSE_ERROR_PX: Final = 1.0
 """Uncertainty of a pose that a search finds beside the spread of its patches, in pixels of the overview."""
-POSE_NODES: Final = 9
-"""Places along each axis at which a pose is told to the geotransform."""
 SEARCH_ERROR_PX: Final = 2.0
 """Uncertainty of the shift that a search finds, in pixels of the overview."""
 
@@ -275,7 +273,7 @@ def posed_start(
 
 def _posed_grid(grid: Grid, pair: ViewPair, matrix: Float64) -> Grid:
     """Return a grid of the target moved by a pose, in the CRS of the reference."""
-    places = grid.lattice_px(POSE_NODES)
+    places = grid.lattice_px(9)
     target_px = map_px(places, grid, pair.target.grid)
     reference_px = pair.reference.to_file_px(mapped(inverse(matrix), target_px))
     if not np.isfinite(reference_px).all():
@@ -333,15 +331,11 @@ def _check_content(patch: Patch, info: RasterInfo, epsilon: float) -> None:
         )
 
 
-SIDE_PX: Final = 1024
-"""Longest side of the images that the matcher is given."""
 INLIER_PX: Final = 3.0
 """Distance from the common affine transformation within which a correspondence agrees with it, px of the
 images given."""
 MIN_INLIERS: Final = 12
 """Least number of correspondences that agree; three determine the transformation."""
-TONES: Final = (1.0, 99.0)
-"""Percentiles of the valid values that become 0 and 1."""
 
 
 class StartMatcher(Protocol):
@@ -394,7 +388,7 @@ def proposed_start(
     The radius of the coarse match afterwards, `search_radius`, follows by default from the size of the images
     given. Raises `InputError` if the matcher fails or returns something else, or a raster cannot be read.
     """
-    decimated = [view.read_decimated(SIDE_PX) for view in (pair.reference, pair.target)]
+    decimated = [view.read_decimated(1024) for view in (pair.reference, pair.target)]
     reference_xy, target_xy = _found(matcher, name, [_grey(patch) for patch, _ in decimated])
     if len(reference_xy) < MIN_INLIERS:
         return None
@@ -443,6 +437,6 @@ def _grey(patch: Patch) -> Float32:
     values: NDArray[np.floating[Any]] = patch.values[patch.valid]
     if not values.size:
         return np.zeros(patch.values.shape, np.float32)
-    low, high = np.percentile(values, TONES)
+    low, high = np.percentile(values, (1.0, 99.0))
     stretched = np.clip((patch.values - low) / max(high - low, 1e-30), 0, 1)
     return np.where(patch.valid, stretched, 0).astype(np.float32)

@@ -72,26 +72,12 @@ from pcwlad_geo.registration.tiles import TileJob
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
-SHIFTS: Final = {"quick": 8, "full": 16}
-"""Number of moves by a shift; one turned and one bent move follow."""
 POINTS: Final = {"quick": 96, "full": 256}
 """Number of tie points that are matched again."""
 SITES: Final = {"quick": 3, "full": 8}
 """Largest number of parts of a large scene."""
 SITE_PX: Final = 640
 """Largest side of such a part; a smaller scene is taken whole."""
-TURN_DEG: Final = 0.2
-"""Rotation of the turned move."""
-STRETCH: Final = 1.002
-"""Its scale."""
-WAVE_PX: Final = 0.5
-"""Amplitude of the bent move."""
-WAVELENGTH_WINDOWS: Final = 5.0
-"""Its wavelength, in windows: a bend that they hardly average."""
-WAVELENGTH_PX: Final = 600.0
-"""Least wavelength."""
-REACH_PX: Final = 3
-"""By so much the search radius is larger, for the moves."""
 LOCKING_PX: Final = 0.01
 """Amplitude of pixel locking up to which there is none to speak of."""
 FALSE_MATCH_PX: Final = 1.0
@@ -106,13 +92,13 @@ EDGE_PX: Final = 3
 
 def moves_of(effort: Effort, window_px: int) -> tuple[Move, ...]:
     """Return the moves: shifts in all phases of a pixel along both axes, then a turned and a bent one."""
-    count = SHIFTS[effort]
+    count = {"quick": 8, "full": 16}[effort]
     phase = (np.arange(count) + 0.5) / count - 0.5
     other = (np.arange(count) * (3 if count == 8 else 7) + count // 2) % count  # each phase once
     shifts = [Move("shift", (float(col), float(phase[row]))) for col, row in zip(phase, other, strict=True)]
-    wavelength = max(WAVELENGTH_PX, WAVELENGTH_WINDOWS * window_px)
-    turned = Move("turn", (0.23, -0.36), rotation_deg=TURN_DEG, scale=STRETCH)
-    return *shifts, turned, Move("field", (-0.31, 0.18), amplitude_px=WAVE_PX, wavelength_px=wavelength)
+    wavelength = max(600.0, 5.0 * window_px)  # a bend that windows hardly average
+    turned = Move("turn", (0.23, -0.36), rotation_deg=0.2, scale=1.002)
+    return *shifts, turned, Move("field", (-0.31, 0.18), amplitude_px=0.5, wavelength_px=wavelength)
 
 
 class Resampler:
@@ -195,8 +181,6 @@ class Resampler:
 
 PATCH_PX: Final = 8
 """Side of the patches whose covariance tells the noise."""
-MIN_PATCHES: Final = 200
-"""Fewer patches tell nothing."""
 
 
 BLOCK_PATCHES: Final = 8
@@ -214,7 +198,7 @@ def noise_level(values: Float64, other: Float64, valid: Bool) -> float:
     """
     known = np.asarray(_patches(valid).all(axis=2))
     own, others = (_patches(np.where(valid, image, 0.0)).astype(np.float64) for image in (values, other))
-    if np.count_nonzero(known) < MIN_PATCHES:
+    if np.count_nonzero(known) < 200:
         return 0.0
     variance, axes = np.linalg.eigh(np.cov(own[known], rowvar=False))
     count = len(variance)
@@ -295,7 +279,7 @@ def set_up(matches: Matches, effort: Effort, seed: int = 0) -> ProofSetup:
             f"reliably, and {MIN_POINTS} are the least"
         )
     places = job.reference.from_file_px(table.reference_px[rows])
-    settings = replace(job.settings, search_radius=job.settings.search_radius + REACH_PX, spare=0)
+    settings = replace(job.settings, search_radius=job.settings.search_radius + 3, spare=0)  # for the moves
     job = replace(job, settings=settings)
     chosen, of_site = _spread(places, job, effort, np.random.default_rng(seed))
     unit_px = file_px_per_px(job.target)
@@ -820,16 +804,12 @@ def _blind_spot_px(matches: Matches, name: str, footprint_px: float) -> float | 
     return max(float(np.sqrt((each**2).sum(axis=1).mean())) for each in off)
 
 
-MOST_COMPARED: Final = 1000
-"""Largest number of points whose common errors are compared with those of the sample."""
-
-
 def _of_all_points(sample_px: Float64, everywhere_px: Float64, footprint_px: float) -> float:
     """Return the error of an affine through all points over that through a sample, 0 to 1.
 
     Two windows have as much of their errors in common as of their area.
     """
-    every = everywhere_px[:: max(1, len(everywhere_px) // MOST_COMPARED)]
+    every = everywhere_px[:: max(1, len(everywhere_px) // 1000)]
     centre, size = every.mean(axis=0), max(float(every.std()), 1.0)
 
     def terms(at_px: Float64) -> Float64:
@@ -980,10 +960,6 @@ TRIALS_EACH: Final = 5
 """Number that find the first of the levels that is not tolerated, at most."""
 MOST_TRIALS: Final = BEFORE_TRIALS + TRIALS_EACH * len(DIFFICULTIES)
 """Number of registrations of the part, at most."""
-DIRECTION: Final = (0.8, 0.6)
-"""Of the displacement, (col, row)."""
-CLOUDS_ACROSS: Final = 12
-"""The part holds about so many clouds across."""
 PART_FEATURES: Final = 256
 """Candidates in the part, as dense as in a tile."""
 AS_GIVEN: Final = (
@@ -1125,7 +1101,7 @@ def _harder(
     window, reference, still = part.window, part.reference, Move("shift", (0.0, 0.0))
     centre = np.array([window.cols, window.rows]) / 2
     if name == "displacement":
-        col, row = (round(level * share) for share in DIRECTION)
+        col, row = (round(level * share) for share in (0.8, 0.6))
         return reference, part.target(window.moved(row, col)), Move("shift", (-col, -row)), centre
     if name == "rotation":
         margin = max(window.shape) // 4  # at 45 degrees the corners come from as far outside
@@ -1146,7 +1122,7 @@ def _harder(
 
 def _clouded(image: Float64, share: float, random: np.random.Generator) -> Float64:
     """Return an image of which a share lies under clouds with soft edges, brighter than all of it."""
-    size = max(image.shape) / CLOUDS_ACROSS
+    size = max(image.shape) / 12
     height = scipy.ndimage.gaussian_filter(random.standard_normal(image.shape), size / 2, mode="reflect")
     height = (height - np.quantile(height, 1 - share)) / height.std()
     cover = np.clip(0.5 + 5 * height, 0, 1)

@@ -46,10 +46,6 @@ GROUND: Final = ("usable", "no_texture", "edge", "reference_without_data", "targ
 pixels without data within a window around it."""
 LATTICE_SIDE: Final = 120
 """Along the longer side of the reference, where that is asked."""
-NODES: Final = 5
-"""Along a side of a window, where its place in the file is asked."""
-OVERVIEW_PX: Final = 512
-"""Side of the overviews that are read where there was no matching."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +113,7 @@ def record_ground(pair: ViewPair) -> MatchRecord | None:
     None where that would take long or cannot be read.
     """
     views = pair.reference, pair.target
-    factor = max(1.0, max(side for view in views for side in view.grid.shape) / OVERVIEW_PX)
+    factor = max(1.0, max(side for view in views for side in view.grid.shape) / 512)
     try:
         if not all(has_quick_overview(view.info) for view in views):
             return None
@@ -206,7 +202,7 @@ def _boxes(pair: ViewPair, windows: Sequence[Window]) -> Float64:
     if not windows:
         return np.empty((0, 4))
     edges = np.array([(each.col, each.row, each.col_stop, each.row_stop) for each in windows], np.float64)
-    parts = np.linspace(0.0, 1.0, NODES)
+    parts = np.linspace(0.0, 1.0, 5)
     places = edges[:, None, :2] + positions(parts, parts) * (edges[:, None, 2:] - edges[:, None, :2])
     mapped = pair.reference.to_file_px(places.reshape(-1, 2)).reshape(places.shape)
     # corners of a view of the ground may have no place in the file: fmin and fmax leave those out

@@ -79,14 +79,8 @@ from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.table import TiePointTable, overlap_middle_px, predict_target_px
 from pcwlad_geo.types import Bool, Float64, PathLike
 
-COMMON_STEP = 3
-"""One of so many places of the common ground is asked what error is expected there."""
-LATTICE = 64
-"""Places along each axis of the reference that stand for all of it where its pixels are not read."""
 LEAST_OF_A_SURFACE = 1 / 3
 """Least share of the tie points that are a main surface, to which the correction is fitted."""
-SURFACE_ROUNDS = 2
-"""Number of times that these are compared with their neighbours, as matches are where nothing has a depth."""
 MIN_PARALLAX = 2.0
 """Least ratio of what is found along the epipolar lines to what is found across, where nothing can be."""
 MIN_PARALLAX_PX = 0.5
@@ -375,7 +369,7 @@ def _of_the_main_surface(matches: Matches, footprint_px: float) -> Bool | None:
     unit_px = float(file_px_per_px(matches.views.target).max())
     smooth = np.asarray(table.status == "matched")
     least = LEAST_OF_A_SURFACE * np.count_nonzero(smooth)
-    for _ in range(SURFACE_ROUNDS):
+    for _ in range(2):
         index = np.flatnonzero(smooth)
         smooth[index] = consistent(
             table.predicted_px[index] / unit_px,
@@ -572,7 +566,7 @@ def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo) -
     """Return (n, 2) target px that the original georeferencing predicts for the ground in common."""
     if record is None:
         return np.empty((0, 2))
-    return _predicted_px(record.common_px(pair.reference.info.grid.shape)[::COMMON_STEP], pair, target)
+    return _predicted_px(record.common_px(pair.reference.info.grid.shape)[::3], pair, target)
 
 
 def _predicted_px(reference_px: Float64, pair: ViewPair, target: RasterInfo) -> Float64:
@@ -603,7 +597,7 @@ def _whole_px(pair: Pair) -> Float64 | None:
         places = _common_px(record_ground(views), views, pair.target)
     else:
         (rows, cols), size = ref.grid.shape, np.array(tgt.grid.shape[::-1])
-        lattice = np.meshgrid(*(np.linspace(0.5, n - 0.5, LATTICE) for n in (cols, rows)))
+        lattice = np.meshgrid(*(np.linspace(0.5, n - 0.5, 64) for n in (cols, rows)))
         places = _predicted_px(np.stack(lattice, axis=-1).reshape(-1, 2), views, pair.target)
         places = places[((places >= 0) & (places <= size)).all(axis=1)]
     return places if len(places) else None

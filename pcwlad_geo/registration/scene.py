@@ -110,22 +110,8 @@ WINDOWS_ACROSS: Final = 1.6
 CHOSEN_ACROSS: Final = 3
 """An overlap narrower than this many of the largest window keeps the first: near edges a window sees to one
 side only, and of a small image most is near edges."""
-PLACES_PER_CALL: Final = 2000
-"""Smallest number of places whose displacement is predicted by one call."""
-MAX_CALLS: Final = 64
-"""Largest number of such calls, as each is sent all points of the field."""
-MAX_WAVES: Final = 3
-"""Of small windows: the first choices, and what follows where they give too little."""
-SHIFTED_ROUNDS: Final = 2
-"""Number of times that a target with RPC is matched again at the shift found."""
-POSED_ROUNDS: Final = 3
-"""Largest number of times that a target is matched again in the pose found."""
 STILL_PX: Final = 0.1
 """Mean movement of the target by a new pose below which it is not matched again, px."""
-GOLDEN: Final = (5**0.5 - 1) / 2
-"""Multiples of the golden ratio, modulo 1, are spread evenly, however many are taken."""
-STRIPES: Final = 2
-"""So many times as many points tell of jitter as tell of windows."""
 SMALLER_WINDOWS: Final = (0.56, 0.75)
 """Sides of the windows that tell the error of a given one, shares of its own."""
 NEAR_PX: Final = 0.5
@@ -307,7 +293,7 @@ def _first_pass(planned: Plan, log: JobLog, runner: Runner) -> _FirstPass:
     """Match the tiles planned, and small windows of second choice where the first gave too little."""
     first = _FirstPass([], [], [])
     upcoming = planned.first
-    for _ in range(MAX_WAVES):
+    for _ in range(3):  # the first choices, and two that follow
         threads = runner.threads if len(upcoming) == 1 else 1
         upcoming = [replace(job, returns=runner.honours_affinity, threads=threads) for job in upcoming]
         call_results = runner.run(match_tile, [(job,) for job in upcoming], "matching", log.on_event)
@@ -489,7 +475,8 @@ def _scales(
     if not len(window_sample(guide, settings)):
         return Scales.of(settings.window), None, 0.0, 0.0
     tiles, counts = np.unique(tile_of, return_counts=True)
-    spread = np.argsort(GOLDEN * np.arange(len(tiles)) % 1, kind="stable")
+    # multiples of the golden ratio are spread evenly, however many are taken
+    spread = np.argsort((5**0.5 - 1) / 2 * np.arange(len(tiles)) % 1, kind="stable")
     enough = int(np.searchsorted(np.cumsum(counts[spread]), WINDOW_SAMPLE)) + 1
     chosen = np.sort(spread[:enough])
     every = max(1, int(counts[chosen].sum() / WINDOW_SAMPLE))
@@ -509,7 +496,7 @@ def _scales(
         return np.concatenate(moved, axis=1)
 
     scales, errors = choose_scales(partial(measured, compare_windows, sample), settings)
-    more = [these[:: max(1, every // STRIPES)] for these in inside]
+    more = [these[:: max(1, every // 2)] for these in inside]
     sampled = np.concatenate(more)
     xy, moved_px = points.reference_xy_px[sampled], points.displacement_px[sampled]
     jitter, displaced = jitter_px(xy, measured(compare_stripes, more) - moved_px), 0.0
@@ -524,7 +511,7 @@ def _predict_on(
 ) -> Prediction:
     """Do what `field.predict` does, shared out where there are many places."""
     warn = partial(only_warnings, on_event)  # of lost workers; the progress is no stage's own
-    size = max(PLACES_PER_CALL, -(-len(at) // MAX_CALLS))
+    size = max(2000, -(-len(at) // 64))  # each is sent all points of the field
     if len(at) <= size:
         return predict(xy, moved, at, surface)
     calls = [(xy, moved, at[begin : begin + size], surface) for begin in range(0, len(at), size)]
@@ -677,7 +664,7 @@ def _match_again_in_pose(
 
     The first pose is only as good as the search: in it the windows are turned and scaled by some percent.
     """
-    for _ in range(POSED_ROUNDS):
+    for _ in range(3):
         points = matched.matches[matched.kept]
         pair, rows_cols = start.pair, start.pair.reference.grid.shape
         matrix = np.eye(3)
@@ -746,7 +733,7 @@ def match_again_from_shifted_rpc(
     Where the RPC errs, the image is seen with the height of the ground beside: relief distorts the windows by
     the more, the larger the error is.
     """
-    for _ in range(SHIFTED_ROUNDS):
+    for _ in range(2):
         table = located(matched, pair, (pair.reference.info, pair.target.info))
         shift_px = np.median(table.select("matched").displacement_px, axis=0)
         if np.hypot(*shift_px) < NEAR_PX:

@@ -30,8 +30,6 @@ from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.types import Float64, Index
 
-MAX_BYTES: Final = 240 << 20
-"""Largest size of the maps that a worker's tile cache holds."""
 INTERPOLATED: Final = 4
 """Size of a pair with all that interpolates its maps, in sizes of the maps."""
 
@@ -40,7 +38,7 @@ INTERPOLATED: Final = 4
 class TileCache:
     """Cache of the prepared pairs of one scene by tile; pairs that would exceed the limit are not stored."""
 
-    most_bytes: int = MAX_BYTES
+    most_bytes: int = 240 << 20
     _scene: Hashable = None
     _pairs: dict[int, tuple[int, ChannelPair]] = field(default_factory=dict)
     """Size in bytes and pair of each tile."""

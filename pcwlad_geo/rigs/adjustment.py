@@ -34,18 +34,12 @@ OF_POSE: Final = 6
 """Parameters of a pose."""
 OF_PLANE: Final = 3
 """Parameters of the ground of a capture."""
-TRIES: Final = 8
-"""Steps tried from one place, each shorter than the last, until one reduces the misfit."""
 ROUNDS: Final = 14
 """Largest number of Gauss–Newton steps."""
 LENIENT_STEPS: Final = 3
 """Steps in which residuals may be larger, as the state is not yet near."""
 LEAST_SHARE: Final = 0.2
 """The sigma of a lens's points is not below this share of what their matching says."""
-STILL_PX: Final = 1e-4
-"""A step that moves no prediction further ends the iteration."""
-HUBER: Final = 1.5
-"""Residuals beyond so many sigmas count by their size, not by its square."""
 MAX_SIGMAS: Final = 6.0
 """Residuals beyond so many sigmas, and `LEAST_FAR_PX`, do not count."""
 LEAST_FAR_PX: Final = 0.6
@@ -60,8 +54,6 @@ MOST_RELIEF: Final = 0.5
 """Largest relief of a point, in inverse depth."""
 MOST_RELIEF_SIGMAS: Final = 3.0
 """Largest relief of a point, in standard deviations of the relief of all."""
-FARTHEST_PX: Final = 1e6
-"""No number of a tie point is larger."""
 NEEDS: Final = (
     "the adjustment of a rig needs tie points of all lenses, within their frames, with sigmas above 0"
 )
@@ -212,7 +204,7 @@ def adjust(
         problem = _Problem(weight, point, _relief_sigma(state), before, scale, free, unit)
         # the parallax of relief stays as it is: a step would else be drawn to where more of it is allowed
         least, moved = problem.cost(state, residual, by_relief), 0.0
-        for _ in range(TRIES):
+        for _ in range(8):  # each shorter than the last
             step, normal = problem.step(state, columns, residual, by_relief, damping)
             change = np.zeros(len(scale))
             change[free] = scale[free] * step
@@ -223,7 +215,7 @@ def adjust(
                 damping = damping / 10 if damping > 1e-9 else 0.0
                 break
             damping = max(10 * damping, 1e-6)  # too far for what is linear
-        if moved < STILL_PX and turn > LENIENT_STEPS:
+        if moved < 1e-4 and turn > LENIENT_STEPS:
             break
     residual = _left(state, observed, point, level)
     weight, kept = _weights(residual, observed, ROUNDS)
@@ -237,7 +229,7 @@ def adjust(
 def _check(observed: Observations) -> None:
     """Raise `InputError` if there are no tie points, or numbers that are none of frames."""
     for each in (observed.reference_px, observed.lens_px, observed.sigma_px):
-        if not len(observed) or not np.abs(each).max() <= FARTHEST_PX:  # NaN is not
+        if not len(observed) or not np.abs(each).max() <= 1e6:  # NaN is not
             raise InputError(NEEDS)
 
 
@@ -367,7 +359,7 @@ def _weights(residual: Float64, observed: Observations, turn: int) -> tuple[Floa
     ratio = length / (sigma * spread)
     far = MAX_SIGMAS * (4 if turn < LENIENT_STEPS else 1)
     kept = (ratio < far) | (length < LEAST_FAR_PX)
-    weight = huber(ratio, HUBER * 1.41)
+    weight = huber(ratio, 1.5 * 1.41)
     return np.where(kept, weight / sigma**2, 0.0), np.asarray(kept)
 
 

@@ -42,10 +42,6 @@ CAPTURE_TAG: Final = "PCWLAD_GEO_CAPTURE"
 """Tag of a raster with the name of its capture."""
 MEASURED_PLACES: Final = 160
 """Number of places that are measured in every lens."""
-WINDOW_PX: Final = 61
-"""Side of the window of a place."""
-SMOOTH_PX: Final = 1.0
-"""Sigma of the Gaussian on the gradients."""
 BLURRED_SHARE: Final = 0.55
 """Share of the least detail learned below which a frame is blurred."""
 COVERED_SHARE: Final = 0.12
@@ -73,8 +69,6 @@ REACH_PX: Final = 12
 DISPLACED_GAIN: Final = 0.1
 """By how much the correlation elsewhere is better than near the prediction, if a place counts as displaced:
 rows and other repetition are not."""
-MOVED_PX: Final = 1.5
-"""Where places moved further from the prediction, px of the measured frame, all are measured again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,7 +291,7 @@ def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed
                 observed = _measured(now, values, plane)
                 placed, moved = _adjusted(now, rig, observed, plane, near, expected is not None)
                 now, plane = placed.rig, placed.plane
-                if moved < MOVED_PX:
+                if moved < 1.5:  # px of the measured frame
                     break
         except BadCaptureError as error:
             reasons.append(str(error))
@@ -355,7 +349,7 @@ def _views(
 
 
 def _window_px(shape: Sequence[int]) -> int:
-    return int(np.clip(0.25 * min(shape), 21, WINDOW_PX)) // 2 * 2 + 1
+    return int(np.clip(0.25 * min(shape), 21, 61)) // 2 * 2 + 1
 
 
 def _overlap(rig: Rig, observed: Observations) -> float:
@@ -393,7 +387,7 @@ def _in_view(rig: Rig, each: RigLens, values: Float32, plane: Float64, factor: f
 
 
 def _channels(values: Float32, valid: Bool) -> ChannelMaps:
-    maps, _ = oriented_gradients(values, scene_epsilon(values, valid), SMOOTH_PX)
+    maps, _ = oriented_gradients(values, scene_epsilon(values, valid), smooth_px=1.0)
     inside = cv2.erode(valid.astype(np.uint8), np.ones((7, 7), np.uint8), borderValue=1)
     return ChannelMaps(maps, np.asarray(inside, bool))
 

@@ -32,8 +32,6 @@ MAX_LENSES: Final = 16
 """Largest number of lenses of a rig."""
 MAX_FRAMES: Final = 100_000
 """Largest number of frames of one call."""
-CODE_SIDE_PX: Final = 1300
-"""Longer side of the largest frames in which the code of a panel is looked for."""
 CODE_SHARE: Final = 0.04
 """Least side of a panel's code, as a share of the frame's longer side: in flight that is metres."""
 _OF_THE_LENS: Final = re.compile(
@@ -258,7 +256,7 @@ def _code_in(values: Float32) -> tuple[bool, str]:
     """Return whether a frame shows a large QR code, and what that says, if it is sharp enough."""
     low, high = np.percentile(values, (1, 99.5))
     grey = np.clip((values - low) / max(high - low, 1e-9) * 255, 0, 255).astype(np.uint8)
-    factor = min(1.0, CODE_SIDE_PX / max(grey.shape))
+    factor = min(1.0, 1300 / max(grey.shape))
     grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     detector = cv2.QRCodeDetector()
     try:

@@ -33,16 +33,12 @@ from pcwlad_geo.rigs.rig import (
 )
 from pcwlad_geo.types import Bool, Float32, Float64
 
-FEATURES: Final = 400
-"""Number of candidates of tie points of a lens in a capture."""
 MOST_CAPTURES: Final = 30
 """Largest number of captures that are learned from; of more, these are taken evenly."""
 START_SIDE_PX: Final = 360
 """Longer side of the frames in which lenses are first matched."""
 COARSE_SIDE_PX: Final = 480
 """That of the first round, where the lenses are not yet known well."""
-COARSE_CAPTURES: Final = 5
-"""Number of captures of the first round."""
 ROUND_RADII_PX: Final = (7, 4, 3)
 """Radius of the search in each of the rounds after it: near the edges of a frame windows see to one side, and
 are led by where the round before has put them."""
@@ -136,7 +132,7 @@ def learn(
     names = [each.lens for each in order]
     lenses = [first_lens(each, fisheye, 1.1 * max(each.shape)) for each in order]
     given = list(lenses)
-    some = evenly(captures, COARSE_CAPTURES)
+    some = evenly(captures, 5)
     state = _started(_first_state(some, names, lenses), some, names, lenses, runner, on_event)
     sigma = _sigmas(state, order, _all_heights(some))
     observed = _matched(state, some, names, lenses, COARSE_SIDE_PX, 10, WINDOW_SHARE[0], runner, on_event)
@@ -465,7 +461,7 @@ def match_settings(shape: tuple[int, ...], radius_px: int, share: float) -> Matc
     side = int(np.clip(share * min(shape), 31, 81)) // 2 * 2 + 1
     template = min(101, side + 20)
     return MatchSettings(
-        features=FEATURES,
+        features=400,
         search_radius=radius_px,
         window=side,
         template=template,

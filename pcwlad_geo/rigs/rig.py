@@ -26,8 +26,6 @@ PARAMETERS: Final = ("focal_px", "centre_col", "centre_row", "k1", "k2", "k3", "
 """The parameters of a lens, in the order of its vector."""
 STEPS: Final = 12
 """Number of Newton steps of the inverse; fewer are enough within any sensible frame."""
-RADII: Final = 400
-"""Number of radii at which the largest one is looked for."""
 RAY_LIMIT: Final = 1.6
 """How far beyond the corners of the frame, times its half diagonal, a ray is still followed."""
 
@@ -78,7 +76,7 @@ class Lens:
 
     def _largest_radius(self) -> float:
         """Return the radius of a direction up to which the image grows with it."""
-        radii = np.linspace(0.0, RAY_LIMIT * self.corner, RADII)
+        radii = np.linspace(0.0, RAY_LIMIT * self.corner, 400)
         if self.model == "fisheye":  # whose angles, not their tangents, grow with the image
             radii = np.tan(np.minimum(radii, WIDEST_RAD))
         slope = np.diff(radii * _radial(radii, self.vector[3:6], self.model))
@@ -224,10 +222,6 @@ LEAST_SIDE_PX: Final = 640
 """Frames are not averaged to fewer px than this, longer side."""
 LARGEST_SIDE_PX: Final = 1300
 """Longer side of the largest frames that are measured."""
-CROP_STEP_PX: Final = 8
-"""Spacing at which the common part of the frames is looked for."""
-CROP_STEPS: Final = 1000
-"""Largest number of steps along a side for that."""
 MIN_CROP: Final = 0.3
 """Least share of the reference's rows and columns that all lenses see."""
 
@@ -355,7 +349,7 @@ class Rig:
         of it in another capture is masked. Raises `InputError` if the lenses have too little in common.
         """
         rows, cols = self.reference.lens.shape
-        places = lattice((rows, cols), max(CROP_STEP_PX, max(rows, cols) // CROP_STEPS))
+        places = lattice((rows, cols), max(8, max(rows, cols) // 1000))
         visible = np.ones(len(places), bool)
         rays = self.common_rays(places)
         for near in self.inverse_depth:

@@ -44,8 +44,6 @@ NUMBERS: Final = "rig_apply.json"
 """The same with what is needed to go on where a run was stopped."""
 CHUNK: Final = 16
 """Captures for each process between two updates of the summary."""
-COLUMNS: Final = tuple(field.name for field in fields(CaptureOutcome))
-"""Of the summary."""
 _PRELOAD: Final = "pcwlad_geo.rigs.applying"
 
 
@@ -450,7 +448,7 @@ def _finished_before(folder: Path) -> dict[str, tuple[str, CaptureOutcome]]:
         before = read_json(folder / NUMBERS)
         found = {}
         for each in before["captures"]:
-            outcome = CaptureOutcome(**{name: each[name] for name in COLUMNS})
+            outcome = CaptureOutcome(**{field.name: each[field.name] for field in fields(CaptureOutcome)})
             if outcome.status == "corrected":
                 found[outcome.name] = str(each["inputs"]), outcome
         return found

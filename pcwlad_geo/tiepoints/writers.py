@@ -140,8 +140,6 @@ COLOURS: Final = ("68,1,84", "59,82,139", "33,145,140", "94,201,98", "253,231,37
 """Colours of the classes, RGB, from dark to bright: distinguishable with colour blindness."""
 NOT_FITTED, REJECTED = "0,114,178", "130,130,130"
 """Colours of points without a residual and of rejected points, RGB."""
-ARROW_SHARE: Final = 0.03
-"""Length of a typical arrow as a share of the longer side of the points' extent."""
 LENGTH: Final = 'sqrt("residual_col"^2 + "residual_row"^2)'
 """Expression of QGIS for the length of the residual, px."""
 
@@ -165,7 +163,7 @@ def enlargement(from_xy: Float64, to_xy: Float64) -> float:
     lengths = lengths[np.isfinite(lengths)]
     typical = float(np.median(lengths)) if len(lengths) else 0.0
     side = float(np.ptp(from_xy, axis=0).max()) if len(from_xy) else 0.0
-    wanted = ARROW_SHARE * side / typical if typical > 0 else 1.0
+    wanted = 0.03 * side / typical if typical > 0 else 1.0
     if not 1.0 < wanted < math.inf:
         return 1.0
     power = 10.0 ** math.floor(math.log10(wanted))
@@ -274,7 +272,6 @@ def _style(kind: str, rules: Sequence[_Rule]) -> str:
 # A constant time stamp, so that the same points give the same file.
 _TIMESTAMP = "2000-01-01T00:00:00.000Z"
 # GDAL's default, 1.4, causes warnings in older versions of QGIS; nothing of 1.4 is needed.
-_VERSION = "1.2"
 # GDAL maps this name to GeoPackage's CRS -1, a plane without a CRS.
 _UNDEFINED_PLANE = 'LOCAL_CS["Undefined Cartesian SRS"]'
 
@@ -315,7 +312,7 @@ def write_geopackage(table: TiePointTable, path: Path, target_grid: Grid | None 
                 fields=list(columns),
                 layer=name,
                 driver="GPKG",
-                dataset_options={"VERSION": _VERSION},
+                dataset_options={"VERSION": "1.2"},
                 geometry_type=geometry_type,
                 crs=_UNDEFINED_PLANE if table.crs is None else table.crs.to_wkt(version="WKT2_2019"),
             )

@@ -29,8 +29,6 @@ MAX_PX_AT_ONCE: Final = 1 << 22
 """Largest number of pixels of a DEM that is read at a time."""
 MAX_PX_HELD: Final = 1 << 24
 """Largest number of pixels of a DEM that are held in memory."""
-HELD_PX: Final = 64
-"""Margin around the ground for which they are, px of the DEM."""
 ROUNDING_PX: Final = 1e-6
 """Tolerance of the rounding errors of map coordinates."""
 
@@ -145,7 +143,7 @@ class Dem:
         at_px = at_px[np.isfinite(at_px).all(axis=1)]
         if not len(at_px):
             return self
-        window = Window.around(at_px.min(axis=0), at_px.max(axis=0)).padded(HELD_PX).clipped(self.grid.shape)
+        window = Window.around(at_px.min(axis=0), at_px.max(axis=0)).padded(64).clipped(self.grid.shape)
         if window.empty or window.area_px2 > MAX_PX_HELD:
             return self
         return HeldDem(self.uri, self.grid, self.metres_per_unit, self.undulation, window, self._read(window))

@@ -17,12 +17,6 @@ from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.types import Float64
 
-HEIGHT_TOLERANCE_M: Final = 1e-4
-"""Change of height below which the intersection of a line of sight with the ground has converged."""
-ITERATIONS: Final = 40
-"""Largest number of iterations of that intersection."""
-MAX_POSITIONS: Final = 1 << 18
-"""Largest number of positions that are computed at a time."""
 LATTICE: Final = 65
 """Number of points along a side of an image with which its extent on the ground is determined."""
 
@@ -78,12 +72,12 @@ class RpcGrid(Grid):
         file_px = apply(self.transform, pixel_xy_px)
         height = np.full(len(file_px), self.level_m)
         lon_lat = self.rpc.to_ground(file_px, height)
-        for _ in range(ITERATIONS):
+        for _ in range(40):
             found = self.heights.nearest(lon_lat)
             step = np.where(np.isnan(found), 0.0, found - height)  # a hole may be crossed
             height = height + step
             lon_lat = self.rpc.to_ground(file_px, height, lon_lat)
-            if not np.any(np.abs(step) > HEIGHT_TOLERANCE_M):
+            if not np.any(np.abs(step) > 1e-4):
                 break
         return lon_lat, np.where(np.isnan(found), np.nan, height)
 
@@ -136,7 +130,7 @@ def positions_on(grid: RpcGrid, view_grid: Grid, window: Window, per_px: int) ->
     height is known.
     """
     # in strips: heights and the RPC need many times the memory of the positions
-    step = max(1, MAX_POSITIONS // (window.cols * per_px**2))
+    step = max(1, (1 << 18) // (window.cols * per_px**2))
     strips = [
         Window(row, window.col, min(step, window.row_stop - row), window.cols)
         for row in range(window.row, window.row_stop, step)

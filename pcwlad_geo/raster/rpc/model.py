@@ -34,8 +34,6 @@ CHUNK = 1 << 16
 """Number of points evaluated at a time, so that their terms fit into the processor's cache."""
 INVERSE_TOLERANCE_PX = 1e-7
 """Residual at which the inverse has converged."""
-ITERATIONS = 30
-"""Largest number of Newton iterations of the inverse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +89,7 @@ class RpcModel:
         u[:, 2] = (np.asarray(height_m, dtype=np.float64) - self.height_off) / self.height_scale
         miss_px = np.full(len(u), np.inf)
         left = np.arange(len(u))
-        for _ in range(ITERATIONS):
+        for _ in range(30):
             found, slopes = self._linearised(u[left])
             miss = pixel_xy_px[left] - found
             miss_px[left] = np.abs(miss).max(axis=1, initial=0.0)
@@ -172,10 +170,6 @@ def derived_terms(terms: Float64) -> tuple[Float64, Float64]:
 
 BIAS_TOLERANCE_PX = 1e-3
 """Largest error with which a corrected RPC may represent the correction."""
-BIAS_NODES = (15, 15, 5)
-"""Nodes along longitude, latitude, height at which the numerators are refitted."""
-RIDGE = 1e-12
-"""Ridge of the refit relative to the largest singular value; 1e-6 would cause errors of 0.01 px."""
 CHECK_NODES = (25, 25, 7)
 """Nodes along longitude, latitude, height at which a corrected RPC is checked."""
 WHOLE_RANGE: Float64 = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
@@ -212,7 +206,8 @@ def apply_bias(rpc: RpcModel, correction: AffineCorrection, covered: Float64 | N
         `covered_range`; -1 to 1 by default.
     """
     low, high = WHOLE_RANGE if covered is None else covered
-    terms = polynomial_terms((low + high) / 2 + _lattice(BIAS_NODES) * (high - low) / 2)
+    # longitude, latitude, height
+    terms = polynomial_terms((low + high) / 2 + _lattice((15, 15, 5)) * (high - low) / 2)
     samp = np.array(rpc.samp_num_coeff) @ terms / (np.array(rpc.samp_den_coeff) @ terms)
     line = np.array(rpc.line_num_coeff) @ terms / (np.array(rpc.line_den_coeff) @ terms)
     scale, offset = np.array([rpc.samp_scale, rpc.line_scale]), np.array([rpc.samp_off, rpc.line_off]) + 0.5
@@ -267,7 +262,7 @@ def _refitted(
     """Return the numerator whose ratio is increased by (n,) `added` at n points with (20, n) `terms`."""
     design = (terms / (np.array(denominator) @ terms)).T
     left, singular, right = np.linalg.svd(design, full_matrices=False)
-    ridge = (RIDGE * singular[0]) ** 2
+    ridge = (1e-12 * singular[0]) ** 2  # 1e-6 would cause errors of 0.01 px
     change = right.T @ (singular / (singular**2 + ridge) * (left.T @ added))
     values: list[float] = (np.array(numerator) + change).tolist()
     if len(values) != TERMS:
@@ -283,11 +278,6 @@ def _lattice(nodes: tuple[int, int, int]) -> Float64:
 
 SIBLING_NODES = (9, 9, 3)
 """Nodes along columns, rows and heights at which two RPCs are compared."""
-SAME_PX = 1e-3
-"""Largest deviation from a constant shift for a correction to count as a shift."""
-MIN_HEIGHTS_M = 100.0
-"""Least difference of the heights that are used to determine the direction of view."""
-_M_PER_DEG = 111_320.0
 
 
 def carried(
@@ -316,7 +306,7 @@ def carried(
     shift = (observed - predicted).mean(axis=0)
     correction = AffineCorrection("shift", np.column_stack([np.eye(2), shift]))
     misfit_px = _largest(observed - correction.forward(predicted))
-    if misfit_px > SAME_PX:
+    if misfit_px > 1e-3:
         correction = AffineCorrection("affine", affine_between(predicted, observed))
         misfit_px = _largest(observed - correction.forward(predicted))
     return correction, misfit_px
@@ -330,12 +320,12 @@ def parallax(
     The sibling has `shape` rows and columns, and the ground below it is within `heights_m`, m above the
     ellipsoid.
     """
-    middle, reach = np.mean(heights_m), max(np.ptp(heights_m), MIN_HEIGHTS_M) / 2
+    middle, reach = np.mean(heights_m), max(np.ptp(heights_m), 100.0) / 2
     low, high = float(middle - reach), float(middle + reach)
     pixels, ground = _image_lattice(sibling, shape, (low, low), SIBLING_NODES)
     there = original.to_ground(original.to_px(ground), high) - sibling.to_ground(pixels, high)
     east = there[:, 0] * np.cos(np.radians(ground[:, 1]))
-    return float(np.nanmedian(np.hypot(east, there[:, 1]))) * _M_PER_DEG / (high - low)
+    return float(np.nanmedian(np.hypot(east, there[:, 1]))) * 111_320.0 / (high - low)
 
 
 def _image_lattice(

@@ -43,12 +43,6 @@ PLACED_LATTICE: Final = 33
 """Number of points along a side of a raster at which its ground position is computed."""
 RELIEF_M: Final = 100.0
 """Relief whose displacement is stated in the warning about a missing DEM."""
-MARGIN_SHARE: Final = 0.05
-"""Margin around the scene within which undulations are sampled, as a share of its extent."""
-LOWEST_M: Final = -600.0
-"""Lowest plausible height of the ground above the ellipsoid, with a margin."""
-HIGHEST_M: Final = 9500.0
-"""Highest plausible height of the ground above the ellipsoid, with a margin."""
 ALL: Final = 0.999
 """Share of a raster from which a DEM counts as covering all of it."""
 
@@ -189,7 +183,7 @@ def _scene_bounds(source: RpcSource, info: RasterInfo) -> tuple[float, float, fl
             f"the RPC in {source.origin} places no pixel of {info.uri} on the ground: get it again"
         )
     low, high = found.min(axis=0), found.max(axis=0)
-    margin = MARGIN_SHARE * (high - low)
+    margin = 0.05 * (high - low)
     west, south, east, north = np.concatenate([low - margin, high + margin]).tolist()
     return west, south, east, north
 
@@ -244,7 +238,7 @@ def _heights_around(
 
 def _check_heights(info: RasterInfo, dem: Dem, heights: Float64) -> None:
     known = heights[np.isfinite(heights)]
-    if len(known) and not LOWEST_M <= known.min() <= known.max() <= HIGHEST_M:
+    if len(known) and not -600.0 <= known.min() <= known.max() <= 9500.0:
         raise InputError(
             f"the DEM {dem.uri} holds heights from {known.min():.0f} to {known.max():.0f} m below "
             f"{info.uri}: check its unit and its nodata value"
@@ -269,10 +263,6 @@ def _relief_warning(grid: RpcGrid, side: str) -> str:
 
 LEVEL: Final = Grid((8, 8), Affine(100.0, 0.0, -400.0, 0.0, -25.0, 100.0), WGS84)
 """Grid of a DEM of constant height around the whole earth."""
-DEM_MARGIN_PX: Final = 2
-"""Margin of the DEM around a block, for the interpolation of heights."""
-EVERY_PIXEL: Final = {"SAMPLE_GRID": "YES", "SAMPLE_STEPS": "ALL"}
-"""Options by which GDAL maps every pixel of a block to determine the window of the source."""
 
 
 def ortho_grid(reference: Grid, target: RpcGrid) -> Grid:
@@ -422,7 +412,7 @@ def _ground_below(target: RpcGrid, part: Grid) -> Iterator[dict[str, object] | N
         place = target.heights.grid.part((window.col, window.row), window.shape)
         heights = target.heights.ellipsoidal(window)
         if window != wanted or np.isnan(heights).any():
-            more = EVERY_PIXEL
+            more = {"SAMPLE_GRID": "YES", "SAMPLE_STEPS": "ALL"}
     rows, cols = heights.shape
     profile = {"driver": "GTiff", "dtype": "float32", "count": 1, "nodata": np.nan, "crs": place.crs}
     with rasterio.MemoryFile(ext=".tif") as memory:
@@ -437,4 +427,4 @@ def _dem_window(dem: Dem, part: Grid) -> Window:
     dem_px = dem_px[np.isfinite(dem_px).all(axis=1)]
     if len(dem_px) == 0:
         return Window(0, 0, 0, 0)
-    return Window.around(dem_px.min(axis=0), dem_px.max(axis=0)).padded(DEM_MARGIN_PX)
+    return Window.around(dem_px.min(axis=0), dem_px.max(axis=0)).padded(2)  # for the interpolation of heights
