@@ -28,10 +28,9 @@ from pcwlad_geo.estimation.robust import (
 )
 from pcwlad_geo.estimation.solving import NormalEquations, components, inverse
 from pcwlad_geo.execution.runner import one_library_thread
-from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px, middle_pixel_size_m
-from pcwlad_geo.raster.rpc.dem import Dem
-from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, with_height_offset
+from pcwlad_geo.raster.rpc.dem import Dem, relief
+from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, image_px, with_height_offset
 from pcwlad_geo.types import Bool, Float64, Index
 
 GROUND_CELLS: Final = 5
@@ -441,7 +440,7 @@ def _linearised_again(problem: _BlockProblem, number: int, state: _BlockEstimate
     ground_px = map_px(predicted_px, grids[0], frame)
     at_px = image_px(grids[1], frame, ground_px, pair.height_m)
     rate = problem.rates[number].height_rate
-    higher_m, slope = relief(problem.block, ground_px, pair.window_px, state.dem_px)
+    higher_m, slope = relief(problem.block.dem, frame, ground_px, pair.window_px, state.dem_px)
     return replace(
         problem.rates[number],
         residual_px=pair.second_px - other.forward(at_px + rate * higher_m[:, None]),
@@ -489,38 +488,6 @@ def _crowding(block: RpcBlock, ground_px: Float64) -> float:
     return len(at_px) / max(1, len(np.unique(at_px, axis=0)))
 
 
-def relief(block: RpcBlock, ground_px: Float64, window_px: float, dem_px: Float64) -> tuple[Float64, Float64]:
-    """Return what moving the DEM does to the heights at the (n, 2) `ground_px` of the frame.
-
-    Returned are the (n,) metres by which it is higher there once moved by the (2,) `dem_px` (col, row), its
-    px, and its (n, 2) slope then, m per px of the DEM. Both are medians over windows of `window_px`: the
-    place of least absolute deviation is that of most of a window.
-    """
-    dem, frame = block.dem, block.frame
-    if dem is None:
-        return np.zeros(len(ground_px)), np.zeros((len(ground_px), 2))
-    lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
-    rate = jacobian(frame.middle_px, frame, dem.grid)[0]
-    at_px = map_px(ground_px, frame, dem.grid)
-    count = 5 if window_px > 0 else 1
-    parts = (np.arange(count) + 0.5) / count - 0.5
-    offsets_px = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 2) * window_px @ rate.T
-    step_px = max(1.0, 0.5 * window_px / count * float(np.sqrt(abs(np.linalg.det(rate)))))
-    given = [dem.at_px(at_px + offset_px, lon_lat) for offset_px in offsets_px]
-
-    def higher(by_px: Float64) -> Float64:
-        moved = [dem.at_px(at_px + offset_px - by_px, lon_lat) for offset_px in offsets_px]
-        change = np.stack(moved) - np.stack(given)
-        known = np.isfinite(change).any(axis=0)
-        result = np.zeros(len(at_px))
-        result[known] = np.nanmedian(change[:, known], axis=0)
-        return result
-
-    # higher where the ground rises against the direction in which the DEM is moved
-    ends = [higher(dem_px - step) - higher(dem_px + step) for step in step_px * np.eye(2)]
-    return higher(dem_px), np.stack(ends, axis=1) / (2 * step_px)
-
-
 def _without_mean_slope(linearised: Sequence[Linearisation]) -> tuple[Linearisation, ...]:
     """Take off the effect of moving the DEM what is like a change of its height."""
     rate = np.nan_to_num(np.concatenate([linear.height_rate for linear in linearised]))
@@ -530,19 +497,6 @@ def _without_mean_slope(linearised: Sequence[Linearisation]) -> tuple[Linearisat
         replace(linear, dem_rate=linear.dem_rate - np.nan_to_num(linear.height_rate)[:, :, None] * alike)
         for linear in linearised
     )
-
-
-def image_px(grid: Grid, frame: Grid, ground_px: Float64, height_m: Float64 | None) -> Float64:
-    """Return the (n, 2) px of an image that see the (n, 2) `ground_px` of the frame, at its own heights.
-
-    The (n,) `height_m` are known ones above the ellipsoid; NaN where they are not.
-    """
-    at_px = map_px(ground_px, frame, grid)
-    if height_m is None or not isinstance(grid, RpcGrid):
-        return at_px
-    lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
-    from_heights = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height_m])))
-    return np.where(np.isfinite(height_m)[:, None], from_heights, at_px)
 
 
 def _weighted(problem: _BlockProblem, state: _BlockEstimate) -> _BlockEstimate:

@@ -27,10 +27,8 @@ from pcwlad_geo.multi.rpc_block import (
     BlockPair,
     RpcBlock,
     adjust_block,
-    image_px,
     implied_heights,
     pixel_in_frame,
-    relief,
 )
 from pcwlad_geo.multi.stack_inputs import StackInput, check_reference, number_of, read_table
 from pcwlad_geo.multi.stack_pairs import (
@@ -63,8 +61,8 @@ from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px, pixel_si
 from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import SLIVER_PX, GridRequest
-from pcwlad_geo.raster.rpc.dem import Dem
-from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
+from pcwlad_geo.raster.rpc.dem import Dem, relief
+from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, image_px
 from pcwlad_geo.raster.rpc.model import RpcSource, read_rpc, to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.ortho import PLACED_LATTICE, RpcPlacement, ground_grid, ortho_grid, place_by_rpc
 from pcwlad_geo.raster.source import RasterInfo
@@ -615,7 +613,7 @@ def _off_m(block: RpcBlock, found: BlockAdjustment) -> float:
     if not found.dem_moved:
         return 0.0
     ground_px = np.concatenate([fit.linear.ground_px for fit in found.edges])
-    higher_m, _ = relief(block, ground_px, 0.0, found.dem_shift_px)
+    higher_m, _ = relief(block.dem, block.frame, ground_px, 0.0, found.dem_shift_px)
     return float(np.percentile(np.abs(higher_m - np.mean(higher_m)), 90))
 
 

@@ -20,7 +20,7 @@ from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import WGS84, name_of, to_pyproj, transform_xy, with_arrays
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, ignoring, root_cause
-from pcwlad_geo.raster.grid import Grid, Window
+from pcwlad_geo.raster.grid import Grid, Window, jacobian, map_px
 from pcwlad_geo.raster.pixels import valid_in_file
 from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
 from pcwlad_geo.types import Float64
@@ -347,3 +347,36 @@ def in_words(bounds: Bounds) -> str:
     """Return west, south, east and north, degrees, as text for messages."""
     west, south, east, north = bounds
     return f"longitude {west:.4f} to {east:.4f}, latitude {south:.4f} to {north:.4f}"
+
+
+def relief(
+    dem: Dem | None, frame: Grid, ground_px: Float64, window_px: float, dem_px: Float64
+) -> tuple[Float64, Float64]:
+    """Return what moving a DEM does to the heights at the (n, 2) `ground_px` of the `frame`.
+
+    Returned are the (n,) metres by which it is higher there once moved by the (2,) `dem_px` (col, row), its
+    px, and its (n, 2) slope then, m per px of the DEM. Both are medians over windows of `window_px`: the
+    place of least absolute deviation is that of most of a window.
+    """
+    if dem is None:
+        return np.zeros(len(ground_px)), np.zeros((len(ground_px), 2))
+    lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
+    rate = jacobian(frame.middle_px, frame, dem.grid)[0]
+    at_px = map_px(ground_px, frame, dem.grid)
+    count = 5 if window_px > 0 else 1
+    parts = (np.arange(count) + 0.5) / count - 0.5
+    offsets_px = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 2) * window_px @ rate.T
+    step_px = max(1.0, 0.5 * window_px / count * float(np.sqrt(abs(np.linalg.det(rate)))))
+    given = [dem.at_px(at_px + offset_px, lon_lat) for offset_px in offsets_px]
+
+    def higher(by_px: Float64) -> Float64:
+        moved = [dem.at_px(at_px + offset_px - by_px, lon_lat) for offset_px in offsets_px]
+        change = np.stack(moved) - np.stack(given)
+        known = np.isfinite(change).any(axis=0)
+        result = np.zeros(len(at_px))
+        result[known] = np.nanmedian(change[:, known], axis=0)
+        return result
+
+    # higher where the ground rises against the direction in which the DEM is moved
+    ends = [higher(dem_px - step) - higher(dem_px + step) for step in step_px * np.eye(2)]
+    return higher(dem_px), np.stack(ends, axis=1) / (2 * step_px)

@@ -104,6 +104,19 @@ def with_height_offset(grid: Grid, by_m: float) -> Grid:
     return replace(grid, heights=replace(heights, undulation=replace(heights.undulation, values_m=values)))
 
 
+def image_px(grid: Grid, frame: Grid, ground_px: Float64, height_m: Float64 | None) -> Float64:
+    """Return the (n, 2) px of an image that see the (n, 2) `ground_px` of the frame, at its own heights.
+
+    The (n,) `height_m` are known ones above the ellipsoid; NaN where they are not.
+    """
+    at_px = map_px(ground_px, frame, grid)
+    if height_m is None or not isinstance(grid, RpcGrid):
+        return at_px
+    lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
+    from_heights = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height_m])))
+    return np.where(np.isfinite(height_m)[:, None], from_heights, at_px)
+
+
 def footprint_px(grid: Grid, onto: Grid) -> shapely.Geometry:
     """Return the footprint of a raster on the ground, as far as heights are known.
 
