@@ -641,6 +641,36 @@ def frame_of(
     return StackFrame(names, infos, infos[number].grid, not lacking, tuple(inputs), number)
 
 
+Described = RasterInfo | InputError
+"""An image, or why it cannot be read."""
+
+
+def described_again(numbers: Mapping[str, Any]) -> list[Described]:
+    """Describe all images of a stack."""
+    found: list[Described] = []
+    for entry in numbers["images"]:
+        try:
+            found.append(StackInput.from_dict(entry["given"]).describe())
+        except InputError as error:
+            found.append(error)
+    return found
+
+
+def frame_again(numbers: Mapping[str, Any], infos: Sequence[Described]) -> StackFrame:
+    """Return the frame of a stack; raises `InputError` if an image cannot be read, or it has RPCs."""
+    if numbers.get("block") is not None:
+        raise InputError("the images have RPCs, and what relief leaves of them is no motion")
+    inputs = [StackInput.from_dict(entry["given"]) for entry in numbers["images"]]
+    if numbers["reference"] not in [each.name for each in inputs]:
+        raise InputError(f"{NUMBERS} is damaged (no image is its reference): stack again")
+    readable = []
+    for info in infos:
+        if isinstance(info, InputError):
+            raise info
+        readable.append(info)
+    return frame_of(inputs, readable, str(numbers["reference"]), "auto")
+
+
 def _check_places(job: _StackJob, out: OutputFolder, frame: StackFrame, given: Sequence[PathLike]) -> None:
     """Raise where a result would replace an input, or a file that no earlier stack has written."""
     extension = OutputFormat.of(job.settings.of, job.settings.co).extension

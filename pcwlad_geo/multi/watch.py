@@ -7,7 +7,6 @@ the ground. What all images share, the frame itself, cannot be seen.
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import re
@@ -21,9 +20,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import rasterio
-from affine import Affine
-from scipy import ndimage
 
 from pcwlad_geo.correction.error_statistics import float_pair
 from pcwlad_geo.correction.models import AffineCorrection, Correction, affine_between, from_dict
@@ -31,21 +27,25 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import RANK, pseudo_inverse
 from pcwlad_geo.estimation.time_series import (
     MIN_IMAGES,
-    MIN_MOVING_IMAGES,
     MIN_SEASON_IMAGES,
     MIN_SEASON_YEARS,
-    Motions,
     SeriesModel,
     analyse,
-    displacements,
-    velocities,
 )
 from pcwlad_geo.events import EventCallback, Progress, Warned, ignore, only_warnings
 from pcwlad_geo.limits import COORDINATE
+from pcwlad_geo.multi.ground_motion import (
+    DatedImage,
+    GroundMotion,
+    MotionRaster,
+    moving_ground,
+    page_data,
+    write_motion,
+)
 from pcwlad_geo.multi.network import LEAST_CHECKED
-from pcwlad_geo.multi.stack import VRT, frame_of, numbers_of, warp_onto
+from pcwlad_geo.multi.stack import VRT, Described, described_again, frame_again, numbers_of, warp_onto
 from pcwlad_geo.multi.stack_inputs import StackInput
-from pcwlad_geo.multi.stack_pairs import PAIRS, StackFrame
+from pcwlad_geo.multi.stack_pairs import StackFrame
 from pcwlad_geo.multi.stack_result import (
     COLLECTION,
     NODES,
@@ -60,16 +60,15 @@ from pcwlad_geo.multi.trend import seconds_of
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products import products_found_once
-from pcwlad_geo.raster.grid import Grid, middle_pixel_size_m
-from pcwlad_geo.raster.source import RasterInfo, describe, plain_name
+from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster.source import describe, plain_name
 from pcwlad_geo.raster.trust import Trust, trusting
 from pcwlad_geo.raster.vrt import corrected_transform, referred
 from pcwlad_geo.report.content import versions
 from pcwlad_geo.report.page import page_environment, page_script
 from pcwlad_geo.requirements import Requirement, RequirementResult, parse_requirements
 from pcwlad_geo.text import csv_of
-from pcwlad_geo.tiepoints.readers import read_point_file
-from pcwlad_geo.types import Bool, Float64, Index, PathLike
+from pcwlad_geo.types import Float64, PathLike
 
 NAMES: Final = {"numbers": "watch.json", "table": "watch.csv", "report": "watch.html", "motion": "motion.tif"}
 """File names of the outputs by kind."""
@@ -79,10 +78,6 @@ YEAR_S: Final = 365.25 * 86400
 """Length of a year, s."""
 FIRST_YEAR, LAST_YEAR = 1900, 2200
 """Years in which an image may have been taken."""
-MAX_PACKED: Final = 120_000
-"""Largest number of displacements of cells that the page holds, six bytes each."""
-PACKED_LARGEST: Final = 32767
-"""Largest whole number of 16 bits."""
 APPLIED: Final = "{}_registered.tif"
 """File name of an image that was written on the grid of the stack."""
 CORRECTED: Final = (
@@ -202,39 +197,6 @@ class SeriesOffset:
 
 
 @dataclass(frozen=True, slots=True)
-class MovingRegion:
-    """A part of the ground that moves by itself."""
-
-    number: int
-    """In motion.tif; 1 is the largest."""
-    x: float
-    """Its middle, CRS of the frame; px without one."""
-    y: float
-    share: float
-    """Of the cells that could be tested."""
-    velocity_px: tuple[float, float]
-    """(col, row) of the cells that it fills, px of the frame a year."""
-    sigma_px: float
-    """Mean standard deviation of its cells along an axis."""
-
-
-@dataclass(frozen=True, slots=True)
-class GroundMotion:
-    """Motion of the ground that is none of the images."""
-
-    cell_px: float
-    """Side of a cell, px of the frame."""
-    tested: int
-    """Number of cells with enough images."""
-    sigma_px: float
-    """Median standard deviation of their velocities along an axis, px of the frame a year."""
-    regions: tuple[MovingRegion, ...]
-    """The largest first."""
-    px_m: float | None
-    """Side of a pixel of the frame, metres; null without a CRS."""
-
-
-@dataclass(frozen=True, slots=True)
 class CorrectedImages:
     """A STAC collection of the original images, each with the georeferencing that its correction gives."""
 
@@ -337,10 +299,10 @@ def watch(
         place, overwrite=overwrite, results=NAMES["numbers"], inputs=[folder / STACK_NUMBERS]
     )
     with out_folder as out, trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
-        infos = _described(numbers)
+        infos = described_again(numbers)
         motion, raster = None, None
         with _warning_of(warn, "the motion of the ground is not known"):
-            motion, raster = _moving_ground(numbers, folder, dated, infos, on_event)
+            motion, raster = moving_ground(numbers, folder, dated, infos, on_event)
         corrected = None
         with nullcontext() if apply else _warning_of(warn, "there is no collection of the corrected images"):
             corrected = _write_corrected(out, numbers, folder, infos, series, apply, on_event)
@@ -380,20 +342,6 @@ def _warning_of(warn: Callable[[str], None], what: str) -> Iterator[None]:
 def watch_folder(stack: PathLike, out_dir: PathLike | None) -> Path:
     """Return the output folder: `out_dir`, or by default one named after the `stack`."""
     return Path(out_dir) if out_dir else Path(f"{Path(stack).resolve().name}_watch")
-
-
-@dataclass(frozen=True, slots=True)
-class DatedImage:
-    """An image of a stack with its time, and what stack.json says of it."""
-
-    number: int
-    """In stack.json, counted from 0."""
-    given: StackInput
-    year: float
-    """Time since 1970."""
-    shift_px: tuple[float, float]
-    sigma_px: float
-    pixel_size_m: float | None
 
 
 def _checked(numbers: Mapping[str, Any], place: Path) -> Mapping[str, Any]:
@@ -579,222 +527,6 @@ def _offsets(series: Sequence[ImageSeries]) -> tuple[SeriesOffset, ...]:
     return tuple(found)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _CellSeries:
-    """What some cells do from date to date."""
-
-    cells: Index
-    """(n,) their numbers, along rows first."""
-    days: tuple[str, ...]
-    """Of the images, ISO 8601."""
-    moved_px: Float64
-    """(n, images, 2) about the mean of their dates, px of the frame; NaN where unknown."""
-    sigma_px: Float64
-    """(n, images) standard deviation along an axis."""
-
-    def packed(self) -> dict[str, object]:
-        """Return it for the script of the page: 16 bits a number, in steps of `unit_px`."""
-        largest = np.nanmax(np.abs([np.nanmax(np.abs(self.moved_px)), np.nanmax(self.sigma_px)]))
-        unit_px = max(float(largest), 1e-3) / PACKED_LARGEST
-        values = np.concatenate([self.moved_px, self.sigma_px[..., None]], axis=2) / unit_px
-        whole = np.where(np.isfinite(values), np.round(values), -PACKED_LARGEST - 1).astype("<i2")
-        text = base64.b64encode(whole.tobytes()).decode("ascii")
-        return {"cells": self.cells.tolist(), "days": self.days, "unit_px": unit_px, "values": text}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _MotionRaster:
-    """Cells of the frame, and what they do a year."""
-
-    frame: StackFrame
-    cell_px: float
-    velocity_px: Float64
-    """(rows, cols, 2)."""
-    sigma_px: Float64
-    """(rows, cols)."""
-    moving: Index
-    """(rows, cols) number of the region that a cell is in, from 1; 0: it stands still."""
-    series: _CellSeries | None
-
-
-Described = RasterInfo | InputError
-"""An image, or why it cannot be read."""
-
-
-def _described(numbers: Mapping[str, Any]) -> list[Described]:
-    """Describe all images of a stack."""
-    found: list[Described] = []
-    for entry in numbers["images"]:
-        try:
-            found.append(StackInput.from_dict(entry["given"]).describe())
-        except InputError as error:
-            found.append(error)
-    return found
-
-
-def _frame(numbers: Mapping[str, Any], infos: Sequence[Described]) -> StackFrame:
-    """Return the frame of a stack; raises `InputError` if an image cannot be read, or it has RPCs."""
-    if numbers.get("block") is not None:
-        raise InputError("the images have RPCs, and what relief leaves of them is no motion")
-    inputs = [StackInput.from_dict(entry["given"]) for entry in numbers["images"]]
-    if numbers["reference"] not in [each.name for each in inputs]:
-        raise InputError(f"{STACK_NUMBERS} is damaged (no image is its reference): stack again")
-    readable = []
-    for info in infos:
-        if isinstance(info, InputError):
-            raise info
-        readable.append(info)
-    return frame_of(inputs, readable, str(numbers["reference"]), "auto")
-
-
-def _moving_ground(
-    numbers: Mapping[str, Any],
-    folder: Path,
-    dated: Sequence[DatedImage],
-    infos: Sequence[Described],
-    on_event: EventCallback,
-) -> tuple[GroundMotion, _MotionRaster]:
-    """Return what the tie points of all pairs tell beside the corrections of their images.
-
-    Raises `InputError` if too few dates tell, an image or a pair cannot be read, or the images have RPCs.
-    """
-    span = dated[-1].year - dated[0].year
-    if len(dated) < MIN_MOVING_IMAGES or span < 0.1:  # years
-        raise InputError(
-            f"{len(dated)} dates in {span:.2f} years are too few: {MIN_MOVING_IMAGES} are needed"
-        )
-    frame = _frame(numbers, infos)
-    corrections = [from_dict(entry["model"]) for entry in numbers["images"]]
-    years = {image.given.name: (image.number, image.year) for image in dated}
-    rows, cols = frame.grid.shape
-    cell_px = max(16.0, max(rows, cols) / 48)
-    shape = int(np.ceil(rows / cell_px)), int(np.ceil(cols / cell_px))
-    parts = []
-    pairs = [pair for pair in numbers["pairs"] if pair["status"] == "used"]
-    for done, pair in enumerate(pairs):
-        on_event(Progress("reading", done, len(pairs)))
-        ends = years.get(pair["reference"]), years.get(pair["target"])
-        if ends[0] is not None and ends[1] is not None and ends[0][1] != ends[1][1]:
-            place = folder / PAIRS / f"{pair['reference']}__{pair['target']}" / "tiepoints.csv"
-            parts.append(_motions_of(place, frame, corrections, (ends[0], ends[1]), cell_px, shape))
-    on_event(Progress("reading", len(pairs), len(pairs)))
-    if not parts:
-        raise InputError("no pair of images of two dates has been used")
-    every = Motions(*(np.concatenate([getattr(part, name) for part in parts]) for name in Motions.__slots__))
-    found = velocities(every, shape[0] * shape[1], len(infos))
-    moving = found.moving.reshape(shape)
-    labels, count = ndimage.label(moving, np.ones((3, 3)))
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    renumbered = np.zeros(count + 1, int)
-    renumbered[1 + np.argsort(-sizes, kind="stable")] = np.arange(1, count + 1)
-    regions = renumbered[labels]
-    velocity_px, sigma_px = found.velocity_px.reshape(*shape, 2), found.sigma_px.reshape(shape)
-    series = _cell_series(every, _shown(np.isfinite(sigma_px), regions, len(dated)), frame, dated)
-    raster = _MotionRaster(frame, cell_px, velocity_px, sigma_px, regions, series)
-    return _ground_motion(raster, count), raster
-
-
-def _shown(known: Bool, regions: Index, dates: int) -> Index:
-    """Return the numbers of the cells whose series the page holds.
-
-    Those that move come first, and of the others so many along each axis that all fit.
-    """
-    most = max(1, MAX_PACKED // dates)
-    found = np.flatnonzero(known)
-    for spacing in range(1, max(known.shape) + 1):
-        lattice = np.zeros(known.shape, bool)
-        lattice[spacing // 2 :: spacing, spacing // 2 :: spacing] = True
-        for chosen in (lattice | (regions > 0), lattice):
-            found = np.flatnonzero(known & chosen)
-            if len(found) <= most:
-                return found
-    return found[:most]
-
-
-def _cell_series(
-    motions: Motions, cells: Index, frame: StackFrame, dated: Sequence[DatedImage]
-) -> _CellSeries | None:
-    """Return what cells do from date to date; None without cells."""
-    if not len(cells):
-        return None
-    place = np.full(len(frame.names), -1)
-    place[[image.number for image in dated]] = np.arange(len(dated))
-    own_px = np.array([frame.pixel(image.number) * image.sigma_px for image in dated])
-    order = np.argsort(motions.cell, kind="stable")
-    bounds = np.searchsorted(motions.cell[order], np.stack([cells, cells + 1]))
-    moved, sigmas = [], []
-    for first, last in bounds.T:
-        part = order[first:last]
-        each = Motions(*(getattr(motions, name)[part] for name in Motions.__slots__))
-        found, sigma_px = displacements(replace(each, ends=place[each.ends]), len(dated))
-        moved.append(found)
-        sigmas.append(np.hypot(sigma_px, own_px))
-    days = tuple(str(image.given.day) for image in dated)
-    return _CellSeries(cells, days, np.array(moved), np.array(sigmas))
-
-
-def _motions_of(
-    place: Path,
-    frame: StackFrame,
-    corrections: Sequence[Correction],
-    ends: tuple[tuple[int, float], tuple[int, float]],
-    cell_px: float,
-    shape: tuple[int, int],
-) -> Motions:
-    """Return the tie points of a pair, px of the frame, less what the corrections of both images say."""
-    (first, before), (second, after) = ends
-    points = read_point_file(place)
-    sigma_px = np.full((len(points.enabled), 2), np.nan) if points.sigma_px is None else points.sigma_px
-    good = points.enabled & (sigma_px > 0).all(axis=1)
-    at = frame.from_image(first, corrections[first].inverse(points.reference[good]))
-    moved = frame.from_image(second, corrections[second].inverse(points.target[good])) - at
-    scale = np.abs(np.linalg.det(frame.scale(second, points.target[good]))) ** 0.5
-    sigma = np.sqrt((sigma_px[good] ** 2).mean(axis=1)) * scale
-    col, row = np.floor(at / cell_px).astype(np.intp).T
-    inside = (col >= 0) & (row >= 0) & (col < shape[1]) & (row < shape[0]) & np.isfinite(moved).all(axis=1)
-    count = int(inside.sum())
-    return Motions(
-        (row * shape[1] + col)[inside],
-        np.tile(np.array([first, second]), (count, 1)),
-        np.full(count, after - before),
-        moved[inside],
-        sigma[inside],
-    )
-
-
-def _ground_motion(raster: _MotionRaster, count: int) -> GroundMotion:
-    known = np.isfinite(raster.sigma_px)
-    tested = int(known.sum())
-    regions = []
-    for number in range(1, count + 1):
-        inside = raster.moving == number
-        row, col = (float(np.mean(each)) + 0.5 for each in np.nonzero(inside))
-        middle = np.array([[col, row]]) * raster.cell_px
-        x, y = (raster.frame.grid.to_xy(middle) if raster.frame.placed else middle)[0].tolist()
-        velocity = float_pair(region_velocity(raster.velocity_px[inside]))
-        sigma = float(raster.sigma_px[inside].mean())
-        regions.append(MovingRegion(number, x, y, float(inside.sum()) / tested, velocity, sigma))
-    sizes_m = middle_pixel_size_m(raster.frame.grid)
-    return GroundMotion(
-        cell_px=raster.cell_px,
-        tested=tested,
-        sigma_px=float(np.median(raster.sigma_px[known])) if tested else 0.0,
-        regions=tuple(regions),
-        px_m=None if sizes_m is None else float(np.sqrt(np.prod(sizes_m))),
-    )
-
-
-def region_velocity(velocity_px: Float64) -> Float64:
-    """Return the (2,) velocity of a region from the (n, 2) `velocity_px` of its cells.
-
-    Cells at its border move in part: of many dates these are found, too. The median counts of those that move
-    more than half as fast, along the mean direction, as the fastest tenth.
-    """
-    along = velocity_px @ velocity_px.mean(axis=0)
-    whole = along > np.percentile(along, 90) / 2
-    return np.median(velocity_px[whole if whole.any() else slice(None)], axis=0)
-
-
 def _write_corrected(
     out: OutputFolder,
     numbers: Mapping[str, Any],
@@ -808,7 +540,7 @@ def _write_corrected(
 
     Raises `InputError` where the images have RPCs or no CRS, or one cannot be read.
     """
-    frame = _frame(numbers, infos)
+    frame = frame_again(numbers, infos)
     if not frame.placed:
         raise InputError("the images have no CRS")
     known = {image.name: (each.name, image) for each in series for image in each.images}
@@ -931,12 +663,12 @@ def _not_sought(
     return None
 
 
-def _write(out: OutputFolder, found: WatchNumbers, raster: _MotionRaster | None) -> None:
+def _write(out: OutputFolder, found: WatchNumbers, raster: MotionRaster | None) -> None:
     text = json.dumps(asdict(found), indent=1, allow_nan=False) + "\n"
     texts = {"table": csv_of(list(_rows(found))), "report": _page(found, raster), "numbers": text}
     with out.writing():
         if raster is not None:
-            _write_motion(raster, out.path(NAMES["motion"]))
+            write_motion(raster, out.path(NAMES["motion"]))
         for kind, content in texts.items():
             out.path(NAMES[kind]).write_text(content, encoding="utf-8", newline="")
     out.commit()
@@ -976,7 +708,7 @@ def _size(size_px: tuple[float, float], sigma_px: float, px_m: float | None) -> 
     return f"({size_px[0]:+.3f}, {size_px[1]:+.3f}) ± {sigma_px:.3f} px{metres}"
 
 
-def _page(found: WatchNumbers, raster: _MotionRaster | None) -> str:
+def _page(found: WatchNumbers, raster: MotionRaster | None) -> str:
     """Return the page, which holds everything that it shows."""
     from pcwlad_geo.report import figures  # slow to load: matplotlib
 
@@ -998,7 +730,7 @@ def _page(found: WatchNumbers, raster: _MotionRaster | None) -> str:
     if raster is not None:
         shape = raster.frame.grid.shape
         motion, box = figures.motion_figure(raster.velocity_px, raster.moving, raster.cell_px, shape)
-        data = _page_data(raster, box)
+        data = page_data(raster, box)
     events = len(found.motion.regions) if found.motion else 0
     for series in found.series:
         events += len(series.steps) + bool(series.drift) + bool(series.season) + bool(series.last_outliers)
@@ -1018,50 +750,9 @@ def _page(found: WatchNumbers, raster: _MotionRaster | None) -> str:
     )
 
 
-def _page_data(raster: _MotionRaster, box: tuple[float, float, float, float]) -> dict[str, object] | None:
-    """Return what the script of the page shows of single cells; None where no cell is known."""
-    if raster.series is None:
-        return None
-    row, col = np.divmod(raster.series.cells, raster.moving.shape[1])
-    middles_px = (np.column_stack([col, row]) + 0.5) * raster.cell_px
-    at = raster.frame.grid.to_xy(middles_px) if raster.frame.placed else middles_px
-    velocity = np.column_stack([raster.velocity_px[row, col], raster.sigma_px[row, col]])
-    return {
-        **raster.series.packed(),
-        "box": box,
-        "cols": raster.moving.shape[1],
-        "across": [raster.frame.grid.shape[1] / raster.cell_px, raster.frame.grid.shape[0] / raster.cell_px],
-        "at": np.round(at, 6 if np.abs(at).max() < 1000 else 1).tolist(),
-        "velocity": np.round(velocity, 4).tolist(),
-        "region": raster.moving[row, col].tolist(),
-    }
-
-
 def _rows(found: WatchNumbers) -> Iterator[dict[str, object]]:
     for series in found.series:
         for image in series.images:
             figures = [round(each, 6) for each in (*image.shift_px, image.sigma_px, *image.expected_px)]
             row = [image.name, series.name, image.date, *figures, image.outlier]
             yield dict(zip(COLUMNS, row, strict=True))
-
-
-def _write_motion(raster: _MotionRaster, place: Path) -> None:
-    """Write velocity x, y and sigma, units of the CRS a year (px without one), and the numbers of regions."""
-    grid, (rows, cols) = raster.frame.grid, raster.sigma_px.shape
-    linear, placed = np.eye(2), {}
-    if raster.frame.placed:
-        a, b, x, d, e, y = grid.transform[:6]
-        linear = np.array([[a, b], [d, e]])
-        (ca, cb), (cd, ce) = (linear * raster.cell_px).tolist()
-        placed = {"crs": grid.crs, "transform": Affine(ca, cb, x, cd, ce, y)}
-    velocity = raster.velocity_px @ linear.T
-    sigma = raster.sigma_px * float(np.sqrt(abs(np.linalg.det(linear))))
-    moving = np.where(np.isfinite(raster.sigma_px), raster.moving, np.nan)
-    bands = [velocity[..., 0], velocity[..., 1], sigma, moving]
-    names = ("velocity x, a year", "velocity y, a year", "sigma along an axis, a year", "moving region")
-    with rasterio.open(
-        place, "w", driver="GTiff", count=4, height=rows, width=cols, dtype="float32", nodata=np.nan, **placed
-    ) as file:
-        for number, (band, name) in enumerate(zip(bands, names, strict=True), 1):
-            file.write(np.asarray(band, np.float32), number)
-            file.set_band_description(number, name)

@@ -20,7 +20,8 @@ from fuzz.kept import SEEDS
 from fuzz.recipes import named
 from pcwlad_geo import InputError, SettingsError
 from pcwlad_geo.events import Event, Warned
-from pcwlad_geo.multi.watch import MAX_PACKED, _shown, findings, region_velocity, watch
+from pcwlad_geo.multi.ground_motion import MAX_PACKED, _shown, region_velocity
+from pcwlad_geo.multi.watch import findings, watch
 from tests.chromium import show
 from tests.cli.process import run_cli
 from tests.multi.watched import FIRST, REGION, STEP_PX, make_images, make_stack, stepped
@@ -329,5 +330,5 @@ def test_a_page_of_many_dates_holds_the_moving_cells_and_some_others(monkeypatch
     some = _shown(known, regions, 500)
     assert set(np.flatnonzero(regions)) <= set(some)
     assert 500 * len(some) <= MAX_PACKED < 500 * 4 * len(some)
-    monkeypatch.setattr("pcwlad_geo.multi.watch.MAX_PACKED", 1000)
+    monkeypatch.setattr("pcwlad_geo.multi.ground_motion.MAX_PACKED", 1000)
     assert len(_shown(known, np.ones((40, 50), int), 500)) <= 2
