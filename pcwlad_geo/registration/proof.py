@@ -15,13 +15,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
 import scipy.fft
 import scipy.ndimage
-from numpy.typing import NDArray
 
 from pcwlad_geo.correction import Effort
 from pcwlad_geo.correction.error_statistics import (
@@ -59,7 +58,15 @@ from pcwlad_geo.matching.matcher import (
     rematch_with,
     to_index,
 )
-from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, fast_even, fill_smoothly, prepare
+from pcwlad_geo.matching.prepare import (
+    ChannelPair,
+    Image,
+    PreparedPair,
+    fast_even,
+    fill_smoothly,
+    noise_level,
+    prepare,
+)
 from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, in_threads, refine
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 from pcwlad_geo.options import Settings
@@ -177,59 +184,6 @@ class Resampler:
         rows, cols = self._shape
         inside = (col >= 0) & (col < cols) & (row >= 0) & (row < rows)
         return np.asarray(inside & self._inner[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)])
-
-
-PATCH_PX: Final = 8
-"""Side of the patches whose covariance tells the noise."""
-
-
-BLOCK_PATCHES: Final = 8
-"""Side of the blocks of patches in which two images are compared, as their contrasts may differ in sign."""
-
-
-def noise_level(values: Float64, other: Float64, valid: Bool) -> float:
-    """Return the standard deviation of the white noise of an image, in its units; 0 where that is not known.
-
-    Patches vary by nothing but noise and the finest texture along the axes of the smallest eigenvalues of
-    their covariance, as many as have their mean and their median alike (Chen, Zhu and Heng 2015,
-    doi:10.1109/ICCV.2015.62). What `other`, another band in the same place, varies alike there is texture.
-    The (rows, cols) `values` and `other` are finite where `valid`, a (rows, cols) mask of the pixels that
-    count in both.
-    """
-    known = np.asarray(_patches(valid).all(axis=2))
-    own, others = (_patches(np.where(valid, image, 0.0)).astype(np.float64) for image in (values, other))
-    if np.count_nonzero(known) < 200:
-        return 0.0
-    variance, axes = np.linalg.eigh(np.cov(own[known], rowvar=False))
-    count = len(variance)
-    while count > 1 and (variance[:count] > variance[:count].mean()).sum() * 2 < count:
-        count -= 1
-    alike = _alike(own @ axes[:, :count], others @ axes[:, :count], known)
-    return float(np.sqrt(max(float(variance[:count].mean()), 0.0) * (1 - alike)))
-
-
-def _patches(image: NDArray[Any]) -> NDArray[Any]:
-    """Return the (m, k, pixels) patches of an image, each half a patch from the next."""
-    side = (PATCH_PX, PATCH_PX)
-    views = np.lib.stride_tricks.sliding_window_view(image, side)[:: PATCH_PX // 2, :: PATCH_PX // 2]
-    return views.reshape(*views.shape[:2], PATCH_PX**2)
-
-
-def _alike(own: Float64, other: Float64, known: Bool) -> float:
-    """Return the share of the variance of (m, k, c) values that another image has too, 0 to 1.
-
-    Of each image it is taken to be the same, so that their correlation is that share.
-    """
-    squares = []
-    for row in range(0, known.shape[0], BLOCK_PATCHES):
-        for col in range(0, known.shape[1], BLOCK_PATCHES):
-            block = (slice(row, row + BLOCK_PATCHES), slice(col, col + BLOCK_PATCHES))
-            first, second = (each[block][known[block]].ravel() for each in (own, other))
-            energy = float((first**2).sum() * (second**2).sum())
-            if energy > 0:
-                by_chance = 4 / first.size  # every pixel is in four patches
-                squares.append(float(first @ second) ** 2 / energy - by_chance)
-    return float(np.sqrt(np.clip(np.mean(squares), 0.0, 1.0))) if squares else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
