@@ -21,8 +21,6 @@ MIN_WAVE_POINTS: Final = 60
 """Least number of tie points in which waves are looked for."""
 SHORTEST: Final = 1.5
 """Shortest period that is looked for, in windows: of shorter ones a window leaves a third at most."""
-MOST_PER_SPACING: Final = 1.0
-"""Nor are periods shorter than so many typical spacings of the points."""
 CYCLES: Final = 2.0
 """Least number of periods over the extent of the points; longer waves are what models take out."""
 OVERSAMPLED: Final = 4
@@ -84,7 +82,7 @@ def peaks(at_px: Float64, rest_px: Float64, footprint_px: float) -> tuple[Peak, 
         return ()
     extent = np.ptp(at_px, axis=0)
     spacing = float(np.sqrt(np.prod(extent) / len(at_px)))
-    shortest = max(SHORTEST * footprint_px, MOST_PER_SPACING * spacing, 4.0)
+    shortest = max(SHORTEST * footprint_px, spacing, 4.0)
     found = [
         _peak(at_px, rest_px, along, of, shortest, footprint_px)
         for along in (0, 1)

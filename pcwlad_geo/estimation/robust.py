@@ -41,10 +41,6 @@ BLOCK_CORRELATION: Final = 1.4
 known truth (two sensors, 320 and 1,024 px)."""
 MEASURED: Final = "a pair of images needs tie points of ordinary size, with a sigma above 0"
 """What the equations of a pair ask for."""
-STARTS: Final = 200
-"""Number of random samples tried by the least median of squares."""
-START_POINTS: Final = 1000
-"""Largest number of points whose residuals judge these samples."""
 
 
 def sigma_of(errors: Float64) -> float:
@@ -299,9 +295,9 @@ def _least_median(basis: Float64, displacement_px: Float64) -> Float64:
     n, k = basis.shape
     # A fixed seed: the same points give the same fit. Of 200 samples of 3 points one is clean, also with half
     # of the points outliers, in all but 1 of 10¹¹ cases.
-    samples = np.random.default_rng(0).integers(0, n, size=(STARTS, k))
+    samples = np.random.default_rng(0).integers(0, n, size=(200, k))
     candidates = pseudo_inverse(basis[samples]) @ displacement_px[samples]
-    judges = np.linspace(0, n - 1, min(n, START_POINTS)).astype(np.intp)
+    judges = np.linspace(0, n - 1, min(n, 1000)).astype(np.intp)
     residual = displacement_px[judges] - basis[judges] @ candidates
     return np.asarray(candidates[np.argmin(np.median((residual**2).sum(axis=2), axis=1))])
 

@@ -19,8 +19,6 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import COORDINATE
 from pcwlad_geo.types import Float64, Index
 
-INVERSE_STEPS: Final = 4
-"""Steps of the inverse iteration; a singular matrix shows after one or two."""
 RANK: Final = 1e-12
 """Singular values below this share of the largest are zero."""
 SCALE: Final = "a transformation needs two directions that differ, and a scale above 0"
@@ -196,7 +194,7 @@ def undetermined(normal: csc_array, factor: SuperLU | None = None) -> int | None
     ridge = RANK * scale.max() ** 2 * eye_array(len(scale))
     factor = factor or factorised(csc_array(normal + ridge), "tie points need a sigma above 0")
     vector = np.cos(np.arange(len(scale)))  # any vector that no structure of the matrix shares
-    for _ in range(INVERSE_STEPS):
+    for _ in range(4):  # a singular matrix shows after one or two
         vector = vector / np.linalg.norm(vector)
         vector = scale * factor.solve(scale * vector)
     return None if np.linalg.norm(vector) < 1 / RANK else int(np.nan_to_num(np.abs(vector)).argmax())

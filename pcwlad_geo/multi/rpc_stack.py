@@ -538,10 +538,6 @@ LEAST_SEPARATION_PX: Final = 4.0
 """Least disagreement of two images, px, by which a DEM is called too high or too low."""
 OFFSET_PX: Final = 3.0
 """A DEM is called displaced by at least so many of its pixels, or of the images', if that is significant."""
-LEAST_OFFSET_M: Final = 3.0
-"""And by at least so many metres."""
-OFFSET_M: Final = 10.0
-"""Without a reference, which RPCs may all miss alike, by at least so many metres."""
 SCALE: Final = 0.03
 """Least error of the scale of heights that is told."""
 SCALE_SIGMAS: Final = 5.0
@@ -672,7 +668,7 @@ def _least_m(block: RpcBlock, dem: Dem, absolute: bool) -> float:
     """Return the least displacement of a DEM that is told, metres."""
     sizes = [pixel_sizes_m(grid, grid.middle_px) for grid in (dem.grid, block.frame)]
     least = OFFSET_PX * max(float(each.max()) for each in sizes if each is not None)
-    return max(least, LEAST_OFFSET_M if absolute else OFFSET_M)
+    return max(least, 3.0 if absolute else 10.0)  # without a reference RPCs may all miss alike
 
 
 def _scale(

@@ -65,8 +65,6 @@ EXACT_PX: Final = 0.05
 """Up to this residual control points count as fitted by a geotransform of their own CRS."""
 MAX_NAMED: Final = 12
 """Number of subdatasets that a message names at most."""
-AREA_CELLS: Final = 1024
-"""Number of cells along the longer side in which areas must leave one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +263,7 @@ def with_areas(info: RasterInfo, aoi: PathLike | None, exclude: PathLike | None)
     found = (None if path is None else read_areas(path, info.grid) for path in (aoi, exclude))
     areas = Areas(*found)
     rows, cols = info.grid.shape
-    factor = max(1.0, max(rows, cols) / AREA_CELLS)
+    factor = max(1.0, max(rows, cols) / 1024)
     coarse = info.grid.scaled((math.ceil(rows / factor), math.ceil(cols / factor)))
     if not areas.valid(Window.whole(coarse.shape), coarse).any():
         raise InputError(f"{named} leaves nothing of {info.uri}: check the areas, and their CRS")

@@ -34,8 +34,6 @@ CELLS_ACROSS: Final = 2
 """Number of cells of candidates across a small window."""
 MIN_CORE_PX: Final = 80
 """Least side of the core of a small window."""
-WINDOWS_PER_SITE: Final = 4
-"""Largest number of windows of a place: the first choice and those that may follow it."""
 MIN_VALID: Final = 0.75
 """Least share of a window, including the margin for the matching, that must be valid in both bands."""
 MIN_TEXTURE: Final = 0.05
@@ -130,7 +128,7 @@ def _best_windows(
         separate = all(np.abs(corners[index] - corners[other]).max() >= side for other in chosen)
         if good[index] and separate:
             chosen.append(int(index))
-        if len(chosen) == WINDOWS_PER_SITE:
+        if len(chosen) == 4:  # the first choice and those that may follow it
             break
     return [Window(int(corners[k, 0]), int(corners[k, 1]), side, side) for k in chosen]
 
@@ -191,10 +189,6 @@ def _mean_in(integral: Float64, corners_rc: Index, side: int, factor: float) -> 
 
 FEATURE_AREA_PX: Final = 1024
 """Side of the square over which `features` candidates are spread, or the scene if that is smaller."""
-DENSE_PER_WINDOW: Final = 4
-"""Number of candidates along the side of a matching window where points are wanted dense."""
-POINTS_OF_A_SCENE: Final = 1000
-"""Number of tie points wanted of a scene of several tiles if the user does not give it."""
 CANDIDATES_PER_POINT: Final = 1.25
 """Number of candidates for each tie point wanted."""
 POOR_SHARE: Final = 1 / 3
@@ -272,12 +266,12 @@ def plan(
     base = TileJob(
         0, pair.reference, pair.target, region, region, target_offset_px, *overviews.scenes, matching
     )
-    wanted = POINTS_OF_A_SCENE if settings.points is None else settings.points
+    wanted = 1000 if settings.points is None else settings.points
     candidates = CANDIDATES_PER_POINT * wanted if isinstance(wanted, int) else np.inf
     densest = settings.features / min(area, FEATURE_AREA_PX**2)
     if wanted == "dense":
         base = replace(base, settings=replace(matching, per_cell=1))
-        densest = (DENSE_PER_WINDOW / matching.window) ** 2
+        densest = (4 / matching.window) ** 2  # four along the side of a window
     if one_tile or candidates >= densest * area:
         return Plan(_cover(base, densest, settings.tile_size))
     tiles = _cover(base, candidates / area, settings.tile_size)

@@ -914,8 +914,6 @@ TRIALS_EACH: Final = 5
 """Number that find the first of the levels that is not tolerated, at most."""
 MOST_TRIALS: Final = BEFORE_TRIALS + TRIALS_EACH * len(DIFFICULTIES)
 """Number of registrations of the part, at most."""
-PART_FEATURES: Final = 256
-"""Candidates in the part, as dense as in a tile."""
 AS_GIVEN: Final = (
     *("method", "points", "keypoints", "template", "window", "search_radius", "ssim_min"),
     *("iterations", "consensus", "prealign", "start_matcher", "geometry", "tile_size"),
@@ -978,7 +976,7 @@ def _part(matches: Matches, register: Register) -> _HarderPart:
     col, row = (cells[counts.argmax()] * PART_PX).tolist()
     window = Window(region.row + row, region.col + col, PART_PX, PART_PX).intersection(region)
     model = "auto" if settings.model == "rpc" else settings.model
-    features = min(settings.features, PART_FEATURES)
+    features = min(settings.features, 256)  # as dense as in a tile
     own = Settings(**{name: getattr(settings, name) for name in AS_GIVEN}, model=model, features=features)
     reference = _with_nan(job.reference.read(window))
     return _HarderPart(job, window, reference, own, register, Scratch())

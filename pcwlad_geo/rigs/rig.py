@@ -218,10 +218,6 @@ FIGURES: Final = (
 """What RIG.json says of the whole rig under the names of `Rig`."""
 MAP_STEP_PX: Final = 8
 """Spacing of the exact positions of a warp; between them it is linear, to about 0.002 px."""
-LEAST_SIDE_PX: Final = 640
-"""Frames are not averaged to fewer px than this, longer side."""
-LARGEST_SIDE_PX: Final = 1300
-"""Longer side of the largest frames that are measured."""
 MIN_CROP: Final = 0.3
 """Least share of the reference's rows and columns that all lenses see."""
 
@@ -487,7 +483,7 @@ def measured_side(shape: tuple[int, int]) -> int:
     blur more than the ground's detail, and lies up to 0.1 px aside of all else.
     """
     side = max(shape)
-    return round(min(side, LARGEST_SIDE_PX, max(LEAST_SIDE_PX, side / 2)))
+    return round(min(side, 1300, max(640, side / 2)))
 
 
 def coarsened(values: Float32, at_px: Float64, times: float) -> tuple[Float32, Float64]:

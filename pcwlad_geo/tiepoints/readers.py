@@ -378,8 +378,6 @@ def swapped(points: PointFile, side: Literal["reference", "target"]) -> PointFil
 
 MARGIN: Final = 0.1
 """Distance outside the raster, as a share of its size, at which points still count as on it."""
-MIN_INSIDE: Final = 0.5
-"""Least share of the points that must be on the raster."""
 OTHER_PX: Final = 0.5
 """Tolerated difference of redundant columns, px; a larger one indicates other rasters."""
 
@@ -474,7 +472,7 @@ def _from_map(points: PointFile, info: RasterInfo) -> Float64:
 def _inside(px: Float64, info: RasterInfo) -> bool:
     size = np.array(info.grid.shape[::-1], dtype=np.float64)
     inside = ((px >= -MARGIN * size) & (px <= (1 + MARGIN) * size)).all(axis=1)
-    return bool(inside.mean() >= MIN_INSIDE)
+    return bool(inside.mean() >= 0.5)
 
 
 def _check_against_itself(
