@@ -14,10 +14,11 @@ from matplotlib import font_manager
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
 from matplotlib.dates import ConciseDateFormatter
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Circle, Patch
 from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
@@ -431,11 +432,12 @@ def coverage_figure(
 
 def _mark(axes: Axes, where: Bool, shape: tuple[int, int], kind: GapStyle) -> None:
     """Fill squares; hatches distinguish the kinds in print."""
-    height, width = shape[0] / where.shape[0], shape[1] / where.shape[1]
-    for row, col in np.argwhere(where):
-        square = Rectangle((col * width, row * height), width, height, fc=kind.colour, ec="0.2", alpha=0.8)
-        square.set(hatch=kind.hatch, linewidth=0.3)
-        axes.add_patch(square)
+    size_xy = np.array([shape[1] / where.shape[1], shape[0] / where.shape[0]])
+    corners = np.argwhere(where)[:, ::-1, None] + np.array([(0, 1, 1, 0), (0, 0, 1, 1)])
+    squares = PolyCollection(
+        corners.swapaxes(1, 2) * size_xy, fc=kind.colour, ec="0.2", alpha=0.8, hatch=kind.hatch, linewidth=0.3
+    )
+    axes.add_collection(squares, autolim=False)  # one artist: a patch a square takes three times as long
 
 
 def candidate_figure(candidates: Sequence[CandidateEntry]) -> bytes:
