@@ -607,6 +607,10 @@ class Sensitivity:
     """Null where the reference cannot be registered to the target."""
 
 
+LOCKING_PX: Final = 0.01
+"""Amplitude of pixel locking up to which there is none to speak of."""
+
+
 @dataclass(frozen=True, slots=True)
 class Proof:
     """The tool's own error on a pair, target px; axes are those of the matching grid, (col, row)."""

@@ -85,8 +85,6 @@ SITES: Final = {"quick": 3, "full": 8}
 """Largest number of parts of a large scene."""
 SITE_PX: Final = 640
 """Largest side of such a part; a smaller scene is taken whole."""
-LOCKING_PX: Final = 0.01
-"""Amplitude of pixel locking up to which there is none to speak of."""
 FALSE_MATCH_PX: Final = 1.0
 """A match that errs by more is false."""
 MIN_POINTS: Final = 12

@@ -24,8 +24,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcwlad_geo.correction.error_statistics import Proof, Sensitivity
-from pcwlad_geo.registration.proof import LOCKING_PX
+from pcwlad_geo.correction.error_statistics import LOCKING_PX, Proof, Sensitivity
 from pcwlad_geo.report.content import CandidateEntry, CoverageEntry, ProfilesEntry
 from pcwlad_geo.report.statistics import KEPT, PrecisionMap
 from pcwlad_geo.tiepoints.table import TiePointTable

@@ -19,12 +19,17 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcwlad_geo.correction.error_statistics import CorrectionEntry, Difficulty, LimitEntry, Proof
+from pcwlad_geo.correction.error_statistics import (
+    LOCKING_PX,
+    CorrectionEntry,
+    Difficulty,
+    LimitEntry,
+    Proof,
+)
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, NOTICEABLE_PX, Grade
-from pcwlad_geo.registration.proof import LOCKING_PX
 from pcwlad_geo.registration.result import Registration, RegistrationStatus
 from pcwlad_geo.report.content import GroupStatistics, Report, raster_entry, reference_entry
 from pcwlad_geo.report.statistics import PrecisionMap, heights_m, precision_of
