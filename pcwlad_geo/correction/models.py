@@ -165,6 +165,10 @@ class SmoothCorrection(Correction):
     def _slopes(self, at_px: Float64) -> Float64:
         """Return the (n, 2, 2) derivatives of the observed px (last axis: by col, row)."""
 
+    def at_nodes(self, nodes_px: Float64) -> Float64:
+        """Return the (rows, cols, 2) observed px of the `nodes_px` of a lattice, (rows, cols, 2) as well."""
+        return self.forward(nodes_px.reshape(-1, 2)).reshape(nodes_px.shape)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolynomialBasis:
@@ -198,6 +202,10 @@ class PolynomialBasis:
         by_col = [slopes[:, 0, i] * powers[:, 1, j] for i, j in self.exponents]
         by_row = [powers[:, 0, i] * slopes[:, 1, j] for i, j in self.exponents]
         return np.stack([np.stack(by_col, axis=1), np.stack(by_row, axis=1)], axis=2) / self.radius_px
+
+    def factors(self, at_px: Float64, axis: int) -> Float64:
+        """Return the (n, order + 1) powers of col (`axis` 0) or row at the (n, 2) positions `at_px`."""
+        return self._powers(at_px)[0][:, axis]
 
     def _powers(self, at_px: Float64) -> tuple[Float64, Float64]:
         """Return powers 0 to order and their derivatives: (n, 2, order + 1), (n, 2, order + 1)."""
@@ -240,6 +248,13 @@ class PolynomialCorrection(SmoothCorrection):
         slopes = np.einsum("itb,ta->iab", self.basis.slopes(at_px), self.coefficients_px)
         return np.asarray(np.eye(2) + slopes)
 
+    def at_nodes(self, nodes_px: Float64) -> Float64:
+        """Return the (rows, cols, 2) observed px of the `nodes_px` of a lattice, (rows, cols, 2) as well."""
+        coefficients_px = np.zeros((self.basis.order + 1, self.basis.order + 1, 2))
+        for (col, row), coefficient_px in zip(self.basis.exponents, self.coefficients_px, strict=True):
+            coefficients_px[row, col] = coefficient_px
+        return nodes_px + _sum_of_products(self.basis, coefficients_px, nodes_px)
+
 
 @dataclass(frozen=True, slots=True)
 class SplineGrid:
@@ -270,6 +285,13 @@ class SplineGrid:
         values, slopes, _ = cubic_b_splines(inside - first)
         values = values + slopes * (place - inside)[:, :, None]
         return first, values, slopes / self.spacing_px
+
+    def factors(self, at_px: Float64, axis: int) -> Float64:
+        """Return the (n, k) values of all k B-splines along cols (`axis` 0) or rows at the (n, 2) `at_px`."""
+        first, values, _ = self.taps(at_px)
+        all_values = np.zeros((len(first), self.shape[1 - axis]))
+        np.put_along_axis(all_values, first[:, axis, None] + np.arange(4), values[:, axis], axis=1)
+        return all_values
 
     def nodes_px(self) -> Float64:
         """Return the (k, 2) positions (col, row) of the coefficients, row by row, px.
@@ -337,6 +359,23 @@ class SplineCorrection(SmoothCorrection):
                 row += along_cols[:, i, None] * self.coefficients_px[first[:, 1] + j, first[:, 0] + i]
             total += along_rows[:, j, None] * row
         return total
+
+    def at_nodes(self, nodes_px: Float64) -> Float64:
+        """Return the (rows, cols, 2) observed px of the `nodes_px` of a lattice, (rows, cols, 2) as well."""
+        return nodes_px + _sum_of_products(self.grid, self.coefficients_px, nodes_px)
+
+
+def _sum_of_products(
+    basis: PolynomialBasis | SplineGrid, coefficients_px: Float64, nodes_px: Float64
+) -> Float64:
+    """Return the (rows, cols, 2) sums Σ coefficient · function of the row · function of the col at a lattice.
+
+    The (j, i, 2) coefficients are those of the j functions of the row and the i of the col. One axis after
+    the other, this costs a small part of what as many single positions do.
+    """
+    by_row, by_col = basis.factors(nodes_px[:, 0], 1), basis.factors(nodes_px[0], 0)
+    summed = np.tensordot(by_row, coefficients_px, axes=1)
+    return np.asarray(by_col @ summed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -590,9 +629,16 @@ def has_foldover(correction: Correction, low_px: Float64, high_px: Float64) -> b
 
     The (2,) `low_px` and `high_px` are corners of the box (col, row), px.
     """
+    if isinstance(correction, AffineCorrection):
+        (a, b, _), (d, e, _) = correction.matrix.tolist()
+        return not a * e - b * d > 0
     # four per cell of the finest spline
     lattice = Lattice.over(low_px, high_px, float((high_px - low_px).max()) / 320)
-    moved = correction.forward(lattice.nodes_px()).reshape(*lattice.shape, 2)
+    nodes_px = lattice.nodes_px().reshape(*lattice.shape, 2)
+    if isinstance(correction, SmoothCorrection):
+        moved = correction.at_nodes(nodes_px)
+    else:
+        moved = correction.forward(nodes_px.reshape(-1, 2)).reshape(nodes_px.shape)
     along_cols, along_rows = np.diff(moved, axis=1), np.diff(moved, axis=0)
     for cols in (along_cols[:-1], along_cols[1:]):
         for rows in (along_rows[:, :-1], along_rows[:, 1:]):
