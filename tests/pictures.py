@@ -7,15 +7,15 @@ from contextlib import contextmanager
 
 import pytest
 
-from pcwlad_geo.multi import pages
-from pcwlad_geo.report import figures, page
-
 BLANK = b"no picture"
 
 
 @contextmanager
 def no_pictures() -> Iterator[None]:
     """Leave figures and views out of the pages that this process writes, for tests that ask for none."""
+    from pcwlad_geo.multi import pages  # slow to load
+    from pcwlad_geo.report import figures, page
+
     with pytest.MonkeyPatch.context() as patch:
         for name in dir(figures):
             if name.endswith("_figure") and name not in ("new_figure", "frame_figure"):
@@ -23,4 +23,11 @@ def no_pictures() -> Iterator[None]:
         patch.setattr(figures, "motion_figure", lambda *_, **__: (BLANK, (0.0, 0.0, 1.0, 1.0)))
         for module in (page, pages):
             patch.setattr(module, "pair_views", lambda *_, **__: [])
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def without_pictures() -> Iterator[None]:
+    """Leave them out of all tests of the module, or of the room whose conftest imports this."""
+    with no_pictures():
         yield

@@ -32,6 +32,11 @@ GRID = make_grid((180, 180))
 SHIFT_PX = (1.3, -0.6)
 
 
+@pytest.fixture(scope="module")
+def without_pictures() -> None:
+    """Draw them: odd input may be seen by them alone."""
+
+
 class Ended(NamedTuple):
     status: int
     error: str

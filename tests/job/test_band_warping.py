@@ -7,13 +7,12 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
 from affine import Affine
-from matplotlib.figure import Figure
 
 from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, RequirementError, warp
 from pcwlad_geo import job as workflow
@@ -30,17 +29,10 @@ SPLINE = SplineCorrection(
 Make = Callable[..., Path]
 
 
-def leave_blank(figure: Figure, place: BinaryIO, format: str) -> None:
-    """Write a figure's pixels without drawing it, which takes a second."""
-    width, height = figure.canvas.get_width_height()
-    place.write(bytes(4 * width * height))
-
-
 @pytest.fixture
 def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
-    """Write the output folder of a registration made by hand, its figures left blank."""
+    """Write the output folder of a registration made by hand."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(Figure, "savefig", leave_blank)
     write_pair(tmp_path)
 
     def make_it(status: str = "registered", correction: Correction | None = None, **options: object) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from pcwlad_geo.events import Event, Progress
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
+from tests.pictures import no_pictures
 from tests.scenes import Array, make_grid, render, write
 from tests.tables import read_table
 
@@ -27,6 +29,11 @@ SMALL: Any = {"template": 61, "window": 41, "features": 80}
 REFERENCE, TARGET = make_grid((220, 230)), make_grid((210, 220), offset_m=(312, 195))
 SHIFT_PX = np.array([4.3, -3.6])
 AFFINE = np.array([[1.004, -0.003], [0.002, 0.995]])
+
+
+@pytest.fixture(scope="module")
+def without_pictures() -> None:
+    """Draw them: .ci/packages runs these tests with the oldest libraries, and with the wheel."""
 
 
 class Job(NamedTuple):
@@ -182,10 +189,12 @@ QUICK: Any = {"template": 61, "window": 41, "features": 50}
 
 
 @pytest.fixture
-def pair(tmp_path: Path) -> tuple[Path, Path]:
+def pair(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
+    """Write a pair, and register it without pictures."""
     grid = make_grid((170, 170))
     target = write(tmp_path / "b10.tif", render(grid, displacement_px=(1.3, -0.6)), grid)
-    return write(tmp_path / "b4.tif", render(grid), grid), target
+    with no_pictures():
+        yield write(tmp_path / "b4.tif", render(grid), grid), target
 
 
 def test_stages_follow_one_another_to_the_end(pair: tuple[Path, Path], tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A stack that is there already: what is not about matching need not match again."""
+"""A stack that is there already, and pages without pictures: what is not about these need not make them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import pytest
 
 from pcwlad_geo.multi.stack import stack
 from tests.multi.test_stack import FEW, write_images
-from tests.pictures import no_pictures
+from tests.pictures import no_pictures, without_pictures
+
+__all__ = ["without_pictures"]
 
 Placed = Callable[[int], list[Path]]
 

@@ -28,7 +28,6 @@ from pcwlad_geo.outputs.stages import stage_prefixes
 from pcwlad_geo.report.finished import read_report
 from tests.execution.calls import Counting
 from tests.patience import PATIENCE_S
-from tests.pictures import no_pictures
 from tests.scenes import make_grid, render, write
 
 OPTIONS: Any = {
@@ -46,12 +45,6 @@ b4.tif,other.tif,,
 b4.tif,absent.tif,,
 b4.tif,good.tif,60,points>=20; points>=9999
 """
-
-
-@pytest.fixture(scope="module", autouse=True)
-def without_pictures() -> Iterator[None]:
-    with no_pictures():
-        yield
 
 
 def write_images(folder: Path) -> None:

@@ -21,6 +21,11 @@ from tests.multi.measured_bands import make_band, make_pair, refused
 VOID = {"meta", "br", "line", "path", "circle", "rect", "polyline", "link", "img", "input"}
 
 
+@pytest.fixture(scope="module")
+def without_pictures() -> None:
+    """Draw them: here is what tests these pages."""
+
+
 class Reader(HTMLParser):
     """Collects text, tags and links, and holds the tags against each other."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,18 +20,11 @@ from pcwlad_geo.multi.stack_result import Stack
 from pcwlad_geo.raster.rpc.model import parse_rpc_text, read_rpc, to_gdal
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from tests.multi.rpc_views import TRUTH_PX, view_rpc, write_views
-from tests.pictures import no_pictures
 from tests.rpc_scene import UNDULATION_M, write_image
 from tests.scenes import make_grid, render, write
 
 OPTIONS: Any = {"features": 80, "window": 41, "template": 61, "jobs": 1, "dem_vertical": UNDULATION_M}
 SCHEMA = Path(__file__).resolve().parents[2] / "docs" / "stack.schema.json"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def without_pictures() -> Iterator[None]:
-    with no_pictures():
-        yield
 
 
 @pytest.fixture(scope="module")

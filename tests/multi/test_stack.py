@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,6 @@ from pcwlad_geo.multi.stack_pairs import ALL_PAIRS, StackFrame, candidates, choo
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.tiepoints.readers import read_point_file
-from tests.pictures import no_pictures
 from tests.scenes import make_grid, render, write
 
 GRID = make_grid((200, 220))
@@ -50,12 +48,6 @@ def content(folder: Path) -> dict[str, bytes]:
         for path in sorted(folder.iterdir())
         if path.is_file()
     }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def without_pictures() -> Iterator[None]:
-    with no_pictures():
-        yield
 
 
 @pytest.fixture(scope="module")

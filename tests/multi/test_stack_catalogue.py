@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,7 +13,6 @@ import pytest
 import rasterio
 
 from pcwlad_geo.multi.stack import stack
-from tests.pictures import no_pictures
 from tests.product_files import BEFORE_COLLECTIONS, write_landsat
 from tests.scenes import make_grid, render, write
 
@@ -28,12 +27,6 @@ def images(folder: Path, names: list[str]) -> list[Path]:
     rng = np.random.default_rng(3)
     shown = [render(GRID, noise=0.0) + 2.0 * rng.standard_normal(GRID.shape) for _ in names]
     return [write(folder / f"{name}.tif", image, GRID) for name, image in zip(names, shown, strict=True)]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def without_pictures() -> Iterator[None]:
-    with no_pictures():
-        yield
 
 
 @pytest.fixture(scope="module")

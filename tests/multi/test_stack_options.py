@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +27,7 @@ from pcwlad_geo.raster.grid import Grid
 from tests.cluster import cluster
 from tests.multi.conftest import Placed
 from tests.multi.test_stack import FEW, FEW_WORDS, GRID, SHIFTS_PX, content, write_images
-from tests.pictures import no_pictures
 from tests.scenes import make_grid, render, write
-
-
-@pytest.fixture(scope="module", autouse=True)
-def without_pictures() -> Iterator[None]:
-    with no_pictures():
-        yield
 
 
 def numbers_of(folder: Path) -> dict[str, Any]:

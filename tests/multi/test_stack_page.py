@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from pcwlad_geo.multi.adjustment import adjust
 from pcwlad_geo.multi.pages import stack_page
@@ -18,6 +19,11 @@ from tests.multi.test_adjustment import make, ring
 from tests.scenes import make_grid, render, write
 
 GRID = make_grid((200, 200))
+
+
+@pytest.fixture(scope="module")
+def without_pictures() -> None:
+    """Draw them: here is what tests these pages."""
 
 
 def make_stack(folder: Path, names: list[str]) -> Stack:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import rasterio
 from pcwlad_geo.cli.app import run as run_command
 from pcwlad_geo.multi.stack import stack
 from pcwlad_geo.raster.masks import accepted
-from tests.pictures import no_pictures
 from tests.product_files import BEFORE_COLLECTIONS, write_landsat
 
 FAST: Any = {"window": 41, "template": 61, "features": 100, "jobs": 1}
@@ -22,12 +20,6 @@ FAST: Any = {"window": 41, "template": 61, "features": 100, "jobs": 1}
 
 def reports(out: Path) -> list[dict[str, Any]]:
     return [json.loads(path.read_text()) for path in sorted(out.glob("pairs/*/report.json"))]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def without_pictures() -> Iterator[None]:
-    with no_pictures():
-        yield
 
 
 @pytest.fixture(scope="module")

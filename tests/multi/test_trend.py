@@ -25,6 +25,11 @@ from tests.registrations import make_registration
 LANDSAT = "LC08_L1TP_172083_{date}_20240901_02_T1_{band}"
 
 
+@pytest.fixture(scope="module")
+def without_pictures() -> None:
+    """Draw them: here is what tests these pages."""
+
+
 def write_qa(folder: Path, date: str, mean: float, **changes: Any) -> None:
     """A qa.json of two bands of a Landsat scene of that date."""
     bands = [make_band("B4"), make_band("B5")]

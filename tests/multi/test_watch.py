@@ -30,6 +30,11 @@ from tests.scenes import make_grid, render, write
 SCHEMA = Path(__file__).resolve().parents[2] / "docs" / "watch.schema.json"
 
 
+@pytest.fixture(scope="module")
+def without_pictures() -> None:
+    """Draw them: here is what tests these pages."""
+
+
 def test_a_step_of_one_sensor_is_told_with_its_date(tmp_path: Path) -> None:
     images = [*make_images(24, "S2A"), *stepped(make_images(24, "S2B", (0.3, 0.0)), 10)]
     found = watch(make_stack(tmp_path, images), out_dir=tmp_path / "out")
