@@ -1,12 +1,13 @@
-"""The maker of registrations as a fixture."""
+"""The maker of registrations, and pages of text alone, as fixtures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 
 from pcwlad_geo.registration.result import Registration
+from tests.pictures import no_pictures
 from tests.registrations import make_registration
 
 
@@ -14,3 +15,10 @@ from tests.registrations import make_registration
 def registration() -> Callable[..., Registration]:
     """Maker of registrations."""
     return make_registration
+
+
+@pytest.fixture
+def text_alone() -> Iterator[None]:
+    """Leave pictures out of the pages of a test that is about their text."""
+    with no_pictures():
+        yield

@@ -66,6 +66,7 @@ def read(made: Registration, gcps_vrt: str | None = "b10_gcps.vrt") -> Reader:
     return reader
 
 
+@pytest.mark.usefixtures("text_alone")
 @pytest.mark.parametrize(
     ("check_px", "fit_px", "sigma_px", "said"),
     [(0.1, 0.05, 0.1, False), (0.1, 0.05, 0.01, False), (0.9, 0.1, 0.05, True), (0.9, 0.1, 1.2, False)],
@@ -131,6 +132,7 @@ def test_warp_line_survives_a_shell() -> None:
     assert shlex.split(line)[-2:] == ["a & b's_gcps.vrt", "a & b's_tps.tif"]
 
 
+@pytest.mark.usefixtures("text_alone")
 def test_shows_the_table_of_models_and_not_their_thousands_of_numbers(registration: Make) -> None:
     made = registration()
     points = made.tie_points.select("fit")
@@ -145,6 +147,7 @@ def test_shows_the_table_of_models_and_not_their_thousands_of_numbers(registrati
     assert f"{chosen.candidates[0].rmse_px:.3f} ±" in page.text
 
 
+@pytest.mark.usefixtures("text_alone")
 def test_a_raster_named_like_a_tag_stays_a_name(registration: Make) -> None:
     name = "<script>alert(2)<!-- \"' --></script>.tif"
     made = registration(name=name)
@@ -153,6 +156,7 @@ def test_a_raster_named_like_a_tag_stays_a_name(registration: Make) -> None:
     assert "<script>alert(2)<!--" in page.text
 
 
+@pytest.mark.usefixtures("text_alone")
 def test_questions_are_answered_at_the_top(registration: Make) -> None:
     page = read(registration())
     top = page.text[: page.text.index("Numbers")]
@@ -203,6 +207,7 @@ def test_the_headline_is_that_of_the_grade(status: Any, grade: Any, text: str, s
     assert MARKS[made.state]
 
 
+@pytest.mark.usefixtures("text_alone")
 def test_good_and_bad_pages_differ_at_a_glance(registration: Make) -> None:
     """The figure of a poor registration is marked, and a refused one has its advice open."""
     made = registration()
