@@ -10,6 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,6 +34,8 @@ from qgis.core import (  # noqa: E402
 
 PATIENCE_S = 600
 """Bound of every wait: so long that no machine is too slow for it."""
+# in QGIS 3.22 of Debian the wrapper without .bin does not work
+QGIS_PROCESS = shutil.which("qgis_process.bin") or shutil.which("qgis_process") or "qgis_process"
 
 _exit_status = 0
 _kept: list[object] = []
@@ -144,6 +147,51 @@ def run_cli(*arguments: str | Path) -> dict[str, Any]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+def call(config: Path, *arguments: str, **parameters: str | Path) -> str:
+    """Run qgis_process in a profile and return its standard output."""
+    done = subprocess.run(
+        [
+            QGIS_PROCESS,
+            *arguments,
+            *(["--"] if parameters else []),
+            *(f"{k}={v}" for k, v in parameters.items()),
+        ],
+        env={**os.environ, "QGIS_CUSTOM_CONFIG_PATH": str(config)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The zip of the plugin."""
+    place = tmp_path_factory.mktemp("dist") / "plugin.zip"
+    subprocess.run([sys.executable, str(REPOSITORY / "qgis_plugin" / "build.py"), str(place)], check=True)
+    return place
+
+
+@pytest.fixture(scope="session")
+def enabled(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clean profile with the plugin in it, enabled; nothing runs in it, `profile` is a copy."""
+    config = tmp_path_factory.mktemp("enabled")
+    plugins = config / "profiles" / "default" / "python" / "plugins"
+    plugins.mkdir(parents=True)
+    with zipfile.ZipFile(built) as archive:
+        archive.extractall(plugins)
+    call(config, "plugins", "enable", "pcwlad_geo_qgis")
+    return config
+
+
+@pytest.fixture(scope="module")
+def profile(enabled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clean profile with the plugin in it, enabled, for the tests of one file."""
+    return Path(shutil.copytree(enabled, tmp_path_factory.mktemp("config") / "qgis"))
+
+
 @pytest.fixture(scope="session")
 def sample(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """The sample pair in a folder whose name is not plain."""
@@ -152,6 +200,15 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     for name in ("landsat_b4.tif", "landsat_b10.tif"):
         shutil.copy(SAMPLE / name, folder / name)
     return folder / "landsat_b4.tif", folder / "landsat_b10.tif"
+
+
+@pytest.fixture(scope="session")
+def part(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The middle of the sample pair: 300 x 300 px, for jobs that are not about where points lie."""
+    folder = tmp_path_factory.mktemp("part")
+    for path in sample:
+        gdal.Translate(str(folder / path.name), str(path), srcWin=[200, 200, 300, 300])
+    return folder / sample[0].name, folder / sample[1].name
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 from osgeo import gdal, ogr, osr
-from test_process import built, profile  # noqa: F401  # fixtures
 from test_window import PICTURES, keep_pictures, run_in_window
 
 
@@ -38,7 +37,7 @@ def polygons(place: Path, raster: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def seen(
-    profile: Path,  # noqa: F811
+    profile: Path,
     sample: tuple[Path, Path],
     tmp_path_factory: pytest.TempPathFactory,
 ) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Feedback, Finished, loaded, run_algorithm
+from conftest import Feedback, Finished, call, loaded, run_algorithm
 from osgeo import gdal, ogr, osr
 from qgis.core import (
     QgsApplication,
@@ -30,18 +30,17 @@ from qgis.core import (
 )
 from test_align import polygons
 from test_checks import said
-from test_process import built, call, profile  # noqa: F401  # fixtures
 
 gdal.UseExceptions()
 QUICK = {"EXTRA": "--features 200"}
 
 
 @pytest.fixture(scope="module")
-def series(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """The reference of the sample, its target, and the target displaced by known pixels."""
+def series(part: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """The reference of a part of the sample, its target, and the target displaced by known pixels."""
     folder = tmp_path_factory.mktemp("series")
     paths = [folder / "b4.tif", folder / "b10.tif", folder / "moved.tif"]
-    for source, path in zip((*sample, sample[1]), paths):
+    for source, path in zip((*part, part[1]), paths):
         shutil.copy(source, path)
     data = gdal.Open(str(paths[2]), gdal.GA_Update)
     left, width, _, top, _, height = data.GetGeoTransform()
@@ -97,8 +96,8 @@ def test_a_folder_without_frames_is_told_by_the_engine(
 
 
 def test_a_model_of_the_modeler_runs_in_qgis_process(
-    profile: Path,  # noqa: F811
-    sample: tuple[Path, Path],
+    profile: Path,
+    part: tuple[Path, Path],
     tmp_path: Path,
 ) -> None:
     model = QgsProcessingModelAlgorithm("align", "tests")
@@ -124,7 +123,7 @@ def test_a_model_of_the_modeler_runs_in_qgis_process(
     assert model.canExecute()
     (name,) = model.destinationParameterDefinitions()
     target = tmp_path / "out.tif"
-    told = call(profile, "run", str(place), red=sample[0], thermal=sample[1], **{name.name(): str(target)})
+    told = call(profile, "run", str(place), red=part[0], thermal=part[1], **{name.name(): str(target)})
     assert QgsRasterLayer(str(target), "aligned").isValid(), told
     groups = {
         each.name() for each in QgsApplication.processingRegistry().providerById("pcwlad_geo").algorithms()
@@ -144,6 +143,7 @@ def test_an_extent_and_areas_limit_the_tie_points(sample: tuple[Path, Path], tmp
             "INPUT": str(sample[1]),
             "EXTENT": west,
             "EXCLUDED": str(area),
+            **QUICK,
             "OUTPUT_TIEPOINTS": loaded(str(tmp_path / "points.gpkg")),
         },
     )
@@ -321,15 +321,15 @@ def test_points_of_a_file_a_grid_and_an_accuracy(
         run_algorithm("register", {**parameters, "TIE_POINTS": alone, "MAX_CE90": 2.0})
 
 
-def test_only_georeferencing_leaves_the_pixels(sample: tuple[Path, Path], tmp_path: Path) -> None:
+def test_only_georeferencing_leaves_the_pixels(part: tuple[Path, Path], tmp_path: Path) -> None:
     parameters = {
-        "REFERENCE": str(sample[0]),
-        "INPUT": str(sample[1]),
+        "REFERENCE": str(part[0]),
+        "INPUT": str(part[1]),
         "GEOREFERENCE": True,
         "MODEL": "affine",
     }
     run = run_algorithm("register", {**parameters, **QUICK, "OUTPUT_FOLDER": str(tmp_path / "all")})
-    made, before = gdal.Open(run.results["GEOREFERENCED"]), gdal.Open(str(sample[1]))
+    made, before = gdal.Open(run.results["GEOREFERENCED"]), gdal.Open(str(part[1]))
     assert (made.ReadAsArray() == before.ReadAsArray()).all()
     assert made.GetGeoTransform() != before.GetGeoTransform()
     assert "shift and affine" in said("register", **{**parameters, "MODEL": "tps"})

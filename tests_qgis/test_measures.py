@@ -42,15 +42,15 @@ def as_loaded(run: Run, name: str, layer: QgsMapLayer) -> QgsMapLayer:
 
 
 @pytest.fixture(scope="module")
-def proof(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """The sample pair, proved."""
+def proof(part: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A part of the sample pair, proved."""
     folder = tmp_path_factory.mktemp("prove") / "Prüfung & mehr"
     folder.mkdir()
     return run_algorithm(
         "prove",
         {
-            "REFERENCE": str(sample[0]),
-            "INPUT": str(sample[1]),
+            "REFERENCE": str(part[0]),
+            "INPUT": str(part[1]),
             "EXTRA": "--features 200",
             "MODEL": "affine",
             "OUTPUT_ERRORS": loaded(str(folder / "errors.gpkg")),
@@ -74,9 +74,9 @@ def test_a_proof_tells_the_figures_of_its_file(proof: Run) -> None:
     assert proof.feedback.percent[-1] == 100.0
 
 
-def test_the_errors_of_a_proof_are_points_on_the_reference(proof: Run, sample: tuple[Path, Path]) -> None:
+def test_the_errors_of_a_proof_are_points_on_the_reference(proof: Run, part: tuple[Path, Path]) -> None:
     numbers = json.loads(Path(proof.results["OUTPUT_JSON"]).read_text(encoding="utf-8"))
-    left, width, _, top, _, height = gdal.Open(str(sample[0])).GetGeoTransform()
+    left, width, _, top, _, height = gdal.Open(str(part[0])).GetGeoTransform()
     layer = QgsVectorLayer(proof.results["OUTPUT_ERRORS"], "errors", "ogr")
     assert layer.crs().authid() == "EPSG:32633"
     features = list(layer.getFeatures())

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from osgeo import gdal
-from test_process import built, profile  # noqa: F401  # fixtures
 from test_window import PICTURES, keep_pictures, run_in_window
 
 
@@ -39,7 +38,7 @@ def places(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) 
 
 
 @pytest.fixture(scope="module")
-def seen(profile: Path, places: dict[str, str]) -> dict[str, Any]:  # noqa: F811
+def seen(profile: Path, places: dict[str, str]) -> dict[str, Any]:
     """Do it in the window, and return what was seen."""
     folder = Path(places["folder"])
     found = run_in_window("more.py", profile, folder, places)

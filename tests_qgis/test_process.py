@@ -7,57 +7,15 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 import zipfile
 from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import PATIENCE_S, REPOSITORY, SAMPLE, Finished, run_cli
+from conftest import PATIENCE_S, QGIS_PROCESS, SAMPLE, Finished, call, run_cli
 from test_child import count_until, mark  # noqa: F401  # mark is a fixture
 
 TEST_DATA = Path(os.environ.get("PCWLAD_GEO_TEST_DATA", "/none"))
-# in QGIS 3.22 of Debian the wrapper without .bin does not work
-QGIS_PROCESS = shutil.which("qgis_process.bin") or shutil.which("qgis_process") or "qgis_process"
-
-
-@pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The zip of the plugin."""
-    place = tmp_path_factory.mktemp("dist") / "plugin.zip"
-    subprocess.run([sys.executable, str(REPOSITORY / "qgis_plugin" / "build.py"), str(place)], check=True)
-    return place
-
-
-@pytest.fixture(scope="module")
-def profile(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A clean profile with the plugin in it, enabled."""
-    config = tmp_path_factory.mktemp("config")
-    plugins = config / "profiles" / "default" / "python" / "plugins"
-    plugins.mkdir(parents=True)
-    with zipfile.ZipFile(built) as archive:
-        archive.extractall(plugins)
-    call(config, "plugins", "enable", "pcwlad_geo_qgis")
-    return config
-
-
-def call(config: Path, *arguments: str, **parameters: str | Path) -> str:
-    """Run qgis_process in a profile and return its standard output."""
-    done = subprocess.run(
-        [
-            QGIS_PROCESS,
-            *arguments,
-            *(["--"] if parameters else []),
-            *(f"{k}={v}" for k, v in parameters.items()),
-        ],
-        env={**os.environ, "QGIS_CUSTOM_CONFIG_PATH": str(config)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=PATIENCE_S,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
 
 
 def results_of(config: Path, algorithm: str, **parameters: str | Path) -> dict[str, Any]:
@@ -125,8 +83,9 @@ def test_landsat_against_sentinel(profile: Path, tmp_path: Path) -> None:
     if not folder.is_dir():
         pytest.skip("needs cross_sensor in PCWLAD_GEO_TEST_DATA")
     reference, target = folder / "landsat8_byte.tif", folder / "sentinel2_b432_byte.tif"
-    outcome = run_cli("register", reference, target, "-o", tmp_path / "cli")
-    results = results_of(profile, "register", REFERENCE=reference, INPUT=target, **outputs(tmp_path))
+    outcome = run_cli("register", reference, target, "-o", tmp_path / "cli", "--features", "200")
+    pair = {"REFERENCE": reference, "INPUT": target, "EXTRA": "--features 200"}
+    results = results_of(profile, "register", **pair, **outputs(tmp_path))
     check_against(outcome, results)
 
 

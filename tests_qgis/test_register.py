@@ -278,13 +278,13 @@ def test_a_refusal_is_an_error_with_its_reason_and_its_report(
 
 
 def test_a_requirement_that_is_not_met_is_an_error_unless_the_raster_is_kept(
-    sample: tuple[Path, Path], tmp_path: Path
+    part: tuple[Path, Path], tmp_path: Path
 ) -> None:
     parameters = {
-        "REFERENCE": str(sample[0]),
-        "INPUT": str(sample[1]),
+        "REFERENCE": str(part[0]),
+        "INPUT": str(part[1]),
         "REQUIRE": "CE90<=0.001px; points>=20",
-        "EXTRA": "--features 200",
+        "EXTRA": "--features 100",
         "OUTPUT": str(tmp_path / "out.tif"),
         "OUTPUT_HTML": str(tmp_path / "report.html"),
     }

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from conftest import engine_python
 from test_engine import wheel
-from test_process import built, profile  # noqa: F401  # fixtures
 from test_window import PICTURES, keep_pictures, run_in_window
 
 ENGINES = {
@@ -24,7 +23,7 @@ ENGINES = {
 
 @pytest.fixture(scope="module")
 def seen(
-    profile: Path,  # noqa: F811
+    profile: Path,
     sample: tuple[Path, Path],
     tmp_path_factory: pytest.TempPathFactory,
 ) -> dict[str, Any]:
@@ -71,7 +70,7 @@ def test_another_engine_is_offered(seen: dict[str, Any]) -> None:
     assert seen["modal"] == []
 
 
-def test_the_engine_is_installed_from_the_dock_by_one_click(seen: dict[str, Any], profile: Path) -> None:  # noqa: F811
+def test_the_engine_is_installed_from_the_dock_by_one_click(seen: dict[str, Any], profile: Path) -> None:
     assert seen["installing"] == [False, True]
     assert seen["installed"]["verdict"].startswith(
         '<b style="color: #1a7f37">✔ The engine is installed: pcwlad-geo 0.1.0'

@@ -14,7 +14,6 @@ import pytest
 from conftest import PATIENCE_S, Finished, engine_python
 from osgeo import gdal
 from pcwlad_geo_qgis.process.child import child_environment
-from test_process import built, profile  # noqa: F401  # fixtures
 
 PICTURES = os.environ.get("PCWLAD_GEO_PICTURES")
 """Where the pictures of the documentation are kept; nowhere by default."""
@@ -22,7 +21,7 @@ PICTURES = os.environ.get("PCWLAD_GEO_PICTURES")
 
 @pytest.fixture(scope="module")
 def seen(
-    profile: Path,  # noqa: F811
+    profile: Path,
     finished: Finished,
     sample: tuple[Path, Path],
     tmp_path_factory: pytest.TempPathFactory,
@@ -40,7 +39,7 @@ def seen(
     return found
 
 
-def run_in_window(script: str, profile: Path, folder: Path, places: dict[str, Any]) -> dict[str, Any]:  # noqa: F811
+def run_in_window(script: str, profile: Path, folder: Path, places: dict[str, Any]) -> dict[str, Any]:
     """Run a script of steps in QGIS with a window, at most twice, and return what it saw."""
     if shutil.which("xvfb-run") is None or shutil.which("qgis") is None:
         pytest.skip("needs qgis and xvfb-run")
