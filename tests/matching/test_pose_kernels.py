@@ -42,7 +42,8 @@ def test_a_layer_is_placed_turned_and_masked(turn_rad: float) -> None:
     layer = RNG.normal(size=(13, 17, 4)).astype(np.float32)
     layer[..., 3] = RNG.random((13, 17)) > 0.2
     usable = (RNG.random((11, 9)) > 0.1).astype(np.float32)
-    matrix = np.array([[1.713, 0.619, -3.217], [-0.527, 1.431, 2.909]])  # reaches beyond the layer on three sides
+    # beyond the layer on three sides
+    matrix = np.array([[1.713, 0.619, -3.217], [-0.527, 1.431, 2.909]])
     known, planes = np.full((11, 9), np.nan, np.float32), np.full((3, 11, 9), np.nan, np.float32)
     place_layer(layer, matrix, turn_rad, usable, known, planes)
     rows, cols = np.mgrid[:11, :9]
