@@ -141,10 +141,13 @@ def judge(
     missing = _nothing_to_match(counts) or _too_few(int(kept.sum()), agreeing, cells)
     if missing:
         return Verdict(False, missing, cells, agreeing, significance)
-    by_chance = (
-        f"only {int(kept.sum())} of {counts['candidates']} candidates agree with their neighbours, in "
-        f"{min(agreeing, int(kept.sum()))} of {cells} separate places, no better than chance"
-    )
+    by_chance = f"none of the {counts['candidates']} candidates agrees with its neighbours"
+    if kept.any():
+        by_chance = (
+            f"only {int(kept.sum())} of {counts['candidates']} candidates agree with their neighbours, in "
+            f"{min(agreeing, int(kept.sum()))} of {cells} separate places"
+        )
+    by_chance += ", no better than chance"
     past_search_border = counts.get("at_search_border", 0) > AT_BORDER * counts["candidates"]
     return Verdict(False, by_chance, cells, agreeing, significance, past_search_border)
 
