@@ -31,3 +31,10 @@ def without_pictures() -> Iterator[None]:
     """Leave them out of all tests of the module, or of the room whose conftest imports this."""
     with no_pictures():
         yield
+
+
+@pytest.fixture
+def text_alone() -> Iterator[None]:
+    """Leave them out in a test that is about other things, in a room or module whose pages have them."""
+    with no_pictures():
+        yield

@@ -10,9 +10,9 @@ import pytest
 
 from pcwlad_geo.multi.stack import stack
 from tests.multi.test_stack import FEW, write_images
-from tests.pictures import no_pictures, without_pictures
+from tests.pictures import no_pictures, text_alone, without_pictures
 
-__all__ = ["without_pictures"]
+__all__ = ["text_alone", "without_pictures"]
 
 Placed = Callable[[int], list[Path]]
 

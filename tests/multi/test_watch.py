@@ -7,6 +7,7 @@ import csv
 import json
 import re
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -23,10 +24,11 @@ from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.multi.ground_motion import MAX_PACKED, _shown, region_velocity
 from pcwlad_geo.multi.watch import findings, watch
 from tests.chromium import show
-from tests.cli.process import run_cli
+from tests.cli.process import Result, run_cli
 from tests.multi.watched import FIRST, REGION, STEP_PX, make_images, make_stack, stepped
 from tests.scenes import make_grid, render, write
 
+Cli = Callable[..., Result]
 SCHEMA = Path(__file__).resolve().parents[2] / "docs" / "watch.schema.json"
 
 
@@ -95,17 +97,18 @@ def test_a_still_scene_has_no_moving_part(tmp_path: Path) -> None:
     assert found.sigma_px < 0.1
 
 
-def test_requirements_decide_the_exit_status(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("text_alone")
+def test_requirements_decide_the_exit_status(tmp_path: Path, cli_here: Cli) -> None:
     folder = make_stack(tmp_path, stepped(make_images(24), 10))
     missed = run_cli(tmp_path, ["watch", folder, "-o", "a", "--require", "step<0.1px"])
     assert missed.returncode == 4
     assert "step <= 0.1 px: not met (0.2" in missed.stdout
     assert (tmp_path / "a/watch.html").exists()
-    met = run_cli(tmp_path, ["watch", folder, "-o", "b", "--require", "step<10m", "--require", "motion<1px"])
+    met = cli_here("watch", folder, "-o", "b", "--require", "step<10m", "--require", "motion<1px")
     assert "motion of the ground is not known: no pair" in met.stderr
     assert met.returncode == 4  # without tie points nothing is known of the ground
     assert "motion <= 1 px: not met (not known" in met.stdout
-    assert run_cli(tmp_path, ["watch", folder, "-o", "c", "--require", "step<10m"]).returncode == 0
+    assert cli_here("watch", folder, "-o", "c", "--require", "step<10m").returncode == 0
 
 
 def test_what_is_no_requirement_of_series_is_told(tmp_path: Path) -> None:
@@ -131,6 +134,7 @@ def test_images_without_dates_are_named(tmp_path: Path) -> None:
         watch(folder, out_dir=tmp_path / "out", overwrite=True)
 
 
+@pytest.mark.usefixtures("text_alone")
 def test_images_that_are_gone_leave_the_series(tmp_path: Path) -> None:
     images = make_images(10)
     folder = make_stack(tmp_path, images, (0.0, 0.0))
@@ -140,6 +144,7 @@ def test_images_that_are_gone_leave_the_series(tmp_path: Path) -> None:
     assert "the motion of the ground is not known" in found.warnings[0]
 
 
+@pytest.mark.usefixtures("text_alone")
 def test_what_was_not_sought_meets_no_requirement(tmp_path: Path) -> None:
     folder = make_stack(tmp_path, make_images(5))
     limits = [f"{name}<9px" for name in ("step", "drift", "season", "latest", "offset", "motion")]
@@ -153,6 +158,7 @@ def test_what_was_not_sought_meets_no_requirement(tmp_path: Path) -> None:
     assert "Too few dates to tell" in (tmp_path / "again/watch.html").read_text()
 
 
+@pytest.mark.usefixtures("text_alone")
 def test_the_last_dates_are_told_where_they_are_off(tmp_path: Path) -> None:
     images = make_images(20)
     images[-2:] = [replace(each, shift_px=(5.0, 0.0)) for each in images[-2:]]
@@ -162,6 +168,7 @@ def test_the_last_dates_are_told_where_they_are_off(tmp_path: Path) -> None:
     assert any("where a step may begin" in text for text in findings(found))
 
 
+@pytest.mark.usefixtures("text_alone")
 def test_pixels_of_several_sizes_are_several_series(tmp_path: Path) -> None:
     folder = make_stack(tmp_path, make_images(20))
     numbers = json.loads((folder / "stack.json").read_text())
@@ -183,13 +190,14 @@ def test_the_folder_of_the_stack_is_no_output_folder(tmp_path: Path) -> None:
         watch(folder, out_dir=folder, overwrite=True)
 
 
-def test_requirements_are_read_before_an_image_is_added(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("text_alone")
+def test_requirements_are_read_before_an_image_is_added(tmp_path: Path, cli_here: Cli) -> None:
     folder = make_stack(tmp_path, make_images(10))
     before = (folder / "stack.json").read_bytes()
-    wrong = run_cli(tmp_path, ["watch", folder, "--add", "none.tif", "--require", "foo<1px"])
+    wrong = cli_here("watch", folder, "--add", "none.tif", "--require", "foo<1px")
     assert (wrong.returncode, "no statistic 'foo'" in wrong.stderr) == (2, True)
-    run_cli(tmp_path, ["watch", folder, "-o", "out"])
-    late = run_cli(tmp_path, ["watch", folder, "-o", "out", "--add", "none.tif"])
+    cli_here("watch", folder, "-o", "out")
+    late = cli_here("watch", folder, "-o", "out", "--add", "none.tif")
     assert (late.returncode, "overwrite" in late.stderr) == (2, True)
     assert (folder / "stack.json").read_bytes() == before
 
@@ -256,6 +264,7 @@ def test_damaged_pairs_are_told(name: str, value: object, tmp_path: Path) -> Non
         watch(folder, out_dir=tmp_path / "out")
 
 
+@pytest.mark.usefixtures("text_alone")
 @pytest.mark.parametrize("date", ["2020-W01-1", "20200105T1200", "9999-12-31", "0001-01-01", "2020-01-05T10"])
 def test_dates_of_all_kinds_are_borne(date: str, tmp_path: Path) -> None:
     folder = make_stack(tmp_path, make_images(10))
@@ -284,6 +293,7 @@ def test_a_name_cannot_lead_elsewhere(tmp_path: Path) -> None:
         watch(folder, out_dir=tmp_path / "out")
 
 
+@pytest.mark.usefixtures("text_alone")
 @pytest.mark.parametrize("name", ["S2A_MSIL2A_20230614T104621.tif", "x/S2B_T32TLQ.SAFE/T32TLQ_B04.jp2"])
 def test_satellites_are_told_by_their_names(name: str, tmp_path: Path) -> None:
     images = make_images(4)

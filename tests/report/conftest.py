@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 
 from pcwlad_geo.registration.result import Registration
-from tests.pictures import no_pictures
+from tests.pictures import text_alone
 from tests.registrations import make_registration
+
+__all__ = ["registration", "text_alone"]
 
 
 @pytest.fixture
 def registration() -> Callable[..., Registration]:
     """Maker of registrations."""
     return make_registration
-
-
-@pytest.fixture
-def text_alone() -> Iterator[None]:
-    """Leave pictures out of the pages of a test that is about their text."""
-    with no_pictures():
-        yield
