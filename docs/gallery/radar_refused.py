@@ -20,14 +20,14 @@ power = np.where(sea_seen, 10**-1.9, 10**-0.85) * rng.gamma(4, 1 / 4, (SIDE, SID
 with tempfile.TemporaryDirectory() as folder:
     optical = write_values(Path(folder) / "red.tif", red.astype("float32"))
     radar = write_values(Path(folder) / "radar.tif", (10 * np.log10(power)).astype("float32"))
-    reason = "registered"
+    outcome = "registered"
     try:
         pcwlad_geo.register(optical, radar, out_dir=Path(folder) / "out")
     except pcwlad_geo.RegistrationRejectedError as error:
-        reason = str(error)
+        outcome = f"exit status 3: {error}"
     images = read(optical), read(radar)
 figure, axes = panels(["reference: red light", "target: radar, 4 looks"], height=4.6)
 for axis, image in zip(axes, images, strict=True):
     show(axis, image, np.s_[60:220, 90:250])
-figure.supxlabel("exit status 3: " + textwrap.shorten(reason, 200), fontsize=9, wrap=True)
+figure.supxlabel(textwrap.shorten(outcome, 215), fontsize=9, wrap=True)
 save(figure, __file__)

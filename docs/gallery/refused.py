@@ -11,15 +11,15 @@ import pcwlad_geo
 with tempfile.TemporaryDirectory() as folder:
     red = write_band(f"{folder}/red.tif", side=320)
     elsewhere = write_band(f"{folder}/thermal.tif", "thermal", side=320, seed=12)
-    reason = "registered"
+    outcome = "registered"
     try:
         pcwlad_geo.register(red, elsewhere, out_dir=Path(folder) / "out")
     except pcwlad_geo.RegistrationRejectedError as error:
-        reason = str(error)
+        outcome = f"exit status 3: {error}"
     images = read(red), read(elsewhere)
 
 figure, axes = panels(["reference", "target: another place"], height=4.6)
 for axis, image in zip(axes, images, strict=True):
     show(axis, image)
-figure.supxlabel("exit status 3: " + textwrap.shorten(reason, 200), fontsize=9, wrap=True)
+figure.supxlabel(textwrap.shorten(outcome, 215), fontsize=9, wrap=True)
 save(figure, __file__)
