@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pyproj
 import pytest
@@ -39,27 +41,38 @@ PROJECTED = {
 }
 
 
+@cache
+def described(crs_wkt: str) -> tuple[pyproj.CRS, pyproj.Transformer]:
+    """Return a CRS, and what transforms its longitudes and latitudes to the map."""
+    crs = pyproj.CRS.from_wkt(crs_wkt)
+    geographic = crs.geodetic_crs
+    assert geographic is not None
+    return crs, pyproj.Transformer.from_crs(geographic, crs, always_xy=True)
+
+
+@cache
+def crs_of(name: str) -> CRS:
+    return CRS.from_user_input(PROJECTED[name][0])
+
+
 def ground(name: str, share: tuple[float, float]) -> tuple[CRS, np.ndarray]:
     """Return a CRS and a place (1, 2) in it, so far along the longitudes and latitudes that it is for."""
-    text, lon, lat = PROJECTED[name]
-    crs = CRS.from_user_input(text)
+    _, lon, lat = PROJECTED[name]
+    crs = crs_of(name)
     lon_lat = np.array([[lon[0] + share[0] * (lon[1] - lon[0]), lat[0] + share[1] * (lat[1] - lat[0])]])
-    geographic = pyproj.CRS.from_wkt(crs.to_wkt()).geodetic_crs
-    assert geographic is not None
     if name == "grads from Paris":
         return crs, (lon_lat - [2.33722917, 0.0]) / 0.9
-    to_map = pyproj.Transformer.from_crs(geographic, pyproj.CRS.from_wkt(crs.to_wkt()), always_xy=True)
+    _, to_map = described(crs.to_wkt())
     return crs, np.array([to_map.transform(*lon_lat[0])])
 
 
 def geodesic_m(xy_from: np.ndarray, xy_to: np.ndarray, crs: CRS) -> float:
-    described = pyproj.CRS.from_wkt(crs.to_wkt())
-    geod, geographic = described.get_geod(), described.geodetic_crs
+    on_map, to_map = described(crs.to_wkt())
+    geod, geographic = on_map.get_geod(), on_map.geodetic_crs
     assert geod is not None
     assert geographic is not None
-    to_lon_lat = pyproj.Transformer.from_crs(described, geographic, always_xy=True)
     unit = np.degrees(geographic.axis_info[0].unit_conversion_factor)
-    ends = [np.array(to_lon_lat.transform(*xy[0])) * unit for xy in (xy_from, xy_to)]
+    ends = [np.array(to_map.transform(*xy[0], direction="INVERSE")) * unit for xy in (xy_from, xy_to)]
     return float(geod.inv(*ends[0], *ends[1])[2])
 
 
