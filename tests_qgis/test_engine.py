@@ -128,41 +128,42 @@ def wheel(
     return place
 
 
-def test_install_makes_an_environment_that_is_found(tmp_path: Path, nowhere: Path) -> None:
+def test_install_makes_an_environment_that_is_found_until_a_new_one_takes_its_place(
+    tmp_path: Path, nowhere: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three installations, as each takes seconds; the later ones beside an engine that goes before them."""
     folder = tmp_path / "Räder & more"
     folder.mkdir()
-    run = run_algorithm("installengine", {"WHEEL": str(wheel(folder)), "PYTHON": sys.executable})
+    parameters = {"WHEEL": str(wheel(folder)), "PYTHON": sys.executable}
+    run = run_algorithm("installengine", parameters)
     assert run.results == {"ENGINE": str(engine.own_python(nowhere)), "VERSION": "0.1.0"}
     assert engine.own_python(nowhere).is_file()
     assert settings.find_engine().check(Feedback()) == "0.1.0"
     assert [place.name for place in nowhere.parent.iterdir() if place.is_dir()] == ["pcwlad_geo_engine-1"]
     assert run.feedback.percent[-1] > 0
-
-
-def test_scripts_of_the_installed_engine_run_and_a_new_one_takes_its_place(
-    tmp_path: Path, nowhere: Path
-) -> None:
-    parameters = {"WHEEL": str(wheel(tmp_path)), "PYTHON": sys.executable}
-    first = Path(run_algorithm("installengine", parameters).results["ENGINE"])
+    first = Path(run.results["ENGINE"])
     pip = subprocess.run(
         [str(first.with_name("pip")), "--version"], capture_output=True, text=True, check=True
     )
     assert str(first.parents[1]) in pip.stdout
-    second = Path(run_algorithm("installengine", parameters).results["ENGINE"])
+
+    with monkeypatch.context() as patch:
+        patch.setenv(engine.VARIABLE, program(tmp_path / "other" / "python"))
+        run = run_algorithm("installengine", parameters)
+    assert "The PCWLAD_GEO_PYTHON names another engine" in run.feedback.warnings[0]
+    second = Path(run.results["ENGINE"])
     assert second != first
     assert not first.exists()
     assert settings.find_engine().command[0] == str(second)
 
-
-def test_an_engine_in_use_is_left_where_it_cannot_be_removed(
-    tmp_path: Path, nowhere: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    parameters = {"WHEEL": str(wheel(tmp_path)), "PYTHON": sys.executable}
-    first = Path(run_algorithm("installengine", parameters).results["ENGINE"])
-    monkeypatch.setattr("pcwlad_geo_qgis.process.install.shutil.rmtree", lambda *given, **options: None)
-    second = Path(run_algorithm("installengine", parameters).results["ENGINE"])
-    assert first.is_file()
-    assert settings.find_engine().command[0] == str(second)
+    with monkeypatch.context() as patch:  # a variable that names nothing, and an engine in use
+        patch.setenv(engine.VARIABLE, "/none/python")
+        patch.setattr("pcwlad_geo_qgis.process.install.shutil.rmtree", lambda *given, **options: None)
+        run = run_algorithm("installengine", parameters)
+    assert run.results["VERSION"] == "0.1.0"
+    assert "/none/python that the PCWLAD_GEO_PYTHON names does not exist" in run.feedback.warnings[0]
+    assert second.is_file()  # left where it cannot be removed
+    assert settings.find_engine().command[0] == run.results["ENGINE"]
 
 
 def test_a_folder_of_wheels_needs_no_network(tmp_path: Path, nowhere: Path) -> None:
@@ -187,15 +188,6 @@ def test_a_folder_of_wheels_needs_no_network(tmp_path: Path, nowhere: Path) -> N
     (next(folder.iterdir())).unlink()
     with pytest.raises(AssertionError, match="holds no wheels"):
         run_algorithm("installengine", {"WHEELHOUSE": str(folder), "PYTHON": sys.executable})
-
-
-def test_a_variable_that_names_nothing_is_told_after_the_installation(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(engine.VARIABLE, "/none/python")
-    run = run_algorithm("installengine", {"WHEEL": str(wheel(tmp_path)), "PYTHON": sys.executable})
-    assert run.results["VERSION"] == "0.1.0"
-    assert "/none/python that the PCWLAD_GEO_PYTHON names does not exist" in run.feedback.warnings[0]
 
 
 def test_an_engine_in_the_user_site_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -261,14 +253,6 @@ def test_cancelling_the_installation_leaves_nothing(tmp_path: Path, nowhere: Pat
     assert run.results == {}
     assert not nowhere.exists()
     assert not nowhere.with_name(f"{nowhere.name}-1").exists()
-
-
-def test_an_engine_that_goes_before_the_installed_one_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(engine.VARIABLE, program(tmp_path / "other" / "python"))
-    run = run_algorithm("installengine", {"WHEEL": str(wheel(tmp_path)), "PYTHON": sys.executable})
-    assert "The PCWLAD_GEO_PYTHON names another engine" in run.feedback.warnings[0]
 
 
 def test_a_python_is_found_by_itself(tmp_path: Path) -> None:
