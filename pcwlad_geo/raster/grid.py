@@ -210,6 +210,29 @@ class Grid:
         return np.concatenate(sides)
 
 
+@dataclass(frozen=True, slots=True)
+class TiltedGrid(Grid):
+    """A grid of a plane seen from the side: what its geotransform gives is put into perspective."""
+
+    about: tuple[float, float]
+    """Map coordinates (x, y) that the perspective leaves where they are."""
+    tilt: tuple[float, float]
+    """Change of the scale along x and y there, a map unit."""
+
+    def to_xy(self, pixel_xy_px: Float64) -> Float64:
+        """Map (n, 2) `pixel_xy_px` (col, row) to (n, 2) map coordinates (x, y); NaN beyond the horizon."""
+        return self._tilted(apply(self.transform, pixel_xy_px), 1.0)
+
+    def to_px(self, xy: Float64) -> Float64:
+        """Map (n, 2) map coordinates `xy` to (n, 2) pixels (col, row); NaN beyond the horizon."""
+        return apply_inverse(self.transform, self._tilted(np.asarray(xy, dtype=np.float64), -1.0))
+
+    def _tilted(self, xy: Float64, sign: float) -> Float64:
+        away = xy - np.array(self.about)
+        w = 1.0 + sign * (away @ np.array(self.tilt))
+        return np.asarray(np.array(self.about) + away / np.where(w > 0, w, np.nan)[:, None])
+
+
 def linear_part(transform: Affine) -> Float64:
     """Return the (2, 2) linear part of a geotransform: map units (x, y) per pixel (col, row)."""
     return np.array([[transform.a, transform.b], [transform.d, transform.e]])

@@ -13,7 +13,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.limits import check_pixel_ratio
 from pcwlad_geo.raster.crs import name_of, transform_xy, transformation_warnings
-from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
+from pcwlad_geo.raster.grid import Grid, TiltedGrid, Window, jacobian, linear_part, map_px
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import View, ViewResampling
 from pcwlad_geo.types import Float64
@@ -265,7 +265,8 @@ def _resampled(finer: RasterInfo, coarser: Grid, box: Window, common: shapely.Ge
 
 def _axis_scale(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) -> Float64 | None:
     """Return (2,) signed px of a grid per px of another along columns and rows; None for other axes."""
-    if not _same_coordinates(from_grid, to_grid, common):
+    tilted = isinstance(from_grid, TiltedGrid) or isinstance(to_grid, TiltedGrid)
+    if tilted or not _same_coordinates(from_grid, to_grid, common):
         return None
     matrix = inverse(linear_part(to_grid.transform)) @ linear_part(from_grid.transform)
     left, top, right, bottom = common.bounds

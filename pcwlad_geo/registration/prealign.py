@@ -14,7 +14,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
-from pcwlad_geo.correction.models import affine_between
+from pcwlad_geo.correction.models import ProjectiveCorrection, affine_between
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.maps import scene_epsilon
@@ -30,8 +30,9 @@ from pcwlad_geo.matching.prepare import (
 from pcwlad_geo.matching.shift_search import SearchResult, mapped, search_shift
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.cameras import expected_scale
-from pcwlad_geo.raster.grid import Grid, Window, map_px
+from pcwlad_geo.raster.grid import Grid, TiltedGrid, Window, map_px
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
+from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo, bands_of
 from pcwlad_geo.raster.view import Patch, View, file_px_per_px
 from pcwlad_geo.registration.tiles import Scene
@@ -253,17 +254,19 @@ def posed_start(
 ) -> StartingAlignment:
     """Return a start from a pose, the target placed by it and both on a new matching grid.
 
-    The rasters of the pair have plain geotransforms, or none. Target-view px are the (3, 3) `matrix` times
-    reference-view px, corner-based (col, row); for the `evidence` see `Prealignment`. Raises `InputError` if
-    the two do not overlap in this pose, or an overview cannot be read.
+    The rasters of the pair have plain geotransforms, or none, or the target was posed before. Target-view px
+    are the (3, 3) `matrix`, affine or a homography, times reference-view px, corner-based (col, row); for the
+    `evidence` see `Prealignment`. Raises `InputError` if the two do not overlap in this pose, or an overview
+    cannot be read.
     """
     reference, target = pair.reference.info, pair.target.info
-    grid = _posed_grid(target.grid, pair, matrix)
+    tilted = _tilted_plane(pair, matrix)
+    grid = _posed_grid(target.grid, pair, matrix, tilted)
     mask_grid = target.mask_grid
     if mask_grid == target.grid:
         mask_grid = grid
     elif mask_grid is not None and mask_grid.crs is not None:
-        mask_grid = _posed_grid(mask_grid, pair, matrix)
+        mask_grid = _posed_grid(mask_grid, pair, matrix, tilted)
     placed = replace(target, grid=grid, mask_grid=mask_grid, georeferenced=True)
     views = plan_views(replace(reference, georeferenced=True), placed)
     pose = Pose.of(_between(reference.grid, grid), reference.grid.shape)
@@ -271,28 +274,62 @@ def posed_start(
     return StartingAlignment(start, views, read_overviews(views))
 
 
-def _posed_grid(grid: Grid, pair: ViewPair, matrix: Float64) -> Grid:
-    """Return a grid of the target moved by a pose, in the CRS of the reference."""
+def _posed_grid(grid: Grid, pair: ViewPair, matrix: Float64, plane: TiltedGrid | None) -> Grid:
+    """Return a grid of the target moved by a pose, in the CRS of the reference, maybe on a tilted plane."""
     places = grid.lattice_px(9)
+    xy = _posed_xy(places, grid, pair, matrix)
+    affine = affine_between(places, xy if plane is None else plane.to_px(xy))
+    transform = Affine(*affine.ravel().tolist())
+    if plane is not None:
+        return replace(plane, shape=grid.shape, transform=transform)
+    return Grid(grid.shape, transform, pair.reference.info.grid.crs)
+
+
+def _tilted_plane(pair: ViewPair, matrix: Float64) -> TiltedGrid | None:
+    """Return the plane that a pose puts into perspective, with the identity as geotransform; None if none."""
+    grid, onto = pair.target.info.grid, pair.reference.info.grid
+    if type(grid) is Grid and not matrix[2, :2].any():
+        return None
+    places = grid.lattice_px(9)
+    about = onto.to_xy(onto.middle_px)
+    back, _ = cv2.findHomography(_posed_xy(places, grid, pair, matrix) - about, places)
+    if back is None:
+        raise InputError("the pose places the target on a line")
+    tilt = (-back[2, :2] / back[2, 2]).tolist()
+    return TiltedGrid(grid.shape, Affine.identity(), onto.crs, tuple(about[0].tolist()), tuple(tilt))
+
+
+def _posed_xy(places: Float64, grid: Grid, pair: ViewPair, matrix: Float64) -> Float64:
+    """Return (n, 2) map coordinates of the reference that a pose gives to (n, 2) px of a grid of the target.
+
+    Raises `InputError` where there are none.
+    """
     target_px = map_px(places, grid, pair.target.grid)
-    reference_px = pair.reference.to_file_px(mapped(inverse(matrix), target_px))
+    back = inverse(matrix)
+    tilted = matrix[2, :2].any()
+    moved = ProjectiveCorrection("", back).forward(target_px) if tilted else mapped(back, target_px)
+    reference_px = pair.reference.to_file_px(moved)
     if not np.isfinite(reference_px).all():
         raise InputError("the pose places the target where the CRS of the reference is not defined")
-    affine = affine_between(places, pair.reference.info.grid.to_xy(reference_px))
-    return Grid(grid.shape, Affine(*affine.ravel().tolist()), pair.reference.info.grid.crs)
+    return pair.reference.info.grid.to_xy(reference_px)
 
 
 def _between(reference: Grid, target: Grid) -> Float64:
-    """Return the (3, 3) matrix from px of one grid to those of another of the same CRS."""
+    """Return the (3, 3) matrix from px of one grid to those of another of the same CRS.
+
+    In perspective it is that of the middle.
+    """
     matrix = np.eye(3)
-    corners = map_px(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), reference, target)
-    matrix[:2] = np.column_stack([corners[1] - corners[0], corners[2] - corners[0], corners[0]])
+    at_px = reference.middle_px if isinstance(target, TiltedGrid) else np.zeros((1, 2))
+    corners = map_px(at_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), reference, target)
+    linear = np.column_stack([corners[1] - corners[0], corners[2] - corners[0]])
+    matrix[:2] = np.column_stack([linear, corners[0] - linear @ at_px[0]])
     return matrix
 
 
 def can_be_posed(pair: ViewPair) -> bool:
-    """Return whether a pose can be given to the target: both have plain geotransforms, or none."""
-    return type(pair.reference.info.grid) is Grid and type(pair.target.info.grid) is Grid
+    """Return whether a pose can be given to the target: both have geotransforms, or none, but no RPC."""
+    return not any(isinstance(view.info.grid, RpcGrid) for view in (pair.reference, pair.target))
 
 
 def target_offset_px(pair: ViewPair, prealignment: Prealignment) -> tuple[int, int]:

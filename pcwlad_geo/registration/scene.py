@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
+import cv2
 import numpy as np
 
-from pcwlad_geo.correction.models import affine_between
+from pcwlad_geo.correction.models import AffineCorrection, ProjectiveCorrection, affine_between
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.events import EventCallback, JobLog, Progress, only_warnings
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.matching.epipolar import (
@@ -69,6 +71,7 @@ from pcwlad_geo.registration.judge import (
     motions_of,
     other_displacement,
     patches,
+    poses_as_far,
     refusal,
     share_displaced,
 )
@@ -110,6 +113,13 @@ WINDOWS_ACROSS: Final = 1.6
 CHOSEN_ACROSS: Final = 3
 """An overlap narrower than this many of the largest window keeps the first: near edges a window sees to one
 side only, and of a small image most is near edges."""
+MIN_BEND_PX: Final = 1.0
+"""Points tell of a perspective if it moves one of them by more than this beside an affine pose, px."""
+TILTED_SHARE: Final = 0.9
+"""Largest share of the mean squared error of an affine pose that it may leave."""
+MORE_IN_PERSPECTIVE: Final = 1.5
+"""So many times as many points must agree in the perspective that refused ones tell: two related
+pairs had 2.2 and 2.8 times as many, an image matched again with itself upside down 1.4 times."""
 STILL_PX: Final = 0.1
 """Mean movement of the target by a new pose below which it is not matched again, px."""
 SMALLER_WINDOWS: Final = (0.56, 0.75)
@@ -611,9 +621,9 @@ def match_from_best_start(
             if prealignment.pose is None:
                 raise
             continue  # a pose in which too little is common
+        if prealignment.pose is not None:
+            result, start = _match_again_in_pose(result, start, settings, log, runner)
         if result.verdict.accepted:
-            if prealignment.pose is not None:
-                result, start = _match_again_in_pose(result, start, settings, log, runner)
             result = _of_the_ground(result, start, settings, log, runner)
             if result.verdict.accepted:
                 _warn_of_georeferencing(pair, result.prealignment, log)
@@ -662,27 +672,63 @@ def _match_again_in_pose(
 ) -> tuple[Matched, StartingAlignment]:
     """Match a target again in the pose that the tie points tell, until that no longer moves.
 
-    The first pose is only as good as the search: in it the windows are turned and scaled by some percent.
+    The first pose is only as good as the search: in it the windows are turned and scaled by some percent, and
+    it knows no perspective. Points that are refused may tell of one, in which so many more agree that they
+    are accepted; of how many poses that is one takes from the evidence.
     """
+    given = matched, start
     for _ in range(3):
         points = matched.matches[matched.kept]
         pair, rows_cols = start.pair, start.pair.reference.grid.shape
-        matrix = np.eye(3)
-        matrix[:2] = affine_between(points.reference_xy_px, points.target_xy_px)
+        refused, before = not matched.verdict.accepted, matched.prealignment
+        if refused and len(points) < MIN_FOR_FIELD:
+            break
+        matrix = pose_that_points_tell(points, frames=pair.reference.info.grid.crs is None)
+        if refused and not matrix[2, :2].any():
+            break
+        if refused:
+            evidence = before.evidence - poses_as_far(points, matrix)
+            before = replace(before, evidence=evidence, tried=before.tried + 1)
         as_it_is = np.eye(3)
         as_it_is[:2, 2] = pair.offset_px
         try:
-            again = posed_start(pair, matrix, matched.prealignment.search_radius_px)
-            prealignment = replace(matched.prealignment, pose=again.prealignment.pose)
+            again = posed_start(pair, matrix, before.search_radius_px)
+            prealignment = replace(before, pose=again.prealignment.pose)
             found = match_scene(again.pair, again.overviews, prealignment, settings, log, runner)
         except InputError:  # points in a corner of the overlap tell no pose of the whole
             break
-        if not found.verdict.accepted:
+        if not (refused or found.verdict.accepted):
             break
         matched, start = found, again
-        if mean_distance_px(matrix, as_it_is, rows_cols) < STILL_PX:
+        if not matrix[2, :2].any() and mean_distance_px(matrix, as_it_is, rows_cols) < STILL_PX:
             break
-    return matched, start
+    more = MORE_IN_PERSPECTIVE * given[0].kept.sum()
+    stands = given[0].verdict.accepted or (matched.verdict.accepted and matched.kept.sum() >= more)
+    return (matched, start) if stands else given
+
+
+def pose_that_points_tell(points: TiePoints, *, frames: bool) -> Float64:
+    """Return the (3, 3) matrix of least squares from reference to target px that points tell.
+
+    It is a homography where both are frames, many points tell, and an affine one leaves more.
+    """
+    here, there = points.reference_xy_px, points.target_xy_px
+    matrix = np.eye(3)
+    matrix[:2] = affine_between(here, there)
+    if not frames or len(points) < MIN_FOR_FIELD:
+        return matrix
+    middle = np.eye(3)
+    middle[:2, 2] = here.mean(axis=0)
+    tilted, _ = cv2.findHomography(here - middle[:2, 2], there)
+    if tilted is None:
+        return matrix
+    tilted = tilted @ inverse(middle)
+    placed = [ProjectiveCorrection("", each).forward(here) for each in (matrix, tilted)]
+    left_px2 = [((there - each) ** 2).mean() for each in placed]
+    bend_px = np.linalg.norm(
+        placed[1] - AffineCorrection("", affine_between(here, placed[1])).forward(here), axis=1
+    )
+    return tilted if left_px2[1] < TILTED_SHARE * left_px2[0] and bend_px.max() > MIN_BEND_PX else matrix
 
 
 def _of_the_ground(

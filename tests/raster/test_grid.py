@@ -9,7 +9,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import transform_xy, transformation_warnings
-from pcwlad_geo.raster.grid import Grid, jacobian, map_px
+from pcwlad_geo.raster.grid import Grid, TiltedGrid, apply, jacobian, map_px
 
 UTM33, UTM34 = CRS.from_epsg(32633), CRS.from_epsg(32634)
 ENGINEERING = CRS.from_wkt('LOCAL_CS["mine",UNIT["metre",1]]')
@@ -39,6 +39,26 @@ def test_parts_and_scaled_grids_keep_the_ground() -> None:
     scaled = grid.scaled((20, 50))
     assert scaled.shape == (20, 50)
     np.testing.assert_allclose(scaled.to_xy(np.array([[10.0, 10.0]])), grid.to_xy(np.array([[20.0, 40.0]])))
+
+
+def test_a_tilted_grid_is_in_perspective() -> None:
+    transform = Affine(2.0, 0.5, 1000.0, -0.5, 2.0, 500.0)
+    grid = TiltedGrid((80, 100), transform, None, (1100.0, 580.0), (4e-4, -3e-4))
+    px = grid.lattice_px(5)
+    xy = grid.to_xy(px)
+    np.testing.assert_allclose(grid.to_px(xy), px, atol=1e-9)
+    flat = apply(transform, px) - [1100.0, 580.0]
+    nearer = 1 / (1 + 4e-4 * flat[:, 0] - 3e-4 * flat[:, 1])
+    np.testing.assert_allclose(xy - [1100.0, 580.0], flat * nearer[:, None], atol=1e-9)
+    beside = px + np.array([7.0, -3.0])
+    np.testing.assert_allclose(grid.part((7.0, -3.0), (5, 6)).to_xy(px), grid.to_xy(beside))
+    np.testing.assert_allclose(grid.scaled((20, 50)).to_xy(px), grid.to_xy(px * [2.0, 4.0]))
+
+
+def test_nothing_is_seen_beyond_the_horizon() -> None:
+    grid = TiltedGrid((80, 100), Affine.identity(), None, (0.0, 0.0), (-0.01, 0.0))
+    assert np.isnan(grid.to_xy(np.array([[100.0, 0.0]]))).all()
+    np.testing.assert_allclose(grid.to_xy(np.array([[50.0, 1.0]])), [[100.0, 2.0]])
 
 
 def test_map_px_between_pixel_sizes() -> None:

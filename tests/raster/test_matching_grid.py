@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.grid import Grid, Window, map_px
+from pcwlad_geo.raster.grid import Grid, TiltedGrid, Window, map_px
 from pcwlad_geo.raster.matching_grid import MARGIN_PX, ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo, describe
 
@@ -140,6 +141,18 @@ def test_rotated_pairs_resample_the_finer(px_m: float) -> None:
     pair = plan_views(info(north_up(30)), info(rotated(px_m, 30, X + 300, Y - 1500), (200, 200)))
     expected = ("cubic", "none") if px_m > 30 else ("none", "cubic")
     assert (pair.reference.resampling, pair.target.resampling) == expected
+    assert_consistent(pair)
+
+
+@pytest.mark.parametrize("px", [0.7, 1.0, 2.0])
+def test_what_is_seen_from_the_side_is_interpolated(px: float) -> None:
+    reference = info(Affine.identity(), crs=None)
+    target = info(Affine.scale(px), crs=None)
+    grid = TiltedGrid(target.grid.shape, target.grid.transform, None, (60.0, 50.0), (1e-3, -5e-4))
+    pair = plan_views(
+        *(replace(each, georeferenced=True) for each in (reference, replace(target, grid=grid)))
+    )
+    assert "cubic" in (pair.reference.resampling, pair.target.resampling)
     assert_consistent(pair)
 
 

@@ -9,12 +9,15 @@ import pytest
 import rasterio
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
+from pcwlad_geo.registration.judge import poses_as_far
 from pcwlad_geo.registration.prealign import Pose, StartingAlignment, posed_start
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.scene import pose_that_points_tell
 from tests.scenes import Array, make_grid, render, tag_frame, write
 
 GRID = make_grid((300, 320))
@@ -134,7 +137,12 @@ def test_a_mask_moves_with_its_target(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("tilt_deg", "turn_deg"), [(2.0, 0.0), pytest.param(3.0, 35.0, marks=pytest.mark.slow)]
+    ("tilt_deg", "turn_deg"),
+    [
+        (2.0, 0.0),
+        pytest.param(3.0, 35.0, marks=pytest.mark.slow),
+        pytest.param(10.0, 35.0, marks=pytest.mark.slow),  # 13 % across the frame
+    ],
 )
 def test_flat_ground_seen_from_the_side_is_projective(
     tilt_deg: float, turn_deg: float, tmp_path: Path
@@ -199,9 +207,12 @@ def test_pixels_of_very_different_size_are_found_by_the_cameras(told: bool, tmp_
         assert np.median(errors_px(found, linear / 8, shift)) < 0.3
 
 
-def views(folder: Path) -> ViewPair:
-    first = write(folder / "reference.tif", render(GRID), GRID)
-    return plan_views(describe(first), describe(write(folder / "target.tif", render(GRID), GRID)))
+def views(folder: Path, *, located: bool = True) -> ViewPair:
+    files = [
+        write(folder / f"{name}.tif", render(GRID), GRID if located else None)
+        for name in ("reference", "target")
+    ]
+    return plan_views(*map(describe, files))
 
 
 def test_the_pose_of_a_start_is_what_was_asked_for(tmp_path: Path) -> None:
@@ -213,6 +224,50 @@ def test_the_pose_of_a_start_is_what_was_asked_for(tmp_path: Path) -> None:
     reference = start.pair.reference.from_file_px(places)
     target = start.pair.target.to_file_px(reference + start.pair.offset_px)
     np.testing.assert_allclose(target, places @ linear.T + shift, atol=1e-6)
+
+
+def test_a_start_may_be_seen_from_the_side(tmp_path: Path) -> None:
+    homography = seen_from_the_side(4.0, 20.0)
+    start = posed_start(views(tmp_path, located=False), homography, 9)
+    places = np.array([[100.0, 120.0], [200.0, 80.0], [40.0, 250.0]])
+    np.testing.assert_allclose(placed(start.pair, places), through(homography, places), atol=2e-3)
+    assert start.prealignment.pose is not None
+    assert start.prealignment.pose.rotation_deg == pytest.approx(20.0, abs=0.5)
+    moved = np.eye(3)  # a pose beside that one
+    moved[:2] = [[1.01, 0.02, start.pair.offset_px[0] + 3], [-0.03, 0.98, start.pair.offset_px[1] - 2]]
+    again = posed_start(start.pair, moved, 9)
+    reference = start.pair.reference.from_file_px(places)
+    beside = start.pair.target.to_file_px(through(moved, reference))
+    np.testing.assert_allclose(placed(again.pair, places), beside, atol=2e-3)
+
+
+def placed(pair: ViewPair, places_px: Array) -> Array:
+    """Return where a pair has (n, 2) px of the reference file in the target file."""
+    return pair.target.to_file_px(pair.reference.from_file_px(places_px) + pair.offset_px)
+
+
+@pytest.mark.parametrize(("tilt_deg", "tells"), [(0.0, False), (0.1, False), (4.0, True)])
+def test_points_of_frames_tell_of_a_perspective(tilt_deg: float, tells: bool) -> None:
+    rng, homography = np.random.default_rng(3), seen_from_the_side(tilt_deg, 0.0)
+    here = rng.uniform(0, 300, (80, 2))
+    there = through(homography, here) + rng.normal(0, 0.3, here.shape)
+    points = TiePoints(here, there, np.tile(np.eye(2), (80, 1, 1)), np.zeros(80), np.zeros(80))
+    found = pose_that_points_tell(points, frames=True)
+    assert bool(found[2, :2].any()) == tells
+    assert np.abs(through(found, here) - through(homography, here)).max() < 0.5
+    assert not pose_that_points_tell(points, frames=False)[2, :2].any()
+    assert not pose_that_points_tell(points[:20], frames=True)[2, :2].any()
+
+
+def test_the_farther_a_pose_the_more_it_has_to_pay() -> None:
+    here = np.random.default_rng(3).uniform(0, 300, (80, 2))
+    points = TiePoints(here, here, np.tile(np.eye(2), (80, 1, 1)), np.zeros(80), np.zeros(80))
+    shift = np.array([[1.0, 0.0, 7.0], [0.0, 1.0, -5.0], [0.0, 0.0, 1.0]])
+    paid = [poses_as_far(points, shift @ seen_from_the_side(tilt, 0.0)) for tilt in (0.0, 1.0, 2.0, 4.0)]
+    assert paid[0] == pytest.approx(0.0, abs=1e-6)
+    assert paid == sorted(paid)
+    wider = np.diag([1.04, 1.0, 1.0])  # moves the border by 6 px, and one pose of four is as far
+    assert poses_as_far(points, wider) == pytest.approx(np.log10(4), abs=0.01)
 
 
 @pytest.mark.parametrize("rotation_deg", [-179.0, -90.0, 0.0, 12.5, 180.0])
