@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pcwlad_geo.correction.models import AffineCorrection, ProjectiveCorrection, affine_between
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.matching.epipolar import CHANCE_FACTOR
 from pcwlad_geo.matching.shift_search import evidence_against_chance
@@ -220,19 +219,6 @@ def _common_plane(matches: TiePoints, kept: Bool) -> tuple[Float64, float]:
     solution = least_squares(design[kept], matches.displacement_px[kept])
     rise_px = np.abs(solution[1:]) * (np.ptp(xy, axis=0) / 2)[:, None]  # from the middle to the border
     return design @ solution, float(np.prod(1 + rise_px / AGREE_PX))
-
-
-def poses_as_far(points: TiePoints, pose: Float64) -> float:
-    """Return log10 of the number of poses that tilt and bend points by as much and differ by `AGREE_PX`.
-
-    As of planes, that is what a match has to pay that starts from the (3, 3) `pose` which earlier ones tell.
-    """
-    here = points.reference_xy_px
-    moved_px = ProjectiveCorrection("", pose).forward(here) - here
-    flat = affine_between(here, moved_px)
-    rise_px = np.abs(flat[:, :2]) * (np.ptp(here, axis=0) / 2)
-    bend_px = np.linalg.norm(moved_px - AffineCorrection("", flat).forward(here), axis=1).max()
-    return float(np.log10(1 + rise_px / AGREE_PX).sum() + 2 * np.log10(1 + bend_px / AGREE_PX))
 
 
 def motions_of(

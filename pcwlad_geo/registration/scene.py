@@ -71,7 +71,6 @@ from pcwlad_geo.registration.judge import (
     motions_of,
     other_displacement,
     patches,
-    poses_as_far,
     refusal,
     share_displaced,
 )
@@ -117,9 +116,6 @@ MIN_BEND_PX: Final = 1.0
 """Points tell of a perspective if it moves one of them by more than this beside an affine pose, px."""
 TILTED_SHARE: Final = 0.9
 """Largest share of the mean squared error of an affine pose that it may leave."""
-MORE_IN_PERSPECTIVE: Final = 1.5
-"""So many times as many points must agree in the perspective that refused ones tell: two related
-pairs had 2.2 and 2.8 times as many, an image matched again with itself upside down 1.4 times."""
 STILL_PX: Final = 0.1
 """Mean movement of the target by a new pose below which it is not matched again, px."""
 SMALLER_WINDOWS: Final = (0.56, 0.75)
@@ -621,9 +617,9 @@ def match_from_best_start(
             if prealignment.pose is None:
                 raise
             continue  # a pose in which too little is common
-        if prealignment.pose is not None:
-            result, start = _match_again_in_pose(result, start, settings, log, runner)
         if result.verdict.accepted:
+            if prealignment.pose is not None:
+                result, start = _match_again_in_pose(result, start, settings, log, runner)
             result = _of_the_ground(result, start, settings, log, runner)
             if result.verdict.accepted:
                 _warn_of_georeferencing(pair, result.prealignment, log)
@@ -673,38 +669,26 @@ def _match_again_in_pose(
     """Match a target again in the pose that the tie points tell, until that no longer moves.
 
     The first pose is only as good as the search: in it the windows are turned and scaled by some percent, and
-    it knows no perspective. Points that are refused may tell of one, in which so many more agree that they
-    are accepted; of how many poses that is one takes from the evidence.
+    it knows no perspective.
     """
-    given = matched, start
     for _ in range(3):
         points = matched.matches[matched.kept]
         pair, rows_cols = start.pair, start.pair.reference.grid.shape
-        refused, before = not matched.verdict.accepted, matched.prealignment
-        if refused and len(points) < MIN_FOR_FIELD:
-            break
         matrix = pose_that_points_tell(points, frames=pair.reference.info.grid.crs is None)
-        if refused and not matrix[2, :2].any():
-            break
-        if refused:
-            evidence = before.evidence - poses_as_far(points, matrix)
-            before = replace(before, evidence=evidence, tried=before.tried + 1)
         as_it_is = np.eye(3)
         as_it_is[:2, 2] = pair.offset_px
         try:
-            again = posed_start(pair, matrix, before.search_radius_px)
-            prealignment = replace(before, pose=again.prealignment.pose)
+            again = posed_start(pair, matrix, matched.prealignment.search_radius_px)
+            prealignment = replace(matched.prealignment, pose=again.prealignment.pose)
             found = match_scene(again.pair, again.overviews, prealignment, settings, log, runner)
         except InputError:  # points in a corner of the overlap tell no pose of the whole
             break
-        if not (refused or found.verdict.accepted):
+        if not found.verdict.accepted:
             break
         matched, start = found, again
         if not matrix[2, :2].any() and mean_distance_px(matrix, as_it_is, rows_cols) < STILL_PX:
             break
-    more = MORE_IN_PERSPECTIVE * given[0].kept.sum()
-    stands = given[0].verdict.accepted or (matched.verdict.accepted and matched.kept.sum() >= more)
-    return (matched, start) if stands else given
+    return matched, start
 
 
 def pose_that_points_tell(points: TiePoints, *, frames: bool) -> Float64:

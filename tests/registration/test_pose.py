@@ -13,7 +13,6 @@ from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.judge import poses_as_far
 from pcwlad_geo.registration.prealign import Pose, StartingAlignment, posed_start
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
@@ -257,17 +256,6 @@ def test_points_of_frames_tell_of_a_perspective(tilt_deg: float, tells: bool) ->
     assert np.abs(through(found, here) - through(homography, here)).max() < 0.5
     assert not pose_that_points_tell(points, frames=False)[2, :2].any()
     assert not pose_that_points_tell(points[:20], frames=True)[2, :2].any()
-
-
-def test_the_farther_a_pose_the_more_it_has_to_pay() -> None:
-    here = np.random.default_rng(3).uniform(0, 300, (80, 2))
-    points = TiePoints(here, here, np.tile(np.eye(2), (80, 1, 1)), np.zeros(80), np.zeros(80))
-    shift = np.array([[1.0, 0.0, 7.0], [0.0, 1.0, -5.0], [0.0, 0.0, 1.0]])
-    paid = [poses_as_far(points, shift @ seen_from_the_side(tilt, 0.0)) for tilt in (0.0, 1.0, 2.0, 4.0)]
-    assert paid[0] == pytest.approx(0.0, abs=1e-6)
-    assert paid == sorted(paid)
-    wider = np.diag([1.04, 1.0, 1.0])  # moves the border by 6 px, and one pose of four is as far
-    assert poses_as_far(points, wider) == pytest.approx(np.log10(4), abs=0.01)
 
 
 @pytest.mark.parametrize("rotation_deg", [-179.0, -90.0, 0.0, 12.5, 180.0])
