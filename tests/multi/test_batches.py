@@ -88,7 +88,7 @@ def test_a_batch_and_once_more(work: Path) -> None:
         *range(5)
     ]
     told = [event.message for event in events if isinstance(event, Warned)]
-    assert any(message.startswith("other.tif (line 3): rejected: only ") for message in told)
+    assert any(message.startswith("other.tif (line 3): rejected: none of the ") for message in told)
     assert any(message.startswith("absent.tif (line 4): unusable: ") for message in told)
 
     assert result.summary == Path("pairs_registered/summary.csv")

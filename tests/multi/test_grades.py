@@ -51,6 +51,11 @@ def letters(found: dict[str, StackQuality]) -> str:
 MOTION = {"displacement_px": [1.0, 2.0], "points": 20, "share": 0.5, "places": 9, "significance": 8.0}
 
 
+@pytest.fixture(scope="module")
+def without_pictures() -> None:
+    """Draw them: one of these pages shows its images before and after."""
+
+
 @pytest.mark.parametrize(
     "motions", [5, ["far"], [{"displacement_px": [1.0, 2.0]}], [{**MOTION, "displacement_px": ["a", "b"]}]]
 )

@@ -163,7 +163,7 @@ def test_a_refused_pair_fails_and_the_rest_is_measured(folder: Path) -> None:
     assert result.triangles == ()
     assert result.passed is False
     assert result.verdicts[0].failed == ("b4 – other",)
-    assert any(isinstance(each, Warned) and "b4 – other: refused: only" in each.message for each in events)
+    assert any(isinstance(each, Warned) and "b4 – other: refused: none" in each.message for each in events)
     report = json.loads((result.out_dir / "qa.json").read_text(encoding="utf-8"))
     jsonschema.validate(report, json.loads(schema_file().read_text(encoding="utf-8")))
     page = (result.out_dir / "qa.html").read_text(encoding="utf-8")
