@@ -25,7 +25,13 @@ from numpy.typing import NDArray
 from pcwlad_geo.estimation.solving import inverse, least_squares, solve
 from pcwlad_geo.matching.coarse import window_sums
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
-from pcwlad_geo.matching.kernels.pose_search import cross_spectra, place_layer, weigh_by_overlap
+from pcwlad_geo.matching.kernels.pose_search import (
+    LAYER_HARMONICS,
+    MASK_STEP,
+    cross_spectra,
+    place_layer,
+    weigh_by_overlap,
+)
 from pcwlad_geo.matching.shift_search import (
     MIN_PATCHES,
     Patches,
@@ -61,8 +67,6 @@ FINE_STEPS: Final = 3
 """Number of fine steps to a coarse one."""
 REACH_CELLS: Final = 3
 """Largest change of the shift by the finer steps."""
-MASK_STEP: Final = 4
-"""The overlap of two images is counted on every so-manieth cell along each axis."""
 IN_CACHE: Final = 2**16
 """Number of scores that are computed together."""
 FRAME_PX: Final = 288
@@ -115,8 +119,6 @@ COARSE: Final = (40, 8.0, 1.16)
 LAYERS_PX: Final = (168.0, 336.0)
 """Sides of the images whose channels are averaged to the cells of stretched images and of ascents: of the
 true poses of 34 stretched pairs 24 are among the best four then, and 16 with the larger one alone."""
-LAYER_HARMONICS: Final = 3
-"""Number of harmonics of each of these."""
 ASCENDING: Final = 96
 """Number of distinct poses, of those with stretched images, that ascend."""
 CLOSE_DISTANCE: Final = 0.05
@@ -391,13 +393,13 @@ class _Scan:
         coarse = math.ceil(max(side, 1.6 * self.cells) / MASK_STEP)
         size = MASK_STEP * scipy.fft.next_fast_len(coarse, real=True)
         rotated = list(self.fixed.in_cells(self.cells, size, angles, per_cell=self.per_cell))
-        chosen = {
-            stride: _Rotations.of(list(zip(angles, rotated, strict=True))[::stride]) for stride in (1, 2)
-        }
+        turns = list(zip(angles, rotated, strict=True))
+        strides = {ratio: _stride(ratio) if near is None else 1 for ratio in ratios}
+        chosen = {stride: _Rotations.of(turns[::stride]) for stride in set(strides.values())}
         fixed_area = max(cells.area for cells in rotated)
         for ratio, moving in self._moving(ratios, size):
             least = max(MIN_OVERLAP * min(fixed_area, moving.area), MIN_CELLS)
-            stride = _stride(ratio) if near is None else 1
+            stride = strides[ratio]
             for opposite in (False, True) if both_halves else (False,):
                 for angle, fixed, score, highest in chosen[stride].scores(moving, opposite, size, least):
                     shift_rc = divmod(highest, size)

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
 from pcwlad_geo.matching.kernels.library import POINTER, REAL, SINGLE, WHOLE, address, function
 from pcwlad_geo.types import Complex64, Float32, Float64, Index
+
+MASK_STEP: Final = 4
+"""The overlap of two images is counted on every so-manieth cell along each axis; `STEP` of the C."""
+LAYER_HARMONICS: Final = 3
+"""Number of harmonics of a layer that is placed, with what is usable `LAYER` of the C."""
 
 
 def cross_spectra(moving: Float32, fixed: Float32, *, opposite: bool) -> Complex64:
