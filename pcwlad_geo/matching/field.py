@@ -88,23 +88,27 @@ class Prediction:
         )
 
 
-def predict(xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, surface: Surface) -> Prediction:
+def predict(
+    xy_px: Float64, displacement_px: Float64, at_xy_px: Float64, surface: Surface, threads: int = 1
+) -> Prediction:
     """Predict the displacement at places from a robust surface through their nearest points.
 
     The tie points have (m, 2) positions `xy_px` and (m, 2) displacements `displacement_px` (col, row). The
-    (n, 2) `at_xy_px` are the places, and the result is of shape (n, 2).
+    (n, 2) `at_xy_px` are the places, which the `threads` share; the result is of shape (n, 2).
     """
     others, moved, thinned = _thinned(xy_px, displacement_px, surface)
     tree = cKDTree(others)
     step = max(1, 2_000_000 // max(min(len(others), thinned.count), 1))  # limits the memory
     parts = [
-        _NeighbourSearch.of(tree, at_xy_px[begin : begin + step], thinned.count).predict(moved, thinned)
+        _NeighbourSearch.of(tree, at_xy_px[begin : begin + step], thinned.count, threads=threads).predict(
+            moved, thinned
+        )
         for begin in range(0, max(len(at_xy_px), 1), step)
     ]
     return Prediction.concatenate(parts)
 
 
-def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int) -> Choice:
+def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int, threads: int = 1) -> Choice:
     """Choose the simplest surface that predicts about as well as the best one.
 
     The tie points have (m, 2) positions `xy_px` and (m, 2) displacements `displacement_px` (col, row). Those
@@ -112,7 +116,7 @@ def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int) -> 
     """
     n = len(xy_px)
     candidates = [surface for surface in SURFACES if surface.count < n] or [Surface(n, 1)]
-    residuals = _against_neighbours(xy_px, displacement_px, window_px, candidates)
+    residuals = _against_neighbours(xy_px, displacement_px, window_px, candidates, threads)
     errors = [_typical(residual) for residual, _ in residuals]
     chosen = next((i for i, error in enumerate(errors) if error <= min(errors) + SIMPLER_WITHIN_PX), -1)
     residual, share = residuals[chosen]
@@ -144,7 +148,7 @@ def independent_residual(
 
 
 def _against_neighbours(
-    xy: Float64, displacement: Float64, window_px: int, surfaces: Sequence[Surface]
+    xy: Float64, displacement: Float64, window_px: int, surfaces: Sequence[Surface], threads: int = 1
 ) -> list[tuple[Float64, Float64]]:
     """Return displacement minus prediction, (m, 2), and how much of it is the point's own error, (m,).
 
@@ -158,6 +162,7 @@ def _against_neighbours(
             xy[sample],
             max(surface.count // step for surface in surfaces if _step(surface) == step),
             EXCLUSION * window_px,
+            threads,
         )
         for step in steps
     }
@@ -232,15 +237,20 @@ class _NeighbourSearch:
     """Points nearer than this do not count."""
     nearer: int
     """Largest number of such points at a place."""
+    threads: int
+    """Number of threads that share the places."""
 
     @staticmethod
-    def of(tree: cKDTree, at: Float64, count: int, excluded_px: float = 0.0) -> _NeighbourSearch:
+    def of(
+        tree: cKDTree, at: Float64, count: int, excluded_px: float = 0.0, threads: int = 1
+    ) -> _NeighbourSearch:
         """Search the nearest `count` points that count."""
         at, nearer = np.ascontiguousarray(at, np.float64), 0
         if excluded_px and tree.n > 1 and len(at):
             nearer = int(tree.query_ball_point(at, excluded_px, return_length=True).max())
-        distance, index = tree.query(at, k=np.arange(1, min(tree.n, count + nearer) + 1))
-        return _NeighbourSearch(tree, at, distance, index.astype(np.intp), excluded_px, nearer)
+        nearest = np.arange(1, min(tree.n, count + nearer) + 1)
+        distance, index = tree.query(at, k=nearest, workers=threads)
+        return _NeighbourSearch(tree, at, distance, index.astype(np.intp), excluded_px, nearer, threads)
 
     def typical_count(self, radius_px: float) -> float:
         """Return the median number of points within a radius of the places; 1 if there is no place."""
@@ -260,5 +270,5 @@ class _NeighbourSearch:
         scatter, leverage = np.full(n, np.nan), np.full(n, np.nan)
         moved = np.ascontiguousarray(displacement, np.float64)
         found = (out, slope, scatter, leverage)
-        fit_surfaces(self.tree.data, moved, self.at, index, usable, surface.order, *found)
+        fit_surfaces(self.tree.data, moved, self.at, index, usable, surface.order, *found, self.threads)
         return Prediction(out, slope, SIGMA_OF_MEDIAN_LENGTH * scatter, leverage)

@@ -153,12 +153,12 @@ Predictor = Callable[[Float64, Float64, Float64, field.Surface], field.Predictio
 
 
 def guide_by_field(
-    points: TiePoints, settings: MatchSettings, predict: Predictor = field.predict
+    points: TiePoints, settings: MatchSettings, predict: Predictor = field.predict, threads: int = 1
 ) -> FieldGuide:
     """Fit the displacement field to all consistent points and derive the guidance of the second pass.
 
     The points are those of the first pass, of the whole scene. What takes most of the time is `predict`,
-    which does as `field.predict`.
+    which does as `field.predict`, and the choice of the surface, which the `threads` share.
     """
     nowhere = np.full((len(points), 2), np.nan)
     if len(points) < MIN_FOR_FIELD:
@@ -170,7 +170,7 @@ def guide_by_field(
         linear = np.zeros((2, 2))
     everywhere = np.tile(linear, (len(points), 1, 1))
     one_way = forward_is_enough(points.forward_backward_px, settings)
-    choice = field.choose_surface(xy, moved, settings.window)
+    choice = field.choose_surface(xy, moved, settings.window, threads)
     surface = choice.surface if choice.smooth else None
     if settings.consensus == "off" or surface is None:
         return FieldGuide(everywhere, nowhere, surface, 0.0, one_way)

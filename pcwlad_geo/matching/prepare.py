@@ -21,6 +21,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.coarse import MaskedMap
+from pcwlad_geo.matching.kernels.library import in_threads
 from pcwlad_geo.matching.keypoints import FULL_SCALE, contrast_weight
 from pcwlad_geo.matching.maps import (
     maximum_moment,
@@ -28,7 +29,7 @@ from pcwlad_geo.matching.maps import (
     oriented_phase_congruency,
     scene_epsilon,
 )
-from pcwlad_geo.matching.refinement import ChannelMaps, in_threads
+from pcwlad_geo.matching.refinement import ChannelMaps
 from pcwlad_geo.matching.speckle import Speckle, find_speckle, has_empty_border
 from pcwlad_geo.matching.types import Channels
 from pcwlad_geo.types import Bool, Float32, Float64

@@ -7,19 +7,16 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Final, TypeVar
+from typing import Final
 
 import cv2
 import numpy as np
 
 from pcwlad_geo.matching.kernels import refinement as kernel
+from pcwlad_geo.matching.kernels.library import in_threads, shares
 from pcwlad_geo.types import Bool, Float32, Float64, Index
-
-Value = TypeVar("Value")
 
 POLE: Final = float(np.sqrt(3.0)) - 2.0
 """Pole of the prefilter of the cubic B-spline [1]_."""
@@ -227,19 +224,9 @@ def refine(
     def refine_some(some: slice) -> kernel.Results:
         return kernel.refine_points(images, _starts(corners_rc[some], start.part(some)), options)
 
-    share = -(-n // threads) or 1
-    shares = [slice(begin, begin + share) for begin in range(0, max(n, 1), share)]
-    done = in_threads([partial(refine_some, some) for some in shares], threads)
+    done = in_threads([partial(refine_some, some) for some in shares(n, threads)], threads)
     shift, linear, covariance, status = map(np.concatenate, zip(*done, strict=True))
     return Refined(shift, linear, covariance, status == kernel.CONVERGED)
-
-
-def in_threads(calls: Sequence[Callable[[], Value]], threads: int) -> list[Value]:
-    """Return the results of `calls`, of which at most `threads` run at a time, in their order."""
-    if threads == 1 or len(calls) == 1:
-        return [call() for call in calls]
-    with ThreadPoolExecutor(threads) as pool:
-        return [future.result() for future in [pool.submit(call) for call in calls]]
 
 
 def _images(reference: ChannelMaps, target: ChannelMaps, step_px: int) -> kernel.Images:

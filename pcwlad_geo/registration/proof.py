@@ -50,6 +50,7 @@ from pcwlad_geo.estimation.solving import inverse, least_squares, pseudo_inverse
 from pcwlad_geo.events import JobLog, Progress
 from pcwlad_geo.matching.field import global_affine
 from pcwlad_geo.matching.guidance import FieldGuide, Scales, guide_by_field
+from pcwlad_geo.matching.kernels.library import in_threads
 from pcwlad_geo.matching.matcher import (
     Core,
     consistent_points,
@@ -67,7 +68,7 @@ from pcwlad_geo.matching.prepare import (
     noise_level,
     prepare,
 )
-from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, in_threads, refine
+from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, refine
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.arrays import Raster, Scratch

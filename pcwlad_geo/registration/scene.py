@@ -394,7 +394,7 @@ def _second_pass(
     """Match the consistent points again, guided by the field of all of them, and maybe what was lost."""
     index, predict_there = np.flatnonzero(kept), partial(_predict_on, runner, log.on_event)
     points, tile_of = matches[index], first.tile_of[index]
-    guide = guide_by_field(points, matching, predict_there)
+    guide = guide_by_field(points, matching, predict_there, runner.threads)
     other = other_displacement(matches, kept)
     other_px = None if other is None else other[0]
     scales, errors, jitter, displaced = _scales(first, points, tile_of, guide, other_px, log, runner)
@@ -519,7 +519,7 @@ def _predict_on(
     warn = partial(only_warnings, on_event)  # of lost workers; the progress is no stage's own
     size = max(2000, -(-len(at) // 64))  # each is sent all points of the field
     if len(at) <= size:
-        return predict(xy, moved, at, surface)
+        return predict(xy, moved, at, surface, runner.threads)
     calls = [(xy, moved, at[begin : begin + size], surface) for begin in range(0, len(at), size)]
     return Prediction.concatenate(runner.run(predict, calls, "refining", warn).results)
 

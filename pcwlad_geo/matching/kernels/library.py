@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from ctypes import CDLL, Structure, c_double, c_float, c_int64, c_void_p
 from functools import lru_cache
 from pathlib import Path
@@ -31,6 +32,7 @@ PROCESSORS: Final = {"amd64": "x86_64", "arm64": "aarch64"}
 
 Function = Callable[..., int | None]
 Parameter = TypeVar("Parameter", bound=Structure)
+Value = TypeVar("Value")
 
 
 def version() -> str:
@@ -102,3 +104,17 @@ def address(array: NDArray[Any], dtype: Any) -> int:  # noqa: ANN401
             f"got {array.dtype} with strides {array.strides}"
         )
     return int(array.__array_interface__["data"][0])  # `ctypes.data` takes twice as long
+
+
+def shares(n: int, threads: int) -> list[slice]:
+    """Return the parts of n rows that as many threads work on, at least one."""
+    share = -(-n // threads) or 1
+    return [slice(begin, begin + share) for begin in range(0, max(n, 1), share)]
+
+
+def in_threads(calls: Sequence[Callable[[], Value]], threads: int) -> list[Value]:
+    """Return the results of `calls`, of which at most `threads` run at a time, in their order."""
+    if threads == 1 or len(calls) == 1:
+        return [call() for call in calls]
+    with ThreadPoolExecutor(threads) as pool:
+        return [future.result() for future in [pool.submit(call) for call in calls]]

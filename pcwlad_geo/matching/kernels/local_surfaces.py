@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from ctypes import Structure, byref
+from functools import partial
 from typing import Final
 
 import numpy as np
 
-from pcwlad_geo.matching.kernels.library import POINTER, REAL, WHOLE, address, function
+from pcwlad_geo.matching.kernels.library import POINTER, REAL, WHOLE, address, function, in_threads, shares
 from pcwlad_geo.types import Bool, Float64, Index
 
 ROUNDS: Final = 4
@@ -35,6 +36,7 @@ def fit_surfaces(
     slope: Float64,
     scale: Float64,
     leverage: Float64,
+    threads: int = 1,
 ) -> None:
     """Fit a robust surface to the displacements of the usable neighbours of each place.
 
@@ -52,21 +54,25 @@ def fit_surfaces(
         Filled with the surface at the place, its derivatives (component, by x and y), the median distance
         from it, and the variance of the value over that of one neighbour. Unchanged where there are fewer
         than two neighbours for each term.
+    threads : int
+        Number of threads that share the places.
     """
     n, most = neighbours.shape
     limits = _SurfaceLimits(ROUNDS, RIDGE, TINY, MIN_SCALE_PX)
     neighbours, usable = np.ascontiguousarray(neighbours, np.int64), np.ascontiguousarray(usable)
-    points = [address(array, np.float64) for array in (xy_px, displacement_px, at_xy_px)]
-    filled = [address(array, np.float64) for array in (value, slope, scale, leverage)]
-    memory = np.empty(10 * most)
-    function("fit_surfaces", *5 * [POINTER], *3 * [WHOLE], *6 * [POINTER])(
-        *points,
-        address(neighbours, np.int64),
-        address(usable, np.bool_),
-        n,
-        most,
-        order,
-        byref(limits),
-        address(memory, np.float64),
-        *filled,
-    )
+
+    def fit_some(some: slice) -> None:
+        memory = np.empty(10 * most)
+        function("fit_surfaces", *5 * [POINTER], *3 * [WHOLE], *6 * [POINTER])(
+            *(address(array, np.float64) for array in (xy_px, displacement_px, at_xy_px[some])),
+            address(neighbours[some], np.int64),
+            address(usable[some], np.bool_),
+            len(neighbours[some]),
+            most,
+            order,
+            byref(limits),
+            address(memory, np.float64),
+            *(address(array[some], np.float64) for array in (value, slope, scale, leverage)),
+        )
+
+    in_threads([partial(fit_some, some) for some in shares(n, threads)], threads)
