@@ -9,12 +9,13 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pcwlad_geo.matching.kernels.library import POINTER, REAL, WHOLE, address, function, in_threads
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 LUMINANCE_EXPONENT: Final = 0.5
@@ -66,25 +67,33 @@ def match_coarsely(
     template_px: int,
     radius_px: int,
     least_valid: float,
+    threads: int = 1,
 ) -> CoarseMatches:
     """Find the offset of highest SSIM within a radius for each corner.
 
     The maps have the same shape; the (n, 2) intp `corners_rc` are row, column of corners whose template, an
-    odd number of px wide, lies inside the reference. A share of `least_valid` of it must be valid in both
-    maps, and the offset is at most `radius_px` per axis.
+    odd number of px wide, lies inside the maps with the search around it. A share of `least_valid` of it must
+    be valid in both maps, and the offset is at most `radius_px` per axis. The result does not depend on the
+    `threads`. Raises `ValueError` if a search leaves the maps.
     """
-    n = len(corners_rc)
+    n, reach = len(corners_rc), template_px // 2 + radius_px
+    if ((corners_rc < reach) | (corners_rc >= np.array(reference.values.shape) - reach)).any():
+        raise ValueError(f"a corner lies less than {reach} px from the edge of the maps")
     found = CoarseMatches(
         np.zeros((n, 2), np.intp), np.full(n, -1.0), np.zeros(n), np.zeros(n, bool), np.zeros((n, 2))
     )
-    search = _SsimSearch(reference, target, template_px, radius_px, least_valid)
     at_once = max(1, min(16, 10_000 // (2 * radius_px + 1) ** 2))  # values that stay in the processor's cache
-    for begin in range(0, n, at_once):
-        some = np.arange(begin, min(begin + at_once, n))
-        surfaces = search.surfaces(corners_rc[some])
-        compared = surfaces.max(axis=(1, 2)) > -1.0
-        if compared.any():
-            _fill_peaks(surfaces[compared], some[compared], found)
+
+    def match_some(first: int) -> None:
+        search = _SsimSearch(reference, target, template_px, radius_px, least_valid)
+        for begin in range(first * at_once, n, threads * at_once):
+            some = np.arange(begin, min(begin + at_once, n))
+            surfaces = search.surfaces(corners_rc[some])
+            compared = surfaces.max(axis=(1, 2)) > -1.0
+            if compared.any():
+                _fill_peaks(surfaces[compared], some[compared], found)
+
+    in_threads([partial(match_some, first) for first in range(threads)], threads)
     return found
 
 
@@ -137,25 +146,22 @@ def peak_distinctness(surfaces: Float32, row: Index, col: Index) -> Float64:
 
 
 class _SsimSearch:
-    """Computes the SSIM of templates at all offsets; holds the memory that this needs."""
+    """Computes the SSIM of templates at all offsets; holds what this needs."""
 
     def __init__(
         self, reference: MaskedMap, target: MaskedMap, template_px: int, radius_px: int, least_valid: float
     ) -> None:
         self.reference, self.target = reference, target
-        self.half, self.radius = template_px // 2, radius_px
+        self.template_px, self.radius = template_px, radius_px
         self.least = least_valid * template_px**2
-        search_px = template_px + 2 * radius_px
-        # multiples of 16 are the quick ones: 128 takes a third of 125
-        side = cv2.getOptimalDFTSize(-(-search_px // 16) * 16)
-        self.padded = np.zeros((2, side, side), np.float32)
+        length = _quick_length(template_px + 2 * radius_px)
+        self.roots = np.exp(-2j * np.pi / length * np.arange(length)).astype(np.complex64)
+        memory = function("coarse_memory", *3 * [WHOLE], returns=WHOLE)(template_px, radius_px, length)
+        self.memory = np.empty(memory or 0)
 
     def surfaces(self, corners_rc: Index) -> Float32:
         """Return the SSIM at every offset, (n, 2·radius+1, 2·radius+1), -1 where too little is valid."""
-        side = 2 * self.radius + 1
-        sums = np.zeros((len(corners_rc), 6, side, side))
-        for (row, col), out in zip(corners_rc.tolist(), sums, strict=True):
-            self._fill_sums(row, col, out)
+        sums = self._sums(corners_rc)
         comparable = sums[:, 0] >= max(self.least, 1.0)
         return np.where(comparable, self._ssim(sums), -1.0).astype(np.float32)
 
@@ -168,57 +174,36 @@ class _SsimSearch:
         covariance = sums[:, 5] / (to_t * self.target.scale) - mean_t * mean_s
         return _combine(mean_t, mean_s, var_t, var_s, covariance)
 
-    def _fill_sums(self, row: int, col: int, out: Float64) -> None:
-        """Fill in the number of pixels valid in both and their sums of t, t², s, s² and t·s at every offset.
+    def _sums(self, corners_rc: Index) -> Float64:
+        """Return the number of pixels valid in both and their sums of t, t², s, s² and t·s at every offset.
 
-        Sums over a template or a search window that is valid throughout need no correlation with the mask.
+        They are of shape (n, 6, 2·radius+1, 2·radius+1); t is the template, s the window at an offset. All
+        are 0 where too little of the template is valid.
         """
-        inner, outer = self._window(row, col, self.half), self._window(row, col, self.half + self.radius)
-        template, template_valid = self.reference.values[inner], self.reference.valid[inner]
-        search, search_valid = self.target.values[outer], self.target.valid[outer]
-        good = cv2.countNonZero(template_valid)
-        if good < self.least:
-            return
-        of_search, of_template = self._spectrum(search, 0), self._spectrum(template, 1)
-        out[5] = self._cross(of_search, of_template)
-        whole_template = good == template.size
-        whole_search = cv2.countNonZero(search_valid) == search.size
-        if not whole_search:
-            mask = self._spectrum(search_valid, 0)
-            out[1] = self._cross(mask, of_template)
-            out[2] = self._cross(mask, self._spectrum(template**2, 1))
-        else:
-            out[1], out[2] = cv2.sumElems(template)[0], cv2.norm(template, cv2.NORM_L2SQR)
-        if not whole_template:
-            template_mask = self._spectrum(template_valid, 1)
-            out[0] = good if whole_search else np.round(self._cross(mask, template_mask))
-            out[3] = self._cross(of_search, template_mask)
-            out[4] = self._cross(self._spectrum(search**2, 0), template_mask)
-        else:
-            out[0] = good if whole_search else _box_sums(search_valid, template.shape[0])[0]
-            out[3], out[4] = _box_sums(search, template.shape[0])
-
-    def _spectrum(self, window: Float32, which: int) -> Float32:
-        """Return the packed Fourier transform of a padded window; `which` of the two sizes it has."""
-        padded = self.padded[which]
-        padded[: window.shape[0], : window.shape[1]] = window
-        return np.asarray(cv2.dft(padded), np.float32)
-
-    def _cross(self, search: Float32, template: Float32) -> Float32:
-        """Return the correlation of two windows from their spectra at every offset."""
         side = 2 * self.radius + 1
-        product = cv2.mulSpectrums(search, template, 0, conjB=True)
-        plane = cv2.idft(product, flags=cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT)
-        return np.asarray(plane[:side, :side], np.float32)
+        corners, sums = np.ascontiguousarray(corners_rc, np.int64), np.empty((len(corners_rc), 6, side, side))
+        maps = [part for each in (self.reference, self.target) for part in (each.values, each.valid)]
+        types = (*4 * [POINTER], WHOLE, POINTER, *4 * [WHOLE], POINTER, REAL, POINTER, POINTER)
+        function("correlation_sums", *types)(
+            *(address(each, np.float32) for each in maps),
+            maps[0].shape[1],
+            address(corners, np.int64),
+            len(corners),
+            self.template_px,
+            self.radius,
+            len(self.roots),
+            address(self.roots, np.complex64),
+            self.least,
+            address(self.memory, np.float64),
+            address(sums, np.float64),
+        )
+        return sums
 
-    @staticmethod
-    def _window(row: int, col: int, reach: int) -> tuple[slice, slice]:
-        return slice(row - reach, row + reach + 1), slice(col - reach, col + reach + 1)
 
-
-def _box_sums(search: Float32, side: int) -> tuple[Float64, Float64]:
-    plain, square = cv2.integral2(search, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
-    return window_sums(np.asarray(plain, np.float64), side), window_sums(np.asarray(square, np.float64), side)
+def _quick_length(least: int) -> int:
+    """Return the least length from `least` on whose Fourier transform is quick: even, of factors 2 and 3."""
+    lengths = [odd << twos for odd in (1, 3, 9, 27) for twos in range(1, 16)]
+    return min(length for length in lengths if length >= least)
 
 
 def window_sums(integral: Float64, side: int) -> Float64:

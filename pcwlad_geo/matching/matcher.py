@@ -174,6 +174,7 @@ def match_candidates(
         settings.template,
         settings.search_radius,
         settings.least_valid,
+        pair.channels.threads,
     )
     compared = coarse.ssim > -1.0
     similar = compared & (coarse.ssim >= settings.ssim_min)

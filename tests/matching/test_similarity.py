@@ -23,18 +23,20 @@ def naive_ssim(first: NDArray, second: NDArray) -> float:
     return float(luminance**0.5 * contrast**0.8 * np.sign(structure) * abs(structure) ** 1.3)
 
 
-def naive_surface(reference: MaskedMap, target: MaskedMap, row: int, col: int, least_valid: float) -> NDArray:
-    half = TEMPLATE // 2
-    surface = np.empty((2 * RADIUS + 1, 2 * RADIUS + 1))
-    for dr in range(-RADIUS, RADIUS + 1):
-        for dc in range(-RADIUS, RADIUS + 1):
+def naive_surface(
+    reference: MaskedMap, target: MaskedMap, corner: NDArray, template: int, radius: int, least_valid: float
+) -> NDArray:
+    (row, col), half = corner, template // 2
+    surface = np.empty((2 * radius + 1, 2 * radius + 1))
+    for dr in range(-radius, radius + 1):
+        for dc in range(-radius, radius + 1):
             here = np.s_[row - half : row + half + 1, col - half : col + half + 1]
             there = np.s_[row + dr - half : row + dr + half + 1, col + dc - half : col + dc + half + 1]
             both = (reference.valid[here] > 0) & (target.valid[there] > 0)
-            surface[dr + RADIUS, dc + RADIUS] = -1.0
+            surface[dr + radius, dc + radius] = -1.0
             if both.mean() >= least_valid:
                 first = reference.values[here][both].astype(float) / 0.5
-                surface[dr + RADIUS, dc + RADIUS] = naive_ssim(
+                surface[dr + radius, dc + radius] = naive_ssim(
                     first, target.values[there][both].astype(float) / 0.5
                 )
     return surface
@@ -55,8 +57,9 @@ def maps() -> tuple[NDArray, NDArray]:
 
 
 @pytest.mark.parametrize("masks", ["none", "reference", "target", "both"])
+@pytest.mark.parametrize(("template", "radius"), [(21, 4), (31, 8), (13, 3), (17, 10)])
 def test_the_best_offset_and_its_ssim_are_those_of_a_plain_loop(
-    maps: tuple[NDArray, NDArray], masks: str
+    maps: tuple[NDArray, NDArray], masks: str, template: int, radius: int
 ) -> None:
     rng = np.random.default_rng(1)
     valid = [np.ones((80, 80), bool) for _ in range(2)]
@@ -66,15 +69,26 @@ def test_the_best_offset_and_its_ssim_are_those_of_a_plain_loop(
         valid[1] = rng.random((80, 80)) > 0.2
     reference, target = masked(maps[0], valid[0]), masked(maps[1], valid[1])
     corners = np.array([[30, 30], [45, 40], [40, 50]])
-    found = match_coarsely(reference, target, corners, TEMPLATE, RADIUS, 0.4)
-    for index, (row, col) in enumerate(corners):
-        surface = naive_surface(reference, target, row, col, 0.4)
+    found = match_coarsely(reference, target, corners, template, radius, 0.3)
+    for index, corner in enumerate(corners):
+        surface = naive_surface(reference, target, corner, template, radius, 0.3)
         peak = np.unravel_index(surface.argmax(), surface.shape)
-        assert tuple(found.offset_rc[index] + RADIUS) == peak
+        assert tuple(found.offset_rc[index] + radius) == peak
         assert found.ssim[index] == pytest.approx(surface.max(), abs=2e-4)
         assert found.distinctness[index] == pytest.approx(distinctness(surface, *peak), abs=2e-3)
     np.testing.assert_array_equal(found.offset_rc, [(2, -3)] * 3)
-    assert not found.at_border.any()
+    np.testing.assert_array_equal(found.at_border, radius == 3)
+    shared = match_coarsely(reference, target, corners, template, radius, 0.3, threads=2)
+    for name in ("offset_rc", "ssim", "distinctness", "at_border", "shift_xy_px"):
+        np.testing.assert_array_equal(getattr(shared, name), getattr(found, name))
+
+
+def test_a_search_that_leaves_the_maps_is_an_error(maps: tuple[NDArray, NDArray]) -> None:
+    reference, target = masked(maps[0]), masked(maps[1])
+    for corner in ([13, 40], [40, 13], [66, 40], [40, 66]):
+        with pytest.raises(ValueError, match="less than 14 px from the edge"):
+            match_coarsely(reference, target, np.array([[40, 40], corner]), TEMPLATE, RADIUS, 0.4)
+    match_coarsely(reference, target, np.array([[14, 14], [65, 65]]), TEMPLATE, RADIUS, 0.4)
 
 
 def test_the_peak_is_found_to_a_fraction_of_a_pixel(maps: tuple[NDArray, NDArray]) -> None:
