@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.tables import Check, Table, as_text, at_most
 from benchmarks.timing import cheapest
 from pcwlad_geo.execution.runner import one_opencv_thread
+from pcwlad_geo.matching.kernels.library import fast_even
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS, SCALES
 from pcwlad_geo.matching.maps import (
     maximum_moment,
@@ -32,7 +33,7 @@ from pcwlad_geo.matching.maps import (
     oriented_phase_congruency,
     scene_epsilon,
 )
-from pcwlad_geo.matching.prepare import MIN_SMOOTHING_PX, Image, fast_even, prepare
+from pcwlad_geo.matching.prepare import MIN_SMOOTHING_PX, Image, prepare
 
 SIDES_PX: Final = (512, 1300, 2048)
 ROUNDS: Final = 5

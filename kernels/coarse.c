@@ -9,11 +9,6 @@
 
 enum { VALUES, SQUARES, MASK, KINDS };
 
-/* Complex numbers, (columns or frequencies, width): along a row of memory are the rows of a window. */
-typedef struct {
-    float *real, *imaginary;
-} Planes;
-
 typedef struct {
     const float *values, *valid;
     int64_t cols;
@@ -62,68 +57,6 @@ static Memory divided(float **free, Search search)
     return memory;
 }
 
-/* Transform `radix` complex numbers. */
-static inline __attribute__((always_inline)) void short_transform(int radix, const Vector *a, const Vector *b,
-                                                                  Vector *real, Vector *imaginary)
-{
-    if (radix == 2) {
-        real[0] = a[0] + a[1], imaginary[0] = b[0] + b[1];
-        real[1] = a[0] - a[1], imaginary[1] = b[0] - b[1];
-    } else if (radix == 3) {
-        Vector sum_a = a[1] + a[2], sum_b = b[1] + b[2];
-        Vector mean_a = a[0] - 0.5f * sum_a, mean_b = b[0] - 0.5f * sum_b;
-        Vector apart_a = 0.8660254037844386f * (a[1] - a[2]), apart_b = 0.8660254037844386f * (b[1] - b[2]);
-        real[0] = a[0] + sum_a, imaginary[0] = b[0] + sum_b;
-        real[1] = mean_a + apart_b, imaginary[1] = mean_b - apart_a;
-        real[2] = mean_a - apart_b, imaginary[2] = mean_b + apart_a;
-    } else {
-        Vector even_a = a[0] + a[2], even_b = b[0] + b[2], odd_a = a[1] + a[3], odd_b = b[1] + b[3];
-        Vector apart_a = a[0] - a[2], apart_b = b[0] - b[2], turned_a = b[1] - b[3], turned_b = a[3] - a[1];
-        real[0] = even_a + odd_a, imaginary[0] = even_b + odd_b;
-        real[1] = apart_a + turned_a, imaginary[1] = apart_b + turned_b;
-        real[2] = even_a - odd_a, imaginary[2] = even_b - odd_b;
-        real[3] = apart_a - turned_a, imaginary[3] = apart_b - turned_b;
-    }
-}
-
-/* One pass of Stockham's transform: what is left of it are `length / stride` columns, `stride` of them side by side. */
-static inline __attribute__((always_inline)) void pass(int radix, Planes from, Planes to, int64_t stride, Search search)
-{
-    int64_t width = search.width, left = search.length / stride / radix;
-    for (int64_t j = 0; j < left; j++)
-        for (int64_t q = 0; q < stride; q++)
-            for (int64_t i = 0; i < width; i += LANES) {
-                Vector a[4], b[4], real[4], imaginary[4];
-                for (int r = 0; r < radix; r++) {
-                    int64_t at = (q + stride * (j + left * r)) * width + i;
-                    a[r] = load(from.real + at), b[r] = load(from.imaginary + at);
-                }
-                short_transform(radix, a, b, real, imaginary);
-                for (int k = 0; k < radix; k++) {
-                    const float *root = search.roots[j * k * stride];
-                    int64_t at = (q + stride * (radix * j + k)) * width + i;
-                    store(to.real + at, real[k] * root[0] - imaginary[k] * root[1]);
-                    store(to.imaginary + at, real[k] * root[1] + imaginary[k] * root[0]);
-                }
-            }
-}
-
-/* Transform along columns; return where the result is. */
-static Planes transform(Planes from, Planes to, Search search)
-{
-    for (int64_t stride = 1; stride < search.length;) {
-        int64_t left = search.length / stride;
-        int radix = left % 4 == 0 ? 4 : left % 2 == 0 ? 2 : 3;
-        if (radix == 4) pass(4, from, to, stride, search);
-        if (radix == 2) pass(2, from, to, stride, search);
-        if (radix == 3) pass(3, from, to, stride, search);
-        stride *= radix;
-        Planes swap = from;
-        from = to, to = swap;
-    }
-    return from;
-}
-
 /* Copy a kind of a window, of which the first pixel is at row, col, with its rows along those of memory. */
 static void copy(Map map, int kind, int64_t row, int64_t col, int64_t side, Search search, float *out)
 {
@@ -146,8 +79,8 @@ static void transform_both(Map reference, Map target, int64_t row, int64_t col, 
     int64_t half = search.template / 2, reach = search.area / 2;
     copy(target, of_area, row - reach, col - reach, search.area, search, memory.one.real);
     copy(reference, of_template, row - half, col - half, search.template, search, memory.one.imaginary);
-    Planes both = transform(memory.one, memory.other, search), area = memory.areas[of_area];
-    Planes template = memory.templates[of_template];
+    Planes both = transform(memory.one, memory.other, search.length, search.width, search.roots);
+    Planes area = memory.areas[of_area], template = memory.templates[of_template];
     for (int64_t k = 0; k < frequencies(search); k++) {
         int64_t to = k * search.width, opposite = (search.length - k) % search.length * search.width;
         for (int64_t i = 0; i < search.width; i += LANES) {
@@ -277,7 +210,7 @@ EXPORT int64_t coarse_memory(int64_t template, int64_t radius, int64_t length)
     return search.area + (of_transforms * search.width + of_offsets * frequencies(search)) / 2 + 1;
 }
 
-/* For each of the n `corners` (row, col): the number of pixels valid in both and their sums of t, t², s, s² and t s at
+/* For each of the n `corners` (row, col): the number of pixels valid in both and their sums of t, t², s, s², t s at
    every offset, (n, 6, offsets, offsets), where t is the template and s the window of the search area; all 0 where
    fewer than `least` pixels of the template are valid. Values that are not valid are 0. */
 EXPORT void correlation_sums(const float *reference_values, const float *reference_valid, const float *target_values,
@@ -295,7 +228,8 @@ EXPORT void correlation_sums(const float *reference_values, const float *referen
     for (int64_t point = 0; point < n; point++) {
         int64_t row = corners[point][0], col = corners[point][1], top = row - area / 2, left = col - area / 2;
         double *out = sums + 6 * count * point;
-        double valid = window_sum(reference, MASK, row - template / 2, col - template / 2, template);
+        int64_t first_row = row - template / 2, first_col = col - template / 2;
+        double valid = window_sum(reference, MASK, first_row, first_col, template);
         if (valid < least) {
             fill(out, 6 * count, 0.0);
             continue;
@@ -312,7 +246,7 @@ EXPORT void correlation_sums(const float *reference_values, const float *referen
         }
         for (int kind = VALUES; kind <= SQUARES; kind++) {
             double *of_t = out + (1 + kind) * count, *of_s = out + (3 + kind) * count;
-            if (whole_area) fill(of_t, count, window_sum(reference, kind, row - template / 2, col - template / 2, template));
+            if (whole_area) fill(of_t, count, window_sum(reference, kind, first_row, first_col, template));
             else correlate(memory.areas[MASK], memory.templates[kind], search, memory, of_t);
             if (whole_template) box_sums(target, kind, top, left, search, columns, of_s);
             else correlate(memory.areas[kind], memory.templates[MASK], search, memory, of_s);

@@ -38,6 +38,11 @@ typedef struct {
     int64_t rows, cols;
 } Plane;
 
+/* Complex numbers: two arrays of one shape. */
+typedef struct {
+    float *real, *imaginary;
+} Planes;
+
 /* A window: its rows and columns of pixels, their distance, px, half a side of the local correlation, numbers in a
    row. */
 typedef struct {
@@ -55,6 +60,7 @@ typedef struct {
     float offset, gain, per_sigma;
 } Gain;
 
+Planes transform(Planes from, Planes to, int64_t length, int64_t width, const float (*roots)[2]);
 int sample_shift(Plane plane, double row, double col, Shape shape, float *scratch, Window out);
 int sample_deformed(Plane plane, double row, double col, const double linear[2][2], Shape shape, int slopes,
                     Window out);

@@ -4,43 +4,60 @@
 
 #define SCALES 4
 #define ORIENTATIONS 6
+#define STRIP 8 /* rows or columns that are transformed at once, so that they stay in the cache */
 
+/* The spectrum of an image and the filters of one orientation, (m, width) by frequency along both axes of the image,
+   of which the second one, of n pixels, has no negative ones; the radial filters and the radius have no negative ones
+   along the first axis either. From the number `reach` on a scale is zero along the second. */
 typedef struct {
-    float real, imaginary;
-} Complex;
+    const float *real, *imaginary;
+    const float *radial, *inverse_radius; /* (SCALES, m / 2 + 1, width), (m / 2 + 1, width) */
+    const float *across, *along;          /* parts of the frequency in the direction of the filter, (width,), (m,) */
+    const int64_t *reach;
+    int64_t n, m, width;
+} Filtered;
 
-/* Copy the values at positive frequencies to the negative ones. */
-static void mirror(const float *half, int64_t count, int64_t n, float *full)
+/* Transform back, with the roots of the transform; the result is `count` times as large. */
+static Planes transformed_back(Planes from, Planes to, int64_t count, const float (*roots)[2])
 {
-    for (int64_t i = 0; i < count; i++) full[i] = half[i];
-    for (int64_t i = 1; i < n - count + 1; i++) full[n - i] = half[i];
+    Planes exchanged[] = {{from.imaginary, from.real}, {to.imaginary, to.real}};
+    Planes done = transform(exchanged[0], exchanged[1], count, STRIP, roots), back = {done.imaginary, done.real};
+    return back;
 }
 
-/* Multiply `rows` rows of half a spectrum of m columns, from `start` on, by one angular filter and by the radial ones
-   of the first `scales` scales. `memory` holds 2 * m numbers. See the Python function of this name. */
-EXPORT void filter_rows(const Complex *spectrum, const float *radial, const float *inverse_radius, const float *across,
-                        const float *along, int64_t start, int64_t scales, int64_t rows, int64_t m, int64_t quadrant_rows,
-                        int64_t quadrant_cols, float *memory, Complex *out)
+/* The angular filter of a strip of frequencies, (m, STRIP), over the number of pixels, which both transforms leave. */
+static void fill_angular(const Filtered *of, int64_t start, float *out)
 {
-    float *restrict angular = memory, *restrict mirrored = memory + m;
-    for (int64_t row = 0; row < rows; row++) {
-        mirror(inverse_radius + (start + row) * quadrant_cols, quadrant_cols, m, mirrored);
-        for (int64_t col = 0; col < m; col++) {
-            float cosine = (across[start + row] + along[col]) * mirrored[col];
-            /* (1 + cos 3 angle) / 2 up to 60 degrees, as a polynomial in the cosine */
-            float part = 2.0f * cosine - 1.0f;
-            part = part > 0.0f ? part : 0.0f;
-            angular[col] = 0.5f * (1.0f + cosine) * part * part;
+    float per_pixel = 1.0f / (float)(of->n * of->m);
+    for (int64_t col = 0; col < of->m; col++) {
+        const float *inverse_radius = of->inverse_radius + smaller(col, of->m - col) * of->width + start;
+        for (int64_t i = 0; i < STRIP; i += LANES) {
+            Vector cosine = (load(of->across + start + i) + of->along[col]) * load(inverse_radius + i);
+            Vector part = positive(2.0f * cosine - 1.0f); /* (1 + cos 3 angle) / 2 up to 60 degrees, by the cosine */
+            store(out + col * STRIP + i, 0.5f * per_pixel * (1.0f + cosine) * part * part);
         }
-        for (int64_t scale = 0; scale < scales; scale++) {
-            mirror(radial + (scale * quadrant_rows + start + row) * quadrant_cols, quadrant_cols, m, mirrored);
-            const Complex *restrict source = spectrum + (start + row) * m;
-            Complex *restrict target = out + (scale * rows + row) * m;
-            for (int64_t col = 0; col < m; col++) {
-                float factor = angular[col] * mirrored[col];
-                target[col].real = source[col].real * factor;
-                target[col].imaginary = source[col].imaginary * factor;
-            }
+    }
+}
+
+/* Filter a strip of frequencies by one scale and transform it along the first axis, into the rows (n, cols) of out. */
+static void transform_first(const Filtered *of, int64_t scale, int64_t start, const float *angular, Planes one,
+                            Planes other, const float (*roots)[2], int64_t cols, Planes out)
+{
+    for (int64_t col = 0; col < of->m; col++) {
+        int64_t row = smaller(col, of->m - col), at = col * of->width + start, to = col * STRIP;
+        const float *radial = of->radial + (scale * (of->m / 2 + 1) + row) * of->width + start;
+        for (int64_t i = 0; i < STRIP; i += LANES) {
+            Vector factor = load(angular + to + i) * load(radial + i);
+            store(one.real + to + i, load(of->real + at + i) * factor);
+            store(one.imaginary + to + i, load(of->imaginary + at + i) * factor);
+        }
+    }
+    Planes done = transformed_back(one, other, of->m, roots);
+    for (int64_t i = 0; i < smaller(STRIP, of->reach[scale] - start); i++) {
+        float *real = out.real + (start + i) * cols, *imaginary = out.imaginary + (start + i) * cols;
+        for (int64_t col = 0; col < of->m; col++) {
+            real[col] = done.real[col * STRIP + i];
+            imaginary[col] = done.imaginary[col * STRIP + i];
         }
     }
 }
@@ -55,30 +72,69 @@ static inline float sigmoid(float width, float cut_off, float gain)
     return 0.5f + 0.5f * t * above / below;
 }
 
-/* Combine the responses of one orientation, (4, n), into its phase congruency, (n,). */
-EXPORT void combine_scales(const Complex *responses, float epsilon, float cut_off, float gain, int64_t n,
+/* Combine the responses of one orientation by scale, n numbers each, into its phase congruency. */
+static void combine_scales(const Planes responses[SCALES], float epsilon, float cut_off, float gain, int64_t n,
                            float *restrict out)
 {
     for (int64_t i = 0; i < n; i++) {
         float even = 0.0f, odd = 0.0f, sum = 0.0f, largest = 0.0f, across = 0.0f;
         for (int scale = 0; scale < SCALES; scale++) {
-            Complex response = responses[scale * n + i];
-            float amplitude =
-                __builtin_sqrtf(response.real * response.real + response.imaginary * response.imaginary);
-            even += response.real;
-            odd += response.imaginary;
+            float real = responses[scale].real[i], imaginary = responses[scale].imaginary[i];
+            float amplitude = __builtin_sqrtf(real * real + imaginary * imaginary);
+            even += real;
+            odd += imaginary;
             sum += amplitude;
             largest = largest > amplitude ? largest : amplitude;
         }
-        for (int scale = 0; scale < SCALES; scale++) {
-            Complex response = responses[scale * n + i];
-            across += __builtin_fabsf(response.real * odd - response.imaginary * even);
-        }
+        for (int scale = 0; scale < SCALES; scale++)
+            across += __builtin_fabsf(responses[scale].real[i] * odd - responses[scale].imaginary[i] * even);
         float square = even * even + odd * odd;
         float energy = (square - across) / (__builtin_sqrtf(square) + epsilon);
         energy = energy > 0.0f ? energy : 0.0f;
         float width = (sum / (largest + epsilon) - 1.0f) / (float)(SCALES - 1);
         out[i] = sigmoid(width, cut_off, gain) * energy / (sum + epsilon);
+    }
+}
+
+static Planes divided(float **free, int64_t count)
+{
+    Planes planes = {*free, *free + count};
+    *free += 2 * count;
+    return planes;
+}
+
+/* Fill in the phase congruency of one orientation where `out` has rows and cols, at most n and m; its numbers are so
+   far apart along both. `roots` are those of n and then of m. `memory` is as large as Python makes it. */
+EXPORT void oriented_map(const Filtered *of, const float (*roots)[2], float epsilon, float cut_off, float gain,
+                         float *memory, int64_t rows, int64_t cols, int64_t row_apart, int64_t col_apart, float *out)
+{
+    int64_t most = larger(of->n, of->m) * STRIP, padded = (of->m + STRIP - 1) / STRIP * STRIP;
+    padded += STRIP; /* else rows of 2^k numbers would fall on the same cache lines */
+    Planes strips[SCALES], spare = divided(&memory, most), spectra[SCALES];
+    for (int scale = 0; scale < SCALES; scale++) strips[scale] = divided(&memory, most);
+    for (int scale = 0; scale < SCALES; scale++) spectra[scale] = divided(&memory, of->reach[scale] * padded);
+    float *plane = memory;
+    for (int64_t start = 0; start < of->reach[0]; start += STRIP) {
+        fill_angular(of, start, plane);
+        for (int scale = 0; scale < SCALES && start < of->reach[scale]; scale++)
+            transform_first(of, scale, start, plane, strips[0], spare, roots + of->n, padded, spectra[scale]);
+    }
+    for (int64_t start = 0; start < cols; start += STRIP) {
+        for (int scale = 0; scale < SCALES; scale++) {
+            Planes strip = strips[scale];
+            for (int64_t i = 0; i < of->n * STRIP; i += LANES) {
+                int64_t row = i / STRIP, at = row * padded + start + i % STRIP;
+                Vector none = {0};
+                store(strip.real + i, row < of->reach[scale] ? load(spectra[scale].real + at) : none);
+                store(strip.imaginary + i, row < of->reach[scale] ? load(spectra[scale].imaginary + at) : none);
+            }
+            strips[scale] = transformed_back(strip, spare, of->n, roots);
+            if (strips[scale].real != strip.real) spare = strip;
+        }
+        combine_scales(strips, epsilon, cut_off, gain, rows * STRIP, plane);
+        for (int64_t row = 0; row < rows; row++)
+            for (int64_t i = 0; i < smaller(STRIP, cols - start); i++)
+                out[row * row_apart + (start + i) * col_apart] = plane[row * STRIP + i];
     }
 }
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.kernels.library import POINTER, REAL, WHOLE, address, function, in_threads
+from pcwlad_geo.matching.kernels.library import POINTER, REAL, WHOLE, address, fast_even, function, in_threads
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 LUMINANCE_EXPONENT: Final = 0.5
@@ -154,7 +154,7 @@ class _SsimSearch:
         self.reference, self.target = reference, target
         self.template_px, self.radius = template_px, radius_px
         self.least = least_valid * template_px**2
-        length = _quick_length(template_px + 2 * radius_px)
+        length = fast_even(template_px + 2 * radius_px)
         self.roots = np.exp(-2j * np.pi / length * np.arange(length)).astype(np.complex64)
         memory = function("coarse_memory", *3 * [WHOLE], returns=WHOLE)(template_px, radius_px, length)
         self.memory = np.empty(memory or 0)
@@ -198,12 +198,6 @@ class _SsimSearch:
             address(sums, np.float64),
         )
         return sums
-
-
-def _quick_length(least: int) -> int:
-    """Return the least length from `least` on whose Fourier transform is quick: even, of factors 2 and 3."""
-    lengths = [odd << twos for odd in (1, 3, 9, 27) for twos in range(1, 16)]
-    return min(length for length in lengths if length >= least)
 
 
 def window_sums(integral: Float64, side: int) -> Float64:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, Final
 
 import cv2
@@ -12,11 +11,10 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching.kernels.phase_congruency import (
     ORIENTATIONS,
-    SCALES,
     combine_orientations,
-    combine_scales,
+    filled_up,
     filter_bank,
-    filter_rows,
+    oriented_map,
     wedge,
 )
 from pcwlad_geo.types import Bool, Complex64, Float32
@@ -25,12 +23,6 @@ EPSILON_OF_BYTE_RANGE: Final = 1e-4
 """The ε of the phase congruency for an image of range 255, as in the authors' maps."""
 MIN_EPSILON: Final = 1e-30
 """Least ε, which keeps the maps of a constant image finite."""
-ROWS_AT_ONCE: Final = 16
-"""Number of rows transformed at once, so that a block stays in the processor's cache."""
-COLS_AT_ONCE: Final = 32
-"""Number of columns transformed at once, so that a block stays in the processor's cache."""
-STRIDE_MARGIN: Final = 8
-"""Number of elements added to each row, so that rows of 2^k elements do not fall on the same cache lines."""
 
 
 def scene_epsilon(image: NDArray[np.floating], valid: Bool | None = None) -> float:
@@ -69,55 +61,17 @@ def oriented_phase_congruency(
     centred = (image - image.mean(dtype=np.float64)).astype(np.float32)
     maps = np.empty((ORIENTATIONS, *(shape or image.shape)), np.float32)
     for axis in (0, 1):
-        filtered = _filtered(centred, axis)
+        half: Complex64 = scipy.fft.rfft2(centred.T if axis == 0 else centred, workers=1)
+        spectrum, bank = (
+            (filled_up(half.real), filled_up(half.imag)),
+            filter_bank(*image.shape[:: 1 - 2 * axis]),
+        )
         turned = maps if axis == 0 else maps.transpose(0, 2, 1)
-        for orientation, responses in filtered:
-            _combine(responses, image.shape[axis], epsilon, turned[orientation])
+        for orientation, out in enumerate(turned):
+            direction = wedge(orientation, axis, image.shape)
+            if direction is not None:
+                oriented_map(spectrum, bank, direction, max(epsilon, MIN_EPSILON), out)
     return maps
-
-
-def _filtered(image: Float32, axis: int) -> Iterator[tuple[int, Complex64]]:
-    """Yield the orientations whose filters lie in the half plane along an axis, with their responses.
-
-    The responses, (4, n // 2 + 1, m) complex64, are spectra along this axis and in space along the other.
-    Each overwrites the one before.
-    """
-    turned = image if axis == 0 else image.T
-    n, m = turned.shape
-    spectrum: Complex64 = scipy.fft.rfft2(turned, axes=(1, 0), workers=1)
-    bank = filter_bank(n, m)
-    # rows beyond the reach of a scale are never written: they stay zero
-    responses = np.zeros((SCALES, len(spectrum), m + STRIDE_MARGIN), np.complex64)[:, :, :m]
-    buffer = np.empty(SCALES * ROWS_AT_ONCE * m, np.complex64)
-    for orientation in range(ORIENTATIONS):
-        direction = wedge(orientation, axis, image.shape)
-        if direction is None:
-            continue
-        for start in range(0, bank.reach[0], ROWS_AT_ONCE):
-            rows = min(ROWS_AT_ONCE, len(spectrum) - start)
-            scales = sum(start < reach for reach in bank.reach)
-            block = buffer[: scales * rows * m].reshape(scales, rows, m)
-            filter_rows(spectrum, bank.radial, bank.inverse_radius, *direction, start, block)
-            block = scipy.fft.ifft(block, axis=2, overwrite_x=True, workers=1)
-            responses[:scales, start : start + rows] = block
-        yield orientation, responses
-
-
-def _combine(responses: Complex64, n: int, epsilon: float, out: Float32) -> None:
-    """Transform along the halved axis and fill in a map, at most (n, m)."""
-    rows, cols = out.shape
-    half = responses.shape[1]
-    buffer = np.empty(SCALES * n * COLS_AT_ONCE, np.complex64)
-    values = np.empty(n * COLS_AT_ONCE, np.float32)
-    for start in range(0, cols, COLS_AT_ONCE):
-        width = min(COLS_AT_ONCE, cols - start)
-        block = buffer[: SCALES * n * width].reshape(SCALES, n, width)
-        block[:, :half] = responses[:, :, start : start + width]
-        block[:, half:] = 0.0
-        block = scipy.fft.ifft(block, axis=1, overwrite_x=True, workers=1)
-        part = values[: n * width]
-        combine_scales(block.reshape(SCALES, -1), max(epsilon, MIN_EPSILON), part)
-        out[:, start : start + width] = part.reshape(n, width)[:rows]
 
 
 def maximum_moment(maps: Float32) -> Float32:

@@ -17,11 +17,10 @@ from typing import Any, Final, TypeVar
 
 import cv2
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.coarse import MaskedMap
-from pcwlad_geo.matching.kernels.library import in_threads
+from pcwlad_geo.matching.kernels.library import fast_even, in_threads
 from pcwlad_geo.matching.keypoints import FULL_SCALE, contrast_weight
 from pcwlad_geo.matching.maps import (
     maximum_moment,
@@ -395,11 +394,3 @@ def _phase_congruency(filled: Floating, epsilon: float, smooth_px: float) -> Flo
         for plane in maps:
             cv2.GaussianBlur(plane, (0, 0), smooth_px, dst=plane)
     return maps
-
-
-def fast_even(n: int) -> int:
-    """Return the smallest even length, n or more, that has a fast Fourier transform."""
-    length = int(scipy.fft.next_fast_len(n, real=False))
-    while length % 2:
-        length = int(scipy.fft.next_fast_len(length + 1, real=False))
-    return length

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtrc
 
 from pcwlad_geo.matching.coarse import parabola_offset, window_sums
+from pcwlad_geo.matching.kernels.library import fast_even
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
 from pcwlad_geo.matching.maps import oriented_phase_congruency, scene_epsilon
 from pcwlad_geo.matching.prepare import fill_smoothly
@@ -191,7 +192,7 @@ def normalised_channels(values: Float32, known: NDArray[np.bool_]) -> tuple[Floa
     epsilon = scene_epsilon(values, known)
     if epsilon == 0.0:
         return np.zeros((rows, cols, ORIENTATIONS), np.float32), np.zeros((rows, cols), np.float32)
-    sides = [2 * scipy.fft.next_fast_len(n // 2 + PADDING_PX, real=False) for n in (rows, cols)]
+    sides = [fast_even(n + 2 * PADDING_PX) for n in (rows, cols)]
     below, right = sides[0] - rows - PADDING_PX, sides[1] - cols - PADDING_PX
     filled = np.asarray(fill_smoothly(values, known), np.float32)
     border = PADDING_PX, below, PADDING_PX, right

@@ -16,8 +16,9 @@ from typing import Final
 import cv2
 import numpy as np
 
+from pcwlad_geo.matching.kernels.library import fast_even
 from pcwlad_geo.matching.keypoints import cell_side_px, contrast_weight
-from pcwlad_geo.matching.prepare import fast_even, fill_smoothly
+from pcwlad_geo.matching.prepare import fill_smoothly
 from pcwlad_geo.matching.types import OTHER_WINDOWS_PX, MatchSettings
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window

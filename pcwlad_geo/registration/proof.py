@@ -50,7 +50,7 @@ from pcwlad_geo.estimation.solving import inverse, least_squares, pseudo_inverse
 from pcwlad_geo.events import JobLog, Progress
 from pcwlad_geo.matching.field import global_affine
 from pcwlad_geo.matching.guidance import FieldGuide, Scales, guide_by_field
-from pcwlad_geo.matching.kernels.library import in_threads
+from pcwlad_geo.matching.kernels.library import fast_even, in_threads
 from pcwlad_geo.matching.matcher import (
     Core,
     consistent_points,
@@ -63,7 +63,6 @@ from pcwlad_geo.matching.prepare import (
     ChannelPair,
     Image,
     PreparedPair,
-    fast_even,
     fill_smoothly,
     noise_level,
     prepare,

@@ -8,13 +8,7 @@ import rasterio
 from numpy.typing import NDArray
 from phasepack import phasecong
 
-from pcwlad_geo.matching.kernels.phase_congruency import (
-    SCALES,
-    combine_scales,
-    filter_bank,
-    filter_rows,
-    wedge,
-)
+from pcwlad_geo.matching.kernels.library import fast_even
 from pcwlad_geo.matching.maps import (
     EPSILON_OF_BYTE_RANGE,
     maximum_moment,
@@ -23,10 +17,8 @@ from pcwlad_geo.matching.maps import (
 )
 from tests.matching.landscape import Landscape
 from tests.oracles.phase_congruency import (
-    combine_scales_plain,
     maximum_moment_plain,
     oriented_phase_congruency_plain,
-    transfer_functions,
 )
 
 SIDE = 160
@@ -103,42 +95,6 @@ def test_the_maps_are_those_of_the_plain_equations(image: NDArray, crop: tuple[s
     np.testing.assert_allclose(found, expected[:, :rows, :cols], atol=2e-5)
 
 
-def test_the_compiled_fusion_of_scales_equals_its_plain_twin() -> None:
-    rng = np.random.default_rng(5)
-    responses = (rng.normal(size=(4, 40, 50)) + 1j * rng.normal(size=(4, 40, 50))).astype(np.complex64)
-    responses[:, 10:20, 10:20] = 0
-    responses[1:, 20:30] *= 1e-3
-    out = np.empty(40 * 50, np.float32)
-    combine_scales(responses.reshape(4, -1), np.float32(1e-3), out)
-    np.testing.assert_allclose(out.reshape(40, 50), combine_scales_plain(responses, 1e-3), atol=2e-6)
-
-
-@pytest.mark.parametrize("shape", [(32, 48), (33, 20)], ids=str)
-@pytest.mark.parametrize("axis", [0, 1])
-def test_the_compiled_filters_equal_their_plain_twins(shape: tuple[int, int], axis: int) -> None:
-    radial, angular = transfer_functions(*shape)
-    n, m = shape[axis], shape[1 - axis]
-    bank = filter_bank(n, m)
-    seen = 0
-    for orientation in range(6):
-        direction = wedge(orientation, axis, shape)
-        if direction is None:
-            continue
-        seen += 1
-        out = np.empty((SCALES, n // 2 + 1, m), np.complex64)
-        ones = np.ones((n // 2 + 1, m), np.complex64)
-        filter_rows(ones, bank.radial, bank.inverse_radius, *direction, 0, out)
-        expected = radial * angular[orientation]
-        if axis == 1:
-            expected = expected.transpose(0, 2, 1)
-        mirrored = expected[:, -np.arange(n)][:, :, -np.arange(m)]
-        # the filter lies in one half plane, and may be turned by 180 degrees
-        whole = expected if np.abs(out - expected[:, : n // 2 + 1]).max() < 1e-5 else mirrored
-        np.testing.assert_allclose(out, whole[:, : n // 2 + 1], atol=1e-6)
-        np.testing.assert_allclose(whole[:, n // 2 + 1 :], 0, atol=1e-6)
-    assert seen == 3
-
-
 def test_the_compiled_moment_equals_its_plain_twin() -> None:
     maps = np.random.default_rng(6).random((6, 37, 41), np.float32)
     np.testing.assert_allclose(maximum_moment(maps), maximum_moment_plain(maps), atol=1e-6)
@@ -177,3 +133,8 @@ def test_the_authors_map_comes_back(shared_data: Path) -> None:
         expected = published.read(1)
     assert red.shape == expected.shape
     assert correlation(moment(red.astype(float)), expected) >= 0.99
+
+
+@pytest.mark.parametrize(("least", "length"), [(1, 2), (2, 2), (7, 8), (255, 256), (257, 270), (2187, 2250)])
+def test_lengths_are_even_and_of_factors_2_3_and_5(least: int, length: int) -> None:
+    assert fast_even(least) == length

@@ -106,6 +106,18 @@ def address(array: NDArray[Any], dtype: Any) -> int:  # noqa: ANN401
     return int(array.__array_interface__["data"][0])  # `ctypes.data` takes twice as long
 
 
+@lru_cache
+def fast_even(least: int) -> int:
+    """Return the smallest even length from `least` on that is transformed fast: of factors 2, 3 and 5."""
+    found = 1 << max(least - 1, 1).bit_length()
+    for fives in range(14):
+        for threes in range(20):
+            odd = 5**fives * 3**threes
+            if odd < found:
+                found = min(found, odd << max(-(-least // odd) - 1, 1).bit_length())
+    return found
+
+
 def shares(n: int, threads: int) -> list[slice]:
     """Return the parts of n rows that as many threads work on, at least one."""
     share = -(-n // threads) or 1

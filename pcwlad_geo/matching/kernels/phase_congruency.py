@@ -5,6 +5,7 @@ The filters and their parameters are those of the paper's authors (log-Gabor fil
 
 from __future__ import annotations
 
+from ctypes import Structure, byref
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -13,7 +14,7 @@ import numpy as np
 import scipy.fft
 
 from pcwlad_geo.matching.kernels.library import POINTER, SINGLE, WHOLE, address, function
-from pcwlad_geo.types import Complex64, Float32, Float64
+from pcwlad_geo.types import Complex64, Float32, Float64, Index
 
 SCALES: Final = 4
 """Number of scales of the filters."""
@@ -31,25 +32,32 @@ LOW_PASS_POWER: Final = 30
 """Exponent of the low-pass filter."""
 NEGLIGIBLE: Final = 1e-7
 """Transfer that counts as zero, below the rounding of float32."""
+STRIP: Final = 8
+"""Number of rows that are transformed at once; `STRIP` of the C."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterBank:
-    """Transfer functions for images of (n, m) pixels, in one quadrant; the first axis is the halved one."""
+    """Transfer functions for images of (n, m) pixels, without negative frequencies along either axis.
+
+    The last axis is that of n, filled up with zeros to a multiple of `STRIP`.
+    """
 
     radial: Float32
-    """(scales, n // 2 + 1, m // 2 + 1)."""
+    """(scales, m // 2 + 1, width)."""
     inverse_radius: Float32
-    """(n // 2 + 1, m // 2 + 1) 1 / frequency in cycles per pixel; 1 at zero frequency."""
-    reach: tuple[int, ...]
-    """First row of the quadrant from which a scale is zero; falls from scale to scale."""
+    """(m // 2 + 1, width) 1 / frequency in cycles per pixel; 1 at zero frequency."""
+    reach: Index
+    """(scales,) first frequency along n from which a scale is zero; falls from scale to scale."""
+    roots: Complex64
+    """(n + m,) roots of unity, clockwise, of n and then of m."""
 
 
 @lru_cache(maxsize=4)
 def filter_bank(n: int, m: int) -> FilterBank:
     """Return the radial filters for images of (`n`, `m`) pixels, the first axis being the halved one."""
     across, along = (np.abs(frequencies(length))[: length // 2 + 1] for length in (n, m))
-    radius = np.hypot(across[:, None], along)
+    radius = np.hypot(along[:, None], across)
     radius[0, 0] = 1.0
     log_radius = np.log(radius)
     low_pass = 1.0 / (1.0 + np.exp(LOW_PASS_POWER * (log_radius - np.log(LOW_PASS_CUT_OFF))))
@@ -58,8 +66,22 @@ def filter_bank(n: int, m: int) -> FilterBank:
         log_centre = -np.log(MIN_WAVELENGTH_PX * WAVELENGTH_FACTOR**scale)
         radial[scale] = low_pass * np.exp(-((log_radius - log_centre) ** 2) / (2 * np.log(SIGMA_ON_F) ** 2))
     radial[:, 0, 0] = 0.0
-    reach = tuple(int(np.flatnonzero(rows > NEGLIGIBLE).max(initial=-1)) + 1 for rows in radial.max(axis=2))
-    return FilterBank(radial, (1.0 / radius).astype(np.float32), reach)
+    reach = [int(np.flatnonzero(cols > NEGLIGIBLE).max(initial=-1)) + 1 for cols in radial.max(axis=1)]
+    roots = [np.exp(-2j * np.pi / length * np.arange(length)) for length in (n, m)]
+    return FilterBank(
+        filled_up(radial),
+        filled_up((1.0 / radius).astype(np.float32)),
+        np.array(reach, np.int64),
+        np.concatenate(roots).astype(np.complex64),
+    )
+
+
+def filled_up(values: Float32) -> Float32:
+    """Return an array whose last axis is filled up with zeros to a multiple of `STRIP`."""
+    width = -(-values.shape[-1] // STRIP) * STRIP
+    filled = np.zeros((*values.shape[:-1], width), np.float32)
+    filled[..., : values.shape[-1]] = values
+    return filled
 
 
 def frequencies(length: int) -> Float64:
@@ -120,56 +142,50 @@ MOMENT_EPSILON: Final = 1e-4
 """The ε that is added to the maximum moment, as in the authors' maps."""
 
 
-def filter_rows(
-    spectrum: Complex64,
-    radial: Float32,
-    inverse_radius: Float32,
-    across: Float32,
-    along: Float32,
-    start: int,
-    out: Complex64,
+class _Filtered(Structure):
+    _fields_ = (*((f"array_{number}", POINTER) for number in range(7)), *((name, WHOLE) for name in "nmw"))
+
+
+def oriented_map(
+    spectrum: tuple[Float32, Float32],
+    bank: FilterBank,
+    direction: tuple[Float32, Float32],
+    epsilon: float,
+    out: Float32,
 ) -> None:
-    """Multiply rows of half a spectrum by one angular filter and by the radial ones.
+    """Compute the phase congruency of one orientation (Kovesi 1999), 0 to 1.
 
     Parameters
     ----------
-    spectrum : (n, m) complex64 array
-        Half of the spectrum of an image.
-    radial, inverse_radius : (scales, n, m // 2 + 1) and (n, m // 2 + 1) float32 arrays
-        See `FilterBank`.
-    across, along : (n,) and (m,) float32 arrays
+    spectrum : two (m, width) float32 arrays
+        Real and imaginary part of the spectrum of an image of (n, m) pixels, by frequency along m, and along
+        n without the negative ones, see `filled_up`.
+    bank : FilterBank
+        For (n, m).
+    direction : two arrays
         See `wedge`.
-    start : int
-        First row.
-    out : (k, rows, m) complex64 array
-        Filled for the first k scales.
+    epsilon : float
+        Positive, in units of the image (see `maps.scene_epsilon`).
+    out : (rows, cols) float32 array
+        Filled; at most (n, m), of any strides.
     """
-    arrays = [address(array, np.float32) for array in (radial, inverse_radius, across, along)]
-    memory = np.empty(2 * along.size, np.float32)
-    function("filter_rows", *5 * [POINTER], *6 * [WHOLE], POINTER, POINTER)(
-        address(spectrum, np.complex64),
-        *arrays,
-        start,
-        *out.shape,
-        *radial.shape[1:],
-        address(memory, np.float32),
-        address(out, np.complex64),
-    )
-
-
-def combine_scales(responses: Complex64, epsilon: float, out: Float32) -> None:
-    """Combine the responses of one orientation into its phase congruency (Kovesi 1999), 0 to 1.
-
-    The `responses` are a (4, n) complex64 array, even (real) and odd (imaginary) by scale; `epsilon` is
-    positive, in units of the image (see `maps.scene_epsilon`); the (n,) float32 array `out` is filled.
-    """
-    function("combine_scales", POINTER, *3 * [SINGLE], WHOLE, POINTER)(
-        address(responses, np.complex64),
+    across, along = filled_up(direction[0]), direction[1]
+    m, width = spectrum[0].shape
+    n = len(bank.roots) - m
+    arrays = [*spectrum, bank.radial, bank.inverse_radius, across, along]
+    places = [*(address(array, np.float32) for array in arrays), address(bank.reach, np.int64)]
+    numbers = STRIP * max(n, m) * (2 * SCALES + 3) + 2 * (m + 2 * STRIP) * int(bank.reach.sum())
+    memory = np.empty(numbers, np.float32)
+    function("oriented_map", *2 * [POINTER], *3 * [SINGLE], POINTER, *4 * [WHOLE], POINTER)(
+        byref(_Filtered(*places, n, m, width)),
+        address(bank.roots, np.complex64),
         epsilon,
         SPREAD_CUT_OFF,
         SPREAD_GAIN,
-        out.size,
-        address(out, np.float32),
+        address(memory, np.float32),
+        *out.shape,
+        *(stride // out.itemsize for stride in out.strides),
+        out.ctypes.data,
     )
 
 
