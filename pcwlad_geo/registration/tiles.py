@@ -47,26 +47,38 @@ class TileCache:
     def keep(self, scene: Hashable, tile: int, pair: ChannelPair) -> None:
         """Store the `pair` of `tile` if there is room, and remove those of any other `scene`.
 
-        What interpolates its maps is kept too where there is room for it; else it is computed again.
+        What interpolates the maps is kept too while there is room for it all: it is quickly computed again.
         """
-        images = pair.reference, pair.target
-        size = sum(image.maps.nbytes + image.valid.nbytes for image in images)
         with self._lock:
             if scene != self._scene:
                 self._scene = scene
                 self._pairs.clear()
-            room = self.most_bytes - sum(kept for kept, _ in self._pairs.values())
-            if INTERPOLATED * size <= room:
-                self._pairs[tile] = INTERPOLATED * size, pair
-            elif size <= room:
-                reference, target = (ChannelMaps(image.maps, image.valid) for image in images)
-                self._pairs[tile] = size, ChannelPair(reference, target, pair.threads)
+            self._pairs[tile] = INTERPOLATED * _size(pair), pair
+            if not self._fits():
+                plain = {each: _maps_alone(kept) for each, (_, kept) in self._pairs.items()}
+                self._pairs = {each: (_size(kept), kept) for each, kept in plain.items()}
+            if not self._fits():
+                del self._pairs[tile]
+
+    def _fits(self) -> bool:
+        return sum(size for size, _ in self._pairs.values()) <= self.most_bytes
 
     def take(self, scene: Hashable, tile: int) -> ChannelPair | None:
         """Return the pair of `tile` of `scene` and remove it; None if it is not stored."""
         with self._lock:
             _, pair = self._pairs.pop(tile, (0, None)) if scene == self._scene else (0, None)
         return pair
+
+
+def _size(pair: ChannelPair) -> int:
+    """Return the size of the maps of a pair in bytes."""
+    return sum(image.maps.nbytes + image.valid.nbytes for image in (pair.reference, pair.target))
+
+
+def _maps_alone(pair: ChannelPair) -> ChannelPair:
+    """Return a pair without what interpolates its maps."""
+    reference, target = (ChannelMaps(image.maps, image.valid) for image in (pair.reference, pair.target))
+    return ChannelPair(reference, target, pair.threads)
 
 
 _CACHE = TileCache()
