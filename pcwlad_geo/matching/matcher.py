@@ -167,14 +167,9 @@ def match_candidates(
     """
     traits = _traits(settings)
     corners = np.concatenate([*([] if also is None else [also]), _corners(pair, core, settings)])
+    reaches = settings.template, settings.search_radius
     coarse = match_coarsely(
-        pair.reference_map,
-        pair.target_map,
-        corners,
-        settings.template,
-        settings.search_radius,
-        settings.least_valid,
-        pair.channels.threads,
+        pair.reference_map, pair.target_map, corners, *reaches, settings.least_valid, pair.channels.threads
     )
     compared = coarse.ssim > -1.0
     similar = compared & (coarse.ssim >= settings.ssim_min)

@@ -243,6 +243,10 @@ def agreeing(result: TileResult) -> int:
     return int((np.linalg.norm(moved - np.median(moved, axis=0), axis=1) < 1.0).sum())
 
 
+ALL_POINTS_TILE_PX: Final = 640
+"""Largest side of a tile where all points are matched, which keeps two processes below 1 GB of memory."""
+
+
 def plan(
     pair: ViewPair,
     overviews: Overviews,
@@ -273,8 +277,10 @@ def plan(
     if wanted == "dense":
         base = replace(base, settings=replace(matching, per_cell=1))
         densest = (4 / matching.window) ** 2  # four along the side of a window
-    if one_tile or candidates >= densest * area:
+    if one_tile:
         return Plan(_cover(base, densest, settings.tile_size))
+    if candidates >= densest * area:
+        return Plan(_cover(base, densest, min(settings.tile_size, ALL_POINTS_TILE_PX)))
     tiles = _cover(base, candidates / area, settings.tile_size)
     window = small_window(base, round(candidates), int(wanted))
     count = int(np.prod(lattice_shape(region, round(candidates))))

@@ -38,7 +38,7 @@ INTERPOLATED: Final = 4
 class TileCache:
     """Cache of the prepared pairs of one scene by tile; pairs that would exceed the limit are not stored."""
 
-    most_bytes: int = 240 << 20
+    most_bytes: int = 120 << 20
     _scene: Hashable = None
     _pairs: dict[int, tuple[int, ChannelPair]] = field(default_factory=dict)
     """Size in bytes and pair of each tile."""
