@@ -125,7 +125,7 @@ def judge(
     something themselves.
     """
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
-    doubtful = evidence != 0 and evidence < CERTAIN_EVIDENCE
+    doubtful = is_doubtful(evidence)
     separation_px = (DOUBTFUL_SEPARATION_WINDOWS if doubtful else SEPARATION_WINDOWS) * window_px
     cells, agreeing, found = _best_agreement(matches, kept, separation_px, share)
     # the common displacement is the best of 1 / share different ones
@@ -150,6 +150,11 @@ def judge(
     by_chance += ", no better than chance"
     past_search_border = counts.get("at_search_border", 0) > AT_BORDER * counts["candidates"]
     return Verdict(False, by_chance, cells, agreeing, significance, past_search_border)
+
+
+def is_doubtful(evidence: float) -> bool:
+    """Whether the evidence of a search, 0 where nothing was searched, leaves a doubt about its start."""
+    return evidence != 0 and evidence < CERTAIN_EVIDENCE
 
 
 def _best_agreement(

@@ -66,6 +66,7 @@ from pcwlad_geo.registration.judge import (
     PRODUCT_M,
     Motion,
     Verdict,
+    is_doubtful,
     judge,
     motion_of_the_ground,
     motions_of,
@@ -617,9 +618,9 @@ def match_from_best_start(
             if prealignment.pose is None:
                 raise
             continue  # a pose in which too little is common
+        if result.verdict.accepted and prealignment.pose is not None:
+            result, start = _match_again_in_pose(result, start, settings, log, runner)
         if result.verdict.accepted:
-            if prealignment.pose is not None:
-                result, start = _match_again_in_pose(result, start, settings, log, runner)
             result = _of_the_ground(result, start, settings, log, runner)
             if result.verdict.accepted:
                 _warn_of_georeferencing(pair, result.prealignment, log)
@@ -669,9 +670,10 @@ def _match_again_in_pose(
     """Match a target again in the pose that the tie points tell, until that no longer moves.
 
     The first pose is only as good as the search: in it the windows are turned and scaled by some percent, and
-    it knows no perspective.
+    it knows no perspective. One of doubtful evidence has to be accepted once more: of the pose set all right
+    ones are; a wall and a path, in an image beside itself upside down, were accepted the first time alone.
     """
-    for _ in range(3):
+    for number in range(3):
         points = matched.matches[matched.kept]
         pair, rows_cols = start.pair, start.pair.reference.grid.shape
         matrix = pose_that_points_tell(points, frames=pair.reference.info.grid.crs is None)
@@ -684,7 +686,8 @@ def _match_again_in_pose(
         except InputError:  # points in a corner of the overlap tell no pose of the whole
             break
         if not found.verdict.accepted:
-            break
+            doubtful = number == 0 and is_doubtful(matched.prealignment.net_evidence)
+            return (found, again) if doubtful else (matched, start)
         matched, start = found, again
         if not matrix[2, :2].any() and mean_distance_px(matrix, as_it_is, rows_cols) < STILL_PX:
             break

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,8 @@ from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.prealign import Pose, StartingAlignment, posed_start
+from pcwlad_geo.registration import scene
+from pcwlad_geo.registration.prealign import Pose, Prealignment, StartingAlignment, posed_start
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.scene import pose_that_points_tell
@@ -267,3 +270,40 @@ def test_a_pose_is_told_in_words(rotation_deg: float) -> None:
     assert pose.shear_deg == pytest.approx(0.0, abs=1e-9)
     assert pose.shift_px == pytest.approx((0.0, 0.0), abs=1e-9)
     assert "scale 1.500 x 1.500" in str(pose)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "verdicts", "accepted"),
+    [
+        (2.9, [False], False),
+        (2.9, [True, False], True),
+        (5.0, [False], True),
+        (2.9, [True, True, True], True),
+    ],
+    ids=str,
+)
+def test_a_pose_of_doubtful_evidence_has_to_be_accepted_twice(
+    monkeypatch: pytest.MonkeyPatch, evidence: float, verdicts: list[bool], accepted: bool
+) -> None:
+    def found(verdict: bool) -> SimpleNamespace:
+        prealignment = Prealignment("pose", (0.0, 0.0), 12, searched=True, evidence=evidence)
+        return SimpleNamespace(
+            matches=np.zeros(3),
+            kept=slice(None),
+            prealignment=prealignment,
+            verdict=SimpleNamespace(accepted=verdict),
+        )
+
+    upcoming = map(found, verdicts)
+    grid = SimpleNamespace(shape=(100, 100), crs=None)
+    view = SimpleNamespace(grid=grid, info=SimpleNamespace(grid=grid))
+    start = SimpleNamespace(pair=SimpleNamespace(reference=view, offset_px=(50.0, 0.0)), overviews=None)
+    start.prealignment = Prealignment("pose", (0.0, 0.0), 12)
+    monkeypatch.setattr(scene, "pose_that_points_tell", lambda points, frames: np.eye(3))
+    monkeypatch.setattr(scene, "posed_start", lambda *arguments: start)
+    monkeypatch.setattr(scene, "match_scene", lambda *arguments: next(upcoming))
+    nothing: Any = None
+    first: Any = found(True)
+    result, _ = scene._match_again_in_pose(first, start, nothing, nothing, nothing)
+    assert result.verdict.accepted == accepted
+    assert next(upcoming, None) is None, "all rounds were needed"
