@@ -77,7 +77,7 @@ def filter_bank(n: int, m: int) -> FilterBank:
 
 
 def filled_up(values: Float32) -> Float32:
-    """Return an array whose last axis is filled up with zeros to a multiple of `STRIP`."""
+    """Return (…, n) `values` as (…, width), filled up with zeros to a multiple of `STRIP`."""
     width = -(-values.shape[-1] // STRIP) * STRIP
     filled = np.zeros((*values.shape[:-1], width), np.float32)
     filled[..., : values.shape[-1]] = values
@@ -162,7 +162,7 @@ def oriented_map(
         n without the negative ones, see `filled_up`.
     bank : FilterBank
         For (n, m).
-    direction : two arrays
+    direction : (n // 2 + 1,) and (m,) float32 arrays
         See `wedge`.
     epsilon : float
         Positive, in units of the image (see `maps.scene_epsilon`).
