@@ -44,16 +44,19 @@ class TileCache:
     """Size in bytes and pair of each tile."""
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def keep(self, scene: Hashable, tile: int, pair: ChannelPair) -> None:
+    def keep(self, scene: Hashable, tile: int, pair: ChannelPair, *, alone: bool = False) -> None:
         """Store the `pair` of `tile` if there is room, and remove those of any other `scene`.
 
         What interpolates the maps is kept too while there is room for it all: it is quickly computed again.
+        There is always room for the tile of a scene that has no other, as the peak of the memory is its own.
         """
         with self._lock:
             if scene != self._scene:
                 self._scene = scene
                 self._pairs.clear()
             self._pairs[tile] = INTERPOLATED * _size(pair), pair
+            if alone:
+                return
             if not self._fits():
                 plain = {each: _maps_alone(kept) for each, (_, kept) in self._pairs.items()}
                 self._pairs = {each: (_size(kept), kept) for each, kept in plain.items()}
@@ -169,7 +172,7 @@ def match_tile(job: TileJob) -> TileResult:
     )
     points, candidates = match_candidates(pair, inside, job.settings)
     if job.returns and len(points):
-        _CACHE.keep(job.scene, job.id, pair.channels)
+        _CACHE.keep(job.scene, job.id, pair.channels, alone=job.core == job.region)
     return TileResult(
         job.id,
         "matched" if len(points) else "empty",
@@ -238,7 +241,7 @@ def _compared(
     if channels is None:
         return nothing
     if job.returns:
-        _CACHE.keep(job.scene, job.id, channels)
+        _CACHE.keep(job.scene, job.id, channels, alone=job.core == job.region)
     reference_origin, target_origin = _origins(job)
     between = target_origin - reference_origin
     inside = points.shifted(-reference_origin, -target_origin)

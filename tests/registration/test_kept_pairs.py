@@ -44,6 +44,21 @@ def test_what_exceeds_the_limit_is_not_kept(pair: ChannelPair) -> None:
     assert [kept.take("scene", tile) is None for tile in range(3)] == [False, False, True]
 
 
+def test_of_many_pairs_the_maps_are_kept_and_of_a_lone_one_all(pair: ChannelPair) -> None:
+    kept = TileCache(most_bytes=5 * NBYTES)
+    kept.keep("scene", 0, pair)
+    assert kept.take("scene", 0) is pair, "there is room for what interpolates it"
+    for tile in range(3):
+        kept.keep("scene", tile, pair)
+    for tile in range(3):
+        found = kept.take("scene", tile)
+        assert_same(found, pair)
+        assert found is not pair, "three have no room for that"
+    kept = TileCache(most_bytes=NBYTES)
+    kept.keep("scene", 0, pair, alone=True)
+    assert kept.take("scene", 0) is pair
+
+
 def test_another_scene_takes_the_place_of_the_last(pair: ChannelPair) -> None:
     kept = TileCache(most_bytes=NBYTES)
     kept.keep("first", 0, pair)
