@@ -4,7 +4,7 @@
 
 #define LAYER 4   /* planes of a layer: three harmonics, and what is usable */
 #define STEP 4    /* cells a side for which an overlap counts */
-#define BLOCK 512 /* numbers whose sums stay in the cache */
+#define BLOCK 256 /* numbers whose sums stay in the cache; Windows has no more than 4 kB of stack for them at once */
 
 typedef float Pixel __attribute__((vector_size(4 * LAYER), aligned(4), may_alias));
 typedef int32_t Lanes __attribute__((vector_size(4 * LAYER)));

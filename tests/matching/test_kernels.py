@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import runpy
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -72,6 +74,19 @@ def test_a_window_may_end_with_the_plane(window_px: int, beyond_px: int, deforme
             assert (fast.shift_xy_px != start.shift_xy_px).any(), "the window was sampled"
         if iterations == 1 or plain.converged.all():
             np.testing.assert_allclose(fast.shift_xy_px, plain.shift_xy_px, atol=2e-4)
+
+
+@pytest.mark.parametrize("source", sorted(SCRIPT["SOURCES"].glob("*.c")), ids=lambda path: path.stem)
+def test_a_function_needs_no_more_stack_than_a_page(source: Path) -> None:
+    # Windows makes a call of more, and there is no library to call
+    compiler = SCRIPT["native_compiler"]()
+    if compiler is None:
+        pytest.skip("no compiler")
+    limit = ["-Wframe-larger-than=4000", "-S", "-o", os.devnull]
+    done = subprocess.run(
+        [*compiler, *SCRIPT["FLAGS"], *limit, source], check=True, capture_output=True, text=True
+    )
+    assert "frame" not in done.stderr
 
 
 def test_arrays_that_the_library_would_misread_are_errors() -> None:
