@@ -16,7 +16,7 @@ typedef struct {
 
 typedef struct {
     int64_t template, area;  /* sides of the template and of the search area, px */
-    int64_t length, width;   /* of a transform, a product of 2, 3 and 4; rows of a window and zeros beyond */
+    int64_t length, width;   /* of a transform; rows of a window and zeros beyond */
     int64_t offsets, lanes;  /* offsets an axis, and the next multiple of LANES */
     const float (*roots)[2]; /* of unity, clockwise */
 } Search;
@@ -25,35 +25,23 @@ typedef struct {
     Planes one, other;       /* a transform goes from one to the other and back */
     Planes areas[KINDS], templates[KINDS];
     Planes cross;            /* (offsets, frequencies) */
-    float *waves;            /* (frequencies, 2, lanes) */
+    Planes waves;            /* (frequencies, lanes) */
 } Memory;
 
 static int64_t frequencies(Search search) { return search.length / 2 + 1; }
 
-static float *taken(float **free, int64_t count)
+/* Divide memory; count the numbers that are used. */
+static Memory divided(float *begin, int64_t *used, Search search)
 {
-    float *begin = *free;
-    *free += count;
-    return begin;
-}
-
-static Planes planes(float **free, int64_t count)
-{
-    Planes of = {taken(free, count), taken(free, count)};
-    return of;
-}
-
-static Memory divided(float **free, Search search)
-{
-    Memory memory;
-    memory.one = planes(free, search.length * search.width);
-    memory.other = planes(free, search.length * search.width);
+    int64_t count = frequencies(search) * search.width;
+    Memory memory = {.one = planes_of(begin, used, search.length * search.width),
+                     .other = planes_of(begin, used, search.length * search.width)};
     for (int kind = 0; kind < KINDS; kind++) {
-        memory.areas[kind] = planes(free, frequencies(search) * search.width);
-        memory.templates[kind] = planes(free, frequencies(search) * search.width);
+        memory.areas[kind] = planes_of(begin, used, count);
+        memory.templates[kind] = planes_of(begin, used, count);
     }
-    memory.cross = planes(free, frequencies(search) * (search.offsets + AT_ONCE));
-    memory.waves = taken(free, 2 * frequencies(search) * search.lanes);
+    memory.cross = planes_of(begin, used, frequencies(search) * (search.offsets + AT_ONCE));
+    memory.waves = planes_of(begin, used, frequencies(search) * search.lanes);
     return memory;
 }
 
@@ -126,8 +114,8 @@ static void correlate(Planes area, Planes template, Search search, Memory memory
             int64_t first = larger(0, smaller(next, search.offsets - AT_ONCE));
             Vector sums[AT_ONCE] = {{0}};
             for (int64_t k = 0; k < count; k++) {
-                const float *wave = memory.waves + 2 * k * search.lanes + across;
-                Vector cosine = load(wave), sine = load(wave + search.lanes);
+                int64_t at = k * search.lanes + across;
+                Vector cosine = load(memory.waves.real + at), sine = load(memory.waves.imaginary + at);
                 for (int m = 0; m < AT_ONCE; m++) {
                     sums[m] += memory.cross.real[(first + m) * count + k] * cosine;
                     sums[m] += memory.cross.imaginary[(first + m) * count + k] * sine;
@@ -146,8 +134,8 @@ static void fill_waves(Search search, Memory memory)
         for (int64_t i = 0; i < search.lanes; i++) {
             float share = (k == 0 || 2 * k == search.length ? 1.0f : 2.0f) / (float)search.length;
             const float *root = search.roots[k * i % search.length];
-            memory.waves[2 * k * search.lanes + i] = share * root[0];
-            memory.waves[(2 * k + 1) * search.lanes + i] = share * root[1];
+            memory.waves.real[k * search.lanes + i] = share * root[0];
+            memory.waves.imaginary[k * search.lanes + i] = share * root[1];
         }
 }
 
@@ -192,8 +180,6 @@ static void fill(double *out, int64_t count, double value)
     for (int64_t i = 0; i < count; i++) out[i] = value;
 }
 
-static int64_t rounded_up(int64_t count) { return (count + LANES - 1) / LANES * LANES; }
-
 static Search searched(int64_t template, int64_t radius, int64_t length, const float (*roots)[2])
 {
     int64_t offsets = 2 * radius + 1, width = rounded_up(template) + rounded_up(larger(2 * radius, AT_ONCE));
@@ -205,9 +191,9 @@ static Search searched(int64_t template, int64_t radius, int64_t length, const f
 EXPORT int64_t coarse_memory(int64_t template, int64_t radius, int64_t length)
 {
     Search search = searched(template, radius, length, 0);
-    int64_t of_transforms = 4 * search.length + 4 * KINDS * frequencies(search);
-    int64_t of_offsets = 2 * (search.offsets + AT_ONCE) + 2 * search.lanes;
-    return search.area + (of_transforms * search.width + of_offsets * frequencies(search)) / 2 + 1;
+    int64_t used = 0;
+    divided(0, &used, search);
+    return search.area + (used + 1) / 2;
 }
 
 /* For each of the n `corners` (row, col): the number of pixels valid in both and their sums of t, t², s, s², t s at
@@ -222,8 +208,8 @@ EXPORT void correlation_sums(const float *reference_values, const float *referen
     int64_t area = search.area, count = search.offsets * search.offsets;
     Map reference = {reference_values, reference_valid, cols}, target = {target_values, target_valid, cols};
     double *columns = memory_begin;
-    float *free = (float *)(memory_begin + area);
-    Memory memory = divided(&free, search);
+    int64_t used = 0;
+    Memory memory = divided((float *)(memory_begin + area), &used, search);
     fill_waves(search, memory);
     for (int64_t point = 0; point < n; point++) {
         int64_t row = corners[point][0], col = corners[point][1], top = row - area / 2, left = col - area / 2;

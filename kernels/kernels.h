@@ -25,6 +25,7 @@ typedef int32_t Bits __attribute__((vector_size(4 * LANES)));
 
 static inline int64_t smaller(int64_t a, int64_t b) { return a < b ? a : b; }
 static inline int64_t larger(int64_t a, int64_t b) { return a > b ? a : b; }
+static inline int64_t rounded_up(int64_t count) { return (count + LANES - 1) / LANES * LANES; }
 static inline double least(double a, double b) { return a < b ? a : b; }
 static inline double most(double a, double b) { return a > b ? a : b; }
 static inline Vector load(const float *from) { return *(const Vector *)from; }
@@ -42,6 +43,14 @@ typedef struct {
 typedef struct {
     float *real, *imaginary;
 } Planes;
+
+/* Take two arrays of so many numbers from memory of which some are in use; without memory only count them. */
+static inline Planes planes_of(float *memory, int64_t *used, int64_t count)
+{
+    Planes planes = {memory ? memory + *used : 0, memory ? memory + *used + count : 0};
+    *used += 2 * count;
+    return planes;
+}
 
 /* A window: its rows and columns of pixels, their distance, px, half a side of the local correlation, numbers in a
    row. */

@@ -4,7 +4,6 @@
 
 #define SCALES 4
 #define ORIENTATIONS 6
-#define STRIP 8 /* rows or columns that are transformed at once, so that they stay in the cache */
 
 /* The spectrum of an image and the filters of one orientation, (m, width) by frequency along both axes of the image,
    of which the second one, of n pixels, has no negative ones; the radial filters and the radius have no negative ones
@@ -21,43 +20,39 @@ typedef struct {
 static Planes transformed_back(Planes from, Planes to, int64_t count, const float (*roots)[2])
 {
     Planes exchanged[] = {{from.imaginary, from.real}, {to.imaginary, to.real}};
-    Planes done = transform(exchanged[0], exchanged[1], count, STRIP, roots), back = {done.imaginary, done.real};
+    Planes done = transform(exchanged[0], exchanged[1], count, LANES, roots), back = {done.imaginary, done.real};
     return back;
 }
 
-/* The angular filter of a strip of frequencies, (m, STRIP), over the number of pixels, which both transforms leave. */
+/* The angular filter of some frequencies, (m, LANES), over the number of pixels, which both transforms leave. */
 static void fill_angular(const Filtered *of, int64_t start, float *out)
 {
     float per_pixel = 1.0f / (float)(of->n * of->m);
     for (int64_t col = 0; col < of->m; col++) {
-        const float *inverse_radius = of->inverse_radius + smaller(col, of->m - col) * of->width + start;
-        for (int64_t i = 0; i < STRIP; i += LANES) {
-            Vector cosine = (load(of->across + start + i) + of->along[col]) * load(inverse_radius + i);
-            Vector part = positive(2.0f * cosine - 1.0f); /* (1 + cos 3 angle) / 2 up to 60 degrees, by the cosine */
-            store(out + col * STRIP + i, 0.5f * per_pixel * (1.0f + cosine) * part * part);
-        }
+        Vector inverse_radius = load(of->inverse_radius + smaller(col, of->m - col) * of->width + start);
+        Vector cosine = (load(of->across + start) + of->along[col]) * inverse_radius;
+        Vector part = positive(2.0f * cosine - 1.0f); /* (1 + cos 3 angle) / 2 up to 60 degrees, by the cosine */
+        store(out + col * LANES, 0.5f * per_pixel * (1.0f + cosine) * part * part);
     }
 }
 
-/* Filter a strip of frequencies by one scale and transform it along the first axis, into the rows (n, cols) of out. */
+/* Filter some frequencies by one scale and transform them along the first axis, into the rows (n, cols) of out. */
 static void transform_first(const Filtered *of, int64_t scale, int64_t start, const float *angular, Planes one,
                             Planes other, const float (*roots)[2], int64_t cols, Planes out)
 {
     for (int64_t col = 0; col < of->m; col++) {
-        int64_t row = smaller(col, of->m - col), at = col * of->width + start, to = col * STRIP;
+        int64_t row = smaller(col, of->m - col), at = col * of->width + start, to = col * LANES;
         const float *radial = of->radial + (scale * (of->m / 2 + 1) + row) * of->width + start;
-        for (int64_t i = 0; i < STRIP; i += LANES) {
-            Vector factor = load(angular + to + i) * load(radial + i);
-            store(one.real + to + i, load(of->real + at + i) * factor);
-            store(one.imaginary + to + i, load(of->imaginary + at + i) * factor);
-        }
+        Vector factor = load(angular + to) * load(radial);
+        store(one.real + to, load(of->real + at) * factor);
+        store(one.imaginary + to, load(of->imaginary + at) * factor);
     }
     Planes done = transformed_back(one, other, of->m, roots);
-    for (int64_t i = 0; i < smaller(STRIP, of->reach[scale] - start); i++) {
+    for (int64_t i = 0; i < smaller(LANES, of->reach[scale] - start); i++) {
         float *real = out.real + (start + i) * cols, *imaginary = out.imaginary + (start + i) * cols;
         for (int64_t col = 0; col < of->m; col++) {
-            real[col] = done.real[col * STRIP + i];
-            imaginary[col] = done.imaginary[col * STRIP + i];
+            real[col] = done.real[col * LANES + i];
+            imaginary[col] = done.imaginary[col * LANES + i];
         }
     }
 }
@@ -96,45 +91,38 @@ static void combine_scales(const Planes responses[SCALES], float epsilon, float 
     }
 }
 
-static Planes divided(float **free, int64_t count)
-{
-    Planes planes = {*free, *free + count};
-    *free += 2 * count;
-    return planes;
-}
-
 /* Fill in the phase congruency of one orientation where `out` has rows and cols, at most n and m; its numbers are so
    far apart along both. `roots` are those of n and then of m. `memory` is as large as Python makes it. */
 EXPORT void oriented_map(const Filtered *of, const float (*roots)[2], float epsilon, float cut_off, float gain,
                          float *memory, int64_t rows, int64_t cols, int64_t row_apart, int64_t col_apart, float *out)
 {
-    int64_t most = larger(of->n, of->m) * STRIP, padded = (of->m + STRIP - 1) / STRIP * STRIP;
-    padded += STRIP; /* else rows of 2^k numbers would fall on the same cache lines */
-    Planes strips[SCALES], spare = divided(&memory, most), spectra[SCALES];
-    for (int scale = 0; scale < SCALES; scale++) strips[scale] = divided(&memory, most);
-    for (int scale = 0; scale < SCALES; scale++) spectra[scale] = divided(&memory, of->reach[scale] * padded);
-    float *plane = memory;
-    for (int64_t start = 0; start < of->reach[0]; start += STRIP) {
+    int64_t most = larger(of->n, of->m) * LANES, used = 0;
+    int64_t padded = rounded_up(of->m) + LANES; /* rows of 2^k numbers would fall on the same cache lines */
+    Planes strips[SCALES], spare = planes_of(memory, &used, most), spectra[SCALES];
+    for (int scale = 0; scale < SCALES; scale++) strips[scale] = planes_of(memory, &used, most);
+    for (int scale = 0; scale < SCALES; scale++) spectra[scale] = planes_of(memory, &used, of->reach[scale] * padded);
+    float *plane = memory + used;
+    for (int64_t start = 0; start < of->reach[0]; start += LANES) {
         fill_angular(of, start, plane);
         for (int scale = 0; scale < SCALES && start < of->reach[scale]; scale++)
             transform_first(of, scale, start, plane, strips[0], spare, roots + of->n, padded, spectra[scale]);
     }
-    for (int64_t start = 0; start < cols; start += STRIP) {
+    for (int64_t start = 0; start < cols; start += LANES) {
         for (int scale = 0; scale < SCALES; scale++) {
             Planes strip = strips[scale];
-            for (int64_t i = 0; i < of->n * STRIP; i += LANES) {
-                int64_t row = i / STRIP, at = row * padded + start + i % STRIP;
+            for (int64_t row = 0; row < of->n; row++) {
+                int64_t at = row * padded + start, to = row * LANES;
                 Vector none = {0};
-                store(strip.real + i, row < of->reach[scale] ? load(spectra[scale].real + at) : none);
-                store(strip.imaginary + i, row < of->reach[scale] ? load(spectra[scale].imaginary + at) : none);
+                store(strip.real + to, row < of->reach[scale] ? load(spectra[scale].real + at) : none);
+                store(strip.imaginary + to, row < of->reach[scale] ? load(spectra[scale].imaginary + at) : none);
             }
             strips[scale] = transformed_back(strip, spare, of->n, roots);
             if (strips[scale].real != strip.real) spare = strip;
         }
-        combine_scales(strips, epsilon, cut_off, gain, rows * STRIP, plane);
+        combine_scales(strips, epsilon, cut_off, gain, rows * LANES, plane);
         for (int64_t row = 0; row < rows; row++)
-            for (int64_t i = 0; i < smaller(STRIP, cols - start); i++)
-                out[row * row_apart + (start + i) * col_apart] = plane[row * STRIP + i];
+            for (int64_t i = 0; i < smaller(LANES, cols - start); i++)
+                out[row * row_apart + (start + i) * col_apart] = plane[row * LANES + i];
     }
 }
 

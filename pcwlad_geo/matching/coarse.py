@@ -15,7 +15,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.kernels.library import POINTER, REAL, WHOLE, address, fast_even, function, in_threads
+from pcwlad_geo.matching.kernels.library import (
+    POINTER,
+    REAL,
+    WHOLE,
+    address,
+    fast_even,
+    function,
+    in_threads,
+    roots_of_unity,
+)
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 LUMINANCE_EXPONENT: Final = 0.5
@@ -155,7 +164,7 @@ class _SsimSearch:
         self.template_px, self.radius = template_px, radius_px
         self.least = least_valid * template_px**2
         length = fast_even(template_px + 2 * radius_px)
-        self.roots = np.exp(-2j * np.pi / length * np.arange(length)).astype(np.complex64)
+        self.roots = roots_of_unity(length)
         memory = function("coarse_memory", *3 * [WHOLE], returns=WHOLE)(template_px, radius_px, length)
         self.memory = np.empty(memory or 0)
 

@@ -47,7 +47,8 @@ class TileCache:
     def keep(self, scene: Hashable, tile: int, pair: ChannelPair, *, alone: bool = False) -> None:
         """Store the `pair` of `tile` if there is room, and remove those of any other `scene`.
 
-        What interpolates the maps is kept too while there is room for it all: it is quickly computed again.
+        What interpolates the maps is kept too while there is room for all pairs with it: it is computed again
+        sooner than the maps.
         There is always room for the tile of a scene that has no other, as the peak of the memory is its own.
         """
         with self._lock:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import ExecutionError
+from pcwlad_geo.types import Complex64
 
 FOLDER: Final = Path(__file__).parent
 """Where the libraries are."""
@@ -116,6 +117,12 @@ def fast_even(least: int) -> int:
             if odd < found:
                 found = min(found, odd << max(-(-least // odd) - 1, 1).bit_length())
     return found
+
+
+def roots_of_unity(length: int) -> Complex64:
+    """Return the (length,) complex64 roots of unity, clockwise, by which the library transforms."""
+    roots: Complex64 = np.exp(-2j * np.pi / length * np.arange(length)).astype(np.complex64)
+    return roots
 
 
 def shares(n: int, threads: int) -> list[slice]:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import scipy.fft
 
-from pcwlad_geo.matching.kernels.library import POINTER, SINGLE, WHOLE, address, function
+from pcwlad_geo.matching.kernels.library import POINTER, SINGLE, WHOLE, address, function, roots_of_unity
 from pcwlad_geo.types import Complex64, Float32, Float64, Index
 
 SCALES: Final = 4
@@ -32,15 +32,15 @@ LOW_PASS_POWER: Final = 30
 """Exponent of the low-pass filter."""
 NEGLIGIBLE: Final = 1e-7
 """Transfer that counts as zero, below the rounding of float32."""
-STRIP: Final = 8
-"""Number of rows that are transformed at once; `STRIP` of the C."""
+LANES: Final = 8
+"""Number of rows that are transformed at once, as many as a vector holds; `LANES` of the C."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterBank:
     """Transfer functions for images of (n, m) pixels, without negative frequencies along either axis.
 
-    The last axis is that of n, filled up with zeros to a multiple of `STRIP`.
+    The last axis is that of n, filled up with zeros to a multiple of `LANES`.
     """
 
     radial: Float32
@@ -67,18 +67,17 @@ def filter_bank(n: int, m: int) -> FilterBank:
         radial[scale] = low_pass * np.exp(-((log_radius - log_centre) ** 2) / (2 * np.log(SIGMA_ON_F) ** 2))
     radial[:, 0, 0] = 0.0
     reach = [int(np.flatnonzero(cols > NEGLIGIBLE).max(initial=-1)) + 1 for cols in radial.max(axis=1)]
-    roots = [np.exp(-2j * np.pi / length * np.arange(length)) for length in (n, m)]
     return FilterBank(
         filled_up(radial),
         filled_up((1.0 / radius).astype(np.float32)),
         np.array(reach, np.int64),
-        np.concatenate(roots).astype(np.complex64),
+        np.concatenate([roots_of_unity(n), roots_of_unity(m)]),
     )
 
 
 def filled_up(values: Float32) -> Float32:
-    """Return (…, n) `values` as (…, width), filled up with zeros to a multiple of `STRIP`."""
-    width = -(-values.shape[-1] // STRIP) * STRIP
+    """Return (…, n) `values` as (…, width), filled up with zeros to a multiple of `LANES`."""
+    width = -(-values.shape[-1] // LANES) * LANES
     filled = np.zeros((*values.shape[:-1], width), np.float32)
     filled[..., : values.shape[-1]] = values
     return filled
@@ -174,7 +173,7 @@ def oriented_map(
     n = len(bank.roots) - m
     arrays = [*spectrum, bank.radial, bank.inverse_radius, across, along]
     places = [*(address(array, np.float32) for array in arrays), address(bank.reach, np.int64)]
-    numbers = STRIP * max(n, m) * (2 * SCALES + 3) + 2 * (m + 2 * STRIP) * int(bank.reach.sum())
+    numbers = LANES * max(n, m) * (2 * SCALES + 3) + 2 * (m + 2 * LANES) * int(bank.reach.sum())
     memory = np.empty(numbers, np.float32)
     function("oriented_map", *2 * [POINTER], *3 * [SINGLE], POINTER, *4 * [WHOLE], POINTER)(
         byref(_Filtered(*places, n, m, width)),
