@@ -209,14 +209,6 @@ class _SsimSearch:
         return sums
 
 
-def window_sums(integral: Float64, side: int) -> Float64:
-    """Return the sums over all windows of `side` pixels from its (rows + 1, cols + 1) `integral`."""
-    result: Float64 = (
-        integral[side:, side:] - integral[:-side, side:] - integral[side:, :-side] + integral[:-side, :-side]
-    )
-    return result
-
-
 def ssim(first: Float64, second: Float64) -> Float64:
     """Return the (n,) SSIM (paper, eq. 3-4) of the (n, rows, cols) windows `first` and `second`, range 1."""
     axes = (1, 2)

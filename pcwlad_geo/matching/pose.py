@@ -23,7 +23,6 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from pcwlad_geo.estimation.solving import inverse, least_squares, solve
-from pcwlad_geo.matching.coarse import window_sums
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
 from pcwlad_geo.matching.kernels.pose_search import (
     LAYER_HARMONICS,
@@ -38,6 +37,7 @@ from pcwlad_geo.matching.shift_search import (
     mapped,
     normalised_channels,
     similarity_between,
+    window_sums,
 )
 from pcwlad_geo.types import Bool, Float32, Float64
 
@@ -658,10 +658,7 @@ class _OverlappingPatches:
     ) -> tuple[Float64, Float64, Float64]:
         """Return (n, 2) middles and displacements (col, row) of the patches, and how distinct each is."""
         side = 2 * PATCH_REACH_PX + 1
-        energy, count = (
-            window_sums(np.asarray(cv2.integral(plane, sdepth=cv2.CV_64F), np.float64), PATCH_PX)
-            for plane in ((channels**2).sum(axis=2), usable)
-        )
+        energy, count = (window_sums(plane, PATCH_PX) for plane in ((channels**2).sum(axis=2), usable))
         norm = np.where(count >= PATCH_VALID * PATCH_PX**2, 1 / np.sqrt(np.maximum(energy, 1e-6)), 0)
         found = []
         for row, col, sampled in self._corners:

@@ -11,7 +11,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.special import bdtrc
 
-from pcwlad_geo.matching.coarse import parabola_offset, window_sums
+from pcwlad_geo.matching.coarse import parabola_offset
 from pcwlad_geo.matching.kernels.library import fast_even
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
 from pcwlad_geo.matching.maps import oriented_phase_congruency, scene_epsilon
@@ -385,6 +385,14 @@ def mapped(matrix: Float64, xy: Float64) -> Float64:
     return np.asarray(xy @ matrix[:2, :2].T + matrix[:2, 2], np.float64)
 
 
+def window_sums(plane: Float32, side_px: int) -> Float64:
+    """Return the sums over all windows of `side_px` of the (rows, cols) `plane`, (rows - side + 1, …)."""
+    integral = np.asarray(cv2.integral(plane, sdepth=cv2.CV_64F), np.float64)
+    right, left = integral[:, side_px:], integral[:, :-side_px]
+    result: Float64 = right[side_px:] - right[:-side_px] - left[side_px:] + left[:-side_px]
+    return result
+
+
 def _match_patches(reference: _Channels, target: _Channels, start_xy: Index) -> tuple[Float64, Float64]:
     """Return the centres (n, 2) and displacements (n, 2), both (col, row), of disjoint patches."""
     rows, cols = reference.valid.shape
@@ -393,10 +401,7 @@ def _match_patches(reference: _Channels, target: _Channels, start_xy: Index) -> 
     values, valid = _crop(target.values, top, left, size), _crop(target.valid, top, left, size)
     overlap = float((reference.valid * valid[radius:-radius, radius:-radius]).sum())
     patch_px = int(np.clip(np.sqrt(overlap / PATCHES_WANTED), *PATCH_SIDES_PX))
-    energy, count = (
-        window_sums(np.asarray(cv2.integral(plane, sdepth=cv2.CV_64F), np.float64), patch_px)
-        for plane in ((values**2).sum(axis=2), valid)
-    )
+    energy, count = (window_sums(plane, patch_px) for plane in ((values**2).sum(axis=2), valid))
     side, least = 2 * radius + 1, MIN_VALID * patch_px**2
     centres, displacements = [], []
     for r in range(0, rows - patch_px + 1, patch_px):

@@ -95,6 +95,15 @@ def test_the_maps_are_those_of_the_plain_equations(image: NDArray, crop: tuple[s
     np.testing.assert_allclose(found, expected[:, :rows, :cols], atol=2e-5)
 
 
+@pytest.mark.parametrize("shape", [(144, 150), (33, 20), (32, 48), (77, 130)], ids=str)
+def test_the_maps_of_flat_and_faint_parts_are_those_of_the_plain_equations(shape: tuple[int, int]) -> None:
+    part = np.random.default_rng(5).normal(size=shape)
+    part[10:20] = 0.0
+    part[20:30] *= 1e-3
+    found = oriented_phase_congruency(part, 1e-3)
+    np.testing.assert_allclose(found, oriented_phase_congruency_plain(part, 1e-3), atol=2e-5)
+
+
 def test_the_compiled_moment_equals_its_plain_twin() -> None:
     maps = np.random.default_rng(6).random((6, 37, 41), np.float32)
     np.testing.assert_allclose(maximum_moment(maps), maximum_moment_plain(maps), atol=1e-6)

@@ -44,7 +44,7 @@ def transfer_functions(rows: int, cols: int) -> tuple[Array, Array]:
 
 
 def combine_scales_plain(responses: NDArray[np.complexfloating], epsilon: float) -> Array:
-    """Return what `phase_kernels.combine_scales` computes."""
+    """Return the phase congruency of one orientation from its (scales, rows, cols) complex responses."""
     even, odd = responses.real, responses.imag
     amplitude = np.abs(responses)
     norm = np.hypot(even.sum(0), odd.sum(0)) + epsilon
