@@ -36,6 +36,7 @@ from pcwlad_geo.matching.shift_search import (
     Patches,
     mapped,
     normalised_channels,
+    ratio_in_place,
     similarity_between,
     window_sums,
 )
@@ -133,6 +134,9 @@ LEAST_CORRELATION: Final = 0.03
 """The step of an ascent is what the gradient tells of equal images, over the correlation or this."""
 LEAST_GAIN: Final = 1e-3
 """Share of its score that an ascent must gain by a step to go on."""
+CONFIRMING: Final = (1.25, 4.0)
+"""Ratio of the correlation in place to that of the best other shift, above which it speaks for a pose, and
+the evidence by 1 above that; of the best ascended poses of 25 unrelated pairs it is 1.63 at most."""
 GROWN: Final = 3
 """Number of the best poses that ascended, from which a sample of the patches votes, and votes again."""
 MIN_SAMPLED: Final = 7
@@ -471,19 +475,21 @@ def search_pose(
     patches = _OverlappingPatches(first, second)
     grown = _grown(patches, [PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)], scales)
     if grown is not None:
-        return grown
+        return _Frame(first, second, grown).confirmed(grown)
     similarity = _best_similarity(first, second, coarse)
     if similarity.accepted or not stretched:
-        return similarity
+        return _Frame(first, second, similarity).confirmed(similarity)
     starts = [trial.matrix for trial in coarse] + _stretched(first, second, scales)
     ascended = _ascended(first, second, starts)
-    if not ascended:
-        return similarity
     grown = _grown(patches, ascended[:GROWN], scales)
-    within = scales[0] / SCALE_STEP <= ascended[0].scale <= scales[1] * SCALE_STEP
-    if grown is not None or not (ascended[0].accepted and within):
-        return grown or similarity
-    return _moved_to_consensus(first, second, ascended[0])
+    if grown is not None:
+        return _Frame(first, second, grown).confirmed(grown)
+    affine = [each for each in ascended[:1] if _is_within(each.scale, scales)]
+    best = max(
+        (_Frame(first, second, each).confirmed(each) for each in (similarity, *affine)),
+        key=lambda each: each.evidence,
+    )
+    return _Frame(first, second, best).moved_to_consensus(best) if best.accepted else similarity
 
 
 def _best_similarity(first: _PoseImage, second: _PoseImage, coarse: Sequence[_PoseTrial]) -> PoseProposal:
@@ -492,7 +498,7 @@ def _best_similarity(first: _PoseImage, second: _PoseImage, coarse: Sequence[_Po
     ranked = _distinct((trial.scan.around(trial) for trial in coarse), shape)
     best, rival = ranked[0], ranked[1].score if len(ranked) > 1 else 0.0
     proposal = PoseProposal(best.matrix[:2], best.score, _standing_out(best.score, rival, EVIDENCE_PER_RATIO))
-    return _moved_to_consensus(first, second, proposal)
+    return _Frame(first, second, proposal).moved_to_consensus(proposal)
 
 
 def _standing_out(score: float, rival: float, per_ratio: float) -> float:
@@ -735,6 +741,11 @@ def _as_similarity(
     return similarity
 
 
+def _is_within(scale: float, scales: tuple[float, float]) -> bool:
+    """Whether a scale is between the smallest and the largest that are tried, or a step beyond."""
+    return scales[0] / SCALE_STEP <= scale <= scales[1] * SCALE_STEP
+
+
 def _is_plausible(linear: Float64) -> Bool:
     """Return the (n,) mask of (n, 2, 2) matrices that do not mirror, and stretch within the limits."""
     values = np.linalg.svd(linear, compute_uv=False)
@@ -763,8 +774,7 @@ def _grown(
         votes, pose = _climbed(patches, *patches.vote(pose), sample=False)
         own_evidence = votes.evidence - math.log10(len(starts))  # of several starts one agrees by chance
         evidence = min(start.evidence + own_evidence, MAX_EVIDENCE)
-        within = scales[0] / SCALE_STEP <= _scale_of(pose) <= scales[1] * SCALE_STEP
-        if own_evidence > 0 and evidence >= MIN_EVIDENCE and within:
+        if own_evidence > 0 and evidence >= MIN_EVIDENCE and _is_within(_scale_of(pose), scales):
             spread_px, of = patches.px(votes.spread_px), len(votes.agrees)
             return PoseProposal(pose[:2], start.score, evidence, of, votes.agreeing, spread_px)
     return None
@@ -912,26 +922,52 @@ def _packed(image: _PoseImage, side_cells: float, per_cell: Sequence[float]) -> 
     ]
 
 
-def _moved_to_consensus(reference: _PoseImage, target: _PoseImage, proposal: PoseProposal) -> PoseProposal:
-    """Compare patches of both images, the target warped by a proposal, and move that to where they agree."""
-    factor = min(1.0, proposal.scale, FRAME_PX / reference.side_px)
-    values, valid, to_frame = _shrunk(reference.values, reference.valid, factor)
-    small, known, to_small = _shrunk(target.values, target.valid, min(1.0, factor / proposal.scale))
-    channels = normalised_channels(values, valid)
-    margin = np.array([FRAME_MARGIN_PX, FRAME_MARGIN_PX])
-    best = proposal
-    for _ in range(ROUNDS):
-        warp = to_small @ _affine(best.matrix[:, :2], best.matrix[:, 2]) @ inverse(to_frame)
-        warped = _warped_image(small, known, warp, valid.shape, FRAME_MARGIN_PX)
-        patches = Patches.matched(channels, normalised_channels(*warped), margin)
-        if patches.agreeing <= best.agreeing:
-            break
-        step, left_px = patches.similarity()
-        matrix = inverse(to_small) @ warp @ step @ to_frame
-        best = PoseProposal(
-            matrix[:2], proposal.score, proposal.evidence, patches.count, patches.agreeing, left_px / factor
-        )
-    return best
+class _Frame:
+    """A frame of the reference: patches and the correlation tell how well a target fits as placed in it."""
+
+    def __init__(self, reference: _PoseImage, target: _PoseImage, proposal: PoseProposal) -> None:
+        self._factor = min(1.0, proposal.scale, FRAME_PX / reference.side_px)
+        values, valid, self._to_frame = _shrunk(reference.values, reference.valid, self._factor)
+        self._target = _shrunk(target.values, target.valid, min(1.0, self._factor / proposal.scale))
+        self._channels, self._shape = normalised_channels(values, valid), valid.shape
+
+    def moved_to_consensus(self, proposal: PoseProposal) -> PoseProposal:
+        """Compare patches of both, the target warped by a proposal, and move that to where they agree."""
+        margin = np.array([FRAME_MARGIN_PX, FRAME_MARGIN_PX])
+        best = proposal
+        for _ in range(ROUNDS):
+            warp, placed = self._placed(best.matrix)
+            patches = Patches.matched(self._channels, placed, margin)
+            if patches.agreeing <= best.agreeing:
+                break
+            step, left_px = patches.similarity()
+            matrix = (inverse(self._target[2]) @ warp @ step @ self._to_frame)[:2]
+            spread_px = left_px / self._factor
+            best = replace(
+                best, matrix=matrix, patches=patches.count, agreeing=patches.agreeing, spread_px=spread_px
+            )
+        return best
+
+    def confirmed(self, proposal: PoseProposal) -> PoseProposal:
+        """Add what the correlation tells of a proposal: whether it is highest where that puts the target.
+
+        The two are combined as independent probabilities (Fisher's method), which is what they are of
+        unrelated images: the search has seen cells of several of these pixels.
+        """
+        if proposal.evidence >= MAX_EVIDENCE:
+            return proposal
+        _, (channels, usable) = self._placed(proposal.matrix)
+        inside = np.s_[FRAME_MARGIN_PX:-FRAME_MARGIN_PX, FRAME_MARGIN_PX:-FRAME_MARGIN_PX]
+        ratio = ratio_in_place(self._channels, (channels[inside], usable[inside]))
+        both = proposal.evidence + max(0.0, CONFIRMING[1] * (ratio - CONFIRMING[0]))
+        evidence = min(both - math.log10(1 + both * math.log(10)), MAX_EVIDENCE)
+        return replace(proposal, evidence=max(proposal.evidence, evidence))
+
+    def _placed(self, matrix: Float64) -> tuple[Float64, tuple[Float32, Float32]]:
+        """Return the (3, 3) warp from the frame to the shrunk target, and its channels, with a margin."""
+        values, known, to_small = self._target
+        warp = to_small @ _affine(matrix[:, :2], matrix[:, 2]) @ inverse(self._to_frame)
+        return warp, normalised_channels(*_warped_image(values, known, warp, self._shape, FRAME_MARGIN_PX))
 
 
 def _warped_image(

@@ -243,23 +243,53 @@ def _normalise(maps: Float32, usable: Float32) -> Float32:
 
 def _propose(reference: _Channels, target: _Channels, limit: float) -> list[tuple[float, float]]:
     """Return the (col, row) shifts of the highest peaks of the masked correlation at one level."""
-    correlation, overlap = _masked_correlation(reference, target)
+    score = _scores(reference, target, limit)
     rows, cols = reference.valid.shape
-    row, col = np.ogrid[: correlation.shape[0], : correlation.shape[1]]
-    row, col = row - (rows - 1), col - (cols - 1)
-    least = MIN_OVERLAP * min(reference.valid.sum(), target.valid.sum())
-    allowed = (overlap >= max(least, 1.0)) & (np.abs(row) <= limit) & (np.abs(col) <= limit)
-    # A true correlation does not depend on the overlap, a chance one falls with its root: this is its z.
-    score = np.where(allowed, correlation * np.sqrt(np.maximum(overlap, 0)), -np.inf)
     found = []
     for _ in range(CANDIDATES_PER_LEVEL):
         r, c = np.unravel_index(int(score.argmax()), score.shape)
         if not score[r, c] > 0:
             break
         found.append((float(c - (cols - 1)), float(r - (rows - 1))))
-        k = PEAK_CLEARANCE_PX
-        score[max(r - k, 0) : r + k + 1, max(c - k, 0) : c + k + 1] = -np.inf
+        score[_around(int(r), int(c))] = -np.inf
     return found
+
+
+def _around(row: int, col: int) -> tuple[slice, slice]:
+    """Return the part of an array that belongs to a peak."""
+    k = PEAK_CLEARANCE_PX
+    return slice(max(row - k, 0), row + k + 1), slice(max(col - k, 0), col + k + 1)
+
+
+def _scores(reference: _Channels, target: _Channels, limit: float = np.inf) -> Float64:
+    """Return the masked correlation times the root of the overlap; -inf where no shift is allowed.
+
+    A true correlation does not depend on the overlap, a chance one falls with its root: this is its z.
+    """
+    correlation, overlap = _masked_correlation(reference, target)
+    row, col = (
+        np.arange(n) - (side - 1) for n, side in zip(correlation.shape, reference.valid.shape, strict=True)
+    )
+    least = MIN_OVERLAP * min(reference.valid.sum(), target.valid.sum())
+    allowed = (overlap >= max(least, 1.0)) & (np.abs(row[:, None]) <= limit) & (np.abs(col) <= limit)
+    return np.where(allowed, correlation * np.sqrt(np.maximum(overlap, 0)), -np.inf)
+
+
+def ratio_in_place(reference: tuple[Float32, Float32], target: tuple[Float32, Float32]) -> float:
+    """Return the correlation of two images that fit to a few px, over the highest with any other shift.
+
+    Each is a (rows, cols, 6) array of channels with its usable pixels, see `normalised_channels`. Both are
+    correlations times the root of the overlap; 0 where none is positive.
+    """
+    score = _scores(_Channels(*reference), _Channels(*target))
+    middle_r, middle_c = (side - 1 for side in reference[1].shape)
+    here = _around(middle_r, middle_c)
+    row, col = divmod(int(score[here].argmax()), score[here].shape[1])
+    row, col = row + here[0].start, col + here[1].start
+    highest = float(score[row, col])
+    score[_around(row, col)] = -np.inf
+    rival = float(score.max())
+    return highest / rival if rival > 0 and highest > 0 else 0.0
 
 
 def _masked_correlation(reference: _Channels, target: _Channels) -> tuple[Float64, Float64]:

@@ -8,7 +8,12 @@ import pytest
 import rasterio
 from scipy.spatial import cKDTree
 
-from pcwlad_geo.matching.shift_search import SearchResult, search_shift
+from pcwlad_geo.matching.shift_search import (
+    SearchResult,
+    normalised_channels,
+    ratio_in_place,
+    search_shift,
+)
 
 SCENE_PX = 640
 
@@ -128,6 +133,17 @@ def test_a_common_vignette_and_frame_do_not_pull_to_zero(visible: np.ndarray, th
     result = search(visible[:500, :500] * dark, thermal[60:560, 80:580] * dark)
     assert result.accepted
     assert error_px(result, (-80, -60)) < 0.5
+
+
+def test_the_correlation_stands_out_in_place_alone(visible: np.ndarray, thermal: np.ndarray) -> None:
+    channels = [
+        normalised_channels(image[:300, :300].astype(np.float32), np.ones((300, 300), bool))
+        for image in (visible, thermal, thermal[90:])
+    ]
+    assert ratio_in_place(channels[0], channels[1]) > 2.0
+    assert ratio_in_place(channels[0], channels[2]) < 0.5
+    nothing = (np.zeros_like(channels[0][0]), np.zeros_like(channels[0][1]))
+    assert ratio_in_place(channels[0], nothing) == 0.0
 
 
 def test_max_shift_limits_the_search(visible: np.ndarray, thermal: np.ndarray) -> None:

@@ -162,3 +162,12 @@ def test_patches_in_one_part_tell_a_similarity_unless_it_fits_worse(stretch: flo
         np.testing.assert_allclose(found[:2] @ [250.0, 0.0, 1.0], right_px, atol=4.0)
     else:
         np.testing.assert_array_equal(found, affine)
+
+
+def test_the_correlation_in_place_adds_to_what_a_pose_says() -> None:
+    target, matrix = seen(30.0, 0.9, (8.0, -5.0))
+    images = [pose._PoseImage(np.float32(each), np.ones(each.shape, bool)) for each in (REFERENCE, target)]
+    elsewhere = np.add(matrix, [[0.0, 0.0, 40.0], [0.0, 0.0, 0.0]])
+    right, wrong = (PoseProposal(each, 1.0, 1.0) for each in (matrix, elsewhere))
+    assert pose._Frame(*images, right).confirmed(right).evidence > 3.0
+    assert pose._Frame(*images, wrong).confirmed(wrong).evidence == 1.0
