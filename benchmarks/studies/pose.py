@@ -62,6 +62,14 @@ BEST_OF_OTHERS_PX: Final = 47.0
 BEYOND: Final = {"affine": (draw_stretch, 95.0), "perspective": (draw_perspective, 85.0)}
 """What is drawn, and the percentage that must register."""
 BEYOND_KINDS: Final = ("Optical-Optical", "Optical-Infrared", "Nighttime", "Optical-Depth")
+UNDONE: Final = {
+    "Optical-Map": 97.0,
+    "Optical-Infrared": 97.0,
+    "Optical-Optical": 97.0,
+    "Nighttime": 100.0,
+    "Optical-Depth": 100.0,
+}
+"""Percentage that must register where the pose is undone; of radar the set tells no pose but a rotation."""
 SAR: Final = "Optical-SAR"
 SAR_SIDE_PX: Final = 256
 SAR_ABOUT_PX: Final = (128.5, 128.5)
@@ -224,9 +232,7 @@ def _real_pairs(data: Path, _scratch: Path, runner: Runner, share: float) -> Ite
     """Yield a table of what was not registered for each kind, and one of all kinds."""
     of_kind: dict[str, list[Trial]] = {}
     for name, kind in KINDS.items():
-        folder = data / "pose" / name
-        numbers = sorted(int(path.stem[3:]) for path in folder.glob("gt_*.txt"))
-        chosen = [numbers[index] for index in spread_sample(len(numbers), share, SEED)]
+        folder, chosen = _chosen(data, name, share)
         jobs = [_pair_job(folder, number) for number in chosen]
         of_kind[name] = [
             _compared(folder, number, outcome, kind.right_px)
@@ -261,6 +267,13 @@ def _corner_errors(named: Sequence[tuple[str, Sequence[Trial]]]) -> Table:
         rows.append([name, len(trials), refused, *found])
     header = ("", "pairs", "refused", "mean corner error, px", "median", "a refusal that costs as much, px")
     return Table(f"Corner errors, beside {BEST_OF_OTHERS_PX} px", header, rows)
+
+
+def _chosen(data: Path, kind: str, share: float) -> tuple[Path, list[int]]:
+    """Return the folder of a kind, and the numbers of its pairs that are tried."""
+    folder = data / "pose" / kind
+    numbers = sorted(int(path.stem[3:]) for path in folder.glob("gt_*.txt"))
+    return folder, [numbers[index] for index in spread_sample(len(numbers), share, SEED)]
 
 
 def _pair_job(folder: Path, number: int) -> Job:
@@ -298,6 +311,69 @@ def _true_px(folder: Path, number: int, at_px: Array, found: Array) -> Array:
 def _resized(at_px: Array) -> Array:
     """Return where places of an image are after it was resized to 256 px a side; the last is its corner."""
     return np.asarray(at_px * (SAR_SIDE_PX / at_px[-1]))
+
+
+# --- the same pairs, their pose undone by the truth
+
+
+def _undone(data: Path, scratch: Path, runner: Runner, share: float) -> Iterator[Table]:
+    """Yield the same of pairs whose targets lie where the truth puts them, and have georeferencing."""
+    rows: list[list[Cell]] = []
+    checks: list[Check] = []
+    for name, least in UNDONE.items():
+        folder, chosen = _chosen(data, name, share)
+        jobs = [_undone_job(folder, number, scratch) for number in chosen]
+        trials = [
+            _compared_undone(f"{name} {number}", job, outcome, KINDS[name].right_px)
+            for number, job, outcome in zip(chosen, jobs, runner(jobs), strict=True)
+        ]
+        yield _misses(f"{name}, pose undone", trials)
+        rows.append(_counts(name, trials))
+        checks.append(at_least(f"{name}, undone: registered", _registered(trials), least, "%", 1))
+        checks.append(at_most(f"{name}, undone: wrong", _wrong(trials), 0, digits=0))
+    yield Table("Pairs of data/pose, their pose undone", HEADER, rows, checks)
+
+
+def _undone_job(folder: Path, number: int, scratch: Path) -> Job:
+    """Write both images of a pair on one grid, the target by the mean of several samples a pixel."""
+    reference, target = (read(folder / f"pair{number}_{which}.jpg") for which in (1, 2))
+    to_target = read_similarity(folder / f"gt_{number}.txt")
+    samples = max(1, math.ceil(scale_of(to_target)))
+    half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+    finer = np.linalg.inv(half) @ to_target @ np.diag([1 / samples, 1 / samples, 1.0]) @ half
+    rows, cols = reference.shape
+
+    def placed(image: Array, how: int) -> Array:
+        size = cols * samples, rows * samples
+        fine = cv2.warpAffine(image, finer[:2], size, flags=how | cv2.WARP_INVERSE_MAP)
+        return np.asarray(cv2.resize(fine, (cols, rows), interpolation=cv2.INTER_AREA))
+
+    known = placed(np.ones(target.shape, np.float32), cv2.INTER_LINEAR) > 0.999
+    values = np.where(known, placed(target.astype(np.float32), cv2.INTER_CUBIC), NODATA).astype(np.float32)
+    stem = f"{folder.name} {number}"
+    return Job(
+        write(scratch / f"{stem} r.tif", reference.astype(np.float32), GRID, CRS),
+        write(scratch / f"{stem} t.tif", values, GRID, CRS, NODATA),
+        SETTINGS,
+        match_only=False,
+    )
+
+
+def scale_of(matrix: Array) -> float:
+    """Return the target px per reference px of a (3, 3) similarity."""
+    return math.sqrt(abs(float(np.linalg.det(matrix[:2, :2]))))
+
+
+def _compared_undone(name: str, job: Job, outcome: Outcome, right_px: float) -> Trial:
+    """Compare a correction with none, on a grid of what the target shows."""
+    image, (moving, valid, _) = read(job.reference), read_masked(job.target, 1)
+    at_px = grid_px(image.shape)
+    at_px = at_px[valid[tuple(np.minimum(at_px, np.array(image.shape[::-1]) - 1).astype(int).T[::-1])]]
+    found = _corrected_px(outcome, at_px)
+    if found is None:
+        return Trial(name, outcome, math.nan, right_px)
+    shared = [mutual_information(image, moving, affine_between(at_px, there)) for there in (found, at_px)]
+    return Trial(name, outcome, mean_distance_px(found, at_px), right_px, (shared[0], shared[1]))
 
 
 # --- pairs of which the target is warped
@@ -620,6 +696,7 @@ def _time(data: Path, scratch: Path, _runner: Runner, _share: float) -> Iterator
 PARTS: Final[dict[str, Callable[[Path, Path, Runner, float], Iterator[Table]]]] = {
     "time": _time,
     "pairs": _real_pairs,
+    "undone": _undone,
     "warped": _warped,
     "beyond": _beyond_similarities,
     "unrelated": _unrelated,
