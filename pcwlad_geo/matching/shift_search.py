@@ -278,8 +278,9 @@ def _scores(reference: _Channels, target: _Channels, limit: float = np.inf) -> F
 def ratio_in_place(reference: tuple[Float32, Float32], target: tuple[Float32, Float32]) -> float:
     """Return the correlation of two images that fit to a few px, over the highest with any other shift.
 
-    Each is a (rows, cols, 6) array of channels with its usable pixels, see `normalised_channels`. Both are
-    correlations times the root of the overlap; 0 where none is positive.
+    The `reference` and the `target` are (rows, cols, 6) channels, and a (rows, cols) array of 1 or 0 where
+    they are usable or not, see `normalised_channels`. Both correlations are times the root of the overlap; 0
+    where none is positive.
     """
     score = _scores(_Channels(*reference), _Channels(*target))
     middle_r, middle_c = (side - 1 for side in reference[1].shape)
