@@ -134,6 +134,8 @@ LEAST_CORRELATION: Final = 0.03
 """The step of an ascent is what the gradient tells of equal images, over the correlation or this."""
 LEAST_GAIN: Final = 1e-3
 """Share of its score that an ascent must gain by a step to go on."""
+WORTH_CONFIRMING: Final = 0.5
+"""Least evidence of a pose that is looked at once more; of 20 unrelated pairs in 25 the best has less."""
 CONFIRMING: Final = (1.25, 4.0)
 """Ratio of the correlation in place to that of the best other shift, above which it speaks for a pose, and
 the evidence by 1 above that; of the best ascended poses of 25 unrelated pairs it is 1.63 at most."""
@@ -954,7 +956,7 @@ class _Frame:
         The two are combined as independent probabilities (Fisher's method), which is what they are of
         unrelated images: the search has seen cells of several of these pixels.
         """
-        if proposal.evidence >= MAX_EVIDENCE:
+        if not WORTH_CONFIRMING <= proposal.evidence < MAX_EVIDENCE:
             return proposal
         _, (channels, usable) = self._placed(proposal.matrix)
         inside = np.s_[FRAME_MARGIN_PX:-FRAME_MARGIN_PX, FRAME_MARGIN_PX:-FRAME_MARGIN_PX]
