@@ -29,6 +29,8 @@ NODES: Final = 15
 """Places along each axis at which a correction is compared with the truth."""
 ROTATIONS_DEG: Final = (2.0, 180.0)
 SCALES: Final = (0.6, 1.7)
+TO_CORNERS: Final = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+"""From px counted from the centre of the first to px counted from its corner."""
 MAX_SHEAR: Final = 0.05
 SMOOTHED_PX: Final = 1.0
 """Sigma of the Gaussian that images are smoothed by before their grey values are compared."""
@@ -186,9 +188,8 @@ def inside(at_px: Array, shape: tuple[int, int]) -> Bool:
 
 def read_similarity(path: Path) -> Array:
     """Return the (3, 3) matrix of a file that holds a (2, 3) one for 0-based pixel centres."""
-    half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
     centre_based = np.vstack([np.loadtxt(path), [0.0, 0.0, 1.0]])
-    return np.asarray(half @ centre_based @ np.linalg.inv(half))
+    return np.asarray(TO_CORNERS @ centre_based @ np.linalg.inv(TO_CORNERS))
 
 
 def nearest_rotation(unturned_px: Array, found_px: Array, about_px: tuple[float, float]) -> Array:

@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.pairs import landsat, read, read_masked, rgbnir, uav, write
 from benchmarks.poses import (
     SCALES,
+    TO_CORNERS,
     Warp,
     draw_perspective,
     draw_stretch,
@@ -338,9 +339,8 @@ def _undone_job(folder: Path, number: int, scratch: Path) -> Job:
     """Write both images of a pair on one grid, the target by the mean of several samples a pixel."""
     reference, target = (read(folder / f"pair{number}_{which}.jpg") for which in (1, 2))
     to_target = read_similarity(folder / f"gt_{number}.txt")
-    samples = max(1, math.ceil(scale_of(to_target)))
-    half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
-    finer = np.linalg.inv(half) @ to_target @ np.diag([1 / samples, 1 / samples, 1.0]) @ half
+    samples = max(1, math.ceil(_scale_of(to_target)))
+    finer = np.linalg.inv(TO_CORNERS) @ to_target @ np.diag([1 / samples, 1 / samples, 1.0]) @ TO_CORNERS
     rows, cols = reference.shape
 
     def placed(image: Array, how: int) -> Array:
@@ -359,7 +359,7 @@ def _undone_job(folder: Path, number: int, scratch: Path) -> Job:
     )
 
 
-def scale_of(matrix: Array) -> float:
+def _scale_of(matrix: Array) -> float:
     """Return the target px per reference px of a (3, 3) similarity."""
     return math.sqrt(abs(float(np.linalg.det(matrix[:2, :2]))))
 

@@ -135,10 +135,11 @@ LEAST_CORRELATION: Final = 0.03
 LEAST_GAIN: Final = 1e-3
 """Share of its score that an ascent must gain by a step to go on."""
 WORTH_CONFIRMING: Final = 0.5
-"""Least evidence of a pose that is looked at once more; of 20 unrelated pairs in 25 the best has less."""
+"""Least evidence of a pose that is looked at once more; that of the best ascended pose is less for 25 of 30
+unrelated pairs."""
 CONFIRMING: Final = (1.25, 4.0)
 """Ratio of the correlation in place to that of the best other shift, above which it speaks for a pose, and
-the evidence by 1 above that; of the best ascended poses of 25 unrelated pairs it is 1.63 at most."""
+the evidence by 1 above that; of the best ascended poses of 30 unrelated pairs it is 1.63 at most."""
 GROWN: Final = 3
 """Number of the best poses that ascended, from which a sample of the patches votes, and votes again."""
 MIN_SAMPLED: Final = 7
@@ -477,20 +478,18 @@ def search_pose(
     patches = _OverlappingPatches(first, second)
     grown = _grown(patches, [PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)], scales)
     if grown is not None:
-        return _Frame(first, second, grown).confirmed(grown)
+        return _confirmed(first, second, grown)
     similarity = _best_similarity(first, second, coarse)
     if similarity.accepted or not stretched:
-        return _Frame(first, second, similarity).confirmed(similarity)
+        return _confirmed(first, second, similarity)
     starts = [trial.matrix for trial in coarse] + _stretched(first, second, scales)
     ascended = _ascended(first, second, starts)
     grown = _grown(patches, ascended[:GROWN], scales)
     if grown is not None:
-        return _Frame(first, second, grown).confirmed(grown)
+        return _confirmed(first, second, grown)
     affine = [each for each in ascended[:1] if _is_within(each.scale, scales)]
-    best = max(
-        (_Frame(first, second, each).confirmed(each) for each in (similarity, *affine)),
-        key=lambda each: each.evidence,
-    )
+    looked_at = [_confirmed(first, second, each) for each in (similarity, *affine)]
+    best = max(looked_at, key=lambda each: each.evidence)
     return _Frame(first, second, best).moved_to_consensus(best) if best.accepted else similarity
 
 
@@ -924,6 +923,13 @@ def _packed(image: _PoseImage, side_cells: float, per_cell: Sequence[float]) -> 
     ]
 
 
+def _confirmed(reference: _PoseImage, target: _PoseImage, proposal: PoseProposal) -> PoseProposal:
+    """Return a proposal with what the correlation in a frame adds, if that may make a difference."""
+    if not WORTH_CONFIRMING <= proposal.evidence < MAX_EVIDENCE:
+        return proposal
+    return _Frame(reference, target, proposal).confirmed(proposal)
+
+
 class _Frame:
     """A frame of the reference: patches and the correlation tell how well a target fits as placed in it."""
 
@@ -956,8 +962,6 @@ class _Frame:
         The two are combined as independent probabilities (Fisher's method), which is what they are of
         unrelated images: the search has seen cells of several of these pixels.
         """
-        if not WORTH_CONFIRMING <= proposal.evidence < MAX_EVIDENCE:
-            return proposal
         _, (channels, usable) = self._placed(proposal.matrix)
         inside = np.s_[FRAME_MARGIN_PX:-FRAME_MARGIN_PX, FRAME_MARGIN_PX:-FRAME_MARGIN_PX]
         ratio = ratio_in_place(self._channels, (channels[inside], usable[inside]))
