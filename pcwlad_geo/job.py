@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, suppress
@@ -10,6 +11,8 @@ from importlib import import_module
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict, get_args
+
+from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.correction import Effort
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
@@ -254,7 +257,9 @@ def _run_and_write(
     A registration that is `found` already is only written.
     """
     requirements = parse_requirements(job.settings.require, job.command)
-    with trusting(job.settings.trust):
+    with warnings.catch_warnings(), trusting(job.settings.trust):
+        # The filters belong to the process and rasterio swaps them: set for all threads before they start.
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
         inside, elsewhere = _check_outputs(job)
         place = job.places["numbers"].parent
         with OutputFolder(place, overwrite=job.overwrite, inputs=_files_of(job)) as folder:
@@ -271,7 +276,7 @@ def _run_and_write(
 
             registration = replace(registration, requirements=judge_requirements(registration, requirements))
             with folder.writing():
-                kinds, warnings = write(registration, staged, job.places, elsewhere, bands, on_event)
+                kinds, told = write(registration, staged, job.places, elsewhere, bands, on_event)
             check_unchanged(file.identity for file in registration.inputs)
             for kind in kinds:
                 if kind in elsewhere:
@@ -283,8 +288,8 @@ def _run_and_write(
         for band, path in bands.items()
         if "raster" in kinds
     }
-    warnings = registration.warnings + warnings
-    return _accepted(replace(registration, warnings=warnings, outputs=outputs), job.places)
+    told = registration.warnings + told
+    return _accepted(replace(registration, warnings=told, outputs=outputs), job.places)
 
 
 def _check_outputs(job: _Job) -> tuple[dict[str, Path], dict[str, Path]]:

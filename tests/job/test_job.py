@@ -209,6 +209,19 @@ def test_stages_follow_one_another_to_the_end(pair: tuple[Path, Path], tmp_path:
         assert of_stage[-1].done == of_stage[-1].total
 
 
+def test_threads_of_a_job_share_its_warning_filters(pair: tuple[Path, Path], tmp_path: Path) -> None:
+    """A filter that each thread set for itself would be lost where another one puts back what it found."""
+    before, seen = list(warnings.filters), []
+
+    def on_event(event: Event) -> None:
+        warnings.warn("no geotransform", NotGeoreferencedWarning, stacklevel=1)
+        seen.append(event)
+
+    pcwlad_geo.register(*pair, out_dir=tmp_path / "out", on_event=on_event, **QUICK)
+    assert seen
+    assert list(warnings.filters) == before
+
+
 class StoppedError(Exception):
     pass
 
