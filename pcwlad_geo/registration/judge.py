@@ -40,6 +40,17 @@ MIN_SIGNIFICANCE: Final = 6.0
 """Least significance of an accepted pair: -log10 of the probability of such agreement by chance."""
 MIN_OWN_SIGNIFICANCE: Final = 2.0
 """Least significance of the points themselves from which the evidence of a search is added to it."""
+BLOCK_PX: Final = 8
+"""Side of the blocks of JPEG compression, whose grid two images of different ground may share."""
+BLOCKS_APART_SHARE: Final = 0.5
+"""Share of the matches that contradict the common displacement which do so by whole blocks, from which it is
+one of many that put the grids on each other: 0.96 of two parts of a photograph of a blackboard, with 8 of 9
+places that agree. Right pairs of JPEGs reach 0.8 too; their places are more."""
+BY_BLOCKS: Final = (
+    f"the candidates agree but for multiples of {BLOCK_PX} px, as both images show the grid of blocks that "
+    "JPEG compression leaves: use images without this compression, or mask what shows nothing else"
+)
+"""Why such a pair is refused."""
 AGREEING_SHARE: Final = 0.75
 """Least share of agreeing cells with which a refusal says that they are too few, not that they disagree."""
 AT_BORDER: Final = 0.25
@@ -125,6 +136,9 @@ def judge(
     something themselves.
     """
     share = min(1.0, np.pi * AGREE_PX**2 / (2 * radius_px + 1) ** 2)
+    by_blocks = _lie_blocks_apart(matches, kept)
+    if by_blocks:
+        share = min(1.0, BLOCK_PX**2 / (2 * radius_px + 1) ** 2)
     doubtful = is_doubtful(evidence)
     separation_px = (DOUBTFUL_SEPARATION_WINDOWS if doubtful else SEPARATION_WINDOWS) * window_px
     cells, agreeing, found = _best_agreement(matches, kept, separation_px, share)
@@ -138,6 +152,8 @@ def judge(
     accepted = bool(enough and significance >= MIN_SIGNIFICANCE)
     if accepted:
         return Verdict(True, None, cells, agreeing, significance)
+    if by_blocks:
+        return Verdict(False, BY_BLOCKS, cells, agreeing, significance)
     missing = _nothing_to_match(counts) or _too_few(int(kept.sum()), agreeing, cells)
     if missing:
         return Verdict(False, missing, cells, agreeing, significance)
@@ -150,6 +166,16 @@ def judge(
     by_chance += ", no better than chance"
     past_search_border = counts.get("at_search_border", 0) > AT_BORDER * counts["candidates"]
     return Verdict(False, by_chance, cells, agreeing, significance, past_search_border)
+
+
+def _lie_blocks_apart(matches: TiePoints, kept: Bool) -> bool:
+    """Whether most matches that contradict the common displacement do so by whole blocks of JPEG."""
+    if kept.sum() < MIN_POINTS:
+        return False
+    from_common = matches.displacement_px - np.median(matches.displacement_px[kept], axis=0)
+    contradict = np.abs(from_common).max(axis=1) > BLOCK_PX / 2
+    in_register = np.abs(from_common - BLOCK_PX * np.rint(from_common / BLOCK_PX)).max(axis=1) < 1
+    return bool(contradict.sum() >= MIN_POINTS and in_register[contradict].mean() >= BLOCKS_APART_SHARE)
 
 
 def is_doubtful(evidence: float) -> bool:

@@ -47,6 +47,20 @@ def test_random_matches_are_refused() -> None:
         assert f"{int(near.sum())} of 200 candidates" in (found.reason or "")
 
 
+def test_agreement_but_for_whole_blocks_of_jpeg_is_little_evidence() -> None:
+    """Grids of 8 px lie on each other at nine displacements within the radius; one is the most frequent."""
+    rng = np.random.default_rng(1)
+    for side_px, right, accepted in ((70, 0.65, False), (400, 0.8, True)):
+        points, kept = matches(200, side_px, right=right)
+        assert verdict((points, kept)).accepted
+        moved = np.where(kept[:, None], 0.0, rng.choice([(-8, 0), (0, 8), (-8, 8), (-16, 8)], 200))
+        by_blocks = replace(points, target_xy_px=points.reference_xy_px + np.array([3.0, -2.0]) + moved)
+        found = verdict((by_blocks, kept))
+        assert found.agreeing_cells >= 8
+        assert found.accepted is accepted
+        assert accepted or "JPEG" in (found.reason or "")
+
+
 def test_many_points_in_one_place_are_one_witness() -> None:
     found = verdict(matches(200, 40, right=1.0))
     assert found.cells <= 4
