@@ -1,13 +1,13 @@
 """The error of the tool itself on a user's own pair: the target is moved by known amounts and matched again.
 
-The error of a point is what the match moved by, less what the target was moved by. Noise of the level that
-the images have is added afresh, as both matches would share their own otherwise. What both share all the
-same, structure that lies elsewhere in the other band, is not observable so: `UnobservableError` says what is
-known of it.
+The error of a point is the displacement of its match less that of the target. Noise of the level that the
+images have is added to each move; otherwise both matches would share the same noise. An error that both share
+all the same, by structure that lies elsewhere in the other band, cannot be observed in this way:
+`UnobservableError` says what is known of it.
 
-`prove` is the whole of it: `set_up` chooses points and reads their surroundings, `measure` matches them after
-each of `moves_of`, and the rest sorts the errors. `sensitivity` then makes a part of the pair harder until it
-is refused.
+`prove` does all of this: `set_up` chooses points and reads their surroundings, `measure` matches them after
+each of `moves_of`, and the rest classifies the errors. `sensitivity` then degrades a part of the pair step by
+step until it is refused.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import scipy.fft
 import scipy.ndimage
 
 from pcwlad_geo.correction import Effort
+from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.correction.error_statistics import (
     ClassEntry,
     CorrectionEntry,
@@ -42,6 +43,7 @@ from pcwlad_geo.correction.error_statistics import (
     TrialEntry,
     UnobservableError,
     float_pair,
+    radial_statistics,
 )
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.models import affine_between
@@ -86,13 +88,13 @@ SITES: Final = {"quick": 3, "full": 8}
 SITE_PX: Final = 640
 """Largest side of such a part; a smaller scene is taken whole."""
 FALSE_MATCH_PX: Final = 1.0
-"""A match that errs by more is false."""
+"""A match whose error is larger is false."""
 MIN_POINTS: Final = 12
-"""Fewer points prove nothing."""
+"""Least number of points for a proof."""
 FRAME_PX: Final = 32
 """Width of the frame in which an image fades, so that it has no edge where its ends meet."""
 EDGE_PX: Final = 3
-"""Pixels of a moved image this near to nodata are left out, as the filled values reach there."""
+"""Pixels of a moved image this near to nodata are left out, as filled values affect them."""
 
 
 def moves_of(effort: Effort, window_px: int) -> tuple[Move, ...]:
@@ -124,15 +126,12 @@ class Resampler:
         self._inner = np.asarray(inner, bool)
         filled = np.asarray(fill_smoothly(self.values, valid), np.float64)
         self._mean = float(filled.mean())
-        framed = np.pad(filled - self._mean, FRAME_PX, mode="symmetric")
         ramp = np.sin(np.linspace(0, np.pi / 2, FRAME_PX + 2)[1:-1]) ** 2
-        for axis, length in enumerate(framed.shape):
-            fade = np.ones(length)
-            fade[:FRAME_PX], fade[-FRAME_PX:] = ramp, ramp[::-1]
-            framed *= fade[:, None] if axis == 0 else fade
+        down, across = (np.concatenate([ramp, np.ones(length), ramp[::-1]]) for length in self._shape)
+        framed = np.pad(filled - self._mean, FRAME_PX, mode="symmetric") * down[:, None] * across
         self._size = fast_even(framed.shape[0]), fast_even(framed.shape[1])
         self._spectrum = scipy.fft.rfft2(framed, self._size)
-        # of the highest frequency the phase is not known
+        # the phase of the highest frequency is not known
         self._spectrum[self._size[0] // 2] = 0.0
         self._spectrum[:, -1] = 0.0
 
@@ -152,16 +151,13 @@ class Resampler:
         """
         rows, cols = self._shape
         if move.kind == "shift":
-            turn = np.multiply.outer(
-                np.exp(-2j * np.pi * scipy.fft.fftfreq(self._size[0]) * move.shift_px[1]),
-                np.exp(-2j * np.pi * scipy.fft.rfftfreq(self._size[1]) * move.shift_px[0]),
-            )
-            plane = scipy.fft.irfft2(self._spectrum * turn, self._size)
+            spectrum = scipy.ndimage.fourier_shift(self._spectrum, move.shift_px[::-1], self._size[1])
+            plane = scipy.fft.irfft2(spectrum, self._size)
             values = plane[FRAME_PX : FRAME_PX + rows, FRAME_PX : FRAME_PX + cols]
             col, row = (np.arange(n) + 0.5 - by for n, by in zip((cols, rows), move.shift_px, strict=True))
             return values + self._mean, self._valid_at(col[None], row[:, None])
-        grid = np.stack(np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5), axis=-1)
-        at = move.source(grid.reshape(-1, 2), centre_px).reshape(rows, cols, 2)
+        grid = positions(np.arange(cols) + 0.5, np.arange(rows) + 0.5)
+        at = move.source(grid, centre_px).reshape(rows, cols, 2)
         return self._interpolated(at) + self._mean, self._valid_at(at[..., 0], at[..., 1])
 
     def _interpolated(self, at_px: Float64) -> Float64:
@@ -177,7 +173,7 @@ class Resampler:
         return np.asarray(found, np.float64)
 
     def _valid_at(self, col_px: Float64, row_px: Float64) -> Bool:
-        """Return whether places, which may be given along the axes alone, are well within valid pixels."""
+        """Return whether places, of arrays that broadcast, are at least `EDGE_PX` within valid pixels."""
         col, row = (np.floor(each).astype(np.intp) for each in (col_px, row_px))
         rows, cols = self._shape
         inside = (col >= 0) & (col < cols) & (row >= 0) & (row < rows)
@@ -193,7 +189,6 @@ class _Site:
     """Which of the points lie in it."""
     reference: Patch
     resampler: Resampler
-    halo_px: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,7 +199,7 @@ class ProofSetup:
     reference_px: Float64
     """(n, 2) positions (col, row) of the points, reference view px."""
     rows: Index
-    """(n,) rows of the table of tie points that they are."""
+    """(n,) their rows in the table of tie points."""
     sigma_px: Float64
     """(n, 2) their sigmas, target view px."""
     settings: MatchSettings
@@ -212,13 +207,13 @@ class ProofSetup:
     noise: FloatPair
     """Standard deviation of the noise of the reference and of the target, in units of their values."""
     centre_px: Float64
-    """(2,) middle of the moves, target view px."""
+    """(2,) centre of the moves, target view px."""
     unit_px: Float64
-    """(2,) target px of the file a view px."""
+    """(2,) px of the target file per view px."""
 
 
-def set_up(matches: Matches, effort: Effort, seed: int = 0) -> ProofSetup:
-    """Choose points of a pair that is matched, and read what lies around them.
+def set_up(matches: Matches, effort: Effort) -> ProofSetup:
+    """Choose points of a pair that is matched, and read the images around them.
 
     Raises `InputError` if the pair has too few points that were matched here, or a file cannot be read.
     """
@@ -233,7 +228,7 @@ def set_up(matches: Matches, effort: Effort, seed: int = 0) -> ProofSetup:
     places = job.reference.from_file_px(table.reference_px[rows])
     settings = replace(job.settings, search_radius=job.settings.search_radius + 3, spare=0)  # for the moves
     job = replace(job, settings=settings)
-    chosen, of_site = _spread(places, job, effort, np.random.default_rng(seed))
+    chosen, of_site = _spread(places, job, effort, np.random.default_rng(0))
     unit_px = file_px_per_px(job.target)
     sites = tuple(_read(job, np.flatnonzero(of_site == site), places[chosen]) for site in np.unique(of_site))
     moved_px = np.median(job.target.from_file_px(table.target_px[rows]) - places, axis=0)
@@ -253,16 +248,13 @@ def set_up(matches: Matches, effort: Effort, seed: int = 0) -> ProofSetup:
 
 
 def _noise(site: _Site, moved_px: Float64) -> FloatPair:
-    """Return the noise of both images, compared where the target shows the same ground on the whole."""
+    """Return the noise of both images, each compared with the other one, shifted by the displacement."""
     col, row = (moved_px - site.job.target_offset_px).tolist()
-    reference, back = site.reference, Move("shift", (-col, -row))
-    there, valid = site.resampler.moved(back, np.zeros(2))
-    target = site.resampler
-    here, valid_here = Resampler(reference.values, reference.valid).moved(
-        Move("shift", (col, row)), np.zeros(2)
-    )
+    reference, target = Resampler(site.reference.values, site.reference.valid), site.resampler
+    there, valid_there = target.moved(Move("shift", (-col, -row)), np.zeros(2))
+    here, valid_here = reference.moved(Move("shift", (col, row)), np.zeros(2))
     return (
-        noise_level(np.asarray(reference.values, np.float64), there, reference.valid & valid),
+        noise_level(reference.values, there, reference.valid & valid_there),
         noise_level(target.values, here, target.valid & valid_here),
     )
 
@@ -272,14 +264,14 @@ def _spread(
 ) -> tuple[Index, Index]:
     """Choose points at random, of a large scene in some parts of it; return them and the part of each.
 
-    Not the most precise ones: the errors of all are wanted.
+    The most precise ones are not preferred, as the errors of all are wanted.
     """
     region, order = job.region, random.permutation(len(places))
     if max(region.shape) <= SITE_PX:
         chosen = np.sort(order[: POINTS[effort]])
         return chosen, np.zeros(len(chosen), np.intp)
     size = np.array([region.cols, region.rows])
-    side_px = size / np.ceil(size / SITE_PX)  # all alike: a narrow one at an edge would count as much
+    side_px = size / np.ceil(size / SITE_PX)  # of equal size: a narrow one at an edge would count as much
     cell = np.floor((places - (region.col, region.row)) / side_px).astype(np.intp)
     _, of_point, counts = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
     of_point = of_point.ravel()
@@ -290,25 +282,24 @@ def _spread(
 
 
 def _read(job: TileJob, index: Index, places: Float64) -> _Site:
-    """Read what the matching of the points at an index needs."""
+    """Read the part of both images that the matching of the points at an index needs."""
     low = np.floor(places[index].min(axis=0)).astype(int)
     high = np.floor(places[index].max(axis=0)).astype(int) + 1
     core = Window.from_bounds(int(low[1]), int(low[0]), int(high[1]), int(high[0]))
     job = replace(job, core=core, cell_margin_px=0)
     window, (col, row) = job.read_window, job.target_offset_px
     target = job.target.read(window.moved(row, col))
-    resampler = Resampler(target.values, target.valid)
-    return _Site(job, index, job.reference.read(window), resampler, TRAITS[job.settings.method].halo_px)
+    return _Site(job, index, job.reference.read(window), Resampler(target.values, target.valid))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedAgain:
-    """The points of a setup, matched again as the product matches: both passes, with the windows it chose."""
+    """The points of a setup, matched again as a registration matches: both passes, the windows it chose."""
 
     target_px: Float64
     """(n, 2) where they were found (col, row), target view px; NaN for those that were lost."""
     of_site: tuple[tuple[ChannelPair, TiePoints, FieldGuide, Index], ...]
-    """Of each site its maps, the points found (px of the arrays), their guide, which of the n they are."""
+    """For each site its maps, the points found (px of the arrays), their guide, their rows of `target_px`."""
 
 
 def match_again(
@@ -359,14 +350,14 @@ def _prepared(
         corner = np.array([window.col, window.row]) + job.target_offset_px
         values, valid = site.resampler.moved(move, setup.centre_px - corner)
     images = []
-    for (own, known), level, scene in zip(
+    for (image, known), level, scene in zip(
         ((site.reference.values, site.reference.valid), (values, valid)),
         setup.noise,
         (job.reference_scene, job.target_scene),
         strict=True,
     ):
-        fresh = 0.0 if random is None else level * random.standard_normal(own.shape)
-        images.append(Image(own + fresh, known, scene.epsilon, scene.noise))
+        fresh = 0.0 if random is None else level * random.standard_normal(image.shape)
+        images.append(Image(image + fresh, known, scene.epsilon, scene.noise))
     traits = TRAITS[job.settings.method]
     return prepare(*images, channels=traits.channels, halo_px=traits.halo_px, threads=threads)
 
@@ -383,24 +374,22 @@ def _rows_of(found: Index, corners: Index) -> Index:
 
 
 BLOCK_PX: Final = 24
-"""Side of the squares of a chessboard, of which either colour is a window for itself."""
+"""Side of the squares of a chessboard, whose white and black squares are one window each."""
 CHESSBOARD_PX: Final = 121
-"""Side of that window."""
-COMMON_PX: Final = 0.1
-"""What all structure of a band may have in common is never said to be less: images tell nothing of it.
-Between bands of the same sensor four matchers saw 0.1 to 0.2 px."""
-COMMON_FACTOR: Final = 3.0
-"""Of what two halves of the evidence see differently, so much may be the same in both."""
-
-
+"""Side of the chessboard."""
+MIN_UNOBSERVABLE_PX: Final = 0.1
+"""Lower limit of the reported bound on the unobservable error, px of the matching grid: between bands of the
+same sensor, four matchers found 0.1 to 0.2 px."""
+UNOBSERVABLE_FACTOR: Final = 3.0
+"""Bound on the unobservable error, as a multiple of half the difference between two subsets of evidence."""
 PHASES: Final = 8
-"""Classes of a pixel's fractions."""
+"""Number of classes of the fraction of a pixel."""
 TEXTURES: Final = 4
-"""Classes of texture, of as many points each."""
+"""Number of classes of texture, of as many points each."""
 LEAST_MATCHES: Final = 4
-"""A point that was found after fewer moves tells nothing of its scatter."""
+"""Least number of matches of a point whose scatter is counted."""
 WINDOW_MOVES: Final = 6
-"""After so many moves single windows are compared, where there are."""
+"""Number of moves after which the points are also matched by each single window."""
 ONE_SIGMA, TWO_SIGMA = 68.27, 95.0
 """Percentages of normal errors within 1 and 1.96 sigmas."""
 
@@ -417,10 +406,10 @@ class _Errors:
     lost: int
 
     @property
-    def own(self) -> Float64:
-        """(k, n, 2) errors about the mean of each point, as large as those of one match.
+    def centred(self) -> Float64:
+        """(k, n, 2) errors about the mean of each point, scaled to the variance of a single match.
 
-        What the match of the target as it lay erred by is in all errors of a point; this is without it.
+        This removes the error of the unmoved match, which is common to all moves.
         """
         count = np.isfinite(self.moved).sum(axis=0)
         scale = np.sqrt(count / np.maximum(count - 1, 1))
@@ -432,17 +421,14 @@ class _Errors:
         return replace(self, moved=centre + factor * (self.moved - centre))
 
     def part(self, some: Bool | slice, of_points: bool = False) -> _Errors:
-        """Return those of some moves, or of some points."""
+        """Return the errors of some moves, or of some points."""
         moved, phase = ((each[:, some] if of_points else each[some]) for each in (self.moved, self.phase))
         return replace(self, moved=moved, phase=phase)
 
 
 def _mean(values: Float64, axis: int | tuple[int, ...]) -> Float64:
-    """Return the mean of what is finite; NaN where nothing is."""
-    known = np.isfinite(values)
-    total = np.where(known, values, 0.0).sum(axis=axis)
-    count = known.sum(axis=axis)
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan), np.float64)
+    """Return the mean of the finite values; NaN where there are none."""
+    return np.asarray(np.ma.masked_invalid(values).mean(axis).filled(np.nan), np.float64)
 
 
 def measure(
@@ -450,30 +436,30 @@ def measure(
     moves: Sequence[Move],
     windows_px: Sequence[int],
     log: JobLog,
-    threads: int = 1,
-    seed: int = 0,
-    tries: int = 0,
+    threads: int,
+    total: int,
 ) -> tuple[_Errors, tuple[MatchedAgain, MatchedAgain], list[_Errors]]:
-    """Match the points as they lie and after each move.
+    """Match the points as they lie and after each move, the first of `total` units of progress.
 
-    Returned are the errors with the windows that the product chose, the matches of the points as they lie and
-    after the first move, and the errors with each of the `windows_px` after the first moves.
+    Returned are the errors with the windows that a registration chooses, the matches of the points as they
+    lie and after the first move, and the errors with each of the `windows_px` after the first moves.
     """
     before = match_again(setup, None, None, threads)
-    unmoved, found, after = [before.target_px, *_by_each(setup, before, windows_px)], [], before
+    unmoved, found = [before.target_px, *_positions_by_window(setup, before, windows_px)], []
+    after = before
 
     def matched(number: int) -> tuple[list[Float64], MatchedAgain | None]:
-        again = match_again(setup, moves[number], np.random.default_rng([seed, number]))
-        more = _by_each(setup, again, windows_px) if number < WINDOW_MOVES else []
+        again = match_again(setup, moves[number], np.random.default_rng([0, number]))
+        more = _positions_by_window(setup, again, windows_px) if number < WINDOW_MOVES else []
         return [again.target_px, *more], again if number == 0 else None
 
     for begin in range(0, len(moves), threads):
-        log.on_event(Progress("proving", begin, len(moves) + tries))
+        log.on_event(Progress("proving", begin, total))
         some = [partial(matched, number) for number in range(len(moves))[begin : begin + threads]]
-        for positions, again in in_threads(some, threads):
-            found.append(positions)
+        for target_px, again in in_threads(some, threads):
+            found.append(target_px)
             after = again or after
-    log.on_event(Progress("proving", len(moves), len(moves) + tries))
+    log.on_event(Progress("proving", len(moves), total))
     of_each = [
         _errors(setup, moves, first, [each[number] for each in found if number < len(each)])
         for number, first in enumerate(unmoved)
@@ -481,7 +467,7 @@ def measure(
     return of_each[0], (before, after), of_each[1:]
 
 
-def _by_each(setup: ProofSetup, again: MatchedAgain, windows_px: Sequence[int]) -> list[Float64]:
+def _positions_by_window(setup: ProofSetup, again: MatchedAgain, windows_px: Sequence[int]) -> list[Float64]:
     """Return (n, 2) where each single window finds the points, target view px."""
     found = np.full((len(windows_px), len(setup.rows), 2), np.nan)
     for site, (channels, points, guide, which) in zip(setup.sites, again.of_site, strict=True):
@@ -509,7 +495,7 @@ def _locking(errors: _Errors) -> tuple[Float64, Float64]:
     waves = np.stack([np.sin(2 * np.pi * errors.phase), np.cos(2 * np.pi * errors.phase)])
     known = np.isfinite(errors.moved)
     within = errors.moved - _mean(errors.moved, 0)
-    shape = waves - np.stack([_mean(np.where(known, wave, np.nan), 0)[None] for wave in waves])
+    shape = waves - _mean(np.where(known, waves, np.nan), 1)[:, None]
     amplitude, values = np.zeros(2), np.zeros(errors.moved.shape)
     for axis in range(2):
         use = known[..., axis] & np.isfinite(shape[..., axis]).all(axis=0)
@@ -519,21 +505,15 @@ def _locking(errors: _Errors) -> tuple[Float64, Float64]:
     return amplitude, np.where(known, values, np.nan)
 
 
-def _scatter(own: Float64) -> Float64:
+def _scatter(errors: Float64) -> Float64:
     """Return the (2,) standard deviation of (k, n, 2) errors about the mean of each move."""
-    about = own - _mean(own, 1)[:, None]
-    count = max(np.isfinite(own).all(axis=2).sum(axis=1).mean(), 2.0)
+    about = errors - _mean(errors, 1)[:, None]
+    count = max(np.isfinite(errors).all(axis=2).sum(axis=1).mean(), 2.0)
     return np.asarray(np.sqrt(_mean(about**2, (0, 1)) * count / (count - 1)))
 
 
 def prove(
-    matches: Matches,
-    fit: AssessedFit | None,
-    effort: Effort,
-    log: JobLog,
-    threads: int = 1,
-    seed: int = 0,
-    register: Register | None = None,
+    matches: Matches, fit: AssessedFit, effort: Effort, log: JobLog, threads: int, register: Register
 ) -> Proof:
     """Measure the error of the matching on a pair that was matched.
 
@@ -541,54 +521,52 @@ def prove(
 
     Parameters
     ----------
-    fit : AssessedFit, optional
-        Of the points, whose model the error of the correction is of.
+    fit : AssessedFit
+        The correction of the pair, whose model is fitted to the errors.
     effort : {"quick", "full"}
         Number of moves and of points.
     log : JobLog
         Receives progress.
     threads : int
         Number of threads.
-    seed : int
-        Of the choice of the points and of the noise.
-    register : callable, optional
-        Registers two files; with it a full proof tells what a part of the pair tolerates.
+    register : callable
+        Registers two files; a full proof measures with it what a part of the pair tolerates.
     """
-    setup = set_up(matches, effort, seed)
+    setup = set_up(matches, effort)
     moves = moves_of(effort, setup.scales.window_px)
     windows_px = setup.settings.windows if effort == "full" else ()
-    tries = MOST_TRIALS if register and effort == "full" else 0
-    errors, ends, by_window = measure(setup, moves, windows_px, log, threads, seed, tries)
+    total = len(moves) + (MOST_TRIALS if effort == "full" else 0)
+    errors, ends, by_window = measure(setup, moves, windows_px, log, threads, total)
     shifts = errors.part(np.array([move.kind == "shift" for move in moves]))
     amplitude, wave = _locking(shifts)
     without_locking = replace(shifts, moved=shifts.moved - wave)
-    scatter_ratio = _scatter_ratio(matches, setup, without_locking.own)
+    scatter_ratio = _scatter_ratio(matches, setup, without_locking.centred)
     shrunk = min(1.0, scatter_ratio)
-    errors, own = errors.shrunk(shrunk), shrunk * without_locking.own
+    errors, centred = errors.shrunk(shrunk), shrunk * without_locking.centred
     without_locking = without_locking.shrunk(shrunk)
     mean_of_moves = _mean(without_locking.moved, 1)
     bias_error = mean_of_moves.std(axis=0, ddof=1) / np.sqrt(len(mean_of_moves))
     bias = -_mean(shifts.moved, (0, 1))
-    error = own + bias
-    radial = np.linalg.norm(error[np.isfinite(error).all(axis=2)], axis=1)
-    if not len(radial):
+    error = centred + bias
+    found = error[np.isfinite(error).all(axis=2)]
+    if not len(found):
         raise InputError("nothing can be proved: no tie point is found again after a move")
-    windows = zip(windows_px, by_window, strict=True)
+    radial, windows = radial_statistics(found), zip(windows_px, by_window, strict=True)
     return Proof(
         effort=effort,
         moves=moves,
         points=len(setup.rows),
-        matches=len(radial),
+        matches=len(found),
         lost=errors.lost,
         false_matches=errors.false_matches,
         noise=setup.noise,
-        resampling_px=resampling_error_px(setup, moves, seed),
+        resampling_px=resampling_error_px(setup, moves),
         bias_px=float_pair(bias),
         bias_error_px=float_pair(bias_error),
-        scatter_px=float_pair(_scatter(own)),
+        scatter_px=float_pair(_scatter(centred)),
         shrunk=shrunk,
-        rmse_px=float(np.sqrt((radial**2).mean())),
-        ce90_px=float(np.percentile(radial, 90)),
+        rmse_px=radial.rmse,
+        ce90_px=radial.ce90,
         locking_px=float_pair(amplitude),
         locking_error_px=float_pair(np.sqrt(2) * bias_error),
         phases=_phases(shifts, wave),
@@ -596,10 +574,10 @@ def prove(
         texture=_by_texture(setup, ends[0], without_locking),
         windows=tuple(_class(f"{each} px", part) for each, part in windows),
         sigma=_sigmas(error, setup.sigma_px * setup.unit_px, scatter_ratio),
-        correction=None if fit is None else _of_correction(error, bias, setup, matches, fit, effort),
+        correction=_correction_error(error, bias, setup, matches, fit, effort),
         unobservable=_unobservable(setup, *ends),
         map=_map(error, setup, matches),
-        sensitivity=sensitivity(matches, register, log, len(moves), seed) if register and tries else None,
+        sensitivity=sensitivity(matches, register, log, len(moves)) if effort == "full" else None,
     )
 
 
@@ -613,24 +591,24 @@ def _map(error: Float64, setup: ProofSetup, matches: Matches) -> tuple[PointEntr
     return tuple(entries)
 
 
-def _scatter_ratio(matches: Matches, setup: ProofSetup, own: Float64) -> float:
+def _scatter_ratio(matches: Matches, setup: ProofSetup, centred: Float64) -> float:
     """Return the scatter of the tie points over that of their (k, n, 2) errors, both about an affine.
 
-    That of the tie points holds their errors, and what no affine follows. An affine follows some of the
-    errors, too: windows are wide.
+    That of the tie points contains their errors, and displacements that are not affine. An affine also
+    follows some of the errors, as windows are wide.
     """
     table = matches.tie_points.select("matched")
     squares = []
-    for each in own:
+    for each in centred:
         known = np.isfinite(each).all(axis=1)
         if np.count_nonzero(known) >= MIN_POINTS:
-            squares.append(_about_affine(setup.reference_px[known], each[known]) ** 2)
+            squares.append(_std_about_affine(setup.reference_px[known], each[known]) ** 2)
     if not squares:
         return 1.0
-    return _about_affine(table.predicted_px, table.displacement_px) / float(np.sqrt(np.mean(squares)))
+    return _std_about_affine(table.predicted_px, table.displacement_px) / float(np.sqrt(np.mean(squares)))
 
 
-def _about_affine(places_px: Float64, values_px: Float64) -> float:
+def _std_about_affine(places_px: Float64, values_px: Float64) -> float:
     """Return the standard deviation of (n, 2) values about an affine of the places, both axes together."""
     linear, _ = global_affine(places_px, values_px)
     left = values_px - (places_px - places_px.mean(axis=0)) @ linear.T
@@ -650,12 +628,11 @@ def _phases(shifts: _Errors, wave: Float64) -> tuple[PhaseEntry, ...]:
     return tuple(entries)
 
 
-def _class(name: str, errors: _Errors) -> ClassEntry:
-    own = errors.own
-    bias = _mean(errors.moved, (0, 1))
-    return ClassEntry(
-        name, int(np.isfinite(own).all(axis=2).sum()), float_pair(bias), float_pair(_scatter(own))
-    )
+def _class(name: str, errors: _Errors, centre: Float64 | None = None) -> ClassEntry:
+    """Return the errors of a class, their scatter about the points' own means or an (n, 2) `centre`."""
+    centred = errors.centred if centre is None else errors.moved - centre
+    points = int(np.isfinite(centred).all(axis=2).sum())
+    return ClassEntry(name, points, float_pair(_mean(errors.moved, (0, 1))), float_pair(_scatter(centred)))
 
 
 def _by_kind(errors: _Errors, moves: Sequence[Move]) -> tuple[ClassEntry, ...]:
@@ -663,18 +640,8 @@ def _by_kind(errors: _Errors, moves: Sequence[Move]) -> tuple[ClassEntry, ...]:
     kinds = np.array([move.kind for move in moves])
     shifts = errors.part(kinds == "shift")
     centre = _mean(shifts.moved, 0)
-    entries = [_class("shift", shifts)]
-    for kind in ("turn", "field"):
-        moved = errors.part(kinds == kind).moved
-        entries.append(
-            ClassEntry(
-                kind,
-                int(np.isfinite(moved).all(axis=2).sum()),
-                float_pair(_mean(moved, (0, 1))),
-                float_pair(_scatter(moved - centre)),
-            )
-        )
-    return tuple(entries)
+    others = (_class(kind, errors.part(kinds == kind), centre) for kind in ("turn", "field"))
+    return _class("shift", shifts), *others
 
 
 def _by_texture(setup: ProofSetup, before: MatchedAgain, errors: _Errors) -> tuple[ClassEntry, ...]:
@@ -706,10 +673,10 @@ def _sigmas(error: Float64, sigma_px: Float64, scatter_ratio: float = 1.0) -> Si
     return SigmaEntry(float((ratio <= 1).mean()), float((ratio <= 1.96).mean()), factor, calibration)
 
 
-def _of_correction(
+def _correction_error(
     error: Float64, bias: Float64, setup: ProofSetup, matches: Matches, fit: AssessedFit, effort: Effort
 ) -> CorrectionEntry | None:
-    """Fit the model of the correction to the errors of each move, and return the error that it takes over."""
+    """Fit the model of the correction to the errors of each move, and return the error propagated into it."""
     table, name = matches.tie_points, fit.fitted.correction.name
     everywhere = table.predicted_px[table.status == "matched"]
     footprint = matches.window_px * float(setup.unit_px[0])
@@ -719,25 +686,25 @@ def _of_correction(
         rows = setup.rows[known]
         placed = table.predicted_px[rows]
         try:
-            taken = MODELS[name].fit(
+            fitted = MODELS[name].fit(
                 placed, placed + errors[known], table.covariance_px2[rows], footprint_px=footprint
             )
         except InputError:  # the sample does not determine it
             return None
-        found.append(taken.correction.forward(everywhere) - everywhere - bias)
-    own = np.concatenate(found) * _of_all_points(table.predicted_px[setup.rows], everywhere, footprint) + bias
-    radial = np.linalg.norm(own[np.isfinite(own).all(axis=1)], axis=1)
-    rmse, ce90 = np.sqrt((radial**2).mean()), np.percentile(radial, 90)
-    blind_px = _blind_spot_px(matches, name, footprint) if effort == "full" else None
-    return CorrectionEntry(name, float_pair(bias), float(rmse), float(ce90), blind_px)
+        found.append(fitted.correction.forward(everywhere) - everywhere - bias)
+    ratio = _full_to_sample_ratio(table.predicted_px[setup.rows], everywhere, footprint)
+    propagated = np.concatenate(found) * ratio + bias
+    radial = radial_statistics(propagated[np.isfinite(propagated).all(axis=1)])
+    left_out_px = _leave_part_out_px(matches, name, footprint) if effort == "full" else None
+    return CorrectionEntry(name, float_pair(bias), radial.rmse, radial.ce90, left_out_px)
 
 
 PARTS_ALONG: Final = 3
-"""Parts of the scene along each axis, each of which is left out once."""
+"""Number of parts of the scene along each axis, each of which is left out once."""
 
 
-def _blind_spot_px(matches: Matches, name: str, footprint_px: float) -> float | None:
-    """Return by how much a correction changes where the tie points of one part of the scene are left out."""
+def _leave_part_out_px(matches: Matches, name: str, footprint_px: float) -> float | None:
+    """Return the largest RMS change of a correction in a part of the scene whose tie points are left out."""
     table = matches.tie_points.select("matched")
     places, low = table.predicted_px, table.predicted_px.min(axis=0)
     size = np.maximum(places.max(axis=0) - low, 1e-9)
@@ -756,10 +723,10 @@ def _blind_spot_px(matches: Matches, name: str, footprint_px: float) -> float | 
     return max(float(np.sqrt((each**2).sum(axis=1).mean())) for each in off)
 
 
-def _of_all_points(sample_px: Float64, everywhere_px: Float64, footprint_px: float) -> float:
-    """Return the error of an affine through all points over that through a sample, 0 to 1.
+def _full_to_sample_ratio(sample_px: Float64, everywhere_px: Float64, footprint_px: float) -> float:
+    """Return the error of an affine fitted to all points over that fitted to a sample, 0 to 1.
 
-    Two windows have as much of their errors in common as of their area.
+    The errors of two windows correlate by the share of their area that they have in common.
     """
     every = everywhere_px[:: max(1, len(everywhere_px) // 1000)]
     centre, size = every.mean(axis=0), max(float(every.std()), 1.0)
@@ -777,20 +744,20 @@ def _of_all_points(sample_px: Float64, everywhere_px: Float64, footprint_px: flo
 
 
 WAVES: Final = 60
-"""Plane waves of the image on which the resampling is measured."""
+"""Number of plane waves of the image on which the error of the resampling is measured."""
 TEST_PX: Final = 192
-"""Its side."""
+"""Side of that image."""
 TEST_WINDOW_PX: Final = 48
 """Side of the windows whose displacements are compared."""
 
 
-def resampling_error_px(setup: ProofSetup, moves: Sequence[Move], seed: int = 0) -> float:
+def resampling_error_px(setup: ProofSetup, moves: Sequence[Move]) -> float:
     """Return the RMS error of the resampling, on an image of the target's spectrum known at every place."""
-    random = np.random.default_rng([seed, len(moves)])
+    random = np.random.default_rng([0, len(moves)])
     frequency = setup.sites[0].resampler.frequencies(WAVES, setup.noise[1], random)
     phase = random.uniform(0, 2 * np.pi, WAVES)
     centre = np.full(2, TEST_PX / 2)
-    at = np.stack(np.meshgrid(np.arange(TEST_PX) + 0.5, np.arange(TEST_PX) + 0.5), axis=-1).reshape(-1, 2)
+    at = positions(np.arange(TEST_PX) + 0.5, np.arange(TEST_PX) + 0.5)
 
     def image(places: Float64) -> Float64:
         waves = np.cos(2 * np.pi * places @ frequency.T + phase)
@@ -811,18 +778,18 @@ def resampling_error_px(setup: ProofSetup, moves: Sequence[Move], seed: int = 0)
 
 
 def _unobservable(setup: ProofSetup, before: MatchedAgain, after: MatchedAgain) -> UnobservableError:
-    """Compare kinds of evidence, of the pair as it lies and with fresh noise."""
-    ask: dict[EvidenceKind, Callable[..., Float64]] = {"windows": _chessboard, "directions": _directions}
+    """Compare matches by two subsets of the evidence, of the pair as it lies and with fresh noise."""
+    kinds: dict[EvidenceKind, Callable[..., Float64]] = {"windows": _chessboard, "directions": _directions}
     if len(before.of_site[0][0].reference.maps) > 1:
-        ask = {"channels": _channels, **ask}
+        kinds = {"channels": _channels, **kinds}
     entries = []
-    for name, measure in ask.items():
-        first, second = (_asked(measure, setup, again) * setup.unit_px for again in (before, after))
+    for name, compare in kinds.items():
+        first, second = (_differences(compare, setup, again) * setup.unit_px for again in (before, after))
         entries.append(_evidence_entry(name, first, second, setup))
     lengths = [(np.hypot(*each.mean_px), np.hypot(*each.error_px)) for each in entries]
     least = max((length - 2 * error) / 2 for length, error in lengths)
     most = max(max(length, *each.scatter_px) for (length, _), each in zip(lengths, entries, strict=True))
-    bound = max(COMMON_FACTOR * most / 2, COMMON_PX * float(setup.unit_px.max()))
+    bound = max(UNOBSERVABLE_FACTOR * most / 2, MIN_UNOBSERVABLE_PX * float(setup.unit_px.max()))
     return UnobservableError(tuple(entries), float(max(least, 0.0)), float(bound))
 
 
@@ -840,11 +807,11 @@ def _evidence_entry(name: EvidenceKind, first: Float64, second: Float64, setup: 
     )
 
 
-def _asked(see: Callable[..., Float64], setup: ProofSetup, again: MatchedAgain) -> Float64:
-    """Return (n, 2) the difference of two matches of the points of all sites, view px."""
+def _differences(compare: Callable[..., Float64], setup: ProofSetup, again: MatchedAgain) -> Float64:
+    """Return (n, 2) differences between two matches of the points of all sites, view px."""
     found = np.full((len(setup.rows), 2), np.nan)
     for channels, points, guide, which in again.of_site:
-        found[which] = see(setup, channels, points, guide)
+        found[which] = compare(setup, channels, points, guide)
     found[np.linalg.norm(found, axis=1) > FALSE_MATCH_PX] = np.nan
     return found
 
@@ -863,17 +830,12 @@ def _channels(setup: ProofSetup, pair: ChannelPair, points: TiePoints, guide: Fi
 def _chessboard(setup: ProofSetup, pair: ChannelPair, points: TiePoints, guide: FieldGuide) -> Float64:
     row, col = np.indices((CHESSBOARD_PX, CHESSBOARD_PX)) // BLOCK_PX
     squares = (row + col) % 2
-    found = []
+    found, corners = [], to_index(points)
     for colour in range(2):
         weight = np.tile((squares == colour).astype(np.float32), (len(points), 1, 1))
         start = InitialEstimate(points.displacement_px, guide.linear, structure=weight)
         again = refine(
-            pair.reference,
-            pair.target,
-            to_index(points),
-            start,
-            window_px=CHESSBOARD_PX,
-            threads=pair.threads,
+            pair.reference, pair.target, corners, start, window_px=CHESSBOARD_PX, threads=pair.threads
         )
         found.append(np.where(again.converged[:, None], again.shift_xy_px, np.nan))
     return np.asarray(found[0] - found[1])
@@ -896,9 +858,9 @@ def _directions(setup: ProofSetup, pair: ChannelPair, points: TiePoints, guide: 
 
 
 Register = Callable[[str, str, Settings], Registration]
-"""Registers a reference and a target as any pair, without writing."""
+"""Registers a reference and a target like any pair, without writing."""
 PART_PX: Final = 512
-"""Largest side of the part of the pair that is made harder."""
+"""Largest side of the part of the pair that is degraded."""
 DIFFICULTIES: Final[dict[Difficulty, tuple[LevelUnit, Float64]]] = {
     "displacement": ("px", 2.0 * 2 ** (np.arange(15) / 2)),
     "rotation": ("deg", 0.5 * 2 ** (np.arange(15) / 2)),
@@ -909,19 +871,19 @@ DIFFICULTIES: Final[dict[Difficulty, tuple[LevelUnit, Float64]]] = {
 BEFORE_TRIALS: Final = 3
 """Number of registrations of the part as it lies, one of them in reverse."""
 TRIALS_EACH: Final = 5
-"""Number that find the first of the levels that is not tolerated, at most."""
+"""Largest number of registrations that find the first level that is not tolerated."""
 MOST_TRIALS: Final = BEFORE_TRIALS + TRIALS_EACH * len(DIFFICULTIES)
-"""Number of registrations of the part, at most."""
-AS_GIVEN: Final = (
+"""Largest number of registrations of the part."""
+INHERITED_SETTINGS: Final = (
     *("method", "points", "keypoints", "template", "window", "search_radius", "ssim_min"),
     *("iterations", "consensus", "prealign", "start_matcher", "geometry", "tile_size"),
 )
-"""Settings of the pair that concern a part of it too."""
+"""Settings of the pair that also hold for a part of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _HarderPart:
-    """A part of the pair whose target can be read beyond it, and what registers it."""
+class _TestPart:
+    """A part of the pair whose target can be read beyond it, and the function that registers it."""
 
     job: TileJob
     window: Window
@@ -936,24 +898,17 @@ class _HarderPart:
         col, row = self.job.target_offset_px
         return _with_nan(self.job.target.read(window.moved(row, col)))
 
-    def registered(
-        self, target: Float64, reference: Float64 | None = None, reverse: bool = False
-    ) -> Registration | None:
+    def registered(self, reference: Float64, target: Float64) -> Registration | None:
         """Register (rows, cols) images as files of one grid; None where they are refused."""
         grid = self.job.reference.grid.part((self.window.col, self.window.row), self.window.shape)
         transform = grid.transform if grid.located else None
-        first, second = (
+        files = [
             self.scratch.file_of(Raster(image.astype(np.float32), transform, grid.crs, float("nan")), name)
-            for name, image in (
-                ("reference", self.reference if reference is None else reference),
-                ("target", target),
-            )
-        )
-        if reverse:
-            first, second = second, first
+            for name, image in (("reference", reference), ("target", target))
+        ]
         try:
-            found = self.register(first, second, self.settings)
-        except InputError:  # too little is left of an image
+            found = self.register(files[0], files[1], self.settings)
+        except InputError:  # too few pixels of an image are valid
             return None
         return None if found.status == "rejected" else found
 
@@ -962,7 +917,7 @@ def _with_nan(patch: Patch) -> Float64:
     return np.where(patch.valid, np.asarray(patch.values, np.float64), np.nan)
 
 
-def _part(matches: Matches, register: Register) -> _HarderPart:
+def _part(matches: Matches, register: Register) -> _TestPart:
     """Return the part of the pair that holds most tie points."""
     job, settings, table = matches.job, matches.pair.settings, matches.tie_points
     if job is None:
@@ -975,35 +930,35 @@ def _part(matches: Matches, register: Register) -> _HarderPart:
     window = Window(region.row + row, region.col + col, PART_PX, PART_PX).intersection(region)
     model = "auto" if settings.model == "rpc" else settings.model
     features = min(settings.features, 256)  # as dense as in a tile
-    own = Settings(**{name: getattr(settings, name) for name in AS_GIVEN}, model=model, features=features)
-    reference = _with_nan(job.reference.read(window))
-    return _HarderPart(job, window, reference, own, register, Scratch())
+    inherited = {name: getattr(settings, name) for name in INHERITED_SETTINGS}
+    settings = Settings(**inherited, model=model, features=features)
+    return _TestPart(job, window, _with_nan(job.reference.read(window)), settings, register, Scratch())
 
 
 def sensitivity(
-    matches: Matches, register: Register, log: JobLog, begun: int = 0, seed: int = 0
+    matches: Matches, register: Register, log: JobLog, progress_offset: int = 0
 ) -> Sensitivity | None:
-    """Make a part of a pair harder by and by, and register it as any pair, until it is refused.
+    """Register a part of a pair like any pair, degraded step by step until it is refused.
 
-    None where the part is refused as it lies. Progress is told to `log` from the unit `begun` on; the `seed`
-    is that of noise and clouds.
+    None where the part is refused as it lies. Progress is told to `log` from `progress_offset` on.
     """
     part = _part(matches, register)
     target = part.target(part.window)
-    still = part.registered(target)
-    if still is None:
+    baseline = part.registered(part.reference, target)
+    if baseline is None:
         return None
-    own = replace(part.settings, features=matches.pair.settings.features)
-    reversal = _reversal(replace(part, settings=own), target)
-    limits, done = [], begun + BEFORE_TRIALS
+    settings = replace(part.settings, features=matches.pair.settings.features)
+    reversal = _reversal(replace(part, settings=settings), target)
+    limits, total = [], progress_offset + MOST_TRIALS
     for number, name in enumerate(DIFFICULTIES):
-        log.on_event(Progress("proving", done + TRIALS_EACH * number, begun + MOST_TRIALS))
+        done = progress_offset + BEFORE_TRIALS + TRIALS_EACH * number
+        log.on_event(Progress("proving", done, total))
         unit, levels = DIFFICULTIES[name]
         if name == "displacement":
             levels = levels[levels <= min(part.window.shape) / 2]
-        limits.append(_limit(name, unit, levels, partial(_trial, part, still, name, seed)))
-    log.on_event(Progress("proving", begun + MOST_TRIALS, begun + MOST_TRIALS))
-    return Sensitivity(part.window.shape, len(_kept(still)), tuple(limits), reversal)
+        limits.append(_limit(name, unit, levels, partial(_trial, part, baseline, name)))
+    log.on_event(Progress("proving", total, total))
+    return Sensitivity(part.window.shape, len(_kept(baseline)), tuple(limits), reversal)
 
 
 def _limit(
@@ -1026,13 +981,13 @@ def _limit(
     )
 
 
-def _trial(part: _HarderPart, still: Registration, name: Difficulty, seed: int, level: float) -> TrialEntry:
-    """Register the part at a level of a difficulty, and compare its points with those of it as it lies."""
-    reference, target, move, centre = _harder(part, name, level, np.random.default_rng([seed, 77]))
-    found = part.registered(target, reference)
+def _trial(part: _TestPart, baseline: Registration, name: Difficulty, level: float) -> TrialEntry:
+    """Register the part at a level of a difficulty, and compare its points with those of the baseline."""
+    reference, target, move, centre = _degraded(part, name, level, np.random.default_rng([0, 77]))
+    found = part.registered(reference, target)
     if found is None:
         return TrialEntry(level, "refused", 0, None)
-    table, before = _kept(found), _kept(still)
+    table, before = _kept(found), _kept(baseline)
     matrix = affine_between(before.reference_px, before.target_px)
 
     def off_px(reference_px: Float64, target_px: Float64) -> float:
@@ -1044,11 +999,11 @@ def _trial(part: _HarderPart, still: Registration, name: Difficulty, seed: int, 
     return TrialEntry(level, "correct" if correct else "incorrect", len(table), error)
 
 
-def _harder(
-    part: _HarderPart, name: Difficulty, level: float, random: np.random.Generator
+def _degraded(
+    part: _TestPart, name: Difficulty, level: float, random: np.random.Generator
 ) -> tuple[Float64, Float64, Move, Float64]:
     """Return reference and target at a level of a difficulty, and the move of the target and its centre."""
-    window, reference, still = part.window, part.reference, Move("shift", (0.0, 0.0))
+    window, reference, no_move = part.window, part.reference, Move("shift", (0.0, 0.0))
     centre = np.array([window.cols, window.rows]) / 2
     if name == "displacement":
         col, row = (round(level * share) for share in (0.8, 0.6))
@@ -1066,12 +1021,12 @@ def _harder(
             image + level * np.nanstd(image) * random.standard_normal(image.shape)
             for image in (reference, target)
         )
-        return reference, target, still, centre
-    return reference, _clouded(target, level, random), still, centre
+        return reference, target, no_move, centre
+    return reference, _clouded(target, level, random), no_move, centre
 
 
 def _clouded(image: Float64, share: float, random: np.random.Generator) -> Float64:
-    """Return an image of which a share lies under clouds with soft edges, brighter than all of it."""
+    """Return an image with clouds over a share of it, with soft edges and brighter than the image."""
     size = max(image.shape) / 12
     height = scipy.ndimage.gaussian_filter(random.standard_normal(image.shape), size / 2, mode="reflect")
     height = (height - np.quantile(height, 1 - share)) / height.std()
@@ -1085,9 +1040,9 @@ def _kept(found: Registration) -> TiePointTable:
     return found.tie_points.select("matched", "fit", "check", "unused")
 
 
-def _reversal(part: _HarderPart, target: Float64) -> Reversal | None:
-    """Return how far points come from where they began, by one correction after the other."""
-    there, back = part.registered(target), part.registered(target, reverse=True)
+def _reversal(part: _TestPart, target: Float64) -> Reversal | None:
+    """Return the inverse-consistency error of the two corrections."""
+    there, back = part.registered(part.reference, target), part.registered(target, part.reference)
     if there is None or back is None or there.correction is None or back.correction is None:
         return None
     begin = _kept(there).predicted_px  # both files have the same grid

@@ -18,12 +18,12 @@ from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.registration.proof import (
     DIFFICULTIES,
     Resampler,
-    _blind_spot_px,
     _clouded,
     _Errors,
+    _full_to_sample_ratio,
+    _leave_part_out_px,
     _limit,
     _locking,
-    _of_all_points,
     _scatter,
     _sigmas,
     _spread,
@@ -169,7 +169,7 @@ def of_moves(moved: np.ndarray, phase: np.ndarray | None = None) -> _Errors:
 def test_the_error_of_the_pair_as_it_lies_is_in_no_scatter() -> None:
     random = np.random.default_rng(1)
     moved = random.normal(0, 0.02, (8, 500, 2)) + random.normal(0, 0.3, (1, 500, 2))
-    assert _scatter(of_moves(moved).own) == pytest.approx([0.02, 0.02], rel=0.05)
+    assert _scatter(of_moves(moved).centred) == pytest.approx([0.02, 0.02], rel=0.05)
 
 
 def test_a_wave_along_the_pixel_is_locking() -> None:
@@ -205,8 +205,8 @@ def test_sigmas_shrink_only_as_far_as_the_pair_scatters(
 def test_of_a_sample_an_affine_errs_more_than_of_all_points() -> None:
     random = np.random.default_rng(4)
     every = random.uniform(0, 1000, (800, 2))
-    assert _of_all_points(every[:50], every, footprint_px=10.0) == pytest.approx((50 / 800) ** 0.5, rel=0.25)
-    assert _of_all_points(every[:50], every, footprint_px=600.0) > 0.8  # of the same few windows
+    assert _full_to_sample_ratio(every[:50], every, 10.0) == pytest.approx((50 / 800) ** 0.5, rel=0.25)
+    assert _full_to_sample_ratio(every[:50], every, 600.0) > 0.8  # of the same few windows
 
 
 @pytest.mark.parametrize("tolerated", range(-1, 15))
@@ -254,9 +254,9 @@ def test_a_blind_spot_costs_what_the_model_misses_there(matched: Matches) -> Non
         for each in range(9):
             without = np.linalg.lstsq(terms[part != each], known[part != each], rcond=None)[0]
             off.append(np.sqrt((((terms @ without - whole)[part == each]) ** 2).sum(axis=1).mean()))
-        cost_px = _blind_spot_px(matches_of(replace(table, target_px=known), matched), "affine", 41.0)
+        cost_px = _leave_part_out_px(matches_of(replace(table, target_px=known), matched), "affine", 41.0)
         assert cost_px == pytest.approx(max(off), rel=0.25, abs=1e-6)
-    assert _blind_spot_px(matches_of(table[:2], matched), "affine", 41.0) is None
+    assert _leave_part_out_px(matches_of(table[:2], matched), "affine", 41.0) is None
 
 
 def matches_of(table: TiePointTable, matched: Matches) -> Matches:
