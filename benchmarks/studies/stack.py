@@ -18,7 +18,7 @@ from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.execution.processes import open_runner
 from pcwlad_geo.multi.adjustment import Adjustment, adjust
 from pcwlad_geo.multi.network import Edge
-from pcwlad_geo.multi.stack import asked
+from pcwlad_geo.multi.stack import additional_pairs
 from pcwlad_geo.multi.stack_inputs import StackInput
 from pcwlad_geo.multi.stack_pairs import StackFrame, candidates, choose_pairs, measure, read_overview
 from pcwlad_geo.options import Settings
@@ -63,7 +63,7 @@ def stack(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     with open_runner(None, _ignore, jobs=runner.processes, scheduler=None, preload="numpy") as pool:
         measured = list(measure(frame, chosen, scratch / "out", Settings(), False, _ignore, pool))
         edges = [edge for edge, _ in measured if edge is not None]
-        more = asked(frame, found, chosen, edges, adjust(edges, IMAGES))
+        more = additional_pairs(frame, found, chosen, edges, adjust(edges, IMAGES))
         measured += measure(frame, more, scratch / "out", Settings(), False, _ignore, pool)
     edges = [edge for edge, _ in measured if edge is not None]
     kept, unused = _set_apart(edges, rng)

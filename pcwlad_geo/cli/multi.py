@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
 import typer
 
@@ -221,9 +221,10 @@ def _abandon_stack(out_dir: str | Path | None) -> None:
 
 
 def _ending(found: Stack) -> Ending:
+    from pcwlad_geo.multi.stack_pairs import PairStatus
     from pcwlad_geo.multi.stack_result import NUMBERS, PAGE, TABLE  # slow to load, unless there is a result
 
-    counts = {status: sum(pair.status == status for pair in found.pairs) for status in _STATUSES}
+    counts = {status: sum(pair.status == status for pair in found.pairs) for status in get_args(PairStatus)}
     status = InputError.exit_status if found.unreadable else 0
     if any(image.refused for image in found.images):
         status = RegistrationRejectedError.exit_status
@@ -252,10 +253,6 @@ def _ending(found: Stack) -> Ending:
     lines += [each.text for each in found.requirements]
     lines.append(f"report: {found.out_dir / PAGE}")
     return Ending(figures, visible("\n".join(lines)) + "\n", status)
-
-
-_STATUSES = ("used", "left out", "refused")
-"""Of the pairs, as the last line counts them."""
 
 
 def _row(image: StackImage) -> tuple[str, ...]:

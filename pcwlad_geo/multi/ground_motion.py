@@ -18,7 +18,7 @@ from pcwlad_geo.correction.models import Correction, from_dict
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.time_series import MIN_MOVING_IMAGES, Motions, displacements, velocities
 from pcwlad_geo.events import EventCallback, Progress
-from pcwlad_geo.multi.stack import Described, frame_again
+from pcwlad_geo.multi.stack import RasterInfoOrError, frame_again
 from pcwlad_geo.multi.stack_inputs import StackInput
 from pcwlad_geo.multi.stack_pairs import PAIRS, StackFrame
 from pcwlad_geo.raster.grid import middle_pixel_size_m
@@ -120,7 +120,7 @@ def moving_ground(
     numbers: Mapping[str, Any],
     folder: Path,
     dated: Sequence[DatedImage],
-    infos: Sequence[Described],
+    infos: Sequence[RasterInfoOrError],
     on_event: EventCallback,
 ) -> tuple[GroundMotion, MotionRaster]:
     """Return what the tie points of all pairs tell beside the corrections of their images.

@@ -141,8 +141,8 @@ def basis_over(places: Sequence[Float64], model: str, roughness: float = ROUGHNE
 
 SAME_PX: Final = 0.5
 """Points that lie nearer to each other in an image are of one feature, map units (px of the frame)."""
-LEAST_CHECKED: Final = 0.01
-"""Of an offset that the other pairs check less, the rest is of the arithmetic: it is not called wrong."""
+MIN_EDGE_SIGMA_REDUNDANCY: Final = 0.01
+"""Redundancies below this are taken as this in the sigma of an edge."""
 LARGEST_GROWTH: Final = 1e4
 """Coefficients so many times as large as what is observed are those of a singular matrix."""
 BLOCKS: Final = 3
@@ -593,5 +593,5 @@ class Network:
         free = (of_image if self.mixing is None else of_image @ self.mixing).ravel()[self.free]
         adjusted = float(free @ factor.solve(free))
         # an edge that nothing checks agrees with itself
-        sigma, redundancy = reliability(shared**2 + part.formal, adjusted, used, LEAST_CHECKED)
+        sigma, redundancy = reliability(shared**2 + part.formal, adjusted, used, MIN_EDGE_SIGMA_REDUNDANCY)
         return EdgeFit(used, (float(offset[0]), float(offset[1])), sigma, redundancy, part.scatter, shared)

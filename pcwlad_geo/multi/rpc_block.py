@@ -38,10 +38,10 @@ GROUND_CELLS: Final = 5
 would be smaller than a pixel of the DEM, whose error neighbours would share."""
 PRIOR_SHARED_PX: Final = 0.03
 """Standard deviation of the error that the points of a pair share, where no cycle tells it."""
-MIN_REDUNDANCY: Final = 0.3
-"""Sum of the redundancies of the pairs from which their cycles tell that error."""
-LEAST_CHECKED: Final = 0.1
-"""Of an offset that the other pairs check less, the rest is of the arithmetic."""
+MIN_TOTAL_REDUNDANCY: Final = 0.3
+"""Least sum of the redundancies of all pairs with which that error is estimated from their cycles."""
+MIN_BLOCK_SIGMA_REDUNDANCY: Final = 0.1
+"""Redundancies below this are taken as this in the sigma of a pair."""
 DATUM_DEFECT: Final = 1e-5
 """Combinations of biases of less information than this share of the best known one are a matter of datum."""
 NO_PARALLAX: Final = 1e-3
@@ -50,8 +50,8 @@ OUTLIER_SIGMAS: Final = 5.0
 """A pair that lies off all others by more sigmas may be an outlier."""
 OUTLIER_SHARE: Final = 0.5
 """It is, if without it the others contradict each other by less than this share."""
-NO_ERROR_PX: Final = 1e-6
-"""Standard deviation of a shared error that there is not."""
+ZERO_SIGMA: Final = 1e-6
+"""Standard deviation that stands for zero."""
 DEM_PLACE_M: Final = 100.0
 """Standard deviation of the horizontal place of a DEM, as weak as errors of a datum are large."""
 PLACE_SIGMAS: Final = 5.0
@@ -59,8 +59,8 @@ PLACE_SIGMAS: Final = 5.0
 HEIGHT_LIMIT: Final = 0.2
 """Heights off by more of their standard deviations count by their sign: what the ground of most points tells
 is their median, whatever lies on the rest (forest, cliffs, cells of a coarse DEM)."""
-NEEDS: Final = "the correction of an RPC needs tie points or control points of each image"
-"""What its equations ask for."""
+NEEDED_OBSERVATIONS: Final = "the correction of an RPC needs tie points or control points of each image"
+"""Message where the equations are singular."""
 HEIGHT_STEP_M: Final = 1.0
 """Step of the derivatives by the height of the DEM."""
 
@@ -92,19 +92,19 @@ class Linearisation:
 
     residual_px: Float64
     """(n, 2) observed less predicted."""
-    first_rate: Float64
+    first_jacobian: Float64
     """(n, 2, 2) derivatives of the predicted px by those of the first image, through the terrain: the mean of
     all points, as windows average what slopes change from point to point."""
     first_terms: Float64
     """(n, 3) terms 1, column, row of the first image's correction."""
     second_terms: Float64
-    height_rate: Float64
+    height_derivative: Float64
     """(n, 2) derivative of the predicted px by the height of the DEM, px per metre."""
-    dem_rate: Float64
-    """(n, 2, 2) that by a shift of the DEM (col, row) in its own px, less what is like a change of height."""
+    dem_jacobian: Float64
+    """(n, 2, 2) derivatives by a shift of the DEM (col, row), its px, orthogonal to those by the height."""
     ground_px: Float64
     """(n, 2) px of the frame."""
-    crowding: float
+    points_per_dem_px: float
     """Number of points per pixel of the DEM that holds any: they share its error of height."""
 
 
@@ -266,24 +266,23 @@ def adjust_block(
     unless its relief clearly tells another; that place is that of the `simpler` adjustment, where it was
     estimated before. The pairs connect all images, and of the `models` to choose from the simplest is first.
     """
-    rates = tuple(_linearised(block, pair) for pair in pairs)
+    linearisations = tuple(_linearised(block, pair) for pair in pairs)
     if simpler is None:
-        free = _BlockProblem(block, tuple(pairs), models[0], rates, dem_moves=True)
+        free = _BlockProblem(block, tuple(pairs), models[0], linearisations, dem_moves=True)
         simpler = _result(free, _solved(free), {})
-    problems = {
-        model: _BlockProblem(block, tuple(pairs), model, rates, simpler.dem_moved) for model in models
-    }
+    common = linearisations, simpler.dem_moved
+    problems = {model: _BlockProblem(block, tuple(pairs), model, *common) for model in models}
     solved = {model: _solved(problem) for model, problem in problems.items()}
     weights = solved[models[-1]].weights  # those of the most flexible model judge all
     errors = {model: _squared_errors_px2(problems[model], solved[model], weights) for model in models}
-    chosen = _simplest_unbeaten(errors)
+    chosen = _selected_model(errors)
     scores = {model: float(np.sqrt(each.mean())) for model, each in errors.items() if len(each)}
     result = _result(problems[chosen], solved[chosen], scores)
     return replace(result, dem_shift_px=simpler.dem_shift_px, dem_sigma_px=simpler.dem_sigma_px)
 
 
-def _simplest_unbeaten(errors: Mapping[str, Float64]) -> str:
-    """Return the first model that none of the next beats clearly, by the (cells,) squared errors of each."""
+def _selected_model(errors: Mapping[str, Float64]) -> str:
+    """Return the last model that clearly beats the one so far, or the first, by (cells,) squared errors."""
     chosen, *others = errors
     for model in others:
         gain = errors[chosen] - errors[model]
@@ -327,7 +326,7 @@ class _BlockProblem:
     block: RpcBlock
     pairs: tuple[BlockPair, ...]
     model: str
-    rates: tuple[Linearisation, ...]
+    linearisations: tuple[Linearisation, ...]
     """Of each pair by the RPCs as they are: the derivatives hardly change."""
     dem_moves: bool = False
     """Whether the place of the DEM is an unknown."""
@@ -346,7 +345,7 @@ class _BlockProblem:
     def dem_prior_px(self) -> float:
         """Standard deviation of the place of the DEM, its px."""
         dem = self.block.dem if self.dem_moves else None
-        return DEM_PLACE_M / max(middle_pixel_size_m(dem.grid) or (DEM_PLACE_M,)) if dem else NO_ERROR_PX
+        return DEM_PLACE_M / max(middle_pixel_size_m(dem.grid) or (DEM_PLACE_M,)) if dem else ZERO_SIGMA
 
     @property
     def unknowns(self) -> int:
@@ -378,13 +377,13 @@ class _BlockProblem:
     def design(self, pair: BlockPair, linear: Linearisation) -> tuple[Float64, Index]:
         """Return the (n, 2, q) design of a pair and the (q,) numbers of its unknowns."""
         blocks, places = [np.zeros((len(pair), 2, 0))], [np.zeros(0, np.intp)]
-        for image, terms, rate in (
+        for image, terms, derivative in (
             (pair.second, linear.second_terms, np.eye(2)),
-            (pair.first, linear.first_terms, -linear.first_rate),
+            (pair.first, linear.first_terms, -linear.first_jacobian),
         ):
             if image in self.block.free:
                 begin = self.block.free.index(image) * self.size
-                blocks.append(rate @ _design(terms[:, self.terms]))
+                blocks.append(derivative @ _design(terms[:, self.terms]))
                 places.append(np.arange(begin, begin + self.size))
         return np.concatenate(blocks, axis=2), np.concatenate(places)
 
@@ -393,7 +392,7 @@ class _BlockProblem:
         linear = state.linearised[number]
         design, places = self.design(self.pairs[number], linear)
         step = self.flat(state.parameters - state.start)[places]
-        return linear.residual_px - design @ step - linear.dem_rate @ (state.dem_px - state.start_dem_px)
+        return linear.residual_px - design @ step - linear.dem_jacobian @ (state.dem_px - state.start_dem_px)
 
 
 def _design(terms: Float64) -> Float64:
@@ -406,10 +405,9 @@ def _solved(problem: _BlockProblem) -> _BlockEstimate:
     count, state, datum = len(problem.pairs), problem.start(), _datum(problem)
     for turn in range(10):
         before_px = state.dem_px
-        linearised = _without_mean_slope(
-            [_linearised_again(problem, number, state) for number in range(count)]
-        )
-        state = replace(state, start=state.parameters, start_dem_px=state.dem_px, linearised=linearised)
+        linearised = [_linearised_again(problem, number, state) for number in range(count)]
+        state = replace(state, start=state.parameters, start_dem_px=state.dem_px)
+        state = replace(state, linearised=_orthogonal_to_height(linearised))
         state = _reweighted(problem, state, datum)
         if turn and np.abs(state.dem_px - before_px).max() < 0.1:  # px of the DEM
             break
@@ -439,12 +437,12 @@ def _linearised_again(problem: _BlockProblem, number: int, state: _BlockEstimate
     predicted_px = one.inverse(pair.first_px)
     ground_px = map_px(predicted_px, grids[0], frame)
     at_px = image_px(grids[1], frame, ground_px, pair.height_m)
-    rate = problem.rates[number].height_rate
+    derivative = problem.linearisations[number].height_derivative
     higher_m, slope = relief(problem.block.dem, frame, ground_px, pair.window_px, state.dem_px)
     return replace(
-        problem.rates[number],
-        residual_px=pair.second_px - other.forward(at_px + rate * higher_m[:, None]),
-        dem_rate=np.nan_to_num(-rate[:, :, None] * slope[:, None, :]),
+        problem.linearisations[number],
+        residual_px=pair.second_px - other.forward(at_px + derivative * higher_m[:, None]),
+        dem_jacobian=np.nan_to_num(-derivative[:, :, None] * slope[:, None, :]),
         first_terms=ImageTerms.over(grids[0].shape).values(predicted_px),
         second_terms=ImageTerms.over(grids[1].shape).values(at_px),
         ground_px=ground_px,
@@ -454,7 +452,7 @@ def _linearised_again(problem: _BlockProblem, number: int, state: _BlockEstimate
 def _linearised(block: RpcBlock, pair: BlockPair, *, level: bool = False) -> Linearisation:
     """Follow the points of a pair through the first image, the ground (`level` or not), the second image.
 
-    The DEM stays where it is: `dem_rate` is 0.
+    The DEM stays where it is: `dem_jacobian` is 0.
     """
     grids, frame = [block.grids[image] for image in (pair.first, pair.second)], block.frame
     if level:
@@ -466,44 +464,42 @@ def _linearised(block: RpcBlock, pair: BlockPair, *, level: bool = False) -> Lin
 
     at_px, ground_px = predict(pair.first_px), map_px(pair.first_px, grids[0], frame)
     sides = [predict(pair.first_px + step) - predict(pair.first_px - step) for step in np.eye(2) / 2]
-    rate = np.stack(sides, axis=2)
-    height_rate = (predict(pair.first_px, HEIGHT_STEP_M) - at_px) / HEIGHT_STEP_M
+    by_first = np.stack(sides, axis=2)
+    height_derivative = (predict(pair.first_px, HEIGHT_STEP_M) - at_px) / HEIGHT_STEP_M
     return Linearisation(
         residual_px=pair.second_px - at_px,
-        first_rate=np.broadcast_to(np.nanmean(rate, axis=0), rate.shape),
+        first_jacobian=np.broadcast_to(np.nanmean(by_first, axis=0), by_first.shape),
         first_terms=ImageTerms.over(grids[0].shape).values(pair.first_px),
         second_terms=ImageTerms.over(grids[1].shape).values(at_px),
-        height_rate=height_rate,
-        dem_rate=np.zeros((len(pair), 2, 2)),
+        height_derivative=height_derivative,
+        dem_jacobian=np.zeros((len(pair), 2, 2)),
         ground_px=ground_px,
-        crowding=_crowding(block, ground_px),
+        points_per_dem_px=_points_per_dem_px(block, ground_px),
     )
 
 
-def _crowding(block: RpcBlock, ground_px: Float64) -> float:
-    """Return `Linearisation.crowding` of points at the (n, 2) `ground_px` of the frame."""
+def _points_per_dem_px(block: RpcBlock, ground_px: Float64) -> float:
+    """Return `Linearisation.points_per_dem_px` of points at the (n, 2) `ground_px` of the frame."""
     if block.dem is None:
         return 1.0
     at_px = np.floor(map_px(ground_px, block.frame, block.dem.grid))
     return len(at_px) / max(1, len(np.unique(at_px, axis=0)))
 
 
-def _without_mean_slope(linearised: Sequence[Linearisation]) -> tuple[Linearisation, ...]:
-    """Take off the effect of moving the DEM what is like a change of its height."""
-    rate = np.nan_to_num(np.concatenate([linear.height_rate for linear in linearised]))
-    moving = np.concatenate([linear.dem_rate for linear in linearised])
-    alike = np.einsum("na,nab->b", rate, moving) / max(float((rate**2).sum()), NO_PARALLAX**2)
+def _orthogonal_to_height(linearised: Sequence[Linearisation]) -> tuple[Linearisation, ...]:
+    """Remove from the derivatives by the DEM's place what a uniform change of height explains."""
+    by_height = [np.nan_to_num(linear.height_derivative) for linear in linearised]
+    every, by_place = np.concatenate(by_height), np.concatenate([each.dem_jacobian for each in linearised])
+    share = np.einsum("na,nab->b", every, by_place) / max(float((every**2).sum()), NO_PARALLAX**2)
     return tuple(
-        replace(linear, dem_rate=linear.dem_rate - np.nan_to_num(linear.height_rate)[:, :, None] * alike)
-        for linear in linearised
+        replace(linear, dem_jacobian=linear.dem_jacobian - each[:, :, None] * share)
+        for linear, each in zip(linearised, by_height, strict=True)
     )
 
 
 def _weighted(problem: _BlockProblem, state: _BlockEstimate) -> _BlockEstimate:
     """Weight all points by their residuals, and estimate the uncertainty of the DEM."""
-    left = [
-        problem.residual_px(number, state) - state.offsets[number] for number in range(len(problem.pairs))
-    ]
+    left = [problem.residual_px(number, state) - each for number, each in enumerate(state.offsets)]
     sigma_m = _height_sigma(problem, state.linearised, left)
     weights, scatters = [], []
     for pair, linear, residual in zip(problem.pairs, state.linearised, left, strict=True):
@@ -520,16 +516,16 @@ def _weighted(problem: _BlockProblem, state: _BlockEstimate) -> _BlockEstimate:
 def _height_variance(pair: BlockPair, linear: Linearisation, residual_px: Float64, sigma_m: float) -> Float64:
     """Return the (n,) variances of the DEM's heights, m²: all points of one of its pixels count as one."""
     height, _ = implied_heights(pair, linear, residual_px)
-    off = np.abs(np.nan_to_num(height)) / (HEIGHT_LIMIT * max(sigma_m, NO_ERROR_PX))
-    return sigma_m**2 * linear.crowding * np.maximum(1.0, off)
+    off = np.abs(np.nan_to_num(height)) / (HEIGHT_LIMIT * max(sigma_m, ZERO_SIGMA))
+    return sigma_m**2 * linear.points_per_dem_px * np.maximum(1.0, off)
 
 
 def _weights(pair: BlockPair, linear: Linearisation, variance_m2: Float64 | float = 0.0) -> Float64:
     """Return the (n, 2, 2) inverse covariances of points, heights eliminated; 0 where unknown."""
-    rate = linear.height_rate
-    covariance = pair.covariance_px2 + (variance_m2 * (rate[:, :, None] * rate[:, None, :]).T).T
+    by_height = linear.height_derivative
+    covariance = pair.covariance_px2 + (variance_m2 * (by_height[:, :, None] * by_height[:, None, :]).T).T
     known = np.isfinite(linear.residual_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
-    known &= np.isfinite(linear.first_rate).all(axis=(1, 2))
+    known &= np.isfinite(linear.first_jacobian).all(axis=(1, 2))
     weight = np.zeros_like(covariance)
     weight[known] = inverse(covariance[known], MEASURED)
     return weight
@@ -541,10 +537,10 @@ def implied_heights(pair: BlockPair, linear: Linearisation, residual_px: Float64
     NaN where there is no parallax. The (n, 2) `residual_px` are distances from an adjustment.
     """
     weight = inverse(pair.covariance_px2, MEASURED)
-    information = np.einsum("na,nab,nb->n", linear.height_rate, weight, linear.height_rate)
+    information = np.einsum("na,nab,nb->n", linear.height_derivative, weight, linear.height_derivative)
     with np.errstate(divide="ignore", invalid="ignore"):
-        height = np.einsum("na,nab,nb->n", linear.height_rate, weight, residual_px) / information
-        visible = np.hypot(*linear.height_rate.T) >= NO_PARALLAX
+        height = np.einsum("na,nab,nb->n", linear.height_derivative, weight, residual_px) / information
+        visible = np.hypot(*linear.height_derivative.T) >= NO_PARALLAX
         return np.where(visible, height, np.nan), np.where(visible, 1 / information, np.nan)
 
 
@@ -575,14 +571,14 @@ def _equations(
     for number, pair in enumerate(problem.pairs):
         shared = problem.shared(number)
         # control points are seen one by one
-        equations.expect(shared, state.shared_px if pair.height_m is None else NO_ERROR_PX)
+        equations.expect(shared, state.shared_px if pair.height_m is None else ZERO_SIGMA)
         if not state.used[number]:
             continue
         linear, weight = state.linearised[number], state.weights[number]
         known = weight.any(axis=(1, 2))
         design, places = problem.design(pair, linear)
         alike = np.broadcast_to(np.eye(2), (len(pair), 2, 2))
-        design = np.concatenate([design, alike, linear.dem_rate], axis=2)[known]
+        design = np.concatenate([design, alike, linear.dem_jacobian], axis=2)[known]
         weight = weight[known] if keep is None else weight[known] * keep[number][known, None, None]
         equations.observe(np.concatenate([places, shared, dem]), design, weight, linear.residual_px[known])
     largest = float(equations.matrix.diagonal()[unknowns].max(initial=1.0))
@@ -602,10 +598,10 @@ def _datum(problem: _BlockProblem) -> Float64:
     known: list[Bool] = [np.asarray(_weights(*each).any(axis=(1, 2))) for each in pairs]
     # all pairs count alike: what few or uncertain control points say is known, and no matter of datum
     weights = tuple(each[:, None, None] * np.eye(2) / max(each.sum(), 1) for each in known)
-    state = replace(problem.start(), linearised=linearised, weights=weights, shared_px=NO_ERROR_PX)
+    state = replace(problem.start(), linearised=linearised, weights=weights, shared_px=ZERO_SIGMA)
     whole = _equations(problem, state, np.zeros((problem.unknowns, 0))).matrix
     normal = whole[: problem.unknowns, : problem.unknowns].toarray()
-    # in lengths on the ground, so that none but the smallest biases there are of the smallest sum of squares
+    # scaled to lengths on the ground, so that the minimum norm holds there
     scale = np.repeat([pixel_in_frame(block, image) for image in block.free], problem.size)
     value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
     free = vector[:, value < DATUM_DEFECT * value[-1]] * scale[:, None] if len(value) else vector
@@ -615,14 +611,14 @@ def _datum(problem: _BlockProblem) -> Float64:
 def _step(problem: _BlockProblem, state: _BlockEstimate, datum: Float64) -> _BlockEstimate:
     """Solve the equations, and estimate the error that the points of a pair share by the cycles."""
     equations = _equations(problem, state, datum)
-    solution = equations.solve(NEEDS)
+    solution = equations.solve(NEEDED_OBSERVATIONS)
     parameters, free = state.start.copy(), list(problem.block.free)
     parameters[free] += solution[: problem.unknowns].reshape(len(free), len(problem.terms), 2)
     offsets = np.asarray(solution[problem.unknowns : -2].reshape(-1, 2), np.float64)
     counted = state.used & np.array([pair.height_m is None for pair in problem.pairs])
     redundancy = float(_redundancy(problem, state, equations)[counted].sum())
     shared_px = PRIOR_SHARED_PX
-    if redundancy >= MIN_REDUNDANCY:
+    if redundancy >= MIN_TOTAL_REDUNDANCY:
         shared_px = max(float(np.sqrt((offsets[counted] ** 2).sum() / (2 * redundancy))), 0.01)
     dem_px = state.start_dem_px + solution[problem.dem]
     return replace(state, parameters=parameters, offsets=offsets, shared_px=shared_px, dem_px=dem_px)
@@ -630,8 +626,8 @@ def _step(problem: _BlockProblem, state: _BlockEstimate, datum: Float64) -> _Blo
 
 def _redundancy(problem: _BlockProblem, state: _BlockEstimate, equations: NormalEquations) -> Float64:
     """Return for each of the (pairs,) how much of its shared error the other pairs check, from 0 to 1."""
-    posterior = np.diagonal(equations.covariance(NEEDS))[problem.unknowns : -2].reshape(-1, 2).mean(axis=1)
-    return np.asarray(np.clip(1.0 - posterior / state.shared_px**2, 0.0, 1.0))
+    variances = np.diagonal(equations.covariance(NEEDED_OBSERVATIONS))[problem.unknowns : -2]
+    return np.asarray(np.clip(1.0 - variances.reshape(-1, 2).mean(axis=1) / state.shared_px**2, 0.0, 1.0))
 
 
 def _without_the_outlier(
@@ -641,7 +637,7 @@ def _without_the_outlier(
 
     Without it the others must still check each other, and contradict each other much less.
     """
-    found: list[tuple[float, _BlockEstimate]] = []
+    found: list[_BlockEstimate] = []
     ends = np.array([(pair.first, pair.second) for pair in problem.pairs])
     for number in np.flatnonzero(state.used).tolist():
         used = state.used.copy()
@@ -651,18 +647,16 @@ def _without_the_outlier(
         trial = replace(state, used=used, shared_px=PRIOR_SHARED_PX)
         for _ in range(3):
             trial = _step(problem, trial, datum)
-        off = float(np.hypot(*_mean_residual(problem, trial, number)[0]))
-        if (
-            off > OUTLIER_SIGMAS * max(trial.shared_px, PRIOR_SHARED_PX)
-            and OUTLIER_SHARE * state.shared_px > trial.shared_px
-        ):
-            found.append((trial.shared_px, trial))
+        limit_px = OUTLIER_SIGMAS * max(trial.shared_px, PRIOR_SHARED_PX)
+        far = np.hypot(*_mean_residual(problem, trial, number)[0]) > limit_px
+        if far and trial.shared_px < OUTLIER_SHARE * state.shared_px:
+            found.append(trial)
     if not found:
         return None
-    best = min(found, key=lambda each: each[0])[1]
+    best = min(found, key=lambda each: each.shared_px)
     # do the pairs in use form cycles, which tell that they agree?
     redundancy = _redundancy(problem, best, _equations(problem, best, datum))
-    return best if redundancy[best.used].sum() >= MIN_REDUNDANCY else None
+    return best if redundancy[best.used].sum() >= MIN_TOTAL_REDUNDANCY else None
 
 
 def _mean_residual(
@@ -686,8 +680,8 @@ def _cells(dem: Dem | None, frame: Grid, linearised: Sequence[Linearisation]) ->
     size = np.maximum(high - low, 1e-9)
     count = np.full(2, GROUND_CELLS)
     if dem is not None:
-        rate = inverse(jacobian(frame.middle_px, frame, dem.grid)[0])
-        count = np.clip(size / np.abs(rate).max(axis=1), 1, GROUND_CELLS).astype(np.intp)
+        frame_px_per_dem_px = inverse(jacobian(frame.middle_px, frame, dem.grid)[0])
+        count = np.clip(size / np.abs(frame_px_per_dem_px).max(axis=1), 1, GROUND_CELLS).astype(np.intp)
     found = []
     for linear in linearised:
         place = np.clip(np.nan_to_num((linear.ground_px - low) / size) * count, 0, count - 1).astype(np.intp)
@@ -705,25 +699,28 @@ def _without_cells(
         if sum(int(each.sum()) for each in inside) * 2 > sum(len(each) for each in inside):
             continue  # what is left of it tells nothing
         equations = _equations(problem, state, datum, [(~each).astype(np.float64) for each in inside])
-        yield [np.asarray(each) for each in inside], equations.solve(NEEDS)
+        yield [np.asarray(each) for each in inside], equations.solve(NEEDED_OBSERVATIONS)
 
 
-def _squared_errors_px2(problem: _BlockProblem, state: _BlockEstimate, judge: Sequence[Float64]) -> Float64:
+def _squared_errors_px2(
+    problem: _BlockProblem, state: _BlockEstimate, common_weights: Sequence[Float64]
+) -> Float64:
     """Return the (cells,) mean squared error, px², of points that were predicted without their cell.
 
-    Weighted by the (n, 2, 2) weights `judge` of each pair.
+    Weighted by the (n, 2, 2) weights `common_weights` of each pair.
     """
     found = []
-    unit = sum(float(np.trace(each.sum(axis=0))) for each in judge) / sum(len(each) for each in judge)
+    unit = sum(float(np.trace(each.sum(axis=0))) for each in common_weights) / sum(map(len, common_weights))
     for inside, solution in _without_cells(problem, state, problem.block.dem):
         squares, count = 0.0, 0
-        for number, chosen in enumerate(inside):
-            design, places = problem.design(problem.pairs[number], state.linearised[number])
-            known = chosen & judge[number].any(axis=(1, 2)) & state.weights[number].any(axis=(1, 2))
+        for number, (chosen, common) in enumerate(zip(inside, common_weights, strict=True)):
             linear = state.linearised[number]
+            design, places = problem.design(problem.pairs[number], linear)
+            known = chosen & common.any(axis=(1, 2)) & state.weights[number].any(axis=(1, 2))
             left = linear.residual_px[known] - design[known] @ solution[places]
-            left = left - solution[problem.shared(number)] - linear.dem_rate[known] @ solution[problem.dem]
-            squares += float(np.einsum("na,nab,nb->", left, judge[number][known], left))
+            left -= solution[problem.shared(number)]
+            left -= linear.dem_jacobian[known] @ solution[problem.dem]
+            squares += float(np.einsum("na,nab,nb->", left, common[known], left))
             count += int(known.sum())
         if count:
             found.append(2 * squares / count / unit)
@@ -733,11 +730,9 @@ def _squared_errors_px2(problem: _BlockProblem, state: _BlockEstimate, judge: Se
 def _result(problem: _BlockProblem, state: _BlockEstimate, scores: Mapping[str, float]) -> BlockAdjustment:
     """Return the adjustment with its covariance and what it says of each pair."""
     datum, unknowns = _datum(problem), problem.unknowns
-    covariance = _equations(problem, state, datum).covariance(NEEDS)
+    covariance = _equations(problem, state, datum).covariance(NEEDED_OBSERVATIONS)
     steps = np.array([step for _, step in _without_cells(problem, state, problem.block.dem)])
-    spread = np.zeros((1, len(covariance)))
-    if len(steps) > 1:
-        spread = jackknife(steps)
+    spread = jackknife(steps) if len(steps) > 1 else np.zeros((1, len(covariance)))
     dem_px2 = np.maximum(np.diagonal(covariance)[-2:], (spread[:, -2:] ** 2).sum(axis=0))
     own = np.ascontiguousarray(covariance[:unknowns, :unknowns])
     return BlockAdjustment(
@@ -776,7 +771,7 @@ def _hold_out_check(problem: _BlockProblem, state: _BlockEstimate) -> HoldOutChe
             design, places = problem.design(problem.pairs[number], linearised[number])
             step = (solution[: problem.unknowns] - begun)[places]
             after = linearised[number].residual_px[known] - design[known] @ step
-            before = problem.rates[number].residual_px[known]
+            before = problem.linearisations[number].residual_px[known]
             sums.append(np.array([[known.sum(), np.hypot(*before.T).sum(), np.hypot(*after.T).sum()]]))
     count, before_px, after_px = (np.concatenate(sums) / max(1.0, np.concatenate(sums)[:, 0].sum())).T
     if not count.any():
@@ -789,9 +784,9 @@ def _hold_out_check(problem: _BlockProblem, state: _BlockEstimate) -> HoldOutChe
 def _response_to_height(problem: _BlockProblem, state: _BlockEstimate, datum: Float64) -> Float64:
     """Return `BlockAdjustment.by_height_px`, of level ground: its relief is told by the other unknowns."""
     level = [_linearised(problem.block, pair, level=True) for pair in problem.pairs]
-    linearised = tuple(replace(linear, residual_px=-linear.height_rate) for linear in level)
+    linearised = tuple(replace(linear, residual_px=-linear.height_derivative) for linear in level)
     state = replace(state, linearised=linearised, start_dem_px=np.zeros(2))
-    step = _equations(problem, state, datum).solve(NEEDS)[: problem.unknowns]
+    step = _equations(problem, state, datum).solve(NEEDED_OBSERVATIONS)[: problem.unknowns]
     found = np.zeros((len(problem.block.grids), 2))
     found[list(problem.block.free)] = step.reshape(-1, len(problem.terms), 2)[:, 0]
     return found
@@ -803,7 +798,7 @@ def _fit(problem: _BlockProblem, state: _BlockEstimate, number: int, covariance:
     own += state.shared_px**2 if problem.pairs[number].height_m is None else 0.0
     adjusted = float(np.trace(mean @ covariance @ mean.T)) / 2
     used = bool(state.used[number])
-    sigma_px, redundancy = reliability(own, adjusted, used, LEAST_CHECKED)
+    sigma_px, redundancy = reliability(own, adjusted, used, MIN_BLOCK_SIGMA_REDUNDANCY)
     return BlockFit(
         used=used,
         offset_px=(float(offset[0]), float(offset[1])),

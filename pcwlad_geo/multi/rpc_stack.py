@@ -646,8 +646,8 @@ def _too_high(
 
 def _parallax_px(found: BlockAdjustment) -> float:
     """Return by how much a metre of height sets two images apart, at most."""
-    rates = [np.nanmedian(fit.linear.height_rate, axis=0) for fit in found.edges]
-    return max((float(np.hypot(*each)) for each in rates), default=0.0)
+    derivatives = [np.nanmedian(fit.linear.height_derivative, axis=0) for fit in found.edges]
+    return max((float(np.hypot(*each)) for each in derivatives), default=0.0)
 
 
 def _horizontal_offset(

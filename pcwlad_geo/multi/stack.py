@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
 from shapely import Polygon, box
@@ -57,6 +57,7 @@ from pcwlad_geo.multi.stack_pairs import (
     Candidate,
     ControlPoint,
     Measured,
+    PairStatus,
     StackFrame,
     asked_by_sigma,
     candidates,
@@ -80,7 +81,6 @@ from pcwlad_geo.multi.stack_result import (
     SCHEMA_VERSION,
     Chosen,
     Stack,
-    StackImage,
     catalogue,
     graded,
     judge,
@@ -125,7 +125,7 @@ class _StackJob:
     """What pairs gave that have been measured."""
 
     def tell(self, event: Event) -> None:
-        """Pass an event on, and keep warnings; what was told of an image is not told of its pairs."""
+        """Pass an event on, and keep warnings; a warning about an image is not repeated for its pairs."""
         if isinstance(event, Warned):
             # pairs are adjusted twice where sigma asks for more
             if {event.message, event.message.partition(": ")[2]} & set(self.warnings):
@@ -225,7 +225,9 @@ def stack(
         if has_rpcs(infos, job.settings):
             placed = place_images(inputs, infos, reference, job.settings, unreadable, job.tell)
             if allow_components or (datum == "mean" and placed.datum_image is not None):
-                raise SettingsError("images with RPCs: a reference is the datum, and all hang together")
+                raise SettingsError(
+                    "images with RPCs: the reference is the datum, and all images are adjusted as one block"
+                )
             return _stacked_rpcs(job, out, placed, unreadable, given, (pairs, max_pairs, gcps))
         overviews = _overviews(inputs, infos, unreadable, job.tell)
         frame = frame_of(inputs, infos, reference, job.settings.model)
@@ -235,13 +237,12 @@ def stack(
         chosen, plan = _planned(frame, found, pairs, max_pairs, before)
         points = () if gcps is None else control_points(gcps)
         control = control_edges(points, frame)
-        datum_image = None if datum == "mean" else len(infos) if control else frame.reference
+        datum_image = datum_of(frame, datum, control, len(infos))
         with named([*frame.names, "the control points"]):
             if chosen == "auto" and len(infos) > ALL_PAIRS:
                 edges = _edges(job, frame, plan, control, allow_components)
-                count = len(infos) + bool(control)
-                first = adjust(edges, count, datum=datum_image, split=allow_components)
-                plan += asked(frame, found, plan, edges, first)
+                first = adjust(edges, len(infos) + bool(control), datum=datum_image, split=allow_components)
+                plan += additional_pairs(frame, found, plan, edges, first)
             edges = _edges(job, frame, plan, control, allow_components)
             adjustment = _adjusted(job, frame, edges, datum_image, allow_components)
             measured = job.measured(frame, plan)
@@ -249,7 +250,7 @@ def stack(
                 frame, measured, adjustment, job.folder, job.settings, job.warnings, unreadable, chosen
             )
         result = replace(result, control=points)
-        return _written(job, out, result, frame, lambda done: _warp(job, done, frame, done.images))
+        return _written(job, out, result, frame, partial(_warp, job, frame, frame.names))
 
 
 def _stacked_rpcs(
@@ -273,9 +274,8 @@ def _stacked_rpcs(
         found = candidates(frame, frame.inputs, [None] * len(frame.infos))
     chosen, plan = _planned(frame, found, listed_in, most)
     control = [] if gcps is None else control_points_of(gcps, placed)
+    _edges(job, frame, plan, (), False)
     measured = job.measured(frame, plan)
-    edges = [edge for edge, _ in measured if edge is not None]
-    check_connected(frame, edges, frame.reference, job.folder, False)
     points = [*tie_points_of(measured), *control]
     adjustment, check = adjusted(placed, points, job.settings)
     for message in [*(check.faults if check else ()), *control_warnings(placed, points, adjustment)]:
@@ -333,7 +333,7 @@ def _with_added(
     before = numbers_of(out_dir)
     if before.get("block") is not None:
         raise InputError(f"{out_dir} is a stack of images with RPCs: stack all images again")
-    old, points = _of_before(before, out_dir)
+    old, points = _validated_inputs(before, out_dir)
     own = {"ref_band": old[0].band, "tgt_band": old[0].band, "model": before["model"]}
     job = _job(out_dir, False, on_event, executor, {**options, **own})
     with trusting(job.settings.trust):
@@ -353,35 +353,27 @@ def _with_added(
         added = (*map(tuple, before["added"]), tuple(new))
         notes = [*before["warnings"], *job.warnings]
         with named(frame.names):
-            adjustment = _one_after_another(frame, edges, points, before, [len(each) for each in added])
+            adjustment = _extended_in_order(frame, edges, points, before, [len(each) for each in added])
             result = stack_of(frame, measured, adjustment, job.folder, job.settings, notes, unreadable)
         result = replace(result, control=points, added=added)
         refused = [each["name"] for each in before["images"] if each.get("registered", "") is None]
-        to_write = {*new, *refused}
-        return _written(
-            job,
-            out,
-            result,
-            frame,
-            lambda done: _warp(job, done, frame, [each for each in done.images if each.name in to_write]),
-            keep=True,
-        )
+        return _written(job, out, result, frame, partial(_warp, job, frame, {*new, *refused}), keep=True)
 
 
-def _one_after_another(
+def _extended_in_order(
     frame: StackFrame,
     edges: Sequence[Edge],
     points: Sequence[ControlPoint],
     before: Mapping[str, Any],
     added: Sequence[int],
 ) -> Adjustment:
-    """Adjust the first images as they were, then place those added, in so many at a time, one after another.
+    """Adjust the first images as they were, then place those added later, in the order of their runs.
 
     `before` is the content of stack.json before the last ones.
     """
     count = len(frame.names) - sum(added)
     control = control_edges(points, frame, count)
-    datum_image = None if before["datum"] == "mean" else count if control else frame.reference
+    datum_image = datum_of(frame, str(before["datum"]), control, count)
     known = [edge for edge in edges if max(edge.first, edge.second) < count]
     first, nodes = [*known, *control], count + bool(control)
     basis = choose_basis(first, nodes, str(before["model"]), datum=datum_image, split=True)
@@ -422,6 +414,11 @@ def _planned(
     return "auto" if most is None else "limited", choose_pairs(found, len(frame.infos), most, before)
 
 
+def datum_of(frame: StackFrame, datum: str, control: Sequence[Edge], count: int) -> int | None:
+    """Return what stays: None, the mean; control points, which follow `count` images; or the reference."""
+    return None if datum == "mean" else count if control else frame.reference
+
+
 def _edges(
     job: _StackJob, frame: StackFrame, plan: Sequence[tuple[int, int]], control: Sequence[Edge], split: bool
 ) -> list[Edge]:
@@ -449,14 +446,14 @@ def _adjusted(
     return or_homographies(found, edges, count, datum=datum_image, split=split)
 
 
-def asked(
+def additional_pairs(
     frame: StackFrame,
     found: Sequence[Candidate],
     plan: Sequence[tuple[int, int]],
     edges: Sequence[Edge],
     adjustment: Adjustment,
 ) -> list[tuple[int, int]]:
-    """Return the further pairs that the sigmas of the images of a frame ask for.
+    """Return the pairs to measure in addition, chosen by the sigmas of the images of a frame.
 
     `found` are the pairs to choose from, `plan` those that were measured, `edges` those that the adjustment
     has.
@@ -481,7 +478,9 @@ PIXELS_ALIKE: Final = 0.1
 """Pixels whose sizes differ by a smaller share are those of one kind of image."""
 
 
-def _of_before(before: Mapping[str, Any], folder: Path) -> tuple[list[StackInput], tuple[ControlPoint, ...]]:
+def _validated_inputs(
+    before: Mapping[str, Any], folder: Path
+) -> tuple[list[StackInput], tuple[ControlPoint, ...]]:
     """Return the images and control points of a finished stack; raises `InputError` if it takes no more."""
     try:
         projective = HOMOGRAPHY in [entry["model"]["name"] for entry in before["images"]]
@@ -495,7 +494,7 @@ def _of_before(before: Mapping[str, Any], folder: Path) -> tuple[list[StackInput
             and names[len(names) - len(later) :] == later
             and {*ends, before["reference"]} <= set(names)
             and before["model"] in (*CANDIDATE_MODELS, HOMOGRAPHY)
-            and all(each["status"] in ("used", "left out", "refused") for each in before["pairs"])
+            and all(each["status"] in get_args(PairStatus) for each in before["pairs"])
             and all(isinstance(text, str) for text in (before["datum"], *before["warnings"]))
         )
         points = tuple(ControlPoint(**each) for each in before["control"])
@@ -641,13 +640,13 @@ def frame_of(
     return StackFrame(names, infos, infos[number].grid, not lacking, tuple(inputs), number)
 
 
-Described = RasterInfo | InputError
+RasterInfoOrError = RasterInfo | InputError
 """An image, or why it cannot be read."""
 
 
-def described_again(numbers: Mapping[str, Any]) -> list[Described]:
+def described_again(numbers: Mapping[str, Any]) -> list[RasterInfoOrError]:
     """Describe all images of a stack."""
-    found: list[Described] = []
+    found: list[RasterInfoOrError] = []
     for entry in numbers["images"]:
         try:
             found.append(StackInput.from_dict(entry["given"]).describe())
@@ -656,10 +655,10 @@ def described_again(numbers: Mapping[str, Any]) -> list[Described]:
     return found
 
 
-def frame_again(numbers: Mapping[str, Any], infos: Sequence[Described]) -> StackFrame:
+def frame_again(numbers: Mapping[str, Any], infos: Sequence[RasterInfoOrError]) -> StackFrame:
     """Return the frame of a stack; raises `InputError` if an image cannot be read, or it has RPCs."""
     if numbers.get("block") is not None:
-        raise InputError("the images have RPCs, and what relief leaves of them is no motion")
+        raise InputError("the images have RPCs: no planar transformation describes relief displacement")
     inputs = [StackInput.from_dict(entry["given"]) for entry in numbers["images"]]
     if numbers["reference"] not in [each.name for each in inputs]:
         raise InputError(f"{NUMBERS} is damaged (no image is its reference): stack again")
@@ -727,8 +726,9 @@ def _written(
     return found
 
 
-def _warp(job: _StackJob, found: Stack, frame: StackFrame, images: Sequence[StackImage]) -> None:
-    """Warp images once onto the grid of the frame, and refer to their original pixels."""
+def _warp(job: _StackJob, frame: StackFrame, names: Collection[str], found: Stack) -> None:
+    """Warp the images of these names once onto the grid of the frame, and refer to their original pixels."""
+    images = [image for image in found.images if image.name in names]
     for done_before, image in enumerate(images):
         job.on_event(Progress("images", done_before, len(images)))
         number = frame.names.index(image.name)
@@ -757,15 +757,15 @@ def warp_onto(
     outside = not Polygon(frame.from_image(number, info.grid.boundary_px())).intersects(shown)
     # an image beside the reference gets an extent of its own, on the same lattice
     request = requested_grid(replace(exact, grid="reference") if outside else exact)
-    finer = _finer(frame, number, settings)
-    if finer > 1 and not outside:
+    ratio = _band_px_per_frame_px(frame, number, settings)
+    if ratio > 1 and not outside:
         rows, cols = frame.grid.shape
-        request = GridRequest(like=frame.grid.scaled((finer * rows, finer * cols)))
+        request = GridRequest(like=frame.grid.scaled((ratio * rows, ratio * cols)))
     wanted = WarpOutput(frame.grid, request, fmt, settings.resampling)
     warp_image(info, place, correction, wanted, on_event)
 
 
-def _finer(frame: StackFrame, number: int, settings: Settings) -> int:
+def _band_px_per_frame_px(frame: StackFrame, number: int, settings: Settings) -> int:
     """Return how many pixels of a band, along a side, make one of the frame; 1 unless of one product."""
     first, own = frame.given(frame.reference), frame.given(number)
     within = isinstance(own.band, str) and own.path == first.path

@@ -17,7 +17,7 @@ from datetime import date, datetime, timezone
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 
@@ -42,10 +42,11 @@ from pcwlad_geo.multi.ground_motion import (
     page_data,
     write_motion,
 )
-from pcwlad_geo.multi.network import LEAST_CHECKED
-from pcwlad_geo.multi.stack import VRT, Described, described_again, frame_again, numbers_of, warp_onto
+from pcwlad_geo.multi.network import MIN_EDGE_SIGMA_REDUNDANCY
+from pcwlad_geo.multi.rpc_block import MIN_BLOCK_SIGMA_REDUNDANCY
+from pcwlad_geo.multi.stack import VRT, RasterInfoOrError, described_again, frame_again, numbers_of, warp_onto
 from pcwlad_geo.multi.stack_inputs import StackInput
-from pcwlad_geo.multi.stack_pairs import StackFrame
+from pcwlad_geo.multi.stack_pairs import PairStatus, StackFrame
 from pcwlad_geo.multi.stack_result import (
     COLLECTION,
     NODES,
@@ -284,26 +285,24 @@ def watch(
     folder, place = Path(stack), watch_folder(stack, out_dir)
     if place.resolve() == folder.resolve():
         raise InputError(f"{place} is the folder of the stack itself: give another output folder")
-    numbers = _checked(numbers_of(folder), folder / STACK_NUMBERS)
+    source = folder / STACK_NUMBERS
+    numbers = _checked(numbers_of(folder), source)
     warnings: list[str] = []
 
     def warn(message: str) -> None:
         warnings.append(message)
         on_event(Warned(message))
 
-    dated, undated, refused = _dated(numbers, folder / STACK_NUMBERS)
+    dated, undated, refused = _dated(numbers, source)
     covariance = _covariance(numbers)
     series = tuple(_series(name, images, covariance) for name, images in _grouped(dated).items())
     offsets = _offsets(series)
-    out_folder = OutputFolder(
-        place, overwrite=overwrite, results=NAMES["numbers"], inputs=[folder / STACK_NUMBERS]
-    )
+    out_folder = OutputFolder(place, overwrite=overwrite, results=NAMES["numbers"], inputs=[source])
     with out_folder as out, trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
         infos = described_again(numbers)
-        motion, raster = None, None
+        motion, raster, corrected = None, None, None
         with _warning_of(warn, "the motion of the ground is not known"):
             motion, raster = moving_ground(numbers, folder, dated, infos, on_event)
-        corrected = None
         with nullcontext() if apply else _warning_of(warn, "there is no collection of the corrected images"):
             corrected = _write_corrected(out, numbers, folder, infos, series, apply, on_event)
         results = _judged(series, offsets, motion, wanted)
@@ -345,18 +344,18 @@ def watch_folder(stack: PathLike, out_dir: PathLike | None) -> Path:
 
 
 def _checked(numbers: Mapping[str, Any], place: Path) -> Mapping[str, Any]:
-    """Return the content of stack.json; raises `InputError` if its pairs or names are none."""
+    """Return the content of stack.json; raises `InputError` if its pairs or names are not valid."""
     try:
         names = [numbers["reference"], *(entry["name"] for entry in numbers["images"])]
         for pair in numbers["pairs"]:
             names += [pair["reference"], pair["target"]]
             figures = [float(pair.get(name) or 0.0) for name in ("sigma_px", "redundancy")]
             if not all(0 <= figure <= COORDINATE for figure in figures):
-                raise ValueError("the figures of a pair are none")
-            if pair["status"] not in ("used", "left out", "refused"):
+                raise ValueError("the figures of a pair are not valid numbers")
+            if pair["status"] not in get_args(PairStatus):
                 raise ValueError("a pair is neither used nor left out nor refused")
         if not all(isinstance(name, str) for name in names):
-            raise TypeError("a name is no text")
+            raise TypeError("a name is not text")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{place} is damaged ({error}): stack the images again") from error
     return numbers
@@ -376,7 +375,7 @@ def _dated(
             size = np.array(entry["pixel_size_m"] or (1.0, 1.0), np.float64)
             sizes = np.array([shift, sigma, size])
             if sizes.shape != (3, 2) or not (np.abs(sizes) <= COORDINATE).all():
-                raise ValueError(f"the figures of {given.name} are no pairs of numbers")
+                raise ValueError(f"the figures of {given.name} must be pairs of numbers")
             if sigma.min() < 0 or size.min() < 1 / COORDINATE:
                 raise ValueError(f"a sigma or a pixel of {given.name} is below zero")
             if (entry["registered"] or given.name) != plain_name(entry["registered"] or given.name):
@@ -403,17 +402,18 @@ def _dated(
 def _covariance(numbers: Mapping[str, Any]) -> Float64 | None:
     """Return the (n, n) covariance of the places of all images that their pairs tell; None without sigmas.
 
-    The unit is that of the sigmas of the pairs: what matters is how the errors hang together.
+    The unit is that of the sigmas of the pairs: only the correlations of the errors matter.
     """
     names = {entry["name"]: number for number, entry in enumerate(numbers["images"])}
+    least = MIN_EDGE_SIGMA_REDUNDANCY if numbers.get("block") is None else MIN_BLOCK_SIGMA_REDUNDANCY
     normal = np.zeros((len(names), len(names)))
     for pair in numbers["pairs"]:
         first, second = names.get(pair["reference"]), names.get(pair["target"])
         sigma, redundancy = pair.get("sigma_px"), pair.get("redundancy")
         if pair["status"] != "used" or first is None or second is None or not sigma or redundancy is None:
             continue
-        # what `robust.reliability` makes sigma of
-        own = max(float(sigma), 1 / COORDINATE) ** 2 / max(float(redundancy), LEAST_CHECKED)
+        # the variance of the observation itself, of which `robust.reliability` made the sigma
+        own = max(float(sigma), 1 / COORDINATE) ** 2 / max(float(redundancy), least)
         design = np.zeros(len(names))
         design[[first, second]] = -1.0, 1.0
         normal += np.outer(design, design) / own
@@ -460,7 +460,9 @@ def _series(name: str, images: Sequence[DatedImage], covariance: Float64 | None)
         covariance = _scaled(covariance[np.ix_(numbers, numbers)], sigma_px)
     model = analyse(years, np.array([image.shift_px for image in images]), sigma_px, covariance)
     sizes_m = [image.pixel_size_m for image in images if image.pixel_size_m]
-    terms = {kind: [each for each in model.found if each.term.kind == kind] for kind in ("drift", "season")}
+    steps, drifts, seasons = (
+        [each for each in model.found if each.term.kind == kind] for kind in ("step", "drift", "season")
+    )
     return ImageSeries(
         name=name,
         images=tuple(_watched(image, model, number) for number, image in enumerate(images)),
@@ -476,13 +478,10 @@ def _series(name: str, images: Sequence[DatedImage], covariance: Float64 | None)
                 size_px=float_pair(each.size_px[0]),
                 sigma_px=each.sigma_px,
             )
-            for each in model.found
-            if each.term.kind == "step"
+            for each in steps
         ),
-        drift=next(
-            (SeriesDrift(float_pair(each.size_px[0]), each.sigma_px) for each in terms["drift"]), None
-        ),
-        season=next((_season(each.size_px, each.sigma_px) for each in terms["season"]), None),
+        drift=next((SeriesDrift(float_pair(each.size_px[0]), each.sigma_px) for each in drifts), None),
+        season=next((_season(each.size_px, each.sigma_px) for each in seasons), None),
     )
 
 
@@ -531,7 +530,7 @@ def _write_corrected(
     out: OutputFolder,
     numbers: Mapping[str, Any],
     stack: Path,
-    infos: Sequence[Described],
+    infos: Sequence[RasterInfoOrError],
     series: Sequence[ImageSeries],
     apply: bool,
     on_event: EventCallback,
@@ -577,8 +576,9 @@ def _corrected_item(
     grid, error_px = _corrected_grid(info.grid, from_dict(entry["model"]))
     figures = {each: entry.get(each) for each in ("shift_px", "sigma_px")}
     figures |= {"quality": (entry.get("quality") or {}).get("grade"), "transform_error_px": error_px}
-    figures |= {} if known is None else {"series": known[0], "outlier": known[1].outlier}
-    figures |= {} if known is None else {"expected_px": known[1].expected_px}
+    if known is not None:
+        series, image = known
+        figures |= {"series": series, "outlier": image.outlier, "expected_px": image.expected_px}
 
     def referred_to(file: str | Path) -> str:
         return referred(os.fspath(file), out.final_path(COLLECTION))[0].removeprefix("/vsicurl/")
@@ -696,7 +696,7 @@ def findings(found: WatchNumbers) -> Iterator[str]:
     for series in found.series:
         if count := series.last_outliers:
             names = ", ".join(image.name for image in series.images[-count:])
-            yield f"{series.name}: at its end off what is expected, where a step may begin: {names}"
+            yield f"{series.name}: the last images deviate from the model: a step may begin there ({names})"
     for series in found.series:
         if series.outliers:
             names = ", ".join(f"{image.name} ({image.date})" for image in series.outliers)

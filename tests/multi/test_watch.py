@@ -20,9 +20,12 @@ import rasterio
 from fuzz.kept import SEEDS
 from fuzz.recipes import named
 from pcwlad_geo import InputError, SettingsError
+from pcwlad_geo.estimation.robust import reliability
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.multi.ground_motion import MAX_PACKED, _shown, region_velocity
-from pcwlad_geo.multi.watch import findings, watch
+from pcwlad_geo.multi.network import MIN_EDGE_SIGMA_REDUNDANCY
+from pcwlad_geo.multi.rpc_block import MIN_BLOCK_SIGMA_REDUNDANCY
+from pcwlad_geo.multi.watch import _covariance, findings, watch
 from tests.chromium import show
 from tests.cli.process import Result, run_cli
 from tests.multi.watched import FIRST, REGION, STEP_PX, make_images, make_stack, stepped
@@ -165,7 +168,7 @@ def test_the_last_dates_are_told_where_they_are_off(tmp_path: Path) -> None:
     found = watch(make_stack(tmp_path, images), out_dir=tmp_path / "out", require=["latest<1px"])
     assert found.passed is False
     assert found.series[0].last_outliers == 2
-    assert any("where a step may begin" in text for text in findings(found))
+    assert any("a step may begin there" in text for text in findings(found))
 
 
 @pytest.mark.usefixtures("text_alone")
@@ -182,6 +185,24 @@ def test_pixels_of_several_sizes_are_several_series(tmp_path: Path) -> None:
     (folder / "stack.json").write_text(json.dumps(numbers))
     found = watch(folder, out_dir=tmp_path / "again", require=["offset<9px"])
     assert (found.offsets, found.passed) == ((), False)
+
+
+@pytest.mark.parametrize(
+    ("block", "least"),
+    [(None, MIN_EDGE_SIGMA_REDUNDANCY), ({"model": "shift"}, MIN_BLOCK_SIGMA_REDUNDANCY)],
+    ids=["plain", "RPCs"],
+)
+def test_errors_correlate_by_the_own_variances_of_pairs(block: object, least: float) -> None:
+    own, redundancies = np.array([0.04, 0.01, 0.02]), np.array([0.03, 0.5, 0.003])
+    found = [reliability(v, v * (1 - r), True, least) for v, r in zip(own, redundancies, strict=True)]
+    ends = [("a", "b"), ("b", "c"), ("a", "c")]
+    pairs = [
+        {"reference": one, "target": other, "status": "used", "sigma_px": sigma, "redundancy": redundancy}
+        for (one, other), (sigma, redundancy) in zip(ends, found, strict=True)
+    ]
+    covariance = _covariance({"block": block, "images": [{"name": name} for name in "abc"], "pairs": pairs})
+    design = np.array([[-1.0, 1.0, 0.0], [0.0, -1.0, 1.0], [-1.0, 0.0, 1.0]])
+    np.testing.assert_allclose(covariance, np.linalg.pinv(design.T / own @ design), rtol=1e-6, atol=1e-9)
 
 
 def test_the_folder_of_the_stack_is_no_output_folder(tmp_path: Path) -> None:
