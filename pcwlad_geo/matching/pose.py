@@ -10,6 +10,7 @@ those, by the gradient, to where most of the whole image correlates.
 
 from __future__ import annotations
 
+import heapq
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -68,14 +69,14 @@ FINE_STEPS: Final = 3
 """Number of fine steps to a coarse one."""
 REACH_CELLS: Final = 3
 """Largest change of the shift by the finer steps."""
-IN_CACHE: Final = 2**16
-"""Number of scores that are computed together."""
+SCORES_PER_BATCH: Final = 2**16
+"""Largest number of scores computed together, to stay in the cache; those of one rotation may be more."""
 FRAME_PX: Final = 288
 """Longer side of the frame in which the patches of a pose are compared."""
 FRAME_MARGIN_PX: Final = 16
 """Margin of the target around that frame."""
-ROUNDS: Final = 2
-"""Number of times that patches are compared, each time from the similarity that they agreed on."""
+FRAME_ITERATIONS: Final = 2
+"""Largest number of times that patches are compared there, each time from the similarity they agreed on."""
 EVIDENCE_PER_RATIO: Final = 8.0
 """Evidence for a pose whose score is twice that of its best rival, see docs/accuracy.md."""
 EVIDENCE_PER_ASCENDED_RATIO: Final = 5.0
@@ -102,7 +103,7 @@ VOTE_TOLERANCE_PX: Final = 2.25
 """A patch agrees with an affine pose if its displacement is this close to it."""
 VOTE_SAMPLES: Final = 600
 """Number of affine poses that are tried, each of three patches."""
-CONSENSUS_ROUNDS: Final = 3
+CONSENSUS_REFITS: Final = 3
 """Number of times that the best of these is fitted again to the patches that agree with it."""
 STRETCH_LIMITS: Final = (0.55, 1.9)
 """Smallest and largest singular value of an affine change of a pose."""
@@ -114,14 +115,18 @@ STRETCHES: Final = ((1.0, 1, 0.0), (1.17, 4, 0.0), (1.4, 8, 0.5))
 """Ratios of the axes by which the smaller image is stretched, in how many directions, and the first of these,
 in steps; what these miss moves the border by less than two cells."""
 STRETCHED_SCALES: Final = (0.5, 2.0)
-"""Smallest and largest scale of these, target px per reference px."""
-COARSE: Final = (40, 8.0, 1.16)
-"""Cells, step of the rotations and of the scales of these."""
+"""Smallest and largest scale of a pose of a stretched image, target px per reference px."""
+STRETCHED_CELLS: Final = 40
+"""Longer side of the larger image, in cells of the correlation with a stretched one."""
+STRETCHED_ANGLE_STEP_DEG: Final = 8.0
+"""Step of the rotations of a stretched image."""
+STRETCHED_SCALE_STEP: Final = 1.16
+"""Ratio of one scale of a stretched image to the next."""
 LAYERS_PX: Final = (168.0, 336.0)
 """Sides of the images whose channels are averaged to the cells of stretched images and of ascents: of the
 true poses of 34 stretched pairs 24 are among the best four then, and 16 with the larger one alone."""
-ASCENDING: Final = 96
-"""Number of distinct poses, of those with stretched images, that ascend."""
+MAX_STRETCHED_POSES: Final = 96
+"""Largest number of distinct poses of a stretched image that ascend."""
 CLOSE_DISTANCE: Final = 0.05
 """Distance at which these are distinct, as `DISTINCT_DISTANCE`."""
 ASCENT_CELLS: Final = (56, 112)
@@ -134,31 +139,33 @@ LEAST_CORRELATION: Final = 0.03
 """The step of an ascent is what the gradient tells of equal images, over the correlation or this."""
 LEAST_GAIN: Final = 1e-3
 """Share of its score that an ascent must gain by a step to go on."""
-WORTH_CONFIRMING: Final = 0.5
+MIN_EVIDENCE_TO_CONFIRM: Final = 0.5
 """Least evidence of a pose that is looked at once more; that of the best ascended pose is less for 25 of 30
 unrelated pairs."""
-CONFIRMING: Final = (1.25, 4.0)
-"""Ratio of the correlation in place to that of the best other shift, above which it speaks for a pose, and
-the evidence by 1 above that; of the best ascended poses of 30 unrelated pairs it is 1.63 at most."""
-GROWN: Final = 3
-"""Number of the best poses that ascended, from which a sample of the patches votes, and votes again."""
+CONFIRMING_RATIO: Final = 1.25
+"""Ratio of the correlation in place to that of the best other shift, above which it speaks for a pose; of the
+best ascended poses of 30 unrelated pairs it is 1.63 at most."""
+EVIDENCE_PER_CONFIRMING_RATIO: Final = 4.0
+"""Evidence for a pose whose ratio is 1 above that."""
+SAMPLED_STARTS: Final = 3
+"""Number of the best ascended poses from which a sample of the patches votes until no more of it agree."""
 MIN_SAMPLED: Final = 7
 """Least number of patches of the sample that agree, so that all vote; of unrelated images 3 to 8 do."""
-WORTH_VOTES: Final = 1.0
-"""Evidence of such a pose from which all patches vote however few of the sample agree."""
-FULLY_GROWN: Final = 2
-"""Number of these poses from which all patches vote."""
-SAMPLED_PATCHES: Final = 2
-"""In the sample is every so-manieth patch along each axis."""
+MIN_EVIDENCE_FOR_ALL_PATCHES: Final = 1.0
+"""Least evidence of such a pose for all patches to vote however few of the sample agree."""
+FULL_STARTS: Final = 2
+"""Largest number of these poses, those with which most of the sample agree, from which all patches vote."""
+PATCH_STRIDE: Final = 2
+"""Every n-th patch along each axis is in the sample."""
 SIMILARITY_SHARE: Final = 0.85
-"""Least share of the patches of an affine pose with which a similarity is taken for it: of 60 pairs, most of
-whose true poses are similarities, 13 came nearer to the truth by more than 0.5 px; one went off by 3 px."""
-GROWTH_ROUNDS: Final = 5
-"""Largest number of times that patches vote, each time from the pose that they agreed on."""
+"""A similarity that keeps this share of the inliers of an affine pose replaces it: of 60 pairs, most of whose
+true poses are similarities, 13 came nearer to the truth by more than 0.5 px; one went off by 3 px."""
+CONSENSUS_ITERATIONS: Final = 5
+"""Largest number of times that patches vote again, each time from the pose that they agreed on."""
 AGREEING_BY_CHANCE: Final = 14.0
 """Number of these patches that agree in unrelated images (median of 63 pairs; the most were 24)."""
-PER_EVIDENCE: Final = 7.5
-"""Number of patches beyond it that are ten times as rare by chance."""
+PATCHES_PER_DECADE: Final = 7.5
+"""Number of further patches whose agreement makes chance ten times less probable."""
 
 _ROOT_2 = math.sqrt(2.0)
 _ANGLES = np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS
@@ -217,23 +224,23 @@ class _PoseTrial:
     """Whether the fixed image is turned by half."""
     shift_rc: tuple[int, int]
     """Shift (row, col) of the moving image, cells."""
-    cycle: int | None
-    """Size of the cycle that the shift is known in, cells; None where it is known."""
+    period: int | None
+    """Period modulo which the shift is known, cells; None if it is unambiguous."""
     stride: int
     """Steps to the next rotation and ratio that were tried."""
 
     @cached_property
     def matrix(self) -> Float64:
         """(3, 3) target px = matrix · reference px, array indices."""
-        row, col = self.shift_rc if self.cycle is None else map(self._nearest_cycle, (0, 1))
+        row, col = self.shift_rc if self.period is None else map(self._unwrapped, (0, 1))
         from_px = np.diag([-1.0, -1.0, 1.0]) @ self.fixed.from_px if self.opposite else self.fixed.from_px
         shift = _affine(np.eye(2), np.array([col, row], np.float64))
         found = inverse(from_px) @ shift @ self.moving.from_px
         return inverse(found) if self.scan.from_target else found
 
-    def _nearest_cycle(self, axis: int) -> int:
-        """Return the shift along an axis, of those that are one in the cycle, with the largest overlap."""
-        at, size = self.shift_rc[axis], self.cycle or 0
+    def _unwrapped(self, axis: int) -> int:
+        """Return the shift along an axis with the largest overlap, of those equal modulo the period."""
+        at, size = self.shift_rc[axis], self.period or 0
         moving, fixed = self.moving.shape[axis], self.fixed.shape[axis]
         first = 1 - fixed if self.opposite else 0
         shifts = (at - 2 * size, at - size, at)
@@ -303,13 +310,8 @@ class _PoseImage:
                 known = (_warped(usable, warp, (rows, cols)) > 0.5).astype(np.float32)
                 warped = np.stack([_warped(plane, warp, (rows, cols)) * known for plane in planes])
                 values.append(_turned(warped, angle_rad))
-            yield _Cells(
-                _spectra(np.concatenate(values), (size, size)),
-                _mask_spectrum(known, size),
-                (rows, cols),
-                float(known.sum()),
-                from_px,
-            )
+            spectra = _spectra(np.concatenate(values), (size, size))
+            yield _Cells(spectra, _mask_spectrum(known, size), (rows, cols), float(known.sum()), from_px)
 
     def averaged(
         self, side_cells: float, per_cell: Sequence[float]
@@ -364,15 +366,12 @@ class _Scan:
         """Try all rotations and ratios of the sizes; two equal sizes count for the reference as moving."""
         largest = self.fixed.side_px / self.moving.side_px
         limits = (1 / scales[1], 1 / scales[0]) if self.from_target else scales
-        steps = range(
-            int(self.from_target),
-            1 + math.ceil(math.log(max(largest / limits[0], 1.0)) / math.log(self.scale_step)),
-        )
-        ratios = [self.scale_step**-step for step in steps]
+        last = math.ceil(math.log(max(largest / limits[0], 1.0)) / math.log(self.scale_step))
+        ratios = [self.scale_step**-step for step in range(int(self.from_target), 1 + last)]
         ratios = [ratio for ratio in ratios if ratio * largest <= limits[1] * self.scale_step]
         ratios = [ratio for number, ratio in enumerate(ratios) if number % _stride(ratio) == 0]
         angles = np.radians(np.arange(0.0, 180.0, self.angle_step_deg)).tolist()
-        return list(self._trials(ratios, angles, both_halves=True))
+        return list(self._trials(ratios, angles))
 
     def around(self, trial: _PoseTrial) -> _PoseTrial:
         """Return the best of finer steps around a trial."""
@@ -380,22 +379,20 @@ class _Scan:
         angles = trial.angle_rad + np.radians(ANGLE_STEP_DEG) * steps
         ratios = trial.ratio * SCALE_STEP**steps
         fine = replace(self, cells=FINE_CELLS)
-        finer = fine._trials(ratios.tolist(), angles.tolist(), both_halves=False, near=trial.matrix)
+        finer = fine._trials(ratios.tolist(), angles.tolist(), trial.matrix)
         best = max(finer, key=lambda each: each.score, default=trial)
         return replace(best, score=math.sqrt(best.score * trial.score), scan=self)
 
     def _trials(
-        self,
-        ratios: Sequence[float],
-        angles: Sequence[float],
-        *,
-        both_halves: bool,
-        near: Float64 | None = None,
+        self, ratios: Sequence[float], angles: Sequence[float], near: Float64 | None = None
     ) -> Iterator[_PoseTrial]:
-        """Try rotations and ratios; a rotation and its opposite have conjugate spectra."""
+        """Try rotations and ratios, near a pose or anywhere, there with the opposite of each rotation too.
+
+        A rotation and its opposite have conjugate spectra.
+        """
         if not ratios:
             return
-        # Shifts of little overlap may meet others beyond the end: so the transform stays small.
+        # Only shifts of little overlap wrap around, so less padding suffices.
         side = self.fixed.canvas_side(self.cells)
         coarse = math.ceil(max(side, 1.6 * self.cells) / MASK_STEP)
         size = MASK_STEP * scipy.fft.next_fast_len(coarse, real=True)
@@ -407,17 +404,16 @@ class _Scan:
         for ratio, moving in self._moving(ratios, size):
             least = max(MIN_OVERLAP * min(fixed_area, moving.area), MIN_CELLS)
             stride = strides[ratio]
-            for opposite in (False, True) if both_halves else (False,):
+            for opposite in (False, True) if near is None else (False,):
                 for angle, fixed, score, highest in chosen[stride].scores(moving, opposite, size, least):
                     shift_rc = divmod(highest, size)
                     if near is not None:
                         shift_rc = _highest(score, self._expected(moving, fixed, near))
                     best = float(score[shift_rc[0] % size, shift_rc[1] % size])
-                    turned = angle + np.pi * opposite
-                    cycle = size if near is None else None
+                    turned, period = angle + np.pi * opposite, size if near is None else None
                     if best > 0:
                         yield _PoseTrial(
-                            best, turned, ratio, self, moving, fixed, opposite, shift_rc, cycle, stride
+                            best, turned, ratio, self, moving, fixed, opposite, shift_rc, period, stride
                         )
 
     def _moving(self, ratios: Sequence[float], size: int) -> Iterator[tuple[float, _Cells]]:
@@ -476,34 +472,35 @@ def search_pose(
     if not coarse:
         return None
     patches = _OverlappingPatches(first, second)
-    grown = _grown(patches, [PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)], scales)
-    if grown is not None:
-        return _confirmed(first, second, grown)
+    best_coarse = PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)
+    voted = _affine_by_patches(patches, [best_coarse], scales)
+    if voted is not None:
+        return _confirmed(first, second, voted)
     similarity = _best_similarity(first, second, coarse)
     if similarity.accepted or not stretched:
         return _confirmed(first, second, similarity)
     starts = [trial.matrix for trial in coarse] + _stretched(first, second, scales)
     ascended = _ascended(first, second, starts)
-    grown = _grown(patches, ascended[:GROWN], scales)
-    if grown is not None:
-        return _confirmed(first, second, grown)
+    voted = _affine_by_patches(patches, ascended[:SAMPLED_STARTS], scales)
+    if voted is not None:
+        return _confirmed(first, second, voted)
     affine = [each for each in ascended[:1] if _is_within(each.scale, scales)]
-    looked_at = [_confirmed(first, second, each) for each in (similarity, *affine)]
-    best = max(looked_at, key=lambda each: each.evidence)
+    checked = [_confirmed(first, second, each) for each in (similarity, *affine)]
+    best = max(checked, key=lambda each: each.evidence)
     return _Frame(first, second, best).moved_to_consensus(best) if best.accepted else similarity
 
 
 def _best_similarity(first: _PoseImage, second: _PoseImage, coarse: Sequence[_PoseTrial]) -> PoseProposal:
     """Return the best of the similarities around those of the coarse search, and how it stands out."""
-    shape = first.values.shape
-    ranked = _distinct((trial.scan.around(trial) for trial in coarse), shape)
+    ranked = _distinct((trial.scan.around(trial) for trial in coarse), first.values.shape)
     best, rival = ranked[0], ranked[1].score if len(ranked) > 1 else 0.0
-    proposal = PoseProposal(best.matrix[:2], best.score, _standing_out(best.score, rival, EVIDENCE_PER_RATIO))
+    evidence = _evidence_of_ratio(best.score, rival, EVIDENCE_PER_RATIO)
+    proposal = PoseProposal(best.matrix[:2], best.score, evidence)
     return _Frame(first, second, proposal).moved_to_consensus(proposal)
 
 
-def _standing_out(score: float, rival: float, per_ratio: float) -> float:
-    """Return the evidence of a score that stands out of a rival's."""
+def _evidence_of_ratio(score: float, rival: float, per_ratio: float) -> float:
+    """Return the evidence for a pose that the ratio of its score to that of its best rival gives."""
     return min(per_ratio * (score / rival - 1), MAX_EVIDENCE) if rival > 0 else MAX_EVIDENCE
 
 
@@ -512,24 +509,35 @@ def mean_distance_px(first: Float64, second: Float64, shape: tuple[int, ...]) ->
 
     The affine `first` and `second`, (2, 3) or (3, 3), are of px (col, row).
     """
+    return float(np.hypot(*((first - second)[:2] @ _lattice(shape))).mean())
+
+
+def _lattice(shape: tuple[int, ...]) -> Float64:
+    """Return (3, 81) places (col, row, 1) that are spread evenly over an image."""
     row, col = np.mgrid[0 : shape[0] : 9j, 0 : shape[1] : 9j]
-    places = np.stack([col.ravel(), row.ravel(), np.ones(row.size)])
-    return float(np.hypot(*((first - second)[:2] @ places)).mean())
+    return np.stack([col.ravel(), row.ravel(), np.ones(row.size)])
 
 
-def _distinct(trials: Iterable[_PoseTrial], shape: tuple[int, ...]) -> list[_PoseTrial]:
-    """Return the best trials that differ, the best first."""
+def _distinct(
+    trials: Iterable[_PoseTrial],
+    shape: tuple[int, ...],
+    wanted: int = REFINED,
+    least: float = DISTINCT_DISTANCE,
+) -> list[_PoseTrial]:
+    """Return the best trials that differ, the best first; see `_first_distinct`."""
     ranked = sorted(trials, key=lambda each: -each.score)
-    chosen = _first_distinct((trial.matrix for trial in ranked), shape, REFINED, DISTINCT_DISTANCE)
+    chosen = _first_distinct((trial.matrix for trial in ranked), shape, wanted, least)
     return [ranked[index] for index in chosen]
 
 
 def _first_distinct(poses: Iterable[Float64], shape: tuple[int, ...], wanted: int, least: float) -> list[int]:
-    """Return the indices of so many poses, at least this share of the longer side from those before them."""
-    row, col = np.mgrid[0 : shape[0] : 9j, 0 : shape[1] : 9j]
-    places = np.stack([col.ravel(), row.ravel(), np.ones(row.size)])
+    """Return the indices of the first `wanted` poses that are distinct from all chosen before them.
+
+    Two are if they place an image `least`, a share of its longer side, apart on average.
+    """
+    places = _lattice(shape)
     chosen: list[int] = []
-    placed = np.empty((0, 2, row.size))
+    placed = np.empty((0, 2, places.shape[1]))
     for index, pose in enumerate(poses):
         here = (pose[:2] @ places)[None]
         away = np.hypot(*np.moveaxis(placed - here, 1, 0)).mean(axis=1)
@@ -556,9 +564,8 @@ class _Rotations:
     def of(rotated: Sequence[tuple[float, _Cells]]) -> _Rotations:
         """Return these angles, radians, and images."""
         angles, cells = zip(*rotated, strict=True)
-        return _Rotations(
-            angles, cells, np.stack([each.spectra for each in cells]), np.stack([each.mask for each in cells])
-        )
+        spectra, masks = np.stack([each.spectra for each in cells]), np.stack([each.mask for each in cells])
+        return _Rotations(angles, cells, spectra, masks)
 
     def scores(
         self, moving: _Cells, opposite: bool, size: int, least: float
@@ -569,7 +576,7 @@ class _Rotations:
         """
         masks = cross_spectra(moving.mask, self.masks, opposite=opposite)
         overlaps = scipy.fft.irfft2(masks, [size // MASK_STEP] * 2, overwrite_x=True) / MASK_STEP**2
-        some = max(1, IN_CACHE // size**2)
+        some = max(1, SCORES_PER_BATCH // size**2)
         for start in range(0, len(self.cells), some):
             part = slice(start, start + some)
             spectra = cross_spectra(moving.spectra, self.spectra[part], opposite=opposite)
@@ -596,8 +603,7 @@ def _mask_spectrum(known: Float32, size: int) -> Float32:
     """Transform a mask summed over blocks, for a count of the overlap that may be coarse."""
     padded = np.zeros((size, size), np.float32)
     padded[: known.shape[0], : known.shape[1]] = known
-    blocks = padded.reshape((size // MASK_STEP, MASK_STEP) * 2)
-    summed = blocks.sum(axis=(1, 3))
+    summed = padded.reshape((size // MASK_STEP, MASK_STEP) * 2).sum(axis=(1, 3))
     return _spectra(summed[None], summed.shape)
 
 
@@ -619,7 +625,7 @@ class _Votes:
     @property
     def evidence(self) -> float:
         """-log10 of the probability, as measured, that as many patches of unrelated images agree."""
-        return max(0.0, min((self.agreeing - AGREEING_BY_CHANCE) / PER_EVIDENCE, MAX_EVIDENCE))
+        return max(0.0, min((self.agreeing - AGREEING_BY_CHANCE) / PATCHES_PER_DECADE, MAX_EVIDENCE))
 
 
 class _OverlappingPatches:
@@ -632,7 +638,7 @@ class _OverlappingPatches:
         self._target = target
         rows, cols = (range(0, n - PATCH_PX + 1, PATCH_STEP_PX) for n in usable.shape)
         self._corners = [
-            (row, col, not (i % SAMPLED_PATCHES or j % SAMPLED_PATCHES))
+            (row, col, not (i % PATCH_STRIDE or j % PATCH_STRIDE))
             for i, row in enumerate(rows)
             for j, col in enumerate(cols)
             if usable[row : row + PATCH_PX, col : col + PATCH_PX].mean() >= PATCH_VALID
@@ -699,9 +705,9 @@ def _consensus(middles: Float64, displacements: Float64, distinct: Float64) -> _
     The distinct ones are drawn more often.
     """
     n, moved = len(middles), middles + displacements
-    nobody = _Votes(np.eye(3), np.zeros(n, bool), 0.0)
+    no_consensus = _Votes(np.eye(3), np.zeros(n, bool), 0.0)
     if n < MIN_PATCHES:
-        return nobody
+        return no_consensus
     weights = np.clip(distinct, 0, 1) + 0.02
     # three different ones a sample, by the exponential race of their weights
     race = np.random.default_rng(0).exponential(size=(VOTE_SAMPLES, n)) / weights
@@ -711,30 +717,30 @@ def _consensus(middles: Float64, displacements: Float64, distinct: Float64) -> _
     changes = solve(places[drawn], moved[drawn])
     changes = changes[_is_plausible(changes[:, :2])]
     if not len(changes):
-        return nobody
+        return no_consensus
     near = np.hypot(*np.moveaxis(places @ changes - moved, -1, 0)) <= VOTE_TOLERANCE_PX
     agrees = near[int(near.sum(axis=1).argmax())]
-    for _ in range(CONSENSUS_ROUNDS):
+    for _ in range(CONSENSUS_REFITS):
         change = least_squares(places[agrees], moved[agrees])
         off = np.hypot(*(places @ change - moved).T)
         if np.count_nonzero(off <= VOTE_TOLERANCE_PX) < 3:
             break
         agrees = off <= VOTE_TOLERANCE_PX
     if not _is_plausible(change[None, :2])[0]:
-        return nobody
+        return no_consensus
     return _Votes(_affine(change[:2].T, change[2]), agrees, float(np.percentile(off[agrees], 95)))
 
 
 def _as_similarity(
     affine: Float64, reference_px: Float64, target_px: Float64, agrees: Bool, tolerance_px: float
 ) -> Float64:
-    """Return the similarity with which nearly as many of n patches agree as with an affine pose, or that.
+    """Return a similarity if it keeps at least 85 % of the inliers of an affine pose, otherwise that pose.
 
     Patches in one part of an image tell two scales badly, and what follows from them elsewhere is far off.
     The poses are (3, 3), the positions (n, 2) (col, row), and `agrees` (n,) are those of the affine pose.
     """
     near = agrees
-    for _ in range(CONSENSUS_ROUNDS):
+    for _ in range(CONSENSUS_REFITS):
         similarity = similarity_between(reference_px[near], target_px[near])
         near = np.hypot(*(mapped(similarity, reference_px) - target_px).T) <= tolerance_px
         if np.count_nonzero(near) < SIMILARITY_SHARE * np.count_nonzero(agrees):
@@ -756,23 +762,24 @@ def _is_plausible(linear: Float64) -> Bool:
     return np.asarray(within & (np.linalg.det(linear) > 0))
 
 
-def _grown(
+def _affine_by_patches(
     patches: _OverlappingPatches, starts: Sequence[PoseProposal], scales: tuple[float, float]
 ) -> PoseProposal | None:
-    """Let affine poses grow from others, whose evidence counts; None where patches add too little to it.
+    """Return the affine pose on which patches agree from one of several starts, whose evidence is added.
 
-    A sample of the patches tells which are worth trying. What grows beyond the `scales` is left out.
+    A sample of the patches tells which starts are worth trying. It is None if the patches add too little
+    evidence, or the scale is not within `scales`.
     """
 
     def sampled(start: PoseProposal) -> tuple[_Votes, Float64, PoseProposal]:
         pose = _affine(start.matrix[:, :2], start.matrix[:, 2])
-        return *_climbed(patches, *patches.vote(pose, sample=True), sample=True), start
+        return *_iterated_consensus(patches, *patches.vote(pose, sample=True), sample=True), start
 
     tries = sorted(map(sampled, starts), key=lambda each: -each[0].agreeing)
-    for few, pose, start in tries[:FULLY_GROWN]:
-        if few.agreeing < MIN_SAMPLED and start.evidence < WORTH_VOTES:
+    for few, pose, start in tries[:FULL_STARTS]:
+        if few.agreeing < MIN_SAMPLED and start.evidence < MIN_EVIDENCE_FOR_ALL_PATCHES:
             continue
-        votes, pose = _climbed(patches, *patches.vote(pose), sample=False)
+        votes, pose = _iterated_consensus(patches, *patches.vote(pose), sample=False)
         own_evidence = votes.evidence - math.log10(len(starts))  # of several starts one agrees by chance
         evidence = min(start.evidence + own_evidence, MAX_EVIDENCE)
         if own_evidence > 0 and evidence >= MIN_EVIDENCE and _is_within(_scale_of(pose), scales):
@@ -781,15 +788,15 @@ def _grown(
     return None
 
 
-def _climbed(
+def _iterated_consensus(
     patches: _OverlappingPatches, votes: _Votes, pose: Float64, *, sample: bool
 ) -> tuple[_Votes, Float64]:
     """Let patches vote again from the (3, 3) pose that they agreed on, until no more agree."""
-    for _ in range(GROWTH_ROUNDS):
-        again, moved = patches.vote(pose, sample=sample)
-        if again.agreeing <= votes.agreeing:
+    for _ in range(CONSENSUS_ITERATIONS):
+        newer, moved = patches.vote(pose, sample=sample)
+        if newer.agreeing <= votes.agreeing:
             break
-        votes, pose = again, moved
+        votes, pose = newer, moved
     return votes, pose
 
 
@@ -800,18 +807,13 @@ def _stretched(reference: _PoseImage, target: _PoseImage, scales: tuple[float, f
     stretches = tuple(
         _rotation(along) @ np.diag([ratio**0.5, ratio**-0.5]) @ _rotation(along).T for ratio, along in turns
     )
-    per_cell = tuple(side / COARSE[0] for side in LAYERS_PX)
-    scans = [
-        _Scan(*images, *COARSE, stretches, per_cell)
-        for images in ((reference, target, False), (target, reference, True))
-    ]
-    trials = sorted(
-        itertools.chain(*(scan.everywhere(limits) for scan in scans)), key=lambda each: -each.score
-    )
-    poses = [trial.matrix for trial in trials[: 8 * ASCENDING]]
-    return [
-        poses[index] for index in _first_distinct(poses, reference.values.shape, ASCENDING, CLOSE_DISTANCE)
-    ]
+    per_cell = tuple(side / STRETCHED_CELLS for side in LAYERS_PX)
+    how = STRETCHED_CELLS, STRETCHED_ANGLE_STEP_DEG, STRETCHED_SCALE_STEP, stretches, per_cell
+    scans = _Scan(reference, target, False, *how), _Scan(target, reference, True, *how)
+    trials = itertools.chain(*(scan.everywhere(limits) for scan in scans))
+    best = heapq.nlargest(8 * MAX_STRETCHED_POSES, trials, key=lambda each: each.score)
+    distinct = _distinct(best, reference.values.shape, MAX_STRETCHED_POSES, CLOSE_DISTANCE)
+    return [trial.matrix for trial in distinct]
 
 
 def _ascended(reference: _PoseImage, target: _PoseImage, poses: Sequence[Float64]) -> list[PoseProposal]:
@@ -819,13 +821,13 @@ def _ascended(reference: _PoseImage, target: _PoseImage, poses: Sequence[Float64
     for cells in ASCENT_CELLS:
         ascent = _Ascent(reference, target, cells)
         found = sorted(map(ascent.from_pose, poses), key=lambda each: -each[0])
-        poses = [pose for _, pose in found]
-        chosen = _first_distinct(poses, reference.values.shape, REFINED, DISTINCT_DISTANCE)
-        poses = [poses[index] for index in chosen]
-    best = [found[index] for index in chosen]
+        ranked = (pose for _, pose in found)
+        chosen = _first_distinct(ranked, reference.values.shape, REFINED, DISTINCT_DISTANCE)
+        best = [found[index] for index in chosen]
+        poses = [pose for _, pose in best]
     evidence = [0.0] * len(best)
     if len(best) > 1:
-        evidence[0] = _standing_out(best[0][0], best[1][0], EVIDENCE_PER_ASCENDED_RATIO)
+        evidence[0] = _evidence_of_ratio(best[0][0], best[1][0], EVIDENCE_PER_ASCENDED_RATIO)
     return [PoseProposal(pose[:2], score, own) for (score, pose), own in zip(best, evidence, strict=True)]
 
 
@@ -846,9 +848,8 @@ class _Ascent:
         self._per_cell = tuple(side / cells for side in LAYERS_PX)
         self._target, self._per_px, self._levels = target, per_px, dict[int, list[tuple[Float32, Float64]]]()
         self._known = np.ones(self._shape, np.float32)
-        self._planes, self._known = self._placed_layers(
-            _packed(reference, cells, self._per_cell), np.eye(3), 0.0
-        )
+        layers = _packed(reference, cells, self._per_cell)
+        self._planes, self._known = self._placed_layers(layers, np.eye(3), 0.0)
         self._least = max(MIN_OVERLAP * float(self._known.sum()), MIN_CELLS)
         half = max(rows, cols) / 2
         self._unit = _affine(np.eye(2) / half, -middle / half)
@@ -925,7 +926,7 @@ def _packed(image: _PoseImage, side_cells: float, per_cell: Sequence[float]) -> 
 
 def _confirmed(reference: _PoseImage, target: _PoseImage, proposal: PoseProposal) -> PoseProposal:
     """Return a proposal with what the correlation in a frame adds, if that may make a difference."""
-    if not WORTH_CONFIRMING <= proposal.evidence < MAX_EVIDENCE:
+    if not MIN_EVIDENCE_TO_CONFIRM <= proposal.evidence < MAX_EVIDENCE:
         return proposal
     return _Frame(reference, target, proposal).confirmed(proposal)
 
@@ -943,17 +944,15 @@ class _Frame:
         """Compare patches of both, the target warped by a proposal, and move that to where they agree."""
         margin = np.array([FRAME_MARGIN_PX, FRAME_MARGIN_PX])
         best = proposal
-        for _ in range(ROUNDS):
+        for _ in range(FRAME_ITERATIONS):
             warp, placed = self._placed(best.matrix)
             patches = Patches.matched(self._channels, placed, margin)
             if patches.agreeing <= best.agreeing:
                 break
             step, left_px = patches.similarity()
             matrix = (inverse(self._target[2]) @ warp @ step @ self._to_frame)[:2]
-            spread_px = left_px / self._factor
-            best = replace(
-                best, matrix=matrix, patches=patches.count, agreeing=patches.agreeing, spread_px=spread_px
-            )
+            counts = patches.count, patches.agreeing
+            best = PoseProposal(matrix, best.score, best.evidence, *counts, left_px / self._factor)
         return best
 
     def confirmed(self, proposal: PoseProposal) -> PoseProposal:
@@ -965,7 +964,7 @@ class _Frame:
         _, (channels, usable) = self._placed(proposal.matrix)
         inside = np.s_[FRAME_MARGIN_PX:-FRAME_MARGIN_PX, FRAME_MARGIN_PX:-FRAME_MARGIN_PX]
         ratio = ratio_in_place(self._channels, (channels[inside], usable[inside]))
-        both = proposal.evidence + max(0.0, CONFIRMING[1] * (ratio - CONFIRMING[0]))
+        both = proposal.evidence + max(0.0, EVIDENCE_PER_CONFIRMING_RATIO * (ratio - CONFIRMING_RATIO))
         evidence = min(both - math.log10(1 + both * math.log(10)), MAX_EVIDENCE)
         return replace(proposal, evidence=max(proposal.evidence, evidence))
 

@@ -113,10 +113,10 @@ WINDOWS_ACROSS: Final = 1.6
 CHOSEN_ACROSS: Final = 3
 """An overlap narrower than this many of the largest window keeps the first: near edges a window sees to one
 side only, and of a small image most is near edges."""
-MIN_BEND_PX: Final = 1.0
-"""Points tell of a perspective if it moves one of them by more than this beside an affine pose, px."""
-TILTED_SHARE: Final = 0.9
-"""Largest share of the mean squared error of an affine pose that it may leave."""
+MIN_PERSPECTIVE_PX: Final = 1.0
+"""A homography is taken only if it differs from its best affine fit by more than this at some point, px."""
+HOMOGRAPHY_ERROR_RATIO: Final = 0.9
+"""A homography is taken only if its mean squared error is less than this share of an affine pose's."""
 STILL_PX: Final = 0.1
 """Mean movement of the target by a new pose below which it is not matched again, px."""
 SMALLER_WINDOWS: Final = (0.56, 0.75)
@@ -223,24 +223,26 @@ def match_scene(
     radius_px, evidence = prealignment.search_radius_px, prealignment.net_evidence
     verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=evidence)
     kept, verdict, epipolar = _by_geometry(matches, kept, verdict, pair, prealignment, settings, matching)
-    window_px, jitter, other, scales = matching.window, 0.0, None, None
+    window_px, jitter, other_motion, scales = matching.window, 0.0, None, None
     motions: Sequence[tuple[Motion, Bool]] = ()
     if verdict.accepted:
         with log.stage("refining"):
-            again = _second_pass(first, matches, kept, matching, not planned.sites, log, runner)
-            scales, jitter, other = again.scales, again.jitter_px, again.other
+            second = _second_pass(first, matches, kept, matching, not planned.sites, log, runner)
+            scales, jitter, other_motion = second.scales, second.jitter_px, second.other_motion
             window_px = scales.window_px
             chosen = replace(matching, window=window_px)
-            matches, kept, checked = _checked(again, matches, chosen, epipolar)
+            matches, kept, checked = _checked(second, matches, chosen, epipolar)
         first = first.without(checked.lost_of[checked.lost_of >= 0])
-        counts = {**_sum_counts(first.results), "second_try": int(checked.again.sum())}
-        if again.incomplete:  # do the others suffice?
+        counts = {**_sum_counts(first.results), "second_try": int(checked.recovered.sum())}
+        if second.incomplete:  # do the others suffice?
             found = kept[: len(first.matches)]
             verdict = judge(first.matches, found, counts, matching.window, radius_px, evidence=evidence)
     offset_px = np.asarray(pair.offset_px, dtype=np.float64)
     if verdict.accepted and not epipolar:
         motions = motions_of(matches, kept, offset_px, matching.window, radius_px)
-    moved = patches(matches, kept, other, offset_px, matching.window) if other and not epipolar else ()
+    moved: Sequence[Motion] = ()
+    if other_motion and not epipolar:
+        moved = patches(matches, kept, other_motion, offset_px, matching.window)
     counts["inconsistent"] = int((~kept).sum())
     counts["tie_points"] = int(kept.sum())
     record = record_matching(
@@ -278,12 +280,10 @@ def _by_geometry(
     """
     window_px = matching.window
     frames = pair.reference.info.grid.crs is None and not (pair.georeferenced and prealignment.pose is None)
-    if settings.geometry == "auto":
-        open_to_both = frames and verdict.accepted
-        evidence = parallax_evidence(matches, kept, window_px) if open_to_both else 0.0
-        if evidence < MIN_SIGNIFICANCE:
-            return kept, verdict, False
-    elif settings.geometry == "planar":
+    by_lines = settings.geometry == "epipolar"
+    if settings.geometry == "auto" and frames and verdict.accepted:
+        by_lines = parallax_evidence(matches, kept, window_px) >= MIN_SIGNIFICANCE
+    if not by_lines:
         return kept, verdict, False
     found = on_their_lines(matches)
     significance = (
@@ -319,13 +319,13 @@ class _SecondPass:
     """What the second pass gave, not yet checked."""
 
     points: TiePoints
-    """The consistent matches as it left them, then candidates that it saved by a second try."""
+    """The consistent matches as it left them, then candidates that it recovered by a second try."""
     match_of: Index
     """(n,) the match of the first pass that each is; -1 for candidates that had none."""
     lost_of: Index
     """(n,) the lost candidate of the first pass that each is; -1 for matches."""
-    again: Bool
-    """(n,) whether each was saved."""
+    recovered: Bool
+    """(n,) whether each was recovered."""
     surface: Surface | None
     shared_variance_px2: float
     incomplete: bool
@@ -336,12 +336,12 @@ class _SecondPass:
     """Variance per axis that the differences of windows tell, where enough points do."""
     jitter_px: float
     """See `Matched`."""
-    other: tuple[Float64, Bool] | None
+    other_motion: tuple[Float64, Bool] | None
     """See `judge.other_displacement`; None where too few points lie at it."""
 
     def part(self, some: Bool) -> _SecondPass:
         """Return those of the (n,) mask."""
-        which = {name: getattr(self, name)[some] for name in ("points", "match_of", "lost_of", "again")}
+        which = {name: getattr(self, name)[some] for name in ("points", "match_of", "lost_of", "recovered")}
         return replace(self, **which)
 
 
@@ -357,22 +357,22 @@ class _Retried:
 
 
 def _checked(
-    again: _SecondPass, matches: TiePoints, matching: MatchSettings, epipolar: bool
+    second: _SecondPass, matches: TiePoints, matching: MatchSettings, epipolar: bool
 ) -> tuple[TiePoints, Bool, _SecondPass]:
     """Check and calibrate what the second pass gave.
 
-    Return the matches given, then the lost candidates that were saved, rejected ones where the first pass put
-    them, with their formal covariance; the (n,) mask of those that are kept; and the pass of these alone.
+    Return the matches given, then the recovered candidates, rejected ones where the first pass put them, with
+    their formal covariance; the (n,) mask of those that are kept; and the pass of these alone.
     """
-    points = again.points
-    again = again.part(on_their_lines(points) if epipolar else consistent_points(points, matching))
+    points = second.points
+    second = second.part(on_their_lines(points) if epipolar else consistent_points(points, matching))
     good = calibrate(
-        again.points, again.surface, again.shared_variance_px2, matching, again.window_variance_px2
+        second.points, second.surface, second.shared_variance_px2, matching, second.window_variance_px2
     )
-    old = again.match_of >= 0
+    old = second.match_of >= 0
     target, covariance = matches.target_xy_px.copy(), matches.covariance_px2.copy()
     forward_backward = matches.forward_backward_px.copy()
-    index = again.match_of[old]
+    index = second.match_of[old]
     target[index], covariance[index] = good.target_xy_px[old], good.covariance_px2[old]
     forward_backward[index] = good.forward_backward_px[old]
     moved = replace(
@@ -380,7 +380,7 @@ def _checked(
     )
     kept = np.zeros(len(matches) + np.count_nonzero(~old), bool)
     kept[index], kept[len(matches) :] = True, True
-    return TiePoints.concatenate([moved, good[~old]]), kept, again
+    return TiePoints.concatenate([moved, good[~old]]), kept, second
 
 
 def _second_pass(
@@ -388,7 +388,7 @@ def _second_pass(
     matches: TiePoints,
     kept: Bool,
     matching: MatchSettings,
-    saves: bool,
+    retry: bool,
     log: JobLog,
     runner: Runner,
 ) -> _SecondPass:
@@ -396,21 +396,21 @@ def _second_pass(
     index, predict_there = np.flatnonzero(kept), partial(_predict_on, runner, log.on_event)
     points, tile_of = matches[index], first.tile_of[index]
     guide = guide_by_field(points, matching, predict_there, runner.threads)
-    other = other_displacement(matches, kept)
-    other_px = None if other is None else other[0]
+    other_motion = other_displacement(matches, kept)
+    other_px = None if other_motion is None else other_motion[0]
     scales, errors, jitter, displaced = _scales(first, points, tile_of, guide, other_px, log, runner)
-    tries = _tries(first, matches, kept, guide, matching, predict_there) if saves else None
+    retried = _retry_candidates(first, matches, kept, guide, matching, predict_there) if retry else None
     # points of which nothing is new to say need no visit
-    again = matched_again(guide, matching) | (scales != Scales.of(matching.window))
-    visited = tile_of[again] if tries is None else np.concatenate([tile_of[again], tries.tile_of])
-    tiles = np.unique(visited)
-    parts = [np.flatnonzero(again & (tile_of == tile)) for tile in tiles]
-    others = [np.flatnonzero(tries.tile_of == tile) if tries else np.zeros(0, np.intp) for tile in tiles]
+    rematched = matched_again(guide, matching) | (scales != Scales.of(matching.window))
+    visited = tile_of[rematched] if retried is None else np.concatenate([tile_of[rematched], retried.tile_of])
+    tiles, nothing = np.unique(visited), np.zeros(0, np.intp)
+    parts = [np.flatnonzero(rematched & (tile_of == tile)) for tile in tiles]
+    retries = [np.flatnonzero(retried.tile_of == tile) if retried else nothing for tile in tiles]
+    jobs, workers = [first.jobs[tile] for tile in tiles], [first.workers[tile] for tile in tiles]
     calls = [
-        (first.jobs[tile], points[part], guide.part(part), scales, tries.lost.part(other) if tries else None)
-        for tile, part, other in zip(tiles, parts, others, strict=True)
+        (job, points[part], guide.part(part), scales, retried.lost.part(lost) if retried else None)
+        for job, part, lost in zip(jobs, parts, retries, strict=True)
     ]
-    workers = [first.workers[tile] for tile in tiles]
     results = runner.run(rematch_tile, calls, "refining", log.on_event, workers).results if calls else []
     _warn_of_failures(results, log)
     target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
@@ -419,26 +419,25 @@ def _second_pass(
         target[part], covariance[part] = result.points.target_xy_px, result.points.covariance_px2
         unread[part] = result.status == "failed"
     moved = replace(points, target_xy_px=target, covariance_px2=covariance)
-    found = [other[result.saved_from] for other, result in zip(others, results, strict=True)]
-    saved = np.concatenate([np.zeros(0, np.intp), *found])
-    nothing = np.zeros(0, np.intp)
+    found = [lost[result.saved_from] for lost, result in zip(retries, results, strict=True)]
+    recovered = np.concatenate([nothing, *found])
     joined = _SecondPass(
         points=TiePoints.concatenate([moved, *(result.saved for result in results)]),
-        match_of=np.concatenate([index, tries.match_of[saved] if tries else nothing]),
-        lost_of=np.concatenate([np.full(len(index), -1), tries.lost_of[saved] if tries else nothing]),
-        again=np.repeat([False, True], [len(index), len(saved)]),
+        match_of=np.concatenate([index, retried.match_of[recovered] if retried else nothing]),
+        lost_of=np.concatenate([np.full(len(index), -1), retried.lost_of[recovered] if retried else nothing]),
+        recovered=np.repeat([False, True], [len(index), len(recovered)]),
         surface=guide.surface,
         shared_variance_px2=guide.shared_variance_px2,
         incomplete=bool(unread.any()),
         scales=scales,
         window_variance_px2=None if errors is None else errors.variance_px2(scales),
         jitter_px=jitter,
-        other=other if displaced >= DISPLACED_SHARE else None,
+        other_motion=other_motion if displaced >= DISPLACED_SHARE else None,
     )
-    return joined.part(~np.concatenate([unread, np.zeros(len(saved), bool)]))
+    return joined.part(~np.concatenate([unread, np.zeros(len(recovered), bool)]))
 
 
-def _tries(
+def _retry_candidates(
     first: _FirstPass,
     matches: TiePoints,
     kept: Bool,
@@ -446,7 +445,7 @@ def _tries(
     matching: MatchSettings,
     predict_there: Predictor,
 ) -> _Retried | None:
-    """Return what is tried once more; None where the neighbours cannot tell where to."""
+    """Return what is matched once more; None if the neighbours cannot predict where it lies."""
     if np.count_nonzero(kept) < MIN_FOR_FIELD or not can_try_again(matching):
         return None
     candidates, off = first.lost, np.flatnonzero(~kept)
@@ -621,7 +620,7 @@ def match_from_best_start(
         if result.verdict.accepted and prealignment.pose is not None:
             result, start = _match_again_in_pose(result, start, settings, log, runner)
         if result.verdict.accepted:
-            result = _of_the_ground(result, start, settings, log, runner)
+            result = _select_ground_motion(result, start, settings, log, runner)
             if result.verdict.accepted:
                 _warn_of_georeferencing(pair, result.prealignment, log)
             return result, start.pair
@@ -670,13 +669,13 @@ def _match_again_in_pose(
     """Match a target again in the pose that the tie points tell, until that no longer moves.
 
     The first pose is only as good as the search: in it the windows are turned and scaled by some percent, and
-    it knows no perspective. One of doubtful evidence has to be accepted once more: of the pose set all right
-    ones are; a wall and a path, in an image beside itself upside down, were accepted the first time alone.
+    it knows no perspective. A pose of doubtful evidence has to pass twice: all correct ones of the
+    pose set do; a false one, of a wall and a path in an image beside its mirror image, passed only once.
     """
     for number in range(3):
         points = matched.matches[matched.kept]
         pair, rows_cols = start.pair, start.pair.reference.grid.shape
-        matrix = pose_that_points_tell(points, frames=pair.reference.info.grid.crs is None)
+        matrix = pose_from_points(points, frames=pair.reference.info.grid.crs is None)
         as_it_is = np.eye(3)
         as_it_is[:2, 2] = pair.offset_px
         try:
@@ -694,10 +693,10 @@ def _match_again_in_pose(
     return matched, start
 
 
-def pose_that_points_tell(points: TiePoints, *, frames: bool) -> Float64:
-    """Return the (3, 3) matrix of least squares from reference to target px that points tell.
+def pose_from_points(points: TiePoints, *, frames: bool) -> Float64:
+    """Return the (3, 3) matrix from reference to target px that fits points by least squares.
 
-    It is a homography where both are frames, many points tell, and an affine one leaves more.
+    It is a homography if both are frames, the points are many, and it fits them better than an affine pose.
     """
     here, there = points.reference_xy_px, points.target_xy_px
     matrix = np.eye(3)
@@ -706,19 +705,19 @@ def pose_that_points_tell(points: TiePoints, *, frames: bool) -> Float64:
         return matrix
     middle = np.eye(3)
     middle[:2, 2] = here.mean(axis=0)
-    tilted, _ = cv2.findHomography(here - middle[:2, 2], there)
-    if tilted is None:
+    homography, _ = cv2.findHomography(here - middle[:2, 2], there)
+    if homography is None:
         return matrix
-    tilted = tilted @ inverse(middle)
-    placed = [ProjectiveCorrection("", each).forward(here) for each in (matrix, tilted)]
-    left_px2 = [((there - each) ** 2).mean() for each in placed]
-    bend_px = np.linalg.norm(
-        placed[1] - AffineCorrection("", affine_between(here, placed[1])).forward(here), axis=1
-    )
-    return tilted if left_px2[1] < TILTED_SHARE * left_px2[0] and bend_px.max() > MIN_BEND_PX else matrix
+    homography = homography @ inverse(middle)
+    placed = [ProjectiveCorrection("", each).forward(here) for each in (matrix, homography)]
+    error_px2 = [((there - each) ** 2).mean() for each in placed]
+    nearest = AffineCorrection("", affine_between(here, placed[1])).forward(here)
+    perspective_px = np.linalg.norm(placed[1] - nearest, axis=1).max()
+    better = error_px2[1] < HOMOGRAPHY_ERROR_RATIO * error_px2[0]
+    return homography if better and perspective_px > MIN_PERSPECTIVE_PX else matrix
 
 
-def _of_the_ground(
+def _select_ground_motion(
     matched: Matched, start: StartingAlignment, settings: Settings, log: JobLog, runner: Runner
 ) -> Matched:
     """Return the matches of the motion that the ground has, refused where nothing tells which that is."""
@@ -773,14 +772,8 @@ def match_again_from_shifted_rpc(
             break
         target = shifted(pair.target.info, shift_px)
         shifted_pair = plan_rpc_views(pair.reference.info, target)
-        again = match_scene(
-            shifted_pair,
-            read_overviews(shifted_pair),
-            by_georeferencing(settings.search_radius),
-            settings,
-            log,
-            runner,
-        )
+        start = by_georeferencing(settings.search_radius)
+        again = match_scene(shifted_pair, read_overviews(shifted_pair), start, settings, log, runner)
         if not again.verdict.accepted:
             break
         matched, pair = replace(again, prealignment=matched.prealignment), shifted_pair

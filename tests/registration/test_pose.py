@@ -19,7 +19,7 @@ from pcwlad_geo.registration import scene
 from pcwlad_geo.registration.prealign import Pose, Prealignment, StartingAlignment, posed_start
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.scene import pose_that_points_tell
+from pcwlad_geo.registration.scene import pose_from_points
 from tests.scenes import Array, make_grid, render, tag_frame, write
 
 GRID = make_grid((300, 320))
@@ -254,11 +254,11 @@ def test_points_of_frames_tell_of_a_perspective(tilt_deg: float, tells: bool) ->
     here = rng.uniform(0, 300, (80, 2))
     there = through(homography, here) + rng.normal(0, 0.3, here.shape)
     points = TiePoints(here, there, np.tile(np.eye(2), (80, 1, 1)), np.zeros(80), np.zeros(80))
-    found = pose_that_points_tell(points, frames=True)
+    found = pose_from_points(points, frames=True)
     assert bool(found[2, :2].any()) == tells
     assert np.abs(through(found, here) - through(homography, here)).max() < 0.5
-    assert not pose_that_points_tell(points, frames=False)[2, :2].any()
-    assert not pose_that_points_tell(points[:20], frames=True)[2, :2].any()
+    assert not pose_from_points(points, frames=False)[2, :2].any()
+    assert not pose_from_points(points[:20], frames=True)[2, :2].any()
 
 
 @pytest.mark.parametrize("rotation_deg", [-179.0, -90.0, 0.0, 12.5, 180.0])
@@ -299,7 +299,7 @@ def test_a_pose_of_doubtful_evidence_has_to_be_accepted_twice(
     view = SimpleNamespace(grid=grid, info=SimpleNamespace(grid=grid))
     start = SimpleNamespace(pair=SimpleNamespace(reference=view, offset_px=(50.0, 0.0)), overviews=None)
     start.prealignment = Prealignment("pose", (0.0, 0.0), 12)
-    monkeypatch.setattr(scene, "pose_that_points_tell", lambda points, frames: np.eye(3))
+    monkeypatch.setattr(scene, "pose_from_points", lambda points, frames: np.eye(3))
     monkeypatch.setattr(scene, "posed_start", lambda *arguments: start)
     monkeypatch.setattr(scene, "match_scene", lambda *arguments: next(upcoming))
     nothing: Any = None

@@ -11,7 +11,7 @@ from pcwlad_geo.matching.kernels.library import POINTER, REAL, SINGLE, WHOLE, ad
 from pcwlad_geo.types import Complex64, Float32, Float64, Index
 
 MASK_STEP: Final = 4
-"""The overlap of two images is counted on every so-manieth cell along each axis; `STEP` of the C."""
+"""Side of the blocks of cells and shifts by which the overlap of two images is counted; `STEP` of the C."""
 LAYER_HARMONICS: Final = 3
 """Number of harmonics of a layer that is placed, with what is usable `LAYER` of the C."""
 
