@@ -1,4 +1,4 @@
-"""One capture: is it good, where was its ground, and the warp of every lens into the common frame."""
+"""One capture: its quality, the plane of its ground, and the warp of every lens into the common frame."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.maps import oriented_gradients, scene_epsilon
-from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, refine
+from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, Refined, refine
 from pcwlad_geo.raster.gdal import check_dataset, ignoring, reading
 from pcwlad_geo.raster.source import open_raster
 from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, POOR_KEPT_SHARE, Grade
@@ -27,8 +27,6 @@ from pcwlad_geo.rigs.rig import (
     Rig,
     RigLens,
     Sharpness,
-    coarsened,
-    coefficients_of,
     grade_of,
     map_places,
     measured_side,
@@ -40,35 +38,35 @@ CaptureStatus = Literal["corrected", "rejected", "unusable", "failed"]
 
 CAPTURE_TAG: Final = "PCWLAD_GEO_CAPTURE"
 """Tag of a raster with the name of its capture."""
-MEASURED_PLACES: Final = 160
-"""Number of places that are measured in every lens."""
+CELLS: Final = 160
+"""Number of cells of a frame, each with at most one place that is measured in every lens."""
 BLURRED_SHARE: Final = 0.55
 """Share of the least detail learned below which a frame is blurred."""
 COVERED_SHARE: Final = 0.12
 """Share of the contrast learned below which a lens is covered."""
-LEAST_AGREEING: Final = 0.3
-"""Share of the places of a lens that must agree with the rig."""
-LEAST_PLACES: Final = 12
-"""Number of them that must agree."""
+MIN_AGREEING_SHARE: Final = 0.3
+"""Least share of the places of a lens that agree with the rig."""
+MIN_PLACES: Final = 12
+"""Least number of them that agree."""
 AGREE_PX: Final = 1.0
 """Distance from the model within which a place agrees, px of the measured frame."""
 LEAST_SIGMA_PX: Final = 0.05
-"""Standard deviation of a place, px of the measured frame, at best."""
+"""Least standard deviation of a place, px of the measured frame."""
 DISTANCE_RATIO: Final = 6.0
-"""How many times nearer than the nearest capture learned from, or farther than the farthest, is believed."""
+"""How many times nearer than the nearest capture learned from, or farther than the farthest, is plausible."""
 CHANCE_RATIO: Final = 0.55
-"""Median distance of the agreeing places of a lens, over that within which they agree, from which they do so
-by chance: of places that lie anywhere it is 0.7."""
+"""Median distance of the agreeing places of a lens, over `AGREE_PX`, from which they agree by chance: that of
+uniformly distributed places is 0.7."""
 PANEL_RATIO: Final = 1.5
-"""How many times nearer than the nearest capture learned from a panel is looked for."""
-TEST_SHARE: Final = 0.6
-"""Side of a window by which a capture is tested, as a share of that of a place: what is
-nearer or farther than the ground may be small."""
+"""Captures that are nearer than the nearest capture learned from by this factor are searched for a panel."""
+TEST_WINDOW_SHARE: Final = 0.6
+"""Side of the windows that test a capture, as a share of those of the fit: objects off the plane of the
+ground may be small."""
 REACH_PX: Final = 12
-"""How far a displaced place is looked for, px of the measured frame."""
-DISPLACED_GAIN: Final = 0.1
-"""By how much the correlation elsewhere is better than near the prediction, if a place counts as displaced:
-rows and other repetition are not."""
+"""Search radius of a displaced place, px of the measured frame."""
+DISPLACED_CORRELATION: Final = 0.1
+"""Least gain of correlation over that near the prediction for a place to count as displaced: repetitive
+structure, as rows of plants, gains less."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,11 +76,11 @@ class CaptureTask:
     rig: Rig
     capture: Capture
     crop: tuple[int, int, int, int]
-    """First column and row in the common frame, columns and rows."""
+    """First column and first row in the common frame, then numbers of columns and rows."""
     path: str
     """Where the raster is written."""
     digest: str
-    """Identity of the inputs, which the raster keeps."""
+    """Digest of the inputs, which is written to the raster."""
     compress: str = "DEFLATE"
 
 
@@ -101,23 +99,23 @@ class CaptureOutcome:
     residual_px: float | None = None
     """Their median distance from it, px of the common frame."""
     inverse_depth: float | None = None
-    """Mean distance of the captures learned from over that of this one."""
+    """Inverse depth: mean distance of the captures learned from over the distance of this one."""
     distance_m: float | None = None
-    """Distance of the ground, where the rig knows metres."""
+    """Distance of the ground; None if the rig has no scale in metres."""
     sigma_px: float | None = None
-    """Largest standard deviation of a lens's position in the middle of the frame."""
+    """Largest standard deviation of the mapping to a lens in the middle of the frame."""
     quality: Grade | None = None
-    """As that of a registration: `good` where 90 % of the frame is expected to lie within 0.5 px, of the
+    """Grade as of a registration: `good` if 90 % of the frame is expected to lie within 0.5 px, of the
     coarser lens; `fair` within 1 px; `poor` otherwise. The `reason` says why it is not good."""
     expected_ce90_px: float | None = None
-    """That error, by places that were not used to find the ground."""
+    """Error that 90 % of the frame is expected not to exceed, by places that were not used in the fit."""
     seconds: float | None = None
     done_before: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """Where the ground of a capture was, and how its lenses stood."""
+    """The plane of the ground of a capture, and the rotations of its lenses."""
 
     rig: Rig
     """The rig, with the rotations of this capture."""
@@ -127,7 +125,7 @@ class Placed:
     residual_px: float
     sigma_px: float
     expected_ce90_px: float = math.nan
-    """See `CaptureOutcome`; NaN before `tested`."""
+    """See `CaptureOutcome`; NaN before `with_expected_error`."""
 
 
 def doubt_of(expected_ce90_px: float) -> str | None:
@@ -179,10 +177,12 @@ def placed_capture(rig: Rig, capture: Capture) -> tuple[Placed, list[Frame], lis
     """
     frames = [capture.frames[each] for each in rig.names]
     values = [read_frame(each.path, each.shape) for each in frames]
+    height_m, distance_m = capture.height_m, rig.distance_m
+    expected = None if height_m is None or distance_m is None else distance_m / height_m
     try:
         sharpness = {name: measure_sharpness(plane) for name, plane in zip(rig.names, values, strict=True)}
         check_sharpness({each.name: each.sharpness for each in rig.lenses}, sharpness)
-        placed = tested(place(rig, values, _expected_inverse_depth(rig, capture)), values)
+        placed = with_expected_error(place(rig, values, expected), values)
     except BadCaptureError as error:
         raise BadCaptureError(panel_shown(frames, values) or str(error)) from error
     near = placed.plane[0] > PANEL_RATIO * rig.inverse_depth[1]
@@ -192,62 +192,47 @@ def placed_capture(rig: Rig, capture: Capture) -> tuple[Placed, list[Frame], lis
     return placed, frames, values
 
 
-def tested(placed: Placed, values: Sequence[Float32]) -> Placed:
-    """Return a capture with the error that is expected of it, by places that its fit has not used.
+def with_expected_error(placed: Placed, values: Sequence[Float32]) -> Placed:
+    """Return a capture with its expected error, by places that its fit has not used.
 
-    The (rows, cols) `values` are its frames. A place may lie farther away than the fit would look: where its
-    window is found there distinctly better, it counts as displaced. Raises `BadCaptureError` if hardly any
-    place holds.
+    The (rows, cols) `values` are its frames. Raises `BadCaptureError` if hardly any place agrees.
     """
-    off, places = [], 0
-    for number, each in enumerate(placed.rig.lenses[1:], 1):
-        views = _views(placed.rig, number, values, placed.plane)
-        window = max(21, round(TEST_SHARE * _window_px(views[0][0].shape))) // 2 * 2 + 1
-        corners = textured(views[0][0], views[0][1] & views[1][1], window, between=True)
-        maps = _channels(*views[0]), _channels(*views[1])
-        one, other = (np.dstack(list(some.maps[::2])) for some in maps)
-        start = np.array([_displaced(one, other, row, col, window // 2) for row, col in corners.tolist()])
-        found = refine(
-            *maps,
-            corners,
-            InitialEstimate(start.reshape(-1, 2), np.zeros((len(corners), 2, 2))),
-            window_px=window,
-        )
-        own_px = _factor(placed.rig, each) * min(1.0, each.lens.focal_px / placed.rig.reference.lens.focal_px)
-        off.append(own_px * np.hypot(*found.shift_xy_px[found.converged].T))
-        places += len(corners)
-    every = np.concatenate(off)
-    held = int((every < FAIR_PX).sum())
-    expected = max([np.percentile(every, 90), *map(np.median, off)]) if all(map(len, off)) else math.inf
-    if expected > FAIR_PX and held <= POOR_KEPT_SHARE * places:
+    rig = placed.rig
+    errors_px, count = [], 0
+    for number, each in enumerate(rig.lenses[1:], 1):
+        corners, found = _refined(rig, number, values, placed.plane, test=True)
+        own_px = _reduction(rig, each) * min(1.0, each.lens.focal_px / rig.reference.lens.focal_px)
+        errors_px.append(own_px * np.hypot(*found.shift_xy_px[found.converged].T))
+        count += len(corners)
+    every = np.concatenate(errors_px)
+    agreeing = int((every < FAIR_PX).sum())
+    measured = all(map(len, errors_px))
+    expected = max([np.percentile(every, 90), *map(np.median, errors_px)]) if measured else math.inf
+    if expected > FAIR_PX and agreeing <= POOR_KEPT_SHARE * count:
         raise BadCaptureError(
-            f"only {held} of {places} places lie within {FAIR_PX:g} px of one ground: it has several depths, "
-            "as near scenes do, its lenses show different ground, or the rig is not of this camera as it is"
+            f"only {agreeing} of {count} places lie within {FAIR_PX:g} px of one ground: it has several "
+            "depths, as near scenes do, its lenses show different ground, or the rig is not of this camera "
+            "as it is"
         )
     return replace(placed, expected_ce90_px=float(expected))
 
 
-def _displaced(one: Float32, other: Float32, row: int, col: int, half: int) -> tuple[float, float]:
-    """Return the whole (col, row) shift of a window: none, unless another one is distinctly better."""
+def _displacement(one: Float32, other: Float32, row: int, col: int, half: int) -> tuple[float, float]:
+    """Return the (col, row) shift of a window: 0, unless another one correlates distinctly better."""
     top, left = max(row - half - REACH_PX, 0), max(col - half - REACH_PX, 0)
     template = one[row - half : row + half + 1, col - half : col + half + 1]
     area = other[top : row + half + 1 + REACH_PX, left : col + half + 1 + REACH_PX]
     score = np.nan_to_num(cv2.matchTemplate(area, template, cv2.TM_CCOEFF_NORMED), posinf=-1.0)
     zero = row - half - top, col - half - left
     near = score[max(zero[0] - 2, 0) : zero[0] + 3, max(zero[1] - 2, 0) : zero[1] + 3]
-    if score.max() <= near.max() + DISPLACED_GAIN:
+    if score.max() <= near.max() + DISPLACED_CORRELATION:
         return 0.0, 0.0
     down, right = np.array(np.unravel_index(score.argmax(), score.shape)) - zero
     return float(right), float(down)
 
 
-def _expected_inverse_depth(rig: Rig, capture: Capture) -> float | None:
-    height = capture.height_m
-    return None if height is None or rig.distance_m is None else rig.distance_m / height
-
-
 def check_sharpness(expected: Mapping[str, Sharpness], measured: Mapping[str, Sharpness]) -> None:
-    """Raise `BadCaptureError` where the frame of a lens is blurred, or shows nothing, against usual ones."""
+    """Raise `BadCaptureError` if the frame of a lens is blurred, or has much less contrast than expected."""
     covered = [
         name
         for name, usual in expected.items()
@@ -273,10 +258,10 @@ def try_capture(rig: Rig, capture: Capture) -> float | str:
 
 
 def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed:
-    """Find the ground of a capture and the small turns of its lenses.
+    """Fit the plane of the ground of a capture and small rotations of its lenses.
 
-    The (rows, cols) `values` are its frames in the order of the lenses, and `expected` is the inverse depth,
-    where they tell it. Raises `BadCaptureError` if the lenses do not show one ground as the rig sees it.
+    The (rows, cols) `values` are its frames in the order of the lenses, and `expected` is the inverse depth
+    by its height, None if unknown. Raises `BadCaptureError` if the lenses do not show one ground.
     """
     middle = math.sqrt(rig.inverse_depth[0] * rig.inverse_depth[1])
     near = expected if expected is not None else middle
@@ -298,7 +283,7 @@ def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed
             continue
         if best is None or placed.points > best.points:
             best = placed
-        if placed.points > 0.6 * MEASURED_PLACES * (len(values) - 1):
+        if placed.points > 0.6 * CELLS * (len(values) - 1):
             break
     if best is None:
         raise BadCaptureError(reasons[0])
@@ -306,7 +291,7 @@ def place(rig: Rig, values: Sequence[Float32], expected: float | None) -> Placed
 
 
 def _starts(rig: Rig, middle: float) -> list[float]:
-    """Return inverse depths to begin with: as learned, then others that move a lens beyond the search."""
+    """Return initial inverse depths: the middle, then others whose parallax lies beyond its search radius."""
     parallax = max(float(np.hypot(*each.baseline[:2])) for each in rig.lenses) * rig.reference.lens.focal_px
     shape = rig.reference.lens.shape
     factor = max(shape) / measured_side(shape)
@@ -318,47 +303,58 @@ def _starts(rig: Rig, middle: float) -> list[float]:
 
 
 def _measured(rig: Rig, values: Sequence[Float32], plane: Float64) -> Observations:
-    """Measure places of the reference in the other lenses, all in the common frame at a part of its size."""
+    """Measure places of the reference in the other lenses, all in the common frame at reduced size."""
     parts = []
     for number, each in enumerate(rig.lenses[1:], 1):
-        factor = _factor(rig, each)
-        (first, first_valid), (second, second_valid) = _views(rig, number, values, plane)
-        window = _window_px(first.shape)
-        corners = textured(first, first_valid & second_valid, window)
-        if len(corners) < LEAST_PLACES:
-            raise BadCaptureError(f"lens {each.name} has too little structure where {rig.names[0]} sees it")
-        maps = _channels(first, first_valid), _channels(second, second_valid)
-        start = InitialEstimate(np.zeros((len(corners), 2)), np.zeros((len(corners), 2, 2)))
-        found = refine(maps[0], maps[1], corners, start, window_px=window)
+        factor = _reduction(rig, each)
+        corners, found = _refined(rig, number, values, plane)
         good = found.converged
         variance = np.trace(found.covariance_px2[good], axis1=1, axis2=2) / 2
-        sigma: Float64 = np.asarray(factor * np.maximum(np.sqrt(variance), LEAST_SIGMA_PX), np.float64)
+        sigma_px: Float64 = np.asarray(factor * np.maximum(np.sqrt(variance), LEAST_SIGMA_PX), np.float64)
         origin_px: Float64 = np.asarray((corners[good][:, ::-1] + 0.5) * factor, np.float64)
         target_px = origin_px + found.shift_xy_px[good] * factor
-        parts.append(_as_observations(rig, number, plane, origin_px, target_px, sigma))
+        parts.append(_in_raw_frames(rig, number, plane, origin_px, target_px, sigma_px))
     return Observations.joined(parts)
 
 
-def _views(
-    rig: Rig, number: int, values: Sequence[Float32], plane: Float64
-) -> tuple[tuple[Float32, Bool], tuple[Float32, Bool]]:
-    """Return the reference and a lens in the common frame at the size in which the lens is measured."""
-    factor = _factor(rig, rig.lenses[number])
-    first = _in_view(rig, rig.reference, values[0], plane, factor)
-    return first, _in_view(rig, rig.lenses[number], values[number], plane, factor)
+def _refined(
+    rig: Rig, number: int, values: Sequence[Float32], plane: Float64, *, test: bool = False
+) -> tuple[Index, Refined]:
+    """Return (n, 2) row, column of places, and their refined shifts between the reference and a lens.
+
+    Both are warped by the plane to the common frame, at the size in which the lens is measured. A `test` has
+    other places, smaller windows, and finds places that are displaced beyond the reach of the refinement.
+    """
+    lens = rig.lenses[number]
+    first, first_valid = _in_common_frame(rig, rig.reference, values[0], plane, _reduction(rig, lens))
+    second, second_valid = _in_common_frame(rig, lens, values[number], plane, _reduction(rig, lens))
+    window = _window_px(first.shape)
+    if test:
+        window = max(21, round(TEST_WINDOW_SHARE * window)) // 2 * 2 + 1
+    corners = corners_by_cell(first, first_valid & second_valid, window, between=test)
+    if not test and len(corners) < MIN_PLACES:
+        raise BadCaptureError(f"lens {lens.name} has too little structure where {rig.names[0]} sees it")
+    maps = _channels(first, first_valid), _channels(second, second_valid)
+    shift_xy_px = np.zeros((len(corners), 2))
+    if test:
+        one, other = (np.dstack(list(each.maps[::2])) for each in maps)
+        for k, (row, col) in enumerate(corners.tolist()):
+            shift_xy_px[k] = _displacement(one, other, row, col, window // 2)
+    start = InitialEstimate(shift_xy_px, np.zeros((len(corners), 2, 2)))
+    return corners, refine(*maps, corners, start, window_px=window)
 
 
 def _window_px(shape: Sequence[int]) -> int:
     return int(np.clip(0.25 * min(shape), 21, 61)) // 2 * 2 + 1
 
 
-def _overlap(rig: Rig, observed: Observations) -> float:
-    """Return how many places of a lens share a window, on average: their errors are not independent."""
-    shape = [round(n / _factor(rig, rig.lenses[1])) for n in rig.reference.lens.shape]
+def _points_per_window(rig: Rig, observed: Observations) -> float:
+    """Return how many places of a lens share a window, on average."""
+    shape = [round(n / _reduction(rig, rig.lenses[1])) for n in rig.reference.lens.shape]
     return len(observed) / (len(rig.lenses) - 1) * _window_px(shape) ** 2 / math.prod(shape)
 
 
-def _as_observations(
+def _in_raw_frames(
     rig: Rig, number: int, plane: Float64, origin_px: Float64, target_px: Float64, sigma_px: Float64
 ) -> Observations:
     """Return places of the common frame as positions in the raw frames."""
@@ -373,14 +369,15 @@ def _as_observations(
     return Observations(capture, of_lens, of_lens, raw[good], observed[good], sigma_px[good] * per_px)
 
 
-def _in_view(rig: Rig, each: RigLens, values: Float32, plane: Float64, factor: float) -> tuple[Float32, Bool]:
-    """Return a lens in the common frame at a part of its size, and where it sees that."""
+def _in_common_frame(
+    rig: Rig, each: RigLens, values: Float32, plane: Float64, factor: float
+) -> tuple[Float32, Bool]:
+    """Return a frame warped to the common frame, reduced by a factor, and the mask of valid px."""
     rows, cols = (round(n / factor) for n in rig.reference.lens.shape)
-    places, counts = map_places((rows, cols), (0.0, 0.0), factor)
-    rays = rig.common_rays(places)
-    at = each.project(rays, plane[0] + rays @ plane[1:])
-    values, at = coarsened(values, at, factor * each.lens.focal_px / rig.reference.lens.focal_px)
-    warped = resampled(coefficients_of(values), at, counts, (rows, cols))
+    rays = rig.common_rays(map_places((rows, cols), (0.0, 0.0), factor))
+    lens_px = each.project(rays, plane[0] + rays @ plane[1:])
+    reduction = factor * each.lens.focal_px / rig.reference.lens.focal_px
+    warped = resampled(values, lens_px, (rows, cols), reduction)
     valid = np.isfinite(warped)
     fill = float(warped[valid].mean()) if valid.any() else 0.0
     return np.where(valid, warped, np.float32(fill)), valid
@@ -392,14 +389,14 @@ def _channels(values: Float32, valid: Bool) -> ChannelMaps:
     return ChannelMaps(maps, np.asarray(inside, bool))
 
 
-def textured(values: Float32, valid: Bool, window_px: int, *, between: bool = False) -> Index:
+def corners_by_cell(values: Float32, valid: Bool, window_px: int, *, between: bool = False) -> Index:
     """Return (n, 2) row, column of the best corner of each cell of a frame, away from its edges.
 
-    Of the (rows, cols) `values` a window about it must be `valid`, of the same shape. With `between` the
-    cells lie between the usual ones.
+    The window about it must be `valid`, a mask of the shape of the (rows, cols) `values`. With `between` the
+    cells are shifted by half of their size.
     """
     rows, cols = values.shape
-    side = max(8.0, math.sqrt(rows * cols / MEASURED_PLACES))
+    side = max(8.0, math.sqrt(rows * cols / CELLS))
     begin = side / 2 * between
     response = cv2.cornerMinEigenVal(cv2.GaussianBlur(values, (0, 0), 1.0), 9)
     kernel = np.ones((window_px, window_px), np.uint8)
@@ -418,60 +415,59 @@ def textured(values: Float32, valid: Bool, window_px: int, *, between: bool = Fa
 def _adjusted(
     now: Rig, rig: Rig, observed: Observations, plane: Float64, near: float, height_known: bool
 ) -> tuple[Placed, float]:
-    """Return where the ground was and how the lenses turned, and how far the places were off before."""
-    count = len(rig.lenses)
-    poses = np.stack([np.concatenate([each.rotation, each.baseline]) for each in rig.lenses])
-    lenses = np.stack([each.lens.vector for each in rig.lenses])
-    first = RigState(tuple(each.lens.model for each in rig.lenses), lenses, poses, np.array([[near, 0, 0]]))
+    """Return the fitted plane and rotations, and the 90 % of the change from `now` and `plane`, px.
+
+    The `rig` is as learned, `near` the expected inverse depth.
+    """
+    lenses, poses = np.stack([each.lens.vector for each in rig.lenses]), _poses(rig)
+    models = tuple(each.lens.model for each in rig.lenses)
+    expected = RigState(models, lenses, poses, np.array([[near, 0, 0]]))
+    start = replace(expected, planes=plane[None])
     turn = rig.drift_px / rig.reference.lens.focal_px
-    free = np.zeros_like(poses)
-    free[1:, :2], free[1:, 2] = turn, turn / rig.reference.lens.corner
-    slack = INVERSE_DEPTH_SIGMA[0 if height_known else 1] * near
-    planes = np.array([[slack, rig.tilt * near, rig.tilt * near]])
-    begin = replace(first, planes=plane[None])
-    sigma = RigState(first.models, np.zeros_like(lenses), free, planes)
-    result = adjust(begin, first, sigma, observed, _overlap(rig, observed), unit=False)
+    pose_sigma = np.zeros_like(poses)
+    pose_sigma[1:, :2], pose_sigma[1:, 2] = turn, turn / rig.reference.lens.corner
+    slope_sigma = rig.tilt * near
+    planes = np.array([[INVERSE_DEPTH_SIGMA[not height_known] * near, slope_sigma, slope_sigma]])
+    sigma = RigState(models, np.zeros_like(lenses), pose_sigma, planes)
+    density = _points_per_window(rig, observed)
+    result = adjust(start, expected, sigma, observed, density, unit_mean_depth=False)
     scale = rig.reference.lens.focal_px / lenses[observed.lens, 0]
     length = np.hypot(*result.residual_px.T) * scale
     _check_agreement(rig, observed, length, result)
     turned = tuple(replace(each, rotation=result.state.poses[k, :3]) for k, each in enumerate(rig.lenses))
-    factor = np.array([_factor(rig, each) for each in rig.lenses])[observed.lens]
+    factor = np.array([_reduction(rig, each) for each in rig.lenses])[observed.lens]
     agreeing = length < AGREE_PX * factor
     placed = Placed(
         replace(rig, lenses=turned),
         result.state.planes[0],
         int(agreeing.sum()),
         float(np.median(length[agreeing])),
-        _sigma_px(rig, result, count),
+        _sigma_px(rig, result),
     )
-    before = replace(begin, poses=np.stack([np.r_[each.rotation, each.baseline] for each in now.lenses]))
-    moved = np.hypot(*(_shift(before, observed) - _shift(result.state, observed)).T) * scale
-    return placed, float(np.percentile(moved / factor, 90))
+    change = predict(replace(start, poses=_poses(now)), observed, 0.0) - predict(result.state, observed, 0.0)
+    return placed, float(np.percentile(np.hypot(*change.T) * scale / factor, 90))
 
 
-def _shift(state: RigState, observed: Observations) -> Float64:
-    return predict(state, observed, np.zeros(len(observed)))
+def _poses(rig: Rig) -> Float64:
+    """Return the (lenses, 6) rotation vectors and baselines."""
+    return np.stack([np.concatenate([each.rotation, each.baseline]) for each in rig.lenses])
 
 
-def _factor(rig: Rig, lens: RigLens) -> float:
-    """Return how many px of the reference a px is in which a lens is measured: never finer than its own."""
+def _reduction(rig: Rig, lens: RigLens) -> float:
+    """Return how many px of the reference a px spans in which a lens is measured: not finer than its own."""
     first = rig.reference.lens
     return max(max(first.shape) / measured_side(first.shape), first.focal_px / lens.lens.focal_px)
 
 
 def _check_agreement(rig: Rig, observed: Observations, length: Float64, result: Adjusted) -> None:
-    """Raise where a lens does not show what the reference shows, or the ground is where none can be."""
+    """Raise `BadCaptureError` if a lens disagrees with the reference, or the distance is not plausible."""
     lost = []
     for number, each in enumerate(rig.lenses[1:], 1):
-        factor = _factor(rig, each)
+        factor = _reduction(rig, each)
         own = length[observed.lens == number]
-        agreeing = int((own < AGREE_PX * factor).sum())
-        near_px = float(np.median(own[own < AGREE_PX * factor])) if agreeing else math.inf
-        if (
-            agreeing < max(LEAST_PLACES, LEAST_AGREEING * len(own))
-            or near_px > CHANCE_RATIO * AGREE_PX * factor
-        ):
-            lost.append(f"{each.name} ({agreeing} of {len(own)} places)")
+        close, least = own[own < AGREE_PX * factor], max(MIN_PLACES, MIN_AGREEING_SHARE * len(own))
+        if len(close) < least or np.median(close) > CHANCE_RATIO * AGREE_PX * factor:
+            lost.append(f"{each.name} ({len(close)} of {len(own)} places)")
     near = float(result.state.planes[0, 0])
     if lost:
         where = "it is too near, or the rig was learned from other captures than of flight, or lenses moved"
@@ -486,18 +482,19 @@ def _check_agreement(rig: Rig, observed: Observations, length: Float64, result: 
         )
 
 
-def _sigma_px(rig: Rig, result: Adjusted, count: int) -> float:
-    """Return the largest sigma of a lens's position on the axis, px of the common frame: capture and rig."""
-    focal, begin = rig.reference.lens.focal_px, 8 * count
-    plane = begin + 6 * count
+def _sigma_px(rig: Rig, result: Adjusted) -> float:
+    """Return the largest sigma of the mapping to a lens on the axis: of capture and rig, reference px."""
+    focal, poses = rig.reference.lens.focal_px, result.state.lenses.size
+    plane = poses + result.state.poses.size
     largest = 0.0
-    for number in range(1, count):
-        index = [begin + 6 * number, begin + 6 * number + 1, plane]
-        x, y = rig.lenses[number].baseline[:2]
+    for number, each in enumerate(rig.lenses[1:], 1):
+        index = [poses + 6 * number, poses + 6 * number + 1, plane]
+        x, y = each.baseline[:2]
         covariance = result.covariance[np.ix_(index, index)]
         rows = focal * np.array([[0.0, 1.0, x], [-1.0, 0.0, y]])
         of_capture = float(np.sqrt(np.diag(rows @ covariance @ rows.T).max()))
-        largest = max(largest, math.hypot(of_capture, rig.lenses[number].mapping_sigma_px[0]))
+        of_rig = each.mapping_sigma_px[0] * focal / each.lens.focal_px
+        largest = max(largest, math.hypot(of_capture, of_rig))
     return largest
 
 
@@ -509,19 +506,17 @@ def write_capture(
     The `values` are the (rows, cols) `frames` of the lenses as they were measured.
     """
     left, top, cols, rows = task.crop
-    places, counts = map_places((rows, cols), (float(left), float(top)), 1.0)
-    rays = placed.rig.common_rays(places)
-    near = placed.plane[0] + rays @ placed.plane[1:]
+    rays = placed.rig.common_rays(map_places((rows, cols), (float(left), float(top)), 1.0))
+    inverse_depth = placed.plane[0] + rays @ placed.plane[1:]
     bands: list[tuple[str, RigLens, Frame, NDArray[Any]]] = []
     dtype = np.result_type(*(each.dtype for each in frames))
     for each, frame, raw in zip(placed.rig.lenses, frames, values, strict=True):
-        at = each.project(rays, near)
+        lens_px = each.project(rays, inverse_depth)
         planes = _bands_of(frame, raw)
         for number, plane in enumerate(planes, 1):
             name = each.name if len(planes) == 1 else f"{each.name} {number}"
-            warped = resampled(coefficients_of(plane), at, counts, (rows, cols))
-            bands.append((name, each, frame, _as_type(warped, dtype)))
-    _write(task, placed, dtype, (rows, cols), bands)
+            bands.append((name, each, frame, _as_dtype(resampled(plane, lens_px, (rows, cols)), dtype)))
+    _write(task, placed, bands)
 
 
 def _bands_of(frame: Frame, values: Float32) -> list[Float32]:
@@ -535,39 +530,35 @@ def _bands_of(frame: Frame, values: Float32) -> list[Float32]:
     return [np.ascontiguousarray(each) for each in read]
 
 
-def _as_type(warped: Float32, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return values in the type of the output: 0, or NaN, is where a lens does not see."""
+def _as_dtype(warped: Float32, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return values in the type of the output; nodata, outside the frame of a lens, is 0 or NaN."""
     if dtype.kind == "f":
         return warped.astype(dtype)
     limits = np.iinfo(dtype)
     known = np.isfinite(warped)
-    least = 1 if limits.min == 0 else limits.min  # a value that is 0 is told from none, as gdalwarp does it
+    least = 1 if limits.min == 0 else limits.min  # a value of 0 is distinct from nodata, as of gdalwarp
     whole = np.clip(np.rint(np.where(known, warped, 0)), least, limits.max).astype(dtype)
     return np.where(known, whole, 0).astype(dtype)
 
 
 def _write(
-    task: CaptureTask,
-    placed: Placed,
-    dtype: np.dtype[Any],
-    shape: tuple[int, int],
-    bands: Sequence[tuple[str, RigLens, Frame, NDArray[Any]]],
+    task: CaptureTask, placed: Placed, bands: Sequence[tuple[str, RigLens, Frame, NDArray[Any]]]
 ) -> None:
-    predictor = "3" if dtype.kind == "f" else "2"
+    (rows, cols), dtype = bands[0][3].shape, bands[0][3].dtype
     with (
         ignoring(NotGeoreferencedWarning),
         rasterio.open(
             task.path,
             "w",
             driver="GTiff",
-            height=shape[0],
-            width=shape[1],
+            height=rows,
+            width=cols,
             count=len(bands),
             dtype=dtype.name,
             nodata=math.nan if dtype.kind == "f" else 0,
             tiled=True,
             compress=task.compress,
-            predictor=predictor,
+            predictor="3" if dtype.kind == "f" else "2",
             zlevel=1,
             interleave="band",
             photometric="MINISBLACK",

@@ -1,4 +1,4 @@
-"""A rig: the models of its lenses, how they stand to each other, RIG.json, and the warp of a frame."""
+"""A rig: the models and relative orientation of its lenses, RIG.json, and the warp of a frame."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from pcwlad_geo.types import Bool, Float32, Float64, PathLike
 
 LensModel = Literal["brown", "fisheye"]
 
-PARAMETERS: Final = ("focal_px", "centre_col", "centre_row", "k1", "k2", "k3", "p1", "p2")
+LENS_PARAMETERS: Final = ("focal_px", "centre_col", "centre_row", "k1", "k2", "k3", "p1", "p2")
 """The parameters of a lens, in the order of its vector."""
-STEPS: Final = 12
-"""Number of Newton steps of the inverse; fewer are enough within any sensible frame."""
-RAY_LIMIT: Final = 1.6
-"""How far beyond the corners of the frame, times its half diagonal, a ray is still followed."""
+NEWTON_STEPS: Final = 12
+"""Largest number of Newton steps of the inverse projection; any sensible frame needs fewer."""
+MAX_CORNER_RATIO: Final = 1.6
+"""Largest radius of a direction that is projected, over that of the corners of the frame."""
 
-FRAME_SIDE_PX: Final = 20_000
+MAX_FRAME_SIDE_PX: Final = 20_000
 """Largest number of rows or columns of a frame; the largest cameras have 15,000."""
-WIDEST_RAD: Final = 1.5
-"""Largest angle to the axis of a fisheye that has a direction."""
+MAX_FISHEYE_RAD: Final = 1.5
+"""Largest angle to the axis of a fisheye lens; at π/2 its tangent is infinite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +44,7 @@ class Lens:
     shape: tuple[int, int]
     """Rows and columns of the frame."""
     vector: Float64
-    """(8,) focal length, principal point (col, row), px; k1, k2, k3; p1, p2: see `PARAMETERS`."""
+    """(8,) focal length, principal point (col, row), px; k1, k2, k3; p1, p2: see `LENS_PARAMETERS`."""
 
     @property
     def focal_px(self) -> float:
@@ -75,41 +75,40 @@ class Lens:
         )
 
     def _largest_radius(self) -> float:
-        """Return the radius of a direction up to which the image grows with it."""
-        radii = np.linspace(0.0, RAY_LIMIT * self.corner, 400)
-        if self.model == "fisheye":  # whose angles, not their tangents, grow with the image
-            radii = np.tan(np.minimum(radii, WIDEST_RAD))
+        """Return the radius of a direction up to which the projection is monotonic."""
+        radii = np.linspace(0.0, MAX_CORNER_RATIO * self.corner, 400)
+        if self.model == "fisheye":  # the angle, not its tangent, is proportional to the radius in the image
+            radii = np.tan(np.minimum(radii, MAX_FISHEYE_RAD))
         slope = np.diff(radii * _radial(radii, self.vector[3:6], self.model))
         folded = np.flatnonzero(slope <= 0)
         return float(radii[folded[0]] if len(folded) else radii[-1])
 
     def distortion_px(self, other: Lens, step: int = 24) -> Float64:
-        """Return the (n, 2) differences to another lens over the frame, apart from their orientation.
+        """Return the (n, 2) differences of distortion to another lens, on a lattice over the frame.
 
-        A homography is removed: it is what another focal length, principal point and orientation make of a
-        plane.
+        The best homography is removed: it absorbs a difference of focal length, principal point and rotation.
         """
         places = lattice(self.shape, step)
         projected = other.project(self.rays(places))
         good = np.isfinite(projected).all(axis=1)
-        if good.sum() < 4:  # which a homography fits exactly
+        if good.sum() < 4:  # a homography fits fewer exactly
             return np.empty((0, 2))
         return homography_residual(places[good], projected[good])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the lens as JSON values."""
-        values = {name: float(value) for name, value in zip(PARAMETERS, self.vector, strict=True)}
+        values = {name: float(value) for name, value in zip(LENS_PARAMETERS, self.vector, strict=True)}
         return {"model": self.model, "rows": self.shape[0], "cols": self.shape[1], **values}
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> Lens:
         """Return the lens that `to_dict` has written; raises `KeyError`, `TypeError` or `ValueError`."""
-        vector = np.array([float(values[name]) for name in PARAMETERS])
+        vector = np.array([float(values[name]) for name in LENS_PARAMETERS])
         model = values["model"]
         rows, cols = int(values["rows"]), int(values["cols"])
         if model not in ("brown", "fisheye") or not np.isfinite(vector).all() or vector[0] <= 0:
             raise ValueError(f"no lens: {model}, {vector}")
-        if not 1 <= min(rows, cols) <= max(rows, cols) <= FRAME_SIDE_PX:
+        if not 1 <= min(rows, cols) <= max(rows, cols) <= MAX_FRAME_SIDE_PX:
             raise ValueError(f"no frame has {cols} x {rows} px")
         return Lens(model, (rows, cols), vector)
 
@@ -128,7 +127,7 @@ def homography_residual(source: Float64, target: Float64) -> Float64:
     u, v = ((target - centre) / size).T
     zero, one = np.zeros_like(x), np.ones_like(x)
     weight = one
-    for _ in range(3):  # weights by the denominator make the linear fit one of the px
+    for _ in range(3):  # weighted by the denominator, the algebraic residuals become those in px
         rows = np.vstack(
             [
                 np.column_stack([x, y, one, zero, zero, zero, -u * x, -u * y]) / weight[:, None],
@@ -142,89 +141,80 @@ def homography_residual(source: Float64, target: Float64) -> Float64:
 
 
 def project(rays: Float64, vector: Float64, model: LensModel) -> Float64:
-    """Return the (n, 2) px of the (n, 2) directions `rays`, by the (8,) parameters `vector` of a lens.
-
-    They may be of shape (8, n), one lens for each direction.
-    """
-    x, y = rays.T
-    radius = np.hypot(x, y)
-    x, y = x * (radial := _radial(radius, vector[3:6], model)), y * radial
-    if model == "brown":  # the tangential terms are of the direction itself
-        dx, dy = _tangential(rays[:, 0], rays[:, 1], vector[6:8])
-    else:
-        dx, dy = _tangential(x, y, vector[6:8])
-    return np.column_stack([vector[0] * (x + dx) + vector[1], vector[0] * (y + dy) + vector[2]])
+    """Return the (n, 2) px of the (n, 2) directions `rays`, by the (8,) parameters `vector` of a lens."""
+    distorted = rays * _radial(np.hypot(*rays.T), vector[3:6], model)[:, None]
+    # Brown's tangential terms are of the undistorted direction
+    tangential = _tangential(rays if model == "brown" else distorted, vector[6:8])
+    return np.asarray(vector[0] * (distorted + tangential) + vector[1:3])
 
 
 def rays(xy_px: Float64, vector: Float64, model: LensModel) -> Float64:
     """Return (n, 2) directions of the (n, 2) px `xy_px` by the (8,) `vector`, the inverse of `project`."""
-    distorted_x = (xy_px[:, 0] - vector[1]) / vector[0]
-    distorted_y = (xy_px[:, 1] - vector[2]) / vector[0]
-    direction = _undo_radial(distorted_x, distorted_y, vector[3:6], model)
-    for _ in range(STEPS):
+    distorted = (xy_px - vector[1:3]) / vector[0]
+    for _ in range(NEWTON_STEPS + 1):
+        direction = _undo_radial(distorted, vector[3:6], model)
         error = project(direction, vector, model) - xy_px
         if not np.nanmax(np.abs(error), initial=0.0) > 1e-9:
             break
-        distorted_x, distorted_y = (
-            distorted_x - error[:, 0] / vector[0],
-            distorted_y - error[:, 1] / vector[0],
-        )
-        direction = _undo_radial(distorted_x, distorted_y, vector[3:6], model)
+        distorted = distorted - error / vector[0]
     return direction
 
 
 def _radial(radius: Float64, k: Float64, model: LensModel) -> Float64:
     """Return the factor on directions at a radius, the tangent of the angle to the axis."""
+    argument = radius if model == "brown" else np.arctan(radius)
+    square = argument**2
+    factor = 1 + square * (k[0] + square * (k[1] + square * k[2]))
     if model == "brown":
-        square = radius**2
-        return np.asarray(1 + square * (k[0] + square * (k[1] + square * k[2])))
-    angle = np.arctan(radius)
-    square = angle**2
-    bent = angle * (1 + square * (k[0] + square * (k[1] + square * k[2])))
-    return np.asarray(np.divide(bent, radius, out=np.ones_like(bent), where=radius > 1e-12))
+        return np.asarray(factor)
+    return np.asarray(np.divide(argument * factor, radius, out=np.ones_like(radius), where=radius > 1e-12))
 
 
-def _tangential(x: Float64, y: Float64, p: Float64) -> tuple[Float64, Float64]:
+def _tangential(xy: Float64, p: Float64) -> Float64:
+    x, y = xy.T
     square = x * x + y * y
-    return (
-        2 * p[0] * x * y + p[1] * (square + 2 * x * x),
-        p[0] * (square + 2 * y * y) + 2 * p[1] * x * y,
+    return np.column_stack(
+        [
+            2 * p[0] * x * y + p[1] * (square + 2 * x * x),
+            p[0] * (square + 2 * y * y) + 2 * p[1] * x * y,
+        ]
     )
 
 
-def _undo_radial(x: Float64, y: Float64, k: Float64, model: LensModel) -> Float64:
-    """Return the directions whose radial image is (x, y), by Newton's method on the radius."""
-    length = np.hypot(x, y)
-    bent = length if model == "brown" else np.minimum(length, WIDEST_RAD)
-    at = bent.copy()
-    for _ in range(STEPS):
-        square = at**2
-        value = at * (1 + square * (k[0] + square * (k[1] + square * k[2]))) - bent
+def _undo_radial(distorted: Float64, k: Float64, model: LensModel) -> Float64:
+    """Return the (n, 2) directions whose radial image is (n, 2) `distorted`, by Newton's method."""
+    length = np.hypot(*distorted.T)
+    bent = length if model == "brown" else np.minimum(length, MAX_FISHEYE_RAD)
+    largest = 10.0 if model == "brown" else MAX_FISHEYE_RAD
+    solution = bent.copy()
+    for _ in range(NEWTON_STEPS):
+        square = solution**2
+        value = solution * (1 + square * (k[0] + square * (k[1] + square * k[2]))) - bent
         slope = 1 + square * (3 * k[0] + square * (5 * k[1] + square * 7 * k[2]))
-        at = np.clip(at - value / np.maximum(slope, 0.2), 0.0, WIDEST_RAD if model == "fisheye" else 10.0)
-    radius = at if model == "brown" else np.tan(at)
+        solution = np.clip(solution - value / np.maximum(slope, 0.2), 0.0, largest)
+    radius = solution if model == "brown" else np.tan(solution)
     ratio = np.divide(radius, length, out=np.ones_like(radius), where=length > 1e-12)
-    return np.column_stack([x * ratio, y * ratio])
+    return np.asarray(distorted * ratio[:, None])
 
 
 SCHEMA_VERSION: Final = 1
-"""Of RIG.json."""
-POSE: Final = ("rotation_x", "rotation_y", "rotation_z", "baseline_x", "baseline_y", "baseline_z")
-"""How a lens stands to the reference: rotation vector, rad, and origin of its rays over the mean distance."""
-FIGURES: Final = (
+"""Version of the format of RIG.json."""
+POSE_PARAMETERS: Final = ("rotation_x", "rotation_y", "rotation_z", "baseline_x", "baseline_y", "baseline_z")
+"""Pose of a lens relative to the reference: rotation vector, rad, and baseline over the mean distance."""
+RIG_FIELDS: Final = (
     "distance_m", "inverse_depth", "tilt", "drift_px", "captures", "points", "residual_px", "quality",
     "expected_ce90_px", "seconds",
 )  # fmt: skip
-"""What RIG.json says of the whole rig under the names of `Rig`."""
+"""Attributes of `Rig` that RIG.json has under the same names."""
 MAP_STEP_PX: Final = 8
 """Spacing of the exact positions of a warp; between them it is linear, to about 0.002 px."""
-MIN_CROP: Final = 0.3
+MIN_CROP_SHARE: Final = 0.3
 """Least share of the reference's rows and columns that all lenses see."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sharpness:
-    """What a lens's frames looked like where it was learned: against it, blur and covers are told."""
+    """Sharpness and contrast of frames of a lens, by which blurred frames and covered lenses are found."""
 
     detail: float
     """Energy of the finest detail over that of the next coarser one, in the direction where it is least."""
@@ -241,12 +231,11 @@ class RigLens:
     rotation: Float64
     """(3,) rotation vector from the reference's axes to the lens's, rad."""
     baseline: Float64
-    """(3,) what is added to a rotated ray for a point at the mean distance, per unit of its depth."""
+    """(3,) position of the reference's centre in the lens's axes, over the mean distance."""
     sigma: Float64
-    """(14,) standard deviations: those of the parameters of the lens, then of its pose, see `POSE`."""
+    """(14,) standard deviations of the `LENS_PARAMETERS`, then of the `POSE_PARAMETERS`."""
     mapping_sigma_px: tuple[float, float]
-    """Standard deviation of the position at which the lens sees what the reference sees: median and largest
-    over the frame."""
+    """Standard deviation of the mapping from the reference to the lens: median and largest over the frame."""
     distortion_sigma_px: float
     """Largest standard deviation of its distortion over the frame."""
     calibrated: Lens | None
@@ -274,12 +263,9 @@ class RigLens:
         The (n, 2) `rays` are their directions from the reference, and the (n,) `inverse_depth` is the mean
         distance over the depth of each.
         """
-        axes = (
-            np.column_stack([rays, np.ones(len(rays))]) @ self.matrix.T
-            + inverse_depth[:, None] * self.baseline
-        )
-        ahead = axes[:, 2] > 0.05
-        axes[~ahead] = np.nan
+        axes = np.column_stack([rays, np.ones(len(rays))]) @ self.matrix.T
+        axes += inverse_depth[:, None] * self.baseline
+        axes[axes[:, 2] <= 0.05] = np.nan  # behind the lens
         return self.lens.project(axes[:, :2] / axes[:, 2:])
 
 
@@ -289,15 +275,15 @@ class Rig:
 
     lenses: tuple[RigLens, ...]
     camera: str
-    """Make, model and serial number that the frames told."""
+    """Make, model and serial number by the frames' metadata."""
     distance_m: float | None
-    """The mean distance, the unit of the baselines; None where no frame told its height."""
+    """Mean distance of the ground, the unit of the baselines; None unless all captures have a height."""
     inverse_depth: tuple[float, float]
-    """Smallest and largest mean distance over distance of the captures that it was learned from."""
+    """Smallest and largest inverse depth (mean distance over distance) of the captures learned from."""
     tilt: float
-    """Standard deviation of the slope of inverse depth per direction."""
+    """Standard deviation of the slopes of inverse depth by direction (tilt of ground or camera)."""
     drift_px: float
-    """Standard deviation of how a lens moves against the others from capture to capture."""
+    """Standard deviation of the shift of a lens relative to the reference, from capture to capture."""
     captures: int
     points: int
     residual_px: float
@@ -313,7 +299,7 @@ class Rig:
 
     @property
     def quality(self) -> Grade | None:
-        """Grade of what it makes of the captures learned from, as that of a registration."""
+        """Grade of the error expected of the captures learned from, as that of a registration."""
         return None if self.expected_ce90_px is None else grade_of(self.expected_ce90_px)
 
     @property
@@ -326,13 +312,8 @@ class Rig:
         lens = self.reference.lens
         return (xy_px - lens.vector[1:3]) / lens.focal_px
 
-    def common_px(self, rays: Float64) -> Float64:
-        """Return the (n, 2) px of the common frame of the (n, 2) directions `rays`."""
-        lens = self.reference.lens
-        return rays * lens.focal_px + lens.vector[1:3]
-
     def offset_px(self, lens: RigLens) -> tuple[float, float]:
-        """Return how far (col, row) a lens sees the middle of the reference's view from its own middle."""
+        """Return the offset (col, row) of the reference frame's centre, as a lens sees it, from its own."""
         first, second = self.reference.lens, lens.lens
         ray = first.rays(np.array([[first.shape[1] / 2, first.shape[0] / 2]]))
         offset = lens.project(ray, np.ones(1))[0] - np.array([second.shape[1] / 2, second.shape[0] / 2])
@@ -355,7 +336,7 @@ class Rig:
         if visible.any():
             low, high = np.ceil(places[visible].min(axis=0)), np.floor(places[visible].max(axis=0))
             size = (high - low).astype(int)
-            if (size >= np.array([64, 64])).all() or (size >= MIN_CROP * np.array([cols, rows])).all():
+            if (size >= 64).all() or (size >= MIN_CROP_SHARE * np.array([cols, rows])).all():
                 return int(low[0]), int(low[1]), int(size[0]), int(size[1])
         raise InputError(
             f"the lenses {', '.join(self.names)} hardly look at the same ground: is this one rig?"
@@ -368,7 +349,7 @@ class Rig:
             "kind": "pcwlad-geo rig",
             "camera": self.camera,
             "reference": self.reference.name,
-            **{name: getattr(self, name) for name in FIGURES},
+            **{name: getattr(self, name) for name in RIG_FIELDS},
             "inverse_depth": list(self.inverse_depth),
             "lenses": [_lens_json(each) for each in self.lenses],
         }
@@ -386,8 +367,8 @@ class Rig:
         if not 2 <= len(lenses) <= 16 or len({each.name for each in lenses}) != len(lenses):
             raise ValueError("no two lenses")
         low, high = (float(each) for each in values["inverse_depth"])
-        numbers = [float(values[name]) for name in ("tilt", "drift_px", "residual_px", "seconds")]
-        if not 0 < low <= high < 1e6 or not all(math.isfinite(each) for each in numbers):
+        numbers = {name: float(values[name]) for name in ("tilt", "drift_px", "residual_px", "seconds")}
+        if not 0 < low <= high < 1e6 or not all(map(math.isfinite, numbers.values())):
             raise ValueError("no distances")
         metres, expected = values["distance_m"], values.get("expected_ce90_px")
         return Rig(
@@ -395,13 +376,10 @@ class Rig:
             camera=str(values["camera"]),
             distance_m=None if metres is None else float(metres),
             inverse_depth=(low, high),
-            tilt=numbers[0],
-            drift_px=numbers[1],
             captures=int(values["captures"]),
             points=int(values["points"]),
-            residual_px=numbers[2],
             expected_ce90_px=None if expected is None else float(expected),
-            seconds=numbers[3],
+            **numbers,
         )
 
     @staticmethod
@@ -424,14 +402,13 @@ def grade_of(expected_ce90_px: float) -> Grade:
 
 def _lens_json(each: RigLens) -> dict[str, Any]:
     off = each.off_by_px()
-    names = [*each.lens.to_dict()][3:]
     return {
         "name": each.name,
         "wavelength_nm": None if each.wavelength_nm is None else list(each.wavelength_nm),
         **each.lens.to_dict(),
         "rotation_rad": each.rotation.tolist(),
         "baseline": each.baseline.tolist(),
-        "sigma": dict(zip([*names, *POSE], each.sigma.tolist(), strict=True)),
+        "sigma": dict(zip(LENS_PARAMETERS + POSE_PARAMETERS, each.sigma.tolist(), strict=True)),
         "mapping_sigma_px": {"median": each.mapping_sigma_px[0], "largest": each.mapping_sigma_px[1]},
         "distortion_sigma_px": each.distortion_sigma_px,
         "calibrated": None if each.calibrated is None else each.calibrated.to_dict(),
@@ -477,51 +454,45 @@ def coefficients_of(values: Float32) -> Float32:
 
 
 def measured_side(shape: tuple[int, int]) -> int:
-    """Return the longer side of the frames in which frames of a `shape` are measured.
+    """Return the longer side to which frames of a `shape` are reduced for matching, px.
 
-    Frames of many px are averaged by two: what is left of their finest detail is the lens's own asymmetric
-    blur more than the ground's detail, and lies up to 0.1 px aside of all else.
+    Frames of many px are averaged by two: their finest detail shows the asymmetric blur of the lens more than
+    the ground, and is displaced by up to 0.1 px.
     """
     side = max(shape)
     return round(min(side, 1300, max(640, side / 2)))
 
 
-def coarsened(values: Float32, at_px: Float64, times: float) -> tuple[Float32, Float64]:
-    """Return the (rows, cols) `values` averaged before they are resampled so many times more coarsely.
-
-    The second is the (n, 2) `at_px`, in the px of what is returned.
-    """
-    if times <= 1.2:
-        return values, at_px
-    rows, cols = (max(16, round(n / times)) for n in values.shape)
-    small = np.asarray(cv2.resize(values, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
-    return small, at_px * (np.array([cols, rows]) / np.array(values.shape[::-1]))
-
-
-def map_places(
-    shape: tuple[int, int], origin: tuple[float, float], step_px: float
-) -> tuple[Float64, tuple[int, int]]:
-    """Return the (n, 2) places (col, row) where a warp is computed exactly, and their rows and columns.
+def map_places(shape: tuple[int, int], origin: tuple[float, float], step_px: float) -> Float64:
+    """Return the (n, 2) places (col, row) where a warp is computed exactly, in the order of its rows.
 
     `shape` is that of the output, `origin` the column and row of its top-left corner in the plane of the
-    places, and `step_px` how many px of that plane a px of the output is.
+    places, and `step_px` the size of its px in that plane.
     """
-    counts = [math.ceil(size / MAP_STEP_PX) + 1 for size in shape]
-    row, col = (np.arange(count) * MAP_STEP_PX + 0.5 for count in counts)
+    row, col = (np.arange(count) * MAP_STEP_PX + 0.5 for count in map_shape(shape))
     cols, rows = np.meshgrid(origin[0] + step_px * col, origin[1] + step_px * row)
-    return np.column_stack([cols.ravel(), rows.ravel()]), (counts[0], counts[1])
+    return np.column_stack([cols.ravel(), rows.ravel()])
 
 
-def resampled(
-    coefficients: Float32, lens_px: Float64, counts: tuple[int, int], shape: tuple[int, int]
-) -> Float32:
-    """Return a frame resampled once to (rows, cols), by a cubic B-spline; NaN where it does not reach.
+def map_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    """Return the numbers of rows and columns of `map_places` for an output of a `shape`."""
+    return math.ceil(shape[0] / MAP_STEP_PX) + 1, math.ceil(shape[1] / MAP_STEP_PX) + 1
 
-    Given are its (rows, cols) `coefficients`, and the (n, 2) px, `lens_px`, at the places of `map_places`,
-    with the rows and columns of these, `counts`, and of the output.
+
+def resampled(values: Float32, lens_px: Float64, shape: tuple[int, int], reduction: float = 1.0) -> Float32:
+    """Return a frame resampled once to a `shape`, by a cubic B-spline; NaN outside the frame.
+
+    Given are its (rows, cols) `values`, and the (n, 2) px, `lens_px`, at the places of `map_places`. The
+    frame is averaged first where the output is distinctly coarser: `reduction` is how many of its px one px
+    of the output spans.
     """
+    if reduction > 1.2:
+        rows, cols = (max(16, round(n / reduction)) for n in values.shape)
+        lens_px = lens_px * (np.array([cols, rows]) / np.array(values.shape[::-1]))
+        values = np.asarray(cv2.resize(values, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
+    grid = np.nan_to_num(lens_px, nan=-1e9).reshape(*map_shape(shape), 2)
     out = np.empty(shape, np.float32)
-    resample(coefficients, np.nan_to_num(lens_px, nan=-1e9).reshape(*counts, 2), MAP_STEP_PX, out)
+    resample(coefficients_of(values), grid, MAP_STEP_PX, out)
     return out
 
 
@@ -529,7 +500,7 @@ def resample(coefficients: Float32, grid: Float64, step: int, out: Float32) -> N
     """Evaluate the spline of (rows, cols) float32 `coefficients` and fill the float32 image `out`.
 
     The (n, m, 2) float64 `grid` holds the places (col, row) of every `step`-th pixel of its rows and columns,
-    and of one beyond the last; they are linear between these. Where the frame does not reach, `out` is NaN.
+    and of one beyond the last; between these it is interpolated linearly. Outside the frame `out` is NaN.
     """
     function("resample", POINTER, *2 * [WHOLE], POINTER, *4 * [WHOLE], POINTER)(
         address(coefficients, np.float32),

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.rigs.adjustment import Observations, RigState, adjust, predict
+from pcwlad_geo.rigs.adjustment import Adjusted, Observations, RigState, adjust, predict
+from pcwlad_geo.rigs.learning import _precision
 from pcwlad_geo.rigs.rig import Lens, lattice
 
 SHAPE = (480, 640)
@@ -112,7 +113,7 @@ def test_no_tie_points_are_refused() -> None:
     first, sigma = started(true, np.random.default_rng(8))
     seen = observed(true, np.random.default_rng(7))
     with pytest.raises(InputError, match="needs tie points of all lenses"):
-        adjust(first, first, sigma, seen.part(np.zeros(len(seen), bool)), 1.0)
+        adjust(first, first, sigma, seen.selected(np.zeros(len(seen), bool)), 1.0)
 
 
 @pytest.mark.parametrize("places", ["on a line", "in one place", "sigma 0"])
@@ -129,6 +130,22 @@ def test_what_singular_tie_points_leave_open_is_as_uncertain_as_expected(places:
     free = sigma.vector > 0
     off = (found.state.vector - true.vector)[free] / np.sqrt(np.diag(found.covariance)[free])
     assert np.abs(off).max() < 5
+
+
+@pytest.mark.parametrize("share", [1.0, 0.25])
+def test_precision_is_that_over_the_frame_of_the_reference_for_a_lens_of_few_px_too(share: float) -> None:
+    reference = Lens("brown", SHAPE, np.array([720.0, 320.0, 240.0, 0, 0, 0, 0, 0]))
+    shape = round(SHAPE[0] * share), round(SHAPE[1] * share)
+    lens = Lens("brown", shape, reference.vector * share)
+    vectors = np.stack([reference.vector, lens.vector])
+    state = RigState(("brown",) * 2, vectors, np.zeros((2, 6)), np.array([[1.0, 0, 0]]))
+    covariance = np.zeros((31, 31))
+    covariance[24, 24] = 1e-6  # of the rotation of the lens about its axis
+    found = Adjusted(state, covariance, np.empty((0, 2)), np.empty(0, bool), 1.0)
+    median_px, largest_px = _precision(found, 1, reference, lens)[0]
+    radii_px = share * np.hypot(*(lattice(SHAPE, 80) - [320.0, 240.0]).T)
+    assert median_px / largest_px == pytest.approx(np.median(radii_px) / radii_px.max(), rel=0.01)
+    assert largest_px == pytest.approx(1e-3 * radii_px.max() / np.sqrt(2), rel=0.2)
 
 
 def test_gross_errors_do_not_count() -> None:
@@ -148,7 +165,7 @@ def test_lenses_that_are_known_are_held_while_the_ground_is_found() -> None:
     seen = observed(true, random)
     held = RigState(true.models, np.zeros((3, 8)), np.zeros((3, 6)), np.array([[0.3, 0.1, 0.1]]))
     off = replace(true, planes=true.planes + np.array([[0.2, 0.02, -0.02]]))
-    found = adjust(off, off, held, seen, 1.0, unit=False)
+    found = adjust(off, off, held, seen, 1.0, unit_mean_depth=False)
     assert found.state.lenses == pytest.approx(true.lenses)
     assert found.state.planes[0, 0] == pytest.approx(true.planes[0, 0], abs=0.06)
 
@@ -198,7 +215,7 @@ def test_captures_that_overlap_tell_the_distortion_that_all_lenses_share(
     start = replace(first, lenses=bent, poses=poses, overlaps=true.overlaps)
     weak = np.tile([4.0, 2.0, 2.0, 0.05, 0.05, 0.05, 2e-4, 2e-4], (len(bent), 1))
     sigma = replace(sigma, lenses=weak, poses=np.vstack([sigma.poses, np.full_like(FLOWN, 0.1)]))
-    found = adjust(start, start, sigma, seen, 1.0, by_lens=True)
+    found = adjust(start, start, sigma, seen, 1.0, sigma_by_lens=True)
     assert largest_px(true, start) > 1.0
     assert largest_px(true, found.state) < within_px
     free = sigma.vector > 0

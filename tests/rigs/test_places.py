@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.outputs.folder import lock_folder
+from pcwlad_geo.rigs.adjustment import Adjusted, RigState
+from pcwlad_geo.rigs.applying import _sigma_px
 from pcwlad_geo.rigs.rig import Rig
 from pcwlad_geo.rigs.run import NUMBERS, SUMMARY, rig_apply
 
@@ -79,6 +83,19 @@ def test_rigs_that_cannot_be(folder: Path, path: tuple[str | int, ...], value: o
     file.write_text(json.dumps(changed(json.loads(file.read_text()), *path, to=value)))
     with pytest.raises(InputError, match="no rig"):
         Rig.read(file)
+
+
+def test_the_sigma_of_a_lens_of_few_px_is_in_px_of_the_reference(folder: Path) -> None:
+    rig = Rig.read(folder / "RIG.json")
+    vectors = np.stack([rig.reference.lens.vector / 4 ** (k > 0) for k in range(len(rig.lenses))])
+    lenses = tuple(
+        replace(each, lens=replace(each.lens, vector=vector), mapping_sigma_px=(0.1, 0.2))
+        for each, vector in zip(rig.lenses, vectors, strict=True)
+    )
+    state = RigState(("brown",) * len(lenses), vectors, np.zeros((len(lenses), 6)), np.array([[1.0, 0, 0]]))
+    known = np.zeros((len(state.vector), len(state.vector)))
+    found = Adjusted(state, known, np.empty((0, 2)), np.empty(0, bool), 1.0)
+    assert _sigma_px(replace(rig, lenses=lenses), found) == pytest.approx(0.4)
 
 
 def test_a_calibration_that_maps_nothing_into_the_frame_is_not_compared(folder: Path) -> None:

@@ -87,6 +87,14 @@ def test_a_lens_of_few_px_is_matched_up_to_its_edges(tmp_path: Path) -> None:
     assert np.median(np.hypot(*(points.lens_px - true_px)[near].T)) < 0.5
 
 
+def test_a_lens_of_more_px_than_the_reference_is_matched_over_its_whole_frame(tmp_path: Path) -> None:
+    reference, lens = made_rig(11, SHAPE)[:2]
+    finer = replace(lens.lens, shape=(960, 1280), vector=lens.lens.vector * ([2.0] * 3 + [1.0] * 5))
+    rig = reference, replace(lens, lens=finer, calibrated=None)
+    points, *_ = seen_and_true(tmp_path, rig, flown(45.0), finer, 640)
+    assert (points.lens_px > np.array(SHAPE[::-1])).all(axis=1).mean() > 0.1
+
+
 def test_no_smooth_field_takes_away_what_bends_near_the_corners(seen: Float64) -> None:
     length, true, observed = seen[seen[:, 0] > NEAR_CORNERS_PX].T
     assert len(length) > 30
