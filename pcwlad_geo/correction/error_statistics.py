@@ -1,4 +1,4 @@
-"""Errors: statistics per axis and radial, what a correction is expected to err by, what a proof tells."""
+"""Statistics of errors per axis and radial, expected error of a correction, results of a proof."""
 
 from __future__ import annotations
 
@@ -110,8 +110,8 @@ def in_units(
 ) -> dict[str, ErrorStatistics | None]:
     """Return the statistics in several units.
 
-    The (n, 2) arrays `errors_xy` and `sigma_xy` are as for `ErrorStatistics.of`. Of each unit the `factors`
-    are its number in one unit of the errors (col, row), (2,) or (n, 2); None if that is not known.
+    The (n, 2) arrays `errors_xy` and `sigma_xy` are those of `ErrorStatistics.of`. The `factors` convert them
+    to each unit (col, row), (2,) or (n, 2); None if the factor is not known.
     """
     return {
         unit: None if factor is None else ErrorStatistics.of(errors_xy * factor, sigma_xy * factor)
@@ -143,8 +143,8 @@ def without_noise(errors_xy: Float64, sigma_xy: Float64) -> Float64:
     noise = sigma_xy**2
     true = np.maximum(errors_xy.var(axis=0) - noise.mean(axis=0), 0.0)
     share = np.divide(true, true + noise, out=np.zeros_like(noise), where=true > 0)
-    left = (errors_xy - mean) * np.sqrt(share)
-    return np.asarray(mean + left - left.mean(axis=0))
+    shrunk = (errors_xy - mean) * np.sqrt(share)
+    return np.asarray(mean + shrunk - shrunk.mean(axis=0))
 
 
 def axis_statistics(errors: Float64) -> AxisStatistics:
@@ -168,12 +168,12 @@ def radial_statistics(errors_xy: Float64) -> RadialStatistics:
 
 
 def _net(errors_xy: Float64, sigma_xy: Float64) -> NetStatistics:
-    left = without_noise(errors_xy, sigma_xy)
-    radial = radial_statistics(left)
+    errors = without_noise(errors_xy, sigma_xy)
+    radial = radial_statistics(errors)
     return NetStatistics(
         noise_xy=float_pair(np.sqrt((sigma_xy**2).mean(axis=0))),
-        std_xy=float_pair(left.std(axis=0)),
-        le90_xy=float_pair(np.percentile(np.abs(left), 90, axis=0)),
+        std_xy=float_pair(errors.std(axis=0)),
+        le90_xy=float_pair(np.percentile(np.abs(errors), 90, axis=0)),
         rmse=radial.rmse,
         ce90=radial.ce90,
         ce95=radial.ce95,
@@ -190,10 +190,10 @@ def float_pair(values: Float64) -> FloatPair:
 class Accuracy:
     """Statistics of (n, 2) residuals in one unit; NaN where there are none."""
 
-    n: Annotated[int, ("minimum", 0)]
-    mean_xy: tuple[float, float]
-    rmse_xy: tuple[float, float]
-    le90_xy: tuple[float, float]
+    n: Count
+    mean_xy: FloatPair
+    rmse_xy: FloatPair
+    le90_xy: FloatPair
     """Empirical 90th percentile of the absolute residual per axis."""
     rmse: float
     """Radial: root of RMSEx² + RMSEy²."""
@@ -207,8 +207,8 @@ class Accuracy:
         """Return the statistics of the (n, 2) `residuals` in any unit; rows with NaN are left out."""
         residuals = residuals[np.isfinite(residuals).all(axis=1)]
         if len(residuals) == 0:
-            nan2 = (float("nan"), float("nan"))
-            return Accuracy(0, nan2, nan2, nan2, *(float("nan"),) * 3)
+            nan = float("nan")
+            return Accuracy(0, (nan, nan), (nan, nan), (nan, nan), nan, nan, nan)
         x, y = axis_statistics(residuals[:, 0]), axis_statistics(residuals[:, 1])
         radial = radial_statistics(residuals)
         return Accuracy(
@@ -226,22 +226,22 @@ CELLS_PER_WINDOW: Final = 3.0
 """Number of cells along the side of a window; points of one cell share pixels and count as one."""
 NEIGHBOURS: Final = 5
 """Number of nearest independent points whose median residual is taken for the mean error at a place."""
-SHARED: Final = 0.5
-"""Largest scatter of such points that agree, as a share of the length of their median."""
-CLOSELY_PX: Final = 0.5
-"""Largest scatter of rejected matches that count beyond the tie points: matches of ground without structure
+MAX_RELATIVE_SPREAD: Final = 0.5
+"""Largest spread of such points that agree, as a share of the length of their median."""
+MAX_REJECTED_SPREAD_PX: Final = 0.5
+"""Largest spread of rejected matches that count beyond the tie points: matches of ground without structure
 err in any direction, and some of them agree by chance."""
 SIGMA_90: Final = 2.146
 """Radius that holds 90 % of a circular normal distribution, in sigmas of an axis."""
 UNSURPRISING: Final = 1.25
 """Largest ratio of residuals to their sigmas that is expected of correct sigmas."""
 LAGS: Final = 8
-"""Number of distances at which the roughness of the displacements is measured."""
+"""Number of lags of the semivariogram of the displacements."""
 DRAWS: Final = 64
-"""Number of errors that represent a unit normal distribution."""
+"""Number of quasi-random draws that represent a unit normal distribution."""
 LEAST_COMMON_PX: Final = 0.03
-"""Least error per axis that all points of two images have in common: the structure of one does not lie just
-where that of the other does, however well the points agree (rows of an orchard: 0.09 to 0.17 px at 90 %)."""
+"""Least systematic error per axis that all points of two images share: the structure in one is offset from
+that in the other, however well the points agree (rows of an orchard: 0.09 to 0.17 px at 90 %)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,26 +267,24 @@ def expected_ce90(
 ) -> float:
     """Return the radial error within which 90 % of the places are expected to lie, px.
 
-    The error at a place is taken to be normally distributed. Its mean is what the matches around say, see
-    `_mean_error`, and its covariance that of the correction; beyond the tie points it grows by the
+    The error at a place is taken to be normally distributed. Its mean is estimated from the matches around,
+    see `_mean_error`. Its covariance is that of the correction; beyond the tie points it grows by the
     semivariogram of the displacements. The (m, 2) `places_px` are predicted target positions (col, row), px,
     spread evenly over the ground; there is at least one of them, and one match. The matching window is
     `footprint_px` wide, and averages out a `jitter_px` (RMS of the length) that the correction leaves.
     """
     left = left_by_correction(residuals, places_px, footprint_px)
     reach_px = selection.fit.support.reach_px
-    known = left.by_all & (left.distance_px <= reach_px) & (left.spread_px <= CLOSELY_PX)
+    known = left.all_agree & (left.distance_px <= reach_px) & (left.spread_px <= MAX_REJECTED_SPREAD_PX)
     extrapolated = selection.extrapolated(places_px) & ~known
-    mean_px = np.zeros_like(places_px)
-    inside = ~extrapolated
+    inside, outside_px = ~extrapolated, places_px[extrapolated]
+    mean_px = np.empty_like(places_px)
     mean_px[inside] = _mean_error(residuals, left.median_px[inside], places_px[inside], footprint_px)
-    mean_px[extrapolated] = _extrapolated_mean_error(
-        selection, residuals, places_px[extrapolated], footprint_px
-    )
-    # The misfit of the model is in the mean, so not in the covariance.
+    mean_px[extrapolated] = _extrapolated_mean_error(selection, residuals, outside_px, footprint_px)
+    # The misfit of the model is part of the mean and must not enter the covariance.
     common_px2 = np.maximum(selection.common_px2, LEAST_COMMON_PX**2) + jitter_px**2 / 2
     covariance = selection.fit.covariance(places_px) + np.diag(common_px2)
-    growth = _extrapolation_variance(selection, residuals, places_px[extrapolated])
+    growth = _extrapolation_variance(selection, residuals, outside_px)
     covariance[extrapolated] += growth[:, None, None] * np.eye(2)
     values, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
@@ -295,17 +293,17 @@ def expected_ce90(
 
 
 def _mean_error(residuals: Residuals, median_px: Float64, places_px: Float64, footprint_px: float) -> Float64:
-    """Return the (m, 2) mean error of the correction at places that matches tell of, px.
+    """Return the (m, 2) mean error of the correction at places with matches around, px.
 
-    Where sigmas explain the residuals, it is the median of the nearest independent points without the noise,
-    which is no error of the correction. Otherwise the ground is displaced within short distances, and a match
-    that its neighbours contradict may be the right one: the nearest point counts, rejected or not.
+    Where sigmas explain the residuals, it is the (m, 2) median residual of the nearest independent points,
+    with the noise removed. Otherwise displacements vary over short distances, and a match that its neighbours
+    contradict may be right: it is the residual of the nearest point, rejected or not.
     """
     kept, sigma_px = np.flatnonzero(residuals.kept), residuals.sigma_px
     if len(places_px) == 0 or len(kept) == 0 or sigma_px is None:
         return median_px
-    times = np.linalg.norm(residuals.residual_px[kept] / np.maximum(sigma_px[kept], 1e-9), axis=1)
-    if not np.percentile(times, 90) <= UNSURPRISING * SIGMA_90:
+    normalised = np.linalg.norm(residuals.residual_px[kept] / np.maximum(sigma_px[kept], 1e-9), axis=1)
+    if not np.percentile(normalised, 90) <= UNSURPRISING * SIGMA_90:
         side_px = footprint_px / CELLS_PER_WINDOW
         place, value = _independent_points(residuals.predicted_px, residuals.residual_px, side_px)
         return np.asarray(value[cKDTree(place).query(places_px)[1]])
@@ -314,39 +312,39 @@ def _mean_error(residuals: Residuals, median_px: Float64, places_px: Float64, fo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Left:
+class LocalResiduals:
     """The residuals of the matches around m places."""
 
     median_px: Float64
     """(m, 2) median residual of the nearest independent points (col, row), px."""
-    by_all: Bool
-    """(m,) whether all matches around agree on it; otherwise it is that of the matches kept."""
+    all_agree: Bool
+    """(m,) whether the kept and the rejected matches agree on it; otherwise it is that of the kept ones."""
     spread_px: Float64
-    """(m,) median distance of the nearest such points, of all matches, from their median, px."""
+    """(m,) median distance of the nearest independent points, of all matches, from their median, px."""
     distance_px: Float64
-    """(m,) distance of the nearest such point, of all matches, px."""
+    """(m,) distance of the place from the nearest independent point, of all matches, px."""
 
 
-def left_by_correction(residuals: Residuals, places_px: Float64, footprint_px: float) -> Left:
+def left_by_correction(residuals: Residuals, places_px: Float64, footprint_px: float) -> LocalResiduals:
     """Return the residuals of the matches around places.
 
     The (m, 2) `places_px` are predicted target positions (col, row), px. There is at least one match; the
     matching window is `footprint_px` wide.
     """
     median, spread, distance = _around(residuals.predicted_px, residuals.residual_px, places_px, footprint_px)
-    if not residuals.kept.any():
-        return Left(median, np.ones(len(places_px), bool), spread, distance)
-    among_kept, _, _ = _around(
-        residuals.predicted_px[residuals.kept], residuals.residual_px[residuals.kept], places_px, footprint_px
-    )
-    agree = spread <= SHARED * np.linalg.norm(median, axis=1)
-    return Left(np.where(agree[:, None], median, among_kept), agree, spread, distance)
+    kept = residuals.kept
+    if not kept.any():
+        return LocalResiduals(median, np.ones(len(places_px), bool), spread, distance)
+    xy_px, residual_px = residuals.predicted_px[kept], residuals.residual_px[kept]
+    of_kept, _, _ = _around(xy_px, residual_px, places_px, footprint_px)
+    agree = spread <= MAX_RELATIVE_SPREAD * np.linalg.norm(median, axis=1)
+    return LocalResiduals(np.where(agree[:, None], median, of_kept), agree, spread, distance)
 
 
 def _around(
     xy_px: Float64, value_px: Float64, places_px: Float64, footprint_px: float
 ) -> tuple[Float64, Float64, Float64]:
-    """Return the nearest independent points' median, median distance from it, and least distance."""
+    """Return the median of the independent points nearest to each place, their spread and least distance."""
     place, value = _independent_points(xy_px, value_px, footprint_px / CELLS_PER_WINDOW)
     count = min(NEIGHBOURS, len(place))
     distance, near = cKDTree(place).query(places_px, k=[*range(1, count + 1)])
@@ -373,17 +371,17 @@ def _extrapolated_mean_error(
 ) -> Float64:
     """Return the (k, 2) mean error of the correction at places beyond the tie points, px.
 
-    The affine trend of the consistent matches goes on there, and so does what the nearest of them lie beside
-    it. A shift ignores the trend, and a curved correction bends on although nothing says the ground does.
-    Other matches do not count there: ground without structure, where most of them lie, has only wrong ones.
+    The displacement there is predicted by the affine trend of the kept matches plus the deviation of the
+    nearest of them from it. A shift ignores the trend, and a curved correction continues its curvature, for
+    which there is no evidence. Rejected matches do not count: most lie on ground without structure.
     """
     kept, correction = residuals.kept, selection.fit.correction
     if len(places_px) == 0 or kept.sum() < 3:
         return np.zeros_like(places_px)
-    xy, sigma_px = residuals.predicted_px[kept], residuals.sigma_px
+    xy = residuals.predicted_px[kept]
     observed = correction.forward(xy) + residuals.residual_px[kept]
     trend = AffineCorrection("affine", affine_between(xy, observed))
-    sigma_px = None if sigma_px is None else sigma_px[kept]
+    sigma_px = None if residuals.sigma_px is None else residuals.sigma_px[kept]
     about_trend = Residuals(xy, observed - trend.forward(xy), np.ones(len(xy), bool), sigma_px)
     nearest, _, _ = _around(xy, about_trend.residual_px, places_px, footprint_px)
     mean = _mean_error(about_trend, nearest, places_px, footprint_px)
@@ -393,10 +391,10 @@ def _extrapolated_mean_error(
 def _extrapolation_variance(selection: Selection, residuals: Residuals, places_px: Float64) -> Float64:
     """Return (k,) variance per axis to add at places beyond the tie points, px².
 
-    It is half the mean squared difference of displacements as far apart as the place is from the nearest
-    point (the semivariogram of kriging), less that of neighbours, which is noise. A correction that is at
-    most affine continues a trend, and only its residuals count; a curved one says nothing beyond its points,
-    and all displacements beside an affine trend count.
+    It is the semivariogram of the displacements (half the mean squared difference of two of them) at the
+    distance from the place to the nearest point, minus that of neighbours (the nugget, which is noise). For
+    an affine correction, which continues the trend, it is that of the residuals; for a curved one, that of
+    the displacements minus their affine trend.
     """
     xy, left = residuals.predicted_px[residuals.kept], residuals.residual_px[residuals.kept]
     if len(places_px) == 0 or len(xy) < 3:
@@ -406,21 +404,22 @@ def _extrapolation_variance(selection: Selection, residuals: Residuals, places_p
         left = observed - AffineCorrection("affine", affine_between(xy, observed)).forward(xy)
     sample = np.linspace(0, len(xy) - 1, min(len(xy), 400)).astype(np.intp)
     separation = np.linalg.norm(xy[sample, None] - xy[None, sample], axis=2)
-    halved = ((left[sample, None] - left[None, sample]) ** 2).sum(axis=2) / 4  # of two points, of two axes
+    # Half the squared difference, averaged over the two axes.
+    halved = ((left[sample, None] - left[None, sample]) ** 2).sum(axis=2) / 4
     reach = max(float(np.ptp(xy, axis=0).max()) / 2, 1e-9)
     bins = np.minimum(np.ceil(separation / reach * LAGS), LAGS + 1).astype(np.intp).ravel()
     counts = np.bincount(bins, minlength=LAGS + 2)[1 : LAGS + 1]
     sums = np.bincount(bins, halved.ravel(), minlength=LAGS + 2)[1 : LAGS + 1]
-    rough = np.divide(sums, counts, out=np.zeros(LAGS), where=counts > 0)
-    rough = np.maximum.accumulate(np.maximum(rough - rough[0], 0.0))
+    semivariogram = np.divide(sums, counts, out=np.zeros(LAGS), where=counts > 0)
+    semivariogram = np.maximum.accumulate(np.maximum(semivariogram - semivariogram[0], 0.0))
     distance, _ = cKDTree(xy).query(places_px)
     lags = np.arange(LAGS + 1) * reach / LAGS
-    grown = np.interp(distance, lags, np.concatenate([[0.0], rough]))
-    return np.asarray(grown * np.maximum(distance / reach, 1.0) ** 2)
+    variance = np.interp(distance, lags, np.concatenate([[0.0], semivariogram]))
+    return np.asarray(variance * np.maximum(distance / reach, 1.0) ** 2)
 
 
 def _normal_draws() -> Float64:
-    """Return (DRAWS, 2) errors distributed like a unit normal distribution."""
+    """Return (DRAWS, 2) quasi-random draws from the bivariate unit normal distribution."""
     length = np.sqrt(-2 * np.log1p(-(np.arange(DRAWS) + 0.5) / DRAWS))
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(DRAWS)  # golden angles: even at any length
     return np.column_stack([length * np.cos(angle), length * np.sin(angle)])
@@ -443,7 +442,7 @@ class Move:
     wavelength_px: Amount = 0.0
 
     def source(self, xy_px: Float64, centre_px: Float64) -> Float64:
-        """Return (n, 2) where the target as it is has what the moved one shows at (n, 2) `xy_px`.
+        """Return the (n, 2) positions in the unmoved target of the (n, 2) `xy_px` in the moved one.
 
         The move is about the (2,) `centre_px`; all are px (col, row) of the same array or view.
         """

@@ -19,9 +19,9 @@ from pcwlad_geo.types import Float64, Index
 MAX_ORDER: Final = 3
 """Largest order of a polynomial."""
 MAX_WAVES: Final = 100
-"""Largest number of waves of a correction that is read."""
+"""Largest number of waves of a jitter correction in a report.json."""
 MAX_STEPS: Final = 20
-"""Largest number of steps of a composition that is read."""
+"""Largest number of steps of a composition in a report.json."""
 MAX_STRETCH: Final = 1e6
 """Largest factor by which an affine correction may stretch or shrink the image; real ones have about one."""
 
@@ -50,6 +50,10 @@ class Correction(ABC):
     def inverse(self, observed_px: Float64) -> Float64:
         """Map the (n, 2) `observed_px` to predicted target pixels; NaN where the model has none."""
 
+    def at_nodes(self, nodes_px: Float64) -> Float64:
+        """Map the (rows, cols, 2) `nodes_px` of a lattice to observed target pixels, of the same shape."""
+        return self.forward(nodes_px.reshape(-1, 2)).reshape(nodes_px.shape)
+
     @abstractmethod
     def _parameters(self) -> dict[str, object]:
         """Return the type and the parameters of the mapping as report.json holds them."""
@@ -63,11 +67,11 @@ class Correction(ABC):
         return Composition(self.name, ((self, True),))
 
     def __matmul__(self, first: Correction) -> Correction:
-        one, other = self.homogeneous, first.homogeneous
-        if one is not None and other is not None:
+        if self.homogeneous is not None and first.homogeneous is not None:
+            matrix = self.homogeneous @ first.homogeneous
             if isinstance(self, AffineCorrection) and isinstance(first, AffineCorrection):
-                return AffineCorrection(self.name if self.name == first.name else "affine", (one @ other)[:2])
-            return ProjectiveCorrection("projective", one @ other)
+                return AffineCorrection(self.name if self.name == first.name else "affine", matrix[:2])
+            return ProjectiveCorrection("projective", matrix)
         steps = [each.steps if isinstance(each, Composition) else ((each, False),) for each in (first, self)]
         return Composition(f"{first.name}, {self.name}", (*steps[0], *steps[1]))
 
@@ -114,7 +118,7 @@ class CallableTransform:
 
     @property
     def inverse(self) -> CallableTransform:
-        """The transform the other way."""
+        """The inverse transform."""
         return CallableTransform(self.correction.invert())
 
 
@@ -123,7 +127,7 @@ class Composition(Correction):
     """Corrections one after another."""
 
     steps: tuple[tuple[Correction, bool], ...]
-    """Each with whether it is inverted, the one that is applied first in front."""
+    """Pairs of a correction and whether it is inverted, in the order in which they are applied."""
 
     def forward(self, predicted_px: Float64) -> Float64:
         """Map the (n, 2) `predicted_px` to observed target pixels; NaN where a step has none."""
@@ -147,7 +151,7 @@ class Composition(Correction):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothCorrection(Correction):
-    """A correction of known slopes, which Newton's method inverts."""
+    """A correction with known derivatives, which Newton's method inverts."""
 
     def forward(self, predicted_px: Float64) -> Float64:
         """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
@@ -164,10 +168,6 @@ class SmoothCorrection(Correction):
     @abstractmethod
     def _slopes(self, at_px: Float64) -> Float64:
         """Return the (n, 2, 2) derivatives of the observed px (last axis: by col, row)."""
-
-    def at_nodes(self, nodes_px: Float64) -> Float64:
-        """Return the (rows, cols, 2) observed px of the `nodes_px` of a lattice, (rows, cols, 2) as well."""
-        return self.forward(nodes_px.reshape(-1, 2)).reshape(nodes_px.shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,11 +249,11 @@ class PolynomialCorrection(SmoothCorrection):
         return np.asarray(np.eye(2) + slopes)
 
     def at_nodes(self, nodes_px: Float64) -> Float64:
-        """Return the (rows, cols, 2) observed px of the `nodes_px` of a lattice, (rows, cols, 2) as well."""
+        """Map the (rows, cols, 2) `nodes_px` of a lattice to observed target pixels, of the same shape."""
         coefficients_px = np.zeros((self.basis.order + 1, self.basis.order + 1, 2))
         for (col, row), coefficient_px in zip(self.basis.exponents, self.coefficients_px, strict=True):
             coefficients_px[row, col] = coefficient_px
-        return nodes_px + _sum_of_products(self.basis, coefficients_px, nodes_px)
+        return nodes_px + _tensor_product(self.basis, coefficients_px, nodes_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,7 +272,7 @@ class SplineGrid:
         """Rows and columns of the coefficients: three more than cells."""
         return self.cells[1] + 3, self.cells[0] + 3
 
-    def taps(self, at_px: Float64) -> tuple[Index, Float64, Float64]:
+    def nonzero_splines(self, at_px: Float64) -> tuple[Index, Float64, Float64]:
         """Return indices, values and slopes of the B-splines that are not zero at (n, 2) positions `at_px`.
 
         Beyond the rectangle each direction is continued by its tangent, so a spline is once continuously
@@ -288,7 +288,7 @@ class SplineGrid:
 
     def factors(self, at_px: Float64, axis: int) -> Float64:
         """Return the (n, k) values of all k B-splines along cols (`axis` 0) or rows at the (n, 2) `at_px`."""
-        first, values, _ = self.taps(at_px)
+        first, values, _ = self.nonzero_splines(at_px)
         all_values = np.zeros((len(first), self.shape[1 - axis]))
         np.put_along_axis(all_values, first[:, axis, None] + np.arange(4), values[:, axis], axis=1)
         return all_values
@@ -303,7 +303,7 @@ class SplineGrid:
 
     def design(self, at_px: Float64) -> scipy.sparse.csr_array:
         """Return the (n, k) values of all B-splines, row by row of the grid, at the (n, 2) `at_px`."""
-        first, values, _ = self.taps(at_px)
+        first, values, _ = self.nonzero_splines(at_px)
         cols = first[:, 0, None, None] + np.arange(4)
         rows = first[:, 1, None, None] + np.arange(4)[:, None]
         index = rows * self.shape[1] + cols
@@ -342,36 +342,36 @@ class SplineCorrection(SmoothCorrection):
         }
 
     def _forward(self, at_px: Float64) -> Float64:
-        first, values, _ = self.grid.taps(at_px)
+        first, values, _ = self.grid.nonzero_splines(at_px)
         return at_px + self._sum(first, values[:, 1], values[:, 0])
 
     def _slopes(self, at_px: Float64) -> Float64:
-        first, values, slopes = self.grid.taps(at_px)
+        first, values, slopes = self.grid.nonzero_splines(at_px)
         by_col = self._sum(first, values[:, 1], slopes[:, 0])
         by_row = self._sum(first, slopes[:, 1], values[:, 0])
         return np.eye(2) + np.stack([by_col, by_row], axis=2)
 
     def _sum(self, first: Index, along_rows: Float64, along_cols: Float64) -> Float64:
+        """Return the (n, 2) sums of coefficients times the (n, 4) B-splines along rows and cols."""
+        col, row = first.T
         total = np.zeros((len(first), 2))
         for j in range(4):
-            row = np.zeros((len(first), 2))
-            for i in range(4):
-                row += along_cols[:, i, None] * self.coefficients_px[first[:, 1] + j, first[:, 0] + i]
-            total += along_rows[:, j, None] * row
+            parts = (along_cols[:, i, None] * self.coefficients_px[row + j, col + i] for i in range(4))
+            total += along_rows[:, j, None] * sum(parts)
         return total
 
     def at_nodes(self, nodes_px: Float64) -> Float64:
-        """Return the (rows, cols, 2) observed px of the `nodes_px` of a lattice, (rows, cols, 2) as well."""
-        return nodes_px + _sum_of_products(self.grid, self.coefficients_px, nodes_px)
+        """Map the (rows, cols, 2) `nodes_px` of a lattice to observed target pixels, of the same shape."""
+        return nodes_px + _tensor_product(self.grid, self.coefficients_px, nodes_px)
 
 
-def _sum_of_products(
+def _tensor_product(
     basis: PolynomialBasis | SplineGrid, coefficients_px: Float64, nodes_px: Float64
 ) -> Float64:
-    """Return the (rows, cols, 2) sums Σ coefficient · function of the row · function of the col at a lattice.
+    """Return the (rows, cols, 2) values of a tensor-product basis with (j, i, 2) coefficients at a lattice.
 
-    The (j, i, 2) coefficients are those of the j functions of the row and the i of the col. One axis after
-    the other, this costs a small part of what as many single positions do.
+    There are j functions of the row and i of the col. Summing one axis after the other costs a small part of
+    evaluating each position by itself.
     """
     by_row, by_col = basis.factors(nodes_px[:, 0], 1), basis.factors(nodes_px[0], 0)
     summed = np.tensordot(by_row, coefficients_px, axes=1)
@@ -456,20 +456,21 @@ class JitterWave:
     """A wave of the displacement that depends on one coordinate of the target alone."""
 
     along: Literal["column", "row"]
-    """That coordinate."""
+    """The coordinate."""
     period_px: float
     origin_px: float
-    """Where the phase is zero."""
+    """Coordinate at which the phase is zero."""
     coefficients_px: Float64
-    """(2, 2): displacement (col, row) of the cosine, then of the sine."""
+    """(2, 2) amplitudes (col, row) of the cosine, then of the sine."""
 
     def at(self, at_px: Float64) -> tuple[Float64, Float64]:
         """Return (n, 2) displacements at the (n, 2) `at_px` (col, row), and their (n, 2) slopes, 1/px."""
-        turns = 2 * np.pi / self.period_px
-        phase = turns * (np.asarray(at_px, dtype=np.float64)[:, self.axis] - self.origin_px)
+        frequency = 2 * np.pi / self.period_px
+        phase = frequency * (np.asarray(at_px, dtype=np.float64)[:, self.axis] - self.origin_px)
         cosine, sine = np.cos(phase)[:, None], np.sin(phase)[:, None]
-        even, odd = self.coefficients_px
-        return cosine * even + sine * odd, turns * (cosine * odd - sine * even)
+        of_cosine, of_sine = self.coefficients_px
+        displacements = cosine * of_cosine + sine * of_sine
+        return displacements, frequency * (cosine * of_sine - sine * of_cosine)
 
     @property
     def axis(self) -> int:
@@ -492,7 +493,7 @@ class JitterCorrection(SmoothCorrection):
 
     affine: AffineCorrection
     waves: tuple[JitterWave, ...]
-    """None where no wave was more than chance."""
+    """The significant waves; empty where there are none."""
 
     @property
     def variance_px2(self) -> float:
@@ -530,17 +531,15 @@ def from_dict(model: Mapping[str, Any]) -> Correction:
     """
     try:
         name, forward = str(model["name"]), model["forward"]
-        kind = forward["type"]
-        correction = _READERS[kind](name, forward)
+        return _READERS[forward["type"]](name, forward)
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(
             f"this is no correction model ({type(error).__name__}: {error}): give the entry 'model' of the "
             "report.json of a finished registration"
         ) from error
-    return correction
 
 
-def _affine(name: str, forward: Mapping[str, Any]) -> Correction:
+def _affine(name: str, forward: Mapping[str, Any]) -> AffineCorrection:
     matrix = _numbers(forward["matrix"], (2, 3))
     large, small = np.linalg.svd(matrix[:, :2], compute_uv=False).tolist()
     if not 1 / MAX_STRETCH <= small <= large <= MAX_STRETCH:
@@ -580,10 +579,7 @@ def _spline(name: str, forward: Mapping[str, Any]) -> Correction:
 
 
 def _jitter(name: str, forward: Mapping[str, Any]) -> Correction:
-    affine = _affine("affine", forward)
-    if not isinstance(affine, AffineCorrection):
-        raise TypeError("expected an affine")
-    waves = []
+    affine, waves = _affine("affine", forward), []
     for wave in forward["waves"]:
         along, origin = wave["along"], float(wave["origin"])
         if along not in ("column", "row") or not np.isfinite(origin) or len(forward["waves"]) > MAX_WAVES:
@@ -632,17 +628,13 @@ def has_foldover(correction: Correction, low_px: Float64, high_px: Float64) -> b
     if isinstance(correction, AffineCorrection):
         (a, b, _), (d, e, _) = correction.matrix.tolist()
         return not a * e - b * d > 0
-    # four per cell of the finest spline
+    # Four nodes per cell of the finest spline.
     lattice = Lattice.over(low_px, high_px, float((high_px - low_px).max()) / 320)
     nodes_px = lattice.nodes_px().reshape(*lattice.shape, 2)
-    if isinstance(correction, SmoothCorrection):
-        moved = correction.at_nodes(nodes_px)
-    else:
-        moved = correction.forward(nodes_px.reshape(-1, 2)).reshape(nodes_px.shape)
+    moved = correction.at_nodes(nodes_px)
     along_cols, along_rows = np.diff(moved, axis=1), np.diff(moved, axis=0)
-    for cols in (along_cols[:-1], along_cols[1:]):
-        for rows in (along_rows[:, :-1], along_rows[:, 1:]):
-            area = cols[..., 0] * rows[..., 1] - cols[..., 1] * rows[..., 0]
-            if not (area > 0).all():
-                return True
-    return False
+    return not all(
+        (cols[..., 0] * rows[..., 1] - cols[..., 1] * rows[..., 0] > 0).all()  # area of the cell's image
+        for cols in (along_cols[:-1], along_cols[1:])
+        for rows in (along_rows[:, :-1], along_rows[:, 1:])
+    )

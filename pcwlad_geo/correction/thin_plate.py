@@ -1,4 +1,4 @@
-"""Smoothing thin-plate splines: a sparse least-squares problem, fitted robustly by the points' covariance."""
+"""Smoothing thin-plate splines: sparse least squares, robust, and weighted by the points' covariance."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ MAX_CELLS = 40
 CELL_PER_WINDOW = 0.75
 """Least side of a cell in window sides: displacements averaged over a window have no finer detail."""
 MAX_FIELD_CELLS = 80
-"""Likewise, of a field."""
+"""`MAX_CELLS` of the field model."""
 FIELD_CELL_PER_WINDOW = 0.5
-"""Likewise, of a field, whose displacements are means over the windows and show finer detail."""
+"""`CELL_PER_WINDOW` of the field model, which restores detail that the windows have averaged."""
 WINDOW_NODES = 4
-"""Number of places along the side of a window whose mean stands for that over the window."""
+"""Number of quadrature nodes along the side of a window."""
 
 
 def grid_of(xy_px: Float64, footprint_px: float, *, field: bool = False) -> SplineGrid:
     """Return the grid for the (n, 2) points `xy_px` (col, row) with windows of side `footprint_px`, px.
 
-    That of a `field` has smaller cells.
+    The `field` model has smaller cells.
     """
     per_window, most = (FIELD_CELL_PER_WINDOW, MAX_FIELD_CELLS) if field else (CELL_PER_WINDOW, MAX_CELLS)
     low, extent = xy_px.min(axis=0), np.maximum(np.ptp(xy_px, axis=0), 1e-6)
     finest = float(np.sqrt(np.prod(extent) / len(xy_px)))
     spacing = max(float(extent.max()) / most, per_window * footprint_px, finest)
     cells = np.maximum(np.ceil(extent / spacing * (1 - 1e-9)), 1).astype(int)
-    # The box sits in the middle of the grid.
+    # The grid is centred on the points.
     origin = low - (cells * spacing - extent) / 2
     return SplineGrid((float(origin[0]), float(origin[1])), spacing, (int(cells[0]), int(cells[1])))
 
@@ -61,10 +61,10 @@ def bending(grid: SplineGrid) -> Sparse:
     return scipy.sparse.csc_array(energy)
 
 
-def pull(grid: SplineGrid, reach_px: float) -> Sparse:
-    """Return the (k, k) matrix of the squared size of a spline, with cells of side 1.
+def decay(grid: SplineGrid, reach_px: float) -> Sparse:
+    """Return the (k, k) matrix of a penalty on the squared values of a spline, with cells of side 1.
 
-    Beside the bending energy it lets the spline go to zero within `reach_px` where there are no points.
+    Added to the bending energy, it lets the spline decay to zero within `reach_px` where there are no points.
     """
     along_cols, along_rows = (_gram(cells, 0) for cells in grid.cells)
     weight = (grid.spacing_px / reach_px) ** 4
@@ -79,7 +79,7 @@ def windowed_design(grid: SplineGrid, xy_px: Float64, footprint_px: float) -> sc
 
 
 def _gram(cells: int, derivative: int) -> Sparse:
-    """Return the integrals of products of two B-splines' derivatives."""
+    """Return the (cells + 3, cells + 3) integrals of products of two B-splines' derivatives."""
     node, weight = np.polynomial.legendre.leggauss(4)  # exact to degree 7
     values = cubic_b_splines((node + 1) / 2)[derivative]
     cell = (values.T * weight / 2) @ values
@@ -91,15 +91,15 @@ def _gram(cells: int, derivative: int) -> Sparse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThinPlateSystem:
-    """The equations of a spline through points on a grid, without weights and smoothing."""
+    """The design and the bending energy of a spline on a grid, without weights and smoothing."""
 
     grid: SplineGrid
     design: scipy.sparse.csr_array
     """(n, k) values of the B-splines at the points."""
     energy: Sparse
-    """(k, k) bending energy."""
+    """(k, k) bending energy; of the field model, plus its decay."""
     energy_of_both: Sparse
-    """(2 * k, 2 * k) bending energy of the coefficients of col, then of row."""
+    """(2 * k, 2 * k) energy of the coefficients of col, then of row."""
 
     @classmethod
     def of(cls, xy_px: Float64, footprint_px: float) -> ThinPlateSystem:
@@ -109,13 +109,13 @@ class ThinPlateSystem:
 
     @classmethod
     def of_field(cls, xy_px: Float64, footprint_px: float, reach_px: float) -> ThinPlateSystem:
-        """Return those of a spline whose means over the windows are observed, and that ends in wide holes.
+        """Return the equations of the field model for the (n, 2) points `xy_px` (col, row).
 
-        The (n, 2) points are `xy_px` (col, row), the windows `footprint_px` wide; the spline goes to zero
-        within `reach_px` where there are no points.
+        Means of the spline over windows of `footprint_px` are observed, and it decays to zero within
+        `reach_px` where there are no points.
         """
         grid = grid_of(xy_px, footprint_px, field=True)
-        return cls.on(grid, windowed_design(grid, xy_px, footprint_px), bending(grid) + pull(grid, reach_px))
+        return cls.on(grid, windowed_design(grid, xy_px, footprint_px), bending(grid) + decay(grid, reach_px))
 
     @classmethod
     def on(cls, grid: SplineGrid, design: scipy.sparse.csr_array, energy: Sparse) -> ThinPlateSystem:
@@ -140,7 +140,7 @@ class ThinPlateSystem:
         return np.linalg.qr(root[:, None] * planes)[0]
 
     def freedom(self, relative_smoothing: float, probes: Float64) -> float:
-        """Return the effective number of parameters of an axis, all precisions equal.
+        """Return the effective number of parameters of an axis for equal precisions.
 
         It is the trace of the smoother. A spline reproduces planes, which count as 3; the (n, m) random signs
         `probes` estimate the rest.
@@ -158,10 +158,9 @@ class ThinPlateSystem:
 
     def factor(self, normal: Sparse, smoothing: float) -> BandedFactor:
         """Factorise the matrix `normal` plus `smoothing` times the bending energy."""
-        of_one = self.energy.shape[0]
-        axes = normal.shape[0] // of_one
+        axes = normal.shape[0] // self.energy.shape[0]
         energy = self.energy if axes == 1 else self.energy_of_both
-        order = np.arange(axes * of_one).reshape(of_one, axes).T.ravel()  # the axes of a node side by side
+        order = np.arange(normal.shape[0]).reshape(-1, axes).T.ravel()  # both axes of a node are adjacent
         matrix = scipy.sparse.csc_array(normal + smoothing * energy)
         return BandedFactor(matrix, order, "the thin-plate spline needs tie points of finite sigma")
 
@@ -169,8 +168,8 @@ class ThinPlateSystem:
 class Successive:
     """Fits both axes for successive sets of precisions, each similar to the one before.
 
-    A factorisation preconditions conjugate gradients as long as these converge within few steps: a step costs
-    a thirtieth of a factorisation.
+    A factorisation serves as the preconditioner of conjugate gradients while these converge within few steps,
+    each of which costs a thirtieth of a factorisation.
 
     Parameters
     ----------
@@ -189,23 +188,30 @@ class Successive:
         """Return the (k, 2) coefficients (col, row), px, for an (n, 2, 2) `precision` and a `smoothing`."""
         design, energy = self._system.design, self._system.energy_of_both
 
-        def pulled(at_points: Float64) -> Float64:
-            weighted = np.einsum("iab,ib->ia", precision, at_points)
+        def right_side(values_px: Float64) -> Float64:
+            weighted = np.einsum("iab,ib->ia", precision, values_px)
             return np.asarray((design.T @ weighted).T.ravel())
 
         def times(flat: Float64) -> Float64:
-            return np.asarray(pulled(design @ flat.reshape(2, -1).T) + smoothing * (energy @ flat))
+            return np.asarray(right_side(design @ flat.reshape(2, -1).T) + smoothing * (energy @ flat))
 
-        right, rests = pulled(self._values_px), False
+        right, unconverged = right_side(self._values_px), 1
         if self._factor is not None:
-            before = LinearOperator(energy.shape, matvec=self._factor.solve, dtype=np.float64)
+            preconditioner = LinearOperator(energy.shape, matvec=self._factor.solve, dtype=np.float64)
             system = LinearOperator(energy.shape, matvec=times, dtype=np.float64)
-            self._found, left = cg(system, right, self._found, rtol=1e-7, maxiter=12, M=before)
-            rests = left == 0
-        if not rests:
+            self._found, unconverged = cg(system, right, self._found, rtol=1e-7, maxiter=12, M=preconditioner)
+        if unconverged:
             self._factor = self._system.factor(self._system.normal(precision), smoothing)
             self._found = self._factor.solve(right)
         return np.asarray(self._found).reshape(2, -1).T
+
+
+def precision_matrices(whitener: Float64, weight: Float64) -> Float64:
+    """Return the (n, 2, 2) weighted precision matrices, 1/px², of the points.
+
+    The (n, 2, 2) `whitener` and the (n,) `weight` are those of `Estimate`.
+    """
+    return weight[:, None, None] * (whitener.transpose(0, 2, 1) @ whitener)
 
 
 def mean_precision(whitener: Float64, weight: Float64) -> Float64:
@@ -218,14 +224,12 @@ def mean_precision(whitener: Float64, weight: Float64) -> Float64:
 
 @dataclass(frozen=True, slots=True)
 class SmoothingTrial:
-    """A spline fitted with a given smoothing."""
+    """How well a spline of a given smoothing fits."""
 
-    smoothing: float
-    """λ."""
     squares: float
     """Sum of the weighted squared residuals, mean of the axes."""
     used: tuple[float, float]
-    """Effective parameters per point if the points' errors are independent, and if windows share them."""
+    """Effective parameters per point, for independent errors and for errors that windows share."""
     errors: SharedErrors
     """How far the errors are shared, as estimated from the residuals."""
 
@@ -256,7 +260,7 @@ class SmoothingTrials:
     probes: Float64
     """(n, m) random signs."""
     shared: Float64
-    """(n, m) these signs, times the errors that windows of inliers share."""
+    """(n, m) products of these signs with the overlaps of the inliers' windows."""
     planes: Float64
     """(n, 3) orthonormal vectors that span the planes, see `ThinPlateSystem.planes`."""
 
@@ -270,11 +274,11 @@ class SmoothingTrials:
         whitener: Float64,
         weight: Float64,
     ) -> SmoothingTrials:
-        """Return trials of a spline with given weights.
+        """Return trials of a spline in which inliers have weight 1.
 
-        Inliers have weight 1: weights that follow the residuals would make these look small. The (n, m)
-        `probes` are random signs (see `probes_of`), the (n, 2) `values_px` those (col, row) to
-        which splines are fitted. The (n, 2, 2) `whitener` and (n,) `weight` are as in `Estimate`.
+        Weights that follow the residuals would make these look small. The (n, m) `probes` are random signs,
+        see `probes_of`. Splines are fitted to the (n, 2) `values_px` (col, row). The (n, 2, 2) `whitener` and
+        (n,) `weight` are those of `Estimate`.
         """
         inlier = (weight > 0).astype(np.float64)
         precision = mean_precision(whitener, inlier)
@@ -293,7 +297,7 @@ class SmoothingTrials:
         return self.system.smoothing(relative_smoothing, self.precision)
 
     def at(self, smoothing: float) -> SmoothingTrial:
-        """Fit the spline, and estimate how it follows independent and shared errors."""
+        """Fit a spline with the `smoothing` λ; estimate its response to independent and shared errors."""
         factor = self.system.factor(self.normal, smoothing)
         whitened = np.column_stack([self.probes, self.shared, self.planes, self.root * self.values_px])
         found = factor.solve(self.system.design.T @ (self.root * whitened))
@@ -318,37 +322,35 @@ class SmoothingTrials:
             float(part + (smoothed * noise).sum() / count) / float(self.inlier.sum())
             for part, noise in zip(straight, (own, self.shared), strict=True)
         ]
-        return SmoothingTrial(smoothing, squares, (used[0], used[1]), errors)
+        return SmoothingTrial(squares, (used[0], used[1]), errors)
 
     def _shared(self, vectors: Float64) -> Float64:
         return self.inlier * self.overlaps.times(self.inlier * vectors)
 
 
-def best(trials: list[SmoothingTrial], alpha: float) -> tuple[int, float]:
-    """Return the index of the best of several smoothings, and α, which says how far errors are shared.
+def best(trials: list[SmoothingTrial], alpha: float) -> int:
+    """Return the index of the best of several trials, of which the first has the largest smoothing.
 
-    The two depend on each other: the residuals of the spline determine α, and α the smoothing. The iteration
-    starts from errors shared in full, which smooths most. There is a trial of each smoothing, the smoothest
-    first; `alpha` is 1 or an earlier result.
+    It depends on `alpha`, the part of the errors that windows share, which itself depends on the residuals of
+    the best spline. The iteration starts from 1, which smooths most, or from an earlier result.
     """
-    index = 0
     for _ in range(4):
         index = int(np.argmin([trial.score(alpha) for trial in trials]))
         before, alpha = alpha, trials[index].errors.alpha
         if abs(alpha - before) < 0.02:
             break
-    return index, alpha
+    return index
 
 
-LATTICE_SIDE = 32
-"""Number of places whose precision is computed at once."""
+CHUNK = 32
+"""Number of places whose covariance is computed at once."""
 NODES = 20
-"""Largest number of nodes along an axis between which the precision at many places is interpolated."""
+"""Largest number of nodes along an axis between which the covariance at many places is interpolated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplineFit(Fit):
-    """Fit of a thin-plate spline; its remainder are the displacements beyond the affine."""
+    """Fit of a thin-plate spline; its remainder is the displacements minus their robust affine."""
 
     system: ThinPlateSystem
     smoothing: float
@@ -361,7 +363,7 @@ class SplineFit(Fit):
         See `Fit.predictions`.
         """
         weight = np.where(training, self.estimate.weight, 0.0)
-        precision = mean_precision(self.estimate.whitener, weight)
+        precision = mean_precision(self.whitener, weight)
         factor = self.system.factor(self.system.normal(precision), self.smoothing)
         flat = values_px.reshape(len(values_px), -1)
         found = self.system.design[test] @ factor.solve(self.system.design.T @ (precision[:, None] * flat))
@@ -372,7 +374,7 @@ class SplineFit(Fit):
 
         It is the propagated errors of the points plus the expected bias by smoothing a field as rough as this
         one (Nychka 1988, doi:10.1080/01621459.1988.10478711). At more than 400 places it is interpolated
-        between at most as many nodes, so all places should be passed at once.
+        between at most 400 nodes, so all places should be passed at once.
         """
         at_px = np.asarray(at_px, dtype=np.float64)
         if len(at_px) <= NODES**2:
@@ -382,14 +384,15 @@ class SplineFit(Fit):
         return lattice.interpolated(values, at_px)
 
     def _covariance(self, at_px: Float64) -> Float64:
-        factor = _factor(self.system, self.estimate, self.smoothing)
+        normal = self.system.normal(precision_matrices(self.whitener, self.estimate.weight))
+        factor = self.system.factor(normal, self.smoothing)
         parts = [
-            self._covariance_of_places(factor, at_px[start : start + LATTICE_SIDE])
-            for start in range(0, len(at_px), LATTICE_SIDE)
+            self._covariance_of_chunk(factor, at_px[start : start + CHUNK])
+            for start in range(0, len(at_px), CHUNK)
         ]
         return np.concatenate(parts) if parts else np.empty((0, 2, 2))
 
-    def _covariance_of_places(self, factor: BandedFactor, at_px: Float64) -> Float64:
+    def _covariance_of_chunk(self, factor: BandedFactor, at_px: Float64) -> Float64:
         m = len(at_px)
         design = self.system.grid.design(at_px).toarray().T
         k = len(design)
@@ -397,42 +400,31 @@ class SplineFit(Fit):
         right[0, :, :, 0] = right[1, :, :, 1] = design
         answer = factor.solve(right.reshape(2 * k, 2 * m)).reshape(2, k, 2 * m)
         energy = np.stack([self.system.energy @ answer[axis] for axis in range(2)])
-        missed = self.smoothing * _pairs(answer.reshape(2 * k, m, 2), energy.reshape(2 * k, m, 2))
-        influence = _influence(self.system, self.estimate, answer)
+        bias = self.smoothing * _products(answer, energy)
+        moved = np.stack([self.system.design @ answer[axis] for axis in range(2)], axis=1)
+        # (n, 2, 2 · m) derivatives of the correction at the places by the whitened observations
+        influence = self.estimate.weight[:, None, None] * (self.whitener @ moved)
         size = np.abs(influence).max(axis=(1, 2))
         near = size > 1e-3 * size.max()
         influence = influence[near]
-        noise = _pairs(influence.reshape(-1, m, 2), influence.reshape(-1, m, 2))
+        noise = _products(influence, influence)
         if self.footprint_px > 0:
             shared = Overlaps.of(self.predicted_px[near], self.footprint_px).times(influence)
             alpha = self.errors.alpha
-            noise = (1 - alpha) * noise + alpha * _pairs(
-                influence.reshape(-1, m, 2), shared.reshape(-1, m, 2)
-            )
-        return self.errors.scale * (noise + missed)
+            noise = (1 - alpha) * noise + alpha * _products(influence, shared)
+        return self.errors.scale * (noise + bias)
 
 
-def _factor(system: ThinPlateSystem, estimate: Estimate, smoothing: float) -> BandedFactor:
-    whitener = estimate.whitener
-    precision = estimate.weight[:, None, None] * (whitener.transpose(0, 2, 1) @ whitener)
-    return system.factor(system.normal(precision), smoothing)
-
-
-def _influence(system: ThinPlateSystem, estimate: Estimate, answer: Float64) -> Float64:
-    """Return the (n, 2, m) derivatives of m combinations of coefficients by the whitened observations."""
-    moved = np.stack([system.design @ answer[axis] for axis in range(2)], axis=1)
-    return np.asarray(estimate.weight[:, None, None] * (estimate.whitener @ moved))
-
-
-def _pairs(left: Float64, right: Float64) -> Float64:
-    """Return the (m, 2, 2) sums over the first axis of products of (k, m, 2) arrays."""
-    return np.asarray(np.einsum("kma,kmb->mab", left, right))
+def _products(left: Float64, right: Float64) -> Float64:
+    """Return the (m, 2, 2) sums, over all but the last axis, of products of (..., 2 · m) arrays."""
+    pairs = (each.reshape(-1, each.shape[-1] // 2, 2) for each in (left, right))
+    return np.asarray(np.einsum("kma,kmb->mab", *pairs))
 
 
 MIN_SPLINE_POINTS = 12
 """Least number of tie points of a thin-plate spline."""
 HOLE = 2.0
-"""A field returns to the affine over so many times the distance up to which a point supports a correction."""
+"""Distance over which a field returns to the affine, as a multiple of the reach of its `Support`."""
 
 
 def fit_tps(
@@ -457,12 +449,12 @@ def fit_field(
     """Fit the measured field: an affine, plus what the points show beyond it, weighted by the covariance.
 
     It differs from the thin-plate spline in four ways. Its cells are smaller. A displacement is taken for the
-    mean of the field over its window, so that detail which windows have averaged is restored. What is beyond
-    the affine goes to zero in wide holes, so that the affine fills them. And the smoothing minimises the
-    error at left-out blocks of one window each, with the errors that these share with their neighbours
-    allowed for. Raises `InputError` if the points are too few or lie on a line, or an array has a wrong shape
-    or values that are not finite. The (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2)
-    `covariance_px2` are those of `fit.fit_polynomial`, as is `footprint_px`; n ≥ 12, not on one line.
+    mean of the field over its window, which restores detail that the windows have averaged. The difference
+    from the affine decays to zero in wide holes. And the smoothing minimises the error at left-out blocks of
+    one window each, with the errors that these share with their neighbours allowed for. Raises `InputError`
+    if the points are too few or lie on a line, or an array has a wrong shape or values that are not finite.
+    The (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2) `covariance_px2` are those of
+    `fit.fit_polynomial`, as is `footprint_px`; n ≥ 12, not on one line.
     """
     points = checked("field", MIN_SPLINE_POINTS, predicted_px, observed_px, covariance_px2)
     reach_px = HOLE * (Support.of(points[0], footprint_px).reach_px or 1.0)
@@ -485,14 +477,12 @@ def _fit_spline(
     overlaps, rest = Overlaps.of(predicted, footprint_px), displacement - affine.fitted_px
     task = _SplineTask(system, overlaps, probes_of(predicted), rest, covariance)
     start = local_surface(predicted, rest)
-    relative_smoothing = (
-        _smoothing_by_blocks(task, start, footprint_px, predicted)
-        if name == "field"
-        else _smoothing_by_score(task, start)
-    )
+    if name == "field":
+        relative_smoothing = _smoothing_by_blocks(task, start, footprint_px, predicted)
+    else:
+        relative_smoothing = _smoothing_by_score(task, start)
     found = task.fitted(relative_smoothing, start)
     smoothing = system.smoothing(relative_smoothing, mean_precision(found.whitener, found.weight))
-    trial = task.trials(found).at(smoothing)
     coefficients = found.parameters + plane(system.grid.nodes_px()) @ affine.parameters
     return SplineFit(
         correction=SplineCorrection(name, system.grid, coefficients.reshape(*system.grid.shape, 2)),
@@ -500,10 +490,10 @@ def _fit_spline(
         predicted_px=predicted,
         remainder_px=rest,
         estimate=found,
-        errors=trial.errors,
+        errors=task.trials(found).at(smoothing).errors,
         support=Support.of(predicted[found.weight > 0], footprint_px),
         system=system,
-        smoothing=trial.smoothing,
+        smoothing=smoothing,
         footprint_px=footprint_px,
     )
 
@@ -511,24 +501,22 @@ def _fit_spline(
 def _smoothing_by_blocks(task: _SplineTask, start_px: Float64, footprint_px: float, xy_px: Float64) -> float:
     """Return the relative smoothing parameter with the least error at blocks left out.
 
-    Generalised cross-validation, which smooths too much where errors are shared, says where to begin. A block
-    and its prediction from windows that overlap its own have errors in common, which flatters the prediction:
-    twice their expected covariance, its optimism, is added (see `points.left_out_errors`).
+    Generalised cross-validation, which smooths too much where errors are shared, gives the first one tried. A
+    block and its prediction from windows that overlap it have errors in common, which makes the prediction
+    look too good: twice their expected covariance is added (see `points.left_out_errors`).
     """
     tried = _tried(task)
     trials = task.trials(task.weighted(start_px))
-    smoothest, _ = _best(trials, tried)
+    smoothest, errors = _best(trials, tried)
     blocks = cross_validation_blocks(xy_px, footprint_px)
-    folds = int(np.clip(8000 // task.system.energy.shape[0], 4, len(blocks.tests)))
-    tests = [np.asarray(test) for test in blocks.tests[:folds]]
     precision, system = trials.precision, task.system
-    sigma = np.where(precision > 0, 1 / np.sqrt(np.where(precision > 0, precision, 1.0)), 0.0)[:, None]
+    folds = int(np.clip(8000 // system.energy.shape[0], 4, len(blocks.tests)))
+    sigma = np.divide(1, trials.root, out=np.zeros_like(trials.root), where=trials.root > 0)
     signs = random_signs(xy_px, PROBES)
-    shared = [sigma * task.overlaps.times(signs * sigma * test[:, None]) for test in tests]
-    errors = trials.at(trials.smoothing(tried[smoothest])).errors
     finer = tried[smoothest : smoothest + 6]
     scores = np.zeros(len(finer))
-    for test, noise in zip(tests, shared, strict=True):
+    for test in blocks.tests[:folds]:
+        noise = sigma * task.overlaps.times(signs * sigma * test[:, None])
         kept = np.where(test, 0.0, precision)
         normal, values = system.normal(kept), np.column_stack([task.rest_px, noise])
         right = system.design.T @ (kept[:, None] * values)
@@ -546,32 +534,33 @@ def _smoothing_by_blocks(task: _SplineTask, start_px: Float64, footprint_px: flo
 def _smoothing_by_score(task: _SplineTask, start_px: Float64) -> float:
     """Return the relative smoothing parameter of the best score.
 
-    While these are compared, the robust weights are those about the points' own neighbours, as a smooth
-    spline takes detail for outliers.
+    The robust weights are those of the residuals from a local surface through each point's neighbours, as a
+    smooth spline takes detail for outliers.
     """
     tried = _tried(task)
     trials = task.trials(task.weighted(start_px))
-    found, alpha = _best(trials, tried)
+    found, errors = _best(trials, tried)
     between = [tried[found] * factor for factor in (2.0, 1.0, 0.5)]
     near = [trials.at(trials.smoothing(relative_smoothing)) for relative_smoothing in between]
-    return between[best(near, alpha)[0]]
+    return between[best(near, errors.alpha)]
 
 
 def _tried(task: _SplineTask) -> list[float]:
     """Return the smoothing parameters that are tried, the largest first."""
     side = float(max(task.system.grid.cells))
-    # the first leaves a tenth of a square plate's softest mode; each next one doubles the parameters
+    # The first leaves a tenth of a square plate's softest mode; each next one doubles the parameters.
     return [0.02 * side**4 / 4.0**step for step in range(14)]
 
 
-def _best(trials: SmoothingTrials, tried: list[float]) -> tuple[int, float]:
-    """Return the step of the best score, and how far errors are shared."""
+def _best(trials: SmoothingTrials, tried: list[float]) -> tuple[int, SharedErrors]:
+    """Return the index of the smoothing parameter of the best score, and how far errors are shared."""
     done = []
     for relative_smoothing in tried:
         done.append(trials.at(trials.smoothing(relative_smoothing)))
         if not np.isfinite(done[-1].score(alpha=0.0)):
             break
-    return best(done, alpha=1.0)
+    index = best(done, alpha=1.0)
+    return index, done[index].errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -582,22 +571,19 @@ class _SplineTask:
     overlaps: Overlaps
     probes: Float64
     rest_px: Float64
-    """(n, 2) displacement beyond the affine."""
+    """(n, 2) displacements (col, row) minus their robust affine."""
     covariance_px2: Float64
 
     def trials(self, pilot: Estimate) -> SmoothingTrials:
-        """Return trials with the weights of a fit."""
+        """Return trials with the inliers of the fit `pilot`."""
         return SmoothingTrials.of(
             self.system, self.overlaps, self.probes, self.rest_px, pilot.whitener, pilot.weight
         )
 
     def weighted(self, start_px: Float64) -> Estimate:
-        """Return the robust weights about a first fit."""
-
-        def stay(_whitener: Float64, _weight: Float64) -> Solution:
-            return Solution(np.empty((0, 2)), start_px, 0.0)
-
-        return reweighted(stay, start_px, self.rest_px, self.covariance_px2)
+        """Return the robust weights of the residuals from the (n, 2) values `start_px`."""
+        unchanged = Solution(np.empty((0, 2)), start_px, 0.0)
+        return reweighted(lambda *_: unchanged, start_px, self.rest_px, self.covariance_px2)
 
     def fitted(self, relative_smoothing: float, start_px: Float64) -> Estimate:
         """Return the robust fit that starts from given (n, 2) values."""
@@ -605,7 +591,7 @@ class _SplineTask:
         successive = Successive(self.system, self.rest_px)
 
         def solve(whitener: Float64, weight: Float64) -> Solution:
-            precision = weight[:, None, None] * (whitener.transpose(0, 2, 1) @ whitener)
+            precision = precision_matrices(whitener, weight)
             smoothing = self.system.smoothing(relative_smoothing, mean_precision(whitener, weight))
             found = successive.solve(precision, smoothing)
             return Solution(found, self.system.design @ found, freedom)

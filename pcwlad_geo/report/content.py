@@ -1,6 +1,6 @@
-"""The content of report.json: its types, from which docs/make_schemas.py makes the schema, and its making.
+"""The content of report.json: its types, from which docs/make_schemas.py makes the schema, and its assembly.
 
-Docstrings of fields are the descriptions of the schema, pairs in `Annotated` keywords of it and their values.
+In the schema, docstrings of fields become descriptions, and pairs in `Annotated` keywords and their values.
 """
 
 from __future__ import annotations
@@ -76,16 +76,16 @@ class RequirementEntry:
     value: float | str | None
     """The figure, in the unit of the limit; null where it is not known."""
     met: bool
-    """A figure that is not known meets nothing."""
+    """False where the figure is not known."""
     reason: str | None
     """Why the figure is not known."""
     message: str
-    """All of it in a line for the reader."""
+    """The requirement and its result in one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class GridEntry:
-    """Where the pixels of a raster lie."""
+    """Shape, geotransform and CRS of a raster."""
 
     shape: tuple[Positive, Positive]
     """Rows, columns."""
@@ -120,7 +120,7 @@ class ReferenceEntry(RasterEntry):
     """The band of the reference."""
 
     ground: GridEntry | None
-    """The grid on the ground that a reference with RPC is seen on; null for any other."""
+    """The grid onto which a reference with RPC is orthorectified; null for any other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +139,8 @@ class RpcEntry:
     origin: str
     dem: str | None
     dem_vertical: float | str | None
-    """What the DEM's heights are above, as given: metres from the ellipsoid, a file of them, or null (its CRS
-    told)."""
+    """Vertical datum of the DEM, as given: metres above the ellipsoid, a file of them, or null (that of its
+    CRS)."""
     undulation_m: float | None
     height_m: float | None
     height_range_m: FloatPair
@@ -213,7 +213,7 @@ class GroupStatistics:
     n: Positive
     px: UnitStatistics
     native_px: UnitStatistics | None
-    """Null where the file names tell no native pixel."""
+    """Null where the file names do not imply a native pixel size."""
     m: UnitStatistics | None
     """Null without a CRS."""
 
@@ -226,7 +226,7 @@ class StatisticsEntry:
     """
 
     native_px_m: float | None
-    """The coarser pixel that the two sensors recorded, as the file names tell; metres."""
+    """The coarser native pixel size of the two sensors, from the file names; metres."""
     before: Mapping[PointGroup, GroupStatistics | None]
     """Of all points that were not rejected, of those of the fit, of the check points; null without any."""
     after: Mapping[PointGroup, GroupStatistics | None]
@@ -239,7 +239,7 @@ class StatisticsEntry:
 
 @dataclass(frozen=True, slots=True)
 class ProfilesEntry:
-    """Displacement along rows and columns of the target, less its cubic trend in both: jitter, stripes."""
+    """Displacement along rows and columns of the target minus its cubic trend: jitter, stripes."""
 
     waves: tuple[Peak, ...]
     """The strongest wave along the columns and along the rows, in each component; none of too few points."""
@@ -303,16 +303,16 @@ class Report:
     """Size of a target pixel (col, row) on the ground in the middle of the overlap, metres on the ellipsoid;
     null without a CRS."""
     output_grid: GridEntry | None
-    """That the registered raster has, or would have where it was not written because a requirement is not
-    met; null for a pair that is refused or only matched."""
+    """Grid of the registered raster, also where that was not written because a requirement is not met; null
+    for a pair that is refused or only matched."""
     prealignment: Prealignment
     """What the matching started from, matching-grid px."""
     geometry: PairGeometry
-    """By what the tie points were told from wrong matches."""
+    """The geometric constraint by which wrong matches were rejected."""
     motions: tuple[Motion, ...]
-    """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
+    """Displacements of groups of consistent matches, if there are several; the chosen one comes first."""
     jitter_px: Amount
-    """By how much rows and columns move within a window, RMS, target px; 0 where that is not seen."""
+    """RMS displacement of rows and columns within a window, target px; 0 where none was detected."""
     window_px: int | None
     """Side of the window that the tie points were refined with, matching-grid px; null where it is not
     known."""
@@ -352,7 +352,7 @@ class Report:
 
 
 def to_json(content: object) -> str:
-    """Return `content` as the text of a JSON file, by `plain`."""
+    """Return `content` as the text of a JSON file; `plain` defines how values are written."""
     return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -360,7 +360,7 @@ T = TypeVar("T")
 
 
 def filled(kind: type[T], /, *sources: object, **values: Any) -> T:  # noqa: ANN401  # of the fields' types
-    """Return a dataclass of a `kind`: its fields are `values`, the others the first source's of that name."""
+    """Return a dataclass of a `kind`; fields not in `values` are those of the first source that has them."""
     for name in {each.name for each in fields(kind)} - values.keys():  # type: ignore[arg-type]
         found = [getattr(source, name) for source in sources if hasattr(source, name)]
         values |= {name: found[0]} if found else {}
@@ -402,8 +402,7 @@ def summarise(
     The `outputs` are names of the files in the output folder; the predicted sigma `precision` is given if it
     is already computed, and the grid of the registered raster if there is one.
     """
-    table = registration.tie_points
-    kept = table.select(*KEPT)
+    kept = registration.tie_points.select(*KEPT)
     rpc = registration.rpc
     return filled(
         Report,
@@ -436,7 +435,7 @@ def summarise(
 def versions() -> dict[str, str]:
     """Return the versions of this package, Python, GDAL and the numerical libraries."""
     return {
-        # of the code that runs, which need not be what is installed
+        # Of the code that runs, which may differ from the installed package.
         "pcwlad-geo": str(import_module("pcwlad_geo").__version__),
         "python": platform.python_version(),
         "gdal": rasterio.__gdal_version__,
@@ -518,36 +517,32 @@ def _found_again(file: float | Path | str | None) -> float | str | None:
 
 def _tie_point_counts(registration: Registration) -> dict[str, int]:
     status = registration.tie_points.status
-    names = ["fit", "check", "unused", "rejected"]
-    if registration.status == "matched":
-        names = ["matched", "rejected"]
-    return {"total": len(status), **{name: int(np.count_nonzero(status == name)) for name in names}}
+    names = ("matched",) if registration.status == "matched" else ("fit", "check", "unused")
+    counts = {name: int(np.count_nonzero(status == name)) for name in (*names, "rejected")}
+    return {"total": len(status), **counts}
 
 
 def _model(registration: Registration, precision: PrecisionMap | None) -> ModelEntry | None:
     """Return the correction in full precision, and the candidates from which it was chosen."""
     if registration.correction is None:
         return None
-    found: Any = registration.correction.to_dict()
-    candidates = registration.selection.candidates if registration.selection else ()
-    return ModelEntry(
-        found["name"],
-        found["forward"],
-        _predicted_sigma(precision) if precision else None,
-        tuple(
-            filled(
-                CandidateEntry,
-                each,
-                parameters=_known(each.parameters, 1),
-                rmse_px=_known(each.rmse_px, PX_DIGITS),
-                rmse_standard_error_px=_known(each.rmse_standard_error_px, PX_DIGITS),
-            )
-            for each in candidates
-        ),
+    candidates = tuple(
+        filled(
+            CandidateEntry,
+            each,
+            parameters=_known(each.parameters, 1),
+            rmse_px=_known(each.rmse_px, PX_DIGITS),
+            rmse_standard_error_px=_known(each.rmse_standard_error_px, PX_DIGITS),
+        )
+        for each in (registration.selection.candidates if registration.selection else ())
     )
+    sigma = _predicted_sigma(precision) if precision else None
+    found: Any = registration.correction.to_dict()
+    return ModelEntry(**found, predicted_sigma_px=sigma, candidates=candidates)
 
 
 def _known(value: float, digits: int) -> float | None:
+    """Return a rounded value; None if it is not finite."""
     return round(value, digits) if math.isfinite(value) else None
 
 
@@ -555,16 +550,16 @@ def _quality(registration: Registration) -> QualityEntry | None:
     quality, px_m = registration.quality, registration.px_m
     if quality is None:
         return None
-    expected = quality.expected_ce90_px
-    whole, extrapolated = quality.whole or (None, quality.extrapolated_share)
+    expected_px = quality.expected_ce90_px
+    whole_px, extrapolated = quality.whole or (None, quality.extrapolated_share)
     size_m = None if px_m is None else math.sqrt(px_m[0] * px_m[1])
     return QualityEntry(
         grade=quality.grade,
         reasons=tuple(reason.text for reason in quality.reasons),
-        expected_ce90_px=round(expected, PX_DIGITS),
-        expected_ce90_m=None if size_m is None else round(expected * size_m, M_DIGITS),
-        whole_ce90_px=None if whole is None else round(whole, PX_DIGITS),
-        whole_ce90_m=None if whole is None or size_m is None else round(whole * size_m, M_DIGITS),
+        expected_ce90_px=round(expected_px, PX_DIGITS),
+        expected_ce90_m=None if size_m is None else round(expected_px * size_m, M_DIGITS),
+        whole_ce90_px=rounded(whole_px, PX_DIGITS),
+        whole_ce90_m=None if whole_px is None or size_m is None else round(whole_px * size_m, M_DIGITS),
         extrapolated_share=round(extrapolated, SHARE_DIGITS),
         kept_share=round(quality.kept_share, SHARE_DIGITS),
     )
@@ -589,11 +584,10 @@ def _profiles(registration: Registration) -> ProfilesEntry | None:
     rest = smooth_rest(at_px, points.displacement_px)
     col, row = at_px.T
     heights = heights_m(registration, at_px)
-    step = window_px / 2
     found = ProfilesEntry(
         peaks(at_px, rest, window_px),
-        profile(col, row, rest, step),
-        profile(row, col, rest, step),
+        profile(col, row, rest, window_px / 2),
+        profile(row, col, rest, window_px / 2),
         None if heights is None else profile(heights, row, rest, 0.0),
     )
     return rounded(found, PX_DIGITS)
@@ -634,8 +628,6 @@ def _pair(values: Float64, digits: int) -> FloatPair:
     return col, row
 
 
-PROOF_VERSION: Final = 1
-"""Version of the structure of proof.json."""
 PROOF_DIGITS: Final = 5
 """Number of decimal places of its figures."""
 
@@ -672,7 +664,7 @@ def proof_numbers(registration: Registration, proof: Proof, outputs: Sequence[st
     return filled(
         ProofNumbers,
         registration,
-        schema_version=PROOF_VERSION,
+        schema_version=1,
         kind="proof",
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         reference=reference_entry(registration.reference),

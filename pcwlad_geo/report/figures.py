@@ -36,12 +36,14 @@ DPI: Final = 95
 """Resolution of all figures in dots per inch."""
 COL_COLOUR, ROW_COLOUR, CHECK_COLOUR = "#0072b2", "#d55e00", "#cc79a7"
 """Colours of both axes and of check points, distinguishable with colour blindness (Okabe and Ito 2008)."""
+AXES: Final = (("column", COL_COLOUR), ("row", ROW_COLOUR))
+"""Names and colours of both axes."""
 ARROW_COLOUR = "#003355"
 """Colour of arrows, dark enough on a pale image."""
 MAX_TICKS: Final = 4
 """Largest number of intervals between the ticks of an axis."""
 TITLE_Y: Final = 1.0
-"""Place of a title, in heights of its panel, which matplotlib would look for by drawing all labels twice."""
+"""Position of a title, in heights of its panel; without it, matplotlib draws all labels twice to find one."""
 COLOURS: Final = 256
 """Number of colours of a PNG, which makes it a quarter of the size without visible loss."""
 
@@ -54,7 +56,7 @@ def new_figure(height_in: float) -> Figure:
 
 
 def close_fonts() -> None:
-    """Close the fonts that matplotlib keeps open, two files and 9 MB, for each thread that has drawn."""
+    """Close the fonts that matplotlib keeps open in each thread that has drawn: two files, 9 MB."""
     kept = getattr(font_manager, "_get_font", None)  # private, as there is no public way
     getattr(kept, "cache_clear", lambda: None)()
 
@@ -67,10 +69,10 @@ def frame_figure(
     panels: int = 1,
     bar: bool = False,
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with panels side by side, each the labelled frame of an image to scale.
+    """Return a figure with `panels` side by side, each the labelled frame of an image to scale.
 
-    The image, called `of`, has that shape (rows, cols), and as `backdrop` an (m, n) array of its grey values,
-    of any size, drawn pale. Space is left for a colour `bar` on the right.
+    The image is called `of` in the labels and has the `shape` (rows, cols). The `backdrop`, an (m, n) array
+    of its grey values at any resolution, is drawn pale. Space is left for a colour `bar` on the right.
     """
     left, right, top, bottom, gap = 0.75, 1.15 if bar else 0.15, 0.45, 0.75, 0.65
     room = (WIDTH_IN - left - right - gap * (panels - 1)) / panels
@@ -132,14 +134,12 @@ MAX_ARROWS = 400
 """Largest number of arrows; of more points every n-th is drawn."""
 TYPICAL_LENGTH = 0.05
 """Length of a typical arrow, as a part of the frame's longer side."""
-KEY_HEIGHT_IN = 0.12
-"""Height of the scale arrow above the figure's lower edge."""
 
 
 def displacement_figure(
     table: TiePointTable, reference_shape: tuple[int, int], backdrop: NDArray[np.uint8] | None = None
 ) -> bytes:
-    """Return a PNG of the displacements as arrows on the reference, and beside them of the residuals.
+    """Return a PNG of the displacements as arrows on the reference and, in a second panel, of the residuals.
 
     Rejected points are left out. For the (rows, cols) of the reference and the (m, n) `backdrop` see
     `frame_figure`.
@@ -166,9 +166,9 @@ def draw_arrows(
 ) -> Quiver:
     """Draw arrows and their key, rows downwards.
 
-    The (n, 2) displacements `arrows_px` (col, row), target px, start at the (n, 2) `at_px` of a frame with
-    that longer side. The median length of the (m, 2) `scale_of_px` is drawn with `TYPICAL_LENGTH`; the (n,)
-    `colours` are values that are shown by colour.
+    The (n, 2) displacements `arrows_px` (col, row), target px, start at the (n, 2) `at_px` of a frame whose
+    longer side is `side_px`. The median length of the (m, 2) `scale_of_px` is drawn with `TYPICAL_LENGTH`;
+    the (n,) `colours` are values that are shown by colour.
     """
     lengths = np.hypot(*scale_of_px.T)
     typical = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
@@ -186,10 +186,9 @@ def draw_arrows(
         cmap="viridis",
         **style,
     )
-    at_in = axes.get_position().x1 * WIDTH_IN - 0.05, KEY_HEIGHT_IN
-    words = f"{key_px:g} target px"
-    font = {"size": 9}
-    axes.quiverkey(arrows, *at_in, key_px, words, coordinates="inches", labelpos="W", fontproperties=font)
+    at_in = axes.get_position().x1 * WIDTH_IN - 0.05, 0.12
+    style = {"coordinates": "inches", "labelpos": "W", "fontproperties": {"size": 9}}
+    axes.quiverkey(arrows, *at_in, key_px, f"{key_px:g} target px", **style)
     return arrows
 
 
@@ -247,9 +246,8 @@ def sigma_figure(precision: PrecisionMap, points_px: Float64) -> bytes:
     """
     rows, cols = precision.target_shape
     figure, (axes,) = frame_figure(precision.target_shape, of="target", bar=True)
-    frame = (0, cols, rows, 0)
     sigma = np.hypot(*np.moveaxis(precision.sigma_px, 2, 0))
-    image = axes.imshow(sigma, extent=frame, cmap="viridis", aspect="auto")
+    image = axes.imshow(sigma, extent=(0, cols, rows, 0), cmap="viridis", aspect="auto")
     add_bar(axes, image, "predicted sigma, target px")
     axes.plot(*points_px.T, ".", color="white", markersize=2.5, alpha=0.7)
     if precision.extrapolated.any() and min(precision.extrapolated.shape) > 1:
@@ -260,7 +258,6 @@ def sigma_figure(precision: PrecisionMap, points_px: Float64) -> bytes:
             colors="none",
             hatches=["///"],
         )
-    axes.set(xlim=(0, cols), ylim=(rows, 0))
     return to_png(figure)
 
 
@@ -273,18 +270,13 @@ MAX_POINTS: Final = 2000
 def distribution_figure(table: TiePointTable, ce90_px: float) -> bytes:
     """Return a PNG of the residuals of fit and check points, with a circle of the radius `ce90_px`."""
     figure = new_figure(3.1)
-    places = [(0.065, 0.17, 0.26, 0.72), (0.385, 0.17, 0.26, 0.72), (0.735, 0.17, 0.2627, 0.72)]
-    panels = [figure.add_axes(place) for place in places]
-    both = table.select("fit", "check")
-    shown = np.hypot(*both.residual_px.T)
-    limit = max(1.05 * float(np.percentile(shown, 99)), 1.25 * ce90_px) or 1.0
-    for axes, name, index, colour in zip(
-        panels, ("column", "row"), (0, 1), (COL_COLOUR, ROW_COLOUR), strict=False
-    ):
-        _histogram(
-            axes, both.residual_px[:, index], table.select("check").residual_px[:, index], limit, colour
-        )
-        axes.set_xlabel(f"residual in {name}, target px", fontsize=9)
+    boxes = [(0.065, 0.17, 0.26, 0.72), (0.385, 0.17, 0.26, 0.72), (0.735, 0.17, 0.2627, 0.72)]
+    panels = [figure.add_axes(box) for box in boxes]
+    both, check = (table.select(*names).residual_px for names in (("fit", "check"), ("check",)))
+    limit = max(1.05 * float(np.percentile(np.hypot(*both.T), 99)), 1.25 * ce90_px) or 1.0
+    for axis, (name, colour) in enumerate(AXES):
+        _histogram(panels[axis], both[:, axis], check[:, axis], limit, colour)
+        panels[axis].set_xlabel(f"residual in {name}, target px", fontsize=9)
     panels[0].set_ylabel("points", fontsize=9)
     _circle(panels[2], table, ce90_px, limit)
     for axes in panels:
@@ -403,13 +395,13 @@ def coverage_figure(
     For the shape (rows, cols) of the reference and the (m, n) `backdrop` see `frame_figure`.
     """
     figure, (axes,) = frame_figure(shape, backdrop, bar=True)
-    counts = np.ma.masked_equal(np.array(coverage.points), 0)
+    counts = np.array(coverage.points)
     shown = axes.imshow(
-        counts,
+        np.ma.masked_equal(counts, 0),
         extent=(0, shape[1], shape[0], 0),
         cmap="Blues",
         vmin=0,
-        vmax=max(int(counts.max() or 0), 1) if counts.count() else 1,
+        vmax=max(int(counts.max()), 1),
         alpha=0.8,
         aspect="auto",
         interpolation="nearest",
@@ -430,13 +422,13 @@ def coverage_figure(
 
 
 def _mark(axes: Axes, where: Bool, shape: tuple[int, int], kind: GapStyle) -> None:
-    """Fill squares; hatches distinguish the kinds in print."""
+    """Fill the squares of a kind; hatches distinguish the kinds in print."""
     size_xy = np.array([shape[1] / where.shape[1], shape[0] / where.shape[0]])
     corners = np.argwhere(where)[:, ::-1, None] + np.array([(0, 1, 1, 0), (0, 0, 1, 1)])
     squares = PolyCollection(
         corners.swapaxes(1, 2) * size_xy, fc=kind.colour, ec="0.2", alpha=0.8, hatch=kind.hatch, linewidth=0.3
     )
-    axes.add_collection(squares, autolim=False)  # one artist: a patch a square takes three times as long
+    axes.add_collection(squares, autolim=False)  # one patch per square would take three times as long
 
 
 def candidate_figure(candidates: Sequence[CandidateEntry]) -> bytes:
@@ -444,19 +436,18 @@ def candidate_figure(candidates: Sequence[CandidateEntry]) -> bytes:
 
     All `candidates` have an RMSE.
     """
-    shown = list(candidates)
-    height_in = 0.75 + 0.26 * len(shown)
+    height_in = 0.75 + 0.26 * len(candidates)
     figure = new_figure(height_in)
     axes = figure.add_axes((0.2, 0.5 / height_in, 0.76, 1 - 0.6 / height_in))
-    rmse = np.array([each.rmse_px for each in shown], dtype=float)
-    error = np.array([each.rmse_standard_error_px or 0.0 for each in shown], dtype=float)
-    rows = np.arange(len(shown))
+    rmse = np.array([each.rmse_px for each in candidates], dtype=float)
+    error = np.array([each.rmse_standard_error_px or 0.0 for each in candidates], dtype=float)
+    rows = np.arange(len(candidates))
     axes.errorbar(rmse, rows, xerr=2 * error, fmt="o", color="0.35", ms=5, capsize=3, lw=1.2)
-    chosen = np.array([each.chosen for each in shown], dtype=bool)
+    chosen = np.array([each.chosen for each in candidates], dtype=bool)
     axes.plot(rmse[chosen], rows[chosen], "D", color=COL_COLOUR, ms=8)
-    names = [f"{each.name} (chosen)" if each.chosen else each.name for each in shown]
+    names = [f"{each.name} (chosen)" if each.chosen else each.name for each in candidates]
     axes.set_yticks(rows, names, fontsize=9)
-    axes.set(ylim=(len(shown) - 0.5, -0.5), xlim=(0, None))
+    axes.set(ylim=(len(candidates) - 0.5, -0.5), xlim=(0, None))
     axes.tick_params(axis="x", labelsize=8)
     axes.locator_params(axis="x", nbins=MAX_TICKS)
     axes.grid(axis="x", color="0.9")
@@ -466,7 +457,7 @@ def candidate_figure(candidates: Sequence[CandidateEntry]) -> bytes:
 
 
 def profile_figure(profiles: ProfilesEntry) -> bytes:
-    """Return a PNG of the profiles along columns, rows and heights, with bands and what waves there are."""
+    """Return a PNG of the profiles along columns, rows and heights, with bands; titles name the waves."""
     named = [("target column, px", profiles.by_column, "column")]
     named += [("target row, px", profiles.by_row, "row")]
     if profiles.by_height is not None and profiles.by_height.place:
@@ -477,12 +468,11 @@ def profile_figure(profiles: ProfilesEntry) -> bytes:
     top, bottom = 1 - 0.3 / height_in, 0.5 / height_in
     figure.subplots_adjust(left=0.1, right=0.98, top=top, bottom=bottom, hspace=0.6)
     for axes, (label, part, along) in zip(panels, named, strict=True):
-        for component, colour in enumerate((COL_COLOUR, ROW_COLOUR)):
+        for component, (name, colour) in enumerate(AXES):
             mean = np.array(part.mean_px).reshape(-1, 2)[:, component]
             band = np.array(part.band_px).reshape(-1, 2)[:, component]
-            name = f"in {('column', 'row')[component]}"
             axes.fill_between(part.place, mean - band, mean + band, color=colour, alpha=0.2, lw=0)
-            axes.plot(part.place, mean, color=colour, lw=1.4, label=name)
+            axes.plot(part.place, mean, color=colour, lw=1.4, label=f"in {name}")
         axes.axhline(0, color="0.4", lw=0.8)
         axes.set_title(wave_text(profiles, along), fontsize=9, loc="left", y=TITLE_Y)
         axes.set_xlabel(label, fontsize=9)
@@ -493,7 +483,7 @@ def profile_figure(profiles: ProfilesEntry) -> bytes:
 
 
 def wave_text(profiles: ProfilesEntry, along: str) -> str:
-    """Return what waves there are `along` the "column", "row" or "height"."""
+    """Return a description of the significant waves `along` the "column", "row" or "height"."""
     if along == "height":
         return "By height"
     found = [each for each in profiles.waves if each.along == along and each.significant]
@@ -504,9 +494,9 @@ def wave_text(profiles: ProfilesEntry, along: str) -> str:
 
 
 TREND_BINS: Final = 12
-"""Number of intervals of a trend."""
+"""Number of bins of a trend."""
 MIN_IN_BIN = 5
-"""Least number of values of an interval for its mean to be drawn."""
+"""Least number of values in a bin for its mean to be drawn."""
 TREND_POINTS: Final = 1500
 """Largest number of points that are drawn; of more every n-th is."""
 
@@ -514,10 +504,10 @@ TREND_POINTS: Final = 1500
 def trend_figure(
     table: TiePointTable, target_shape: tuple[int, int], heights_m: Float64 | None = None
 ) -> bytes:
-    """Return a PNG of the residuals in column and in row against position, with means of intervals.
+    """Return a PNG of the residuals in column and in row against position, with the means of bins.
 
-    The table holds fit and check points of a target of that shape (rows, cols); the (n,) `heights_m` of the
-    ground at the points, by the elevation model, are NaN where unknown.
+    The table holds fit and check points of a target of the `target_shape` (rows, cols). The (n,) `heights_m`
+    of the ground at the points, from the elevation model, are NaN where unknown.
     """
     rows, cols = target_shape
     against = [("target column, px", table.target_px[:, 0], (0.0, float(cols)))]
@@ -530,49 +520,48 @@ def trend_figure(
     figure.subplots_adjust(left=0.09, right=0.99, bottom=0.13, top=0.98, wspace=0.12, hspace=0.08)
     limit = float(np.percentile(np.abs(table.residual_px), 99)) * 1.1 or 1.0
     for across, (name, places, span) in enumerate(against):
-        for down, colour in enumerate((COL_COLOUR, ROW_COLOUR)):
+        for down, (_, colour) in enumerate(AXES):
             axes = grid[down, across]
-            _draw(axes, places, table.residual_px[:, down], span, colour)
+            _trend(axes, places, table.residual_px[:, down], span, colour)
             axes.set(xlim=span, ylim=(-limit, limit))
             few_ticks(axes)
         grid[1, across].set_xlabel(name, fontsize=9)
-    for down, name in enumerate(("in column, px", "in row, px")):
-        grid[down, 0].set_ylabel(name, fontsize=9)
+    for down, (axis_name, _) in enumerate(AXES):
+        grid[down, 0].set_ylabel(f"in {axis_name}, px", fontsize=9)
     return to_png(figure)
 
 
-def _draw(axes: Axes, places: Float64, values: Float64, span: tuple[float, float], colour: str) -> None:
-    every = max(1, -(-len(places) // TREND_POINTS))
+def _trend(axes: Axes, places: Float64, values: Float64, span: tuple[float, float], colour: str) -> None:
+    every = math.ceil(len(places) / TREND_POINTS) or 1
     axes.plot(places[::every], values[::every], ".", color=colour, ms=2.5, alpha=0.45)
     axes.axhline(0, color="0.4", lw=0.8)
-    middles, means, errors = stretch_means(places, values, span)
+    middles, means, errors = bin_means(places, values, span)
     axes.errorbar(middles, means, 2 * errors, fmt="-", marker="s", color="black", ms=3, lw=1, capsize=2)
 
 
-def stretch_means(
+def bin_means(
     places: Float64, values: Float64, span: tuple[float, float]
 ) -> tuple[Float64, Float64, Float64]:
-    """Return the means of values in intervals of a span that hold enough of them.
+    """Return the middles of the bins with enough values, the means, and their standard errors, (m,) arrays.
 
-    The (n,) `places` are px or metres, and the (n,) `values` may be NaN; the span is divided into
-    `TREND_BINS` intervals. The results are the middle of each interval, the mean of its values, and the
-    standard error of the mean, (m,) arrays.
+    The `span` of the (n,) `places`, px or metres, is divided into `TREND_BINS` bins. The (n,) `values` may be
+    NaN.
     """
     low, high = span
     known = np.isfinite(places) & np.isfinite(values)
     places, values = places[known], values[known]
-    stretch = np.clip(((places - low) * TREND_BINS / (high - low)).astype(int), 0, TREND_BINS - 1)
-    count = np.bincount(stretch, minlength=TREND_BINS)
+    index = np.clip(((places - low) * TREND_BINS / (high - low)).astype(int), 0, TREND_BINS - 1)
+    count = np.bincount(index, minlength=TREND_BINS)
     enough = count >= MIN_IN_BIN
     safe = np.maximum(count, 1)
-    mean = np.bincount(stretch, values, TREND_BINS) / safe
-    variance = np.bincount(stretch, (values - mean[stretch]) ** 2, TREND_BINS) / np.maximum(count - 1, 1)
+    mean = np.bincount(index, values, TREND_BINS) / safe
+    variance = np.bincount(index, (values - mean[index]) ** 2, TREND_BINS) / np.maximum(count - 1, 1)
     middles = low + (np.arange(TREND_BINS) + 0.5) * (high - low) / TREND_BINS
     return middles[enough], mean[enough], np.sqrt(variance / safe)[enough]
 
 
 def errors_figure(proof: Proof) -> bytes:
-    """Return a PNG: the errors as a cloud with the circle of CE90, and the mean error along a pixel."""
+    """Return a PNG of the errors as a point cloud with the circle of CE90, and of the mean error by phase."""
     figure = new_figure(3.2)
     cloud = figure.add_axes((0.075, 0.17, 0.32, 0.73))
     along = figure.add_axes((0.49, 0.17, 0.49, 0.73))
@@ -586,7 +575,7 @@ def errors_figure(proof: Proof) -> bytes:
     cloud.set_xlabel("column, target px", fontsize=9)
     cloud.set_ylabel("row, target px", fontsize=9)
     phase = [entry.phase for entry in proof.phases]
-    for axis, (name, colour) in enumerate((("column", COL_COLOUR), ("row", ROW_COLOUR))):
+    for axis, (name, colour) in enumerate(AXES):
         mean = [entry.mean_px[axis] for entry in proof.phases]
         along.plot(phase, mean, "o-", color=colour, ms=4, lw=1.5, label=name)
     span = max(1.4 * max(abs(mean) for entry in proof.phases for mean in entry.mean_px), LOCKING_PX)
@@ -617,7 +606,7 @@ def places_figure(proof: Proof, shape: tuple[int, int], backdrop: NDArray[np.uin
 
 
 OUTCOMES: Final = {"correct": ("o", ROW_COLOUR), "refused": ("x", "black"), "incorrect": ("*", CHECK_COLOUR)}
-"""Mark and colour of what became of a trial."""
+"""Marker and colour of each outcome of a trial."""
 LEVEL_AXES: Final = {
     "displacement": "displacement, px",
     "rotation": "rotation, degrees",
@@ -628,7 +617,7 @@ LEVEL_AXES: Final = {
 
 
 def trials_figure(found: Sensitivity) -> bytes:
-    """Return a PNG of the tie points that a part of the pair keeps as it is made harder by and by."""
+    """Return a PNG of the number of tie points of a part of the pair by the level of each difficulty."""
     figure = new_figure(2.3)
     every = [each.points for limit in found.limits for each in limit.trials]
     most = max(found.points, *every, 1)
@@ -655,7 +644,7 @@ def trials_figure(found: Sensitivity) -> bytes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimeLine:
-    """A series of n displacements, as it is drawn."""
+    """A time series of n displacements, as it is drawn."""
 
     days: NDArray[np.datetime64]
     moved_px: Float64
@@ -663,9 +652,9 @@ class TimeLine:
     sigma_px: Float64
     """(n,) their standard deviations along an axis."""
     expected_px: Float64
-    """(n, 2) what the model says; NaN where there is none."""
+    """(n, 2) displacements that the model predicts; NaN where there is no model."""
     outliers: Bool
-    """(n,) displacements that it does not explain, drawn hollow, at the edge where they lie beyond."""
+    """(n,) displacements that it does not explain; drawn hollow, and at the edge if they lie outside."""
     steps: Sequence[int]
     """Number of the first image after each step."""
     span: tuple[np.datetime64, np.datetime64]
@@ -675,11 +664,11 @@ class TimeLine:
 def time_line_figure(line: TimeLine) -> bytes:
     """Return a PNG of a series, columns above rows, with its model and its steps."""
     figure = new_figure(3.9)
-    for axis, (name, colour) in enumerate((("column", COL_COLOUR), ("row", ROW_COLOUR))):
+    for axis, (name, colour) in enumerate(AXES):
         axes = figure.add_axes((0.09, 0.56 - 0.45 * axis, 0.895, 0.38))
         low, high = _span_of(line.expected_px[:, axis], line.moved_px[~line.outliers, axis])
         shown = np.clip(line.moved_px[:, axis], low, high)
-        good, size = ~line.outliers, 4.0 if len(line.days) <= CROWDED else 2.5
+        good, size = ~line.outliers, 4.0 if len(line.days) <= 100 else 2.5
         bars: dict[str, Any] = {"fmt": "o", "ms": size, "color": colour, "ecolor": "0.75", "elinewidth": 1}
         axes.errorbar(line.days[good], shown[good], line.sigma_px[good], mew=0, **bars)
         axes.plot(line.days[~good], shown[~good], "o", ms=size + 2, mfc="none", mec="black", clip_on=False)
@@ -698,12 +687,8 @@ def time_line_figure(line: TimeLine) -> bytes:
     return to_png(figure)
 
 
-CROWDED: Final = 100
-"""Number of dates from which on they are drawn small."""
-
-
 def _span_of(*values: Float64) -> tuple[float, float]:
-    """Return the limits of an axis that shows all values but NaN."""
+    """Return the limits of an axis that shows all finite values."""
     every = np.concatenate(values)
     low, high = float(np.nanmin(every)), float(np.nanmax(every))
     margin = 0.12 * max(high - low, 0.05)
@@ -713,12 +698,11 @@ def _span_of(*values: Float64) -> tuple[float, float]:
 def motion_figure(
     velocity_px: Float64, regions: NDArray[np.integer[Any]], cell_px: float, shape: tuple[int, int]
 ) -> tuple[bytes, tuple[float, float, float, float]]:
-    """Return a PNG of the speed of the ground, with arrows where it moves, and where in it the map is.
+    """Return a PNG of the speed of the ground, with arrows where it moves, and the box of the map in it.
 
-    That is left, top, width and height, in shares of the picture.
-
-    The (rows, cols, 2) `velocity_px` (col, row), px a year, are those of square cells, and the (rows, cols)
-    `regions` are above 0 where they move; the frame has the `shape` (rows, cols).
+    The box is (left, top, width, height) in shares of the picture. The (rows, cols, 2) `velocity_px` (col,
+    row), px a year, are those of square cells, and the (rows, cols) `regions` are above 0 where they move;
+    the frame has the `shape` (rows, cols).
     """
     figure, (axes,) = frame_figure(shape, of="frame", bar=True)
     rows, cols = regions.shape
@@ -726,7 +710,6 @@ def motion_figure(
     shown = axes.imshow(
         speed, extent=(0, cols * cell_px, rows * cell_px, 0), cmap="YlOrRd", vmin=0, aspect="auto"
     )
-    axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0))
     axes.set_facecolor("0.9")
     row, col = np.nonzero(regions)
     if len(row):

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcwlad_geo.report.figures import TREND_BINS, stretch_means, trend_figure
+from pcwlad_geo.report.figures import TREND_BINS, bin_means, trend_figure
 from tests.registrations import make_registration
 
 
@@ -10,7 +10,7 @@ def test_means_and_errors_are_those_of_each_stretch() -> None:
     rng = np.random.default_rng(2)
     places, values = rng.uniform(100, 700, 400), rng.normal(size=400)
     places[:3] = np.nan
-    middles, means, errors = stretch_means(places, values, (100, 700))
+    middles, means, errors = bin_means(places, values, (100, 700))
     assert len(middles) == TREND_BINS
     for middle, mean, error in zip(middles, means, errors, strict=True):
         here = values[np.abs(places - middle) < 25]
@@ -18,7 +18,7 @@ def test_means_and_errors_are_those_of_each_stretch() -> None:
 
 
 def test_stretches_with_few_values_are_left_out() -> None:
-    middles, means, _ = stretch_means(np.r_[np.full(9, 5.0), 95.0], np.ones(10), (0, 100))
+    middles, means, _ = bin_means(np.r_[np.full(9, 5.0), 95.0], np.ones(10), (0, 100))
     assert len(middles) == 1
     np.testing.assert_allclose(means, 1)
 
